@@ -1,0 +1,89 @@
+"""What every message has: schema, version, publisher run, sequence number, stamp and patch."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self, cast
+
+import numpy as np
+
+from .fields import FieldKind, Integer, Text, wire
+from .topics import MAX_NAME, NAME_PATTERN, topic_of
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Message:
+    """A typed, immutable message; its fields are checked when it is made.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time of the acquisition (not of sending) on the graph's clock, in nanoseconds.
+        It names the frame: all messages that descend from one frame carry its stamp.
+    patch : str
+        The patch of skin that the message belongs to.
+    run_id : str
+        16 hex digits, drawn when the publisher starts; "" until it is published.
+    seq : int
+        0, 1, 2, ... a publisher run and topic; a gap is a loss.
+
+    Raises
+    ------
+    MessageError
+        One of its subclasses, if a field has the wrong type, shape or range.
+    """
+
+    schema: ClassVar[str]
+    version: ClassVar[int]
+    latched: ClassVar[bool] = False
+    """Whether who subscribes late is still sent the last one."""
+
+    stamp_ns: int = wire(Integer())
+    patch: str = wire(Text(MAX_NAME, NAME_PATTERN))
+    run_id: str = wire(Text(16, r"([0-9a-f]{16})?"), default="")
+    seq: int = wire(Integer(), default=0)
+
+    def __post_init__(self) -> None:
+        for name, kind in wire_fields(type(self)).items():
+            object.__setattr__(self, name, kind.check(name, getattr(self, name)))
+
+    @property
+    def topic(self) -> str:
+        """The topic on which the message travels."""
+        return topic_of(self.patch, self.schema)
+
+    def published(self, run_id: str, seq: int) -> Self:
+        """The same message as publisher run `run_id` sends it with number `seq`."""
+        twin = copy.copy(self)
+        object.__setattr__(twin, "run_id", run_id)
+        object.__setattr__(twin, "seq", seq)
+        return twin
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return all(
+            _same(getattr(self, name), getattr(other, name)) for name in wire_fields(type(self))
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    return bool(a == b)
+
+
+_fields: dict[type[Message], dict[str, FieldKind]] = {}
+
+
+def wire_fields(cls: type[Message]) -> dict[str, FieldKind]:
+    """Name and kind of every field of a message class, in order of declaration."""
+    if cls not in _fields:
+        _fields[cls] = {
+            f.name: cast(FieldKind, f.metadata["wire"]) for f in dataclasses.fields(cls)
+        }
+    return _fields[cls]

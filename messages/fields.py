@@ -1,0 +1,174 @@
+"""The kinds of field a message may hold: each checks a value, packs it and unpacks it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import FieldError, MalformedError, NotFiniteError, OversizedError, ShapeError
+
+MAX_SIDE = 4096
+"""Largest number of rows, or of columns, of a grid of taxels."""
+MAX_ELEMENTS = 1 << 20
+"""Largest number of elements of one array."""
+INT64_MAX = (1 << 63) - 1
+
+
+class FieldKind:
+    """How one field travels. `check` is run when a message is made, also by `decode`."""
+
+    def check(self, name: str, value: Any) -> Any:
+        """Return the value in its canonical form or raise a MessageError."""
+        raise NotImplementedError
+
+    def pack(self, value: Any) -> Any:
+        """Turn a checked value into what msgpack can carry."""
+        return value
+
+    def unpack(self, name: str, raw: Any) -> Any:
+        """Undo `pack`; `check` comes after it."""
+        return raw
+
+
+@dataclass(frozen=True)
+class Integer(FieldKind):
+    """A whole number in [low, high]."""
+
+    low: int = 0
+    high: int = INT64_MAX
+
+    def check(self, name: str, value: Any) -> int:
+        if isinstance(value, bool) or not isinstance(value, int | np.integer):
+            raise FieldError(f"{name}: expected a whole number, got {type(value).__name__}")
+        if not self.low <= value <= self.high:
+            raise FieldError(f"{name}: {value} is outside {self.low}..{self.high}")
+        return int(value)
+
+
+@dataclass(frozen=True)
+class Real(FieldKind):
+    """A finite number in [low, high]; None where `optional`."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    optional: bool = False
+
+    def check(self, name: str, value: Any) -> float | None:
+        if value is None and self.optional:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+            raise FieldError(f"{name}: expected a number, got {type(value).__name__}")
+        number = float(value)
+        if not math.isfinite(number):
+            raise NotFiniteError(f"{name}: {number} is not a finite number")
+        if not self.low <= number <= self.high:
+            raise FieldError(f"{name}: {number} is outside {self.low}..{self.high}")
+        return number
+
+
+@dataclass(frozen=True)
+class Flag(FieldKind):
+    """True or false."""
+
+    def check(self, name: str, value: Any) -> bool:
+        if not isinstance(value, bool):
+            raise FieldError(f"{name}: expected true or false, got {type(value).__name__}")
+        return value
+
+
+@dataclass(frozen=True)
+class Text(FieldKind):
+    """A text of at most `longest` characters that matches `pattern` as a whole."""
+
+    longest: int = 256
+    pattern: str = r"[^\x00-\x1f\x7f\ud800-\udfff]*"
+
+    def check(self, name: str, value: Any) -> str:
+        if not isinstance(value, str):
+            raise FieldError(f"{name}: expected a text, got {type(value).__name__}")
+        if len(value) > self.longest:
+            raise OversizedError(f"{name}: {len(value)} characters, at most {self.longest}")
+        if re.fullmatch(self.pattern, value) is None:
+            raise FieldError(f"{name}: {value!r} does not match {self.pattern}")
+        return value
+
+
+@dataclass(frozen=True)
+class Array(FieldKind):
+    """An array of one dtype, `ndim` dimensions, no side empty; None where `optional`.
+
+    It travels as a map {dtype, shape, order, data}: `dtype` in numpy's array-interface
+    form with its byte order ("<f4"), `order` always "C", `data` a msgpack bin field.
+    """
+
+    dtype: str
+    ndim: int
+    optional: bool = False
+
+    def check(self, name: str, value: Any) -> npt.NDArray[Any] | None:
+        if value is None and self.optional:
+            return None
+        if not isinstance(value, np.ndarray):
+            raise FieldError(f"{name}: expected an array, got {type(value).__name__}")
+        if value.dtype != np.dtype(self.dtype):
+            raise ShapeError(f"{name}: expected dtype {self.dtype}, got {value.dtype.str}")
+        self._check_shape(name, value.shape)
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            cell = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
+            raise NotFiniteError(f"{name}{list(cell)}: {value[cell]} is not a finite number")
+        return np.ascontiguousarray(value)
+
+    def pack(self, value: Any) -> Any:
+        if value is None:
+            return None
+        return {
+            "dtype": self.dtype,
+            "shape": list(value.shape),
+            "order": "C",
+            "data": value.tobytes(),
+        }
+
+    def unpack(self, name: str, raw: Any) -> npt.NDArray[Any] | None:
+        if raw is None and self.optional:
+            return None
+        if not isinstance(raw, dict) or raw.keys() != {"dtype", "shape", "order", "data"}:
+            raise MalformedError(f"{name}: expected a map of dtype, shape, order and data")
+        if raw["dtype"] != self.dtype or raw["order"] != "C":
+            raise ShapeError(
+                f"{name}: expected dtype {self.dtype} in order C, "
+                f"got {raw['dtype']!r} in order {raw['order']!r}"
+            )
+        shape, data = raw["shape"], raw["data"]
+        if not isinstance(data, bytes) or not isinstance(shape, list):
+            raise MalformedError(f"{name}: shape must be a list and data a bin field")
+        if not all(type(side) is int for side in shape):
+            raise MalformedError(f"{name}: shape must be a list of whole numbers")
+        self._check_shape(name, tuple(shape))
+        dtype = np.dtype(self.dtype)
+        if len(data) != math.prod(shape) * dtype.itemsize:
+            raise ShapeError(f"{name}: shape {shape} does not fit {len(data)} bytes of data")
+        if dtype.kind == "b" and max(data) > 1:
+            raise MalformedError(f"{name}: a boolean byte other than 0 and 1")
+        return np.frombuffer(data, dtype).reshape(shape)
+
+    def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
+        if len(shape) != self.ndim or min(shape) < 1:
+            raise ShapeError(
+                f"{name}: expected {self.ndim} dimensions, none empty, got {list(shape)}"
+            )
+        if math.prod(shape) > MAX_ELEMENTS or (self.ndim > 1 and max(shape) > MAX_SIDE):
+            raise OversizedError(
+                f"{name}: shape {list(shape)}, at most {MAX_ELEMENTS} elements "
+                f"and {MAX_SIDE} a side"
+            )
+
+
+def wire(kind: FieldKind, **options: Any) -> Any:
+    """Declare a dataclass field that travels as `kind`; options as dataclasses.field."""
+    return dataclasses.field(metadata={"wire": kind}, **options)

@@ -1,0 +1,72 @@
+"""The geometry and range of a patch of taxels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import FieldError, ShapeError
+from .fields import MAX_SIDE
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """The geometry and range of one patch of taxels.
+
+    Attributes
+    ----------
+    n_rows, n_cols : int
+        Size of the grid of taxels, 1..4096 each.
+    f_max : float
+        Upper end of the range, in `unit`; the peak of PSNR. Readings lie in [0, f_max].
+    unit : str
+        Unit of the readings: "N" (newtons) or what a recording states, e.g. "raw".
+    pitch_m : float or None
+        Distance between the centres of neighbouring taxels, in metres; None where not known.
+    mask : ndarray of bool, shape (n_rows, n_cols), or None
+        True where a taxel exists. None: every cell of the grid is a taxel.
+
+    Raises
+    ------
+    MessageError
+        If a side, the range or the mask is not as stated.
+    """
+
+    n_rows: int
+    n_cols: int
+    f_max: float
+    unit: str = "N"
+    pitch_m: float | None = None
+    mask: Mask | None = None
+
+    def __post_init__(self) -> None:
+        for name, side in (("n_rows", self.n_rows), ("n_cols", self.n_cols)):
+            if not 1 <= side <= MAX_SIDE:
+                raise FieldError(f"skin: {name} = {side} is outside 1..{MAX_SIDE}")
+        if not (math.isfinite(self.f_max) and self.f_max > 0):
+            raise FieldError(f"skin: f_max = {self.f_max} must be finite and above 0")
+        if self.mask is not None:
+            if self.mask.shape != self.shape or self.mask.dtype != np.bool_:
+                raise ShapeError(
+                    f"skin: the mask is {self.mask.dtype} {list(self.mask.shape)}, "
+                    f"expected bool {list(self.shape)}"
+                )
+            if not self.mask.any():
+                raise FieldError("skin: the mask leaves no taxel")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(n_rows, n_cols)."""
+        return (self.n_rows, self.n_cols)
+
+    @property
+    def n_taxels(self) -> int:
+        """How many taxels exist (N), masked cells left out."""
+        if self.mask is None:
+            return self.n_rows * self.n_cols
+        return int(np.count_nonzero(self.mask))

@@ -1,0 +1,118 @@
+"""State messages: what a station is, latched so that who joins late is told too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from .base import Message
+from .errors import MessageError
+from .fields import MAX_ELEMENTS, MAX_SIDE, Array, Flag, Integer, Real, Text, wire
+from .frames import FINGERPRINT_PATTERN
+from .skin import Skin
+from .topics import MAX_NAME, NAME_PATTERN, topic_of
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SkinState(Message):
+    """The skin behind a patch's taxels, and where its frames come from.
+
+    Attributes
+    ----------
+    n_rows, n_cols, f_max, unit, pitch_m, mask
+        As in `Skin`.
+    source : str
+        Name of the scene, recording or driver.
+    seed : int
+        Seed of the scene and of the noise.
+    rate_hz : float
+        Frames a second that the sensor is asked for; 0 for as fast as possible.
+    has_truth : bool
+        Whether /PATCH/truth is published.
+    sigma_mid, sigma_end : float
+        Noise model: standard deviation at mid-range and at both ends, in `unit`.
+    """
+
+    schema: ClassVar[str] = "skin"
+    version: ClassVar[int] = 1
+    latched: ClassVar[bool] = True
+
+    n_rows: int = wire(Integer(1, MAX_SIDE))
+    n_cols: int = wire(Integer(1, MAX_SIDE))
+    f_max: float = wire(Real(0.0))
+    unit: str = wire(Text(32))
+    pitch_m: float | None = wire(Real(0.0, optional=True))
+    mask: npt.NDArray[np.bool_] | None = wire(Array("|b1", 2, optional=True))
+    source: str = wire(Text())
+    seed: int = wire(Integer())
+    rate_hz: float = wire(Real(0.0))
+    has_truth: bool = wire(Flag())
+    sigma_mid: float = wire(Real(0.0))
+    sigma_end: float = wire(Real(0.0))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.skin  # refuses a mask that does not fit the grid
+
+    @property
+    def skin(self) -> Skin:
+        """The skin itself."""
+        return Skin(self.n_rows, self.n_cols, self.f_max, self.unit, self.pitch_m, self.mask)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PhiState(Message):
+    """The measurement matrix in use: enough to make it again, and its fingerprint as proof."""
+
+    schema: ClassVar[str] = "phi"
+    version: ClassVar[int] = 1
+    latched: ClassVar[bool] = True
+
+    kind: str = wire(Text())
+    n: int = wire(Integer(1, MAX_ELEMENTS))
+    m: int = wire(Integer(1, MAX_ELEMENTS))
+    block: int = wire(Integer(1, MAX_ELEMENTS))
+    seed: int = wire(Integer())
+    fingerprint: str = wire(Text(16, FINGERPRINT_PATTERN))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SolverState(Message):
+    """How the reconstructor restores forces."""
+
+    schema: ClassVar[str] = "solver"
+    version: ClassVar[int] = 1
+    latched: ClassVar[bool] = True
+
+    solver: str = wire(Text())
+    basis: str = wire(Text())
+    preset: str = wire(Text())
+    iterations: int = wire(Integer(0, 1_000_000))
+    lambda_n: float = wire(Real(0.0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class End(Message):
+    """The last message of a topic: its publisher will send no more.
+
+    `of` is the schema whose topic ends, `n_messages` how many were sent before this one:
+    a consumer that has fewer knows how many it lost, also at the very end.
+    """
+
+    schema: ClassVar[str] = "end"
+    version: ClassVar[int] = 1
+
+    of: str = wire(Text(MAX_NAME, NAME_PATTERN))
+    n_messages: int = wire(Integer())
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.of == self.schema:
+            raise MessageError("of: an end cannot end itself")
+
+    @property
+    def topic(self) -> str:
+        return topic_of(self.patch, self.of)

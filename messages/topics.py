@@ -1,0 +1,43 @@
+"""Topic names: /PATCH/SCHEMA."""
+
+from __future__ import annotations
+
+import re
+
+from .errors import FieldError, OversizedError
+
+NAME_PATTERN = r"[a-z][a-z0-9_]*"
+"""Names of patches, nodes and schemas: lower case, digits and underscores."""
+MAX_NAME = 32
+MAX_TOPIC_BYTES = 2 * MAX_NAME + 2
+
+
+def topic_of(patch: str, schema: str) -> str:
+    """Name of the topic that carries a patch's messages of one schema: "/PATCH/SCHEMA"."""
+    return f"/{patch}/{schema}"
+
+
+def check_name(place: str, name: object) -> str:
+    """Return the name of a patch or node, or raise FieldError that says what is allowed."""
+    if not isinstance(name, str) or re.fullmatch(NAME_PATTERN, name) is None:
+        raise FieldError(
+            f"{place}: {name!r} is no name (allowed: a lower-case letter, "
+            "then lower-case letters, digits and underscores)"
+        )
+    if len(name) > MAX_NAME:
+        raise OversizedError(f"{place}: {len(name)} characters, at most {MAX_NAME}")
+    return name
+
+
+def split_topic(topic: str) -> tuple[str, str]:
+    """Split "/PATCH/SCHEMA" into (patch, schema).
+
+    Raises
+    ------
+    MessageError
+        If the topic is not of that form.
+    """
+    parts = topic.split("/")
+    if len(parts) != 3 or parts[0]:
+        raise FieldError(f"topic {topic[:MAX_TOPIC_BYTES]!r}: expected /PATCH/SCHEMA")
+    return check_name("topic", parts[1]), check_name("topic", parts[2])
