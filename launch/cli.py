@@ -1,0 +1,112 @@
+"""The command `sparseskin`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from sparseskin.nodes.monitor.table import summary_table
+
+from .launcher import Launcher
+from .launchfile import LaunchError, LaunchFile, bundled_names, load
+from .terminal import Terminal
+
+EXIT_USAGE = 2
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
+    arguments = _parser().parse_args(argv)
+    try:
+        return int(arguments.run(arguments))
+    except LaunchError as error:
+        for line in error.lines:
+            print(line, file=sys.stderr)
+        return EXIT_USAGE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="sparseskin", description="Compressed sensing for robot tactile skins."
+    )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {version('sparseskin')}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    launch = commands.add_parser(
+        "launch",
+        help="start a graph of nodes from a launch file",
+        description="Start a graph of nodes, watch it, and print what the monitor found.",
+        epilog=f"Launch files that come with it: {', '.join(bundled_names())}.",
+    )
+    launch.add_argument("name", metavar="NAME|FILE.toml", help="launch file")
+    launch.add_argument(
+        "--set",
+        metavar="NODE.KEY=VALUE",
+        action="append",
+        default=[],
+        help="change one setting of one node (may be repeated)",
+    )
+    launch.add_argument(
+        "--frames", metavar="K", type=_positive, help="end each source after K frames"
+    )
+    launch.add_argument(
+        "--dry-run", action="store_true", help="check the launch file, print the graph, start none"
+    )
+    launch.add_argument("--summary", metavar="OUT.json", help="write the summary to a file")
+    launch.set_defaults(run=_launch)
+    return parser
+
+
+def _positive(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, 1 or more")
+    return int(text)
+
+
+def _launch(arguments: argparse.Namespace) -> int:
+    launch = load(arguments.name, arguments.set)
+    if arguments.dry_run:
+        print(graph_text(launch))
+        return 0
+    if arguments.summary is not None:
+        _check_writable(Path(arguments.summary))
+    launcher = Launcher(launch, Terminal(), arguments.frames)
+    code = launcher.run()
+    summary = launcher.summary()
+    if summary["patches"]:
+        print(summary_table(summary["patches"]))
+    if arguments.summary is not None:
+        _write_summary(Path(arguments.summary), summary)
+    return code
+
+
+def graph_text(launch: LaunchFile) -> str:
+    """The graph of a launch file as text: its nodes with their settings, then its links."""
+    lines = [f"{launch.name}: {launch.description}", f"transport {launch.transport}", "", "nodes"]
+    for node in launch.nodes.values():
+        settings = ", ".join(f"{key} = {value!r}" for key, value in node.values.items())
+        lines.append(f"  {node.name:<15} {node.type_name:<15} {settings}")
+    lines += ["", "links"]
+    width = max((len(link.writer) + len(link.topic) for link in launch.links), default=0) + 9
+    for link in launch.links:
+        lines.append(f"  {f'{link.writer} -- {link.topic} ':-<{width}}> {link.reader}")
+    return "\n".join(lines)
+
+
+def _check_writable(path: Path) -> None:
+    """Find out before the run, not after it, that the summary cannot be written."""
+    if path.is_dir() or not path.resolve().parent.is_dir():
+        what = "is a folder" if path.is_dir() else "its folder does not exist"
+        raise LaunchError([f"--summary {path}: {what}"])
+
+
+def _write_summary(path: Path, summary: dict[str, Any]) -> None:
+    text = json.dumps({"sparseskin": version("sparseskin"), **summary}, indent=2)
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise LaunchError([f"--summary {path}: {error.strerror}"]) from error

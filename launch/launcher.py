@@ -1,0 +1,229 @@
+"""Starts a graph's processes, joins them, watches them and ends them all."""
+
+from __future__ import annotations
+
+import os
+import selectors
+import signal
+import time
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
+
+from sparseskin.nodes.clock import wall_offset_ns
+
+from .launchfile import LaunchFile
+from .process import NodeProcess, exit_text
+from .terminal import Terminal
+
+START_S = 30.0
+"""How long all nodes together may take until they are ready."""
+DRAIN_S = 5.0
+"""How long frames under way may take to the end of the graph, once the sources have stopped."""
+GRACE_S = 2.0
+"""How long a process may take from one request to end to the next, sterner one."""
+POLL_S = 0.1
+
+EXIT_FAILED = 1
+
+
+class Launcher:
+    """Runs one graph from start to end.
+
+    Parameters
+    ----------
+    launch : LaunchFile
+        The checked launch file.
+    terminal : Terminal
+        Where log lines and the status line go.
+    max_frames : int, optional
+        Frames after which each source ends its stream.
+    """
+
+    def __init__(
+        self, launch: LaunchFile, terminal: Terminal, max_frames: int | None = None
+    ) -> None:
+        self._launch = launch
+        self._terminal = terminal
+        self._max_frames = max_frames
+        self._nodes: dict[str, NodeProcess] = {}
+        self._selector = selectors.DefaultSelector()
+        writers = {link.writer for link in launch.links}
+        self._sinks = [name for name in launch.nodes if name not in writers]
+        self._interrupts = 0
+        self._exit_code = 0
+
+    def run(self) -> int:
+        """Run the graph until its streams end; return the exit code: 0, 1 for a node that
+        failed, 2 for one that refused its settings, 128 + the signal for an interrupt.
+        """
+        old = {
+            number: signal.signal(number, self._on_signal)
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        }
+        try:
+            self._spawn()
+            if self._handshake():
+                self._command_all("start")
+                self._until(self._all_ended, None)
+                if not self._all_ended():
+                    self._drain()
+        finally:
+            self._end_all()
+            for number, handler in old.items():
+                signal.signal(number, handler)
+            self._terminal.status("")
+        return self._exit_code
+
+    def summary(self) -> dict[str, Any]:
+        """What the nodes reported, and what each of them counted."""
+        merged: dict[str, Any] = {"launch": self._launch.name, "patches": {}, "nodes": {}}
+        for name, node in self._nodes.items():
+            merged["patches"].update(node.report.get("patches", {}))
+            type_name = self._launch.nodes[name].type_name
+            merged["nodes"][name] = {"type": type_name, **node.counts}
+        return merged
+
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        self._interrupts += 1
+        self._exit_code = self._exit_code or 128 + number
+
+    def _spawn(self) -> None:
+        offset_ns = wall_offset_ns()
+        for name, spec in self._launch.nodes.items():
+            config = {
+                "name": name,
+                "type": spec.type_name,
+                "settings": spec.values,
+                "endpoint": self._endpoint(name),
+                "readers": sorted({k.reader for k in self._launch.links if k.writer == name}),
+                "offset_ns": offset_ns,
+                "max_frames": self._max_frames,
+            }
+            node = NodeProcess(name, config)
+            self._nodes[name] = node
+            for pipe in node.pipes:
+                self._selector.register(pipe, selectors.EVENT_READ, node)
+
+    def _endpoint(self, name: str) -> str:
+        if self._launch.transport == "tcp":
+            return "tcp://127.0.0.1:*"
+        # An abstract name leaves no file behind and refuses a second bind.
+        return f"ipc://@sparseskin-{os.getpid()}-{name}"
+
+    def _handshake(self) -> bool:
+        """Join the nodes; False if one of them failed or was late."""
+        if not self._until(lambda: all(n.endpoint for n in self._nodes.values()), START_S):
+            return self._name_late("has not started", lambda node: not node.endpoint)
+        for name, node in self._nodes.items():
+            writers = sorted({k.writer for k in self._launch.links if k.reader == name})
+            node.command("connect", endpoints=[self._nodes[w].endpoint for w in writers])
+        if not self._until(lambda: all(n.ready for n in self._nodes.values()), START_S):
+            return self._name_late("is not ready", lambda node: not node.ready)
+        return True
+
+    def _name_late(self, what: str, is_late: Callable[[NodeProcess], bool]) -> bool:
+        if not self._exit_code:
+            self._exit_code = EXIT_FAILED
+            for node in filter(is_late, self._nodes.values()):
+                lack = f": no subscription from {', '.join(node.lacks)}" if node.lacks else ""
+                self._terminal.log(f"[launch] {node.name} {what} after {START_S:g} s{lack}")
+        return False
+
+    def _all_ended(self) -> bool:
+        return all(node.ended for node in self._nodes.values())
+
+    def _until(self, done: Callable[[], bool], limit_s: float | None) -> bool:
+        """Serve the nodes until something is done; False where time, a failure or an interrupt
+        came first.
+        """
+        interrupts = self._interrupts
+        deadline = None if limit_s is None else time.monotonic() + limit_s
+        failed_before = bool(self._exit_code)
+        while not done():
+            if self._interrupts > interrupts or (self._exit_code and not failed_before):
+                return False
+            if deadline is not None and time.monotonic() >= deadline:
+                return False
+            self._serve()
+        return True
+
+    def _serve(self) -> None:
+        ready = self._selector.select(POLL_S)
+        for node in {id(key.data): key.data for key, _ in ready}.values():
+            self._listen(node)
+        for node in self._nodes.values():
+            code = node.exit_code()
+            if code is not None and not node.ended:
+                self._listen(node)
+                if not node.ended:
+                    node.ended = True
+                    self._fail(code, f"[launch] {node.name} ended too early: {exit_text(code)}")
+        lines = [self._nodes[name].line for name in self._sinks]
+        self._terminal.status("  ||  ".join(filter(None, lines)))
+
+    def _listen(self, node: NodeProcess) -> None:
+        events, log = node.read()
+        for pipe in node.closed_pipes:
+            if pipe in self._selector.get_map():
+                self._selector.unregister(pipe)
+        for line in log:
+            self._terminal.log(f"[{node.name}] {line}")
+        for event in events:
+            match event["event"]:
+                case "bound":
+                    node.endpoint = event["endpoint"]
+                case "ready":
+                    node.ready = True
+                case "heartbeat":
+                    node.lacks, node.line = event["lacks"], event["line"]
+                    node.counts = event["counts"]
+                case "ended":
+                    node.ended = True
+                    node.counts, node.report = event["counts"], event["report"]
+                    if event["failure"]:
+                        self._fail(2, "")
+                case "error":
+                    node.failure = event["text"]
+                    node.ended = True
+                    self._fail(2, f"[{node.name}] error: {event['text']}")
+                case _:
+                    self._terminal.log(f"[{node.name}] {event}")
+
+    def _fail(self, code: int, line: str) -> None:
+        self._exit_code = self._exit_code or (2 if code == 2 else EXIT_FAILED)
+        if line:
+            self._terminal.log(line)
+
+    def _command_all(self, command: str) -> None:
+        for node in self._nodes.values():
+            node.command(command)
+
+    def _drain(self) -> None:
+        """Stop the sources, and let what is under way reach the end of the graph."""
+        for node in self._nodes.values():
+            node.send_signal(signal.SIGINT)
+        if not self._until(self._all_ended, DRAIN_S):
+            late = [node.name for node in self._nodes.values() if not node.ended]
+            if late and not self._interrupts > 1:
+                self._terminal.log(f"[launch] not drained after {DRAIN_S:g} s: {', '.join(late)}")
+
+    def _end_all(self) -> None:
+        """End every process: ask, then SIGTERM, then SIGKILL; say who needed what."""
+        self._command_all("stop")
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            deadline = time.monotonic() + GRACE_S
+            while self._alive() and time.monotonic() < deadline:
+                self._selector.select(POLL_S)
+                for node in self._nodes.values():
+                    self._listen(node)
+            for node in self._alive():
+                self._terminal.log(f"[launch] {node.name} does not end: {number.name}")
+                node.send_signal(number)
+        for node in self._nodes.values():
+            self._listen(node)
+            node.close()
+        self._selector.close()
+
+    def _alive(self) -> list[NodeProcess]:
+        return [node for node in self._nodes.values() if node.exit_code() is None]

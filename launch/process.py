@@ -1,0 +1,120 @@
+"""One node process as the launcher sees it: its pipes, its state, its end."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from typing import IO, Any
+
+
+class NodeProcess:
+    """A node in a process of its own, in a session of its own, so that a Ctrl-C in the terminal
+    reaches the launcher alone.
+
+    Parameters
+    ----------
+    name : str
+        The node's name.
+    config : dict
+        What `sparseskin.nodes.runner` expects on its first line.
+    """
+
+    def __init__(self, name: str, config: dict[str, Any]) -> None:
+        self.name = name
+        environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **os.environ}
+        # -P: a file of the user's that is named like a standard module must not shadow it.
+        self._popen = subprocess.Popen(
+            [sys.executable, "-P", "-m", "sparseskin.nodes.runner"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+            env=environment,
+        )
+        self.endpoint = ""
+        self.ready = self.ended = False
+        self.lacks: list[str] = []
+        self.line = ""
+        self.failure = ""
+        self.counts: dict[str, Any] = {}
+        self.report: dict[str, Any] = {}
+        self.closed_pipes: list[IO[bytes]] = []
+        self._rest: dict[int, bytes] = {}
+        for pipe in self.pipes:
+            os.set_blocking(pipe.fileno(), False)
+        self._write(config)
+
+    @property
+    def pipes(self) -> tuple[IO[bytes], IO[bytes]]:
+        """Events and log lines, to be waited on."""
+        assert self._popen.stdout is not None
+        assert self._popen.stderr is not None
+        return self._popen.stdout, self._popen.stderr
+
+    @property
+    def pid(self) -> int:
+        return self._popen.pid
+
+    def exit_code(self) -> int | None:
+        """Exit code, negative for a signal; None while the process runs."""
+        return self._popen.poll()
+
+    def command(self, command: str, **fields: Any) -> None:
+        """Send a command; a process that is gone is noticed by its exit code."""
+        self._write({"command": command, **fields})
+
+    def send_signal(self, number: signal.Signals) -> None:
+        if self.exit_code() is None:
+            self._popen.send_signal(number)
+
+    def read(self) -> tuple[list[dict[str, Any]], list[str]]:
+        """All (events, log lines) that wait."""
+        events, log = (self._lines(pipe) for pipe in self.pipes)
+        return [_event(line) for line in events], log
+
+    def close(self) -> None:
+        """Close the pipes and collect the process; it must have been told to end."""
+        with contextlib.suppress(OSError):
+            assert self._popen.stdin is not None
+            self._popen.stdin.close()
+        self._popen.wait()
+        for pipe in self.pipes:
+            pipe.close()
+
+    def _lines(self, pipe: IO[bytes]) -> list[str]:
+        fd = pipe.fileno()
+        data = self._rest.get(fd, b"")
+        try:
+            while chunk := os.read(fd, 65536):
+                data += chunk
+            if pipe not in self.closed_pipes:
+                self.closed_pipes.append(pipe)
+        except BlockingIOError:
+            pass
+        *lines, self._rest[fd] = data.split(b"\n")
+        return [line.decode(errors="replace") for line in lines if line]
+
+    def _write(self, fields: dict[str, Any]) -> None:
+        assert self._popen.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._popen.stdin.write(json.dumps(fields).encode() + b"\n")
+            self._popen.stdin.flush()
+
+
+def _event(line: str) -> dict[str, Any]:
+    try:
+        event = json.loads(line)
+    except json.JSONDecodeError:
+        event = None
+    return event if isinstance(event, dict) else {"event": "garbage", "text": line[:200]}
+
+
+def exit_text(code: int) -> str:
+    """What an exit code means, for a person."""
+    if code < 0:
+        return f"killed by {signal.Signals(-code).name}"
+    return f"exit code {code}"

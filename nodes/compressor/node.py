@@ -1,0 +1,108 @@
+"""The compressor, at the edge: N taxels in, M linear combinations of them out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparseskin.messages import Measurements, Message, PhiState, SkinState, Taxels, topic_of
+from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
+from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.settings import PatchSettings, naming, setting
+
+from .lookup import find_class
+from .phi import KINDS, Phi, make_phi
+
+
+@dataclass(frozen=True)
+class CompressorSettings(PatchSettings):
+    """What a compressor can be told."""
+
+    phi: str = setting(
+        "sbhe", "measurement matrix: sbhe, full, subsample, gaussian or module:Class"
+    )
+    ratio: float = setting(
+        3.0, "compression ratio N / M; M is N / ratio, rounded down", low=1.0, high=1e6
+    )
+    m: int | None = setting(None, "number of measurements M, in place of ratio", low=1, high=2**20)
+    block: int = setting(32, "size of the Hadamard blocks, a power of two", low=1, high=2**20)
+    seed: int = setting(0, "seed of the measurement matrix", low=0, high=2**32 - 1)
+
+    def check(self) -> None:
+        with naming("phi"):
+            find_class("phi", self.phi, KINDS, PhiError)
+        if self.block & (self.block - 1):
+            raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
+
+    def n_measurements(self, n: int) -> int:
+        """M for a skin of `n` taxels."""
+        if self.phi == "full":
+            return n
+        return self.m if self.m is not None else max(1, int(n / self.ratio))
+
+
+class Compressor(Node[CompressorSettings]):
+    """Publishes /PATCH/phi once the skin is known, then /PATCH/measurements."""
+
+    Settings = CompressorSettings
+
+    def __init__(self, settings: CompressorSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        settings.check()
+        self._state: SkinState | None = None
+        self._phi: Phi | None = None
+        self._cells: np.ndarray[tuple[int], np.dtype[np.intp]] | None = None
+
+    @classmethod
+    def inputs(cls, settings: CompressorSettings) -> tuple[str, ...]:
+        return tuple(topic_of(settings.patch, cls.schema) for cls in (SkinState, Taxels))
+
+    @classmethod
+    def outputs(cls, settings: CompressorSettings) -> tuple[str, ...]:
+        return tuple(topic_of(settings.patch, cls.schema) for cls in (PhiState, Measurements))
+
+    def step(self, message: Message) -> Iterable[Message]:
+        if isinstance(message, SkinState):
+            yield self._learn_skin(message)
+        elif isinstance(message, Taxels):
+            yield self._compress(message)
+
+    def status(self) -> str:
+        return "" if self._phi is None else f"{self._phi.kind} {self._phi.m} x {self._phi.n}"
+
+    def _learn_skin(self, state: SkinState) -> PhiState:
+        n = state.skin.n_taxels
+        s = self.settings
+        phi = make_phi(s.phi, n=n, m=s.n_measurements(n), seed=s.seed, block=s.block)
+        self._state, self._phi = state, phi
+        self._cells = None if state.mask is None else np.flatnonzero(state.mask)
+        return PhiState(
+            stamp_ns=state.stamp_ns,
+            patch=s.patch,
+            kind=phi.kind if s.phi == phi.kind else s.phi,
+            n=phi.n,
+            m=phi.m,
+            block=s.block,
+            seed=s.seed,
+            fingerprint=phi.fingerprint,
+        )
+
+    def _compress(self, taxels: Taxels) -> Measurements:
+        if self._phi is None or self._state is None:
+            raise RefusedError(f"{taxels.topic}: the skin is not known yet")
+        if taxels.forces.shape != self._state.skin.shape:
+            raise RefusedError(
+                f"{taxels.topic}: forces of shape {taxels.forces.shape}, "
+                f"but the skin has {self._state.skin.shape}"
+            )
+        x = taxels.forces.reshape(-1)
+        if self._cells is not None:
+            x = x[self._cells]
+        return Measurements(
+            stamp_ns=taxels.stamp_ns,
+            patch=self.settings.patch,
+            y=self._phi.forward(x),
+            phi=self._phi.fingerprint,
+        )

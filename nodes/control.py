@@ -1,0 +1,43 @@
+"""The line between a node process and its launcher: one JSON object a line, commands in on
+stdin, events out on what was stdout. Whatever else the process prints goes to stderr.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from typing import Any, TextIO
+
+
+class Control:
+    """The node's end of the line. The end of stdin means that the launcher is gone."""
+
+    def __init__(self) -> None:
+        # A driver that prints must not break the line: stdout becomes stderr for all others.
+        self._events: TextIO = os.fdopen(os.dup(1), "w", buffering=1)
+        os.dup2(2, 1)
+        sys.stdout = sys.stderr
+        self.fd = sys.stdin.fileno()
+        os.set_blocking(self.fd, False)
+        self.closed = False
+        self._rest = b""
+
+    def emit(self, event: str, **fields: Any) -> None:
+        """Tell the launcher something; a launcher that is gone is noticed on stdin."""
+        try:
+            self._events.write(json.dumps({"event": event, **fields}) + "\n")
+            self._events.flush()
+        except BrokenPipeError:
+            self.closed = True
+
+    def commands(self) -> list[dict[str, Any]]:
+        """All commands that wait, oldest first; sets `closed` where stdin has ended."""
+        try:
+            while chunk := os.read(self.fd, 65536):
+                self._rest += chunk
+            self.closed = True
+        except BlockingIOError:
+            pass
+        *lines, self._rest = self._rest.split(b"\n")
+        return [json.loads(line) for line in lines if line]

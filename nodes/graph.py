@@ -1,0 +1,47 @@
+"""How nodes are joined: each topic has one writer, each reader needs a writer for its topics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from .errors import SettingsError
+from .node import Node
+from .settings import did_you_mean
+
+NodeSpecs = Mapping[str, tuple[type[Node[Any]], Any]]
+"""Node class and settings, by node name."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """One topic from its writer to one of its readers."""
+
+    topic: str
+    writer: str
+    reader: str
+
+
+def join(nodes: NodeSpecs) -> list[Link]:
+    """Find all links of a graph, in the order of its nodes.
+
+    Raises
+    ------
+    SettingsError
+        If two nodes write one topic, or a node reads a topic that none writes.
+    """
+    writers: dict[str, str] = {}
+    for name, (cls, settings) in nodes.items():
+        for topic in cls.outputs(settings):
+            if topic in writers:
+                raise SettingsError(f"{name}: writes {topic}, which {writers[topic]} writes too")
+            writers[topic] = name
+    links = []
+    for name, (cls, settings) in nodes.items():
+        for topic in cls.inputs(settings):
+            if topic not in writers:
+                hint = did_you_mean(topic, writers)
+                raise SettingsError(f"{name}: reads {topic}, which no node writes{hint}")
+            links.append(Link(topic, writers[topic], name))
+    return links

@@ -1,0 +1,189 @@
+"""A node together with the bookkeeping every node needs: numbers on what goes out, gaps,
+repeats and refusals counted on what comes in, and the end of a stream passed on.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from sparseskin.messages import End, Message, MessageError, decode
+from sparseskin.messages.topics import split_topic
+from sparseskin.messages.wire import SCHEMAS
+
+from .errors import RefusedError, SparseskinError
+from .node import Node, SourceNode, Tick
+
+Log = Callable[[str], None]
+
+
+def is_latched(topic: str) -> bool:
+    """Whether a topic carries state rather than a stream."""
+    return SCHEMAS[split_topic(topic)[1]].latched
+
+
+@dataclass
+class InputCount:
+    """What happened on one input topic."""
+
+    run_id: str = ""
+    expected: int = 0
+    received: int = 0
+    lost: int = 0
+    ended: bool = False
+
+    def admit(self, message: Message) -> bool:
+        """Count a message; False for one that was seen before (a latched topic repeats)."""
+        if message.run_id != self.run_id:
+            self.run_id, self.expected, self.ended = message.run_id, 0, False
+        if message.seq < self.expected:
+            return False
+        if not message.latched:
+            self.lost += message.seq - self.expected
+        self.received += 1
+        self.expected = message.seq + 1
+        return True
+
+    def end(self, end: End) -> None:
+        """Count what is missing at the very end."""
+        if end.run_id != self.run_id:
+            self.run_id, self.expected = end.run_id, 0
+        self.lost += max(0, end.n_messages - self.expected)
+        self.expected = max(self.expected, end.n_messages)
+        self.ended = True
+
+
+@dataclass
+class Counts:
+    """Everything a node counts; `refused` by reason."""
+
+    inputs: dict[str, InputCount] = field(default_factory=dict)
+    published: Counter[str] = field(default_factory=Counter)
+    refused: Counter[str] = field(default_factory=Counter)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, for status lines and summaries."""
+        return {
+            "received": {topic: count.received for topic, count in self.inputs.items()},
+            "lost": {topic: count.lost for topic, count in self.inputs.items()},
+            "published": dict(self.published),
+            "refused": dict(self.refused),
+        }
+
+
+class NodeHost:
+    """Runs a node's logic for whoever owns the transport.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    run_id : str
+        16 hex digits, new for each run of the node.
+    log : callable
+        Takes one line of text.
+    """
+
+    def __init__(self, node: Node[Any], run_id: str, log: Log) -> None:
+        self.node = node
+        self.run_id = run_id
+        self.inputs = node.inputs(node.settings)
+        self.outputs = node.outputs(node.settings)
+        self._streams = [topic for topic in self.inputs if not is_latched(topic)]
+        self.counts = Counts({topic: InputCount() for topic in self.inputs})
+        self.finished = False
+        self.failure = ""
+        self._log = log
+        self._said: Counter[str] = Counter()
+        self._last_stamp_ns = 0
+
+    @property
+    def is_source(self) -> bool:
+        return isinstance(self.node, SourceNode)
+
+    def start(self) -> Iterator[Message]:
+        """What the node says of itself before its first step."""
+        yield from self._publish(self.node.start())
+
+    def tick(self, tick: Tick) -> Iterator[Message]:
+        """Let a source acquire one frame; a source that fails ends its stream."""
+        assert isinstance(self.node, SourceNode)
+        try:
+            yield from self._publish(self.node.tick(tick))
+        except SparseskinError as error:
+            self.failure = str(error)
+            self._log(f"error: {error}")
+        if self.node.exhausted or self.failure:
+            yield from self.finish(tick.stamp_ns)
+
+    def receive_bytes(self, topic: bytes, payload: bytes) -> Iterator[Message]:
+        """Decode and take in one message; one that cannot be decoded is counted."""
+        try:
+            message = decode(topic, payload)
+        except MessageError as error:
+            self._refuse(error.reason, str(error))
+            return
+        yield from self.receive(message)
+
+    def receive(self, message: Message) -> Iterator[Message]:
+        """Take in one message; one that the node refuses is counted, and the node goes on."""
+        count = self.counts.inputs.get(message.topic)
+        if count is None:
+            self._refuse("unknown topic", f"{message.topic}: not an input of this node")
+            return
+        self._last_stamp_ns = max(self._last_stamp_ns, message.stamp_ns)
+        if isinstance(message, End):
+            if not count.ended:
+                count.end(message)
+                yield from self._guarded(self.node.ended, message.topic, message.n_messages)
+                if all(self.counts.inputs[topic].ended for topic in self._streams):
+                    yield from self.finish(self._last_stamp_ns)
+        elif count.admit(message):
+            yield from self._guarded(self.node.step, message)
+
+    def finish(self, stamp_ns: int) -> Iterator[Message]:
+        """End the stream: one End on each output topic, once."""
+        if self.finished:
+            return
+        self.finished = True
+        for topic in self.outputs:
+            patch, schema = split_topic(topic)
+            if is_latched(topic):
+                continue  # state stays true after the stream has ended
+            yield End(
+                stamp_ns=stamp_ns,
+                patch=patch,
+                run_id=self.run_id,
+                seq=self.counts.published[topic],
+                of=schema,
+                n_messages=self.counts.published[topic],
+            )
+
+    def _guarded(self, method: Callable[..., Iterable[Message]], *args: Any) -> Iterator[Message]:
+        """Pass on what a method gives; whatever it raises is counted and ends no node."""
+        try:
+            yield from self._publish(method(*args))
+        except RefusedError as error:
+            self._refuse("refused", str(error))
+        except MessageError as error:
+            self._refuse(error.reason, f"not published: {error}")
+        except SparseskinError as error:
+            self._refuse("failed", str(error))
+        except Exception as error:  # a user's own solver may raise anything
+            self._refuse("failed", f"{type(error).__name__}: {error}")
+
+    def _publish(self, messages: Iterable[Message]) -> Iterator[Message]:
+        for message in messages:
+            seq = self.counts.published[message.topic]
+            self.counts.published[message.topic] += 1
+            yield message.published(self.run_id, seq)
+
+    def _refuse(self, reason: str, text: str) -> None:
+        """Count a refusal; say it the 1st, 10th, 100th ... time, so a flood stays readable."""
+        self.counts.refused[reason] += 1
+        self._said[reason] += 1
+        times = self._said[reason]
+        if times == 10 ** (len(str(times)) - 1):
+            self._log(f"{reason}: {text}" + (f" ({times} times)" if times > 1 else ""))

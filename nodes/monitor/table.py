@@ -1,0 +1,79 @@
+"""The monitor on a terminal: one line while the graph runs, a table at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from .metrics import PatchMetrics, Quality
+
+NONE = "-"
+
+
+def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
+    """One line of at most about 110 characters on how a patch is doing just now."""
+    parts = [f"{patch}: {metrics.reconstructed} frames, {rate_hz:.0f} Hz"]
+    if metrics.noisy.recent:
+        parts.append(
+            f"PSNR noisy {_recent(metrics.noisy)}, restored {_recent(metrics.restored)} dB"
+        )
+    elif metrics.restored.recent:
+        parts.append(f"PSNR to taxels {_recent(metrics.restored)} dB")
+    latency = metrics.latency.summary()
+    if latency:
+        parts.append(f"latency {latency['p50']:.2f} ms (p99 {latency['p99']:.2f})")
+    parts.append(f"lost {metrics.lost_so_far}")
+    return " | ".join(parts)
+
+
+def _recent(quality: Quality) -> str:
+    return f"{sum(quality.recent) / len(quality.recent):.1f}"
+
+
+def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
+    """The summary of every patch as text for a terminal of 80 columns."""
+    return "\n".join(_patch_table(name, patch) for name, patch in patches.items())
+
+
+def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
+    frames, psnr = patch["frames"], patch["psnr_db"]
+    against = {"truth": "against the truth", "taxels": "against the recorded taxels"}
+    title = f" {name}: {patch['scene']} "
+    rows = [
+        title.center(78, "="),
+        f"frames      sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
+        f"lost {frames['lost']}",
+        f"measured    {patch['phi']}: N = {patch['n'] or NONE}, M = {patch['m'] or NONE} "
+        f"(ratio {_number(patch['ratio'], '.2f')})",
+        f"restored    {patch['solver']} in {patch['basis']}, {patch['iterations']} iterations"
+        + (f" (preset {patch['preset']})" if patch["preset"] else ""),
+        f"bytes       taxels {patch['bytes_in']:,}, measurements {patch['bytes_out']:,}"
+        + (f" (1/{patch['bytes_in'] / patch['bytes_out']:.2f})" if patch["bytes_out"] else ""),
+        f"time        latency p50 {_time(patch['latency_ms'], 'p50')}, "
+        f"p99 {_time(patch['latency_ms'], 'p99')}; "
+        f"solve p50 {_time(patch['solve_ms'], 'p50')}, p99 {_time(patch['solve_ms'], 'p99')}",
+        "",
+        f"{'PSNR in dB ' + against.get(patch['reference'], ''):<41}{'mean':>8}{'min':>8}{'max':>8}",
+    ]
+    for label, key in (("noisy taxels", "noisy"), ("reconstruction", "reconstruction")):
+        for which, frames_of in (("all", "all frames"), ("contact", "contact frames")):
+            extent = psnr[key][which]
+            if extent is not None:
+                rows.append(f"  {label:<22}{frames_of:<17}" + _extent(extent, ".1f"))
+    error = patch["relative_error"]
+    if error is not None:
+        rows.append(f"{'relative error':<24}{'contact frames':<17}" + _extent(error, ".3f"))
+    rows.append("=" * 78)
+    return "\n".join(rows)
+
+
+def _extent(extent: Mapping[str, float], form: str) -> str:
+    return "".join(f"{extent[key]:>8{form}}" for key in ("mean", "min", "max"))
+
+
+def _number(value: float | None, form: str) -> str:
+    return NONE if value is None else format(value, form)
+
+
+def _time(quantiles: Mapping[str, float] | None, key: str) -> str:
+    return NONE if quantiles is None else f"{quantiles[key]:.2f} ms"

@@ -1,0 +1,108 @@
+"""What every node is: settings in, messages in, messages out. No socket, no thread, no clock
+of its own, so that the same code runs in a process, in one program, in a test and in a study.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, TypeVar
+
+import numpy as np
+
+from sparseskin.messages import Message
+
+from .clock import Clock
+from .settings import Settings
+
+S = TypeVar("S", bound=Settings)
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a node is given by whoever runs it.
+
+    Attributes
+    ----------
+    name : str
+        The node's name in its graph.
+    clock : Clock
+        The graph's clock.
+    """
+
+    name: str
+    clock: Clock
+
+    def rng(self, seed: int) -> np.random.Generator:
+        """A random generator for a stated seed: the same numbers wherever the node runs."""
+        return np.random.default_rng(seed)
+
+
+@dataclass(frozen=True)
+class Tick:
+    """The moment at which a source is to acquire its next frame."""
+
+    stamp_ns: int
+    index: int
+
+
+class Node(Generic[S]):
+    """A station: consumes messages of its input topics, makes messages of its output topics.
+
+    A subclass names its `Settings`, its `inputs` and `outputs`, and implements `step`.
+    """
+
+    Settings: ClassVar[type[Any]] = Settings
+
+    def __init__(self, settings: S, context: Context) -> None:
+        self.settings = settings
+        self.context = context
+
+    @classmethod
+    def inputs(cls, settings: S) -> tuple[str, ...]:
+        """Topics that the node reads."""
+        return ()
+
+    @classmethod
+    def outputs(cls, settings: S) -> tuple[str, ...]:
+        """Topics that the node writes; its stream ends with an End on each."""
+        return ()
+
+    def start(self) -> Iterable[Message]:
+        """Messages to publish before the first step: what is known of the node by then."""
+        return ()
+
+    def step(self, message: Message) -> Iterable[Message]:
+        """Take one message in, give any number out, each published as soon as it is given.
+
+        Raises
+        ------
+        RefusedError
+            If the node cannot use the message: it is counted and the node goes on.
+        """
+        raise NotImplementedError
+
+    def ended(self, topic: str, n_messages: int) -> Iterable[Message]:
+        """One input topic has ended after `n_messages` were sent on it."""
+        return ()
+
+    def status(self) -> str:
+        """One line for a person who watches; "" where there is nothing to say."""
+        return ""
+
+    def report(self) -> dict[str, Any]:
+        """What the node has found, once its inputs have ended."""
+        return {}
+
+
+class SourceNode(Node[S]):
+    """A node without inputs, driven by ticks."""
+
+    rate_hz: float = 0.0
+    """Ticks a second; 0: as fast as possible."""
+    exhausted: bool = False
+    """Whether the last frame has been delivered."""
+
+    def tick(self, tick: Tick) -> Iterable[Message]:
+        """Acquire one frame and give its messages; set `exhausted` with the last one."""
+        raise NotImplementedError

@@ -1,0 +1,199 @@
+"""The reconstructor, on the host: M measurements in, N restored forces out."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sparseskin.messages import (
+    Measurements,
+    Message,
+    PhiState,
+    Reconstruction,
+    SkinState,
+    SolverState,
+    topic_of,
+)
+from sparseskin.nodes.compressor.lookup import find_class
+from sparseskin.nodes.compressor.phi import KINDS, Phi, make_phi
+from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError, SolverError
+from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.settings import PatchSettings, did_you_mean, naming, setting
+
+from .basis import BASES, make_basis
+from .presets import PRESETS
+from .solver import SOLVERS, Solver, make_solver
+
+ANNOUNCED = "announced"
+PAPER_F_MAX_N = 2.5
+
+
+@dataclass(frozen=True)
+class ReconstructorSettings(PatchSettings):
+    """What a reconstructor can be told."""
+
+    preset: str = setting("paper", f"named set of the settings below: {', '.join(PRESETS)}")
+    solver: str | None = setting(None, "solver, in place of the preset's; or module:Class")
+    basis: str | None = setting(None, "basis Psi, in place of the preset's; or module:Class")
+    iterations: int | None = setting(
+        None, "iterations a frame, in place of the preset's", low=1, high=1000
+    )
+    lambda_n: float | None = setting(
+        None,
+        "weight of the l1 norm in place of the preset's, in newtons for orthonormal rows and a "
+        "range of 2.5 N; scaled with the range of the skin",
+        low=0.0,
+        high=1e6,
+    )
+    phi: str = setting(
+        ANNOUNCED,
+        "measurement matrix: announced (what the compressor says), a kind or module:Class",
+    )
+    phi_m: int | None = setting(None, "M of a stated phi; N // 3 by default", low=1, high=2**20)
+    phi_block: int = setting(32, "block size of a stated phi", low=1, high=2**20)
+    phi_seed: int = setting(0, "seed of a stated phi", low=0, high=2**32 - 1)
+
+    def check(self) -> None:
+        if self.preset not in PRESETS:
+            raise SettingsError(
+                f"preset: '{self.preset}' is not known{did_you_mean(self.preset, PRESETS)}"
+            )
+        chosen = self.chosen()
+        with naming("solver"):
+            find_class("solver", chosen["solver"], SOLVERS, SolverError)
+        with naming("basis"):
+            find_class("basis", chosen["basis"], BASES, SolverError)
+        if self.phi != ANNOUNCED:
+            with naming("phi"):
+                find_class("phi", self.phi, KINDS, PhiError)
+
+    def chosen(self) -> dict[str, Any]:
+        """The preset with what is stated beside it."""
+        stated = {
+            "solver": self.solver,
+            "basis": self.basis,
+            "iterations": self.iterations,
+            "lambda_n": self.lambda_n,
+        }
+        return PRESETS[self.preset] | {k: v for k, v in stated.items() if v is not None}
+
+
+class Reconstructor(Node[ReconstructorSettings]):
+    """Publishes /PATCH/solver once it knows skin and Phi, then /PATCH/reconstruction.
+
+    Measurements made by another Phi than its own are refused: to invert the wrong matrix would
+    invent forces.
+    """
+
+    Settings = ReconstructorSettings
+
+    def __init__(self, settings: ReconstructorSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        settings.check()
+        self._skin: SkinState | None = None
+        self._announced: PhiState | None = None
+        self._phi: Phi | None = None
+        self._solver: Solver | None = None
+
+    @classmethod
+    def inputs(cls, settings: ReconstructorSettings) -> tuple[str, ...]:
+        return tuple(
+            topic_of(settings.patch, cls.schema) for cls in (SkinState, PhiState, Measurements)
+        )
+
+    @classmethod
+    def outputs(cls, settings: ReconstructorSettings) -> tuple[str, ...]:
+        return tuple(topic_of(settings.patch, cls.schema) for cls in (SolverState, Reconstruction))
+
+    def step(self, message: Message) -> Iterable[Message]:
+        if isinstance(message, Measurements):
+            yield self._reconstruct(message)
+            return
+        if isinstance(message, SkinState):
+            self._skin = message
+        elif isinstance(message, PhiState):
+            self._announced = message
+        if self._skin is not None and self._announced is not None:
+            self._phi = self._solver = None
+            yield self._set_up(self._skin, self._announced)
+
+    def status(self) -> str:
+        chosen = self.settings.chosen()
+        return f"{chosen['solver']} in {chosen['basis']}" if self._solver else ""
+
+    def _set_up(self, state: SkinState, announced: PhiState) -> SolverState:
+        """Make Phi and solver for a skin, and say which."""
+        skin = state.skin
+        phi = self._make_phi(skin.n_taxels, announced)
+        chosen = dict(self.settings.chosen())
+        options = {k: v for k, v in chosen.items() if k not in ("solver", "basis")}
+        if "lambda_n" in options:
+            options["lambda_n"] *= skin.f_max / PAPER_F_MAX_N
+        basis = make_basis(chosen["basis"], skin.n_rows, skin.n_cols)
+        self._solver = make_solver(chosen["solver"], phi, basis, skin.mask, **options)
+        self._phi = phi
+        return SolverState(
+            stamp_ns=state.stamp_ns,
+            patch=self.settings.patch,
+            solver=chosen["solver"],
+            basis=chosen["basis"],
+            preset=self.settings.preset if chosen == PRESETS[self.settings.preset] else "",
+            iterations=options.get("iterations", 0),
+            lambda_n=options.get("lambda_n", 0.0),
+        )
+
+    def _make_phi(self, n: int, announced: PhiState) -> Phi:
+        s = self.settings
+        if s.phi != ANNOUNCED:
+            return make_phi(
+                s.phi, n=n, m=s.phi_m or max(1, n // 3), seed=s.phi_seed, block=s.phi_block
+            )
+        # What comes over the wire is never imported: a Phi of the user's own has to be stated.
+        if announced.kind not in KINDS:
+            raise RefusedError(
+                f"{announced.topic}: phi '{announced.kind}' is not built in; "
+                "state it as the reconstructor's phi"
+            )
+        if announced.n != n:
+            raise RefusedError(f"{announced.topic}: for {announced.n} taxels; the skin has {n}")
+        try:
+            phi = make_phi(
+                announced.kind, n=n, m=announced.m, seed=announced.seed, block=announced.block
+            )
+        except PhiError as error:
+            raise RefusedError(f"{announced.topic}: {error}") from error
+        if phi.fingerprint != announced.fingerprint:
+            raise RefusedError(
+                f"{announced.topic}: seed {announced.seed} gives Phi {phi.fingerprint} here, "
+                f"not {announced.fingerprint}: the random generators differ"
+            )
+        return phi
+
+    def _reconstruct(self, measurements: Measurements) -> Reconstruction:
+        if self._phi is None or self._solver is None:
+            raise RefusedError(f"{measurements.topic}: skin or Phi is not known yet")
+        if measurements.phi != self._phi.fingerprint:
+            raise RefusedError(
+                f"{measurements.topic}: made by Phi {measurements.phi}, "
+                f"this reconstructor inverts Phi {self._phi.fingerprint}"
+            )
+        begin_ns = time.perf_counter_ns()
+        forces = self._solver.solve(measurements.y)
+        solve_ns = time.perf_counter_ns() - begin_ns
+        done_ns = self.context.clock.now_ns()
+        misfit = self._phi.forward(forces.reshape(-1)[self._solver.taxels]) - measurements.y
+        return Reconstruction(
+            stamp_ns=measurements.stamp_ns,
+            patch=self.settings.patch,
+            forces=forces,
+            phi=self._phi.fingerprint,
+            iterations=self._solver.n_steps,
+            residual=math.sqrt(float(np.mean(np.square(misfit, dtype=np.float64)))),
+            solve_ns=solve_ns,
+            done_ns=done_ns,
+        )

@@ -1,0 +1,230 @@
+"""A node as a process: owns its sockets, the handshake with the launcher, ticks and signals.
+
+Run as `python -m sparseskin.nodes.runner`. The launcher writes a configuration on its stdin,
+then commands: "connect" (where the writers are), "start" (all nodes are ready), "stop".
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import signal
+import sys
+import time
+from collections.abc import Iterable
+from typing import Any
+
+import zmq
+
+from sparseskin.messages import Message
+
+from .clock import SystemClock
+from .control import Control
+from .errors import SparseskinError
+from .host import NodeHost
+from .node import Context, SourceNode, Tick
+from .registry import make_settings, node_class
+from .sockets import Reader, Writer, make_context
+
+POLL_MS = 100
+"""Longest wait: a signal is noticed within it."""
+HEARTBEAT_NS = 500_000_000
+SPIN_NS = 1_500_000
+"""Below this a wait is a sleep, because the poller counts whole milliseconds."""
+BATCH = 64
+"""Messages taken in at one go, before commands and ticks are looked at again."""
+
+EXIT_CRASH = 1
+EXIT_USAGE = 2
+
+
+class Runner:
+    """One node in this process.
+
+    Parameters
+    ----------
+    control : Control
+        The line to the launcher.
+    config : dict
+        name, type, settings, endpoint, readers (names of the nodes that read this one),
+        offset_ns (of the graph's clock), max_frames (of a source, or None).
+    """
+
+    def __init__(self, control: Control, config: dict[str, Any]) -> None:
+        self.control = control
+        self.name: str = config["name"]
+        self.clock = SystemClock(config["offset_ns"])
+        cls = node_class(config["type"])
+        settings = make_settings(cls, config["settings"])
+        node = cls(settings, Context(self.name, self.clock))
+        self.host = NodeHost(node, secrets.token_hex(8), self.log)
+        self.expected = set(config["readers"])
+        self.max_frames: int | None = config.get("max_frames")
+        self.context = make_context()
+        self.writer = Writer(self.context, config["endpoint"])
+        self.reader: Reader | None = None
+        self.poller = zmq.Poller()
+        self.poller.register(control.fd, zmq.POLLIN)
+        self.poller.register(self.writer.socket, zmq.POLLIN)
+        self.connected = self.ready = self.started = self.stopping = self.told = False
+        self.draining = False
+        self.period_ns = 0
+        self.t0_ns = 0
+        self.n_ticks = 0
+        self.next_heartbeat_ns = 0
+        self.last_stamp_ns = -1
+
+    def log(self, line: str) -> None:
+        """One line for the launcher's terminal."""
+        print(line, file=sys.stderr, flush=True)
+
+    def run(self) -> None:
+        """Serve until the launcher says stop or is gone."""
+        signal.signal(signal.SIGINT, self._on_interrupt)
+        signal.signal(signal.SIGTERM, self._on_terminate)
+        self.control.emit("bound", endpoint=self.writer.endpoint)
+        self._publish(self.host.start())
+        while not (self.stopping or self.control.closed):
+            self._wait()
+            self._obey()
+            self.writer.serve_subscriptions()
+            self._take_in()
+            if self._tick_due():
+                self._tick()
+            self._tell()
+        if not self.told:
+            self._tell_end()
+        self.context.destroy(linger=0)
+
+    def _on_interrupt(self, *_: object) -> None:
+        self.draining = True
+
+    def _on_terminate(self, *_: object) -> None:
+        self.stopping = True
+
+    @property
+    def _ticking(self) -> bool:
+        return self.started and self.host.is_source and not self.host.finished
+
+    def _next_tick_ns(self) -> int:
+        # Absolute targets: an error of one tick is not carried into the next.
+        return self.t0_ns + self.n_ticks * self.period_ns
+
+    def _tick_due(self) -> bool:
+        return self._ticking and self.clock.now_ns() >= self._next_tick_ns()
+
+    def _wait(self) -> None:
+        timeout_ms = POLL_MS
+        if self._ticking:
+            left_ns = self._next_tick_ns() - self.clock.now_ns()
+            if 0 < left_ns < SPIN_NS:
+                time.sleep(left_ns / 1e9)
+            timeout_ms = max(0, min(POLL_MS, (left_ns - SPIN_NS) // 1_000_000))
+        self.poller.poll(timeout_ms)
+
+    def _obey(self) -> None:
+        for command in self.control.commands():
+            match command["command"]:
+                case "connect":
+                    self._connect(command["endpoints"])
+                case "start":
+                    self._start()
+                case "drain":
+                    self.draining = True
+                case "stop":
+                    self.stopping = True
+        if self.draining and self._ticking:
+            self._publish(self.host.finish(max(0, self.last_stamp_ns)))
+
+    def _connect(self, endpoints: list[str]) -> None:
+        if endpoints:
+            self.reader = Reader(self.context, self.name, endpoints, self.host.inputs)
+            self.poller.register(self.reader.socket, zmq.POLLIN)
+        self.connected = True
+
+    def _start(self) -> None:
+        node = self.host.node
+        rate_hz = node.rate_hz if isinstance(node, SourceNode) else 0.0
+        self.period_ns = round(1e9 / rate_hz) if rate_hz else 0
+        self.t0_ns = self.clock.now_ns() + self.period_ns
+        self.started = True
+
+    def _take_in(self) -> None:
+        if self.reader is None:
+            return
+        for _ in range(BATCH):
+            parts = self.reader.receive()
+            if parts is None:
+                return
+            self._publish(self.host.receive_bytes(*parts))
+
+    def _tick(self) -> None:
+        stamp_ns = max(self.clock.now_ns(), self.last_stamp_ns + 1)
+        self.last_stamp_ns = stamp_ns
+        self._publish(self.host.tick(Tick(stamp_ns, self.n_ticks)))
+        self.n_ticks += 1
+        if self.max_frames is not None and self.n_ticks >= self.max_frames:
+            self._publish(self.host.finish(stamp_ns))
+
+    def _publish(self, messages: Iterable[Message]) -> None:
+        for message in messages:
+            self.writer.send(message)
+
+    def _tell(self) -> None:
+        """Keep the launcher informed: ready, what is lacking, heartbeat, end."""
+        if self.connected and not self.ready and self.expected <= self.writer.present:
+            self.ready = True
+            self.control.emit("ready")
+        now_ns = time.monotonic_ns()
+        if now_ns >= self.next_heartbeat_ns:
+            self.next_heartbeat_ns = now_ns + HEARTBEAT_NS
+            self.control.emit(
+                "heartbeat",
+                lacks=sorted(self.expected - self.writer.present) if not self.ready else [],
+                line=self.host.node.status(),
+                counts=self.host.counts.as_dict(),
+            )
+        if self.host.finished and not self.told:
+            self._tell_end()
+
+    def _tell_end(self) -> None:
+        self.told = True
+        self.control.emit(
+            "ended",
+            report=self.host.node.report(),
+            counts=self.host.counts.as_dict(),
+            failure=self.host.failure,
+        )
+
+
+def main() -> int:
+    """Entry point of a node process."""
+    control = Control()
+    try:
+        while not (commands := control.commands()):
+            if control.closed:
+                return 0
+            _wait_for_input(control.fd)
+        Runner(control, commands[0]).run()
+    except SparseskinError as error:
+        control.emit("error", text=str(error))
+        return EXIT_USAGE
+    except zmq.ZMQError as error:
+        control.emit("error", text=f"cannot bind {commands[0]['endpoint']}: {error}")
+        return EXIT_USAGE
+    except Exception as error:
+        if os.environ.get("SPARSESKIN_TRACEBACK"):
+            raise
+        control.emit("error", text=f"{type(error).__name__}: {error}")
+        return EXIT_CRASH
+    return 0
+
+
+def _wait_for_input(fd: int) -> None:
+    poller = zmq.Poller()
+    poller.register(fd, zmq.POLLIN)
+    poller.poll(POLL_MS)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,165 @@
+"""Settings: what a node can be told, declared once with type, range and meaning."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import types
+import typing
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Self
+
+from sparseskin.messages.errors import MessageError
+from sparseskin.messages.topics import check_name
+
+from .errors import SettingsError, SparseskinError
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a setting means and which values it may take; ends included."""
+
+    doc: str
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+
+
+def setting(
+    default: Any,
+    doc: str,
+    *,
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """Declare one setting: its default, what it means, and the range [low, high] or choices."""
+    return dataclasses.field(
+        default=default, metadata={"range": Range(doc, low, high, tuple(choices))}
+    )
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """' (did you mean 'iterations'?)' for a near miss, else the list of what is known."""
+    names = sorted(known)
+    near = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    if near:
+        return f" (did you mean '{near[0]}'?)"
+    return f" (known: {', '.join(names)})" if names else ""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Base of every node's settings; values are checked when it is made.
+
+    Raises
+    ------
+    SettingsError
+        If a value has the wrong type or lies outside its range.
+    """
+
+    def __post_init__(self) -> None:
+        hints = typing.get_type_hints(type(self))
+        for field in dataclasses.fields(self):
+            value = _checked(field.name, getattr(self, field.name), hints[field.name])
+            _check_range(field.name, value, field.metadata["range"])
+            object.__setattr__(self, field.name, value)
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> Self:
+        """Build settings from names and values, as read from a launch file.
+
+        Raises
+        ------
+        SettingsError
+            If a key is unknown (with a did-you-mean), or a value is not allowed.
+        """
+        known = [field.name for field in dataclasses.fields(cls)]
+        for key in values:
+            if key not in known:
+                raise SettingsError(f"{key}: unknown key{did_you_mean(key, known)}")
+        return cls(**values)
+
+    def check(self) -> None:
+        """Check what a value points to (files, names of scenes) before any process starts.
+
+        Raises
+        ------
+        SparseskinError
+            If something named is not there.
+        """
+
+
+@dataclass(frozen=True)
+class PatchSettings(Settings):
+    """Settings of a node that serves one patch of skin."""
+
+    patch: str = setting("skin", "name of the patch of skin, the first part of its topics")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_patch("patch", self.patch)
+
+
+@contextmanager
+def naming(key: str) -> Iterator[None]:
+    """Whatever goes wrong inside is said to be wrong with the setting `key`."""
+    try:
+        yield
+    except SparseskinError as error:
+        raise SettingsError(f"{key}: {error}") from error
+
+
+def check_patch(place: str, name: str) -> None:
+    """Raise SettingsError where a text is no name of a patch."""
+    try:
+        check_name(place, name)
+    except MessageError as error:
+        raise SettingsError(str(error)) from error
+
+
+def _checked(name: str, value: Any, hint: Any) -> Any:
+    """Return the value as the declared type, or raise SettingsError; no silent conversion
+    but that of whole numbers to float and of lists to tuples.
+    """
+    options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    for option in options:
+        if option is type(None):
+            if value is None:
+                return None
+        elif typing.get_origin(option) is tuple:
+            if isinstance(value, list | tuple) and all(isinstance(v, str) for v in value):
+                return tuple(value)
+        elif option is float:
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                return float(value)
+        elif option is int:
+            if isinstance(value, int) and not isinstance(value, bool):
+                return value
+        elif isinstance(value, option):
+            return value
+    names = " or ".join(_TYPE_NAMES.get(option, str(option)) for option in options)
+    raise SettingsError(f"{name}: expected {names}, got {value!r}")
+
+
+_TYPE_NAMES: dict[Any, str] = {
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    str: "a text",
+    type(None): "nothing",
+    tuple[str, ...]: "a list of texts",
+}
+
+
+def _check_range(name: str, value: Any, allowed: Range) -> None:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if not (math.isfinite(value) and allowed.low <= value <= allowed.high):
+            raise SettingsError(f"{name}: {value!r} is outside {allowed.low}..{allowed.high}")
+    elif allowed.choices and isinstance(value, str) and value not in allowed.choices:
+        raise SettingsError(
+            f"{name}: {value!r} is not allowed{did_you_mean(value, allowed.choices)}"
+        )

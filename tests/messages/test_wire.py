@@ -1,0 +1,338 @@
+"""The wire form: what goes in comes out, and nothing else comes in."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from sparseskin.messages import (
+    End,
+    FieldError,
+    MalformedError,
+    Measurements,
+    Message,
+    MessageError,
+    NotFiniteError,
+    OversizedError,
+    PhiState,
+    Reconstruction,
+    ShapeError,
+    SkinState,
+    SolverState,
+    Taxels,
+    TruncatedError,
+    Truth,
+    UnknownSchemaError,
+    VersionError,
+    decode,
+    encode,
+    size_bytes,
+)
+from sparseskin.messages.fields import MAX_ELEMENTS
+from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS
+
+names = st.from_regex(r"[a-z][a-z0-9_]{0,31}", fullmatch=True)
+numbers = st.integers(0, 2**63 - 1)
+positive = st.floats(0, 1e30, allow_nan=False)
+texts = st.text(
+    st.characters(codec="utf-8", exclude_categories=["Cs", "Cc"]), min_size=0, max_size=32
+)
+prints = st.from_regex(r"[0-9a-f]{16}", fullmatch=True)
+headers = {"stamp_ns": numbers, "patch": names, "run_id": prints | st.just(""), "seq": numbers}
+
+
+def forces(ndim: int) -> st.SearchStrategy[np.ndarray]:
+    return hnp.arrays(
+        np.float32,
+        hnp.array_shapes(min_dims=ndim, max_dims=ndim, min_side=1, max_side=12),
+        elements=st.floats(-(2.0**100), 2.0**100, width=32, allow_nan=False, allow_infinity=False),
+    )
+
+
+@st.composite
+def skin_states(draw: st.DrawFn) -> SkinState:
+    shape = draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
+    mask = draw(st.none() | hnp.arrays(np.bool_, shape).filter(lambda m: m.any()))
+    return SkinState(
+        **{key: draw(value) for key, value in headers.items()},
+        n_rows=shape[0],
+        n_cols=shape[1],
+        f_max=draw(st.floats(1e-6, 1e6)),
+        unit=draw(texts),
+        pitch_m=draw(st.none() | positive),
+        mask=mask,
+        source=draw(texts),
+        seed=draw(numbers),
+        rate_hz=draw(positive),
+        has_truth=draw(st.booleans()),
+        sigma_mid=draw(positive),
+        sigma_end=draw(positive),
+    )
+
+
+elements = st.integers(1, MAX_ELEMENTS)
+messages: st.SearchStrategy[Message] = st.one_of(
+    st.builds(Taxels, **headers, forces=forces(2)),
+    st.builds(Truth, **headers, forces=forces(2)),
+    st.builds(Measurements, **headers, y=forces(1), phi=prints),
+    st.builds(
+        Reconstruction,
+        **headers,
+        forces=forces(2),
+        phi=prints,
+        iterations=st.integers(0, 1000),
+        residual=positive,
+        solve_ns=numbers,
+        done_ns=numbers,
+    ),
+    skin_states(),
+    st.builds(
+        PhiState,
+        **headers,
+        kind=texts,
+        n=elements,
+        m=elements,
+        block=elements,
+        seed=numbers,
+        fingerprint=prints,
+    ),
+    st.builds(
+        SolverState,
+        **headers,
+        solver=texts,
+        basis=texts,
+        preset=texts,
+        iterations=st.integers(0, 1000),
+        lambda_n=positive,
+    ),
+    st.builds(End, **headers, of=names.filter(lambda name: name != "end"), n_messages=numbers),
+)
+
+
+def taxels(**changes: object) -> Taxels:
+    fields: dict[str, object] = {
+        "stamp_ns": 7,
+        "patch": "skin",
+        "forces": np.arange(6, dtype=np.float32).reshape(2, 3),
+    }
+    return Taxels(**(fields | changes))  # type: ignore[arg-type]
+
+
+def body_of(message: Message) -> dict[str, object]:
+    return msgpack.unpackb(encode(message)[1])
+
+
+def decode_body(body: object, topic: bytes = b"/skin/taxels") -> Message:
+    return decode(topic, msgpack.packb(body, use_bin_type=True))
+
+
+@given(messages)
+def test_decoding_undoes_encoding(message: Message) -> None:
+    topic, payload = encode(message)
+    twin = decode(topic, payload)
+    assert twin == message
+    assert encode(twin) == (topic, payload)
+    assert size_bytes(message) == len(topic) + len(payload)
+
+
+def test_every_schema_is_in_the_property() -> None:
+    built = {"taxels", "truth", "measurements", "reconstruction", "skin", "phi", "solver", "end"}
+    assert set(SCHEMAS) == built
+
+
+@given(messages, st.data())
+def test_a_message_cut_short_is_refused(message: Message, data: st.DataObject) -> None:
+    topic, payload = encode(message)
+    n_bytes = data.draw(st.integers(0, len(payload) - 1))
+    with pytest.raises(TruncatedError):
+        decode(topic, payload[:n_bytes])
+
+
+@given(messages, st.data())
+@settings(max_examples=500)
+def test_mutated_bytes_decode_or_raise_a_message_error(
+    message: Message, data: st.DataObject
+) -> None:
+    topic, payload = encode(message)
+    mutated = bytearray(payload)
+    for _ in range(data.draw(st.integers(1, 4))):
+        mutated[data.draw(st.integers(0, len(mutated) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        decode(topic, bytes(mutated))
+    except MessageError:
+        pass
+
+
+@given(st.binary(max_size=400), st.binary(max_size=80))
+def test_random_bytes_raise_a_message_error(topic: bytes, payload: bytes) -> None:
+    with pytest.raises(MessageError):
+        decode(topic, payload)
+
+
+def test_published_changes_origin_alone() -> None:
+    message = taxels().published("0123456789abcdef", 3)
+    assert (message.run_id, message.seq) == ("0123456789abcdef", 3)
+    assert message.forces is not None
+    assert message != taxels()
+    assert message.published("", 0) == taxels()
+
+
+def test_messages_are_immutable_and_compare_by_value() -> None:
+    message = taxels()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        message.seq = 5  # type: ignore[misc]
+    assert message == taxels()
+    assert message != taxels(forces=np.ones((2, 3), np.float32))
+    assert message != Truth(stamp_ns=7, patch="skin", forces=message.forces)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_forces_that_are_not_finite_are_refused_and_the_cell_is_named(bad: float) -> None:
+    forces = np.zeros((2, 3), np.float32)
+    forces[1, 2] = bad
+    with pytest.raises(NotFiniteError, match=r"forces\[1, 2\]"):
+        taxels(forces=forces)
+    body = body_of(taxels())
+    body["forces"]["data"] = forces.tobytes()  # type: ignore[index]
+    with pytest.raises(NotFiniteError, match=r"forces\[1, 2\]"):
+        decode_body(body)
+
+
+@pytest.mark.parametrize(
+    ("forces", "error"),
+    [
+        (np.zeros((2, 3), np.float64), ShapeError),
+        (np.zeros(6, np.float32), ShapeError),
+        (np.zeros((0, 3), np.float32), ShapeError),
+        (np.zeros((4097, 1), np.float32), OversizedError),
+        ([[0.0]], FieldError),
+        (None, FieldError),
+    ],
+)
+def test_wrong_arrays_are_refused(forces: object, error: type[MessageError]) -> None:
+    with pytest.raises(error):
+        taxels(forces=forces)
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"schema": "taxel"}, UnknownSchemaError),
+        ({"schema": 3}, UnknownSchemaError),
+        ({"version": 2}, VersionError),
+        ({"version": True}, VersionError),
+        ({"version": "1"}, VersionError),
+        ({"seq": -1}, FieldError),
+        ({"seq": 1.0}, FieldError),
+        ({"stamp_ns": None}, FieldError),
+        ({"patch": "Skin"}, FieldError),
+        ({"patch": "s" * 33}, OversizedError),
+        ({"patch": "other"}, FieldError),
+        ({"run_id": "xyz"}, FieldError),
+        ({"surplus": 1}, MalformedError),
+        ({"forces": None}, MalformedError),
+        ({"forces": [0.0]}, MalformedError),
+    ],
+)
+def test_wrong_fields_are_refused(change: dict[str, object], error: type[MessageError]) -> None:
+    with pytest.raises(error):
+        decode_body(body_of(taxels()) | change)
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"dtype": "<f8"}, ShapeError),
+        ({"dtype": ">f4"}, ShapeError),
+        ({"dtype": "|O"}, ShapeError),
+        ({"order": "F"}, ShapeError),
+        ({"shape": [2, 4]}, ShapeError),
+        ({"shape": [6]}, ShapeError),
+        ({"shape": [-2, -3]}, ShapeError),
+        ({"shape": [2, 3.0]}, MalformedError),
+        ({"shape": [True, 6]}, MalformedError),
+        ({"shape": [4096, 4096]}, OversizedError),
+        ({"data": "text"}, MalformedError),
+        ({"data": b""}, ShapeError),
+        ({"more": 1}, MalformedError),
+    ],
+)
+def test_wrong_array_maps_are_refused(change: dict[str, object], error: type[MessageError]) -> None:
+    body = body_of(taxels())
+    body["forces"] = body["forces"] | change  # type: ignore[operator]
+    with pytest.raises(error):
+        decode_body(body)
+
+
+def test_a_missing_field_is_named() -> None:
+    body = body_of(taxels())
+    del body["stamp_ns"]
+    with pytest.raises(MalformedError, match="stamp_ns"):
+        decode_body(body)
+
+
+@pytest.mark.parametrize("body", [None, 3, "text", [1, 2], {}, {1: 2}])
+def test_what_is_no_message_map_is_refused(body: object) -> None:
+    with pytest.raises(MessageError):
+        decode_body(body)
+
+
+def test_two_objects_in_one_payload_are_refused() -> None:
+    topic, payload = encode(taxels())
+    with pytest.raises(MalformedError, match="more than one"):
+        decode(topic, payload + b"\x00")
+
+
+def test_a_message_under_another_topic_is_refused() -> None:
+    _, payload = encode(taxels())
+    with pytest.raises(FieldError, match="came under topic"):
+        decode(b"/skin/truth", payload)
+
+
+def test_oversized_parts_are_refused_before_they_are_read() -> None:
+    with pytest.raises(OversizedError):
+        decode(b"/skin/taxels", bytes(MAX_MESSAGE_BYTES + 1))
+    with pytest.raises(OversizedError):
+        decode(b"/" * 10_000, b"\x80")
+
+
+def test_the_largest_array_fits_the_largest_message() -> None:
+    largest = taxels(forces=np.ones((1024, 1024), np.float32))
+    assert decode(*encode(largest)) == largest
+    with pytest.raises(OversizedError):
+        taxels(forces=np.ones((1025, 1024), np.float32))
+
+
+def test_a_mask_must_fit_the_grid_and_hold_booleans() -> None:
+    state = SkinState(
+        stamp_ns=0,
+        patch="skin",
+        n_rows=2,
+        n_cols=2,
+        f_max=2.5,
+        unit="N",
+        pitch_m=None,
+        mask=np.array([[True, False], [True, True]]),
+        source="test",
+        seed=0,
+        rate_hz=0,
+        has_truth=False,
+        sigma_mid=0,
+        sigma_end=0,
+    )
+    assert state.skin.n_taxels == 3
+    body = body_of(state)
+    for change, error in (
+        ({"n_rows": 3}, ShapeError),
+        ({"f_max": 0.0}, FieldError),
+        ({"mask": body["mask"] | {"data": b"\x01\x02\x00\x01"}}, MalformedError),  # type: ignore[operator]
+        ({"mask": body["mask"] | {"data": b"\x00\x00\x00\x00"}}, FieldError),  # type: ignore[operator]
+    ):
+        with pytest.raises(error):
+            decode_body(body | change, b"/skin/skin")
