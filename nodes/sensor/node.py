@@ -1,0 +1,153 @@
+"""The sensor: acquires frames from a source and publishes what the taxels read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from sparseskin.messages import Message, SkinState, Taxels, Truth, topic_of
+from sparseskin.nodes.node import Context, SourceNode, Tick
+from sparseskin.nodes.settings import PatchSettings, naming, setting
+
+from .noise import NoiseModel
+from .source import Forces
+from .sources import check_source, is_live, open_source
+
+DEFAULT_RATE_HZ = 100.0
+_Frame = tuple[Forces, Forces | None]
+
+
+@dataclass(frozen=True)
+class SensorSettings(PatchSettings):
+    """What a sensor can be told."""
+
+    source: str = setting(
+        "scene:drag_wrench_64", "where frames come from: scene:NAME, file:PATH or module:callable"
+    )
+    rate_hz: float | None = setting(
+        None,
+        "frames a second; not stated: a recording's own rate, a driver's own pace, "
+        "100 for a scene; 0: as fast as possible",
+        low=0.0,
+        high=100_000.0,
+    )
+    seed: int = setting(0, "seed of the scene and of the noise", low=0, high=2**32 - 1)
+    noise: float = setting(
+        1.0, "times the paper's noise that is added to a known truth", low=0.0, high=100.0
+    )
+    n_rows: int | None = setting(None, "rows of a plain CSV's frame", low=1, high=4096)
+    n_cols: int | None = setting(None, "columns of a plain CSV's frame", low=1, high=4096)
+    unit: str | None = setting(None, "unit of a file's or driver's readings")
+    f_max: float | None = setting(
+        None, "upper end of a file's or driver's range, in its unit", low=1e-9, high=1e9
+    )
+
+    def check(self) -> None:
+        with naming("source"):
+            check_source(self.source)
+
+
+class Sensor(SourceNode[SensorSettings]):
+    """Publishes /PATCH/skin once, then /PATCH/taxels, and /PATCH/truth where it is known.
+
+    Frames of a scene or a recording are made ready before their tick, so that their stamp is
+    the time of acquisition and not the time it took to simulate them.
+    """
+
+    Settings = SensorSettings
+
+    def __init__(self, settings: SensorSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        self._source = open_source(
+            settings.source,
+            seed=settings.seed,
+            n_rows=settings.n_rows,
+            n_cols=settings.n_cols,
+            unit=settings.unit,
+            f_max=settings.f_max,
+        )
+        self.skin = self._source.skin
+        paper = NoiseModel.for_range(self.skin.f_max)
+        self._noise = NoiseModel(
+            paper.f_max, settings.noise * paper.sigma_mid, settings.noise * paper.sigma_end
+        )
+        self._rng = context.rng(settings.seed)
+        self._live = is_live(self._source)
+        self.rate_hz = self._chosen_rate()
+        self._frames: Iterator[tuple[int, Forces]] = iter(self._source)
+        self._next: _Frame | None = None
+        self._n_frames = 0
+        if not self._live:
+            self._prepare()
+
+    @classmethod
+    def inputs(cls, settings: SensorSettings) -> tuple[str, ...]:
+        return ()
+
+    @classmethod
+    def outputs(cls, settings: SensorSettings) -> tuple[str, ...]:
+        return tuple(topic_of(settings.patch, cls.schema) for cls in (SkinState, Taxels, Truth))
+
+    def start(self) -> Iterable[Message]:
+        skin, has_truth = self.skin, self._source.delivers == "truth"
+        yield SkinState(
+            stamp_ns=self.context.clock.now_ns(),
+            patch=self.settings.patch,
+            n_rows=skin.n_rows,
+            n_cols=skin.n_cols,
+            f_max=skin.f_max,
+            unit=skin.unit,
+            pitch_m=skin.pitch_m,
+            mask=skin.mask,
+            source=self._source.name,
+            seed=self.settings.seed,
+            rate_hz=self.rate_hz,
+            has_truth=has_truth,
+            sigma_mid=self._noise.sigma_mid if has_truth else 0.0,
+            sigma_end=self._noise.sigma_end if has_truth else 0.0,
+        )
+
+    def tick(self, tick: Tick) -> Iterable[Message]:
+        stamp_ns = tick.stamp_ns
+        if self._live:
+            self._prepare()
+            # A driver waits for its hardware, so its frame is younger than the tick.
+            stamp_ns = max(stamp_ns, self.context.clock.now_ns())
+        if self._next is None:
+            return
+        taxels, truth = self._next
+        patch = self.settings.patch
+        yield Taxels(stamp_ns=stamp_ns, patch=patch, forces=taxels)
+        if truth is not None:
+            yield Truth(stamp_ns=stamp_ns, patch=patch, forces=truth)
+        self._n_frames += 1
+        if not self._live:
+            self._prepare()
+
+    def status(self) -> str:
+        total = f" of {self._source.n_frames}" if self._source.n_frames is not None else ""
+        return f"{self._source.name}: frame {self._n_frames}{total}"
+
+    def _chosen_rate(self) -> float:
+        if self.settings.rate_hz is not None:
+            return self.settings.rate_hz
+        if self._source.name and self.settings.source.startswith("scene:"):
+            return DEFAULT_RATE_HZ
+        if self._source.rate_hz is not None:
+            return self._source.rate_hz
+        return 0.0 if self._live else DEFAULT_RATE_HZ
+
+    def _prepare(self) -> None:
+        """Make the next frame ready, or find that there is none."""
+        try:
+            _, forces = next(self._frames)
+        except StopIteration:
+            self._next, self.exhausted = None, True
+            return
+        if self._source.delivers == "taxels":
+            self._next = (forces, None)
+            return
+        taxels = self._noise.apply(forces, self._rng)
+        if self.skin.mask is not None:
+            taxels[~self.skin.mask] = 0.0
+        self._next = (taxels, forces)

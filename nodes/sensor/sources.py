@@ -1,0 +1,96 @@
+"""Sources by name: scene:NAME, file:PATH, or module:callable."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sparseskin.nodes.errors import SourceError
+
+from .driver import DriverSource, open_callable
+from .formats import SUFFIXES
+from .recorded import open_file
+from .scenes import SCENES, open_scene
+from .source import Source
+
+SCENE = "scene:"
+FILE = "file:"
+FORMS = "scene:NAME, file:PATH or module:callable"
+
+
+def check_source(source: str) -> None:
+    """Check that what a source names is there, without opening it.
+
+    Raises
+    ------
+    SourceError
+        If it has none of the three forms, the scene is unknown, the file is missing or of no
+        known format, or the driver cannot be found.
+    """
+    kind, colon, rest = source.partition(":")
+    if not (kind and colon and rest):
+        hint = f' (did you mean "{SCENE}{source}"?)' if source in SCENES else ""
+        raise SourceError(f'source "{source}": expected {FORMS}{hint}')
+    if source.startswith(SCENE):
+        open_scene(rest, seed=0)
+    elif source.startswith(FILE):
+        path = Path(rest)
+        if not path.is_file():
+            what = "is a folder" if path.is_dir() else "no such file"
+            raise SourceError(f"{rest}: {what}")
+        if path.suffix.lower() not in SUFFIXES:
+            raise SourceError(
+                f"{rest}: suffix '{path.suffix}' is not known; allowed are {', '.join(SUFFIXES)}"
+            )
+
+
+def open_source(
+    source: str,
+    *,
+    seed: int,
+    n_rows: int | None = None,
+    n_cols: int | None = None,
+    unit: str | None = None,
+    f_max: float | None = None,
+    rate_hz: float | None = None,
+) -> Source:
+    """Open a source.
+
+    Parameters
+    ----------
+    source : str
+        "scene:NAME", "file:PATH" or "module:callable".
+    seed : int
+        Seed of a scene; others have no use for it.
+    n_rows, n_cols, unit, f_max, rate_hz
+        What a file or driver does not say of itself, as in `open_file` and `open_callable`.
+
+    Raises
+    ------
+    SourceError
+        If the source is not there or malformed, or a setting contradicts it.
+    """
+    check_source(source)
+    stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": unit, "f_max": f_max}
+    if source.startswith(SCENE):
+        for name, value in stated.items():
+            if value is not None:
+                raise SourceError(f"{source}: {name} = {value} is stated, but a scene has its own")
+        return open_scene(source.removeprefix(SCENE), seed=seed)
+    if source.startswith(FILE):
+        return open_file(
+            source.removeprefix(FILE),
+            n_rows=n_rows,
+            n_cols=n_cols,
+            unit=unit,
+            f_max=f_max,
+            rate_hz=rate_hz,
+        )
+    for name in ("n_rows", "n_cols"):
+        if stated[name] is not None:
+            raise SourceError(f"{source}: {name} is stated, but a driver has its own shape")
+    return open_callable(source, f_max=f_max, unit=unit, rate_hz=rate_hz)
+
+
+def is_live(source: Source) -> bool:
+    """Whether frames come when the hardware has them, not when they are asked for."""
+    return isinstance(source, DriverSource)
