@@ -110,3 +110,7 @@ def _write_summary(path: Path, summary: dict[str, Any]) -> None:
         path.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         raise LaunchError([f"--summary {path}: {error.strerror}"]) from error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

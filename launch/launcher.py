@@ -25,6 +25,7 @@ GRACE_S = 2.0
 POLL_S = 0.1
 
 EXIT_FAILED = 1
+EXIT_USAGE = 2
 
 
 class Launcher:
@@ -120,6 +121,7 @@ class Launcher:
             node.command("connect", endpoints=[self._nodes[w].endpoint for w in writers])
         if not self._until(lambda: all(n.ready for n in self._nodes.values()), START_S):
             return self._name_late("is not ready", lambda node: not node.ready)
+        self._terminal.log(f"[launch] ready: {', '.join(self._nodes)}")
         return True
 
     def _name_late(self, what: str, is_late: Callable[[NodeProcess], bool]) -> bool:
@@ -133,15 +135,15 @@ class Launcher:
     def _all_ended(self) -> bool:
         return all(node.ended for node in self._nodes.values())
 
-    def _until(self, done: Callable[[], bool], limit_s: float | None) -> bool:
-        """Serve the nodes until something is done; False where time, a failure or an interrupt
-        came first.
+    def _until(
+        self, done: Callable[[], bool], limit_s: float | None, draining: bool = False
+    ) -> bool:
+        """Serve the nodes until something is done; False where the time was over first, or an
+        interrupt or a failure came. While draining it takes a second interrupt.
         """
-        interrupts = self._interrupts
         deadline = None if limit_s is None else time.monotonic() + limit_s
-        failed_before = bool(self._exit_code)
         while not done():
-            if self._interrupts > interrupts or (self._exit_code and not failed_before):
+            if self._interrupts > draining or (self._exit_code and not draining):
                 return False
             if deadline is not None and time.monotonic() >= deadline:
                 return False
@@ -158,7 +160,8 @@ class Launcher:
                 self._listen(node)
                 if not node.ended:
                     node.ended = True
-                    self._fail(code, f"[launch] {node.name} ended too early: {exit_text(code)}")
+                    text = f"[launch] {node.name} ended too early: {exit_text(code)}"
+                    self._fail(EXIT_FAILED, text)
         lines = [self._nodes[name].line for name in self._sinks]
         self._terminal.status("  ||  ".join(filter(None, lines)))
 
@@ -181,19 +184,17 @@ class Launcher:
                 case "ended":
                     node.ended = True
                     node.counts, node.report = event["counts"], event["report"]
-                    if event["failure"]:
-                        self._fail(2, "")
+                case "failed":
+                    self._fail(EXIT_USAGE, f"[{node.name}] failed: {event['text']}")
                 case "error":
-                    node.failure = event["text"]
                     node.ended = True
-                    self._fail(2, f"[{node.name}] error: {event['text']}")
+                    self._fail(EXIT_USAGE, f"[{node.name}] error: {event['text']}")
                 case _:
                     self._terminal.log(f"[{node.name}] {event}")
 
     def _fail(self, code: int, line: str) -> None:
-        self._exit_code = self._exit_code or (2 if code == 2 else EXIT_FAILED)
-        if line:
-            self._terminal.log(line)
+        self._exit_code = self._exit_code or code
+        self._terminal.log(line)
 
     def _command_all(self, command: str) -> None:
         for node in self._nodes.values():
@@ -203,9 +204,9 @@ class Launcher:
         """Stop the sources, and let what is under way reach the end of the graph."""
         for node in self._nodes.values():
             node.send_signal(signal.SIGINT)
-        if not self._until(self._all_ended, DRAIN_S):
+        if not self._until(self._all_ended, DRAIN_S, draining=True):
             late = [node.name for node in self._nodes.values() if not node.ended]
-            if late and not self._interrupts > 1:
+            if late and self._interrupts <= 1:
                 self._terminal.log(f"[launch] not drained after {DRAIN_S:g} s: {', '.join(late)}")
 
     def _end_all(self) -> None:

@@ -13,9 +13,9 @@ from sparseskin.messages.errors import MessageError
 from sparseskin.messages.topics import check_name
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.graph import Link, join
+from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Node
 from sparseskin.nodes.registry import make_settings, node_class
-from sparseskin.nodes.settings import did_you_mean
 
 BUNDLED = Path(__file__).parent
 TRANSPORTS = ("ipc", "tcp")

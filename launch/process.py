@@ -27,8 +27,9 @@ class NodeProcess:
         self.name = name
         environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **os.environ}
         # -P: a file of the user's that is named like a standard module must not shadow it.
+        # The name at the end is for whoever lists processes.
         self._popen = subprocess.Popen(
-            [sys.executable, "-P", "-m", "sparseskin.nodes.runner"],
+            [sys.executable, "-P", "-m", "sparseskin.nodes.runner", name],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -39,7 +40,6 @@ class NodeProcess:
         self.ready = self.ended = False
         self.lacks: list[str] = []
         self.line = ""
-        self.failure = ""
         self.counts: dict[str, Any] = {}
         self.report: dict[str, Any] = {}
         self.closed_pipes: list[IO[bytes]] = []

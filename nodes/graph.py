@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from .errors import SettingsError
+from .lookup import did_you_mean
 from .node import Node
-from .settings import did_you_mean
 
 NodeSpecs = Mapping[str, tuple[type[Node[Any]], Any]]
 """Node class and settings, by node name."""

@@ -170,6 +170,8 @@ class NodeHost:
         except MessageError as error:
             self._refuse(error.reason, f"not published: {error}")
         except SparseskinError as error:
+            # The node cannot do what its settings ask for; no later message mends that.
+            self.failure = self.failure or str(error)
             self._refuse("failed", str(error))
         except Exception as error:  # a user's own solver may raise anything
             self._refuse("failed", f"{type(error).__name__}: {error}")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .compressor.lookup import find_class
 from .errors import SettingsError
+from .lookup import find_class
 from .node import Node
 
 NODE_TYPES = {

@@ -67,7 +67,7 @@ class Runner:
         self.poller.register(control.fd, zmq.POLLIN)
         self.poller.register(self.writer.socket, zmq.POLLIN)
         self.connected = self.ready = self.started = self.stopping = self.told = False
-        self.draining = False
+        self.draining = self.failed = False
         self.period_ns = 0
         self.t0_ns = 0
         self.n_ticks = 0
@@ -184,6 +184,9 @@ class Runner:
                 line=self.host.node.status(),
                 counts=self.host.counts.as_dict(),
             )
+        if self.host.failure and not self.failed:
+            self.failed = True
+            self.control.emit("failed", text=self.host.failure)
         if self.host.finished and not self.told:
             self._tell_end()
 
@@ -193,7 +196,6 @@ class Runner:
             "ended",
             report=self.host.node.report(),
             counts=self.host.counts.as_dict(),
-            failure=self.host.failure,
         )
 
 

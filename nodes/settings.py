@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Self
@@ -16,6 +15,7 @@ from sparseskin.messages.errors import MessageError
 from sparseskin.messages.topics import check_name
 
 from .errors import SettingsError, SparseskinError
+from .lookup import did_you_mean
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,6 @@ def setting(
     return dataclasses.field(
         default=default, metadata={"range": Range(doc, low, high, tuple(choices))}
     )
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """' (did you mean 'iterations'?)' for a near miss, else the list of what is known."""
-    names = sorted(known)
-    near = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
-    if near:
-        return f" (did you mean '{near[0]}'?)"
-    return f" (known: {', '.join(names)})" if names else ""
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ import numpy as np
 
 from sparseskin.messages import Measurements, Message, PhiState, SkinState, Taxels, topic_of
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
+from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
-from .lookup import find_class
 from .phi import KINDS, Phi, make_phi
 
 

@@ -19,11 +19,11 @@ from sparseskin.messages import (
     SolverState,
     topic_of,
 )
-from sparseskin.nodes.compressor.lookup import find_class
 from sparseskin.nodes.compressor.phi import KINDS, Phi, make_phi
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError, SolverError
+from sparseskin.nodes.lookup import did_you_mean, find_class
 from sparseskin.nodes.node import Context, Node
-from sparseskin.nodes.settings import PatchSettings, did_you_mean, naming, setting
+from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .basis import BASES, make_basis
 from .presets import PRESETS
@@ -183,7 +183,10 @@ class Reconstructor(Node[ReconstructorSettings]):
                 f"this reconstructor inverts Phi {self._phi.fingerprint}"
             )
         begin_ns = time.perf_counter_ns()
-        forces = self._solver.solve(measurements.y)
+        try:
+            forces = self._solver.solve(measurements.y)
+        except SolverError as error:
+            raise RefusedError(f"{measurements.topic}: {error}") from error
         solve_ns = time.perf_counter_ns() - begin_ns
         done_ns = self.context.clock.now_ns()
         misfit = self._phi.forward(forces.reshape(-1)[self._solver.taxels]) - measurements.y

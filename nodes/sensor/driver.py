@@ -9,10 +9,10 @@ from typing import Any, Literal
 import numpy as np
 
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import find_callable, one_line
 
 from .frame_check import FrameCheck
 from .parsed import MAX_READING, check_grid, shown
-from .plugin import find_callable, one_line
 from .source import Forces, Skin
 
 DEFAULT_F_MAX = 2.5
@@ -208,7 +208,7 @@ def open_callable(
             raise SourceError(f"{target}: {what} = {shown(value)}; expected a number in 0..1e30")
     if unit is not None and not (isinstance(unit, str) and unit.strip()):
         raise SourceError(f"{target}: unit = {shown(unit)}; expected a text such as N")
-    make = find_callable(target)
+    make = find_callable(target, SourceError)
     try:
         driver = make()
     except Exception as error:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import pytest
 
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.settings import PatchSettings, Settings, did_you_mean, setting
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.settings import PatchSettings, Settings, setting
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,99 @@
+"""What a launch file names: something registered, or a user's own as "module:attribute"."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import os
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from .errors import SparseskinError
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """' (did you mean 'iterations'?)' for a near miss, else the list of what is known."""
+    names = sorted(known)
+    near = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    if near:
+        return f" (did you mean '{near[0]}'?)"
+    return f" (known: {', '.join(names)})" if names else ""
+
+
+def one_line(error: BaseException) -> str:
+    """An exception's type and text, its line breaks made spaces."""
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., Any]:
+    """Import "module:attribute" and return what can be called there.
+
+    The current directory is looked in last, so that a file of the user's own is found and none
+    that is named like an installed module stands in its way.
+
+    Raises
+    ------
+    SparseskinError
+        (of the type `error`) if `target` is not of that form, there is no such module or
+        attribute, the import fails, or what is found cannot be called.
+    """
+    module_name, colon, attribute = target.partition(":")
+    parts = [*module_name.split("."), *attribute.split(".")]
+    if not colon or not all(part.isidentifier() for part in parts):
+        raise error(f"{target[:80]!r}: expected module:callable, e.g. my_skin:frames")
+    here = os.getcwd()
+    if here not in sys.path and "" not in sys.path:
+        sys.path.append(here)
+    importlib.invalidate_caches()
+    try:
+        found: Any = importlib.import_module(module_name)
+    except ModuleNotFoundError as cause:
+        if cause.name is not None and f"{module_name}.".startswith(f"{cause.name}."):
+            raise error(
+                f"{target}: there is no module {cause.name!r}, installed or in {here}"
+            ) from cause
+        raise error(f"{target}: importing it failed: {one_line(cause)}") from cause
+    # A module that calls sys.exit() as it is imported is of no use either.
+    except (Exception, SystemExit) as cause:
+        raise error(f"{target}: importing it failed: {one_line(cause)}") from cause
+    for part in attribute.split("."):
+        if not hasattr(found, part):
+            near = difflib.get_close_matches(part, dir(found), n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise error(f"{target}: {module_name} has no {attribute!r}{hint}")
+        found = getattr(found, part)
+    if not callable(found):
+        raise error(f"{target}: is {type(found).__name__}, which cannot be called")
+    named: Callable[..., Any] = found
+    return named
+
+
+def find_class(
+    what: str, name: str, registered: Mapping[str, str], error: type[SparseskinError]
+) -> Callable[..., Any]:
+    """The class behind a registered name, or behind "module:Class".
+
+    Parameters
+    ----------
+    what : str
+        What is looked for, as a user calls it: "phi", "basis", "solver".
+    name : str
+        Registered name, or "module:Class".
+    registered : mapping of str to str
+        Registered names and their "module:Class".
+    error : type
+        The error to raise.
+
+    Raises
+    ------
+    SparseskinError
+        (of the type `error`) if the name is neither registered nor can be imported.
+    """
+    if ":" in name:
+        return find_callable(name, error)
+    if name not in registered:
+        hint = did_you_mean(name, registered)
+        raise error(f'{what} "{name}" is not known{hint}; or "module:Class" for your own')
+    return find_callable(registered[name], error)

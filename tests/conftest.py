@@ -1,0 +1,95 @@
+"""What several tests need: real processes, and waiting for them without guessing how long."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+PATIENCE_S = 60.0
+"""When a wait is given up: far beyond what anything here takes, so it is no claim on speed."""
+
+
+def wait_until(done: Callable[[], bool], what: str) -> None:
+    """Look again and again until something is so."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < deadline, f"gave up waiting for {what}"
+        time.sleep(0.01)
+
+
+class Program:
+    """One run of the command `sparseskin`, and every process that descends from it."""
+
+    def __init__(self, *arguments: str, cwd: Path, pythonpath: Path | None = None) -> None:
+        self._mark = f"SPARSESKIN_TEST={uuid.uuid4().hex}"
+        key, value = self._mark.split("=")
+        environment = {**os.environ, key: value}
+        if pythonpath is not None:
+            environment["PYTHONPATH"] = str(pythonpath)
+        self._stderr = ""
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "sparseskin.launch.cli", *arguments],
+            cwd=cwd,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def wait_for(self, token: str) -> None:
+        """Read stderr until a line holds the token."""
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self._stderr += line
+            if token in line:
+                return
+        raise AssertionError(f"ended without {token!r}: {self._stderr}")
+
+    def finish(self) -> tuple[int, str, str]:
+        """Wait for the end; (exit code, stdout, stderr)."""
+        stdout, stderr = self.process.communicate(timeout=PATIENCE_S)
+        return self.process.returncode, stdout, self._stderr + stderr
+
+    def survivors(self) -> dict[int, str]:
+        """Command lines of all processes that carry this run's mark, by pid."""
+        found = {}
+        for folder in Path("/proc").iterdir():
+            if not folder.name.isdigit():
+                continue
+            with contextlib.suppress(OSError):
+                if self._mark.encode() in (folder / "environ").read_bytes().split(b"\0"):
+                    command = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
+                    found[int(folder.name)] = command.decode(errors="replace")
+        return found
+
+    def kill_all(self) -> None:
+        for pid in self.survivors():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+
+StartProgram = Callable[..., Program]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[StartProgram]:
+    """Start `sparseskin ARGUMENTS` in an empty folder; nothing outlives the test."""
+    programs: list[Program] = []
+
+    def run(*arguments: str, pythonpath: Path | None = None) -> Program:
+        programs.append(Program(*arguments, cwd=tmp_path, pythonpath=pythonpath))
+        return programs[-1]
+
+    yield run
+    for program in programs:
+        program.kill_all()
+        program.process.communicate()

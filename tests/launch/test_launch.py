@@ -1,0 +1,207 @@
+"""Graphs of real processes: complete from the first frame, and gone at the end."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import StartProgram, wait_until
+
+from sparseskin.launch.launchfile import load
+from sparseskin.messages import Reconstruction
+from sparseskin.nodes.bus import Bus
+
+TAP = """
+import numpy as np
+from dataclasses import dataclass
+from sparseskin.nodes.node import Node
+from sparseskin.nodes.settings import PatchSettings, setting
+
+@dataclass(frozen=True)
+class TapSettings(PatchSettings):
+    out: str = setting("tap.npy", "file to write")
+
+class Tap(Node):
+    Settings = TapSettings
+
+    def __init__(self, settings, context):
+        super().__init__(settings, context)
+        self.frames = []
+
+    @classmethod
+    def inputs(cls, settings):
+        return (f"/{settings.patch}/reconstruction",)
+
+    def step(self, message):
+        self.frames.append(message.forces)
+        return ()
+
+    def ended(self, topic, n_messages):
+        np.save(self.settings.out, np.array(self.frames))
+        return ()
+"""
+
+
+def test_not_one_of_the_first_thousand_frames_is_lost(start: StartProgram, tmp_path: Path) -> None:
+    # As fast as the sensor can: whatever is not joined at the start would be lost.
+    program = start(
+        *("launch", "lift_box_40", "--frames", "1000", "--summary", "out.json"),
+        *("--set", "sensor.source=scene:path_40", "--set", "sensor.rate_hz=0"),
+        *("--set", "reconstructor.iterations=1"),
+    )
+    code, stdout, stderr = program.finish()
+    assert code == 0, stderr
+    summary = json.loads((tmp_path / "out.json").read_text())
+    patch = summary["patches"]["skin"]
+    assert patch["frames"] == {"sensed": 1000, "reconstructed": 1000, "lost": 0, "unpaired": 0}
+    for node in summary["nodes"].values():
+        assert not any(node["lost"].values())
+        assert not node["refused"]
+    assert "sensed 1000, reconstructed 1000, lost 0" in stdout
+    assert program.survivors() == {}
+
+
+def test_the_summary_holds_what_it_promises(start: StartProgram, tmp_path: Path) -> None:
+    code, _, stderr = start(
+        "launch", "drag_wrench_40", "--frames", "20", "--summary", "out.json"
+    ).finish()
+    assert code == 0, stderr
+    patch = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]
+    assert (patch["scene"], patch["phi"], patch["basis"], patch["solver"]) == (
+        *("drag_wrench_40", "sbhe"),
+        *("haar", "fista"),
+    )
+    assert (patch["n"], patch["m"], patch["frames"]["sensed"]) == (1600, 533, 20)
+    assert patch["ratio"] == pytest.approx(1600 / 533)
+    assert patch["bytes_in"] > 20 * 1600 * 4
+    assert 20 * 533 * 4 < patch["bytes_out"] < patch["bytes_in"]
+    for key in ("noisy", "reconstruction"):
+        extent = patch["psnr_db"][key]["all"]
+        assert extent["min"] <= extent["mean"] <= extent["max"]
+    for key in ("latency_ms", "solve_ms"):
+        assert 0 < patch[key]["p50"] <= patch[key]["p99"]
+    assert patch["solve_ms"]["p50"] <= patch["latency_ms"]["p50"]
+
+
+@pytest.mark.parametrize("transport", ["ipc", "tcp"])
+def test_over_zeromq_and_in_one_process_the_forces_are_the_same_bits(
+    start: StartProgram, tmp_path: Path, transport: str
+) -> None:
+    (tmp_path / "tap.py").write_text(TAP)
+    bundled = Path(load.__code__.co_filename).parent / "lift_wrench_40.toml"
+    text = bundled.read_text().replace("[graph]", f'[graph]\ntransport = "{transport}"')
+    (tmp_path / "tapped.toml").write_text(text + '\n[nodes.tap]\ntype = "tap:Tap"\n')
+    code, _, stderr = start("launch", "tapped.toml", "--frames", "150").finish()
+    assert code == 0, stderr
+    over_zeromq = np.load(tmp_path / "tap.npy")
+
+    nodes = load("lift_wrench_40").nodes.values()
+    bus = Bus({node.name: (node.cls, node.settings) for node in nodes})
+    in_process = [
+        message.forces
+        for messages in bus.frames(150)
+        for message in messages
+        if isinstance(message, Reconstruction)
+    ]
+    assert over_zeromq.shape == (150, 40, 40)
+    assert over_zeromq.tobytes() == np.array(in_process).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+)
+def test_an_interrupt_drains_the_graph_reports_and_leaves_nothing(
+    start: StartProgram, tmp_path: Path, number: signal.Signals, code: int
+) -> None:
+    program = start("launch", "path_40", "--summary", "out.json")
+    program.wait_for("[launch] ready")
+    os.kill(program.process.pid, number)
+    exit_code, stdout, stderr = program.finish()
+    assert exit_code == code, stderr
+    assert "skin: path_40" in stdout
+    assert "Traceback" not in stderr
+    frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
+    assert frames["sensed"] == frames["reconstructed"]
+    assert program.survivors() == {}
+
+
+def test_a_killed_launcher_leaves_nothing(start: StartProgram) -> None:
+    program = start("launch", "path_40")
+    program.wait_for("[launch] ready")
+    assert len(program.survivors()) == 5
+    program.process.kill()
+    wait_until(lambda: not program.survivors(), "the nodes to notice")
+
+
+def test_a_launcher_killed_before_its_nodes_are_ready_leaves_nothing(start: StartProgram) -> None:
+    program = start("launch", "path_40")
+    wait_until(lambda: len(program.survivors()) > 1, "the first node")
+    program.process.kill()
+    wait_until(lambda: not program.survivors(), "the nodes to notice")
+
+
+@pytest.mark.parametrize("victim", ["sensor", "compressor", "reconstructor", "monitor"])
+def test_a_node_that_dies_is_named_and_the_others_are_ended(
+    start: StartProgram, victim: str
+) -> None:
+    program = start("launch", "path_40")
+    program.wait_for("[launch] ready")
+    for pid in program.survivors():
+        if pid != program.process.pid and _node_name(pid) == victim:
+            os.kill(pid, signal.SIGKILL)
+    code, _, stderr = program.finish()
+    assert code == 1
+    assert f"[launch] {victim} ended too early: killed by SIGKILL" in stderr
+    assert "Traceback" not in stderr
+    assert program.survivors() == {}
+
+
+def _node_name(pid: int) -> str:
+    return Path(f"/proc/{pid}/cmdline").read_bytes().rstrip(b"\0").split(b"\0")[-1].decode()
+
+
+def test_a_node_that_hangs_is_ended_all_the_same(start: StartProgram) -> None:
+    program = start("launch", "path_40")
+    program.wait_for("[launch] ready")
+    for pid in program.survivors():
+        if pid != program.process.pid and _node_name(pid) == "compressor":
+            os.kill(pid, signal.SIGSTOP)
+    program.process.terminate()
+    code, _, stderr = program.finish()
+    assert code == 143
+    assert "[launch] compressor does not end: SIGKILL" in stderr
+    assert program.survivors() == {}
+
+
+def test_a_driver_that_fails_ends_the_graph_with_its_reason(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "hardware.py").write_text(
+        "import numpy as np\n"
+        "def skin():\n"
+        "    print('a driver may print')\n"
+        "    for k in range(30):\n"
+        "        forces = np.full((9, 7), 0.5)\n"
+        "        if k == 20: forces[3, 4] = np.nan\n"
+        "        yield k, forces\n"
+    )
+    code, stdout, stderr = start(
+        *("launch", "replay", "--set", "sensor.source=hardware:skin"),
+        *("--set", "sensor.rate_hz=500"),
+    ).finish()
+    assert code == 2
+    assert "hardware:skin, frame 20, row 3, column 4: nan" in stderr
+    assert "Traceback" not in stderr
+    assert "sensed 20, reconstructed 20, lost 0" in stdout
+
+
+def test_settings_that_a_node_refuses_end_the_graph(start: StartProgram) -> None:
+    program = start("launch", "path_40", "--set", "compressor.m=5000")
+    code, _, stderr = program.finish()
+    assert code == 2
+    assert "m = 5000 is not allowed" in stderr
+    assert program.survivors() == {}
