@@ -36,6 +36,7 @@ def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
+    patch = {key: NONE if value is None else value for key, value in patch.items()}
     frames, psnr = patch["frames"], patch["psnr_db"]
     against = {"truth": "against the truth", "taxels": "against the recorded taxels"}
     title = f" {name}: {patch['scene']} "
@@ -43,10 +44,10 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
         title.center(78, "="),
         f"frames      sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
         f"lost {frames['lost']}",
-        f"measured    {patch['phi']}: N = {patch['n'] or NONE}, M = {patch['m'] or NONE} "
+        f"measured    {patch['phi']}: N = {patch['n']}, M = {patch['m']} "
         f"(ratio {_number(patch['ratio'], '.2f')})",
         f"restored    {patch['solver']} in {patch['basis']}, {patch['iterations']} iterations"
-        + (f" (preset {patch['preset']})" if patch["preset"] else ""),
+        + (f" (preset {patch['preset']})" if patch["preset"] not in ("", NONE) else ""),
         f"bytes       taxels {patch['bytes_in']:,}, measurements {patch['bytes_out']:,}"
         + (f" (1/{patch['bytes_in'] / patch['bytes_out']:.2f})" if patch["bytes_out"] else ""),
         f"time        latency p50 {_time(patch['latency_ms'], 'p50')}, "
@@ -61,7 +62,7 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
             if extent is not None:
                 rows.append(f"  {label:<22}{frames_of:<17}" + _extent(extent, ".1f"))
     error = patch["relative_error"]
-    if error is not None:
+    if error != NONE:
         rows.append(f"{'relative error':<24}{'contact frames':<17}" + _extent(error, ".3f"))
     rows.append("=" * 78)
     return "\n".join(rows)
@@ -71,9 +72,9 @@ def _extent(extent: Mapping[str, float], form: str) -> str:
     return "".join(f"{extent[key]:>8{form}}" for key in ("mean", "min", "max"))
 
 
-def _number(value: float | None, form: str) -> str:
-    return NONE if value is None else format(value, form)
+def _number(value: float | str, form: str) -> str:
+    return value if isinstance(value, str) else format(value, form)
 
 
-def _time(quantiles: Mapping[str, float] | None, key: str) -> str:
-    return NONE if quantiles is None else f"{quantiles[key]:.2f} ms"
+def _time(quantiles: Mapping[str, float] | str, key: str) -> str:
+    return quantiles if isinstance(quantiles, str) else f"{quantiles[key]:.2f} ms"

@@ -1,0 +1,97 @@
+"""The scrambled block Hadamard ensemble, the paper's measurement matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.compressor.calls import Floats, Indices, run
+from sparseskin.nodes.compressor.hadamard import BlockHadamard, hadamard_matrix
+from sparseskin.nodes.compressor.phi import Phi, fingerprint_of
+
+
+class SbhePhi(Phi):
+    """Phi = Q_M W P_N with orthonormal rows.
+
+    P_N deals the taxels out at random, W has Hadamard blocks of size B divided by sqrt(B), Q_M
+    keeps m of its rows, chosen at random. Where B does not divide n the remainder goes into
+    smaller blocks (16 + 8 + 4 + 2 + 1). With one seed, a smaller m keeps a subset of the rows
+    of a larger one.
+
+    Parameters
+    ----------
+    n, m, seed, block : int
+        As in `Phi`.
+
+    Attributes
+    ----------
+    permutation : ndarray of intp, shape (n,)
+        P_N: column j of W sees taxel permutation[j].
+    rows : ndarray of intp, shape (m,)
+        Q_M: measurement i is row rows[i] of W; ascending.
+
+    Raises
+    ------
+    PhiError
+        As in `Phi`.
+
+    Notes
+    -----
+    Source: the paper, section IV-B; Gan, Do, Tran, "Fast compressive imaging using scrambled
+    block Hadamard ensemble", EUSIPCO 2008. The paper's rows are of plain +1 and -1, sqrt(B)
+    times as long.
+    """
+
+    kind = "sbhe"
+
+    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+        super().__init__(n, m, seed, block)
+        rng = np.random.default_rng(seed)
+        self.permutation: Indices = rng.permutation(n).astype(np.intp)
+        self.rows: Indices = np.sort(rng.permutation(n)[:m]).astype(np.intp)
+        self.permutation.setflags(write=False)
+        self.rows.setflags(write=False)
+        self.fingerprint = fingerprint_of(self.kind, n, m, block, self.permutation, self.rows)
+
+        self.hadamard = BlockHadamard(n, block)
+        place_of_row = np.argsort(self.hadamard.order_out)
+        #: Taxel that belongs to each place of the transform's input, shape (n,).
+        self.scramble: Indices = self.permutation[self.hadamard.order_in]
+        #: Place of the transform's output where each measurement appears, shape (m,).
+        self.row_places: Indices = place_of_row[self.rows]
+        #: 1 / sqrt(B) of each measurement's block, shape (m,).
+        self.scale: Floats = np.reciprocal(np.sqrt(self.hadamard.size_at[self.row_places]))
+        self._unscramble: Indices = np.argsort(self.scramble)
+        # Places of rows that are not kept read the zero behind the last measurement.
+        self._spread: Indices = np.full(n, m, dtype=np.intp)
+        self._spread[self.row_places] = np.arange(m)
+        self._y_and_zero = np.zeros(m + 1, dtype=np.float32)
+
+        self._a = np.zeros(n, dtype=np.float32)
+        b = np.zeros(n, dtype=np.float32)
+        self._transform, self._result = self.hadamard.program(self._a, b)
+        self._transposed = self.hadamard.transposed(self._a, b)
+
+    def dense(self) -> npt.NDArray[np.float64]:
+        """Return the explicit matrix, float64, shape (m, n), built from its definition."""
+        matrix = np.zeros((self.m, self.n))
+        start = 0
+        for size in self.hadamard.sizes:
+            taxels = self.permutation[start : start + size]
+            mine = (self.rows >= start) & (self.rows < start + size)
+            block = hadamard_matrix(size) / np.sqrt(size)
+            matrix[np.ix_(mine, taxels)] = block[self.rows[mine] - start]
+            start += size
+        return matrix
+
+    def _forward(self, x: Floats, out: Floats) -> None:
+        x.take(self.scramble, None, self._a, "clip")
+        run(self._transform)
+        self._result.take(self.row_places, None, out, "clip")
+        np.multiply(out, self.scale, out)
+
+    def _adjoint(self, y: Floats, out: Floats) -> None:
+        np.multiply(y, self.scale, self._y_and_zero[:-1])
+        self._y_and_zero.take(self._spread, None, self._result, "clip")
+        run(self._transposed)
+        self._a.take(self._unscramble, None, out, "clip")

@@ -1,0 +1,47 @@
+"""Some taxels by themselves, the others not at all."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.compressor.calls import Floats, Indices
+from sparseskin.nodes.compressor.phi import Phi, fingerprint_of
+
+
+class SubsamplePhi(Phi):
+    """Phi = Q_M: m single taxels, chosen at random; needs no wiring between taxels.
+
+    Attributes
+    ----------
+    rows : ndarray of intp, shape (m,)
+        The taxels that are read, ascending. With one seed, a smaller m keeps a subset of them.
+
+    Raises
+    ------
+    PhiError
+        As in `Phi`.
+    """
+
+    kind = "subsample"
+
+    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+        super().__init__(n, m, seed, block)
+        rng = np.random.default_rng(seed)
+        self.rows: Indices = np.sort(rng.permutation(n)[:m]).astype(np.intp)
+        self.rows.setflags(write=False)
+        self.fingerprint = fingerprint_of(self.kind, n, m, 1, self.rows)
+
+    def dense(self) -> npt.NDArray[np.float64]:
+        """Return the explicit matrix, float64, shape (m, n)."""
+        matrix = np.zeros((self.m, self.n))
+        for measurement, taxel in enumerate(self.rows):
+            matrix[measurement, taxel] = 1
+        return matrix
+
+    def _forward(self, x: Floats, out: Floats) -> None:
+        x.take(self.rows, None, out, "clip")
+
+    def _adjoint(self, y: Floats, out: Floats) -> None:
+        out.fill(0)
+        out[self.rows] = y

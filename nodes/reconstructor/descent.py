@@ -1,0 +1,176 @@
+"""One gradient step on 1/2 ||Phi R Psi theta - y||^2: what an iteration spends its time on."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from sparseskin.nodes.compressor.calls import Call, Floats, Indices, gather, run
+from sparseskin.nodes.compressor.phi import Phi
+from sparseskin.nodes.compressor.sbhe import SbhePhi
+from sparseskin.nodes.reconstructor.basis import Basis
+from sparseskin.nodes.reconstructor.haar import HaarBasis
+
+
+class Descent(ABC):
+    """A gradient step of length 1/L, as a program of calls on fixed buffers.
+
+    Coefficients are held in an order and scale of the descent's own: w = weights * theta.
+
+    Attributes
+    ----------
+    z : ndarray of float32, shape (n_inner,)
+        Where the step starts from; overwritten by it.
+    u : ndarray of float32, shape (n_inner,)
+        Where the step leaves its result, theta_z - gradient / L.
+    weights : ndarray of float32, shape (n_inner,)
+    step_size : float
+        1 / L.
+    calls : list of Call
+        The step.
+    """
+
+    z: Floats
+    u: Floats
+    weights: Floats
+    step_size: float
+    calls: list[Call]
+
+    @abstractmethod
+    def set_measurements(self, y: Floats) -> None:
+        """Take the measurements of a frame: contiguous float32, shape (m,), newtons."""
+
+    @abstractmethod
+    def image_of(self, w: Floats, out: Floats) -> None:
+        """Write the image of coefficients w to out, float32, shape (n_rows, n_cols)."""
+
+    @abstractmethod
+    def coefficients_of(self, image: Floats, out: Floats) -> None:
+        """Write the coefficients of an image to out, float32, shape (n_inner,)."""
+
+
+class PlainDescent(Descent):
+    """The step for any phi and any basis, through their public operators.
+
+    Parameters
+    ----------
+    phi : Phi
+    basis : Basis
+    taxels : ndarray of intp, shape (n,)
+        Place in the flat grid of each existing taxel: the restriction R.
+    """
+
+    def __init__(self, phi: Phi, basis: Basis, taxels: Indices) -> None:
+        shape = (basis.n_rows, basis.n_cols)
+        self._phi, self._basis, self._taxels = phi, basis, taxels
+        self.step_size = 1 / phi.lipschitz
+        self._step = np.array(self.step_size, dtype=np.float32)
+        self._z_grid = np.zeros(shape, dtype=np.float32)
+        self._u_grid = np.zeros(shape, dtype=np.float32)
+        self.z = self._z_grid.reshape(-1)
+        self.u = self._u_grid.reshape(-1)
+        self.weights = np.ones(self.z.size, dtype=np.float32)
+        self._image = np.zeros(shape, dtype=np.float32)
+        self._x = np.zeros(phi.n, dtype=np.float32)
+        self._y = np.zeros(phi.m, dtype=np.float32)
+        self._residual = np.zeros(phi.m, dtype=np.float32)
+        self.calls = [(self._descend, ())]
+
+    def set_measurements(self, y: Floats) -> None:
+        np.copyto(self._y, y)
+
+    def image_of(self, w: Floats, out: Floats) -> None:
+        self._basis.synthesis(w.reshape(out.shape), out)
+
+    def coefficients_of(self, image: Floats, out: Floats) -> None:
+        self._basis.analysis(image, out.reshape(image.shape))
+
+    def _descend(self) -> None:
+        image, flat = self._image, self._image.reshape(-1)
+        self._basis.synthesis(self._z_grid, image)
+        flat.take(self._taxels, None, self._x, "clip")
+        self._phi.forward(self._x, self._residual)
+        np.subtract(self._y, self._residual, self._residual)
+        np.multiply(self._residual, self._step, self._residual)
+        self._phi.adjoint(self._residual, self._x)
+        flat.fill(0)
+        flat[self._taxels] = self._x
+        self._basis.analysis(image, self._u_grid)
+        np.add(self.u, self.z, self.u)
+
+
+class SbheHaarDescent(Descent):
+    """The step for the scrambled block Hadamard ensemble and the Haar basis, many times faster.
+
+    With orthonormal rows L = 1, and the step replaces the measured Hadamard coefficients of the
+    image by y and keeps the others. Both transforms run in their inner orders, scaled once; one
+    gather each way does the work of the permutation, the restriction and both reorderings.
+
+    Parameters
+    ----------
+    phi : SbhePhi
+    basis : HaarBasis
+    taxels : ndarray of intp, shape (n,)
+        Place in the flat grid of each existing taxel: the restriction R.
+    """
+
+    def __init__(self, phi: SbhePhi, basis: HaarBasis, taxels: Indices) -> None:
+        n_cells = basis.n_rows * basis.n_cols
+        n = phi.n
+        self._phi, self._basis = phi, basis
+        self.step_size = 1.0
+        self.weights = basis.weights
+        self.z = np.zeros(basis.n_inner, dtype=np.float32)
+        self.u = np.zeros(basis.n_inner, dtype=np.float32)
+        self._w = np.zeros(basis.n_inner, dtype=np.float32)
+        self._x = np.zeros(n_cells, dtype=np.float32)
+        self._to_x = basis.synthesis_program(self._w, self._x)
+        self._to_w = basis.analysis_program(self._x, self._w)
+
+        # Cells without a taxel ride along behind the transform's n places, untouched.
+        absent = np.setdiff1d(np.arange(n_cells), taxels)
+        places = basis.place_of_pixel[np.concatenate([taxels[phi.scramble], absent])]
+        a = np.zeros(n_cells, dtype=np.float32)
+        b = np.zeros(n_cells, dtype=np.float32)
+        transform, middle = phi.hadamard.program(a, b)
+
+        # The transform is not scaled: there and back multiplies by the size of the block.
+        keep: Floats = np.reciprocal(phi.hadamard.size_at)
+        keep[phi.row_places] = 0
+        self._measured = np.zeros(n, dtype=np.float32)
+        self._scaled_y = np.zeros(phi.m, dtype=np.float32)
+
+        self.calls = [
+            *basis.synthesis_program(self.z, self._x),
+            gather(self._x, places, a),
+            *transform,
+            (np.multiply, (middle[:n], keep, middle[:n])),
+            (np.add, (middle[:n], self._measured, middle[:n])),
+            *phi.hadamard.transposed(a, b),
+            gather(a, np.argsort(places), self._x),
+            *basis.analysis_program(self._x, self.u),
+            (np.multiply, (self.u, self.weights * self.weights, self.u)),
+        ]
+
+    def set_measurements(self, y: Floats) -> None:
+        np.multiply(y, self._phi.scale, self._scaled_y)
+        self._measured[self._phi.row_places] = self._scaled_y
+
+    def image_of(self, w: Floats, out: Floats) -> None:
+        np.copyto(self._w, w)
+        run(self._to_x)
+        self._x.take(self._basis.place_of_pixel, None, out.reshape(-1), "clip")
+
+    def coefficients_of(self, image: Floats, out: Floats) -> None:
+        image.reshape(-1).take(self._basis.order, None, self._x, "clip")
+        run(self._to_w)
+        np.multiply(self._w, self.weights * self.weights, out)
+
+
+def make_descent(phi: Phi, basis: Basis, taxels: Indices) -> Descent:
+    """Return the fastest gradient step there is for a phi and a basis."""
+    # Exactly these types: a subclass may have changed what the operators do.
+    if type(phi) is SbhePhi and type(basis) is HaarBasis:
+        return SbheHaarDescent(phi, basis, taxels)
+    return PlainDescent(phi, basis, taxels)

@@ -1,0 +1,176 @@
+"""FISTA for basis pursuit denoising, the paper's solver."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from sparseskin.nodes.compressor.calls import Call, Floats, run
+from sparseskin.nodes.compressor.phi import Phi
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.reconstructor.basis import Basis
+from sparseskin.nodes.reconstructor.descent import make_descent
+from sparseskin.nodes.reconstructor.solver import Mask, Solver
+
+MAX_ITERATIONS = 1000
+
+
+class FistaSolver(Solver):
+    """min over theta of 1/2 ||Phi R Psi theta - y||^2 + lambda ||theta||_1, then x = Psi theta.
+
+    A constant number of iterations of step 1/L, L = `phi.lipschitz`. A frame starts from the
+    theta of the last one, the first from 0; the momentum starts anew with each frame. Negative
+    forces of the final image are set to 0, which is not carried to the next frame.
+
+    The same measurements give the same bits, with `phi` "sbhe", whatever BLAS does.
+
+    Parameters
+    ----------
+    phi, basis, mask
+        As in `Solver`.
+    iterations : int
+        1..1000. The paper: 10, 20 or 30.
+    lambda_n : float
+        Weight of the l1 norm, newtons, at least 0. It belongs to the scale of Phi: the paper's
+        0.1 is for rows of +1 and -1, of length sqrt(32). Measurements by orthonormal rows are
+        sqrt(32) times smaller, the squared misfit 32 times, and so is the lambda of the same
+        problem: 0.1 / 32 = 0.003125 N.
+
+    Raises
+    ------
+    SolverError
+        If a parameter is not allowed; and as in `Solver`.
+
+    Notes
+    -----
+    Source: the paper, sections IV-C and V-A; Beck, Teboulle, "A fast iterative
+    shrinkage-thresholding algorithm for linear inverse problems", SIAM J. Imaging Sciences 2(1),
+    2009, section 4, FISTA with constant step size.
+    """
+
+    def __init__(
+        self,
+        phi: Phi,
+        basis: Basis,
+        mask: Mask | None = None,
+        *,
+        iterations: int = 30,
+        lambda_n: float = 0.1 / 32,
+    ) -> None:
+        super().__init__(phi, basis, mask)
+        _check(iterations, lambda_n)
+        self.iterations = int(iterations)
+        self.lambda_n = float(lambda_n)
+        self.n_steps = self.iterations
+        self._momenta = _momenta(self.iterations)
+        self._beta = np.zeros((), dtype=np.float32)
+        self._done = self.iterations  # no frame is begun
+
+        descent = make_descent(phi, basis, self.taxels)
+        self._descent = descent
+        n = descent.z.size
+        # Two buffers that take turns: the newest theta and the one before it.
+        self._thetas = (np.zeros(n, dtype=np.float32), np.zeros(n, dtype=np.float32))
+        self._newest = 0
+        threshold: Floats = (self.lambda_n * descent.step_size * descent.weights).astype(np.float32)
+        self._threshold = (-threshold, threshold)
+        self._clipped = np.empty(n, dtype=np.float32)
+        self._iteration = (self._program(0), self._program(1))
+        self._inside: Floats = self.mask.astype(np.float32)
+
+    @property
+    def theta(self) -> Floats:
+        """Coefficients that the next frame starts from, float32 (n_rows, n_cols), newtons."""
+        image = np.empty(self.mask.shape, dtype=np.float32)
+        self._descent.image_of(self._thetas[self._newest], image)
+        return self.basis.analysis(image)
+
+    def setup(self, y: Floats, warm: Floats | None = None) -> None:
+        """Begin a frame; parameters and Raises as in `solve`."""
+        y = self._checked_y(y)
+        newest, other = self._thetas[self._newest], self._thetas[1 - self._newest]
+        if warm is not None:
+            self._descent.coefficients_of(self._checked_warm(warm), newest)
+        self._descent.set_measurements(y)
+        np.copyto(other, newest)
+        self._done = 0
+
+    def step(self) -> None:
+        """Do one iteration of the frame that was begun.
+
+        Raises
+        ------
+        SolverError
+            If the frame has had all its iterations, or none was begun.
+        """
+        if self._done == self.iterations:
+            raise SolverError(f"fista: no step is left of the frame's {self.iterations}")
+        self._beta[()] = self._momenta[self._done]
+        run(self._iteration[self._newest])
+        self._newest = 1 - self._newest
+        self._done += 1
+
+    def finish(self) -> Floats:
+        """End the frame and return its estimate, as `solve` does."""
+        image = np.empty(self.mask.shape, dtype=np.float32)
+        self._descent.image_of(self._thetas[self._newest], image)
+        np.maximum(image, 0, out=image)
+        np.multiply(image, self._inside, out=image)
+        if not np.isfinite(image).all():
+            self.reset()
+            raise SolverError("fista: the iteration diverged: is phi.lipschitz too small?")
+        return image
+
+    def reset(self) -> None:
+        """Forget all earlier frames: the next one starts from 0."""
+        for theta in self._thetas:
+            theta.fill(0)
+
+    def _program(self, newest: int) -> list[Call]:
+        """Return the calls of one iteration, with the newest theta in one buffer or the other.
+
+        z = theta + beta (theta - theta_before); u = z - gradient / L; the result, u - clip(u),
+        is u drawn towards 0 by the threshold. It replaces theta_before.
+        """
+        theta, before = self._thetas[newest], self._thetas[1 - newest]
+        z, u, clipped = self._descent.z, self._descent.u, self._clipped
+        low, high = self._threshold
+        return [
+            (np.subtract, (theta, before, z)),
+            (np.multiply, (z, self._beta, z)),
+            (np.add, (z, theta, z)),
+            *self._descent.calls,
+            # These two take no third argument by position any more.
+            (partial(np.minimum, u, high, out=clipped), ()),
+            (partial(np.maximum, clipped, low, out=clipped), ()),
+            (np.subtract, (u, clipped, before)),
+        ]
+
+
+def _momenta(iterations: int) -> list[float]:
+    """Return beta_k = (t_k - 1) / t_(k+1) of the steps, beginning with the first step's 0."""
+    betas = [0.0]
+    t = 1.0
+    while len(betas) < iterations:
+        t_next = (1 + math.sqrt(1 + 4 * t * t)) / 2
+        betas.append((t - 1) / t_next)
+        t = t_next
+    return betas
+
+
+def _check(iterations: Any, lambda_n: Any) -> None:
+    whole = isinstance(iterations, (int, np.integer)) and not isinstance(iterations, bool)
+    if not whole or not 1 <= iterations <= MAX_ITERATIONS:
+        raise SolverError(
+            f"fista: iterations = {iterations!r} is not allowed; "
+            f"allowed: an integer 1..{MAX_ITERATIONS}"
+        )
+    real = isinstance(lambda_n, (int, float, np.number)) and not isinstance(lambda_n, bool)
+    if not real or not 0 <= lambda_n < math.inf:
+        raise SolverError(
+            f"fista: lambda_n = {lambda_n!r} is not allowed; allowed: a finite number of newtons, "
+            "0 or more"
+        )

@@ -1,0 +1,217 @@
+"""The monitor's figures, against values worked out by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sparseskin.messages import (
+    Measurements,
+    Message,
+    PhiState,
+    Reconstruction,
+    SkinState,
+    SolverState,
+    Taxels,
+    Truth,
+    size_bytes,
+)
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.monitor.metrics import MAX_PENDING, PatchMetrics, psnr_db
+from sparseskin.nodes.monitor.node import Monitor
+from sparseskin.nodes.monitor.table import status_line, summary_table
+from sparseskin.nodes.node import Context
+
+SHAPE = (4, 5)
+HEAD: dict[str, Any] = {"patch": "skin", "run_id": "0" * 16}
+
+
+def skin(has_truth: bool = True, mask: np.ndarray | None = None, f_max: float = 2.5) -> SkinState:
+    return SkinState(
+        **HEAD,
+        stamp_ns=0,
+        n_rows=SHAPE[0],
+        n_cols=SHAPE[1],
+        f_max=f_max,
+        unit="N",
+        pitch_m=None,
+        mask=mask,
+        source="a scene",
+        seed=0,
+        rate_hz=100.0,
+        has_truth=has_truth,
+        sigma_mid=0.0,
+        sigma_end=0.0,
+    )
+
+
+def frame(seq: int, truth: float | None, taxels: float, restored: float | None) -> list[Message]:
+    """One frame of uniform maps."""
+
+    def uniform(value: float) -> np.ndarray:
+        return np.full(SHAPE, value, np.float32)
+
+    origin: dict[str, Any] = {**HEAD, "seq": seq, "stamp_ns": 1000 * seq}
+    messages: list[Message] = [Taxels(**origin, forces=uniform(taxels))]
+    if truth is not None:
+        messages.append(Truth(**origin, forces=uniform(truth)))
+    messages.append(Measurements(**origin, y=np.ones(7, np.float32), phi="0" * 16))
+    if restored is not None:
+        messages.append(
+            Reconstruction(
+                **origin,
+                forces=uniform(restored),
+                phi="0" * 16,
+                iterations=1,
+                residual=0.0,
+                solve_ns=2_000_000,
+                done_ns=1000 * seq + 3_000_000,
+            )
+        )
+    return messages
+
+
+def metrics_of(*messages: Message) -> PatchMetrics:
+    metrics = PatchMetrics()
+    for message in messages:
+        metrics.add(message)
+    return metrics
+
+
+@pytest.mark.parametrize(
+    ("error", "db"), [(2.5, 0.0), (0.25, 20.0), (0.025, 40.0), (0.0, 100.0), (1e-9, 100.0)]
+)
+def test_psnr_is_the_range_over_the_root_mean_square_error(error: float, db: float) -> None:
+    assert psnr_db(np.full(SHAPE, error, np.float32), 2.5) == pytest.approx(db, abs=1e-4)
+
+
+def test_noise_and_reconstruction_are_judged_against_the_truth() -> None:
+    summary = metrics_of(
+        skin(), *frame(0, 1.0, 1.025, 1.0025), *frame(1, 0.0, 0.25, 0.025)
+    ).summary()
+    psnr = summary["psnr_db"]
+    assert summary["reference"] == "truth"
+    assert psnr["noisy"]["all"] == pytest.approx({"mean": 30, "min": 20, "max": 40}, abs=1e-3)
+    assert psnr["noisy"]["contact"] == pytest.approx({"mean": 40, "min": 40, "max": 40}, abs=1e-3)
+    expected = {"mean": 50, "min": 40, "max": 60}
+    assert psnr["reconstruction"]["all"] == pytest.approx(expected, abs=1e-2)
+    assert summary["relative_error"]["mean"] == pytest.approx(0.0025, abs=1e-6)
+
+
+def test_without_a_truth_the_taxels_are_the_reference_and_it_is_said() -> None:
+    summary = metrics_of(skin(has_truth=False), *frame(0, None, 1.0, 1.025)).summary()
+    assert summary["reference"] == "taxels"
+    assert summary["psnr_db"]["noisy"] == {"all": None, "contact": None}
+    assert summary["psnr_db"]["reconstruction"]["all"]["mean"] == pytest.approx(40, abs=1e-3)
+
+
+def test_masked_cells_count_neither_in_psnr_nor_in_bytes() -> None:
+    mask = np.ones(SHAPE, np.bool_)
+    mask[0] = False
+    messages = frame(0, 1.0, 1.0, 1.025)
+    taxels = messages[0]
+    assert isinstance(taxels, Taxels)
+    wrong = taxels.forces.copy()
+    wrong[0] = 2.0
+    messages[0] = dataclasses.replace(taxels, forces=wrong)
+    summary = metrics_of(skin(mask=mask), *messages).summary()
+    assert summary["psnr_db"]["noisy"]["all"]["mean"] == 100.0
+    assert summary["bytes_in"] == size_bytes(taxels) - 4 * SHAPE[1]
+
+
+def test_the_order_in_which_topics_arrive_does_not_matter() -> None:
+    messages = [*frame(0, 1.0, 1.1, 1.2), *frame(1, 1.0, 1.1, 1.3)]
+    forward, backward = (metrics_of(skin(), *order) for order in (messages, reversed(messages)))
+    assert forward.summary() == backward.summary()
+
+
+def test_lost_frames_are_those_sensed_but_not_reconstructed() -> None:
+    messages = [skin()]
+    for seq in range(10):
+        messages += frame(seq, 1.0, 1.0, 1.0)[:-1] if seq == 9 else frame(seq, 1.0, 1.0, 1.0)
+    metrics = metrics_of(*messages)
+    metrics.end("taxels", 10)
+    metrics.end("reconstruction", 9)
+    assert metrics.summary()["frames"] == {
+        "sensed": 10,
+        "reconstructed": 9,
+        "lost": 1,
+        "unpaired": 1,
+    }
+
+
+def test_frames_that_are_never_reconstructed_do_not_pile_up() -> None:
+    metrics = metrics_of(skin())
+    for seq in range(3 * MAX_PENDING):
+        for message in frame(seq, 1.0, 1.0, None):
+            metrics.add(message)
+    assert len(metrics._pending) == MAX_PENDING
+    assert metrics.summary()["frames"]["unpaired"] == 3 * MAX_PENDING
+
+
+def test_times_and_bytes_and_names() -> None:
+    phi = PhiState(
+        **HEAD, stamp_ns=0, kind="sbhe", n=20, m=7, block=4, seed=0, fingerprint="0" * 16
+    )
+    solver = SolverState(
+        **HEAD,
+        stamp_ns=0,
+        solver="fista",
+        basis="haar",
+        preset="paper",
+        iterations=30,
+        lambda_n=0.1,
+    )
+    messages = frame(0, 1.0, 1.0, 1.0)
+    summary = metrics_of(skin(), phi, solver, *messages).summary()
+    assert summary["latency_ms"]["p50"] == pytest.approx(3.0, rel=0.003)
+    assert summary["solve_ms"]["p99"] == pytest.approx(2.0, rel=0.003)
+    assert (summary["n"], summary["m"], summary["ratio"]) == (20, 7, 20 / 7)
+    assert summary["bytes_in"] == size_bytes(messages[0])
+    assert summary["bytes_out"] == size_bytes(messages[2])
+    assert (summary["scene"], summary["phi"]) == ("a scene", "sbhe")
+    assert (summary["basis"], summary["solver"]) == ("haar", "fista")
+
+
+def test_the_table_fits_80_columns_and_shows_every_figure_that_is_known() -> None:
+    table = summary_table({"skin": metrics_of(skin(), *frame(0, 1.0, 1.025, 1.0025)).summary()})
+    assert max(map(len, table.splitlines())) <= 80
+    for text in ("a scene", "sensed 1, reconstructed 1, lost 0", "noisy taxels", "40.0", "60.0"):
+        assert text in table
+
+
+def test_the_table_of_a_graph_that_saw_nothing_is_whole() -> None:
+    table = summary_table({"skin": PatchMetrics().summary()})
+    assert "sensed 0, reconstructed 0, lost 0" in table
+    assert "None" not in table
+
+
+def test_the_status_line_counts_what_is_missing_so_far() -> None:
+    messages = frame(3, 1.0, 1.0, 1.0)
+    messages[-1] = dataclasses.replace(messages[-1], seq=1)
+    line = status_line("skin", metrics_of(skin(), *messages), 200.0)
+    assert line.startswith("skin: 2 frames, 200 Hz")
+    assert line.endswith("lost 2")
+
+
+def test_a_monitor_watches_several_patches_apart() -> None:
+    settings = Monitor.Settings(patches=("left", "right"))
+    monitor = Monitor(settings, Context("monitor", ManualClock()))
+    assert "/left/taxels" in Monitor.inputs(settings)
+    assert "/right/reconstruction" in Monitor.inputs(settings)
+    monitor.step(dataclasses.replace(skin(), patch="left"))
+    monitor.ended("/right/taxels", 5)
+    patches = monitor.report()["patches"]
+    assert patches["left"]["scene"] == "a scene"
+    assert patches["right"]["frames"]["sensed"] == 5
+    assert monitor.status().count("||") == 1
+
+
+@pytest.mark.parametrize("patches", [(), ("Left",)])
+def test_a_monitor_needs_names_of_patches(patches: tuple[str, ...]) -> None:
+    with pytest.raises(SettingsError, match="patches"):
+        Monitor.Settings(patches=patches)

@@ -1,0 +1,157 @@
+"""The graph in one process."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sparseskin.messages import End, Measurements, PhiState, Reconstruction, Taxels, Truth
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.monitor.node import Monitor
+from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.sensor.node import Sensor
+
+
+def graph(scene: str = "path_40", **reconstructor: Any) -> dict[str, tuple[Any, Any]]:
+    return {
+        "sensor": (Sensor, Sensor.Settings(source=f"scene:{scene}", seed=3)),
+        "compressor": (Compressor, Compressor.Settings(seed=1)),
+        "reconstructor": (
+            Reconstructor,
+            Reconstructor.Settings(**({"iterations": 5} | reconstructor)),
+        ),
+        "monitor": (Monitor, Monitor.Settings()),
+    }
+
+
+def test_a_frame_passes_all_stations_with_one_stamp() -> None:
+    clock = ManualClock(1_000)
+    bus = Bus(graph(), clock)
+    for messages in bus.frames(3):
+        assert Counter(type(m) for m in messages) == dict.fromkeys(
+            (Taxels, Truth, Measurements, Reconstruction), 1
+        )
+        assert len({m.stamp_ns for m in messages}) == 1
+        clock.advance(5)
+    frames = bus.reports()["monitor"]["patches"]["skin"]["frames"]
+    assert frames == {"sensed": 3, "reconstructed": 3, "lost": 0, "unpaired": 0}
+
+
+def test_stamps_differ_even_on_a_clock_that_stands_still() -> None:
+    stamps = [messages[0].stamp_ns for messages in Bus(graph(), ManualClock(7)).frames(4)]
+    assert stamps == [7, 8, 9, 10]
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not() -> None:
+    def restored(seed: int) -> bytes:
+        nodes = graph()
+        nodes["sensor"] = (Sensor, Sensor.Settings(source="scene:path_40", seed=seed))
+        made = [m for messages in Bus(nodes).frames(5) for m in messages]
+        return b"".join(m.forces.tobytes() for m in made if isinstance(m, Reconstruction))
+
+    assert restored(3) == restored(3)
+    assert restored(3) != restored(4)
+
+
+def test_measurements_of_another_phi_are_refused_by_name() -> None:
+    bus = Bus(graph(phi="sbhe", phi_seed=2))
+    made = [m for messages in bus.frames(4) for m in messages]
+    assert not any(isinstance(m, Reconstruction) for m in made)
+    assert bus.hosts["reconstructor"].counts.refused == {"refused": 4}
+    (announced,) = {m.phi for m in made if isinstance(m, Measurements)}
+    (line,) = bus.lines
+    assert f"made by Phi {announced}, this reconstructor inverts Phi " in line
+    frames = bus.reports()["monitor"]["patches"]["skin"]["frames"]
+    assert (frames["sensed"], frames["lost"]) == (4, 4)
+
+
+def test_measurements_of_the_stated_phi_are_taken() -> None:
+    bus = Bus(graph(phi="sbhe", phi_seed=1))
+    bus.run(4)
+    assert bus.reports()["monitor"]["patches"]["skin"]["frames"]["lost"] == 0
+
+
+def test_an_announced_phi_is_proved_by_its_fingerprint() -> None:
+    bus = Bus(graph())
+    host = bus.hosts["reconstructor"]
+    announced = PhiState(
+        stamp_ns=0,
+        patch="skin",
+        run_id="f" * 16,
+        kind="sbhe",
+        n=1600,
+        m=533,
+        block=32,
+        seed=1,
+        fingerprint="0" * 16,
+    )
+    assert list(host.receive(announced)) == []
+    assert "the random generators differ" in bus.lines[-1]
+    for change in ({"kind": "os:system"}, {"n": 1599}, {"m": 1601}, {"block": 7}):
+        fields = {
+            "stamp_ns": 0,
+            "patch": "skin",
+            "run_id": "f" * 16,
+            "seq": host.counts.inputs["/skin/phi"].expected,
+            "kind": "sbhe",
+            "n": 1600,
+            "m": 533,
+            "block": 32,
+            "seed": 1,
+            "fingerprint": "0" * 16,
+        } | change
+        assert list(host.receive(PhiState(**fields))) == []  # type: ignore[arg-type]
+    assert host.counts.refused == {"refused": 5}
+    assert host.failure == ""
+
+
+def test_forces_of_a_shape_that_the_skin_does_not_have_are_refused() -> None:
+    bus = Bus(graph())
+    host = bus.hosts["compressor"]
+    wrong = Taxels(stamp_ns=0, patch="skin", run_id="f" * 16, forces=np.ones((40, 39), np.float32))
+    assert list(host.receive(wrong)) == []
+    assert "forces of shape (40, 39), but the skin has (40, 40)" in bus.lines[-1]
+
+
+def test_the_full_matrix_and_no_shrinkage_give_back_the_taxels() -> None:
+    nodes = graph(lambda_n=0.0)
+    nodes["compressor"] = (Compressor, Compressor.Settings(phi="full"))
+    for messages in Bus(nodes).frames(3):
+        by_type = {type(m): m for m in messages}
+        np.testing.assert_allclose(
+            by_type[Reconstruction].forces, by_type[Taxels].forces, atol=1e-5
+        )
+
+
+@pytest.mark.parametrize("phi", ["sbhe", "subsample", "gaussian"])
+def test_every_phi_runs_end_to_end(phi: str) -> None:
+    nodes = graph()
+    nodes["compressor"] = (Compressor, Compressor.Settings(phi=phi, m=700))
+    bus = Bus(nodes)
+    bus.run(3)
+    patch = bus.reports()["monitor"]["patches"]["skin"]
+    assert (patch["phi"], patch["m"], patch["frames"]["lost"]) == (phi, 700, 0)
+
+
+def test_a_source_runs_to_its_end_and_ends_every_stream() -> None:
+    bus = Bus(graph("lift_box_40"))
+    kinds = Counter(type(m) for messages in bus.frames() for m in messages)
+    assert kinds[Taxels] == kinds[Reconstruction] == 700
+    assert kinds[End] == 4  # taxels, truth, measurements, reconstruction
+    assert all(host.finished for host in bus.hosts.values())
+
+
+def test_a_graph_must_join_up() -> None:
+    nodes = graph()
+    del nodes["compressor"]
+    with pytest.raises(SettingsError, match="reconstructor: reads /skin/phi, which no node"):
+        Bus(nodes)
+    nodes = graph() | {"twin": graph()["sensor"]}
+    with pytest.raises(SettingsError, match="twin: writes /skin/skin, which sensor writes too"):
+        Bus(nodes)
