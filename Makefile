@@ -1,0 +1,37 @@
+PYTHON ?= python3
+BIN := .venv/bin
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+
+.PHONY: demo scenes test check clean
+.DELETE_ON_ERROR:
+
+# The main job: a wrench dragged over 64 x 64 taxels, streamed through four processes.
+demo: .venv/installed
+	$(BIN)/sparseskin launch drag_wrench_64 --set sensor.rate_hz=100
+
+# All six scenes at 200 Hz, beside the paper's table III (4 minutes).
+scenes: .venv/installed
+	$(BIN)/python -m sparseskin.studies.scenes
+
+test: .venv/installed-dev
+	$(ONE_THREAD) $(BIN)/python -m pytest -q
+
+check: .venv/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/python .ci/typecheck.py
+
+.venv/python:
+	$(PYTHON) -m venv .venv
+	touch $@
+
+.venv/installed: pyproject.toml .venv/python
+	$(BIN)/pip install --quiet --disable-pip-version-check -e .
+	touch $@
+
+.venv/installed-dev: pyproject.toml .venv/python
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[dev]'
+	touch $@ .venv/installed
+
+clean:
+	rm -rf .venv build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
