@@ -97,6 +97,7 @@ class Launcher:
                 "type": spec.type_name,
                 "settings": spec.values,
                 "endpoint": self._endpoint(name),
+                "inputs": [k.topic for k in self._launch.links if k.reader == name],
                 "readers": sorted({k.reader for k in self._launch.links if k.writer == name}),
                 "offset_ns": offset_ns,
                 "max_frames": self._max_frames,

@@ -50,11 +50,13 @@ class Bus:
         self.lines: list[str] = []
         say = log or self.lines.append
         self.hosts: dict[str, NodeHost] = {}
+        links = join(nodes)
         for name, (cls, settings) in nodes.items():
             node = cls(settings, Context(name, self.clock))
-            self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, _named(name, say))
+            inputs = [link.topic for link in links if link.reader == name]
+            self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, _named(name, say), inputs)
         self._readers: dict[str, list[NodeHost]] = {}
-        for link in join(nodes):
+        for link in links:
             self._readers.setdefault(link.topic, []).append(self.hosts[link.reader])
         self._queue: deque[Message] = deque()
         self._n_ticks = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -39,9 +40,13 @@ def join(nodes: NodeSpecs) -> list[Link]:
             writers[topic] = name
     links = []
     for name, (cls, settings) in nodes.items():
-        for topic in cls.inputs(settings):
-            if topic not in writers:
-                hint = did_you_mean(topic, writers)
-                raise SettingsError(f"{name}: reads {topic}, which no node writes{hint}")
-            links.append(Link(topic, writers[topic], name))
+        for pattern in cls.inputs(settings):
+            matching = fnmatch.filter(writers, pattern) if "*" in pattern else [pattern]
+            for topic in matching:
+                if topic not in writers:
+                    hint = did_you_mean(topic, writers)
+                    raise SettingsError(f"{name}: reads {topic}, which no node writes{hint}")
+                links.append(Link(topic, writers[topic], name))
+            if not matching:
+                raise SettingsError(f"{name}: reads {pattern}, of which no node writes any")
     return links

@@ -33,6 +33,7 @@ class InputCount:
     received: int = 0
     lost: int = 0
     ended: bool = False
+    late: bool = False
 
     def admit(self, message: Message) -> bool:
         """Count a message; False for one that was seen before (a latched topic repeats)."""
@@ -40,7 +41,7 @@ class InputCount:
             self.run_id, self.expected, self.ended = message.run_id, 0, False
         if message.seq < self.expected:
             return False
-        if not message.latched:
+        if not message.latched and not (self.late and not self.received):
             self.lost += message.seq - self.expected
         self.received += 1
         self.expected = message.seq + 1
@@ -50,7 +51,8 @@ class InputCount:
         """Count what is missing at the very end."""
         if end.run_id != self.run_id:
             self.run_id, self.expected = end.run_id, 0
-        self.lost += max(0, end.n_messages - self.expected)
+        if not (self.late and not self.received):
+            self.lost += max(0, end.n_messages - self.expected)
         self.expected = max(self.expected, end.n_messages)
         self.ended = True
 
@@ -84,15 +86,26 @@ class NodeHost:
         16 hex digits, new for each run of the node.
     log : callable
         Takes one line of text.
+    inputs : iterable of str, optional
+        The node's input topics; by default those that it names.
+    late : bool
+        Whether the node joins a graph that already runs: what it finds first is no gap then.
     """
 
-    def __init__(self, node: Node[Any], run_id: str, log: Log) -> None:
+    def __init__(
+        self,
+        node: Node[Any],
+        run_id: str,
+        log: Log,
+        inputs: Iterable[str] | None = None,
+        late: bool = False,
+    ) -> None:
         self.node = node
         self.run_id = run_id
-        self.inputs = node.inputs(node.settings)
+        self.inputs = tuple(node.inputs(node.settings) if inputs is None else inputs)
         self.outputs = node.outputs(node.settings)
+        self.counts = Counts({topic: InputCount(late=late) for topic in self.inputs})
         self._streams = [topic for topic in self.inputs if not is_latched(topic)]
-        self.counts = Counts({topic: InputCount() for topic in self.inputs})
         self.finished = False
         self.failure = ""
         self._log = log
@@ -111,7 +124,7 @@ class NodeHost:
         """Let a source acquire one frame; a source that fails ends its stream."""
         assert isinstance(self.node, SourceNode)
         try:
-            yield from self._publish(self.node.tick(tick))
+            yield from self._publish(self.node.acquire(tick))
         except SparseskinError as error:
             self.failure = str(error)
             self._log(f"error: {error}")
@@ -180,7 +193,7 @@ class NodeHost:
         for message in messages:
             seq = self.counts.published[message.topic]
             self.counts.published[message.topic] += 1
-            yield message.published(self.run_id, seq)
+            yield message if self.node.verbatim else message.published(self.run_id, seq)
 
     def _refuse(self, reason: str, text: str) -> None:
         """Count a refusal; say it the 1st, 10th, 100th ... time, so a flood stays readable."""

@@ -13,6 +13,7 @@ import numpy as np
 from sparseskin.messages import Message
 
 from .clock import Clock
+from .errors import RefusedError
 from .settings import Settings
 
 S = TypeVar("S", bound=Settings)
@@ -53,6 +54,10 @@ class Node(Generic[S]):
     """
 
     Settings: ClassVar[type[Any]] = Settings
+    required: ClassVar[bool] = True
+    """Whether the graph ends when this node fails."""
+    verbatim: ClassVar[bool] = False
+    """Whether what the node publishes keeps the run id and number it already has."""
 
     def __init__(self, settings: S, context: Context) -> None:
         self.settings = settings
@@ -60,7 +65,7 @@ class Node(Generic[S]):
 
     @classmethod
     def inputs(cls, settings: S) -> tuple[str, ...]:
-        """Topics that the node reads."""
+        """Topics that the node reads; "*" in one stands for any text."""
         return ()
 
     @classmethod
@@ -86,6 +91,19 @@ class Node(Generic[S]):
         """One input topic has ended after `n_messages` were sent on it."""
         return ()
 
+    def idle(self) -> None:
+        """Called between messages, at least every 100 ms."""
+
+    def command(self, name: str, value: Any) -> None:
+        """Take a command from whoever launched the node.
+
+        Raises
+        ------
+        RefusedError
+            If the node knows no such command.
+        """
+        raise RefusedError(f"{self.context.name}: knows no command '{name}'")
+
     def status(self) -> str:
         """One line for a person who watches; "" where there is nothing to say."""
         return ""
@@ -99,9 +117,32 @@ class SourceNode(Node[S]):
     """A node without inputs, driven by ticks."""
 
     rate_hz: float = 0.0
-    """Ticks a second; 0: as fast as possible."""
+    """Ticks a second; 0: as fast as the readers are done with them."""
+    window: int = 32
+    """At rate 0: how many ticks may be under way, unanswered by a reader."""
+    min_readers: int = 0
+    """How many readers there must be before the first tick."""
     exhausted: bool = False
     """Whether the last frame has been delivered."""
+    _t0_ns: int = 0
+    _n_ticks: int = 0
+
+    def begin(self, now_ns: int) -> None:
+        """The graph starts now: the first tick is one period away."""
+        self._t0_ns = now_ns
+        self._n_ticks = 0
+
+    def next_tick_ns(self) -> int | None:
+        """When the next tick is due, on the graph's clock; None: not before a command comes."""
+        if not self.rate_hz:
+            return 0
+        # An absolute target: an error of one tick is not carried into the next.
+        return self._t0_ns + round((self._n_ticks + 1) * 1e9 / self.rate_hz)
+
+    def acquire(self, tick: Tick) -> Iterable[Message]:
+        """Count a tick and take it."""
+        self._n_ticks += 1
+        return self.tick(tick)
 
     def tick(self, tick: Tick) -> Iterable[Message]:
         """Acquire one frame and give its messages; set `exhausted` with the last one."""

@@ -11,6 +11,7 @@ import secrets
 import signal
 import sys
 import time
+from collections import deque
 from collections.abc import Iterable
 from typing import Any
 
@@ -24,7 +25,7 @@ from .errors import SparseskinError
 from .host import NodeHost
 from .node import Context, SourceNode, Tick
 from .registry import make_settings, node_class
-from .sockets import Reader, Writer, make_context
+from .sockets import FAREWELL_MS, Reader, Writer, make_context
 
 POLL_MS = 100
 """Longest wait: a signal is noticed within it."""
@@ -46,8 +47,9 @@ class Runner:
     control : Control
         The line to the launcher.
     config : dict
-        name, type, settings, endpoint, readers (names of the nodes that read this one),
-        offset_ns (of the graph's clock), max_frames (of a source, or None).
+        name, type, settings, endpoint, inputs (topics), readers (names of the nodes that read
+        this one), offset_ns (of the graph's clock), and where they differ from the default:
+        max_frames (of a source), late (the node joins a graph that already runs).
     """
 
     def __init__(self, control: Control, config: dict[str, Any]) -> None:
@@ -57,19 +59,21 @@ class Runner:
         cls = node_class(config["type"])
         settings = make_settings(cls, config["settings"])
         node = cls(settings, Context(self.name, self.clock))
-        self.host = NodeHost(node, secrets.token_hex(8), self.log)
+        run_id = secrets.token_hex(8)
+        late = bool(config.get("late"))
+        self.host = NodeHost(node, run_id, self.log, config["inputs"], late)
         self.expected = set(config["readers"])
         self.max_frames: int | None = config.get("max_frames")
         self.context = make_context()
-        self.writer = Writer(self.context, config["endpoint"])
+        self.writer = Writer(self.context, config["endpoint"], self.name)
         self.reader: Reader | None = None
         self.poller = zmq.Poller()
         self.poller.register(control.fd, zmq.POLLIN)
         self.poller.register(self.writer.socket, zmq.POLLIN)
         self.connected = self.ready = self.started = self.stopping = self.told = False
         self.draining = self.failed = False
-        self.period_ns = 0
-        self.t0_ns = 0
+        self.asks: deque[int] = deque()
+        self.owed: deque[tuple[int, bytes]] = deque()
         self.n_ticks = 0
         self.next_heartbeat_ns = 0
         self.last_stamp_ns = -1
@@ -89,12 +93,15 @@ class Runner:
             self._obey()
             self.writer.serve_subscriptions()
             self._take_in()
+            self._answer()
             if self._tick_due():
                 self._tick()
+            self.host.node.idle()
             self._tell()
         if not self.told:
             self._tell_end()
-        self.context.destroy(linger=0)
+        # What is under way is still sent, but nobody who does not take it holds up the end.
+        self.context.destroy(linger=FAREWELL_MS)
 
     def _on_interrupt(self, *_: object) -> None:
         self.draining = True
@@ -103,20 +110,32 @@ class Runner:
         self.stopping = True
 
     @property
-    def _ticking(self) -> bool:
-        return self.started and self.host.is_source and not self.host.finished
+    def _source(self) -> SourceNode[Any] | None:
+        """The node, where it is a source that may tick."""
+        node = self.host.node
+        ticks = self.started and isinstance(node, SourceNode) and not self.host.finished
+        return node if ticks and isinstance(node, SourceNode) else None
 
-    def _next_tick_ns(self) -> int:
-        # Absolute targets: an error of one tick is not carried into the next.
-        return self.t0_ns + self.n_ticks * self.period_ns
+    def _left_ns(self) -> int | None:
+        """Time until the next tick; None where something else has to happen first."""
+        source = self._source
+        if source is None or len(self.writer.present) < source.min_readers:
+            return None
+        while self.asks and not self.writer.awaits(self.asks[0]):
+            self.asks.popleft()
+        if len(self.asks) >= source.window:
+            return None
+        due_ns = source.next_tick_ns()
+        return None if due_ns is None else due_ns - self.clock.now_ns()
 
     def _tick_due(self) -> bool:
-        return self._ticking and self.clock.now_ns() >= self._next_tick_ns()
+        left_ns = self._left_ns()
+        return left_ns is not None and left_ns <= 0
 
     def _wait(self) -> None:
         timeout_ms = POLL_MS
-        if self._ticking:
-            left_ns = self._next_tick_ns() - self.clock.now_ns()
+        left_ns = self._left_ns()
+        if left_ns is not None:
             if 0 < left_ns < SPIN_NS:
                 time.sleep(left_ns / 1e9)
             timeout_ms = max(0, min(POLL_MS, (left_ns - SPIN_NS) // 1_000_000))
@@ -133,8 +152,16 @@ class Runner:
                     self.draining = True
                 case "stop":
                     self.stopping = True
-        if self.draining and self._ticking:
+                case name:
+                    self._command(name, command.get("value"))
+        if self.draining and self._source is not None:
             self._publish(self.host.finish(max(0, self.last_stamp_ns)))
+
+    def _command(self, name: str, value: Any) -> None:
+        try:
+            self.host.node.command(name, value)
+        except SparseskinError as error:
+            self.log(str(error))
 
     def _connect(self, endpoints: list[str]) -> None:
         if endpoints:
@@ -143,10 +170,8 @@ class Runner:
         self.connected = True
 
     def _start(self) -> None:
-        node = self.host.node
-        rate_hz = node.rate_hz if isinstance(node, SourceNode) else 0.0
-        self.period_ns = round(1e9 / rate_hz) if rate_hz else 0
-        self.t0_ns = self.clock.now_ns() + self.period_ns
+        if isinstance(self.host.node, SourceNode):
+            self.host.node.begin(self.clock.now_ns())
         self.started = True
 
     def _take_in(self) -> None:
@@ -156,13 +181,26 @@ class Runner:
             parts = self.reader.receive()
             if parts is None:
                 return
-            self._publish(self.host.receive_bytes(*parts))
+            topic, payload = parts
+            if self.reader.is_ask(topic):
+                self.owed.append((self.writer.ask(), payload))
+            else:
+                self._publish(self.host.receive_bytes(topic, payload))
+
+    def _answer(self) -> None:
+        """Answer what was asked, as soon as those who read from this node have answered it."""
+        while self.owed and not self.writer.awaits(self.owed[0][0]):
+            assert self.reader is not None
+            self.reader.answer(self.owed.popleft()[1])
 
     def _tick(self) -> None:
         stamp_ns = max(self.clock.now_ns(), self.last_stamp_ns + 1)
         self.last_stamp_ns = stamp_ns
         self._publish(self.host.tick(Tick(stamp_ns, self.n_ticks)))
         self.n_ticks += 1
+        source = self._source
+        if source is not None and not source.rate_hz:
+            self.asks.append(self.writer.ask())
         if self.max_frames is not None and self.n_ticks >= self.max_frames:
             self._publish(self.host.finish(stamp_ns))
 

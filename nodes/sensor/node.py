@@ -27,7 +27,7 @@ class SensorSettings(PatchSettings):
     rate_hz: float | None = setting(
         None,
         "frames a second; not stated: a recording's own rate, a driver's own pace, "
-        "100 for a scene; 0: as fast as possible",
+        "100 for a scene; 0: as fast as its readers are done with them",
         low=0.0,
         high=100_000.0,
     )

@@ -127,6 +127,7 @@ class Harness:
                 "settings": {},
                 "endpoint": "tcp://127.0.0.1:*",
                 "readers": [],
+                "inputs": self.topics,
                 "offset_ns": wall_offset_ns(),
                 "max_frames": None,
             },
