@@ -10,10 +10,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.monitor.table import summary_table
 
 from .launcher import Launcher
 from .launchfile import LaunchError, LaunchFile, bundled_names, load
+from .recording_commands import add_play_parser, add_record_parser
 from .terminal import Terminal
 
 EXIT_USAGE = 2
@@ -27,7 +29,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except LaunchError as error:
         for line in error.lines:
             print(line, file=sys.stderr)
-        return EXIT_USAGE
+    except SparseskinError as error:
+        print(error, file=sys.stderr)
+    return EXIT_USAGE
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -58,6 +62,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     launch.add_argument("--summary", metavar="OUT.json", help="write the summary to a file")
     launch.set_defaults(run=_launch)
+    add_record_parser(commands)
+    add_play_parser(commands)
     return parser
 
 

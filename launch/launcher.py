@@ -6,7 +6,7 @@ import os
 import selectors
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import FrameType
 from typing import Any
 
@@ -14,6 +14,7 @@ from sparseskin.nodes.clock import wall_offset_ns
 
 from .launchfile import LaunchFile
 from .process import NodeProcess, exit_text
+from .running import RunningGraph, RunningNode, announced, is_running
 from .terminal import Terminal
 
 START_S = 30.0
@@ -23,6 +24,8 @@ DRAIN_S = 5.0
 GRACE_S = 2.0
 """How long a process may take from one request to end to the next, sterner one."""
 POLL_S = 0.1
+LOOK_S = 0.5
+QUIT_KEYS = ("q", "\x03")
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -39,20 +42,35 @@ class Launcher:
         Where log lines and the status line go.
     max_frames : int, optional
         Frames after which each source ends its stream.
+    joined : RunningGraph, optional
+        A graph that already runs, whose topics the nodes of this one read.
+    keys : mapping of str to (node, command), optional
+        Keys of the terminal, and the commands they are to nodes.
     """
 
     def __init__(
-        self, launch: LaunchFile, terminal: Terminal, max_frames: int | None = None
+        self,
+        launch: LaunchFile,
+        terminal: Terminal,
+        max_frames: int | None = None,
+        joined: RunningGraph | None = None,
+        keys: Mapping[str, tuple[str, str]] | None = None,
     ) -> None:
         self._launch = launch
         self._terminal = terminal
         self._max_frames = max_frames
+        self._joined = joined
+        self._keys = dict(keys or {})
+        self._look_at_s = 0.0
+        self._offset_ns = joined.offset_ns if joined else wall_offset_ns()
         self._nodes: dict[str, NodeProcess] = {}
         self._selector = selectors.DefaultSelector()
         writers = {link.writer for link in launch.links}
         self._sinks = [name for name in launch.nodes if name not in writers]
         self._interrupts = 0
+        self._gone = False
         self._exit_code = 0
+        self._late_code = 0
 
     def run(self) -> int:
         """Run the graph until its streams end; return the exit code: 0, 1 for a node that
@@ -65,16 +83,17 @@ class Launcher:
         try:
             self._spawn()
             if self._handshake():
-                self._command_all("start")
-                self._until(self._all_ended, None)
-                if not self._all_ended():
-                    self._drain()
+                with announced(self._note()), self._terminal.keyboard(bool(self._keys)):
+                    self._command_all("start")
+                    self._until(self._all_ended, None)
+                    if not self._all_ended():
+                        self._drain()
         finally:
             self._end_all()
             for number, handler in old.items():
                 signal.signal(number, handler)
             self._terminal.status("")
-        return self._exit_code
+        return self._exit_code or self._late_code
 
     def summary(self) -> dict[str, Any]:
         """What the nodes reported, and what each of them counted."""
@@ -83,6 +102,8 @@ class Launcher:
             merged["patches"].update(node.report.get("patches", {}))
             type_name = self._launch.nodes[name].type_name
             merged["nodes"][name] = {"type": type_name, **node.counts}
+            others = {key: value for key, value in node.report.items() if key != "patches"}
+            merged["nodes"][name].update(others)
         return merged
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
@@ -90,7 +111,6 @@ class Launcher:
         self._exit_code = self._exit_code or 128 + number
 
     def _spawn(self) -> None:
-        offset_ns = wall_offset_ns()
         for name, spec in self._launch.nodes.items():
             config = {
                 "name": name,
@@ -99,8 +119,9 @@ class Launcher:
                 "endpoint": self._endpoint(name),
                 "inputs": [k.topic for k in self._launch.links if k.reader == name],
                 "readers": sorted({k.reader for k in self._launch.links if k.writer == name}),
-                "offset_ns": offset_ns,
+                "offset_ns": self._offset_ns,
                 "max_frames": self._max_frames,
+                "late": self._joined is not None,
             }
             node = NodeProcess(name, config)
             self._nodes[name] = node
@@ -119,11 +140,41 @@ class Launcher:
             return self._name_late("has not started", lambda node: not node.endpoint)
         for name, node in self._nodes.items():
             writers = sorted({k.writer for k in self._launch.links if k.reader == name})
-            node.command("connect", endpoints=[self._nodes[w].endpoint for w in writers])
+            node.command("connect", endpoints=[self._endpoint_of(w) for w in writers])
         if not self._until(lambda: all(n.ready for n in self._nodes.values()), START_S):
             return self._name_late("is not ready", lambda node: not node.ready)
         self._terminal.log(f"[launch] ready: {', '.join(self._nodes)}")
         return True
+
+    def _endpoint_of(self, writer: str) -> str:
+        if self._joined is not None:
+            return self._joined.nodes[writer].endpoint
+        return self._nodes[writer].endpoint
+
+    def _note(self) -> RunningGraph:
+        nodes = {
+            name: RunningNode(
+                spec.type_name, self._nodes[name].endpoint, list(spec.cls.outputs(spec.settings))
+            )
+            for name, spec in self._launch.nodes.items()
+        }
+        return RunningGraph(
+            self._launch.name, os.getpid(), self._offset_ns, self._launch.text, nodes
+        )
+
+    def _look_around(self) -> None:
+        """Pass on keys, and notice where the graph that was joined is gone."""
+        for key in self._terminal.pressed():
+            if key in self._keys:
+                node, command = self._keys[key]
+                self._nodes[node].command(command)
+            elif key in QUIT_KEYS:
+                self._interrupts += 1
+        if self._joined is not None and time.monotonic() >= self._look_at_s:
+            self._look_at_s = time.monotonic() + LOOK_S
+            if not is_running(self._joined) and not self._gone:
+                self._gone = True
+                self._interrupts += 1
 
     def _name_late(self, what: str, is_late: Callable[[NodeProcess], bool]) -> bool:
         if not self._exit_code:
@@ -134,7 +185,7 @@ class Launcher:
         return False
 
     def _all_ended(self) -> bool:
-        return all(node.ended for node in self._nodes.values())
+        return all(node.ended or node.failed for node in self._nodes.values())
 
     def _until(
         self, done: Callable[[], bool], limit_s: float | None, draining: bool = False
@@ -152,6 +203,7 @@ class Launcher:
         return True
 
     def _serve(self) -> None:
+        self._look_around()
         ready = self._selector.select(POLL_S)
         for node in {id(key.data): key.data for key, _ in ready}.values():
             self._listen(node)
@@ -162,7 +214,7 @@ class Launcher:
                 if not node.ended:
                     node.ended = True
                     text = f"[launch] {node.name} ended too early: {exit_text(code)}"
-                    self._fail(EXIT_FAILED, text)
+                    self._fail(node, EXIT_FAILED, text)
         lines = [self._nodes[name].line for name in self._sinks]
         self._terminal.status("  ||  ".join(filter(None, lines)))
 
@@ -186,16 +238,21 @@ class Launcher:
                     node.ended = True
                     node.counts, node.report = event["counts"], event["report"]
                 case "failed":
-                    self._fail(EXIT_USAGE, f"[{node.name}] failed: {event['text']}")
+                    self._fail(node, EXIT_USAGE, f"[{node.name}] failed: {event['text']}")
                 case "error":
                     node.ended = True
-                    self._fail(EXIT_USAGE, f"[{node.name}] error: {event['text']}")
+                    self._fail(node, EXIT_USAGE, f"[{node.name}] error: {event['text']}")
                 case _:
                     self._terminal.log(f"[{node.name}] {event}")
 
-    def _fail(self, code: int, line: str) -> None:
-        self._exit_code = self._exit_code or code
+    def _fail(self, node: NodeProcess, code: int, line: str) -> None:
+        """A node cannot go on. The graph ends with it, if it is one that it needs."""
         self._terminal.log(line)
+        if self._launch.nodes[node.name].cls.required:
+            self._exit_code = self._exit_code or code
+        else:
+            node.failed = True
+            self._late_code = self._late_code or code
 
     def _command_all(self, command: str) -> None:
         for node in self._nodes.values():

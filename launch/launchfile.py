@@ -43,13 +43,29 @@ class NodeSpec:
 
 @dataclass(frozen=True)
 class LaunchFile:
-    """A checked launch file."""
+    """A checked launch file; `text` is the file as it stands, with the changes of --set."""
 
     name: str
     description: str
     transport: str
     nodes: dict[str, NodeSpec]
     links: list[Link]
+    text: str = ""
+
+
+def single_node(name: str, type_name: str, values: dict[str, Any]) -> LaunchFile:
+    """A graph of one node, as commands make it; its inputs are joined to another graph.
+
+    Raises
+    ------
+    SparseskinError
+        If a setting is not allowed.
+    """
+    cls = node_class(type_name)
+    settings = make_settings(cls, values)
+    settings.check()
+    spec = NodeSpec(name, type_name, cls, values, settings)
+    return LaunchFile(name, "", "ipc", {name: spec}, [])
 
 
 def bundled_names() -> list[str]:
@@ -134,7 +150,9 @@ class _Checker:
         if self.errors:
             raise LaunchError(self.errors)
         description = graph.get("description", "")
-        return LaunchFile(self.name, description, graph.get("transport", "ipc"), nodes, links)
+        changes = "".join(f"# --set {override}\n" for override in overrides)
+        transport = graph.get("transport", "ipc")
+        return LaunchFile(self.name, description, transport, nodes, links, changes + self.text)
 
     def graph_table(self) -> dict[str, Any]:
         graph = self.tree.get("graph", {})

@@ -37,7 +37,7 @@ class NodeProcess:
             env=environment,
         )
         self.endpoint = ""
-        self.ready = self.ended = False
+        self.ready = self.ended = self.failed = False
         self.lacks: list[str] = []
         self.line = ""
         self.counts: dict[str, Any] = {}

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import select
 import shutil
 import sys
+import termios
 import time
+import tty
+from collections.abc import Iterator
 
 QUIET_STATUS_S = 10.0
 """How often the status is printed where the output is no terminal."""
+
+# Arrow keys come as three characters; each becomes one of the private-use area.
+ARROWS = {"\x1b[A": "\ue000", "\x1b[B": "\ue001", "\x1b[C": "\ue002", "\x1b[D": "\ue003"}
+NAMES = {"\ue000": "up", "\ue001": "down", "\ue002": "right", "\ue003": "left"}
 
 
 class Terminal:
@@ -16,6 +26,7 @@ class Terminal:
     def __init__(self) -> None:
         self._live = sys.stderr.isatty()
         self._status = ""
+        self._keys_fd: int | None = None
         self._next_s = time.monotonic() + QUIET_STATUS_S
 
     def log(self, line: str) -> None:
@@ -33,6 +44,31 @@ class Terminal:
         elif line and time.monotonic() >= self._next_s:
             self._next_s = time.monotonic() + QUIET_STATUS_S
             print(line, file=sys.stderr, flush=True)
+
+    @contextlib.contextmanager
+    def keyboard(self, wanted: bool) -> Iterator[None]:
+        """Take single keys from the terminal, and leave it as it was found."""
+        if not wanted or not sys.stdin.isatty():
+            yield
+            return
+        fd = sys.stdin.fileno()
+        before = termios.tcgetattr(fd)
+        tty.setcbreak(fd)
+        self._keys_fd = fd
+        try:
+            yield
+        finally:
+            self._keys_fd = None
+            termios.tcsetattr(fd, termios.TCSADRAIN, before)
+
+    def pressed(self) -> list[str]:
+        """Keys that were pressed since the last call: characters, or "right", "up", "down"."""
+        if self._keys_fd is None or not select.select([self._keys_fd], [], [], 0)[0]:
+            return []
+        text = os.read(self._keys_fd, 64).decode(errors="replace")
+        for code, name in ARROWS.items():
+            text = text.replace(code, name)
+        return [NAMES.get(key, key) for key in text]
 
     def _erase(self) -> None:
         if self._live and self._status:

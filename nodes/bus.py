@@ -91,6 +91,11 @@ class Bus:
         for host in sources:
             self._deliver(host.finish(self._last_stamp_ns))
 
+    def close(self) -> None:
+        """Let the nodes finish their files; to be called once, when no frame is to come."""
+        for host in self.hosts.values():
+            host.close()
+
     def reports(self) -> dict[str, dict[str, Any]]:
         """What each node has found, by node name; nodes that found nothing are left out."""
         found = {name: host.node.report() for name, host in self.hosts.items()}

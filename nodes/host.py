@@ -111,6 +111,7 @@ class NodeHost:
         self._log = log
         self._said: Counter[str] = Counter()
         self._last_stamp_ns = 0
+        self._sent: dict[str, tuple[str, int]] = {}
 
     @property
     def is_source(self) -> bool:
@@ -165,14 +166,30 @@ class NodeHost:
             patch, schema = split_topic(topic)
             if is_latched(topic):
                 continue  # state stays true after the stream has ended
+            run_id, n_messages = self._sent.get(topic, (self.run_id, 0))
             yield End(
                 stamp_ns=stamp_ns,
                 patch=patch,
-                run_id=self.run_id,
-                seq=self.counts.published[topic],
+                run_id=run_id,
+                seq=n_messages,
                 of=schema,
-                n_messages=self.counts.published[topic],
+                n_messages=n_messages,
             )
+
+    def idle(self) -> None:
+        """Let the node do what does not wait for a message."""
+        self._do(self.node.idle)
+
+    def close(self) -> None:
+        """Let the node finish its files and devices."""
+        self._do(lambda: self.node.close(self.counts.as_dict()))
+
+    def _do(self, action: Callable[[], None]) -> None:
+        try:
+            action()
+        except SparseskinError as error:
+            self.failure = self.failure or str(error)
+            self._refuse("failed", str(error))
 
     def _guarded(self, method: Callable[..., Iterable[Message]], *args: Any) -> Iterator[Message]:
         """Pass on what a method gives; whatever it raises is counted and ends no node."""
@@ -193,7 +210,10 @@ class NodeHost:
         for message in messages:
             seq = self.counts.published[message.topic]
             self.counts.published[message.topic] += 1
-            yield message if self.node.verbatim else message.published(self.run_id, seq)
+            if not self.node.verbatim:
+                message = message.published(self.run_id, seq)
+            self._sent[message.topic] = (message.run_id, message.seq + 1)
+            yield message
 
     def _refuse(self, reason: str, text: str) -> None:
         """Count a refusal; say it the 1st, 10th, 100th ... time, so a flood stays readable."""

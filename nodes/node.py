@@ -56,7 +56,7 @@ class Node(Generic[S]):
     Settings: ClassVar[type[Any]] = Settings
     required: ClassVar[bool] = True
     """Whether the graph ends when this node fails."""
-    verbatim: ClassVar[bool] = False
+    verbatim: bool = False
     """Whether what the node publishes keeps the run id and number it already has."""
 
     def __init__(self, settings: S, context: Context) -> None:
@@ -94,6 +94,9 @@ class Node(Generic[S]):
     def idle(self) -> None:
         """Called between messages, at least every 100 ms."""
 
+    def close(self, counts: dict[str, Any]) -> None:
+        """The last call: finish files and devices; `counts` is what the node's host counted."""
+
     def command(self, name: str, value: Any) -> None:
         """Take a command from whoever launched the node.
 
@@ -119,13 +122,18 @@ class SourceNode(Node[S]):
     rate_hz: float = 0.0
     """Ticks a second; 0: as fast as the readers are done with them."""
     window: int = 32
-    """At rate 0: how many ticks may be under way, unanswered by a reader."""
+    """How many ticks may be under way, unanswered, where the source follows its readers."""
     min_readers: int = 0
     """How many readers there must be before the first tick."""
     exhausted: bool = False
     """Whether the last frame has been delivered."""
     _t0_ns: int = 0
     _n_ticks: int = 0
+
+    @property
+    def follows_readers(self) -> bool:
+        """Whether the readers set the pace, not the clock."""
+        return self.rate_hz == 0.0
 
     def begin(self, now_ns: int) -> None:
         """The graph starts now: the first tick is one period away."""

@@ -14,6 +14,8 @@ NODE_TYPES = {
     "compressor": "sparseskin.nodes.compressor.node:Compressor",
     "reconstructor": "sparseskin.nodes.reconstructor.node:Reconstructor",
     "monitor": "sparseskin.nodes.monitor.node:Monitor",
+    "recorder": "sparseskin.nodes.recorder.node:Recorder",
+    "player": "sparseskin.nodes.player.node:Player",
 }
 
 

@@ -96,7 +96,7 @@ class Runner:
             self._answer()
             if self._tick_due():
                 self._tick()
-            self.host.node.idle()
+            self.host.idle()
             self._tell()
         if not self.told:
             self._tell_end()
@@ -199,7 +199,7 @@ class Runner:
         self._publish(self.host.tick(Tick(stamp_ns, self.n_ticks)))
         self.n_ticks += 1
         source = self._source
-        if source is not None and not source.rate_hz:
+        if source is not None and source.follows_readers:
             self.asks.append(self.writer.ask())
         if self.max_frames is not None and self.n_ticks >= self.max_frames:
             self._publish(self.host.finish(stamp_ns))
@@ -230,10 +230,12 @@ class Runner:
 
     def _tell_end(self) -> None:
         self.told = True
+        self.host.close()
         self.control.emit(
             "ended",
             report=self.host.node.report(),
             counts=self.host.counts.as_dict(),
+            failure=self.host.failure,
         )
 
 

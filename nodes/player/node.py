@@ -1,0 +1,261 @@
+"""The player: publishes what was recorded, when it was recorded, at any rate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+from tqdm import tqdm
+
+from sparseskin.messages import Message, MessageError, decode
+from sparseskin.messages.topics import split_topic
+from sparseskin.messages.wire import SCHEMAS
+from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.node import Context, SourceNode, Tick
+from sparseskin.nodes.recorder.bag import TopicInfo
+from sparseskin.nodes.recorder.bag_reader import BagReader
+from sparseskin.nodes.settings import Settings, setting
+
+from .schedule import Schedule
+
+MAX_STAMPS = 4096
+"""How many frames may be under way at once before a late message counts as a frame of its own."""
+
+
+@dataclass(frozen=True)
+class PlayerSettings(Settings):
+    """What a player can be told."""
+
+    file: str = setting("", "recording to play, NAME.mcap")
+    rate: float = setting(
+        1.0, "times the recorded speed; 0: as fast as the readers are done", low=0.0, high=1000.0
+    )
+    loop: bool = setting(False, "begin again at the end")
+    start_s: float = setting(0.0, "seconds of the recording to leave out", low=0.0, high=1e9)
+    duration_s: float | None = setting(None, "seconds to play", low=0.0, high=1e9)
+    paused: bool = setting(False, "wait for a command before the first frame")
+    topics: tuple[str, ...] = setting((), "topics to play; all by default")
+    remap: tuple[str, ...] = setting((), "FROM:=TO each: /PATCH:=/PATCH or whole topics")
+    lockstep: bool = setting(False, "send no frame before all readers are done with the last")
+    verbatim: bool = setting(
+        False, "keep stamps, run ids and numbers as recorded, in place of new ones"
+    )
+    wait: int = setting(0, "readers to wait for before the first frame", low=0, high=1000)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for pair in self.remap:
+            if pair.count(":=") != 1:
+                raise SettingsError(f"remap: '{pair}': expected FROM:=TO")
+        if self.verbatim and (self.loop or self.remap):
+            raise SettingsError("verbatim: goes neither with loop nor with remap")
+
+    def check(self) -> None:
+        renamed_topics(self)
+
+
+@lru_cache(maxsize=8)
+def _topics_of(file: str) -> dict[str, TopicInfo]:
+    with BagReader(file) as bag:
+        return dict(bag.topics)
+
+
+def renamed_topics(settings: PlayerSettings) -> dict[str, str]:
+    """Name under which each chosen topic of the recording is played.
+
+    Raises
+    ------
+    SparseskinError
+        If the file cannot be opened, a topic is not in it, or a new name is no topic of the
+        same schema.
+    """
+    if not settings.file:
+        raise SettingsError("file: name the recording to play")
+    present = _topics_of(settings.file)
+    for topic in settings.topics:
+        if topic not in present:
+            raise SettingsError(f"topics: {topic}: not in the file{did_you_mean(topic, present)}")
+    chosen = list(settings.topics or present)
+    names = {topic: topic for topic in chosen}
+    for pair in settings.remap:
+        old, new = (side.strip().rstrip("/") for side in pair.split(":="))
+        matching = [topic for topic in chosen if topic == old or topic.startswith(old + "/")]
+        if not matching:
+            raise SettingsError(f"remap: {old}: not in the file{did_you_mean(old, chosen)}")
+        for topic in matching:
+            names[topic] = _renamed(topic, new + topic.removeprefix(old))
+    if len(set(names.values())) < len(names):
+        raise SettingsError("remap: two topics would have one name")
+    return names
+
+
+def _renamed(topic: str, new: str) -> str:
+    try:
+        schema = split_topic(new)[1]
+    except MessageError as error:
+        raise SettingsError(f"remap: {error}") from error
+    if schema != split_topic(topic)[1]:
+        raise SettingsError(f"remap: {topic} cannot become {new}: a topic ends in its schema")
+    return new
+
+
+class Player(SourceNode[PlayerSettings]):
+    """Publishes recorded messages in the order in which they were recorded.
+
+    A message is due when its stamp is: at t0 + (stamp - first stamp) / rate, an absolute
+    target; a pause moves t0. States (skin, Phi, solver) are published at once.
+    """
+
+    Settings = PlayerSettings
+
+    def __init__(self, settings: PlayerSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        self._names = renamed_topics(settings)
+        self._bag = BagReader(settings.file)
+        if self._bag.recovered:
+            print(f"{settings.file}: {self._bag.recovered}")
+        self.verbatim = settings.verbatim
+        self.min_readers = settings.wait or int(settings.lockstep)
+        if settings.lockstep:
+            self.window = 1
+        streams = [
+            info for t, info in self._bag.topics.items() if t in self._names and not _latched(t)
+        ]
+        first_ns = min((info.first_ns for info in streams if info.n_messages), default=0)
+        last_ns = max((info.last_ns for info in streams if info.n_messages), default=0)
+        self._start_ns = first_ns + round(settings.start_s * 1e9)
+        self._stop_ns = last_ns + 1
+        if settings.duration_s is not None:
+            self._stop_ns = min(self._stop_ns, self._start_ns + round(settings.duration_s * 1e9))
+        self._schedule = Schedule(self._start_ns, settings.rate, settings.paused)
+        self._stamps: dict[int, int] = {}
+        self._n_frames = 0
+        self._started_ns = 0
+        self._messages = self._read()
+        self._next: Message | None = None
+        self._advance()
+
+    @classmethod
+    def outputs(cls, settings: PlayerSettings) -> tuple[str, ...]:
+        return tuple(renamed_topics(settings).values())
+
+    def start(self) -> Iterable[Message]:
+        states = [topic for topic in self._names if _latched(topic)]
+        newest = {m.topic: m for m in self._bag.messages(states)} if states else {}
+        for recorded in newest.values():
+            yield self._decoded(recorded.topic, recorded.payload)
+
+    @property
+    def follows_readers(self) -> bool:
+        return self.settings.lockstep or self.settings.rate == 0.0
+
+    def begin(self, now_ns: int) -> None:
+        super().begin(now_ns)
+        self._started_ns = now_ns
+        self._schedule.begin(now_ns)
+
+    def next_tick_ns(self) -> int | None:
+        if self._next is None:
+            return 0
+        return self._schedule.due_ns(self._next.stamp_ns)
+
+    def tick(self, tick: Tick) -> Iterable[Message]:
+        """Publish all messages of the next frame that follow one another in the recording."""
+        if self._next is None:
+            return
+        frame_ns = self._next.stamp_ns
+        self._schedule.stepped(frame_ns)
+        while self._next is not None and self._next.stamp_ns <= frame_ns:
+            yield self._as_played(self._next, tick.stamp_ns)
+            self._advance()
+        self._n_frames += 1
+
+    def command(self, name: str, value: Any) -> None:
+        now_ns = self.context.clock.now_ns()
+        match name:
+            case "pause":
+                self._schedule.toggle_pause(now_ns)
+            case "step":
+                self._schedule.step(now_ns)
+            case "faster" | "slower" if self.settings.rate:
+                factor = 1.1 if name == "faster" else 1 / 1.1
+                self._schedule.change_rate(self._schedule.rate * factor, now_ns)
+            case "faster" | "slower":
+                raise RefusedError(f"{name}: at rate 0 the readers set the pace")
+            case _:
+                super().command(name, value)
+
+    def status(self) -> str:
+        """A progress line: recorded seconds played, of all."""
+        now_ns = self.context.clock.now_ns()
+        at_ns = self._next.stamp_ns if self._next is not None else self._stop_ns
+        played_s = (min(at_ns, self._stop_ns) - self._start_ns) / 1e9
+        note = "paused" if self._schedule.paused else f"rate {self._schedule.rate:.3g}"
+        return str(
+            tqdm.format_meter(
+                round(max(0.0, played_s), 2),
+                round(max(0.0, (self._stop_ns - self._start_ns) / 1e9), 2),
+                max(1e-9, (now_ns - self._started_ns) / 1e9),
+                ncols=78,
+                prefix=f"{self._n_frames} frames",
+                unit="s",
+                postfix=note,
+                bar_format="{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s, {postfix}",
+            )
+        )
+
+    def report(self) -> dict[str, Any]:
+        return {"played": {"file": self.settings.file, "frames": self._n_frames}}
+
+    def close(self, counts: dict[str, Any]) -> None:
+        self._bag.close()
+
+    def _advance(self) -> None:
+        self._next = next(self._messages, None)
+        if self._next is None:
+            self.exhausted = True
+
+    def _read(self) -> Iterator[Message]:
+        """All messages to play, in order; stamps move on with each round of a loop."""
+        shift_ns = 0
+        streams = [topic for topic in self._names if not _latched(topic)]
+        while streams:
+            n_read = 0
+            for recorded in self._bag.messages(streams, self._start_ns, self._stop_ns):
+                message = self._decoded(recorded.topic, recorded.payload)
+                n_read += 1
+                yield (
+                    replace(message, stamp_ns=message.stamp_ns + shift_ns) if shift_ns else message
+                )
+            if not (self.settings.loop and n_read):
+                return
+            shift_ns += self._stop_ns - self._start_ns
+
+    def _decoded(self, topic: str, payload: bytes) -> Message:
+        try:
+            message = decode(topic.encode(), payload)
+        except MessageError as error:
+            raise SparseskinError(f"{self.settings.file}: {topic}: {error}") from error
+        patch = split_topic(self._names[topic])[0]
+        return message if patch == message.patch else replace(message, patch=patch)
+
+    def _as_played(self, message: Message, now_ns: int) -> Message:
+        """The message with the time of playing as its stamp, one and the same for a frame."""
+        if self.settings.verbatim:
+            return message
+        if message.stamp_ns not in self._stamps:
+            if len(self._stamps) >= MAX_STAMPS:
+                del self._stamps[next(iter(self._stamps))]
+            self._stamps[message.stamp_ns] = now_ns
+        stamp_ns = self._stamps[message.stamp_ns]
+        changes: dict[str, Any] = {"stamp_ns": stamp_ns}
+        if hasattr(message, "done_ns"):
+            changes["done_ns"] = stamp_ns + max(0, message.done_ns - message.stamp_ns)
+        return replace(message, **changes)
+
+
+def _latched(topic: str) -> bool:
+    return SCHEMAS[split_topic(topic)[1]].latched

@@ -1,0 +1,70 @@
+"""The file under a bag while it is written: whole records reach the disk, or none."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+
+
+class BagFile:
+    """A write-only stream that holds bytes back until `flush`.
+
+    A flush that fails cuts the file back to where it began, so that what the disk holds always
+    ends with a complete record, also on a full disk.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Create the file.
+
+        Raises
+        ------
+        OSError
+            If it cannot be created, FileExistsError if it is there.
+        """
+        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        self._pending = bytearray()
+        self._written = 0
+
+    @property
+    def n_pending(self) -> int:
+        """How many bytes the disk has not been given."""
+        return len(self._pending)
+
+    def write(self, data: bytes) -> int:
+        """Take bytes; they stay in memory until `flush`."""
+        self._pending += data
+        return len(data)
+
+    def tell(self) -> int:
+        """Position in the file, counting what is still in memory."""
+        return self._written + len(self._pending)
+
+    def flush(self) -> None:
+        """Hand everything to the operating system.
+
+        Raises
+        ------
+        OSError
+            If it does not take it; what was pending is then dropped.
+        """
+        pending, self._pending = bytes(self._pending), bytearray()
+        done = 0
+        try:
+            while done < len(pending):
+                done += os.write(self._fd, memoryview(pending)[done:])
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._fd, self._written)
+            raise
+        self._written += done
+
+    def sync(self) -> None:
+        """Wait until the disk holds what was flushed."""
+        os.fsync(self._fd)
+
+    def close(self) -> None:
+        """Close the file; what was not flushed is dropped."""
+        if self._fd >= 0:
+            fd, self._fd = self._fd, -1
+            os.close(fd)
