@@ -60,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     launch.add_argument(
         "--dry-run", action="store_true", help="check the launch file, print the graph, start none"
     )
+    launch.add_argument("--record", metavar="F.mcap", help="record all topics into a file")
     launch.add_argument("--summary", metavar="OUT.json", help="write the summary to a file")
     launch.set_defaults(run=_launch)
     add_record_parser(commands)
@@ -74,7 +75,7 @@ def _positive(text: str) -> int:
 
 
 def _launch(arguments: argparse.Namespace) -> int:
-    launch = load(arguments.name, arguments.set)
+    launch = load(arguments.name, arguments.set, arguments.record)
     if arguments.dry_run:
         print(graph_text(launch))
         return 0
@@ -94,7 +95,8 @@ def graph_text(launch: LaunchFile) -> str:
     """The graph of a launch file as text: its nodes with their settings, then its links."""
     lines = [f"{launch.name}: {launch.description}", f"transport {launch.transport}", "", "nodes"]
     for node in launch.nodes.values():
-        settings = ", ".join(f"{key} = {value!r}" for key, value in node.values.items())
+        shown = {k: v for k, v in node.values.items() if k != "launch"}
+        settings = ", ".join(f"{key} = {value!r}" for key, value in shown.items())
         lines.append(f"  {node.name:<15} {node.type_name:<15} {settings}")
     lines += ["", "links"]
     width = max((len(link.writer) + len(link.topic) for link in launch.links), default=0) + 9

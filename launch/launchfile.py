@@ -15,10 +15,12 @@ from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.graph import Link, join
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Node
+from sparseskin.nodes.recorder.node import Recorder
 from sparseskin.nodes.registry import make_settings, node_class
 
 BUNDLED = Path(__file__).parent
 TRANSPORTS = ("ipc", "tcp")
+RECORDER = "recorder"
 _GRAPH_KEYS = ("description", "transport")
 
 
@@ -92,7 +94,7 @@ def find_launch_file(name: str) -> Path:
     return BUNDLED / f"{name}.toml"
 
 
-def load(name: str, overrides: Sequence[str] = ()) -> LaunchFile:
+def load(name: str, overrides: Sequence[str] = (), record: str | None = None) -> LaunchFile:
     """Read and check a launch file.
 
     Parameters
@@ -101,6 +103,8 @@ def load(name: str, overrides: Sequence[str] = ()) -> LaunchFile:
         Name of a bundled launch file, or a path that ends in .toml.
     overrides : sequence of str
         "NODE.KEY=VALUE" each; VALUE is TOML, or else a text as it stands.
+    record : str, optional
+        File into which a recorder, added to the nodes, writes all topics.
 
     Raises
     ------
@@ -114,7 +118,7 @@ def load(name: str, overrides: Sequence[str] = ()) -> LaunchFile:
         tree = tomllib.loads(text)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise LaunchError([f"{shown}: not a TOML file: {_one_line(error)}"]) from error
-    return _Checker(shown, text, tree, path.stem).check(overrides)
+    return _Checker(shown, text, tree, path.stem).check(overrides, record)
 
 
 class _Checker:
@@ -127,8 +131,9 @@ class _Checker:
         self.name = name
         self.errors: list[str] = []
         self.overridden: dict[tuple[str, str], str] = {}
+        self.launched = text
 
-    def check(self, overrides: Sequence[str]) -> LaunchFile:
+    def check(self, overrides: Sequence[str], record: str | None) -> LaunchFile:
         for key in self.tree:
             if key not in ("graph", "nodes"):
                 self.fault((key,), f"unknown table{did_you_mean(key, ('graph', 'nodes'))}")
@@ -136,6 +141,11 @@ class _Checker:
         tables = self.node_tables()
         for override in overrides:
             self.override(override, tables)
+        changes = "".join(f"# --set {override}\n" for override in overrides)
+        self.launched = changes + self.text
+        if record is not None:
+            tables[RECORDER] = {"type": "recorder", "out": record}
+            self.overridden[RECORDER, "out"] = f"{RECORDER}.out={record}"
         nodes: dict[str, NodeSpec] = {}
         for node_name, table in tables.items():
             spec = self.node(node_name, table)
@@ -150,9 +160,8 @@ class _Checker:
         if self.errors:
             raise LaunchError(self.errors)
         description = graph.get("description", "")
-        changes = "".join(f"# --set {override}\n" for override in overrides)
         transport = graph.get("transport", "ipc")
-        return LaunchFile(self.name, description, transport, nodes, links, changes + self.text)
+        return LaunchFile(self.name, description, transport, nodes, links, self.launched)
 
     def graph_table(self) -> dict[str, Any]:
         graph = self.tree.get("graph", {})
@@ -214,6 +223,8 @@ class _Checker:
         except SparseskinError as error:
             self.fault(("nodes", name, "type"), str(error))
             return None
+        if issubclass(cls, Recorder):
+            values = {"launch": self.launched, "source": self.name} | values
         try:
             settings = make_settings(cls, values)
             settings.check()

@@ -32,7 +32,8 @@ class Program:
     def __init__(self, *arguments: str, cwd: Path, pythonpath: Path | None = None) -> None:
         self._mark = f"SPARSESKIN_TEST={uuid.uuid4().hex}"
         key, value = self._mark.split("=")
-        environment = {**os.environ, key: value}
+        # Graphs of a test are told apart from all others on the host.
+        environment = {**os.environ, key: value, "SPARSESKIN_RUNTIME_DIR": str(cwd / "graphs")}
         if pythonpath is not None:
             environment["PYTHONPATH"] = str(pythonpath)
         self._stderr = ""

@@ -9,7 +9,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from sparseskin.messages import Message, MessageError, decode
+from sparseskin.messages import Message, MessageError, Truth, decode, topic_of
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
@@ -38,6 +38,9 @@ class PlayerSettings(Settings):
     duration_s: float | None = setting(None, "seconds to play", low=0.0, high=1e9)
     paused: bool = setting(False, "wait for a command before the first frame")
     topics: tuple[str, ...] = setting((), "topics to play; all by default")
+    schemas: tuple[str, ...] = setting(
+        (), "schemas to play (skin, taxels, truth ...), in place of whole topics"
+    )
     remap: tuple[str, ...] = setting((), "FROM:=TO each: /PATCH:=/PATCH or whole topics")
     lockstep: bool = setting(False, "send no frame before all readers are done with the last")
     verbatim: bool = setting(
@@ -50,6 +53,11 @@ class PlayerSettings(Settings):
         for pair in self.remap:
             if pair.count(":=") != 1:
                 raise SettingsError(f"remap: '{pair}': expected FROM:=TO")
+        for schema in self.schemas:
+            if schema not in SCHEMAS:
+                raise SettingsError(f"schemas: {schema}: no schema{did_you_mean(schema, SCHEMAS)}")
+        if self.schemas and self.topics:
+            raise SettingsError("schemas: goes not with topics")
         if self.verbatim and (self.loop or self.remap):
             raise SettingsError("verbatim: goes neither with loop nor with remap")
 
@@ -78,7 +86,7 @@ def renamed_topics(settings: PlayerSettings) -> dict[str, str]:
     for topic in settings.topics:
         if topic not in present:
             raise SettingsError(f"topics: {topic}: not in the file{did_you_mean(topic, present)}")
-    chosen = list(settings.topics or present)
+    chosen = list(settings.topics or _of_schemas(present, settings) or present)
     names = {topic: topic for topic in chosen}
     for pair in settings.remap:
         old, new = (side.strip().rstrip("/") for side in pair.split(":="))
@@ -90,6 +98,16 @@ def renamed_topics(settings: PlayerSettings) -> dict[str, str]:
     if len(set(names.values())) < len(names):
         raise SettingsError("remap: two topics would have one name")
     return names
+
+
+def _of_schemas(present: Iterable[str], settings: PlayerSettings) -> list[str]:
+    """Topics of the chosen schemas; the truth may be missing, it is not known of every skin."""
+    patches = dict.fromkeys(split_topic(topic)[0] for topic in present)
+    chosen = [topic_of(patch, schema) for patch in patches for schema in settings.schemas]
+    for topic in chosen:
+        if topic not in present and split_topic(topic)[1] != Truth.schema:
+            raise SettingsError(f"schemas: {topic}: not in {settings.file}")
+    return chosen
 
 
 def _renamed(topic: str, new: str) -> str:
@@ -113,8 +131,9 @@ class Player(SourceNode[PlayerSettings]):
 
     def __init__(self, settings: PlayerSettings, context: Context) -> None:
         super().__init__(settings, context)
-        self._names = renamed_topics(settings)
         self._bag = BagReader(settings.file)
+        names = renamed_topics(settings)
+        self._names = {topic: new for topic, new in names.items() if topic in self._bag.topics}
         if self._bag.recovered:
             print(f"{settings.file}: {self._bag.recovered}")
         self.verbatim = settings.verbatim

@@ -21,6 +21,8 @@ from sparseskin.nodes.settings import Settings, setting
 from .bag import FILE_SUFFIX, BagError
 from .bag_writer import BagWriter
 
+FLUSH_EVERY_S = 0.1
+"""Half of what may be lost when the recorder is killed: the other half is for a busy machine."""
 PATIENCE_MESSAGES = 64
 """How many messages wait for all states to be known before the file is begun without."""
 
@@ -66,13 +68,14 @@ class Recorder(Node[RecorderSettings]):
         self._waiting: list[tuple[int, Message]] = []
         self._states: dict[str, Message] = {}
         self._error = ""
+        self._closed = False
 
     @classmethod
     def inputs(cls, settings: RecorderSettings) -> tuple[str, ...]:
         return settings.topics
 
     def step(self, message: Message) -> Iterable[Message]:
-        if self._error:
+        if self._error or self._closed:
             return ()
         now_ns = self.context.clock.now_ns()
         if message.latched:
@@ -87,10 +90,11 @@ class Recorder(Node[RecorderSettings]):
         return ()
 
     def idle(self) -> None:
-        if self._writer is not None and not self._error:
+        if self._writer is not None and not self._error and not self._closed:
             self._guard(self._writer.tick)
 
     def close(self, counts: dict[str, Any]) -> None:
+        self._closed = True
         if self._error:
             if self._writer is not None:
                 self._writer.close()
@@ -119,7 +123,9 @@ class Recorder(Node[RecorderSettings]):
 
     def _begin(self) -> None:
         def begin() -> None:
-            self._writer = BagWriter(Path(self.settings.out), self._metadata())
+            self._writer = BagWriter(
+                Path(self.settings.out), self._metadata(), flush_every_s=FLUSH_EVERY_S
+            )
 
         self._guard(begin)
         waiting, self._waiting = self._waiting, []
