@@ -2,7 +2,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo scenes test check clean
+.PHONY: demo scenes replay-timing test check clean
 .DELETE_ON_ERROR:
 
 # The main job: a wrench dragged over 64 x 64 taxels, streamed through four processes.
@@ -12,6 +12,10 @@ demo: .venv/installed
 # All six scenes at 200 Hz, beside the paper's table III (4 minutes).
 scenes: .venv/installed
 	$(BIN)/python -m sparseskin.studies.scenes
+
+# How well a replay keeps time, as a table (6 minutes).
+replay-timing: .venv/installed
+	$(BIN)/python -m sparseskin.studies.replay_timing
 
 test: .venv/installed-dev
 	$(ONE_THREAD) $(BIN)/python -m pytest -q

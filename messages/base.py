@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self, cast
@@ -39,6 +38,8 @@ class Message:
     version: ClassVar[int]
     latched: ClassVar[bool] = False
     """Whether who subscribes late is still sent the last one."""
+    times: ClassVar[tuple[str, ...]] = ("stamp_ns",)
+    """Fields that are times on the graph's clock."""
 
     stamp_ns: int = wire(Integer())
     patch: str = wire(Text(MAX_NAME, NAME_PATTERN))
@@ -56,9 +57,19 @@ class Message:
 
     def published(self, run_id: str, seq: int) -> Self:
         """The same message as publisher run `run_id` sends it with number `seq`."""
-        twin = copy.copy(self)
-        object.__setattr__(twin, "run_id", run_id)
-        object.__setattr__(twin, "seq", seq)
+        return self._twin(run_id=run_id, seq=seq)
+
+    def moved(self, by_ns: int) -> Self:
+        """The same message `by_ns` nanoseconds later: its stamp, and any other time on the
+        graph's clock that it holds.
+        """
+        times = {name: getattr(self, name) + by_ns for name in self.times}
+        return self._twin(**times)
+
+    def _twin(self, **changes: Any) -> Self:
+        """A copy with changes that are known to be sound, so that arrays are not checked again."""
+        twin = object.__new__(type(self))
+        twin.__dict__.update(self.__dict__, **changes)
         return twin
 
     def __eq__(self, other: object) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import re
 from dataclasses import dataclass
@@ -94,9 +95,12 @@ class Text(FieldKind):
             raise FieldError(f"{name}: expected a text, got {type(value).__name__}")
         if len(value) > self.longest:
             raise OversizedError(f"{name}: {len(value)} characters, at most {self.longest}")
-        if re.fullmatch(self.pattern, value) is None:
+        if _compiled(self.pattern).fullmatch(value) is None:
             raise FieldError(f"{name}: {value!r} does not match {self.pattern}")
         return value
+
+
+_compiled = functools.cache(re.compile)
 
 
 @dataclass(frozen=True)

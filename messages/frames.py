@@ -75,6 +75,7 @@ class Reconstruction(Message):
 
     schema: ClassVar[str] = "reconstruction"
     version: ClassVar[int] = 1
+    times: ClassVar[tuple[str, ...]] = ("stamp_ns", "done_ns")
 
     forces: Floats = wire(Array("<f4", 2))
     phi: str = wire(Text(16, FINGERPRINT_PATTERN))

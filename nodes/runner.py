@@ -94,7 +94,9 @@ class Runner:
             self.writer.serve_subscriptions()
             self._take_in()
             self._answer()
-            if self._tick_due():
+            for _ in range(BATCH):
+                if not self._tick_due():
+                    break
                 self._tick()
             self.host.idle()
             self._tell()

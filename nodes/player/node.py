@@ -269,11 +269,7 @@ class Player(SourceNode[PlayerSettings]):
             if len(self._stamps) >= MAX_STAMPS:
                 del self._stamps[next(iter(self._stamps))]
             self._stamps[message.stamp_ns] = now_ns
-        stamp_ns = self._stamps[message.stamp_ns]
-        changes: dict[str, Any] = {"stamp_ns": stamp_ns}
-        if hasattr(message, "done_ns"):
-            changes["done_ns"] = stamp_ns + max(0, message.done_ns - message.stamp_ns)
-        return replace(message, **changes)
+        return message.moved(self._stamps[message.stamp_ns] - message.stamp_ns)
 
 
 def _latched(topic: str) -> bool:

@@ -65,6 +65,19 @@ def test_not_one_of_the_first_thousand_frames_is_lost(start: StartProgram, tmp_p
     assert program.survivors() == {}
 
 
+def test_as_fast_as_it_is_read_nothing_is_lost_beyond_any_queue(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    # Three times what the queues hold: only a sensor that waits for its readers loses nothing.
+    code, _, stderr = start(
+        *("launch", "path_40", "--frames", "6000", "--summary", "out.json"),
+        *("--set", "sensor.rate_hz=0", "--set", "reconstructor.iterations=10"),
+    ).finish()
+    assert code == 0, stderr
+    frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
+    assert frames == {"sensed": 6000, "reconstructed": 6000, "lost": 0, "unpaired": 0}
+
+
 def test_the_summary_holds_what_it_promises(start: StartProgram, tmp_path: Path) -> None:
     code, _, stderr = start(
         "launch", "drag_wrench_40", "--frames", "20", "--summary", "out.json"
