@@ -11,18 +11,19 @@ NONE = "-"
 
 
 def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
-    """One line of at most about 110 characters on how a patch is doing just now."""
-    parts = [f"{patch}: {metrics.reconstructed} frames, {rate_hz:.0f} Hz"]
+    """One line, meant for 80 columns, on how a patch is doing just now: PSNR of the taxels and
+    of the reconstruction over the last 100 frames, latency p50 and p99 since the start.
+    """
+    parts = [
+        f"{patch}: {metrics.reconstructed} frames, {rate_hz:.0f} Hz, lost {metrics.lost_so_far}"
+    ]
     if metrics.noisy.recent:
-        parts.append(
-            f"PSNR noisy {_recent(metrics.noisy)}, restored {_recent(metrics.restored)} dB"
-        )
+        parts.append(f"PSNR {_recent(metrics.noisy)} -> {_recent(metrics.restored)} dB")
     elif metrics.restored.recent:
         parts.append(f"PSNR to taxels {_recent(metrics.restored)} dB")
     latency = metrics.latency.summary()
     if latency:
-        parts.append(f"latency {latency['p50']:.2f} ms (p99 {latency['p99']:.2f})")
-    parts.append(f"lost {metrics.lost_so_far}")
+        parts.append(f"latency {latency['p50']:.1f}/{latency['p99']:.1f} ms")
     return " | ".join(parts)
 
 

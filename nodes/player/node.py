@@ -222,7 +222,7 @@ class Player(SourceNode[PlayerSettings]):
                 prefix=f"{self._n_frames} frames",
                 unit="s",
                 postfix=note,
-                bar_format="{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s, {postfix}",
+                bar_format="{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s{postfix}",
             )
         )
 

@@ -65,7 +65,7 @@ def test_which_of_several_graphs_has_to_be_said() -> None:
     with pytest.raises(GraphError, match="no graph runs"):
         choose_graph(None)
     with announced(graph()), announced(graph(pid=8)), announced(graph("lift", 9)):
-        with pytest.raises(GraphError, match="several graphs run.*path_40-7, path_40-8"):
+        with pytest.raises(GraphError, match=r"several graphs run.*path_40-7, path_40-8"):
             choose_graph("path_40")
         assert choose_graph("lift").pid == 9
         assert choose_graph("path_40-8").pid == 8
