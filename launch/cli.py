@@ -13,6 +13,7 @@ from typing import Any
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.monitor.table import summary_table
 
+from .bag_commands import add_bag_parser
 from .launcher import Launcher
 from .launchfile import LaunchError, LaunchFile, bundled_names, load
 from .recording_commands import add_play_parser, add_record_parser
@@ -65,6 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     launch.set_defaults(run=_launch)
     add_record_parser(commands)
     add_play_parser(commands)
+    add_bag_parser(commands)
     return parser
 
 

@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from sparseskin.nodes.lookup import did_you_mean
 
 from .bag import COUNTS_RECORD, GRAPH_RECORD, JSON_KEY, BagError, BagMessage, TopicInfo
-from .bag_index import BagIndex, ChunkSpan
+from .bag_index import BagChannel, BagIndex, ChunkSpan
 from .bag_records import (
     MAGIC,
     MESSAGE_HEAD_BYTES,
@@ -98,11 +98,26 @@ class BagReader:
         BagError
             At once if the bag has no such topic; later if the file is changed while it is read.
         """
+        return (message for _, message in self.records(topics, start_ns, stop_ns))
+
+    def records(
+        self,
+        topics: Iterable[str] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[tuple[BagChannel, BagMessage]]:
+        """As `messages`, each with its channel: a topic's last message has a schema of its own.
+
+        Raises
+        ------
+        BagError
+            As `messages`.
+        """
         wanted = frozenset(self.topics) if topics is None else frozenset(topics)
         for topic in sorted(wanted - self.topics.keys()):
             hint = did_you_mean(topic, self.topics)
             raise BagError(f"{self.path}: holds no topic {topic[:80]!r}{hint}")
-        return self._messages(wanted, start_ns, stop_ns)
+        return self._records(wanted, start_ns, stop_ns)
 
     def close(self) -> None:
         """Let go of the file."""
@@ -119,13 +134,11 @@ class BagReader:
     ) -> None:
         self.close()
 
-    def _messages(
+    def _records(
         self, wanted: frozenset[str], start_ns: int | None, stop_ns: int | None
-    ) -> Iterator[BagMessage]:
-        topic_of = {
-            id: channel.topic
-            for id, channel in self._index.channels.items()
-            if channel.topic in wanted
+    ) -> Iterator[tuple[BagChannel, BagMessage]]:
+        channels = {
+            id: channel for id, channel in self._index.channels.items() if channel.topic in wanted
         }
         for chunk in self._index.chunks_with(wanted, start_ns, stop_ns):
             plain = self._chunk(chunk)
@@ -133,14 +146,15 @@ class BagReader:
                 if opcode != Opcode.MESSAGE:
                     continue
                 id, log_ns, stamp_ns = message_times(plain, start, stop, chunk.record.offset)
-                topic = topic_of.get(id)
-                if topic is None:
+                channel = channels.get(id)
+                if channel is None:
                     continue
                 if start_ns is not None and stamp_ns < start_ns:
                     continue
                 if stop_ns is not None and stamp_ns >= stop_ns:
                     continue
-                yield BagMessage(topic, log_ns, stamp_ns, plain[start + MESSAGE_HEAD_BYTES : stop])
+                payload = plain[start + MESSAGE_HEAD_BYTES : stop]
+                yield channel, BagMessage(channel.topic, log_ns, stamp_ns, payload)
 
     def _chunk(self, chunk: ChunkSpan) -> bytes:
         """A chunk, checked once more: time has passed since the file was opened."""

@@ -64,7 +64,8 @@ def scan(file: BinaryIO, name: str, damage: str) -> tuple[BagIndex, str]:
         if not damage:
             return index, ""
         where = f"the end: {damage}"
-    return index, f"{index.n_scanned} messages recovered, up to {where}"
+    some = "1 message" if index.n_scanned == 1 else f"{index.n_scanned} messages"
+    return index, f"{some} recovered, up to {where}"
 
 
 class _Scanner:

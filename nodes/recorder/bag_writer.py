@@ -214,6 +214,13 @@ class BagWriter:
         if not self._failure:
             self._rename()
 
+    def discard(self) -> None:
+        """Let go of a bag that is not complete, and remove it."""
+        if not self._closed:
+            self._closed = True
+            self._file.close()
+        self.part.unlink(missing_ok=True)
+
     def __enter__(self) -> Self:
         return self
 

@@ -1,0 +1,78 @@
+"""JSON Schema of a message's msgpack map: what a recording says of itself to other programs."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from .base import Message, wire_fields
+from .fields import MAX_ELEMENTS, MAX_SIDE, Array, FieldKind, Flag, Integer, Real, Text
+
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def json_schema(cls: type[Message], version: int | None = None) -> dict[str, Any]:
+    """Describe the msgpack map of a message class as a JSON Schema (draft 2020-12).
+
+    JSON has no binary type: a msgpack bin field has no "type" there, and is described in words.
+
+    Parameters
+    ----------
+    cls : type
+        The message class.
+    version : int, optional
+        Version of the schema, by default the class's.
+    """
+    properties: dict[str, Any] = {
+        "schema": {"const": cls.schema},
+        "version": {"const": cls.version if version is None else version},
+    }
+    for name, kind in wire_fields(cls).items():
+        properties[name] = _property(kind)
+    return {
+        "$schema": _DIALECT,
+        "title": f"sparseskin/{cls.schema}",
+        "description": " ".join((cls.__doc__ or "").partition("\n\n")[0].split()),
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+def _property(kind: FieldKind) -> dict[str, Any]:
+    if isinstance(kind, Integer):
+        return {"type": "integer", "minimum": kind.low, "maximum": kind.high}
+    if isinstance(kind, Real):
+        number: dict[str, Any] = {"type": ["number", "null"] if kind.optional else "number"}
+        if math.isfinite(kind.low):
+            number["minimum"] = kind.low
+        if math.isfinite(kind.high):
+            number["maximum"] = kind.high
+        return number
+    if isinstance(kind, Flag):
+        return {"type": "boolean"}
+    if isinstance(kind, Text):
+        return {"type": "string", "maxLength": kind.longest, "pattern": f"^(?:{kind.pattern})$"}
+    if isinstance(kind, Array):
+        return _array(kind)
+    raise TypeError(f"no JSON Schema for a field of kind {type(kind).__name__}")
+
+
+def _array(kind: Array) -> dict[str, Any]:
+    side = {"type": "integer", "minimum": 1, "maximum": MAX_SIDE if kind.ndim > 1 else MAX_ELEMENTS}
+    fields = {
+        "dtype": {"const": kind.dtype},
+        "shape": {"type": "array", "items": side, "minItems": kind.ndim, "maxItems": kind.ndim},
+        "order": {"const": "C"},
+        "data": {
+            "description": "msgpack bin: the elements in C order, "
+            f"each as numpy's dtype {kind.dtype} in that byte order, nothing between them"
+        },
+    }
+    return {
+        "type": ["object", "null"] if kind.optional else "object",
+        "properties": fields,
+        "required": list(fields),
+        "additionalProperties": False,
+    }
