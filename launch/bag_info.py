@@ -12,6 +12,8 @@ from sparseskin.nodes.recorder.bag_reader import BagReader
 WIDTH = 80
 _MAX_TOPIC = 40
 _FLAT_JSON = ("phi", "versions")
+_NOT_SHOWN = ("lost", "received", "published")
+"""Counts that the table of topics shows already."""
 
 
 def info_json(bag: BagReader) -> str:
@@ -52,13 +54,14 @@ def info_table(bag: BagReader) -> str:
     lines += _entry("state", bag.recovered or "whole")
     lines += ["", *_topic_lines(bag)]
     for name, counted in (bag.counts or {}).items():
-        if name != "lost":
-            lines += _entry(name, _flat(counted))
+        if name not in _NOT_SHOWN and (text := _flat(_without_zeros(counted))) != "none":
+            lines += _entry(name, text)
     if bag.counts is None:
         lines.append("lost messages are not known: the recorder did not get to say")
     lines.append("")
     for key, value in bag.metadata.items():
-        lines += _entry(key, _shown(key, value))
+        if value:
+            lines += _entry(key, _shown(key, value))
     return "\n".join(lines).rstrip()
 
 
@@ -107,6 +110,13 @@ def _shown(key: str, value: str) -> str:
             return value
     n_lines = len(value.splitlines())
     return f"{n_lines} lines (--json shows them)" if n_lines > 1 else value
+
+
+def _without_zeros(value: Any) -> Any:
+    if isinstance(value, dict):
+        left = {key: _without_zeros(inner) for key, inner in value.items()}
+        return {key: inner for key, inner in left.items() if inner not in (0, {}, None)}
+    return value
 
 
 def _flat(value: Any) -> str:

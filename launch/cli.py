@@ -17,6 +17,8 @@ from .bag_commands import add_bag_parser
 from .launcher import Launcher
 from .launchfile import LaunchError, LaunchFile, bundled_names, load
 from .recording_commands import add_play_parser, add_record_parser
+from .reprocess import add_reprocess_parser
+from .scenes_command import add_scenes_parser
 from .terminal import Terminal
 
 EXIT_USAGE = 2
@@ -67,6 +69,8 @@ def _parser() -> argparse.ArgumentParser:
     add_record_parser(commands)
     add_play_parser(commands)
     add_bag_parser(commands)
+    add_reprocess_parser(commands)
+    add_scenes_parser(commands)
     return parser
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 from collections.abc import Sequence
@@ -119,6 +120,26 @@ def load(name: str, overrides: Sequence[str] = (), record: str | None = None) ->
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise LaunchError([f"{shown}: not a TOML file: {_one_line(error)}"]) from error
     return _Checker(shown, text, tree, path.stem).check(overrides, record)
+
+
+def load_tables(
+    name: str, tables: dict[str, dict[str, Any]], overrides: Sequence[str] = ()
+) -> LaunchFile:
+    """Check a launch file that a program made: its tables [nodes.NAME].
+
+    Raises
+    ------
+    SparseskinError
+        The first error that was found.
+    """
+    text = "".join(
+        f"[nodes.{node}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in t.items())
+        for node, t in tables.items()
+    )
+    try:
+        return _Checker(name, text, {"nodes": tables}, name).check(overrides, None)
+    except LaunchError as error:
+        raise SparseskinError(error.lines[0]) from error
 
 
 class _Checker:

@@ -7,7 +7,6 @@ import fnmatch
 import os
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from sparseskin.nodes.errors import SettingsError
@@ -17,6 +16,7 @@ from sparseskin.nodes.lookup import did_you_mean
 from .launcher import Launcher
 from .launchfile import single_node
 from .running import choose_graph
+from .scenes_command import SCENARIOS, resolve_recording
 from .terminal import Terminal
 
 PLAY_KEYS = {
@@ -75,7 +75,7 @@ def add_play_parser(commands: Any) -> None:
         description="Publish what was recorded, as it was recorded. Keys: space pauses, right "
         "plays one frame, up and down change the rate, q ends.",
     )
-    parser.add_argument("file", metavar="F.mcap")
+    parser.add_argument("file", metavar="F.mcap|NAME", help=f"recording; or {', '.join(SCENARIOS)}")
     parser.add_argument(
         "--rate",
         type=float,
@@ -105,8 +105,9 @@ def add_play_parser(commands: Any) -> None:
 
 def play(arguments: argparse.Namespace) -> int:
     """Run a player as a graph of its own, which others may join."""
+    path = resolve_recording(arguments.file)
     values: dict[str, Any] = {
-        "file": str(Path(arguments.file)),
+        "file": str(path),
         "rate": arguments.rate,
         "loop": arguments.loop,
         "start_s": arguments.start,
@@ -119,6 +120,6 @@ def play(arguments: argparse.Namespace) -> int:
     }
     if arguments.duration is not None:
         values["duration_s"] = arguments.duration
-    launch = replace(single_node("player", "player", values), name=Path(arguments.file).stem)
+    launch = replace(single_node("player", "player", values), name=path.stem)
     keys = STEP_KEYS if arguments.step else PLAY_KEYS
     return Launcher(launch, Terminal(), keys=keys).run()

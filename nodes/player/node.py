@@ -46,6 +46,9 @@ class PlayerSettings(Settings):
     verbatim: bool = setting(
         False, "keep stamps, run ids and numbers as recorded, in place of new ones"
     )
+    keep_stamps: bool = setting(
+        False, "keep stamps as recorded, and give new run ids and numbers: for offline runs"
+    )
     wait: int = setting(0, "readers to wait for before the first frame", low=0, high=1000)
 
     def __post_init__(self) -> None:
@@ -58,6 +61,8 @@ class PlayerSettings(Settings):
                 raise SettingsError(f"schemas: {schema}: no schema{did_you_mean(schema, SCHEMAS)}")
         if self.schemas and self.topics:
             raise SettingsError("schemas: goes not with topics")
+        if self.keep_stamps and self.loop:
+            raise SettingsError("keep_stamps: goes not with loop")
         if self.verbatim and (self.loop or self.remap):
             raise SettingsError("verbatim: goes neither with loop nor with remap")
 
@@ -263,7 +268,7 @@ class Player(SourceNode[PlayerSettings]):
 
     def _as_played(self, message: Message, now_ns: int) -> Message:
         """The message with the time of playing as its stamp, one and the same for a frame."""
-        if self.settings.verbatim:
+        if self.settings.verbatim or self.settings.keep_stamps:
             return message
         if message.stamp_ns not in self._stamps:
             if len(self._stamps) >= MAX_STAMPS:

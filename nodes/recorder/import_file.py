@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from pathlib import Path
 
 from sparseskin.messages import Message, MessageError, SkinState, Taxels, encode
@@ -13,7 +12,7 @@ from sparseskin.nodes.sensor.recorded import open_file
 from .bag import BagError
 from .bag_frames import progress
 from .bag_writer import BagWriter
-from .versions import versions_json
+from .node import metadata_of
 
 _RUN_ID_BYTES = 8
 
@@ -80,21 +79,14 @@ def import_file(
         )
     except MessageError as error:
         raise BagError(f"{str(source)!r}: {error}") from error
-    metadata = {
-        "scene": frames.name,
-        "seed": "0",
-        "launch": "",
-        "phi": json.dumps(None),
-        "versions": versions_json(),
-        "imported_from": source.name,
-    }
+    metadata = metadata_of([state], launch="", graph="") | {"imported_from": source.name}
     writer = BagWriter(out, metadata)
     try:
         _write(writer, state.published(run_id, 0))
         for seq, (stamp_ns, forces) in enumerate(progress(frames, frames.n_frames or 0, "import")):
             taxels = Taxels(stamp_ns=stamp_ns, patch=patch, forces=forces)
             _write(writer, taxels.published(run_id, seq))
-        writer.close()
+        writer.close({"lost": {}})
     except BaseException:
         # The recording itself is still there, so half of it as a bag is of no use.
         writer.discard()

@@ -1,0 +1,202 @@
+"""The command `sparseskin reprocess`: recordings through other settings, offline."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from sparseskin.messages import Measurements, PhiState, SkinState, Taxels, Truth
+from sparseskin.messages.topics import split_topic
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.monitor.table import summary_table
+from sparseskin.nodes.recorder.bag import FILE_SUFFIX
+from sparseskin.nodes.recorder.bag_reader import BagReader
+
+from .executors import make_executor
+from .launchfile import LaunchFile, load_tables
+from .whole_file import whole_file
+
+START_POINTS = ("auto", "taxels", "measurements")
+STATIONS = ("compressor", "reconstructor")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording to reprocess."""
+
+    source: str
+    out: str
+    overrides: tuple[str, ...]
+    start_from: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a job: the monitor's summary by patch, or the line that says why not."""
+
+    job: Job
+    patches: dict[str, Any]
+    error: str = ""
+
+
+def add_reprocess_parser(commands: Any) -> None:
+    """Add `reprocess` to the commands."""
+    parser = commands.add_parser(
+        "reprocess",
+        help="put recordings through other settings, offline",
+        description="Compress and restore recorded frames anew, faster than they were recorded; "
+        "the result is a recording with the same stamps.",
+    )
+    parser.add_argument("files", metavar="F.mcap", nargs="+", help="recordings")
+    parser.add_argument(
+        "--set",
+        metavar="NODE.KEY=VALUE",
+        action="append",
+        default=[],
+        help="change a setting of the compressor or the reconstructor (may be repeated)",
+    )
+    parser.add_argument(
+        "--out", metavar="G.mcap", required=True, help="file to write; a folder for several"
+    )
+    parser.add_argument(
+        "--from",
+        dest="start_from",
+        choices=START_POINTS,
+        default="auto",
+        help="recorded stream to start from; auto: measurements, unless the compressor is changed",
+    )
+    parser.add_argument("--executor", metavar="WHERE", help="process:N, thread:N or module:factory")
+    parser.add_argument("--summary", metavar="OUT.json", help="write the summaries to a file")
+    parser.set_defaults(run=reprocess)
+
+
+def reprocess(arguments: argparse.Namespace) -> int:
+    """Reprocess all recordings; those that fail are named, and do not stop the others."""
+    jobs = _jobs(arguments)
+    outcomes = _run(jobs, arguments.executor)
+    for outcome in outcomes:
+        if outcome.error:
+            print(f"{outcome.job.source}: {outcome.error}", file=sys.stderr)
+        else:
+            print(f"{outcome.job.out}:")
+            print(summary_table(outcome.patches))
+    if arguments.summary is not None:
+        found = {o.job.out: {"patches": o.patches} for o in outcomes if not o.error}
+        try:
+            Path(arguments.summary).write_text(json.dumps(found, indent=2) + "\n")
+        except OSError as error:
+            raise SettingsError(f"--summary {arguments.summary}: {error.strerror}") from error
+    return 2 if any(outcome.error for outcome in outcomes) else 0
+
+
+def run_job(job: Job, progress: bool = False) -> Outcome:
+    """Reprocess one recording; a task that any executor can run."""
+    try:
+        return Outcome(job, _reprocess(job, progress))
+    except SparseskinError as error:
+        return Outcome(job, {}, str(error))
+
+
+def _jobs(arguments: argparse.Namespace) -> list[Job]:
+    for text in arguments.set:
+        node = text.partition(".")[0]
+        if node not in STATIONS:
+            hint = did_you_mean(node, STATIONS)
+            raise SettingsError(f"--set {text}: unknown node '{node}'{hint}")
+    out = Path(arguments.out)
+    several = len(arguments.files) > 1
+    if several and not out.is_dir():
+        raise SettingsError(f"--out {out}: expected a folder, for several recordings")
+    names = [Path(file).name for file in arguments.files]
+    if len(set(names)) < len(names):
+        raise SettingsError("two recordings have the same name")
+    return [
+        Job(
+            file,
+            str(out / name if several or out.is_dir() else out),
+            tuple(arguments.set),
+            arguments.start_from,
+        )
+        for file, name in zip(arguments.files, names, strict=True)
+    ]
+
+
+def _run(jobs: Sequence[Job], executor: str | None) -> list[Outcome]:
+    quiet = not sys.stderr.isatty()
+    if executor is None:
+        return [run_job(job, progress=not quiet) for job in jobs]
+    with make_executor(executor) as pool:
+        futures = {pool.submit(run_job, job): k for k, job in enumerate(jobs)}
+        done = tqdm(as_completed(futures), total=len(jobs), disable=quiet, unit="recording")
+        outcomes = {futures[future]: future.result() for future in done}
+    return [outcomes[k] for k in range(len(jobs))]
+
+
+def _reprocess(job: Job, progress: bool) -> dict[str, Any]:
+    """The result appears under its name when it is complete, or not at all."""
+    if Path(job.out).suffix != FILE_SUFFIX:
+        raise SettingsError(f"--out {job.out}: expected a name that ends in {FILE_SUFFIX}")
+    with whole_file(Path(job.out)) as draft:
+        return _stream(job, _graph(job, draft), progress)
+
+
+def _stream(job: Job, launch: LaunchFile, progress: bool) -> dict[str, Any]:
+    clock = ManualClock()
+    lines: list[str] = []
+    bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, clock, lines.append)
+    with BagReader(job.source) as bag:
+        total = max((info.n_messages for info in bag.topics.values()), default=0)
+    bar = tqdm(total=total, disable=not progress, unit="frame", desc=Path(job.source).name)
+    with bar:
+        for messages in bus.frames():
+            # Offline a frame is done when it was acquired: no latency is made up.
+            newest_ns = max((message.stamp_ns for message in messages), default=0)
+            clock.advance(max(0, newest_ns - clock.now_ns()))
+            bar.update()
+    bus.close()
+    for host in bus.hosts.values():
+        if host.failure or host.counts.refused:
+            raise SparseskinError(host.failure or lines[0])
+    patches: dict[str, Any] = bus.reports()["monitor"]["patches"]
+    return {name: patch | {"latency_ms": None} for name, patch in patches.items()}
+
+
+def _graph(job: Job, out: Path) -> LaunchFile:
+    """The graph that reprocesses a recording: a launch file that is never written."""
+    with BagReader(job.source) as bag:
+        topics = [split_topic(topic) for topic in bag.topics]
+    patches = sorted({patch for patch, _ in topics})
+    if len(patches) != 1:
+        raise SparseskinError(f"holds {len(patches)} patches; reprocess takes recordings of one")
+    present = {schema for _, schema in topics}
+    changes_edge = any(text.startswith("compressor.") for text in job.overrides)
+    start_from = job.start_from
+    if start_from == "auto":
+        start_from = "measurements" if "measurements" in present and not changes_edge else "taxels"
+    if start_from == "measurements" and changes_edge:
+        raise SettingsError("--from measurements: the compressor cannot be changed then")
+    schemas = [SkinState.schema, Taxels.schema, Truth.schema]
+    tables: dict[str, dict[str, Any]] = {}
+    if start_from == "measurements":
+        schemas += [PhiState.schema, Measurements.schema]
+    else:
+        tables["compressor"] = {"type": "compressor", "patch": patches[0]}
+    tables = {
+        "player": {"type": "player", "file": job.source, "schemas": schemas, "keep_stamps": True},
+        **tables,
+        "reconstructor": {"type": "reconstructor", "patch": patches[0]},
+        "monitor": {"type": "monitor", "patches": patches},
+        "recorder": {"type": "recorder", "out": str(out)},
+    }
+    return load_tables(f"reprocess {Path(job.source).name}", tables, job.overrides)

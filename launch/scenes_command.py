@@ -1,0 +1,228 @@
+"""The command `sparseskin scenes`, and short recordings that are made when they are first used."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sparseskin.messages import Message, Reconstruction
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.node import Tick
+from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.recorder.bag import FILE_SUFFIX
+from sparseskin.nodes.recorder.node import Recorder
+from sparseskin.nodes.sensor.node import DEFAULT_RATE_HZ, Sensor
+from sparseskin.nodes.sensor.scenes import SCENES
+
+from .whole_file import OutputError, whole_file
+
+PERIOD_NS = round(1e9 / DEFAULT_RATE_HZ)
+
+
+class ScenarioError(SparseskinError):
+    """There is no scenario or recording of that name, or it cannot be made."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A part of a scene, recorded with all its topics.
+
+    Attributes
+    ----------
+    scene : str
+        Name of the scene.
+    first, n_frames : int
+        First step of the scene, and how many follow one another.
+    about : str
+        What is seen.
+    """
+
+    scene: str
+    first: int
+    n_frames: int
+    about: str
+
+
+SCENARIOS = {
+    "press_box": Scenario("lift_box_40", 310, 200, "a wooden cube touches down and presses"),
+    "drag_wrench": Scenario("drag_wrench_40", 2600, 200, "a wrench is dragged over the skin"),
+    "tap_peg": Scenario("path_40", 310, 250, "a metal peg is dropped and taps the skin"),
+    "big_wrench": Scenario("drag_wrench_64", 2500, 100, "a wrench is dragged over 64 x 64 taxels"),
+}
+
+
+def add_scenes_parser(commands: Any) -> None:
+    """Add `scenes` and its commands to the commands."""
+    scenes = commands.add_parser(
+        "scenes",
+        help="list the scenes, make short recordings of them",
+        description="The scenes that can be launched, and short recordings that can be played.",
+    )
+    kinds = scenes.add_subparsers(required=True, metavar="COMMAND")
+    listing = kinds.add_parser("list", help="list scenes and recordings, one line each")
+    listing.set_defaults(run=_list)
+    make = kinds.add_parser(
+        "make",
+        help="make short recordings of scenes",
+        description=f"Make short recordings of scenes: {', '.join(SCENARIOS)}.",
+    )
+    make.add_argument("names", metavar="NAME", nargs="*", help="which; all by default")
+    make.add_argument(
+        "--out", metavar="DIR", type=Path, help=f"folder to write to (default: {_shown_folder()})"
+    )
+    make.set_defaults(run=_make)
+
+
+def data_folder() -> Path:
+    """Where recordings that come with the package are kept, once they are made: in
+    $XDG_DATA_HOME, ~/.local/share where that is not an absolute path.
+    """
+    stated = Path(os.environ.get("XDG_DATA_HOME", ""))
+    try:
+        home = stated if stated.is_absolute() else Path.home() / ".local" / "share"
+    except RuntimeError as error:
+        raise ScenarioError("no home directory is known; set XDG_DATA_HOME") from error
+    return home / "sparseskin"
+
+
+def resolve_recording(name_or_path: str) -> Path:
+    """The recording that a person means: a file, or a scenario, made if it is not there yet.
+
+    Raises
+    ------
+    SparseskinError
+        If it is neither a path that exists or has a suffix nor a scenario, or the scenario
+        cannot be written.
+    """
+    path = Path(name_or_path)
+    if name_or_path in SCENARIOS and not path.is_file():
+        path = data_folder() / f"{name_or_path}{FILE_SUFFIX}"
+        if not path.exists():
+            print(f"{name_or_path}: made on first use, in {path.parent}", file=sys.stderr)
+            make_scenario(name_or_path, path.parent)
+        return path
+    if path.suffix or (name_or_path and path.exists()):
+        return path
+    raise _unknown(name_or_path)
+
+
+def make_scenario(name: str, folder: Path) -> Path:
+    """Record a scenario into FOLDER/NAME.mcap, whole or not at all; one that is there is kept.
+
+    The same bytes in every message each time: the clock is moved by hand, and solver times, which
+    no two runs share, are left at 0.
+
+    Returns
+    -------
+    Path
+        The recording.
+
+    Raises
+    ------
+    SparseskinError
+        If there is no such scenario, or it cannot be written.
+    """
+    if name not in SCENARIOS:
+        raise _unknown(name)
+    path = folder / f"{name}{FILE_SUFFIX}"
+    if path.exists():
+        return path
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScenarioError(f"{folder}: {error.strerror}") from error
+    try:
+        with whole_file(path) as draft:
+            _record(name, SCENARIOS[name], draft)
+    except OutputError:
+        # Another process that made the same was done first.
+        if not path.is_file():
+            raise
+    return path
+
+
+class UntimedReconstructor(Reconstructor):
+    """A reconstructor that does not say how long it took."""
+
+    def step(self, message: Message) -> Iterable[Message]:
+        for made in super().step(message):
+            yield replace(made, solve_ns=0) if isinstance(made, Reconstruction) else made
+
+
+def _record(name: str, scenario: Scenario, out: Path) -> None:
+    text = f"# sparseskin scenes make {name}\n# {scenario.scene}, from step {scenario.first} on\n"
+    clock = ManualClock(PERIOD_NS)
+    bus = Bus(
+        {
+            "sensor": (Sensor, Sensor.Settings(source=f"scene:{scenario.scene}")),
+            "compressor": (Compressor, Compressor.Settings()),
+            "reconstructor": (UntimedReconstructor, Reconstructor.Settings()),
+            "recorder": (Recorder, Recorder.Settings(out=str(out), launch=text, source=name)),
+        },
+        clock,
+    )
+    sensor = bus.hosts["sensor"].node
+    assert isinstance(sensor, Sensor)
+    for step in range(scenario.first):
+        deque(sensor.acquire(Tick(0, step)), maxlen=0)
+    try:
+        for _ in bus.frames(scenario.n_frames):
+            clock.advance(PERIOD_NS)
+    finally:
+        bus.close()
+    for node, host in bus.hosts.items():
+        if host.failure:
+            raise ScenarioError(f"{name}: {node}: {host.failure}")
+
+
+def _unknown(name: str) -> ScenarioError:
+    known = ", ".join(SCENARIOS)
+    # Where one is near, it is named first; the list is there in any case.
+    hint = did_you_mean(name, SCENARIOS)
+    listed = "" if "known:" in hint else f"; there are {known}"
+    return ScenarioError(f"{name!r}: no file and no recorded scenario of that name{hint}{listed}")
+
+
+def _shown_folder() -> str:
+    return "$XDG_DATA_HOME/sparseskin or ~/.local/share/sparseskin"
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    print("scenes: sparseskin launch NAME")
+    for name, make in SCENES.items():
+        scene = make()
+        about = (make.__doc__ or "").strip().splitlines()[0].rstrip(".:").partition(":")[0]
+        shape = "{} x {}".format(*scene.shape)
+        dt = f"{scene.dt_ns / 1e6:g} ms"
+        print(f"  {name:<15} {shape:<8} {scene.n_steps:>6} frames  {dt:<7} {about}")
+    print("recordings: sparseskin play NAME")
+    for name, scenario in SCENARIOS.items():
+        scene = SCENES[scenario.scene]()
+        shape = "{} x {}".format(*scene.shape)
+        dt = f"{PERIOD_NS / 1e6:g} ms"
+        print(f"  {name:<15} {shape:<8} {scenario.n_frames:>6} frames  {dt:<7} {scenario.about}")
+    return 0
+
+
+def _make(arguments: argparse.Namespace) -> int:
+    names = list(dict.fromkeys(arguments.names or SCENARIOS))
+    for name in names:
+        if name not in SCENARIOS:
+            raise _unknown(name)
+    folder = arguments.out if arguments.out is not None else data_folder()
+    for name in names:
+        there = (folder / f"{name}{FILE_SUFFIX}").exists()
+        path = make_scenario(name, folder)
+        note = "is there already" if there else f"{SCENARIOS[name].n_frames} frames"
+        print(f"{path}: {note}, {path.stat().st_size / 1e6:.1f} MB")
+    return 0

@@ -1,0 +1,64 @@
+"""Files that appear under their name whole, or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sparseskin.nodes.errors import SparseskinError
+
+
+class OutputError(SparseskinError):
+    """A file that cannot be written where it was asked for."""
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield a path of the same name in a folder of its own beside `path`; what was written there
+    gets its place when nothing was raised, and is removed otherwise.
+
+    Raises
+    ------
+    OutputError
+        If the folder does not exist or cannot be written to, or `path` is taken: a file is never
+        written over.
+    """
+    if os.path.lexists(path):
+        raise OutputError(f"{path}: exists already, and is not written over")
+    try:
+        folder = tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        raise OutputError(f"{path}: {_reason(error)}") from error
+    with folder as name:
+        draft = Path(name) / path.name
+        yield draft
+        try:
+            _place(draft, path)
+        except OSError as error:
+            raise OutputError(f"{path}: {_reason(error)}") from error
+
+
+def _place(draft: Path, path: Path) -> None:
+    try:
+        # Unlike a rename, a link does not replace a file that came meanwhile.
+        os.link(draft, path)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        if os.path.lexists(path):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
+        with contextlib.suppress(FileNotFoundError):
+            draft.rename(path)
+
+
+def _reason(error: OSError) -> str:
+    if isinstance(error, FileNotFoundError):
+        return "its folder does not exist"
+    if isinstance(error, FileExistsError):
+        return "exists already, and is not written over"
+    return error.strerror or str(error)

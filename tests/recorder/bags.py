@@ -1,0 +1,99 @@
+"""Small bags for tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sparseskin.messages import (
+    Measurements,
+    Message,
+    Reconstruction,
+    SkinState,
+    Taxels,
+    Truth,
+    encode,
+)
+from sparseskin.nodes.recorder.bag_writer import BagWriter
+
+PERIOD_NS = 10_000_000
+LAG_NS = 700
+PHI = "0123456789abcdef"
+N_ROWS, N_COLS, M = 5, 7, 12
+MASK = np.ones((N_ROWS, N_COLS), np.bool_)
+MASK[2, 3] = False
+
+
+def skin_state(patch: str = "skin") -> SkinState:
+    return SkinState(
+        stamp_ns=0,
+        patch=patch,
+        n_rows=N_ROWS,
+        n_cols=N_COLS,
+        f_max=2.5,
+        unit="N",
+        pitch_m=0.005,
+        mask=MASK,
+        source="test",
+        seed=3,
+        rate_hz=100.0,
+        has_truth=True,
+        sigma_mid=0.06,
+        sigma_end=0.01,
+    )
+
+
+def frame(k: int, patch: str = "skin") -> list[Message]:
+    """What the stations make of frame k; every number differs from every other frame's."""
+    rng = np.random.default_rng(k)
+
+    def forces() -> Any:
+        return rng.uniform(0, 2.5, (N_ROWS, N_COLS)).astype(np.float32) * MASK
+
+    of_frame: dict[str, Any] = {"stamp_ns": k * PERIOD_NS, "patch": patch}
+    return [
+        Taxels(**of_frame, forces=forces()),
+        Truth(**of_frame, forces=forces()),
+        Measurements(**of_frame, y=rng.normal(size=M).astype(np.float32), phi=PHI),
+        Reconstruction(
+            **of_frame,
+            forces=forces(),
+            phi=PHI,
+            iterations=30,
+            residual=float(rng.uniform()),
+            solve_ns=1,
+            done_ns=1,
+        ),
+    ]
+
+
+def frames(n_frames: int, patch: str = "skin") -> list[Message]:
+    return [skin_state(patch), *(message for k in range(n_frames) for message in frame(k, patch))]
+
+
+def record(writer: BagWriter, message: Message) -> bytes:
+    """Write a message as the recorder does; its payload."""
+    topic, payload = encode(message)
+    writer.write(
+        topic.decode(),
+        payload,
+        schema=message.schema,
+        version=message.version,
+        log_time_ns=message.stamp_ns + LAG_NS,
+        stamp_ns=message.stamp_ns,
+    )
+    return payload
+
+
+def make_bag(path: Path, messages: list[Message], flush_every: int = 40) -> list[bytes]:
+    """A whole bag with several chunks; the payloads in it, in order."""
+    payloads = []
+    with BagWriter(path, {"scene": "test", "seed": "3"}) as writer:
+        for number, message in enumerate(messages, start=1):
+            payloads.append(record(writer, message))
+            if number % flush_every == 0:
+                writer.flush()
+        writer.close({"lost": {"/skin/taxels": 2}})
+    return payloads
