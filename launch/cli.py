@@ -20,6 +20,7 @@ from .recording_commands import add_play_parser, add_record_parser
 from .reprocess import add_reprocess_parser
 from .scenes_command import add_scenes_parser
 from .terminal import Terminal
+from .whole_file import check_writable
 
 EXIT_USAGE = 2
 
@@ -86,12 +87,17 @@ def _launch(arguments: argparse.Namespace) -> int:
         print(graph_text(launch))
         return 0
     if arguments.summary is not None:
-        _check_writable(Path(arguments.summary))
+        check_writable(Path(arguments.summary))
     launcher = Launcher(launch, Terminal(), arguments.frames)
     code = launcher.run()
     summary = launcher.summary()
-    if summary["patches"]:
-        print(summary_table(summary["patches"]))
+    sensed = {name: p for name, p in summary["patches"].items() if p["frames"]["sensed"]}
+    if sensed or code != EXIT_USAGE:
+        print(summary_table(sensed or summary["patches"]))
+    for name, patch in sensed.items():
+        if not patch["frames"]["reconstructed"]:
+            print(f"{name}: not one frame was reconstructed", file=sys.stderr)
+            code = code or 1
     if arguments.summary is not None:
         _write_summary(Path(arguments.summary), summary)
     return code
@@ -111,20 +117,9 @@ def graph_text(launch: LaunchFile) -> str:
     return "\n".join(lines)
 
 
-def _check_writable(path: Path) -> None:
-    """Find out before the run, not after it, that the summary cannot be written."""
-    if path.is_dir() or not path.resolve().parent.is_dir():
-        what = "is a folder" if path.is_dir() else "its folder does not exist"
-        raise LaunchError([f"--summary {path}: {what}"])
-
-
 def _write_summary(path: Path, summary: dict[str, Any]) -> None:
     text = json.dumps({"sparseskin": version("sparseskin"), **summary}, indent=2)
     try:
         path.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         raise LaunchError([f"--summary {path}: {error.strerror}"]) from error
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 
@@ -9,7 +10,7 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean, find_callable
 
 KINDS = ("process", "thread")
-FORMS = "process:N, thread:N or module:factory"
+FORMS = "serial, process:N, thread:N or module:factory"
 MAX_WORKERS = 1024
 
 
@@ -19,8 +20,9 @@ def make_executor(spec: str) -> Executor:
     Parameters
     ----------
     spec : str
-        "process:N" or "thread:N", N workers on this host; or "module:factory", a callable of
-        the user's that returns a `concurrent.futures.Executor`.
+        "serial", one task after the other; "process:N" or "thread:N", N workers on this host;
+        or "module:factory", a callable of the user's that returns a
+        `concurrent.futures.Executor`.
 
     Raises
     ------
@@ -28,6 +30,8 @@ def make_executor(spec: str) -> Executor:
         If the text has none of these forms, or the factory is not there, fails or makes
         something else.
     """
+    if spec == "serial":
+        return ThreadPoolExecutor(1)
     kind, colon, rest = spec.partition(":")
     if not (kind and colon and rest):
         raise SettingsError(f"--executor {spec}: expected {FORMS}{did_you_mean(kind, KINDS)}")
@@ -36,6 +40,9 @@ def make_executor(spec: str) -> Executor:
             raise SettingsError(f"--executor {spec}: expected 1..{MAX_WORKERS} workers")
         if kind == "thread":
             return ThreadPoolExecutor(int(rest))
+        # Read by the numeric libraries when a worker starts: a core each, and no more.
+        for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+            os.environ.setdefault(threads, "1")
         # Spawned, not forked: a fork would share what threads of this process hold.
         return ProcessPoolExecutor(int(rest), mp_context=get_context("spawn"))
     if rest.isdecimal():

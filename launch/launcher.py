@@ -187,6 +187,15 @@ class Launcher:
     def _all_ended(self) -> bool:
         return all(node.ended or node.failed for node in self._nodes.values())
 
+    def _all_drained(self) -> bool:
+        """Whether all have ended but those that wait for a node that is dead."""
+        cut_off = {name for name, node in self._nodes.items() if node.exit_code() is not None}
+        for _ in self._nodes:
+            cut_off |= {link.reader for link in self._launch.links if link.writer in cut_off}
+        return all(
+            node.ended or node.failed or name in cut_off for name, node in self._nodes.items()
+        )
+
     def _until(
         self, done: Callable[[], bool], limit_s: float | None, draining: bool = False
     ) -> bool:
@@ -237,17 +246,18 @@ class Launcher:
                 case "ended":
                     node.ended = True
                     node.counts, node.report = event["counts"], event["report"]
-                case "failed":
-                    self._fail(node, EXIT_USAGE, f"[{node.name}] failed: {event['text']}")
+                case "failed":  # the node has said why in its log
+                    self._fail(node, EXIT_USAGE, "")
                 case "error":
                     node.ended = True
-                    self._fail(node, EXIT_USAGE, f"[{node.name}] error: {event['text']}")
+                    self._fail(node, event["code"], f"[{node.name}] error: {event['text']}")
                 case _:
                     self._terminal.log(f"[{node.name}] {event}")
 
     def _fail(self, node: NodeProcess, code: int, line: str) -> None:
         """A node cannot go on. The graph ends with it, if it is one that it needs."""
-        self._terminal.log(line)
+        if line:
+            self._terminal.log(line)
         if self._launch.nodes[node.name].cls.required:
             self._exit_code = self._exit_code or code
         else:
@@ -262,7 +272,7 @@ class Launcher:
         """Stop the sources, and let what is under way reach the end of the graph."""
         for node in self._nodes.values():
             node.send_signal(signal.SIGINT)
-        if not self._until(self._all_ended, DRAIN_S, draining=True):
+        if not self._until(self._all_drained, DRAIN_S, draining=True):
             late = [node.name for node in self._nodes.values() if not node.ended]
             if late and self._interrupts <= 1:
                 self._terminal.log(f"[launch] not drained after {DRAIN_S:g} s: {', '.join(late)}")
@@ -270,6 +280,9 @@ class Launcher:
     def _end_all(self) -> None:
         """End every process: ask, then SIGTERM, then SIGKILL; say who needed what."""
         self._command_all("stop")
+        for node in self._nodes.values():
+            if not node.endpoint:  # still starting: it does not listen yet
+                node.send_signal(signal.SIGTERM)
         for number in (signal.SIGTERM, signal.SIGKILL):
             deadline = time.monotonic() + GRACE_S
             while self._alive() and time.monotonic() < deadline:

@@ -6,7 +6,8 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import Future, as_completed
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,14 +19,14 @@ from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SparseskinError
-from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.lookup import did_you_mean, one_line
 from sparseskin.nodes.monitor.table import summary_table
 from sparseskin.nodes.recorder.bag import FILE_SUFFIX
 from sparseskin.nodes.recorder.bag_reader import BagReader
 
-from .executors import make_executor
+from .executors import FORMS, make_executor
 from .launchfile import LaunchFile, load_tables
-from .whole_file import whole_file
+from .whole_file import check_writable, whole_file
 
 START_POINTS = ("auto", "taxels", "measurements")
 STATIONS = ("compressor", "reconstructor")
@@ -76,7 +77,7 @@ def add_reprocess_parser(commands: Any) -> None:
         default="auto",
         help="recorded stream to start from; auto: measurements, unless the compressor is changed",
     )
-    parser.add_argument("--executor", metavar="WHERE", help="process:N, thread:N or module:factory")
+    parser.add_argument("--executor", metavar="WHERE", help=FORMS)
     parser.add_argument("--summary", metavar="OUT.json", help="write the summaries to a file")
     parser.set_defaults(run=reprocess)
 
@@ -84,10 +85,14 @@ def add_reprocess_parser(commands: Any) -> None:
 def reprocess(arguments: argparse.Namespace) -> int:
     """Reprocess all recordings; those that fail are named, and do not stop the others."""
     jobs = _jobs(arguments)
+    if arguments.summary is not None:
+        check_writable(Path(arguments.summary))
     outcomes = _run(jobs, arguments.executor)
     for outcome in outcomes:
         if outcome.error:
-            print(f"{outcome.job.source}: {outcome.error}", file=sys.stderr)
+            source = outcome.job.source
+            named = outcome.error.startswith((source, "--"))
+            print(outcome.error if named else f"{source}: {outcome.error}", file=sys.stderr)
         else:
             print(f"{outcome.job.out}:")
             print(summary_table(outcome.patches))
@@ -111,6 +116,8 @@ def run_job(job: Job, progress: bool = False) -> Outcome:
 def _jobs(arguments: argparse.Namespace) -> list[Job]:
     for text in arguments.set:
         node = text.partition(".")[0]
+        if text.startswith(f"{node}.patch="):
+            raise SettingsError(f"--set {text}: the patch is that of the recording")
         if node not in STATIONS:
             hint = did_you_mean(node, STATIONS)
             raise SettingsError(f"--set {text}: unknown node '{node}'{hint}")
@@ -139,8 +146,16 @@ def _run(jobs: Sequence[Job], executor: str | None) -> list[Outcome]:
     with make_executor(executor) as pool:
         futures = {pool.submit(run_job, job): k for k, job in enumerate(jobs)}
         done = tqdm(as_completed(futures), total=len(jobs), disable=quiet, unit="recording")
-        outcomes = {futures[future]: future.result() for future in done}
+        outcomes = {futures[future]: _settled(jobs[futures[future]], future) for future in done}
     return [outcomes[k] for k in range(len(jobs))]
+
+
+def _settled(job: Job, future: Future[Outcome]) -> Outcome:
+    """What became of a job, also where its worker died."""
+    try:
+        return future.result()
+    except Exception as error:
+        return Outcome(job, {}, one_line(error))
 
 
 def _reprocess(job: Job, progress: bool) -> dict[str, Any]:
@@ -158,13 +173,12 @@ def _stream(job: Job, launch: LaunchFile, progress: bool) -> dict[str, Any]:
     with BagReader(job.source) as bag:
         total = max((info.n_messages for info in bag.topics.values()), default=0)
     bar = tqdm(total=total, disable=not progress, unit="frame", desc=Path(job.source).name)
-    with bar:
+    with bar, closing(bus):
         for messages in bus.frames():
             # Offline a frame is done when it was acquired: no latency is made up.
             newest_ns = max((message.stamp_ns for message in messages), default=0)
             clock.advance(max(0, newest_ns - clock.now_ns()))
             bar.update()
-    bus.close()
     for host in bus.hosts.values():
         if host.failure or host.counts.refused:
             raise SparseskinError(host.failure or lines[0])
@@ -172,10 +186,18 @@ def _stream(job: Job, launch: LaunchFile, progress: bool) -> dict[str, Any]:
     return {name: patch | {"latency_ms": None} for name, patch in patches.items()}
 
 
+def _how(job: Job, made_by: str) -> str:
+    """How a result was made, for its metadata: the command, then what the recording says."""
+    changes = " ".join(f"--set {text}" for text in job.overrides)
+    command = f"# sparseskin reprocess {Path(job.source).name} {changes}".rstrip()
+    return f"{command} --from {job.start_from}\n{made_by}"
+
+
 def _graph(job: Job, out: Path) -> LaunchFile:
     """The graph that reprocesses a recording: a launch file that is never written."""
     with BagReader(job.source) as bag:
         topics = [split_topic(topic) for topic in bag.topics]
+        made_by = bag.metadata.get("launch", "")
     patches = sorted({patch for patch, _ in topics})
     if len(patches) != 1:
         raise SparseskinError(f"holds {len(patches)} patches; reprocess takes recordings of one")
@@ -197,6 +219,6 @@ def _graph(job: Job, out: Path) -> LaunchFile:
         **tables,
         "reconstructor": {"type": "reconstructor", "patch": patches[0]},
         "monitor": {"type": "monitor", "patches": patches},
-        "recorder": {"type": "recorder", "out": str(out)},
+        "recorder": {"type": "recorder", "out": str(out), "launch": _how(job, made_by)},
     }
     return load_tables(f"reprocess {Path(job.source).name}", tables, job.overrides)

@@ -24,7 +24,9 @@ class Terminal:
     """Writes to stderr, so that stdout holds results alone."""
 
     def __init__(self) -> None:
-        self._live = sys.stderr.isatty()
+        # Started with stderr closed, or closed while it runs: the graph goes on without a word.
+        self._open = sys.stderr is not None
+        self._live = self._open and sys.stderr.isatty()
         self._status = ""
         self._keys_fd: int | None = None
         self._next_s = time.monotonic() + QUIET_STATUS_S
@@ -32,7 +34,7 @@ class Terminal:
     def log(self, line: str) -> None:
         """Print one line above the status line."""
         self._erase()
-        print(line, file=sys.stderr, flush=True)
+        self._write(line + "\n")
         self._draw()
 
     def status(self, line: str) -> None:
@@ -43,7 +45,7 @@ class Terminal:
             self._draw()
         elif line and time.monotonic() >= self._next_s:
             self._next_s = time.monotonic() + QUIET_STATUS_S
-            print(line, file=sys.stderr, flush=True)
+            self._write(line + "\n")
 
     @contextlib.contextmanager
     def keyboard(self, wanted: bool) -> Iterator[None]:
@@ -72,10 +74,18 @@ class Terminal:
 
     def _erase(self) -> None:
         if self._live and self._status:
-            sys.stderr.write("\r\x1b[K")
+            self._write("\r\x1b[K")
 
     def _draw(self) -> None:
         if self._live and self._status:
             width = shutil.get_terminal_size().columns - 1
-            sys.stderr.write(self._status[:width])
+            self._write(self._status[:width])
+
+    def _write(self, text: str) -> None:
+        if not self._open:
+            return
+        try:
+            sys.stderr.write(text)
             sys.stderr.flush()
+        except OSError:
+            self._open = False

@@ -17,6 +17,23 @@ class OutputError(SparseskinError):
     """A file that cannot be written where it was asked for."""
 
 
+def check_writable(path: Path) -> None:
+    """Find out before a run, not after it, that its summary cannot be written.
+
+    Raises
+    ------
+    OutputError
+        If the path is a folder, or its folder does not exist or cannot be written to.
+    """
+    folder = path.resolve().parent
+    if path.is_dir():
+        raise OutputError(f"--summary {path}: is a folder")
+    if not folder.is_dir():
+        raise OutputError(f"--summary {path}: its folder does not exist")
+    if not os.access(path if path.exists() else folder, os.W_OK):
+        raise OutputError(f"--summary {path}: cannot be written to")
+
+
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a path of the same name in a folder of its own beside `path`; what was written there

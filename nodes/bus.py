@@ -52,9 +52,10 @@ class Bus:
         self.hosts: dict[str, NodeHost] = {}
         links = join(nodes)
         for name, (cls, settings) in nodes.items():
-            node = cls(settings, Context(name, self.clock))
+            log = _named(name, say)
+            node = cls(settings, Context(name, self.clock, log))
             inputs = [link.topic for link in links if link.reader == name]
-            self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, _named(name, say), inputs)
+            self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, log, inputs)
         self._readers: dict[str, list[NodeHost]] = {}
         for link in links:
             self._readers.setdefault(link.topic, []).append(self.hosts[link.reader])

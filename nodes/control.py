@@ -7,7 +7,24 @@ from __future__ import annotations
 import json
 import os
 import sys
+import threading
+import time
 from typing import Any, TextIO
+
+PARENT_CHECK_S = 1.0
+
+
+def watch_parent() -> None:
+    """End this process once its parent is gone, even where a driver holds up the main thread."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(PARENT_CHECK_S)
+        time.sleep(PARENT_CHECK_S)  # the main thread notices first, and ends in good order
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True, name="watch-parent").start()
 
 
 class Control:

@@ -14,6 +14,7 @@ from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
 
 from .errors import RefusedError, SparseskinError
+from .lookup import one_line
 from .node import Node, SourceNode, Tick
 
 Log = Callable[[str], None]
@@ -107,6 +108,7 @@ class NodeHost:
         self.counts = Counts({topic: InputCount(late=late) for topic in self.inputs})
         self._streams = [topic for topic in self.inputs if not is_latched(topic)]
         self.finished = False
+        self.ends: list[End] = []
         self.failure = ""
         self._log = log
         self._said: Counter[str] = Counter()
@@ -162,6 +164,10 @@ class NodeHost:
         if self.finished:
             return
         self.finished = True
+        self.ends = list(self._ends(stamp_ns))
+        yield from self.ends
+
+    def _ends(self, stamp_ns: int) -> Iterator[End]:
         for topic in self.outputs:
             patch, schema = split_topic(topic)
             if is_latched(topic):
@@ -204,7 +210,7 @@ class NodeHost:
             self.failure = self.failure or str(error)
             self._refuse("failed", str(error))
         except Exception as error:  # a user's own solver may raise anything
-            self._refuse("failed", f"{type(error).__name__}: {error}")
+            self._refuse("failed", one_line(error))
 
     def _publish(self, messages: Iterable[Message]) -> Iterator[Message]:
         for message in messages:

@@ -4,8 +4,8 @@ of its own, so that the same code runs in a process, in one program, in a test a
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
@@ -29,10 +29,13 @@ class Context:
         The node's name in its graph.
     clock : Clock
         The graph's clock.
+    log : callable
+        Takes one line of text for whoever watches the graph.
     """
 
     name: str
     clock: Clock
+    log: Callable[[str], None] = field(default=lambda line: None)
 
     def rng(self, seed: int) -> np.random.Generator:
         """A random generator for a stated seed: the same numbers wherever the node runs."""

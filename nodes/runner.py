@@ -20,9 +20,10 @@ import zmq
 from sparseskin.messages import Message
 
 from .clock import SystemClock
-from .control import Control
+from .control import Control, watch_parent
 from .errors import SparseskinError
 from .host import NodeHost
+from .lookup import one_line
 from .node import Context, SourceNode, Tick
 from .registry import make_settings, node_class
 from .sockets import FAREWELL_MS, Reader, Writer, make_context
@@ -58,7 +59,7 @@ class Runner:
         self.clock = SystemClock(config["offset_ns"])
         cls = node_class(config["type"])
         settings = make_settings(cls, config["settings"])
-        node = cls(settings, Context(self.name, self.clock))
+        node = cls(settings, Context(self.name, self.clock, self.log))
         run_id = secrets.token_hex(8)
         late = bool(config.get("late"))
         self.host = NodeHost(node, run_id, self.log, config["inputs"], late)
@@ -71,7 +72,7 @@ class Runner:
         self.poller.register(control.fd, zmq.POLLIN)
         self.poller.register(self.writer.socket, zmq.POLLIN)
         self.connected = self.ready = self.started = self.stopping = self.told = False
-        self.draining = self.failed = False
+        self.draining = self.failed = self.terminated = False
         self.asks: deque[int] = deque()
         self.owed: deque[tuple[int, bytes]] = deque()
         self.n_ticks = 0
@@ -100,6 +101,8 @@ class Runner:
                 self._tick()
             self.host.idle()
             self._tell()
+        if self.terminated:
+            self.control.emit("error", text="terminated (SIGTERM)", code=EXIT_CRASH)
         if not self.told:
             self._tell_end()
         # What is under way is still sent, but nobody who does not take it holds up the end.
@@ -109,6 +112,7 @@ class Runner:
         self.draining = True
 
     def _on_terminate(self, *_: object) -> None:
+        self.terminated = not self.stopping
         self.stopping = True
 
     @property
@@ -218,6 +222,8 @@ class Runner:
         now_ns = time.monotonic_ns()
         if now_ns >= self.next_heartbeat_ns:
             self.next_heartbeat_ns = now_ns + HEARTBEAT_NS
+            # Where readers are far behind, an end too can be dropped: it is said again.
+            self._publish(self.host.ends)
             self.control.emit(
                 "heartbeat",
                 lacks=sorted(self.expected - self.writer.present) if not self.ready else [],
@@ -226,7 +232,7 @@ class Runner:
             )
         if self.host.failure and not self.failed:
             self.failed = True
-            self.control.emit("failed", text=self.host.failure)
+            self.control.emit("failed")
         if self.host.finished and not self.told:
             self._tell_end()
 
@@ -244,6 +250,7 @@ class Runner:
 def main() -> int:
     """Entry point of a node process."""
     control = Control()
+    watch_parent()
     try:
         while not (commands := control.commands()):
             if control.closed:
@@ -251,15 +258,17 @@ def main() -> int:
             _wait_for_input(control.fd)
         Runner(control, commands[0]).run()
     except SparseskinError as error:
-        control.emit("error", text=str(error))
+        control.emit("error", text=str(error), code=EXIT_USAGE)
         return EXIT_USAGE
     except zmq.ZMQError as error:
-        control.emit("error", text=f"cannot bind {commands[0]['endpoint']}: {error}")
+        control.emit(
+            "error", text=f"cannot bind {commands[0]['endpoint']}: {error}", code=EXIT_USAGE
+        )
         return EXIT_USAGE
     except Exception as error:
         if os.environ.get("SPARSESKIN_TRACEBACK"):
             raise
-        control.emit("error", text=f"{type(error).__name__}: {error}")
+        control.emit("error", text=one_line(error), code=EXIT_CRASH)
         return EXIT_CRASH
     return 0
 

@@ -59,7 +59,7 @@ def sent_times_ns(
     recording, out, launch = (folder / name for name in ("in.mcap", "out.mcap", "f.toml"))
     make_recording(recording, rate_hz, round(rate_hz * speed * seconds) + 1)
     launch.write_text(_LAUNCH.format(file=recording, out=out, speed=speed))
-    command = [sys.executable, "-m", "sparseskin.launch.cli", "launch", str(launch)]
+    command = [sys.executable, "-m", "sparseskin.launch.entry", "launch", str(launch)]
     subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
     with BagReader(out) as bag:
         return np.array([message.stamp_ns for message in bag.messages()], np.int64)

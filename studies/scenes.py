@@ -50,7 +50,7 @@ def stream(scene: str) -> dict[str, Any]:
     """
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.json"
-        command = [sys.executable, "-m", "sparseskin.launch.cli", "launch", scene]
+        command = [sys.executable, "-m", "sparseskin.launch.entry", "launch", scene]
         command += ["--set", f"sensor.rate_hz={RATE_HZ}", "--summary", str(out)]
         done = subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
         if done.returncode:

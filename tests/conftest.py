@@ -38,7 +38,7 @@ class Program:
             environment["PYTHONPATH"] = str(pythonpath)
         self._stderr = ""
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "sparseskin.launch.cli", *arguments],
+            [sys.executable, "-m", "sparseskin.launch.entry", *arguments],
             cwd=cwd,
             env=environment,
             stdout=subprocess.PIPE,

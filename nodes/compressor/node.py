@@ -40,7 +40,11 @@ class CompressorSettings(PatchSettings):
         """M for a skin of `n` taxels."""
         if self.phi == "full":
             return n
-        return self.m if self.m is not None else max(1, int(n / self.ratio))
+        if self.m is not None:
+            return self.m
+        if self.ratio > n:
+            raise PhiError(f"ratio: {self.ratio:g} leaves no measurement of {n} taxels")
+        return int(n / self.ratio)
 
 
 class Compressor(Node[CompressorSettings]):

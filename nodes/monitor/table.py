@@ -46,7 +46,8 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
         f"frames      sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
         f"lost {frames['lost']}",
         f"measured    {patch['phi']}: N = {patch['n']}, M = {patch['m']} "
-        f"(ratio {_number(patch['ratio'], '.2f')})",
+        f"(ratio {_number(patch['ratio'], '.2f')}), "
+        f"range 0..{_number(patch['f_max'], 'g')} {patch['unit']}",
         f"restored    {patch['solver']} in {patch['basis']}, {patch['iterations']} iterations"
         + (f" (preset {patch['preset']})" if patch["preset"] not in ("", NONE) else ""),
         f"bytes       taxels {patch['bytes_in']:,}, measurements {patch['bytes_out']:,}"
@@ -63,7 +64,7 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
             if extent is not None:
                 rows.append(f"  {label:<22}{frames_of:<17}" + _extent(extent, ".1f"))
     error = patch["relative_error"]
-    if error != NONE:
+    if error != NONE and patch["reference"] == "taxels":  # where PSNR has no noise beside it
         rows.append(f"{'relative error':<24}{'contact frames':<17}" + _extent(error, ".3f"))
     rows.append("=" * 78)
     return "\n".join(rows)

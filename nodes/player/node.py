@@ -9,7 +9,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from sparseskin.messages import Message, MessageError, Truth, decode, topic_of
+from sparseskin.messages import Message, MessageError, SkinState, Truth, decode, topic_of
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
@@ -170,7 +170,11 @@ class Player(SourceNode[PlayerSettings]):
         states = [topic for topic in self._names if _latched(topic)]
         newest = {m.topic: m for m in self._bag.messages(states)} if states else {}
         for recorded in newest.values():
-            yield self._decoded(recorded.topic, recorded.payload)
+            state = self._decoded(recorded.topic, recorded.payload)
+            if isinstance(state, SkinState) and not self.settings.verbatim:
+                truth = topic_of(split_topic(recorded.topic)[0], Truth.schema)
+                state = replace(state, has_truth=state.has_truth and truth in self._names)
+            yield state
 
     @property
     def follows_readers(self) -> bool:

@@ -80,7 +80,11 @@ class ReconstructorSettings(PatchSettings):
             "iterations": self.iterations,
             "lambda_n": self.lambda_n,
         }
-        return PRESETS[self.preset] | {k: v for k, v in stated.items() if v is not None}
+        preset = PRESETS[self.preset]
+        if self.solver not in (None, preset["solver"]):
+            # A preset's numbers belong to its solver; another one has settings of its own.
+            preset = {"basis": preset["basis"]}
+        return preset | {k: v for k, v in stated.items() if v is not None}
 
 
 class Reconstructor(Node[ReconstructorSettings]):

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from sparseskin.messages import Message, SkinState, Taxels, Truth, topic_of
+from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .noise import NoiseModel
 from .source import Forces
-from .sources import check_source, is_live, open_source
+from .sources import SCENE, check_source, is_live, open_source
 
 DEFAULT_RATE_HZ = 100.0
 _Frame = tuple[Forces, Forces | None]
@@ -45,6 +47,10 @@ class SensorSettings(PatchSettings):
     def check(self) -> None:
         with naming("source"):
             check_source(self.source)
+        if self.source.startswith(SCENE):
+            for key in ("n_rows", "n_cols", "unit", "f_max"):
+                if getattr(self, key) is not None:
+                    raise SettingsError(f"{key}: a scene has its own")
 
 
 class Sensor(SourceNode[SensorSettings]):
@@ -76,7 +82,7 @@ class Sensor(SourceNode[SensorSettings]):
         self.rate_hz = self._chosen_rate()
         self._frames: Iterator[tuple[int, Forces]] = iter(self._source)
         self._next: _Frame | None = None
-        self._n_frames = 0
+        self._n_frames = self._n_clipped = self._said_clipped = 0
         if not self._live:
             self._prepare()
 
@@ -128,6 +134,19 @@ class Sensor(SourceNode[SensorSettings]):
         total = f" of {self._source.n_frames}" if self._source.n_frames is not None else ""
         return f"{self._source.name}: frame {self._n_frames}{total}"
 
+    def report(self) -> dict[str, Any]:
+        return {"clipped": self._n_clipped}
+
+    def _watch_range(self) -> None:
+        """Say so when readings leave the range: a wrong sign, unit or range shows there first."""
+        n_clipped = getattr(self._source, "n_clipped", 0)
+        if n_clipped > 2 * self._said_clipped:
+            self._said_clipped = n_clipped
+            self.context.log(
+                f"{n_clipped} readings outside 0..{self.skin.f_max:g} {self.skin.unit} were clipped"
+            )
+        self._n_clipped = n_clipped
+
     def _chosen_rate(self) -> float:
         if self.settings.rate_hz is not None:
             return self.settings.rate_hz
@@ -144,6 +163,7 @@ class Sensor(SourceNode[SensorSettings]):
         except StopIteration:
             self._next, self.exhausted = None, True
             return
+        self._watch_range()
         if self._source.delivers == "taxels":
             self._next = (forces, None)
             return

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import did_you_mean
 
 from .driver import DriverSource, open_callable
 from .formats import SUFFIXES
@@ -32,7 +36,9 @@ def check_source(source: str) -> None:
         raise SourceError(f'source "{source}": expected {FORMS}{hint}')
     if source.startswith(SCENE):
         open_scene(rest, seed=0)
-    elif source.startswith(FILE):
+    elif not source.startswith(FILE):
+        check_module(source)
+    else:
         path = Path(rest)
         if not path.is_file():
             what = "is a folder" if path.is_dir() else "no such file"
@@ -41,6 +47,28 @@ def check_source(source: str) -> None:
             raise SourceError(
                 f"{rest}: suffix '{path.suffix}' is not known; allowed are {', '.join(SUFFIXES)}"
             )
+
+
+def check_module(target: str) -> None:
+    """Check that the module of a driver is there, without importing it.
+
+    Raises
+    ------
+    SourceError
+        If it is not.
+    """
+    module = target.partition(":")[0]
+    here = os.getcwd()
+    if here not in sys.path and "" not in sys.path:
+        sys.path.append(here)
+    try:
+        found = find_spec(module) is not None
+    except (ImportError, ValueError):
+        found = False
+    if not found:
+        hint = did_you_mean(module, ("scene", "file")) if len(module) < 8 else ""
+        hint = hint if "did you mean" in hint else ""
+        raise SourceError(f"{target}: there is no module {module!r}, installed or in {here}{hint}")
 
 
 def open_source(

@@ -218,3 +218,87 @@ def test_settings_that_a_node_refuses_end_the_graph(start: StartProgram) -> None
     assert code == 2
     assert "m = 5000 is not allowed" in stderr
     assert program.survivors() == {}
+
+
+def test_a_terminated_node_is_no_normal_end(start: StartProgram) -> None:
+    program = start("launch", "path_40")
+    program.wait_for("[launch] ready")
+    for pid in program.survivors():
+        if pid != program.process.pid and _node_name(pid) == "sensor":
+            os.kill(pid, signal.SIGTERM)
+    code, _, stderr = program.finish()
+    assert code == 1
+    assert "[sensor] error: terminated (SIGTERM)" in stderr
+
+
+def test_a_driver_that_blocks_does_not_outlive_a_killed_launcher(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "stuck.py").write_text(
+        "import numpy as np, sys, time\n"
+        "def frames():\n"
+        "    yield 0, np.zeros((4, 4))\n"
+        "    print('stuck', file=sys.stderr, flush=True)\n"
+        "    while True: time.sleep(3600)\n"
+    )
+    program = start("launch", "replay", "--set", "sensor.source=stuck:frames")
+    program.wait_for("stuck")
+    program.process.kill()
+    wait_until(lambda: not program.survivors(), "the nodes to notice")
+
+
+def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "slow.py").write_text(
+        "import time\n"
+        "from sparseskin.nodes.reconstructor.fista import FistaSolver\n"
+        "class Slow(FistaSolver):\n"
+        "    def finish(self):\n"
+        "        time.sleep(0.002)\n"
+        "        return super().finish()\n"
+    )
+    code, _, stderr = start(
+        *("launch", "path_40", "--frames", "6000", "--summary", "out.json"),
+        *("--set", "sensor.rate_hz=4000", "--set", "reconstructor.solver=slow:Slow"),
+        *("--set", "reconstructor.iterations=1"),
+    ).finish()
+    assert code == 0, stderr
+    summary = json.loads((tmp_path / "out.json").read_text())
+    frames = summary["patches"]["skin"]["frames"]
+    assert frames["sensed"] == 6000
+    assert frames["lost"] > 0
+    missed = [sum(node["lost"].values()) for node in summary["nodes"].values()]
+    assert frames["lost"] == missed[1] + missed[2]  # at the compressor and the reconstructor
+
+
+def test_readings_outside_the_range_are_clipped_but_not_silently(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "upside.py").write_text(
+        "import numpy as np\n"
+        "def frames():\n"
+        "    for k in range(10): yield k, np.full((5, 4), -1.0)\n"
+    )
+    code, _, stderr = start(
+        *("launch", "replay", "--set", "sensor.source=upside:frames", "--summary", "out.json")
+    ).finish()
+    assert code == 0
+    assert "readings outside 0..2.5 N were clipped" in stderr
+    summary = json.loads((tmp_path / "out.json").read_text())
+    assert summary["nodes"]["sensor"]["clipped"] == 200
+
+
+def test_a_graph_that_restores_nothing_has_failed(start: StartProgram, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "from sparseskin.nodes.reconstructor.fista import FistaSolver\n"
+        "class Broken(FistaSolver):\n"
+        "    def step(self): raise RuntimeError('diverged\\nbadly')\n"
+    )
+    code, _, stderr = start(
+        *("launch", "path_40", "--frames", "20"),
+        *("--set", "reconstructor.solver=mine:Broken"),
+    ).finish()
+    assert code == 1
+    assert "[reconstructor] failed: RuntimeError: diverged badly" in stderr
+    assert "skin: not one frame was reconstructed" in stderr
