@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from pathlib import Path
+
+from .bag import BagError
 
 
 class BagFile:
@@ -68,3 +71,35 @@ class BagFile:
         if self._fd >= 0:
             fd, self._fd = self._fd, -1
             os.close(fd)
+
+
+def give_name(part: Path, path: Path) -> None:
+    """Give a complete bag its name, and wait until the disk knows it.
+
+    Raises
+    ------
+    BagError
+        If another file has the name, or the disk refuses.
+    """
+    try:
+        try:
+            # Unlike a rename, a link does not replace a file that came meanwhile.
+            os.link(part, path)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without hard links
+            if os.path.lexists(path):
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
+            part.rename(path)
+        else:
+            part.unlink()
+    except OSError as error:
+        raise BagError(
+            f"{path}: {error.strerror}; the recording is complete in {part.name}"
+        ) from error
+    with contextlib.suppress(OSError):
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import errno
 import json
-import os
 import time
 from collections.abc import Callable, Mapping
 from importlib.metadata import version as version_of
@@ -16,28 +13,23 @@ from typing import IO, Any, Self, cast
 
 from mcap.writer import CompressionType, Writer
 
-from sparseskin.messages.errors import MessageError
 from sparseskin.messages.fields import INT64_MAX
-from sparseskin.messages.jsonschema import json_schema
-from sparseskin.messages.topics import split_topic
-from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS
-from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.messages.wire import MAX_MESSAGE_BYTES
 
 from .bag import (
     COUNTS_RECORD,
-    ENCODING,
     FILE_SUFFIX,
     GRAPH_RECORD,
     JSON_KEY,
     LIBRARY_PREFIX,
     PART_SUFFIX,
-    SCHEMA_PREFIX,
     TOPICS_RECORD,
-    VERSION_KEY,
     BagError,
     Tally,
 )
-from .bag_file import BagFile
+from .bag_channels import Channels
+from .bag_file import BagFile, give_name
+from .output import check_free
 
 CHUNK_BYTES = 1 << 20
 
@@ -81,8 +73,6 @@ class BagWriter:
         self._flush_every_s = flush_every_s
         self._monotonic = monotonic
         self._oldest_s: float | None = None
-        self._channels: dict[tuple[str, str, int], int] = {}
-        self._schemas: dict[tuple[str, int], int] = {}
         self._tallies: dict[str, Tally] = {}
         self._failure = ""
         self._closed = False
@@ -94,6 +84,7 @@ class BagWriter:
             compression=CompressionType.LZ4,
             enable_data_crcs=True,
         )
+        self._channels = Channels(self._writer, self.path)
         self._writer.start(profile="", library=LIBRARY_PREFIX + version_of("sparseskin"))
         self._writer.add_metadata(GRAPH_RECORD, dict(metadata))
         try:
@@ -133,9 +124,7 @@ class BagWriter:
             with the same line, and the file is left alone), or the bag is closed.
         """
         self._check_open()
-        channel = self._channels.get((topic, schema, version))
-        if channel is None:
-            channel = self._register(topic, schema, version)
+        channel = self._channels.id_of(topic, schema, version)
         if len(payload) > MAX_MESSAGE_BYTES:
             raise BagError(
                 f"{self.path}: a message of {len(payload)} bytes on {topic}, "
@@ -212,7 +201,7 @@ class BagWriter:
         finally:
             self._file.close()
         if not self._failure:
-            self._rename()
+            give_name(self.part, self.path)
 
     def discard(self) -> None:
         """Let go of a bag that is not complete, and remove it."""
@@ -244,35 +233,12 @@ class BagWriter:
     def _create(self) -> BagFile:
         if self.path.suffix != FILE_SUFFIX:
             raise BagError(f"{self.path}: expected a name that ends in {FILE_SUFFIX}")
-        for taken in (self.path, self.part):
-            if os.path.lexists(taken):
-                raise BagError(f"{taken}: is there already; a bag is never overwritten")
         try:
+            check_free(self.path, self.part)
             return BagFile(self.part)
-        except FileNotFoundError as error:
-            raise BagError(f"{self.path}: its folder does not exist") from error
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             raise BagError(f"{self.part}: {reason}") from error
-
-    def _register(self, topic: str, schema: str, version: int) -> int:
-        try:
-            split_topic(topic)
-        except MessageError as error:
-            raise BagError(f"{self.path}: {error}") from error
-        if schema not in SCHEMAS:
-            hint = did_you_mean(schema, SCHEMAS)
-            raise BagError(f"{self.path}: {topic}: schema {schema!r} is not known{hint}")
-        if (schema, version) not in self._schemas:
-            text = json.dumps(json_schema(SCHEMAS[schema], version))
-            self._schemas[schema, version] = self._writer.register_schema(
-                SCHEMA_PREFIX + schema, "jsonschema", text.encode()
-            )
-        channel = self._writer.register_channel(
-            topic, ENCODING, self._schemas[schema, version], {VERSION_KEY: str(version)}
-        )
-        self._channels[topic, schema, version] = channel
-        return channel
 
     def _check_open(self) -> None:
         if self._failure:
@@ -298,27 +264,3 @@ class BagWriter:
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.flush()
         self._file.sync()
-
-    def _rename(self) -> None:
-        try:
-            try:
-                # Unlike a rename, a link does not replace a file that came meanwhile.
-                os.link(self.part, self.path)
-            except FileExistsError:
-                raise
-            except OSError:  # a file system without hard links
-                if self.path.exists():
-                    raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
-                self.part.rename(self.path)
-            else:
-                self.part.unlink()
-        except OSError as error:
-            raise BagError(
-                f"{self.path}: {error.strerror}; the recording is complete in {self.part.name}"
-            ) from error
-        with contextlib.suppress(OSError):
-            folder = os.open(self.path.parent, os.O_RDONLY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)

@@ -264,6 +264,8 @@ def test_a_full_disk_is_one_line_and_what_was_written_can_be_read(small_disk: Pa
     found = on_disk(path)
     assert found == payloads[: len(found)]
     assert len(payloads) - len(found) <= 20
+    with BagReader(writer.part) as bag:
+        assert f"up to byte {size} of {size}: it ends there without an index" in bag.recovered
 
 
 def test_a_disk_that_is_full_at_the_end_loses_the_index_alone(small_disk: Path) -> None:
