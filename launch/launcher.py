@@ -270,6 +270,8 @@ class Launcher:
 
     def _drain(self) -> None:
         """Stop the sources, and let what is under way reach the end of the graph."""
+        if self._joined is not None:
+            return  # the sources are not ours
         for node in self._nodes.values():
             node.send_signal(signal.SIGINT)
         if not self._until(self._all_drained, DRAIN_S, draining=True):

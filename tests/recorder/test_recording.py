@@ -107,6 +107,37 @@ def test_a_killed_recorder_leaves_a_file_that_ends_just_before(
     assert graph.finish()[0] in (0, 143)
 
 
+def test_an_interrupted_recorder_completes_its_file(start: StartProgram, tmp_path: Path) -> None:
+    graph = start("launch", "path_40")
+    graph.wait_for("[launch] ready")
+    recorder = start("record", "--out", "cut.mcap")
+    recorder.wait_for("[launch] ready")
+    part = tmp_path / "cut.mcap.part"
+    wait_until(lambda: part.exists() and part.stat().st_size > 20_000, "some messages")
+    recorder.process.send_signal(signal.SIGINT)
+    code, stdout, stderr = recorder.finish()
+    assert code == 130
+    assert "messages recorded, 0 dropped" in stdout
+    assert "not drained" not in stderr
+    assert len(contents(tmp_path / "cut.mcap")["/skin/taxels"]) > 1
+    graph.process.terminate()
+    graph.finish()
+
+
+def test_a_recorder_notices_that_the_graph_is_gone(start: StartProgram, tmp_path: Path) -> None:
+    graph = start("launch", "path_40")
+    graph.wait_for("[launch] ready")
+    recorder = start("record", "--out", "orphan.mcap")
+    recorder.wait_for("[launch] ready")
+    part = tmp_path / "orphan.mcap.part"
+    wait_until(lambda: part.exists() and part.stat().st_size > 20_000, "some messages")
+    graph.process.kill()
+    code, stdout, _ = recorder.finish()
+    assert code == 0
+    assert stdout.startswith("orphan.mcap: ")
+    assert len(contents(tmp_path / "orphan.mcap")["/skin/taxels"]) > 1
+
+
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     folder = tmp_path / "small"
