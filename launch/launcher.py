@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import selectors
 import signal
 import time
@@ -12,9 +11,10 @@ from typing import Any
 
 from sparseskin.nodes.clock import wall_offset_ns
 
+from .configs import node_config, note_of
 from .launchfile import LaunchFile
 from .process import NodeProcess, exit_text
-from .running import RunningGraph, RunningNode, announced, is_running
+from .running import RunningGraph, announced, is_running
 from .terminal import Terminal
 
 START_S = 30.0
@@ -83,7 +83,9 @@ class Launcher:
         try:
             self._spawn()
             if self._handshake():
-                with announced(self._note()), self._terminal.keyboard(bool(self._keys)):
+                endpoints = {name: node.endpoint for name, node in self._nodes.items()}
+                note = note_of(self._launch, endpoints, self._offset_ns)
+                with announced(note), self._terminal.keyboard(bool(self._keys)):
                     self._command_all("start")
                     self._until(self._all_ended, None)
                     if not self._all_ended():
@@ -99,11 +101,10 @@ class Launcher:
         """What the nodes reported, and what each of them counted."""
         merged: dict[str, Any] = {"launch": self._launch.name, "patches": {}, "nodes": {}}
         for name, node in self._nodes.items():
-            merged["patches"].update(node.report.get("patches", {}))
+            found = dict(node.report)
+            merged["patches"].update(found.pop("patches", {}))
             type_name = self._launch.nodes[name].type_name
-            merged["nodes"][name] = {"type": type_name, **node.counts}
-            others = {key: value for key, value in node.report.items() if key != "patches"}
-            merged["nodes"][name].update(others)
+            merged["nodes"][name] = {"type": type_name, **node.counts, **found}
         return merged
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
@@ -111,28 +112,14 @@ class Launcher:
         self._exit_code = self._exit_code or 128 + number
 
     def _spawn(self) -> None:
-        for name, spec in self._launch.nodes.items():
-            config = {
-                "name": name,
-                "type": spec.type_name,
-                "settings": spec.values,
-                "endpoint": self._endpoint(name),
-                "inputs": [k.topic for k in self._launch.links if k.reader == name],
-                "readers": sorted({k.reader for k in self._launch.links if k.writer == name}),
-                "offset_ns": self._offset_ns,
-                "max_frames": self._max_frames,
-                "late": self._joined is not None,
-            }
+        for name in self._launch.nodes:
+            config = node_config(
+                self._launch, name, self._offset_ns, self._max_frames, self._joined is not None
+            )
             node = NodeProcess(name, config)
             self._nodes[name] = node
             for pipe in node.pipes:
                 self._selector.register(pipe, selectors.EVENT_READ, node)
-
-    def _endpoint(self, name: str) -> str:
-        if self._launch.transport == "tcp":
-            return "tcp://127.0.0.1:*"
-        # An abstract name leaves no file behind and refuses a second bind.
-        return f"ipc://@sparseskin-{os.getpid()}-{name}"
 
     def _handshake(self) -> bool:
         """Join the nodes; False if one of them failed or was late."""
@@ -150,17 +137,6 @@ class Launcher:
         if self._joined is not None:
             return self._joined.nodes[writer].endpoint
         return self._nodes[writer].endpoint
-
-    def _note(self) -> RunningGraph:
-        nodes = {
-            name: RunningNode(
-                spec.type_name, self._nodes[name].endpoint, list(spec.cls.outputs(spec.settings))
-            )
-            for name, spec in self._launch.nodes.items()
-        }
-        return RunningGraph(
-            self._launch.name, os.getpid(), self._offset_ns, self._launch.text, nodes
-        )
 
     def _look_around(self) -> None:
         """Pass on keys, and notice where the graph that was joined is gone."""

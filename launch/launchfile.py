@@ -3,57 +3,30 @@
 from __future__ import annotations
 
 import json
-import re
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sparseskin.messages.errors import MessageError
-from sparseskin.messages.topics import check_name
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.graph import Link, join
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.node import Node
-from sparseskin.nodes.recorder.node import Recorder
 from sparseskin.nodes.registry import make_settings, node_class
 
+from .checker import Checker, one_line_of
+from .launchspec import LaunchError, LaunchFile, NodeSpec
+
 BUNDLED = Path(__file__).parent
-TRANSPORTS = ("ipc", "tcp")
-RECORDER = "recorder"
-_GRAPH_KEYS = ("description", "transport")
 
-
-class LaunchError(Exception):
-    """A launch file that cannot be used: `lines` holds one line an error, each with its place."""
-
-    def __init__(self, lines: Sequence[str]) -> None:
-        super().__init__("\n".join(lines))
-        self.lines = list(lines)
-
-
-@dataclass(frozen=True)
-class NodeSpec:
-    """One node of a launch file."""
-
-    name: str
-    type_name: str
-    cls: type[Node[Any]]
-    values: dict[str, Any]
-    settings: Any
-
-
-@dataclass(frozen=True)
-class LaunchFile:
-    """A checked launch file; `text` is the file as it stands, with the changes of --set."""
-
-    name: str
-    description: str
-    transport: str
-    nodes: dict[str, NodeSpec]
-    links: list[Link]
-    text: str = ""
+__all__ = [
+    "BUNDLED",
+    "LaunchError",
+    "LaunchFile",
+    "bundled_names",
+    "find_launch_file",
+    "load",
+    "load_tables",
+    "single_node",
+]
 
 
 def single_node(name: str, type_name: str, values: dict[str, Any]) -> LaunchFile:
@@ -118,8 +91,8 @@ def load(name: str, overrides: Sequence[str] = (), record: str | None = None) ->
         text = path.read_text(encoding="utf-8")
         tree = tomllib.loads(text)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise LaunchError([f"{shown}: not a TOML file: {_one_line(error)}"]) from error
-    return _Checker(shown, text, tree, path.stem).check(overrides, record)
+        raise LaunchError([f"{shown}: not a TOML file: {one_line_of(error)}"]) from error
+    return Checker(shown, text, tree, path.stem).check(overrides, record)
 
 
 def load_tables(
@@ -137,156 +110,6 @@ def load_tables(
         for node, t in tables.items()
     )
     try:
-        return _Checker(name, text, {"nodes": tables}, name).check(overrides, None)
+        return Checker(name, text, {"nodes": tables}, name).check(overrides, None)
     except LaunchError as error:
         raise SparseskinError(error.lines[0]) from error
-
-
-class _Checker:
-    """Turns a TOML tree into a LaunchFile, or all its errors into a LaunchError."""
-
-    def __init__(self, shown: str, text: str, tree: dict[str, Any], name: str) -> None:
-        self.shown = shown
-        self.text = text
-        self.tree = tree
-        self.name = name
-        self.errors: list[str] = []
-        self.overridden: dict[tuple[str, str], str] = {}
-        self.launched = text
-
-    def check(self, overrides: Sequence[str], record: str | None) -> LaunchFile:
-        for key in self.tree:
-            if key not in ("graph", "nodes"):
-                self.fault((key,), f"unknown table{did_you_mean(key, ('graph', 'nodes'))}")
-        graph = self.graph_table()
-        tables = self.node_tables()
-        for override in overrides:
-            self.override(override, tables)
-        changes = "".join(f"# --set {override}\n" for override in overrides)
-        self.launched = changes + self.text
-        if record is not None:
-            tables[RECORDER] = {"type": "recorder", "out": record}
-            self.overridden[RECORDER, "out"] = f"{RECORDER}.out={record}"
-        nodes: dict[str, NodeSpec] = {}
-        for node_name, table in tables.items():
-            spec = self.node(node_name, table)
-            if spec is not None:
-                nodes[node_name] = spec
-        links: list[Link] = []
-        if not self.errors:
-            try:
-                links = join({spec.name: (spec.cls, spec.settings) for spec in nodes.values()})
-            except SparseskinError as error:
-                self.errors.append(f"{self.shown}: {error}")
-        if self.errors:
-            raise LaunchError(self.errors)
-        description = graph.get("description", "")
-        transport = graph.get("transport", "ipc")
-        return LaunchFile(self.name, description, transport, nodes, links, self.launched)
-
-    def graph_table(self) -> dict[str, Any]:
-        graph = self.tree.get("graph", {})
-        if not isinstance(graph, dict):
-            self.fault(("graph",), "expected a table [graph]")
-            return {}
-        for key, value in graph.items():
-            if key not in _GRAPH_KEYS:
-                self.fault(("graph", key), f"unknown key{did_you_mean(key, _GRAPH_KEYS)}")
-            elif not isinstance(value, str):
-                self.fault(("graph", key), f"expected a text, got {value!r}")
-            elif key == "transport" and value not in TRANSPORTS:
-                hint = did_you_mean(value, TRANSPORTS)
-                self.fault(("graph", key), f"{value!r} is not allowed{hint}")
-        return graph
-
-    def node_tables(self) -> dict[str, dict[str, Any]]:
-        tables = self.tree.get("nodes")
-        if not isinstance(tables, dict) or not tables:
-            self.errors.append(f"{self.shown}: nodes: expected at least one table [nodes.NAME]")
-            return {}
-        good: dict[str, dict[str, Any]] = {}
-        for name, table in tables.items():
-            try:
-                check_name(f"nodes.{name}", name)
-            except MessageError as error:
-                self.errors.append(f"{self.shown}: {error}")
-                continue
-            if not isinstance(table, dict):
-                self.fault(("nodes", name), f"expected a table [nodes.{name}]")
-                continue
-            good[name] = dict(table)
-        return good
-
-    def override(self, text: str, tables: dict[str, dict[str, Any]]) -> None:
-        match = re.fullmatch(r"([^.=]+)\.([^.=]+)=(.*)", text, re.DOTALL)
-        if match is None:
-            self.errors.append(f"--set {text}: expected NODE.KEY=VALUE")
-            return
-        node, key, raw = match.groups()
-        if node not in tables:
-            self.errors.append(f"--set {text}: unknown node '{node}'{did_you_mean(node, tables)}")
-            return
-        try:
-            value = tomllib.loads(f"value = {raw}")["value"]
-        except tomllib.TOMLDecodeError:
-            value = raw
-        tables[node][key] = value
-        self.overridden[node, key] = text
-
-    def node(self, name: str, table: dict[str, Any]) -> NodeSpec | None:
-        values = dict(table)
-        type_name = values.pop("type", None)
-        if not isinstance(type_name, str):
-            self.fault(("nodes", name), "the key 'type' is missing or not a text")
-            return None
-        try:
-            cls = node_class(type_name)
-        except SparseskinError as error:
-            self.fault(("nodes", name, "type"), str(error))
-            return None
-        if issubclass(cls, Recorder):
-            values = {"launch": self.launched, "source": self.name} | values
-        try:
-            settings = make_settings(cls, values)
-            settings.check()
-        except SparseskinError as error:
-            key, _, rest = str(error).partition(":")
-            if key in values:
-                self.fault(("nodes", name, key), rest.strip())
-            else:
-                self.fault(("nodes", name), str(error))
-            return None
-        return NodeSpec(name, type_name, cls, values, settings)
-
-    def fault(self, place: tuple[str, ...], what: str) -> None:
-        """Note an error at a place, with the line of the file or the --set it comes from."""
-        if len(place) == 3 and place[1:] in self.overridden:
-            self.errors.append(f"--set {self.overridden[place[1], place[2]]}: {what}")
-            return
-        line = _line_of(self.text, place)
-        where = f"{self.shown}:{line}" if line else self.shown
-        self.errors.append(f"{where}: {'.'.join(place)}: {_one_line(what)}")
-
-
-def _line_of(text: str, place: tuple[str, ...]) -> int:
-    """Number of the line that holds a key of a table, or the table's header; 0 if not found."""
-    header = re.compile(r"\s*\[\s*([^\]]+?)\s*\]")
-    table: tuple[str, ...] = ()
-    found = 0
-    for number, line in enumerate(text.splitlines(), start=1):
-        match = header.match(line)
-        if match:
-            table = tuple(part.strip(" \"'") for part in match[1].split("."))
-            if table == place:
-                return number
-            if table == place[:-1]:
-                found = found or number
-        else:
-            key = line.partition("=")[0].strip(" \"'\t")
-            if key and "=" in line and (*table, *key.split(".")) == place:
-                return number
-    return found
-
-
-def _one_line(what: object) -> str:
-    return " ".join(str(what).split())

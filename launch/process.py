@@ -20,7 +20,7 @@ class NodeProcess:
     name : str
         The node's name.
     config : dict
-        What `sparseskin.nodes.runner` expects on its first line.
+        What `sparseskin.nodes.run_node` expects on its first line.
     """
 
     def __init__(self, name: str, config: dict[str, Any]) -> None:
@@ -29,7 +29,7 @@ class NodeProcess:
         # -P: a file of the user's that is named like a standard module must not shadow it.
         # The name at the end is for whoever lists processes.
         self._popen = subprocess.Popen(
-            [sys.executable, "-P", "-m", "sparseskin.nodes.runner", name],
+            [sys.executable, "-P", "-m", "sparseskin.nodes.run_node", name],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -1,12 +1,7 @@
-"""A node as a process: owns its sockets, the handshake with the launcher, ticks and signals.
-
-Run as `python -m sparseskin.nodes.runner`. The launcher writes a configuration on its stdin,
-then commands: "connect" (where the writers are), "start" (all nodes are ready), "stop".
-"""
+"""A node as a process: owns its sockets, the handshake with the launcher, ticks and signals."""
 
 from __future__ import annotations
 
-import os
 import secrets
 import signal
 import sys
@@ -20,10 +15,9 @@ import zmq
 from sparseskin.messages import Message
 
 from .clock import SystemClock
-from .control import Control, watch_parent
+from .control import Control
 from .errors import SparseskinError
 from .host import NodeHost
-from .lookup import one_line
 from .node import Context, SourceNode, Tick
 from .registry import make_settings, node_class
 from .sockets import FAREWELL_MS, Reader, Writer, make_context
@@ -245,39 +239,3 @@ class Runner:
             counts=self.host.counts.as_dict(),
             failure=self.host.failure,
         )
-
-
-def main() -> int:
-    """Entry point of a node process."""
-    control = Control()
-    watch_parent()
-    try:
-        while not (commands := control.commands()):
-            if control.closed:
-                return 0
-            _wait_for_input(control.fd)
-        Runner(control, commands[0]).run()
-    except SparseskinError as error:
-        control.emit("error", text=str(error), code=EXIT_USAGE)
-        return EXIT_USAGE
-    except zmq.ZMQError as error:
-        control.emit(
-            "error", text=f"cannot bind {commands[0]['endpoint']}: {error}", code=EXIT_USAGE
-        )
-        return EXIT_USAGE
-    except Exception as error:
-        if os.environ.get("SPARSESKIN_TRACEBACK"):
-            raise
-        control.emit("error", text=one_line(error), code=EXIT_CRASH)
-        return EXIT_CRASH
-    return 0
-
-
-def _wait_for_input(fd: int) -> None:
-    poller = zmq.Poller()
-    poller.register(fd, zmq.POLLIN)
-    poller.poll(POLL_MS)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
 from typing import Any
 
 from tqdm import tqdm
@@ -12,117 +11,15 @@ from tqdm import tqdm
 from sparseskin.messages import Message, MessageError, SkinState, Truth, decode, topic_of
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
-from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
-from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.errors import RefusedError, SparseskinError
 from sparseskin.nodes.node import Context, SourceNode, Tick
-from sparseskin.nodes.recorder.bag import TopicInfo
 from sparseskin.nodes.recorder.bag_reader import BagReader
-from sparseskin.nodes.settings import Settings, setting
 
 from .schedule import Schedule
+from .settings import PlayerSettings, renamed_topics
 
 MAX_STAMPS = 4096
 """How many frames may be under way at once before a late message counts as a frame of its own."""
-
-
-@dataclass(frozen=True)
-class PlayerSettings(Settings):
-    """What a player can be told."""
-
-    file: str = setting("", "recording to play, NAME.mcap")
-    rate: float = setting(
-        1.0, "times the recorded speed; 0: as fast as the readers are done", low=0.0, high=1000.0
-    )
-    loop: bool = setting(False, "begin again at the end")
-    start_s: float = setting(0.0, "seconds of the recording to leave out", low=0.0, high=1e9)
-    duration_s: float | None = setting(None, "seconds to play", low=0.0, high=1e9)
-    paused: bool = setting(False, "wait for a command before the first frame")
-    topics: tuple[str, ...] = setting((), "topics to play; all by default")
-    schemas: tuple[str, ...] = setting(
-        (), "schemas to play (skin, taxels, truth ...), in place of whole topics"
-    )
-    remap: tuple[str, ...] = setting((), "FROM:=TO each: /PATCH:=/PATCH or whole topics")
-    lockstep: bool = setting(False, "send no frame before all readers are done with the last")
-    verbatim: bool = setting(
-        False, "keep stamps, run ids and numbers as recorded, in place of new ones"
-    )
-    keep_stamps: bool = setting(
-        False, "keep stamps as recorded, and give new run ids and numbers: for offline runs"
-    )
-    wait: int = setting(0, "readers to wait for before the first frame", low=0, high=1000)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for pair in self.remap:
-            if pair.count(":=") != 1:
-                raise SettingsError(f"remap: '{pair}': expected FROM:=TO")
-        for schema in self.schemas:
-            if schema not in SCHEMAS:
-                raise SettingsError(f"schemas: {schema}: no schema{did_you_mean(schema, SCHEMAS)}")
-        if self.schemas and self.topics:
-            raise SettingsError("schemas: goes not with topics")
-        if self.keep_stamps and self.loop:
-            raise SettingsError("keep_stamps: goes not with loop")
-        if self.verbatim and (self.loop or self.remap):
-            raise SettingsError("verbatim: goes neither with loop nor with remap")
-
-    def check(self) -> None:
-        renamed_topics(self)
-
-
-@lru_cache(maxsize=8)
-def _topics_of(file: str) -> dict[str, TopicInfo]:
-    with BagReader(file) as bag:
-        return dict(bag.topics)
-
-
-def renamed_topics(settings: PlayerSettings) -> dict[str, str]:
-    """Name under which each chosen topic of the recording is played.
-
-    Raises
-    ------
-    SparseskinError
-        If the file cannot be opened, a topic is not in it, or a new name is no topic of the
-        same schema.
-    """
-    if not settings.file:
-        raise SettingsError("file: name the recording to play")
-    present = _topics_of(settings.file)
-    for topic in settings.topics:
-        if topic not in present:
-            raise SettingsError(f"topics: {topic}: not in the file{did_you_mean(topic, present)}")
-    chosen = list(settings.topics or _of_schemas(present, settings) or present)
-    names = {topic: topic for topic in chosen}
-    for pair in settings.remap:
-        old, new = (side.strip().rstrip("/") for side in pair.split(":="))
-        matching = [topic for topic in chosen if topic == old or topic.startswith(old + "/")]
-        if not matching:
-            raise SettingsError(f"remap: {old}: not in the file{did_you_mean(old, chosen)}")
-        for topic in matching:
-            names[topic] = _renamed(topic, new + topic.removeprefix(old))
-    if len(set(names.values())) < len(names):
-        raise SettingsError("remap: two topics would have one name")
-    return names
-
-
-def _of_schemas(present: Iterable[str], settings: PlayerSettings) -> list[str]:
-    """Topics of the chosen schemas; the truth may be missing, it is not known of every skin."""
-    patches = dict.fromkeys(split_topic(topic)[0] for topic in present)
-    chosen = [topic_of(patch, schema) for patch in patches for schema in settings.schemas]
-    for topic in chosen:
-        if topic not in present and split_topic(topic)[1] != Truth.schema:
-            raise SettingsError(f"schemas: {topic}: not in {settings.file}")
-    return chosen
-
-
-def _renamed(topic: str, new: str) -> str:
-    try:
-        schema = split_topic(new)[1]
-    except MessageError as error:
-        raise SettingsError(f"remap: {error}") from error
-    if schema != split_topic(topic)[1]:
-        raise SettingsError(f"remap: {topic} cannot become {new}: a topic ends in its schema")
-    return new
 
 
 class Player(SourceNode[PlayerSettings]):

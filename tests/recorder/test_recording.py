@@ -93,9 +93,11 @@ def test_a_killed_recorder_leaves_a_file_that_ends_just_before(
         part = tmp_path / f"{k}.mcap.part"
         recorder = start("record", "--out", f"{k}.mcap")
         recorder.wait_for("[launch] ready")
-        wait_until(lambda part=part: part.exists() and part.stat().st_size > 0, "the file")  # type: ignore[misc]
+        wait_until(lambda: part.exists() and part.stat().st_size > 0, "the file")  # noqa: B023
         time.sleep(moments.uniform(0.3, 1.0))  # the random moment that the fact is about
-        (pid,) = [pid for pid, command in recorder.survivors().items() if "nodes.runner" in command]
+        (pid,) = [
+            pid for pid, command in recorder.survivors().items() if "nodes.run_node" in command
+        ]
         killed_ns = time.time_ns()
         os.kill(pid, signal.SIGKILL)
         assert recorder.finish()[0] != 0
