@@ -49,6 +49,24 @@ class Message:
     def __post_init__(self) -> None:
         for name, kind in wire_fields(type(self)).items():
             object.__setattr__(self, name, kind.check(name, getattr(self, name)))
+        self.validate()
+
+    def validate(self) -> None:
+        """Check what concerns several fields at once; each is sound by itself already.
+
+        Raises
+        ------
+        MessageError
+            If they do not go together.
+        """
+
+    @classmethod
+    def assembled(cls, values: dict[str, Any]) -> Self:
+        """A message of fields that have been checked one by one, as `decode` does."""
+        made = object.__new__(cls)
+        made.__dict__.update(values)
+        made.validate()
+        return made
 
     @property
     def topic(self) -> str:

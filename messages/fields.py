@@ -33,8 +33,8 @@ class FieldKind:
         return value
 
     def unpack(self, name: str, raw: Any) -> Any:
-        """Undo `pack`; `check` comes after it."""
-        return raw
+        """Undo `pack`, and check what comes out as `check` does."""
+        return self.check(name, raw)
 
 
 @dataclass(frozen=True)
@@ -123,9 +123,7 @@ class Array(FieldKind):
         if value.dtype != np.dtype(self.dtype):
             raise ShapeError(f"{name}: expected dtype {self.dtype}, got {value.dtype.str}")
         self._check_shape(name, value.shape)
-        if value.dtype.kind == "f" and not np.isfinite(value).all():
-            cell = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
-            raise NotFiniteError(f"{name}{list(cell)}: {value[cell]} is not a finite number")
+        self._check_finite(name, value)
         return np.ascontiguousarray(value)
 
     def pack(self, value: Any) -> Any:
@@ -159,7 +157,14 @@ class Array(FieldKind):
             raise ShapeError(f"{name}: shape {shape} does not fit {len(data)} bytes of data")
         if dtype.kind == "b" and max(data) > 1:
             raise MalformedError(f"{name}: a boolean byte other than 0 and 1")
-        return np.frombuffer(data, dtype).reshape(shape)
+        value = np.frombuffer(data, dtype).reshape(shape)
+        self._check_finite(name, value)
+        return value
+
+    def _check_finite(self, name: str, value: npt.NDArray[Any]) -> None:
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            cell = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
+            raise NotFiniteError(f"{name}{list(cell)}: {value[cell]} is not a finite number")
 
     def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
         if len(shape) != self.ndim or min(shape) < 1:

@@ -53,8 +53,7 @@ class SkinState(Message):
     sigma_mid: float = wire(Real(0.0))
     sigma_end: float = wire(Real(0.0))
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def validate(self) -> None:
         _ = self.skin  # refuses a mask that does not fit the grid
 
     @property
@@ -108,8 +107,7 @@ class End(Message):
     of: str = wire(Text(MAX_NAME, NAME_PATTERN))
     n_messages: int = wire(Integer())
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def validate(self) -> None:
         if self.of == self.schema:
             raise MessageError("of: an end cannot end itself")
 

@@ -65,7 +65,7 @@ def decode(topic: bytes, payload: bytes) -> Message:
     if body.keys() != fields.keys() | {"schema", "version"}:
         names = sorted(str(key) for key in body.keys() ^ (fields.keys() | {"schema", "version"}))
         raise MalformedError(f"{cls.schema}: missing or unknown fields {', '.join(names)[:200]}")
-    message = cls(**{name: kind.unpack(name, body[name]) for name, kind in fields.items()})
+    message = cls.assembled({name: kind.unpack(name, body[name]) for name, kind in fields.items()})
     if message.topic.encode() != topic:
         raise FieldError(f"a message of {message.topic} came under topic {topic!r}")
     return message
