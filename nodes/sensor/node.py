@@ -11,9 +11,10 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
+from .driver import DriverSource
 from .noise import NoiseModel
 from .source import Forces
-from .sources import SCENE, check_source, is_live, open_source
+from .sources import SCENE, check_source, open_source
 
 DEFAULT_RATE_HZ = 100.0
 _Frame = tuple[Forces, Forces | None]
@@ -78,7 +79,7 @@ class Sensor(SourceNode[SensorSettings]):
             paper.f_max, settings.noise * paper.sigma_mid, settings.noise * paper.sigma_end
         )
         self._rng = context.rng(settings.seed)
-        self._live = is_live(self._source)
+        self._live = isinstance(self._source, DriverSource)
         self.rate_hz = self._chosen_rate()
         self._frames: Iterator[tuple[int, Forces]] = iter(self._source)
         self._next: _Frame | None = None
@@ -134,12 +135,16 @@ class Sensor(SourceNode[SensorSettings]):
         total = f" of {self._source.n_frames}" if self._source.n_frames is not None else ""
         return f"{self._source.name}: frame {self._n_frames}{total}"
 
+    def close(self, counts: dict[str, Any]) -> None:
+        if isinstance(self._source, DriverSource):
+            self._source.close()
+
     def report(self) -> dict[str, Any]:
         return {"clipped": self._n_clipped}
 
     def _watch_range(self) -> None:
         """Say so when readings leave the range: a wrong sign, unit or range shows there first."""
-        n_clipped = getattr(self._source, "n_clipped", 0)
+        n_clipped = self._source.n_clipped if isinstance(self._source, DriverSource) else 0
         if n_clipped > 2 * self._said_clipped:
             self._said_clipped = n_clipped
             self.context.log(

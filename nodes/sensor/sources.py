@@ -10,7 +10,7 @@ from pathlib import Path
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 
-from .driver import DriverSource, open_callable
+from .driver import open_callable
 from .formats import SUFFIXES
 from .recorded import open_file
 from .scenes import SCENES, open_scene
@@ -117,8 +117,3 @@ def open_source(
         if stated[name] is not None:
             raise SourceError(f"{source}: {name} is stated, but a driver has its own shape")
     return open_callable(source, f_max=f_max, unit=unit, rate_hz=rate_hz)
-
-
-def is_live(source: Source) -> bool:
-    """Whether frames come when the hardware has them, not when they are asked for."""
-    return isinstance(source, DriverSource)

@@ -272,6 +272,20 @@ def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
     assert frames["lost"] == missed[1] + missed[2]  # at the compressor and the reconstructor
 
 
+def test_a_driver_is_closed_when_the_graph_ends(start: StartProgram, tmp_path: Path) -> None:
+    (tmp_path / "polite.py").write_text(
+        "import itertools, numpy as np, pathlib\n"
+        "def frames():\n"
+        "    try:\n"
+        "        for k in itertools.count(): yield k, np.zeros((5, 4))\n"
+        "    finally:\n"
+        "        pathlib.Path('closed').touch()\n"
+    )
+    arguments = ("--set", "sensor.source=polite:frames", "--set", "sensor.rate_hz=100")
+    assert start("launch", "replay", *arguments, "--frames", "5").finish()[0] == 0
+    assert (tmp_path / "closed").exists()
+
+
 def test_readings_outside_the_range_are_clipped_but_not_silently(
     start: StartProgram, tmp_path: Path
 ) -> None:
