@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import os
 import tempfile
 from collections.abc import Iterator
@@ -11,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.recorder.bag_file import place
 
 
 class OutputError(SparseskinError):
@@ -54,23 +53,12 @@ def whole_file(path: Path) -> Iterator[Path]:
     with folder as name:
         draft = Path(name) / path.name
         yield draft
+        if not draft.exists():
+            return
         try:
-            _place(draft, path)
+            place(draft, path)
         except OSError as error:
             raise OutputError(f"{path}: {_reason(error)}") from error
-
-
-def _place(draft: Path, path: Path) -> None:
-    try:
-        # Unlike a rename, a link does not replace a file that came meanwhile.
-        os.link(draft, path)
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without hard links
-        if os.path.lexists(path):
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
-        with contextlib.suppress(FileNotFoundError):
-            draft.rename(path)
 
 
 def _reason(error: OSError) -> str:

@@ -94,3 +94,30 @@ def start(tmp_path: Path) -> Iterator[StartProgram]:
     for program in programs:
         program.kill_all()
         program.process.communicate()
+
+
+MountDisk = Callable[[str], Path]
+
+
+@pytest.fixture
+def mount_disk(tmp_path: Path) -> Iterator[MountDisk]:
+    """Mount a disk of a stated size ("400k", "1m"); the test is skipped where that is forbidden."""
+    folders: list[Path] = []
+
+    def mount(size: str) -> Path:
+        folder = tmp_path / f"disk-{size}"
+        folder.mkdir()
+        mounted = subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if mounted.returncode:
+            pytest.skip(f"no small disk: mounting is not permitted ({mounted.stderr.strip()})")
+        folders.append(folder)
+        return folder
+
+    yield mount
+    for folder in folders:
+        subprocess.run(["umount", str(folder)], check=True)

@@ -73,6 +73,27 @@ class BagFile:
             os.close(fd)
 
 
+def place(part: Path, path: Path) -> None:
+    """Give a file its name, but never in the place of another.
+
+    Raises
+    ------
+    OSError
+        FileExistsError where another file has the name, or what else the disk refuses.
+    """
+    try:
+        # Unlike a rename, a link does not replace a file that came meanwhile.
+        os.link(part, path)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        if os.path.lexists(path):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
+        part.rename(path)
+    else:
+        part.unlink()
+
+
 def give_name(part: Path, path: Path) -> None:
     """Give a complete bag its name, and wait until the disk knows it.
 
@@ -82,17 +103,7 @@ def give_name(part: Path, path: Path) -> None:
         If another file has the name, or the disk refuses.
     """
     try:
-        try:
-            # Unlike a rename, a link does not replace a file that came meanwhile.
-            os.link(part, path)
-        except FileExistsError:
-            raise
-        except OSError:  # a file system without hard links
-            if os.path.lexists(path):
-                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
-            part.rename(path)
-        else:
-            part.unlink()
+        place(part, path)
     except OSError as error:
         raise BagError(
             f"{path}: {error.strerror}; the recording is complete in {part.name}"

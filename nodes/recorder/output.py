@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from .bag import PART_SUFFIX, BagError
+from .bag_file import place
 
 
 @contextmanager
@@ -25,7 +26,7 @@ def new_file(path: Path) -> Iterator[Path]:
     try:
         yield part
         with os_errors(path):
-            part.rename(path)
+            place(part, path)
     finally:
         part.unlink(missing_ok=True)
 

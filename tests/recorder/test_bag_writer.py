@@ -5,12 +5,12 @@ from __future__ import annotations
 import random
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import mcap.reader
 import pytest
 from bags import LAG_NS, frame, frames, make_bag, record
+from conftest import MountDisk
 
 from sparseskin.messages import End, encode
 from sparseskin.messages.fields import INT64_MAX
@@ -216,19 +216,8 @@ def test_after_kill_9_at_most_a_quarter_of_a_second_is_missing(tmp_path: Path, s
 
 
 @pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=400k", "tmpfs", str(folder)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if mounted.returncode:
-        pytest.skip(f"no small disk: mounting is not permitted ({mounted.stderr.strip()})")
-    yield folder
-    subprocess.run(["umount", str(folder)], check=True)
+def small_disk(mount_disk: MountDisk) -> Path:
+    return mount_disk("400k")
 
 
 def fill(writer: BagWriter) -> list[bytes]:

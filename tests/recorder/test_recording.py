@@ -6,13 +6,11 @@ import json
 import os
 import random
 import signal
-import subprocess
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from conftest import StartProgram, wait_until
+from conftest import MountDisk, StartProgram, wait_until
 
 from sparseskin.messages import decode
 from sparseskin.nodes.recorder.bag_reader import BagReader
@@ -141,19 +139,8 @@ def test_a_recorder_notices_that_the_graph_is_gone(start: StartProgram, tmp_path
 
 
 @pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    folder = tmp_path / "small"
-    folder.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(folder)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if mounted.returncode:
-        pytest.skip(f"no small disk: mounting is not permitted ({mounted.stderr.strip()})")
-    yield folder
-    subprocess.run(["umount", str(folder)], check=True)
+def small_disk(mount_disk: MountDisk) -> Path:
+    return mount_disk("1m")
 
 
 def test_a_full_disk_is_one_clear_line_and_the_graph_is_unharmed(
