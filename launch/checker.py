@@ -16,10 +16,11 @@ from sparseskin.nodes.recorder.node import Recorder
 from sparseskin.nodes.registry import make_settings, node_class
 
 from .launchspec import LaunchError, LaunchFile, NodeSpec
+from .supervision import RESTART_KEYS, RestartPolicy
 
 TRANSPORTS = ("ipc", "tcp")
 RECORDER = "recorder"
-_GRAPH_KEYS = ("description", "transport")
+_GRAPH_KEYS = ("description", "transport", *RESTART_KEYS)
 
 
 class Checker:
@@ -33,12 +34,14 @@ class Checker:
         self.errors: list[str] = []
         self.overridden: dict[tuple[str, str], str] = {}
         self.launched = text
+        self.restart = RestartPolicy()
 
     def check(self, overrides: Sequence[str], record: str | None) -> LaunchFile:
         for key in self.tree:
             if key not in ("graph", "nodes"):
                 self.fault((key,), f"unknown table{did_you_mean(key, ('graph', 'nodes'))}")
         graph = self.graph_table()
+        self.restart = self.restart_policy(("graph",), graph, RestartPolicy())
         tables = self.node_tables()
         for override in overrides:
             self.override(override, tables)
@@ -72,12 +75,26 @@ class Checker:
         for key, value in graph.items():
             if key not in _GRAPH_KEYS:
                 self.fault(("graph", key), f"unknown key{did_you_mean(key, _GRAPH_KEYS)}")
+            elif key in RESTART_KEYS:
+                continue
             elif not isinstance(value, str):
                 self.fault(("graph", key), f"expected a text, got {value!r}")
             elif key == "transport" and value not in TRANSPORTS:
                 hint = did_you_mean(value, TRANSPORTS)
                 self.fault(("graph", key), f"{value!r} is not allowed{hint}")
         return graph
+
+    def restart_policy(
+        self, place: tuple[str, ...], table: dict[str, Any], policy: RestartPolicy
+    ) -> RestartPolicy:
+        """A policy with what a table states of it."""
+        for key in RESTART_KEYS:
+            if key in table:
+                try:
+                    policy = policy.stated(key, table[key])
+                except SparseskinError as error:
+                    self.fault((*place, key), str(error))
+        return policy
 
     def node_tables(self) -> dict[str, dict[str, Any]]:
         tables = self.tree.get("nodes")
@@ -124,6 +141,8 @@ class Checker:
         except SparseskinError as error:
             self.fault(("nodes", name, "type"), str(error))
             return None
+        restart = self.restart_policy(("nodes", name), values, self.restart)
+        values = {key: value for key, value in values.items() if key not in RESTART_KEYS}
         if issubclass(cls, Recorder):
             values = {"launch": self.launched, "source": self.name} | values
         try:
@@ -136,7 +155,7 @@ class Checker:
             else:
                 self.fault(("nodes", name), str(error))
             return None
-        return NodeSpec(name, type_name, cls, values, settings)
+        return NodeSpec(name, type_name, cls, values, settings, restart)
 
     def fault(self, place: tuple[str, ...], what: str) -> None:
         """Note an error at a place, with the line of the file or the --set it comes from."""

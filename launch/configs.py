@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .launchspec import LaunchFile
+from sparseskin.nodes.graph import Link
+
+from .launchspec import LaunchFile, NodeSpec
 from .running import RunningGraph, RunningNode
 
 
 def node_config(
-    launch: LaunchFile, name: str, offset_ns: int, max_frames: int | None, late: bool
+    transport: str,
+    spec: NodeSpec,
+    links: Sequence[Link],
+    *,
+    offset_ns: int,
+    max_frames: int | None,
+    late: bool,
 ) -> dict[str, Any]:
     """The configuration of a node's process, as `sparseskin.nodes.run_node` expects it."""
-    spec = launch.nodes[name]
     return {
-        "name": name,
+        "name": spec.name,
         "type": spec.type_name,
         "settings": spec.values,
-        "endpoint": _endpoint(launch.transport, name),
-        "inputs": [link.topic for link in launch.links if link.reader == name],
-        "readers": sorted({link.reader for link in launch.links if link.writer == name}),
+        "endpoint": _endpoint(transport, spec.name),
+        "inputs": [link.topic for link in links if link.reader == spec.name],
+        "readers": sorted({link.reader for link in links if link.writer == spec.name}),
         "offset_ns": offset_ns,
         "max_frames": max_frames,
         "late": late,

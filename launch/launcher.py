@@ -1,8 +1,7 @@
-"""Starts a graph's processes, joins them, watches them and ends them all."""
+"""Runs a graph from start to end: starts its nodes, joins them, watches them, ends them all."""
 
 from __future__ import annotations
 
-import selectors
 import signal
 import time
 from collections.abc import Callable, Mapping
@@ -11,24 +10,23 @@ from typing import Any
 
 from sparseskin.nodes.clock import wall_offset_ns
 
-from .configs import node_config, note_of
+from .configs import note_of
+from .controls import Controls
+from .fleet import EXIT_FAILED, EXIT_USAGE, Fleet
 from .launchfile import LaunchFile
-from .process import NodeProcess, exit_text
-from .running import RunningGraph, announced, is_running
+from .process import NodeProcess
+from .remote_controls import RemoteControls
+from .running import RunningGraph, announced, control_path, is_running
 from .terminal import Terminal
 
 START_S = 30.0
 """How long all nodes together may take until they are ready."""
 DRAIN_S = 5.0
 """How long frames under way may take to the end of the graph, once the sources have stopped."""
-GRACE_S = 2.0
-"""How long a process may take from one request to end to the next, sterner one."""
-POLL_S = 0.1
 LOOK_S = 0.5
 QUIT_KEYS = ("q", "\x03")
 
-EXIT_FAILED = 1
-EXIT_USAGE = 2
+__all__ = ["EXIT_FAILED", "EXIT_USAGE", "Launcher"]
 
 
 class Launcher:
@@ -58,19 +56,17 @@ class Launcher:
     ) -> None:
         self._launch = launch
         self._terminal = terminal
-        self._max_frames = max_frames
         self._joined = joined
         self._keys = dict(keys or {})
         self._look_at_s = 0.0
         self._offset_ns = joined.offset_ns if joined else wall_offset_ns()
-        self._nodes: dict[str, NodeProcess] = {}
-        self._selector = selectors.DefaultSelector()
+        self._fleet = Fleet(launch, self._offset_ns, terminal.log, max_frames, joined)
+        self._controls: Controls | RemoteControls | None = None
         writers = {link.writer for link in launch.links}
         self._sinks = [name for name in launch.nodes if name not in writers]
         self._interrupts = 0
         self._gone = False
-        self._exit_code = 0
-        self._late_code = 0
+        self._signal_code = 0
 
     def run(self) -> int:
         """Run the graph until its streams end; return the exit code: 0, 1 for a node that
@@ -81,69 +77,74 @@ class Launcher:
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         }
         try:
-            self._spawn()
+            self._fleet.spawn()
             if self._handshake():
-                endpoints = {name: node.endpoint for name, node in self._nodes.items()}
+                self._serve_controls()
+                endpoints = {node.name: node.endpoint for node in self._fleet}
                 note = note_of(self._launch, endpoints, self._offset_ns)
                 with announced(note), self._terminal.keyboard(bool(self._keys)):
-                    self._command_all("start")
+                    self._fleet.supervised = self._joined is None
+                    self._fleet.command_all("start")
                     self._until(self._all_ended, None)
+                    self._fleet.supervised = False
                     if not self._all_ended():
                         self._drain()
         finally:
-            self._end_all()
+            if self._controls is not None:
+                self._controls.close()
+            self._fleet.end_all()
             for number, handler in old.items():
                 signal.signal(number, handler)
             self._terminal.status("")
-        return self._exit_code or self._late_code
+        return self._exit_code or self._fleet.late_code
 
     def summary(self) -> dict[str, Any]:
         """What the nodes reported, and what each of them counted."""
         merged: dict[str, Any] = {"launch": self._launch.name, "patches": {}, "nodes": {}}
-        for name, node in self._nodes.items():
+        for node in self._fleet:
             found = dict(node.report)
             merged["patches"].update(found.pop("patches", {}))
-            type_name = self._launch.nodes[name].type_name
-            merged["nodes"][name] = {"type": type_name, **node.counts, **found}
+            merged["nodes"][node.name] = {
+                "type": node.spec.type_name,
+                "restarts": self._fleet.n_restarts(node.name),
+                **node.counts,
+                **found,
+            }
         return merged
+
+    @property
+    def _exit_code(self) -> int:
+        return self._signal_code or self._fleet.exit_code
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
         self._interrupts += 1
-        self._exit_code = self._exit_code or 128 + number
+        if not self._fleet.exit_code:
+            self._signal_code = self._signal_code or 128 + number
 
-    def _spawn(self) -> None:
-        for name in self._launch.nodes:
-            config = node_config(
-                self._launch, name, self._offset_ns, self._max_frames, self._joined is not None
-            )
-            node = NodeProcess(name, config)
-            self._nodes[name] = node
-            for pipe in node.pipes:
-                self._selector.register(pipe, selectors.EVENT_READ, node)
+    def _serve_controls(self) -> None:
+        if self._joined is None:
+            path = control_path(self._launch.name)
+            self._controls = Controls(self._launch, self._fleet, path)
+        else:
+            self._controls = RemoteControls(self._fleet, self._joined.control)
 
     def _handshake(self) -> bool:
         """Join the nodes; False if one of them failed or was late."""
-        if not self._until(lambda: all(n.endpoint for n in self._nodes.values()), START_S):
+        if not self._until(lambda: all(node.endpoint for node in self._fleet), START_S):
             return self._name_late("has not started", lambda node: not node.endpoint)
-        for name, node in self._nodes.items():
-            writers = sorted({k.writer for k in self._launch.links if k.reader == name})
-            node.command("connect", endpoints=[self._endpoint_of(w) for w in writers])
-        if not self._until(lambda: all(n.ready for n in self._nodes.values()), START_S):
+        for node in self._fleet:
+            self._fleet.connect(node)
+        if not self._until(lambda: all(node.ready for node in self._fleet), START_S):
             return self._name_late("is not ready", lambda node: not node.ready)
-        self._terminal.log(f"[launch] ready: {', '.join(self._nodes)}")
+        self._terminal.log(f"[launch] ready: {', '.join(self._fleet.nodes)}")
         return True
-
-    def _endpoint_of(self, writer: str) -> str:
-        if self._joined is not None:
-            return self._joined.nodes[writer].endpoint
-        return self._nodes[writer].endpoint
 
     def _look_around(self) -> None:
         """Pass on keys, and notice where the graph that was joined is gone."""
         for key in self._terminal.pressed():
             if key in self._keys:
                 node, command = self._keys[key]
-                self._nodes[node].command(command)
+                self._fleet.nodes[node].command(command)
             elif key in QUIT_KEYS:
                 self._interrupts += 1
         if self._joined is not None and time.monotonic() >= self._look_at_s:
@@ -154,23 +155,21 @@ class Launcher:
 
     def _name_late(self, what: str, is_late: Callable[[NodeProcess], bool]) -> bool:
         if not self._exit_code:
-            self._exit_code = EXIT_FAILED
-            for node in filter(is_late, self._nodes.values()):
+            self._fleet.exit_code = EXIT_FAILED
+            for node in filter(is_late, self._fleet):
                 lack = f": no subscription from {', '.join(node.lacks)}" if node.lacks else ""
                 self._terminal.log(f"[launch] {node.name} {what} after {START_S:g} s{lack}")
         return False
 
     def _all_ended(self) -> bool:
-        return all(node.ended or node.failed for node in self._nodes.values())
+        return all(node.ended or node.failed for node in self._fleet)
 
     def _all_drained(self) -> bool:
         """Whether all have ended but those that wait for a node that is dead."""
-        cut_off = {name for name, node in self._nodes.items() if node.exit_code() is not None}
-        for _ in self._nodes:
+        cut_off = {node.name for node in self._fleet if node.exit_code() is not None}
+        for _ in self._fleet:
             cut_off |= {link.reader for link in self._launch.links if link.writer in cut_off}
-        return all(
-            node.ended or node.failed or name in cut_off for name, node in self._nodes.items()
-        )
+        return all(node.ended or node.failed or node.name in cut_off for node in self._fleet)
 
     def _until(
         self, done: Callable[[], bool], limit_s: float | None, draining: bool = False
@@ -189,91 +188,20 @@ class Launcher:
 
     def _serve(self) -> None:
         self._look_around()
-        ready = self._selector.select(POLL_S)
-        for node in {id(key.data): key.data for key, _ in ready}.values():
-            self._listen(node)
-        for node in self._nodes.values():
-            code = node.exit_code()
-            if code is not None and not node.ended:
-                self._listen(node)
-                if not node.ended:
-                    node.ended = True
-                    text = f"[launch] {node.name} ended too early: {exit_text(code)}"
-                    self._fail(node, EXIT_FAILED, text)
-        lines = [self._nodes[name].line for name in self._sinks]
+        self._fleet.serve()
+        if self._controls is not None:
+            self._controls.serve()
+        nodes = self._fleet.nodes
+        lines = [nodes[name].line for name in self._sinks if name in nodes]
         self._terminal.status("  ||  ".join(filter(None, lines)))
-
-    def _listen(self, node: NodeProcess) -> None:
-        events, log = node.read()
-        for pipe in node.closed_pipes:
-            if pipe in self._selector.get_map():
-                self._selector.unregister(pipe)
-        for line in log:
-            self._terminal.log(f"[{node.name}] {line}")
-        for event in events:
-            match event["event"]:
-                case "bound":
-                    node.endpoint = event["endpoint"]
-                case "ready":
-                    node.ready = True
-                case "heartbeat":
-                    node.lacks, node.line = event["lacks"], event["line"]
-                    node.counts = event["counts"]
-                case "ended":
-                    node.ended = True
-                    node.counts, node.report = event["counts"], event["report"]
-                case "failed":  # the node has said why in its log
-                    self._fail(node, EXIT_USAGE, "")
-                case "error":
-                    node.ended = True
-                    self._fail(node, event["code"], f"[{node.name}] error: {event['text']}")
-                case _:
-                    self._terminal.log(f"[{node.name}] {event}")
-
-    def _fail(self, node: NodeProcess, code: int, line: str) -> None:
-        """A node cannot go on. The graph ends with it, if it is one that it needs."""
-        if line:
-            self._terminal.log(line)
-        if self._launch.nodes[node.name].cls.required:
-            self._exit_code = self._exit_code or code
-        else:
-            node.failed = True
-            self._late_code = self._late_code or code
-
-    def _command_all(self, command: str) -> None:
-        for node in self._nodes.values():
-            node.command(command)
 
     def _drain(self) -> None:
         """Stop the sources, and let what is under way reach the end of the graph."""
         if self._joined is not None:
             return  # the sources are not ours
-        for node in self._nodes.values():
+        for node in self._fleet:
             node.send_signal(signal.SIGINT)
         if not self._until(self._all_drained, DRAIN_S, draining=True):
-            late = [node.name for node in self._nodes.values() if not node.ended]
+            late = [node.name for node in self._fleet if not node.ended]
             if late and self._interrupts <= 1:
                 self._terminal.log(f"[launch] not drained after {DRAIN_S:g} s: {', '.join(late)}")
-
-    def _end_all(self) -> None:
-        """End every process: ask, then SIGTERM, then SIGKILL; say who needed what."""
-        self._command_all("stop")
-        for node in self._nodes.values():
-            if not node.endpoint:  # still starting: it does not listen yet
-                node.send_signal(signal.SIGTERM)
-        for number in (signal.SIGTERM, signal.SIGKILL):
-            deadline = time.monotonic() + GRACE_S
-            while self._alive() and time.monotonic() < deadline:
-                self._selector.select(POLL_S)
-                for node in self._nodes.values():
-                    self._listen(node)
-            for node in self._alive():
-                self._terminal.log(f"[launch] {node.name} does not end: {number.name}")
-                node.send_signal(number)
-        for node in self._nodes.values():
-            self._listen(node)
-            node.close()
-        self._selector.close()
-
-    def _alive(self) -> list[NodeProcess]:
-        return [node for node in self._nodes.values() if node.exit_code() is None]

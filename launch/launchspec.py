@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.node import Node
+
+from .supervision import RestartPolicy
 
 
 class LaunchError(Exception):
@@ -27,6 +29,17 @@ class NodeSpec:
     cls: type[Node[Any]]
     values: dict[str, Any]
     settings: Any
+    restart: RestartPolicy = RestartPolicy()
+
+    def with_live(self, values: dict[str, Any]) -> NodeSpec:
+        """The same node with what was changed while it ran."""
+        before = self.settings.live_values()
+        changed = {key: v for key, v in values.items() if v != before[key]}
+        return replace(
+            self,
+            values={key: v for key, v in (self.values | changed).items() if v is not None},
+            settings=replace(self.settings, **changed),
+        )
 
 
 @dataclass(frozen=True)

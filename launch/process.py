@@ -8,7 +8,13 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from typing import IO, Any
+
+from .launchspec import NodeSpec
+
+SILENT_S = 1.6
+"""After three heartbeats that did not come a node counts as not answering."""
 
 
 class NodeProcess:
@@ -17,14 +23,16 @@ class NodeProcess:
 
     Parameters
     ----------
-    name : str
-        The node's name.
+    spec : NodeSpec
+        The node.
     config : dict
         What `sparseskin.nodes.run_node` expects on its first line.
     """
 
-    def __init__(self, name: str, config: dict[str, Any]) -> None:
-        self.name = name
+    def __init__(self, spec: NodeSpec, config: dict[str, Any]) -> None:
+        self.spec = spec
+        self.name = name = spec.name
+        self.config = config
         environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **os.environ}
         # -P: a file of the user's that is named like a standard module must not shadow it.
         # The name at the end is for whoever lists processes.
@@ -39,7 +47,10 @@ class NodeProcess:
         self.endpoint = ""
         self.ready = self.ended = self.failed = False
         self.lacks: list[str] = []
-        self.line = ""
+        self.line = self.refusal = ""
+        self.state: dict[str, Any] = {}
+        self.settings: dict[str, Any] = spec.settings.live_values()
+        self.heard_s = time.monotonic()
         self.counts: dict[str, Any] = {}
         self.report: dict[str, Any] = {}
         self.closed_pipes: list[IO[bytes]] = []
@@ -59,6 +70,19 @@ class NodeProcess:
     def pid(self) -> int:
         return self._popen.pid
 
+    @property
+    def condition(self) -> str:
+        """How the node is, in a word or two."""
+        if self.failed or (self.exit_code() is not None and not self.ended):
+            return "failed"
+        if self.ended:
+            return "ended"
+        if not self.ready:
+            return "starting"
+        if time.monotonic() - self.heard_s > SILENT_S:
+            return "not answering"
+        return "paused" if self.state.get("paused") else "running"
+
     def exit_code(self) -> int | None:
         """Exit code, negative for a signal; None while the process runs."""
         return self._popen.poll()
@@ -74,6 +98,8 @@ class NodeProcess:
     def read(self) -> tuple[list[dict[str, Any]], list[str]]:
         """All (events, log lines) that wait."""
         events, log = (self._lines(pipe) for pipe in self.pipes)
+        if events:
+            self.heard_s = time.monotonic()
         return [_event(line) for line in events], log
 
     def close(self) -> None:

@@ -48,6 +48,11 @@ class RunningGraph:
         """Name by which one of several graphs is chosen."""
         return f"{self.name}-{self.pid}"
 
+    @property
+    def control(self) -> str:
+        """Path of its control socket."""
+        return str(notes_folder() / f"{self.label}.sock")
+
     def writers(self) -> dict[str, str]:
         """Name of the node that writes each topic."""
         return {topic: name for name, node in self.nodes.items() for topic in node.outputs}
@@ -67,6 +72,13 @@ def notes_folder() -> Path:
     if folder.stat().st_uid != os.getuid():
         raise GraphError(f"{folder}: belongs to another user")
     return folder
+
+
+def control_path(name: str) -> str:
+    """Where the launcher of a graph, this process, is to lay its control socket."""
+    path = notes_folder() / f"{name}-{os.getpid()}.sock"
+    path.unlink(missing_ok=True)  # left by a process that had the same number
+    return str(path)
 
 
 @contextlib.contextmanager
@@ -90,6 +102,7 @@ def running_graphs() -> list[RunningGraph]:
         with contextlib.suppress(FileNotFoundError), path.open() as note:
             if not _is_locked(note):
                 path.unlink(missing_ok=True)
+                path.with_suffix(".sock").unlink(missing_ok=True)
                 continue
             with contextlib.suppress(ValueError, TypeError, KeyError):
                 found.append(_graph(json.load(note)))

@@ -5,7 +5,7 @@ repeats and refusals counted on what comes in, and the end of a stream passed on
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -110,6 +110,7 @@ class NodeHost:
         self.finished = False
         self.ends: list[End] = []
         self.failure = ""
+        self.refusal = ""
         self._log = log
         self._said: Counter[str] = Counter()
         self._last_stamp_ns = 0
@@ -158,6 +159,18 @@ class NodeHost:
                     yield from self.finish(self._last_stamp_ns)
         elif count.admit(message):
             yield from self._guarded(self.node.step, message)
+
+    def change(self, changes: Mapping[str, Any]) -> list[Message]:
+        """Change settings between two frames; return what the node says of it.
+
+        Raises
+        ------
+        SparseskinError
+            If a setting is unknown, not allowed, or the node cannot work with it. Nothing is
+            changed then.
+        """
+        settings = self.node.settings.changed(changes)
+        return list(self._publish(self.node.change(settings)))
 
     def finish(self, stamp_ns: int) -> Iterator[Message]:
         """End the stream: one End on each output topic, once."""
@@ -224,6 +237,7 @@ class NodeHost:
     def _refuse(self, reason: str, text: str) -> None:
         """Count a refusal; say it the 1st, 10th, 100th ... time, so a flood stays readable."""
         self.counts.refused[reason] += 1
+        self.refusal = f"{reason}: {text}"
         self._said[reason] += 1
         times = self._said[reason]
         if times == 10 ** (len(str(times)) - 1):

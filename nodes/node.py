@@ -4,7 +4,7 @@ of its own, so that the same code runs in a process, in one program, in a test a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -14,6 +14,7 @@ from sparseskin.messages import Message
 
 from .clock import Clock
 from .errors import RefusedError
+from .lookup import did_you_mean
 from .settings import Settings
 
 S = TypeVar("S", bound=Settings)
@@ -31,11 +32,16 @@ class Context:
         The graph's clock.
     log : callable
         Takes one line of text for whoever watches the graph.
+    ask : callable or None
+        Takes a request to a node of the graph, {id, node, command, value}, for the launcher to
+        pass on; the answer comes as a command "answer". None where no launcher is, so where
+        nobody can sit at the controls.
     """
 
     name: str
     clock: Clock
     log: Callable[[str], None] = field(default=lambda line: None)
+    ask: Callable[[dict[str, Any]], None] | None = None
 
     def rng(self, seed: int) -> np.random.Generator:
         """A random generator for a stated seed: the same numbers wherever the node runs."""
@@ -59,6 +65,10 @@ class Node(Generic[S]):
     Settings: ClassVar[type[Any]] = Settings
     required: ClassVar[bool] = True
     """Whether the graph ends when this node fails."""
+    watches: ClassVar[bool] = False
+    """Whether the launcher tells the node how all nodes are, as a command "graph"."""
+    commands: ClassVar[Mapping[str, str]] = {}
+    """What the node can be told to do, and what each means."""
     verbatim: bool = False
     """Whether what the node publishes keeps the run id and number it already has."""
 
@@ -100,15 +110,32 @@ class Node(Generic[S]):
     def close(self, counts: dict[str, Any]) -> None:
         """The last call: finish files and devices; `counts` is what the node's host counted."""
 
-    def command(self, name: str, value: Any) -> None:
-        """Take a command from whoever launched the node.
+    def change(self, settings: S) -> Iterable[Message]:
+        """Take changed settings between two frames, all or none of them.
+
+        Raises
+        ------
+        SparseskinError
+            If the node cannot work with them; it goes on with those it has.
+        """
+        self.settings = settings
+        return ()
+
+    def command(self, name: str, value: Any) -> str:
+        """Take a command from whoever launched the node; return what was done.
 
         Raises
         ------
         RefusedError
-            If the node knows no such command.
+            If the node knows no such command, or cannot do it.
         """
-        raise RefusedError(f"{self.context.name}: knows no command '{name}'")
+        raise RefusedError(
+            f"{self.context.name}: knows no command '{name}'{did_you_mean(name, self.commands)}"
+        )
+
+    def state(self) -> dict[str, Any]:
+        """What a person at the controls has to see: paused or not, the rate, the position."""
+        return {}
 
     def status(self) -> str:
         """One line for a person who watches; "" where there is nothing to say."""
@@ -130,13 +157,22 @@ class SourceNode(Node[S]):
     """How many readers there must be before the first tick."""
     exhausted: bool = False
     """Whether the last frame has been delivered."""
+    commands: ClassVar[Mapping[str, str]] = {
+        "pause": "acquire no frame until told to go on: true, false, or the other of the two"
+    }
     _t0_ns: int = 0
     _n_ticks: int = 0
+    _paused: bool = False
 
     @property
     def follows_readers(self) -> bool:
         """Whether the readers set the pace, not the clock."""
         return self.rate_hz == 0.0
+
+    @property
+    def paused(self) -> bool:
+        """Whether the source waits to be told to go on."""
+        return self._paused
 
     def begin(self, now_ns: int) -> None:
         """The graph starts now: the first tick is one period away."""
@@ -145,10 +181,30 @@ class SourceNode(Node[S]):
 
     def next_tick_ns(self) -> int | None:
         """When the next tick is due, on the graph's clock; None: not before a command comes."""
+        if self.paused:
+            return None
         if not self.rate_hz:
             return 0
         # An absolute target: an error of one tick is not carried into the next.
         return self._t0_ns + round((self._n_ticks + 1) * 1e9 / self.rate_hz)
+
+    def command(self, name: str, value: Any) -> str:
+        if name != "pause":
+            return super().command(name, value)
+        pause = not self.paused if value is None else value
+        if not isinstance(pause, bool):
+            raise RefusedError(f"pause: {value!r} is not allowed (allowed: true, false)")
+        if pause != self.paused:
+            self.pause(pause)
+        return "paused" if pause else "runs"
+
+    def pause(self, paused: bool) -> None:
+        """Pause, or go on at the same rate from now."""
+        self._paused = paused
+        self.begin(self.context.clock.now_ns())
+
+    def state(self) -> dict[str, Any]:
+        return {"paused": self.paused}
 
     def acquire(self, tick: Tick) -> Iterable[Message]:
         """Count a tick and take it."""

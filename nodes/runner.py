@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import secrets
 import signal
 import sys
@@ -18,6 +19,7 @@ from .clock import SystemClock
 from .control import Control
 from .errors import SparseskinError
 from .host import NodeHost
+from .lookup import one_line
 from .node import Context, SourceNode, Tick
 from .registry import make_settings, node_class
 from .sockets import FAREWELL_MS, Reader, Writer, make_context
@@ -53,7 +55,7 @@ class Runner:
         self.clock = SystemClock(config["offset_ns"])
         cls = node_class(config["type"])
         settings = make_settings(cls, config["settings"])
-        node = cls(settings, Context(self.name, self.clock, self.log))
+        node = cls(settings, Context(self.name, self.clock, self.log, self._ask))
         run_id = secrets.token_hex(8)
         late = bool(config.get("late"))
         self.host = NodeHost(node, run_id, self.log, config["inputs"], late)
@@ -76,6 +78,9 @@ class Runner:
     def log(self, line: str) -> None:
         """One line for the launcher's terminal."""
         print(line, file=sys.stderr, flush=True)
+
+    def _ask(self, request: dict[str, Any]) -> None:
+        self.control.emit("request", **request)
 
     def run(self) -> None:
         """Serve until the launcher says stop or is gone."""
@@ -153,15 +158,35 @@ class Runner:
                 case "stop":
                     self.stopping = True
                 case name:
-                    self._command(name, command.get("value"))
+                    self._command(name, command.get("value"), command.get("id"))
         if self.draining and self._source is not None:
             self._publish(self.host.finish(max(0, self.last_stamp_ns)))
 
-    def _command(self, name: str, value: Any) -> None:
+    def _command(self, name: str, value: Any, number: str | None) -> None:
+        """Do what an operator asks, and say what was done or why not."""
+        node = self.host.node
         try:
-            self.host.node.command(name, value)
+            if name == "set":
+                self._publish(self.host.change(value))
+                text = ", ".join(f"{key} = {json.dumps(v)}" for key, v in value.items())
+            else:
+                text = node.command(name, value)
+            done = True
         except SparseskinError as error:
-            self.log(str(error))
+            done, text = False, str(error)
+        except Exception as error:  # a user's own solver may raise anything
+            done, text = False, one_line(error)
+        if number is not None:
+            self.control.emit(
+                "answer",
+                id=number,
+                done=done,
+                text=text,
+                settings=node.settings.live_values(),
+                state=node.state(),
+            )
+        elif not done:
+            self.log(text)
 
     def _connect(self, endpoints: list[str]) -> None:
         if endpoints:
@@ -222,6 +247,8 @@ class Runner:
                 "heartbeat",
                 lacks=sorted(self.expected - self.writer.present) if not self.ready else [],
                 line=self.host.node.status(),
+                state=self.host.node.state(),
+                refusal=self.host.refusal,
                 counts=self.host.counts.as_dict(),
             )
         if self.host.failure and not self.failed:

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Self
@@ -20,12 +20,18 @@ from .lookup import did_you_mean
 
 @dataclass(frozen=True)
 class Range:
-    """What a setting means and which values it may take; ends included."""
+    """What a setting means and which values it may take; ends included.
+
+    `known` are values to offer where others are allowed too; `live` whether the setting can be
+    changed while the graph runs.
+    """
 
     doc: str
     low: float = -math.inf
     high: float = math.inf
     choices: tuple[str, ...] = ()
+    known: tuple[str, ...] = ()
+    live: bool = False
 
 
 def setting(
@@ -35,11 +41,14 @@ def setting(
     low: float = -math.inf,
     high: float = math.inf,
     choices: tuple[str, ...] = (),
+    known: Iterable[str] = (),
+    live: bool = False,
 ) -> Any:
-    """Declare one setting: its default, what it means, and the range [low, high] or choices."""
-    return dataclasses.field(
-        default=default, metadata={"range": Range(doc, low, high, tuple(choices))}
-    )
+    """Declare one setting: its default, what it means, the range [low, high] or choices, values
+    to offer, and whether it can be changed while the graph runs.
+    """
+    allowed = Range(doc, low, high, tuple(choices), tuple(known), live)
+    return dataclasses.field(default=default, metadata={"range": allowed})
 
 
 @dataclass(frozen=True)
@@ -73,6 +82,56 @@ class Settings:
             if key not in known:
                 raise SettingsError(f"{key}: unknown key{did_you_mean(key, known)}")
         return cls(**values)
+
+    def changed(self, changes: Mapping[str, Any]) -> Self:
+        """The same settings with some changed while the graph runs.
+
+        Raises
+        ------
+        SettingsError
+            If a key is unknown or cannot be changed then, or a value is not allowed.
+        """
+        fields = {field.name: field for field in dataclasses.fields(self)}
+        live = [name for name, field in fields.items() if field.metadata["range"].live]
+        for key in changes:
+            if key not in fields:
+                raise SettingsError(f"{key}: unknown key{did_you_mean(key, fields)}")
+            if key not in live:
+                raise SettingsError(
+                    f"{key}: cannot be changed while the graph runs "
+                    f"(allowed: {', '.join(live) or 'none'})"
+                )
+            known = fields[key].metadata["range"].known
+            if known and changes[key] is not None and changes[key] not in known:
+                # A module of the user's own is imported on the word of a launch file alone.
+                raise SettingsError(
+                    f"{key}: {changes[key]!r} is not allowed while the graph runs"
+                    f"{did_you_mean(str(changes[key]), known)}"
+                )
+        made = dataclasses.replace(self, **changes)
+        made.check()
+        return made
+
+    def live_values(self) -> dict[str, Any]:
+        """Values of the settings that can be changed while the graph runs."""
+        return {name: getattr(self, name) for name, _, allowed in _declared(self) if allowed.live}
+
+    @classmethod
+    def described(cls) -> list[dict[str, Any]]:
+        """Each setting as plain data: key, type, doc, range or choices, and whether it is live."""
+        return [
+            {
+                "key": name,
+                "type": type_text,
+                "doc": allowed.doc,
+                "low": allowed.low if math.isfinite(allowed.low) else None,
+                "high": allowed.high if math.isfinite(allowed.high) else None,
+                "choices": list(allowed.choices),
+                "known": list(allowed.known),
+                "live": allowed.live,
+            }
+            for name, type_text, allowed in _declared(cls)
+        ]
 
     def check(self) -> None:
         """Check what a value points to (files, names of scenes) before any process starts.
@@ -110,6 +169,12 @@ def check_patch(place: str, name: str) -> None:
         check_name(place, name)
     except MessageError as error:
         raise SettingsError(str(error)) from error
+
+
+def _declared(cls: Any) -> Iterator[tuple[str, str, Range]]:
+    """Name, type and range of every setting."""
+    for field in dataclasses.fields(cls):
+        yield field.name, str(field.type), field.metadata["range"]
 
 
 def _checked(name: str, value: Any, hint: Any) -> Any:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 
@@ -21,12 +22,16 @@ class CompressorSettings(PatchSettings):
     """What a compressor can be told."""
 
     phi: str = setting(
-        "sbhe", "measurement matrix: sbhe, full, subsample, gaussian or module:Class"
+        "sbhe",
+        "measurement matrix: sbhe, full, subsample, gaussian or module:Class",
+        known=KINDS,
     )
     ratio: float = setting(
-        3.0, "compression ratio N / M; M is N / ratio, rounded down", low=1.0, high=1e6
+        3.0, "compression ratio N / M; M is N / ratio, rounded down", low=1.0, high=1e6, live=True
     )
-    m: int | None = setting(None, "number of measurements M, in place of ratio", low=1, high=2**20)
+    m: int | None = setting(
+        None, "number of measurements M, in place of ratio", low=1, high=2**20, live=True
+    )
     block: int = setting(32, "size of the Hadamard blocks, a power of two", low=1, high=2**20)
     seed: int = setting(0, "seed of the measurement matrix", low=0, high=2**32 - 1)
 
@@ -35,6 +40,10 @@ class CompressorSettings(PatchSettings):
             find_class("phi", self.phi, KINDS, PhiError)
         if self.block & (self.block - 1):
             raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
+
+    def changed(self, changes: Mapping[str, Any]) -> Self:
+        """As in `Settings`; a ratio that is stated last counts, and no M from before."""
+        return super().changed({"m": None, **changes} if "ratio" in changes else changes)
 
     def n_measurements(self, n: int) -> int:
         """M for a skin of `n` taxels."""
@@ -72,6 +81,19 @@ class Compressor(Node[CompressorSettings]):
             yield self._learn_skin(message)
         elif isinstance(message, Taxels):
             yield self._compress(message)
+
+    def change(self, settings: CompressorSettings) -> Iterable[Message]:
+        before, self.settings = self.settings, settings
+        if self._state is None:
+            return ()
+        try:
+            return (self._learn_skin(self._state),)
+        except PhiError:
+            self.settings = before
+            raise
+
+    def state(self) -> dict[str, Any]:
+        return {} if self._phi is None else {"m": self._phi.m, "n": self._phi.n}
 
     def status(self) -> str:
         return "" if self._phi is None else f"{self._phi.kind} {self._phi.m} x {self._phi.n}"

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import secrets
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 from tqdm import tqdm
 
@@ -30,6 +31,14 @@ class Player(SourceNode[PlayerSettings]):
     """
 
     Settings = PlayerSettings
+    commands: ClassVar[Mapping[str, str]] = {
+        **SourceNode.commands,
+        "step": "play one frame, and pause",
+        "faster": "10 % faster",
+        "slower": "10 % slower",
+        "rate": "times the recorded speed, 0.001..1000",
+        "seek": "go to a second of the part that is played",
+    }
 
     def __init__(self, settings: PlayerSettings, context: Context) -> None:
         super().__init__(settings, context)
@@ -55,7 +64,9 @@ class Player(SourceNode[PlayerSettings]):
         self._stamps: dict[int, int] = {}
         self._n_frames = 0
         self._started_ns = 0
-        self._messages = self._read()
+        self._shift_ns = 0
+        self._renumbering: _Renumbering | None = None
+        self._messages = self._read(self._start_ns)
         self._next: Message | None = None
         self._advance()
 
@@ -98,31 +109,70 @@ class Player(SourceNode[PlayerSettings]):
             self._advance()
         self._n_frames += 1
 
-    def command(self, name: str, value: Any) -> None:
+    def command(self, name: str, value: Any) -> str:
         now_ns = self.context.clock.now_ns()
         match name:
-            case "pause":
-                self._schedule.toggle_pause(now_ns)
             case "step":
                 self._schedule.step(now_ns)
-            case "faster" | "slower" if self.settings.rate:
-                factor = 1.1 if name == "faster" else 1 / 1.1
-                self._schedule.change_rate(self._schedule.rate * factor, now_ns)
+                return "one frame"
             case "faster" | "slower":
-                raise RefusedError(f"{name}: at rate 0 the readers set the pace")
+                factor = 1.1 if name == "faster" else 1 / 1.1
+                return self._change_rate(self._schedule.rate * factor, now_ns)
+            case "rate":
+                return self._change_rate(_number("rate", value, 0.001, 1000.0), now_ns)
+            case "seek":
+                length_s = (self._stop_ns - self._start_ns) / 1e9
+                at_s = _number("seek", value, 0.0, length_s)
+                self._seek(self._start_ns + round(at_s * 1e9), now_ns)
+                return f"at {at_s:.2f} s"
             case _:
-                super().command(name, value)
+                return super().command(name, value)
+
+    @property
+    def paused(self) -> bool:
+        return self._schedule.paused
+
+    def pause(self, paused: bool) -> None:
+        self._schedule.toggle_pause(self.context.clock.now_ns())
+
+    def state(self) -> dict[str, Any]:
+        """Paused or not, the rate, and the position in recorded seconds."""
+        at_ns = self._next.stamp_ns - self._shift_ns if self._next is not None else self._stop_ns
+        return {
+            "paused": self.paused,
+            "rate": self._schedule.rate,
+            "position_s": max(0.0, (min(at_ns, self._stop_ns) - self._start_ns) / 1e9),
+            "length_s": max(0.0, (self._stop_ns - self._start_ns) / 1e9),
+        }
+
+    def _change_rate(self, rate: float, now_ns: int) -> str:
+        if not self._schedule.rate:
+            raise RefusedError("rate: at rate 0 the readers set the pace")
+        self._schedule.change_rate(rate, now_ns)
+        return f"rate {rate:.3g}"
+
+    def _seek(self, stamp_ns: int, now_ns: int) -> None:
+        """Go on from another place of the recording."""
+        if self.exhausted:
+            raise RefusedError("seek: the recording has been played to its end")
+        messages = self._read(stamp_ns)
+        first = next(messages, None)
+        if first is None:
+            raise RefusedError("seek: no frame follows there")
+        self._messages, self._next = messages, first
+        self._stamps.clear()
+        self._renumbering = _Renumbering()
+        self._schedule.seek(stamp_ns, now_ns)
 
     def status(self) -> str:
         """A progress line: recorded seconds played, of all."""
         now_ns = self.context.clock.now_ns()
-        at_ns = self._next.stamp_ns if self._next is not None else self._stop_ns
-        played_s = (min(at_ns, self._stop_ns) - self._start_ns) / 1e9
-        note = "paused" if self._schedule.paused else f"rate {self._schedule.rate:.3g}"
+        state = self.state()
+        note = "paused" if self.paused else f"rate {self._schedule.rate:.3g}"
         return str(
             tqdm.format_meter(
-                round(max(0.0, played_s), 2),
-                round(max(0.0, (self._stop_ns - self._start_ns) / 1e9), 2),
+                round(state["position_s"], 2),
+                round(state["length_s"], 2),
                 max(1e-9, (now_ns - self._started_ns) / 1e9),
                 ncols=78,
                 prefix=f"{self._n_frames} frames",
@@ -143,13 +193,13 @@ class Player(SourceNode[PlayerSettings]):
         if self._next is None:
             self.exhausted = True
 
-    def _read(self) -> Iterator[Message]:
+    def _read(self, from_ns: int) -> Iterator[Message]:
         """All messages to play, in order; stamps move on with each round of a loop."""
-        shift_ns = 0
+        self._shift_ns = shift_ns = 0
         streams = [topic for topic in self._names if not _latched(topic)]
         while streams:
             n_read = 0
-            for recorded in self._bag.messages(streams, self._start_ns, self._stop_ns):
+            for recorded in self._bag.messages(streams, from_ns, self._stop_ns):
                 message = self._decoded(recorded.topic, recorded.payload)
                 n_read += 1
                 yield (
@@ -157,7 +207,9 @@ class Player(SourceNode[PlayerSettings]):
                 )
             if not (self.settings.loop and n_read):
                 return
+            from_ns = self._start_ns
             shift_ns += self._stop_ns - self._start_ns
+            self._shift_ns = shift_ns
 
     def _decoded(self, topic: str, payload: bytes) -> Message:
         try:
@@ -169,6 +221,8 @@ class Player(SourceNode[PlayerSettings]):
 
     def _as_played(self, message: Message, now_ns: int) -> Message:
         """The message with the time of playing as its stamp, one and the same for a frame."""
+        if self.settings.verbatim and self._renumbering is not None:
+            return self._renumbering.apply(message)
         if self.settings.verbatim or self.settings.keep_stamps:
             return message
         if message.stamp_ns not in self._stamps:
@@ -176,6 +230,26 @@ class Player(SourceNode[PlayerSettings]):
                 del self._stamps[next(iter(self._stamps))]
             self._stamps[message.stamp_ns] = now_ns
         return message.moved(self._stamps[message.stamp_ns] - message.stamp_ns)
+
+
+class _Renumbering:
+    """New run ids and numbers from 0: after a seek the recorded ones would be gaps, or repeats
+    that a reader leaves out.
+    """
+
+    def __init__(self) -> None:
+        self._run_id = secrets.token_hex(8)
+        self._first: dict[str, int] = {}
+
+    def apply(self, message: Message) -> Message:
+        first = self._first.setdefault(message.topic, message.seq)
+        return message.published(self._run_id, max(0, message.seq - first))
+
+
+def _number(name: str, value: Any, low: float, high: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise RefusedError(f"{name}: {value!r} is not allowed (allowed: {low:g}..{high:g})")
+    return float(value)
 
 
 def _latched(topic: str) -> bool:

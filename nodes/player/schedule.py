@@ -60,6 +60,11 @@ class Schedule:
             self._position_ns = self._stamp_at(now_ns)
         self.paused = not self.paused
 
+    def seek(self, stamp_ns: int, now_ns: int) -> None:
+        """Go on from another stamp, due now; while paused, once it is played on."""
+        self._position_ns = stamp_ns
+        self._anchor(stamp_ns, now_ns)
+
     def change_rate(self, rate: float, now_ns: int) -> None:
         """Go on at another rate from where it is now."""
         if not self.paused:

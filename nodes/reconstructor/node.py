@@ -19,8 +19,15 @@ from sparseskin.messages import (
     SolverState,
     topic_of,
 )
+from sparseskin.nodes.compressor.calls import Floats
 from sparseskin.nodes.compressor.phi import KINDS, Phi, make_phi
-from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError, SolverError
+from sparseskin.nodes.errors import (
+    PhiError,
+    RefusedError,
+    SettingsError,
+    SolverError,
+    SparseskinError,
+)
 from sparseskin.nodes.lookup import did_you_mean, find_class
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import PatchSettings, naming, setting
@@ -37,11 +44,20 @@ PAPER_F_MAX_N = 2.5
 class ReconstructorSettings(PatchSettings):
     """What a reconstructor can be told."""
 
-    preset: str = setting("paper", f"named set of the settings below: {', '.join(PRESETS)}")
-    solver: str | None = setting(None, "solver, in place of the preset's; or module:Class")
-    basis: str | None = setting(None, "basis Psi, in place of the preset's; or module:Class")
+    preset: str = setting(
+        "paper",
+        f"named set of the settings below: {', '.join(PRESETS)}",
+        known=PRESETS,
+        live=True,
+    )
+    solver: str | None = setting(
+        None, "solver, in place of the preset's; or module:Class", known=SOLVERS, live=True
+    )
+    basis: str | None = setting(
+        None, "basis Psi, in place of the preset's; or module:Class", known=BASES, live=True
+    )
     iterations: int | None = setting(
-        None, "iterations a frame, in place of the preset's", low=1, high=1000
+        None, "iterations a frame, in place of the preset's", low=1, high=1000, live=True
     )
     lambda_n: float | None = setting(
         None,
@@ -49,6 +65,7 @@ class ReconstructorSettings(PatchSettings):
         "range of 2.5 N; scaled with the range of the skin",
         low=0.0,
         high=1e6,
+        live=True,
     )
     phi: str = setting(
         ANNOUNCED,
@@ -103,6 +120,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._announced: PhiState | None = None
         self._phi: Phi | None = None
         self._solver: Solver | None = None
+        self._last: Floats | None = None
+        self._warm: Floats | None = None
 
     @classmethod
     def inputs(cls, settings: ReconstructorSettings) -> tuple[str, ...]:
@@ -126,6 +145,19 @@ class Reconstructor(Node[ReconstructorSettings]):
             self._phi = self._solver = None
             yield self._set_up(self._skin, self._announced)
 
+    def change(self, settings: ReconstructorSettings) -> Iterable[Message]:
+        before, self.settings = self.settings, settings
+        if self._skin is None or self._announced is None:
+            return ()
+        try:
+            return (self._set_up(self._skin, self._announced),)
+        except SparseskinError:
+            self.settings = before
+            raise
+
+    def state(self) -> dict[str, Any]:
+        return self.settings.chosen()
+
     def status(self) -> str:
         chosen = self.settings.chosen()
         return f"{chosen['solver']} in {chosen['basis']}" if self._solver else ""
@@ -141,6 +173,10 @@ class Reconstructor(Node[ReconstructorSettings]):
         basis = make_basis(chosen["basis"], skin.n_rows, skin.n_cols)
         self._solver = make_solver(chosen["solver"], phi, basis, skin.mask, **options)
         self._phi = phi
+        # Another Phi or solver in the middle of a stream starts from what the last one found.
+        if self._last is not None and self._last.shape != skin.shape:
+            self._last = None
+        self._warm = self._last
         return SolverState(
             stamp_ns=state.stamp_ns,
             patch=self.settings.patch,
@@ -183,15 +219,16 @@ class Reconstructor(Node[ReconstructorSettings]):
             raise RefusedError(f"{measurements.topic}: skin or Phi is not known yet")
         if measurements.phi != self._phi.fingerprint:
             raise RefusedError(
-                f"{measurements.topic}: made by Phi {measurements.phi}, "
+                f"{measurements.topic}: Phi mismatch: made by Phi {measurements.phi}, "
                 f"this reconstructor inverts Phi {self._phi.fingerprint}"
             )
         begin_ns = time.perf_counter_ns()
         try:
-            forces = self._solver.solve(measurements.y)
+            forces = self._solver.solve(measurements.y, self._warm)
         except SolverError as error:
             raise RefusedError(f"{measurements.topic}: {error}") from error
         solve_ns = time.perf_counter_ns() - begin_ns
+        self._last, self._warm = forces, None
         done_ns = self.context.clock.now_ns()
         misfit = self._phi.forward(forces.reshape(-1)[self._solver.taxels]) - measurements.y
         return Reconstruction(

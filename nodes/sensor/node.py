@@ -33,10 +33,15 @@ class SensorSettings(PatchSettings):
         "100 for a scene; 0: as fast as its readers are done with them",
         low=0.0,
         high=100_000.0,
+        live=True,
     )
     seed: int = setting(0, "seed of the scene and of the noise", low=0, high=2**32 - 1)
     noise: float = setting(
-        1.0, "times the paper's noise that is added to a known truth", low=0.0, high=100.0
+        1.0,
+        "times the paper's noise that is added to a known truth",
+        low=0.0,
+        high=100.0,
+        live=True,
     )
     n_rows: int | None = setting(None, "rows of a plain CSV's frame", low=1, high=4096)
     n_cols: int | None = setting(None, "columns of a plain CSV's frame", low=1, high=4096)
@@ -74,10 +79,7 @@ class Sensor(SourceNode[SensorSettings]):
             f_max=settings.f_max,
         )
         self.skin = self._source.skin
-        paper = NoiseModel.for_range(self.skin.f_max)
-        self._noise = NoiseModel(
-            paper.f_max, settings.noise * paper.sigma_mid, settings.noise * paper.sigma_end
-        )
+        self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
         self._live = isinstance(self._source, DriverSource)
         self.rate_hz = self._chosen_rate()
@@ -96,8 +98,24 @@ class Sensor(SourceNode[SensorSettings]):
         return tuple(topic_of(settings.patch, cls.schema) for cls in (SkinState, Taxels, Truth))
 
     def start(self) -> Iterable[Message]:
+        yield self._describe()
+
+    def change(self, settings: SensorSettings) -> Iterable[Message]:
+        if settings.noise != self.settings.noise and self._source.delivers != "truth":
+            raise SettingsError(
+                "noise: these taxels bring their own; no truth is known to add it to"
+            )
+        new_pace = settings.rate_hz != self.settings.rate_hz
+        self.settings = settings
+        self._noise = self._chosen_noise()
+        if new_pace:
+            self.rate_hz = self._chosen_rate()
+            self.begin(self.context.clock.now_ns())
+        yield self._describe()
+
+    def _describe(self) -> SkinState:
         skin, has_truth = self.skin, self._source.delivers == "truth"
-        yield SkinState(
+        return SkinState(
             stamp_ns=self.context.clock.now_ns(),
             patch=self.settings.patch,
             n_rows=skin.n_rows,
@@ -151,6 +169,10 @@ class Sensor(SourceNode[SensorSettings]):
                 f"{n_clipped} readings outside 0..{self.skin.f_max:g} {self.skin.unit} were clipped"
             )
         self._n_clipped = n_clipped
+
+    def _chosen_noise(self) -> NoiseModel:
+        paper, times = NoiseModel.for_range(self.skin.f_max), self.settings.noise
+        return NoiseModel(paper.f_max, times * paper.sigma_mid, times * paper.sigma_end)
 
     def _chosen_rate(self) -> float:
         if self.settings.rate_hz is not None:

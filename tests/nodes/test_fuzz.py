@@ -11,6 +11,7 @@ import pytest
 import zmq
 from conftest import wait_until
 
+from sparseskin.launch.launchspec import NodeSpec
 from sparseskin.launch.process import NodeProcess
 from sparseskin.messages import (
     End,
@@ -117,10 +118,11 @@ class Harness:
         # With one reader it is safe to wait for it instead of dropping what it has no room for.
         self.writer.socket.setsockopt(zmq.XPUB_NODROP, 1)
         cls = node_class(type_name)
-        self.topics = list(cls.inputs(make_settings(cls, {})))
+        settings = make_settings(cls, {})
+        self.topics = list(cls.inputs(settings))
         self.streams = [topic for topic in self.topics if not is_latched(topic)]
         self.node = NodeProcess(
-            type_name,
+            NodeSpec(type_name, type_name, cls, {}, settings),
             {
                 "name": type_name,
                 "type": type_name,

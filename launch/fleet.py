@@ -1,0 +1,262 @@
+"""The processes of one graph: started, joined, listened to, started again, ended."""
+
+from __future__ import annotations
+
+import selectors
+import signal
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from sparseskin.nodes.graph import Link
+
+from .configs import node_config
+from .launchspec import LaunchFile, NodeSpec
+from .process import NodeProcess, exit_text
+from .running import RunningGraph
+from .supervision import Restarts
+
+GRACE_S = 2.0
+"""How long a process may take from one request to end to the next, sterner one."""
+POLL_S = 0.1
+
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+
+Hear = Callable[[NodeProcess, dict[str, Any]], None]
+
+
+class Fleet:
+    """The node processes of a graph.
+
+    Parameters
+    ----------
+    launch : LaunchFile
+        The checked launch file.
+    offset_ns : int
+        Offset of the graph's clock.
+    log : callable
+        Takes one line of text.
+    max_frames : int, optional
+        Frames after which each source ends its stream.
+    joined : RunningGraph, optional
+        A graph that already runs, whose topics the nodes of this one read.
+
+    Attributes
+    ----------
+    nodes : dict of str to NodeProcess
+    exit_code : int
+        Not 0 once a node has failed that the graph needs.
+    late_code : int
+        Not 0 once a node has failed that it can do without.
+    supervised : bool
+        Whether a node that fails is started again, as its policy says.
+    hear : callable
+        Takes (node, event) for events that concern others than the fleet.
+    """
+
+    def __init__(
+        self,
+        launch: LaunchFile,
+        offset_ns: int,
+        log: Callable[[str], None],
+        max_frames: int | None = None,
+        joined: RunningGraph | None = None,
+    ) -> None:
+        self._launch = launch
+        self._offset_ns = offset_ns
+        self._log = log
+        self._max_frames = max_frames
+        self._joined = joined
+        self._selector = selectors.DefaultSelector()
+        self._restarts = {name: Restarts(spec.restart) for name, spec in launch.nodes.items()}
+        self._due_s: dict[str, float] = {}
+        self._links = list(launch.links)
+        self.nodes: dict[str, NodeProcess] = {}
+        self.exit_code = self.late_code = 0
+        self.supervised = False
+        self.hear: Hear = lambda node, event: None
+
+    def __iter__(self) -> Iterator[NodeProcess]:
+        return iter(list(self.nodes.values()))
+
+    def spawn(self) -> None:
+        """Start all processes of the launch file."""
+        for spec in self._launch.nodes.values():
+            self._start_process(spec)
+
+    def add(self, spec: NodeSpec, topics: list[str]) -> None:
+        """Start one process more in a graph that runs; it reads the topics."""
+        writers = {
+            topic: node.name for node in self for topic in node.spec.cls.outputs(node.spec.settings)
+        }
+        self._links += [Link(topic, writers[topic], spec.name) for topic in topics]
+        self._restarts[spec.name] = Restarts(spec.restart)
+        self._start_process(spec, late=True)
+
+    def connect(self, node: NodeProcess) -> None:
+        """Tell a node where its writers are."""
+        writers = sorted({link.writer for link in self._links if link.reader == node.name})
+        node.command("connect", endpoints=[self._endpoint_of(writer) for writer in writers])
+
+    def command_all(self, command: str) -> None:
+        for node in self:
+            node.command(command)
+
+    def condition(self, node: NodeProcess) -> str:
+        """How a node is, in a word or two."""
+        return "restarting" if node.name in self._due_s else node.condition
+
+    def n_restarts(self, name: str) -> int:
+        return self._restarts[name].total
+
+    def watch(self, fd: Any, on_ready: Callable[[], None]) -> None:
+        """Have something else than a pipe waited on, too."""
+        self._selector.register(fd, selectors.EVENT_READ, on_ready)
+
+    def unwatch(self, fd: Any) -> None:
+        self._selector.unregister(fd)
+
+    def serve(self) -> None:
+        """Wait for news of the nodes, at most `POLL_S`, and see to them."""
+        for data in {id(key.data): key.data for key, _ in self._selector.select(POLL_S)}.values():
+            if isinstance(data, NodeProcess):
+                self._listen(data)
+            else:
+                data()
+        now_s = time.monotonic()
+        for node in self:
+            self._check(node, now_s)
+        for name in [name for name, due_s in self._due_s.items() if due_s <= now_s]:
+            self._start_again(name)
+
+    def end_all(self) -> None:
+        """End every process: ask, then SIGTERM, then SIGKILL; say who needed what."""
+        self.supervised = False
+        self._due_s.clear()
+        self.command_all("stop")
+        for node in self:
+            if not node.endpoint:  # still starting: it does not listen yet
+                node.send_signal(signal.SIGTERM)
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            deadline = time.monotonic() + GRACE_S
+            while self._alive() and time.monotonic() < deadline:
+                self._selector.select(POLL_S)
+                for node in self:
+                    self._listen(node)
+            for node in self._alive():
+                self._log(f"[launch] {node.name} does not end: {number.name}")
+                node.send_signal(number)
+        for node in self:
+            self._listen(node)
+            node.close()
+        self._selector.close()
+
+    def _start_process(self, spec: NodeSpec, late: bool = False, endpoint: str = "") -> None:
+        config = node_config(
+            self._launch.transport,
+            spec,
+            self._links,
+            offset_ns=self._offset_ns,
+            max_frames=self._max_frames,
+            late=late or self._joined is not None,
+        )
+        if endpoint:
+            config["endpoint"] = endpoint
+        node = NodeProcess(spec, config)
+        self.nodes[spec.name] = node
+        for pipe in node.pipes:
+            self._selector.register(pipe, selectors.EVENT_READ, node)
+
+    def _start_again(self, name: str) -> None:
+        """Start a node that died, at the endpoint where its readers look for it."""
+        del self._due_s[name]
+        dead = self.nodes[name]
+        dead.close()
+        self._log(f"[launch] {name} is started again (restart {self.n_restarts(name)})")
+        self._start_process(dead.spec.with_live(dead.settings), late=True, endpoint=dead.endpoint)
+
+    def _endpoint_of(self, writer: str) -> str:
+        if self._joined is not None:
+            return self._joined.nodes[writer].endpoint
+        return self.nodes[writer].endpoint
+
+    def _alive(self) -> list[NodeProcess]:
+        return [node for node in self if node.exit_code() is None]
+
+    def _check(self, node: NodeProcess, now_s: float) -> None:
+        """See whether a node has died or hangs."""
+        code = node.exit_code()
+        if code is None:
+            hang_s = node.spec.restart.hang_s
+            hung = bool(hang_s) and now_s - node.heard_s > hang_s and node.ready
+            if self.supervised and hung and not node.ended and node.spec.restart.restarts:
+                self._log(f"[launch] {node.name} has been silent for {hang_s:g} s: SIGKILL")
+                node.send_signal(signal.SIGKILL)
+                node.heard_s = now_s
+        elif not node.ended and node.name not in self._due_s:
+            self._listen(node)
+            if not node.ended:
+                self._died(node, EXIT_FAILED, f"{node.name} ended too early: {exit_text(code)}")
+
+    def _listen(self, node: NodeProcess) -> None:
+        events, log = node.read()
+        for pipe in node.closed_pipes:
+            if pipe in self._selector.get_map():
+                self._selector.unregister(pipe)
+        for line in log:
+            self._log(f"[{node.name}] {line}")
+        for event in events:
+            self._take(node, event)
+
+    def _take(self, node: NodeProcess, event: dict[str, Any]) -> None:
+        match event["event"]:
+            case "bound":
+                node.endpoint = event["endpoint"]
+                if self.supervised:
+                    self.connect(node)
+            case "ready":
+                node.ready = True
+                if self.supervised:
+                    node.command("start")
+            case "heartbeat":
+                node.lacks, node.line, node.counts = event["lacks"], event["line"], event["counts"]
+                node.state, node.refusal = event["state"], event["refusal"]
+            case "ended":
+                node.ended = True
+                node.counts, node.report = event["counts"], event["report"]
+            case "failed":  # the node has said why in its log
+                self._fail(node, EXIT_USAGE)
+            case "error":
+                self._died(node, event["code"], f"[{node.name}] error: {event['text']}")
+                return
+            case "answer":
+                node.settings, node.state = event["settings"], event["state"]
+            case "request":
+                pass
+            case _:
+                self._log(f"[{node.name}] {event}")
+        self.hear(node, event)
+
+    def _died(self, node: NodeProcess, code: int, text: str) -> None:
+        """A process has ended before its time: start it again, or end the graph with it."""
+        line = text if text.startswith("[") else f"[launch] {text}"
+        restarts = self._restarts[node.name]
+        if self.supervised and code != EXIT_USAGE:
+            due_s = restarts.next_s(time.monotonic())
+            if due_s is not None:
+                self._due_s[node.name] = due_s
+                self._log(line)
+                return
+            line += restarts.spent
+        node.ended = True
+        self._log(line)
+        self._fail(node, code)
+
+    def _fail(self, node: NodeProcess, code: int) -> None:
+        """A node cannot go on. The graph ends with it, if it is one that it needs."""
+        if node.spec.cls.required:
+            self.exit_code = self.exit_code or code
+        else:
+            node.failed = True
+            self.late_code = self.late_code or code

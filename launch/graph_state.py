@@ -1,0 +1,47 @@
+"""A running graph as plain data, for whoever watches it or sits at its controls."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .fleet import Fleet
+from .process import NodeProcess
+
+
+def graph_state(name: str, fleet: Fleet, recording: str | None) -> dict[str, Any]:
+    """The state of a graph.
+
+    Parameters
+    ----------
+    name : str
+        Name of the graph.
+    fleet : Fleet
+        Its nodes.
+    recording : str or None
+        File that is being recorded on request, if any.
+    """
+    return {
+        "name": name,
+        "recording": recording,
+        "nodes": [_node_state(fleet, node) for node in fleet],
+    }
+
+
+def _node_state(fleet: Fleet, node: NodeProcess) -> dict[str, Any]:
+    cls, settings = node.spec.cls, node.spec.settings
+    counts = node.counts
+    return {
+        "name": node.name,
+        "type": node.spec.type_name,
+        "patch": getattr(settings, "patch", None),
+        "condition": fleet.condition(node),
+        "restarts": fleet.n_restarts(node.name),
+        "line": node.line,
+        "refused": sum(counts.get("refused", {}).values()),
+        "refusal": node.refusal,
+        "lost": sum(counts.get("lost", {}).values()),
+        "state": node.state,
+        "settings": node.settings,
+        "controls": [entry for entry in cls.Settings.described() if entry["live"]],
+        "commands": dict(cls.commands),
+    }
