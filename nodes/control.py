@@ -39,12 +39,15 @@ class Control:
         os.set_blocking(self.fd, False)
         self.closed = False
         self._rest = b""
+        self._lock = threading.Lock()
 
     def emit(self, event: str, **fields: Any) -> None:
         """Tell the launcher something; a launcher that is gone is noticed on stdin."""
+        line = json.dumps({"event": event, **fields}) + "\n"
         try:
-            self._events.write(json.dumps({"event": event, **fields}) + "\n")
-            self._events.flush()
+            with self._lock:  # a node may have threads of its own
+                self._events.write(line)
+                self._events.flush()
         except BrokenPipeError:
             self.closed = True
 

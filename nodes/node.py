@@ -36,12 +36,15 @@ class Context:
         Takes a request to a node of the graph, {id, node, command, value}, for the launcher to
         pass on; the answer comes as a command "answer". None where no launcher is, so where
         nobody can sit at the controls.
+    late : bool
+        Whether the node joins a graph that already runs.
     """
 
     name: str
     clock: Clock
     log: Callable[[str], None] = field(default=lambda line: None)
     ask: Callable[[dict[str, Any]], None] | None = None
+    late: bool = False
 
     def rng(self, seed: int) -> np.random.Generator:
         """A random generator for a stated seed: the same numbers wherever the node runs."""

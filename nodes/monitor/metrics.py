@@ -71,16 +71,72 @@ class Quality:
 
 
 @dataclass
+class StreamCount:
+    """How many messages a topic has had, over all runs of its publisher.
+
+    Who joins `late` counts from the first message it sees.
+    """
+
+    late: bool = False
+    run_id: str = ""
+    before: int = 0
+    in_run: int = 0
+
+    def add(self, message: Message) -> int:
+        """Count a message; return its number, from 1."""
+        if message.run_id != self.run_id:
+            self.before += self.in_run
+            if self.late and not self.run_id:
+                self.before = -message.seq
+            self.run_id, self.in_run = message.run_id, 0
+        self.in_run = max(self.in_run, message.seq + 1)
+        return self.before + message.seq + 1
+
+    def end(self, n_messages: int) -> None:
+        """The publisher says how many there were in its run."""
+        self.in_run = max(self.in_run, n_messages)
+
+    @property
+    def total(self) -> int:
+        return self.before + self.in_run
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One frame with all that belongs to it, and its figures; unknown ones are nan.
+
+    `lost` counts the frames up to this one that were sensed and not reconstructed.
+    """
+
+    taxels: Taxels
+    truth: Truth | None
+    reconstruction: Reconstruction
+    psnr_noisy_db: float
+    psnr_db: float
+    latency_ms: float
+    solve_ms: float
+    lost: int
+
+
+@dataclass
 class _Pending:
     taxels: Taxels | None = None
     truth: Truth | None = None
     reconstruction: Reconstruction | None = None
+    n_sensed: int = 0
+    n_reconstructed: int = 0
 
 
 class PatchMetrics:
-    """Pairs a patch's messages by stamp and keeps the figures of its summary."""
+    """Pairs a patch's messages by stamp and keeps the figures of its summary.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    late : bool
+        Whether the graph already ran when the first message came.
+    """
+
+    def __init__(self, late: bool = False) -> None:
         self.skin: SkinState | None = None
         self.phi: PhiState | None = None
         self.solver: SolverState | None = None
@@ -89,14 +145,25 @@ class PatchMetrics:
         self.relative_error = Extent()
         self.latency = Quantiles()
         self.solve = Quantiles()
-        self.sensed = self.reconstructed = 0
+        self._sensed, self._reconstructed = StreamCount(late), StreamCount(late)
+        self._first_lag: int | None = None if late else 0
         self.bytes_in = self.bytes_out = 0
         self.lost_so_far = 0
         self.unpaired = 0
         self._pending: OrderedDict[int, _Pending] = OrderedDict()
 
-    def add(self, message: Message) -> None:
-        """Take in one message of the patch."""
+    @property
+    def sensed(self) -> int:
+        """Frames that were sensed."""
+        return self._sensed.total
+
+    @property
+    def reconstructed(self) -> int:
+        """Frames that were reconstructed."""
+        return self._reconstructed.total
+
+    def add(self, message: Message) -> Judged | None:
+        """Take in one message of the patch; return the frame that it completes, if any."""
         match message:
             case SkinState():
                 self.skin = message
@@ -107,26 +174,28 @@ class PatchMetrics:
             case Measurements():
                 self.bytes_out += size_bytes(message)
             case Taxels():
-                self.sensed = max(self.sensed, message.seq + 1)
                 self.bytes_in += size_bytes(message) - self._absent_bytes(message)
-                self._pair(message.stamp_ns).taxels = message
-                self._settle(message.stamp_ns)
+                frame = self._pair(message.stamp_ns)
+                frame.taxels, frame.n_sensed = message, self._sensed.add(message)
+                return self._settle(message.stamp_ns)
             case Truth():
                 self._pair(message.stamp_ns).truth = message
-                self._settle(message.stamp_ns)
+                return self._settle(message.stamp_ns)
             case Reconstruction():
-                self.reconstructed = max(self.reconstructed, message.seq + 1)
                 self.latency.add(message.done_ns - message.stamp_ns)
                 self.solve.add(message.solve_ns)
-                self._pair(message.stamp_ns).reconstruction = message
-                self._settle(message.stamp_ns)
+                frame = self._pair(message.stamp_ns)
+                frame.reconstruction = message
+                frame.n_reconstructed = self._reconstructed.add(message)
+                return self._settle(message.stamp_ns)
+        return None
 
     def end(self, schema: str, n_messages: int) -> None:
         """A topic has ended after n_messages: the publisher's own count is the right one."""
         if schema == Taxels.schema:
-            self.sensed = n_messages
+            self._sensed.end(n_messages)
         elif schema == Reconstruction.schema:
-            self.reconstructed = n_messages
+            self._reconstructed.end(n_messages)
 
     def _absent_bytes(self, taxels: Taxels) -> int:
         """Bytes of masked cells: a real skin has no wires there, so they must not count."""
@@ -142,29 +211,46 @@ class PatchMetrics:
                 self.unpaired += 1
         return self._pending[stamp_ns]
 
-    def _settle(self, stamp_ns: int) -> None:
+    def _settle(self, stamp_ns: int) -> Judged | None:
         """Judge a frame once all that belongs to it has come."""
         frame = self._pending[stamp_ns]
         if self.skin is None or frame.taxels is None or frame.reconstruction is None:
-            return
+            return None
         if self.skin.has_truth and frame.truth is None:
-            return
+            return None
         del self._pending[stamp_ns]
         # Both streams count the same frames, so a lag of numbers is what has been lost.
-        self.lost_so_far = max(0, frame.taxels.seq - frame.reconstruction.seq)
+        lag = frame.n_sensed - frame.n_reconstructed
+        if self._first_lag is None:
+            self._first_lag = lag
+        self.lost_so_far = max(0, lag - self._first_lag)
         cells = self.skin.mask if self.skin.mask is not None else slice(None)
         taxels = frame.taxels.forces[cells]
         restored = frame.reconstruction.forces[cells]
         f_max = self.skin.f_max
         reference = taxels if frame.truth is None else frame.truth.forces[cells]
         in_contact = float(reference.max()) > CONTACT_FRACTION * f_max
+        noisy_db = math.nan
         if frame.truth is not None:
-            self.noisy.add(psnr_db(taxels - reference, f_max), in_contact)
+            noisy_db = psnr_db(taxels - reference, f_max)
+            self.noisy.add(noisy_db, in_contact)
         error = restored - reference
-        self.restored.add(psnr_db(error, f_max), in_contact)
+        restored_db = psnr_db(error, f_max)
+        self.restored.add(restored_db, in_contact)
         if in_contact:
             norm = float(np.linalg.norm(reference))
             self.relative_error.add(float(np.linalg.norm(error)) / norm)
+        reconstruction = frame.reconstruction
+        return Judged(
+            taxels=frame.taxels,
+            truth=frame.truth,
+            reconstruction=reconstruction,
+            psnr_noisy_db=noisy_db,
+            psnr_db=restored_db,
+            latency_ms=(reconstruction.done_ns - reconstruction.stamp_ns) / 1e6,
+            solve_ms=reconstruction.solve_ns / 1e6,
+            lost=self.lost_so_far,
+        )
 
     def summary(self) -> dict[str, Any]:
         """The patch's part of the summary; figures that are not known are None."""
@@ -187,6 +273,7 @@ class PatchMetrics:
                 "sensed": self.sensed,
                 "reconstructed": self.reconstructed,
                 "lost": max(0, self.sensed - self.reconstructed),
+                "lost_so_far": self.lost_so_far,
                 "unpaired": self.unpaired + len(self._pending),
             },
             "reference": {True: "truth", False: "taxels", None: None}[has_truth],

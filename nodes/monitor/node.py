@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import webbrowser
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -22,9 +23,12 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import Settings, check_patch, setting
 
+from .feed import Feed
 from .metrics import PatchMetrics
+from .server import PageServer
 from .table import status_line
 
+SUMMARY_EVERY_NS = 500_000_000
 WATCHED = (SkinState, Taxels, Truth, PhiState, Measurements, SolverState, Reconstruction)
 
 
@@ -33,6 +37,11 @@ class MonitorSettings(Settings):
     """What a monitor can be told."""
 
     patches: tuple[str, ...] = setting(("skin",), "names of the patches to watch")
+    page: bool = setting(True, "serve a live page on 127.0.0.1, where the graph has a launcher")
+    port: int = setting(
+        8470, "port of the page; a free one where it is busy, or 0", low=0, high=65535
+    )
+    browser: bool = setting(False, "open the page in a browser")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -46,10 +55,14 @@ class Monitor(Node[MonitorSettings]):
     """Publishes nothing; its status is a line, its report the summary of every patch."""
 
     Settings = MonitorSettings
+    watches = True
 
     def __init__(self, settings: MonitorSettings, context: Context) -> None:
         super().__init__(settings, context)
-        self._patches = {patch: PatchMetrics() for patch in settings.patches}
+        self._patches = {patch: PatchMetrics(context.late) for patch in settings.patches}
+        self._feed: Feed | None = None
+        self._page: PageServer | None = None
+        self._next_summary_ns = 0
         self._said_ns = context.clock.now_ns()
         self._said_frames = dict.fromkeys(settings.patches, 0)
 
@@ -59,14 +72,47 @@ class Monitor(Node[MonitorSettings]):
             topic_of(patch, watched.schema) for patch in settings.patches for watched in WATCHED
         )
 
+    def start(self) -> Iterable[Message]:
+        ask = self.context.ask
+        if self.settings.page and ask is not None:
+            self._feed = Feed(self.settings.patches)
+            self._page = PageServer(self._feed, self.settings.port, ask)
+            self.context.log(f"live page: {self._page.url}")
+            if self.settings.browser:
+                webbrowser.open(self._page.url)
+        return ()
+
     def step(self, message: Message) -> Iterable[Message]:
-        self._patches[message.patch].add(message)
+        judged = self._patches[message.patch].add(message)
+        if self._feed is not None:
+            self._feed.frame(message.patch, message, judged)
         return ()
 
     def ended(self, topic: str, n_messages: int) -> Iterable[Message]:
         patch, schema = split_topic(topic)
         self._patches[patch].end(schema, n_messages)
+        if self._feed is not None and schema == Reconstruction.schema:
+            self._feed.tell(ended=patch)
         return ()
+
+    def idle(self) -> None:
+        now_ns = self.context.clock.now_ns()
+        if self._feed is not None and now_ns >= self._next_summary_ns:
+            self._next_summary_ns = now_ns + SUMMARY_EVERY_NS
+            self._feed.tell(summaries=self.report()["patches"])
+
+    def command(self, name: str, value: Any) -> str:
+        """Take news of the graph, and answers to what pages asked for, from the launcher."""
+        if name not in ("graph", "answer"):
+            return super().command(name, value)
+        if self._feed is not None:
+            self._feed.tell(**{name: value})
+        return ""
+
+    def close(self, counts: dict[str, Any]) -> None:
+        if self._feed is not None and self._page is not None:
+            self._feed.tell(summaries=self.report()["patches"])
+            self._page.close()
 
     def status(self) -> str:
         now_ns = self.context.clock.now_ns()

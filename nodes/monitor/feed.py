@@ -1,0 +1,132 @@
+"""What the monitor knows just now, for those who look on: one thread writes, many read."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages import Message, Reconstruction, SkinState, Taxels, Truth
+
+from .history import History
+from .metrics import Judged
+
+MAX_ANSWERS = 64
+Floats = npt.NDArray[np.float32]
+
+
+@dataclass
+class PatchFeed:
+    """One patch: its newest maps, each with the time at which it came, and its history.
+
+    `maps` are those of one frame, as long as frames are restored; where they are not, the
+    newest of each.
+    """
+
+    skin: SkinState | None = None
+    maps: dict[str, Floats] = field(default_factory=dict)
+    came_s: dict[str, float] = field(default_factory=dict)
+    n_maps: int = 0
+    history: History = field(default_factory=History)
+    summary: dict[str, Any] = field(default_factory=dict)
+    ended: bool = False
+
+
+class Feed:
+    """Newest state of all patches, of the graph, and answers to requests.
+
+    Whoever reads holds `changed`, a condition, while it does. It is notified of answers and of
+    the end; of frames only while somebody is `hungry`, due for one and without: at 1 kHz and
+    with many readers each would be woken a thousand times a second for nothing.
+
+    Parameters
+    ----------
+    patches : iterable of str
+        Names of the patches.
+    """
+
+    def __init__(self, patches: tuple[str, ...]) -> None:
+        self.changed = threading.Condition()
+        self.patches = {patch: PatchFeed() for patch in patches}
+        self.graph: dict[str, Any] | None = None
+        self.graph_came_s = -math.inf
+        self.answers: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MAX_ANSWERS)
+        self.n_answers = 0
+        self.closed = False
+        self.hungry = 0
+
+    def frame(self, patch: str, message: Message, judged: Judged | None) -> None:
+        """Take in a message of a patch, and the frame that it completes."""
+        now_s = time.monotonic()
+        feed = self.patches[patch]
+        with self.changed:
+            if isinstance(message, SkinState):
+                feed.skin = message
+                feed.maps.clear()
+            if judged is None:
+                self._note_alone(feed, message, now_s)
+                return
+            feed.maps = {"taxels": judged.taxels.forces, "restored": judged.reconstruction.forces}
+            if judged.truth is not None:
+                feed.maps["truth"] = judged.truth.forces
+            feed.came_s.update(dict.fromkeys(feed.maps, now_s))
+            feed.n_maps += 1
+            feed.ended = False
+            feed.history.add(
+                now_s,
+                judged.psnr_noisy_db,
+                judged.psnr_db,
+                judged.latency_ms,
+                judged.solve_ms,
+                judged.lost,
+            )
+            self._feed_hungry()
+
+    def _note_alone(self, feed: PatchFeed, message: Message, now_s: float) -> None:
+        """Show what the taxels read where nothing has been restored for a while."""
+        if isinstance(message, Reconstruction) or not isinstance(message, Taxels | Truth):
+            return
+        name = message.schema
+        if now_s - feed.came_s.get("restored", -math.inf) > STALE_S:
+            feed.maps = {**feed.maps, name: message.forces}
+            feed.came_s[name] = now_s
+            feed.n_maps += 1
+            self._feed_hungry()
+
+    def tell(
+        self,
+        *,
+        summaries: dict[str, dict[str, Any]] | None = None,
+        graph: dict[str, Any] | None = None,
+        answer: dict[str, Any] | None = None,
+        ended: str | None = None,
+        closed: bool = False,
+    ) -> None:
+        """Take in what is not a frame: summaries by patch, the graph, an answer, an end."""
+        with self.changed:
+            for patch, summary in (summaries or {}).items():
+                self.patches[patch].summary = summary
+            if graph is not None:
+                self.graph, self.graph_came_s = graph, time.monotonic()
+            if answer is not None:
+                self.n_answers += 1
+                self.answers.append((self.n_answers, answer))
+            if ended is not None:
+                self.patches[ended].ended = True
+            self.closed = self.closed or closed
+            if answer is not None or closed:
+                self.changed.notify_all()
+
+    def _feed_hungry(self) -> None:
+        if self.hungry:
+            self.changed.notify_all()
+
+
+STALE_S = 0.2
+"""Data older than this is stale."""

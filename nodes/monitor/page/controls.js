@@ -1,0 +1,171 @@
+// Controls of a patch's nodes. A request goes to the node that owns the matter; the page shows its
+// answer: done, or why not.
+
+import { byId, element, fixed, setText } from "./dom.js";
+
+// What is offered at the bench, in this order: [node type, setting, label].
+const OFFERED = [
+  ["reconstructor", "preset", "Preset"],
+  ["reconstructor", "solver", "Solver"],
+  ["reconstructor", "basis", "Basis"],
+  ["reconstructor", "iterations", "Iterations"],
+  ["reconstructor", "lambda_n", "λ (N)"],
+  ["compressor", "m", "Measurements M"],
+  ["sensor", "noise", "Noise (× the paper's)"],
+  ["sensor", "rate_hz", "Rate (Hz)"],
+];
+const PATIENCE_MS = 8000;
+
+export class Controls {
+  constructor(root) {
+    this.root = root;
+    this.waiting = new Map(); // id of a request -> {output, timer}
+    this.shape = "";
+  }
+
+  // Take news of the graph; build the controls anew where it has other nodes.
+  show(graph, patch) {
+    const nodes = graph.nodes.filter((node) => node.patch === patch || node.patch === null);
+    const shape = JSON.stringify([patch, nodes.map((node) => [node.name, node.type])]);
+    if (shape !== this.shape) {
+      this.shape = shape;
+      this.build(nodes);
+    }
+    for (const node of nodes) this.refresh(node);
+    const recording = byId("record");
+    if (recording) {
+      recording.dataset.value = JSON.stringify(!graph.recording);
+      setText(recording, graph.recording ? "■ Stop recording" : "● Record");
+    }
+  }
+
+  build(nodes) {
+    this.root.replaceChildren(element("h2", {}, "Controls"));
+    const player = nodes.find((node) => "seek" in node.commands);
+    if (player) this.root.append(this.playerControls(player.name));
+    const sources = nodes.filter((node) => "pause" in node.commands && node !== player);
+    const buttons = element("div", { class: "buttons" });
+    for (const node of sources) {
+      buttons.append(this.button(node.name, "pause", "", { "data-pause": node.name }));
+    }
+    buttons.append(this.button("launch", "record", "● Record", { id: "record" }));
+    this.root.append(buttons, this.answerLine("launch"));
+    for (const [type, key, label] of OFFERED) {
+      for (const node of nodes.filter((found) => found.type === type)) {
+        const entry = node.controls.find((found) => found.key === key);
+        if (entry) this.root.append(this.field(node.name, entry, label));
+      }
+    }
+  }
+
+  answerLine(name) {
+    return element("output", { "data-answer": name, "aria-live": "polite" });
+  }
+
+  button(node, command, label, attributes = {}) {
+    return element("button", { type: "button", ...attributes, onclick: (event) => {
+      const { value } = event.currentTarget.dataset;
+      this.ask(node, command, value === undefined ? null : JSON.parse(value), "launch");
+    } }, label);
+  }
+
+  playerControls(name) {
+    const seek = element("input", { type: "range", min: 0, step: "any", "data-seek": name,
+      "aria-label": "position in the recording",
+      onchange: (event) => this.ask(name, "seek", Number(event.target.value), name) });
+    const rate = element("input", { type: "number", min: 0.001, max: 1000, step: "any",
+      "data-rate": name, "aria-label": "rate of the replay" });
+    const form = element("form", { class: "line", onsubmit: (event) => {
+      event.preventDefault();
+      this.ask(name, "rate", Number(rate.value), name);
+    } }, element("label", {}, "Replay rate ×", rate), element("button", {}, "Set"));
+    return element("div", { class: "player" },
+      element("div", { class: "buttons" },
+        this.button(name, "pause", "", { "data-pause": name }),
+        this.button(name, "step", "Step"),
+        this.button(name, "slower", "Slower"), this.button(name, "faster", "Faster")),
+      seek, element("span", { "data-position": name }), form, this.answerLine(name));
+  }
+
+  field(node, entry, label) {
+    const options = entry.choices.length ? entry.choices : entry.known;
+    const id = `${node}.${entry.key}`;
+    const input = options.length
+      ? element("select", { id }, ...options.map((name) => element("option", {}, name)))
+      : element("input", { id, type: "number", step: entry.type.startsWith("int") ? 1 : "any",
+        ...(entry.low === null ? {} : { min: entry.low }),
+        ...(entry.high === null ? {} : { max: entry.high }) });
+    const send = (event) => {
+      event.preventDefault();
+      const value = options.length ? input.value : input.value === "" ? null : Number(input.value);
+      this.ask(node, "set", { [entry.key]: value }, id);
+    };
+    // A list is sent when chosen; a number when it is meant, by Enter or the button.
+    if (options.length) input.addEventListener("change", send);
+    return element("form", { class: "line", title: entry.doc, onsubmit: send, novalidate: true },
+      element("label", {}, label, input),
+      ...(options.length ? [] : [element("button", {}, "Set")]), this.answerLine(id));
+  }
+
+  // Show what is in force, but not over what somebody is typing.
+  refresh(node) {
+    for (const entry of node.controls) {
+      const input = byId(`${node.name}.${entry.key}`);
+      if (!input || document.activeElement === input) continue;
+      const value = node.state[entry.key] ?? node.settings[entry.key] ?? "";
+      const text = typeof value === "number" ? String(+value.toPrecision(6)) : String(value);
+      if (input.dataset.shown !== text) {
+        input.dataset.shown = text;
+        input.value = text;
+      }
+    }
+    for (const button of this.root.querySelectorAll(`[data-pause="${node.name}"]`)) {
+      button.dataset.value = JSON.stringify(!node.state.paused);
+      setText(button, node.state.paused ? `▶ Go on` : `❚❚ Pause`);
+    }
+    const seek = this.root.querySelector(`[data-seek="${node.name}"]`);
+    if (seek) this.refreshPlayer(node, seek);
+  }
+
+  refreshPlayer({ name, state }, seek) {
+    if (document.activeElement !== seek || !seek.matches(":active")) {
+      seek.max = state.length_s ?? 0;
+      seek.value = state.position_s ?? 0;
+    }
+    setText(this.root.querySelector(`[data-position="${name}"]`),
+      `${fixed(state.position_s, 1)} of ${fixed(state.length_s, 1, "s")}`);
+    const rate = this.root.querySelector(`[data-rate="${name}"]`);
+    if (document.activeElement !== rate) rate.value = fixed(state.rate, 3);
+  }
+
+  async ask(node, command, value, line) {
+    const output = this.root.querySelector(`[data-answer="${CSS.escape(line)}"]`);
+    const id = Array.from(crypto.getRandomValues(new Uint32Array(3)), (n) => n.toString(16)).join("");
+    const timer = setTimeout(() => this.answer({ id, done: false, text: "no answer came" }),
+      PATIENCE_MS);
+    this.waiting.set(id, { output, timer });
+    this.say(output, "asking", "…");
+    try {
+      const answer = await fetch("request", {
+        method: "POST", headers: { "Content-Type": "application/json" },
+        body: JSON.stringify({ id, node, command, value }),
+      });
+      if (!answer.ok) this.answer({ id, done: false, text: (await answer.text()).trim() });
+    } catch (error) {
+      this.answer({ id, done: false, text: "the monitor does not answer" });
+    }
+  }
+
+  answer({ id, done, text }) {
+    const waiting = this.waiting.get(id);
+    if (!waiting) return; // somebody else's
+    this.waiting.delete(id);
+    clearTimeout(waiting.timer);
+    this.say(waiting.output, done ? "done" : "refused", done ? `✓ ${text}` : `✗ ${text}`);
+  }
+
+  say(output, state, text) {
+    output.dataset.state = state;
+    setText(output, text);
+  }
+}

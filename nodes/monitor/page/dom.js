@@ -1,0 +1,46 @@
+// Small helpers: elements, and numbers as text.
+
+export function element(tag, attributes = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
+    else if (typeof value === "boolean") made.toggleAttribute(key, value);
+    else made.setAttribute(key, value);
+  }
+  made.append(...children);
+  return made;
+}
+
+export const byId = (id) => document.getElementById(id);
+
+export function setText(target, text) {
+  if (target.textContent !== text) target.textContent = text;
+}
+
+const known = (value) => value !== null && value !== undefined && Number.isFinite(value);
+
+export function fixed(value, digits, unit = "") {
+  return known(value) ? value.toFixed(digits) + (unit && ` ${unit}`) : "–";
+}
+
+// Three significant digits, and no exponent.
+export function brief(value, unit = "") {
+  if (!known(value)) return "–";
+  const digits = value === 0 ? 0 : 2 - Math.floor(Math.log10(Math.abs(value)));
+  return value.toFixed(Math.min(Math.max(digits, 0), 4)) + (unit && ` ${unit}`);
+}
+
+// The same without zeros at the end, for the ticks of an axis.
+export function tick(value) {
+  return String(+value.toPrecision(3));
+}
+
+export function bytes(perSecond) {
+  if (!known(perSecond)) return "–";
+  const step = perSecond >= 1e6 ? [1e6, "MB/s"] : perSecond >= 1e3 ? [1e3, "kB/s"] : [1, "B/s"];
+  return brief(perSecond / step[0], step[1]);
+}
+
+export function ago(seconds) {
+  return seconds < 10 ? `${seconds.toFixed(1)} s` : `${Math.round(seconds)} s`;
+}

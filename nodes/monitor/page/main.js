@@ -1,0 +1,244 @@
+// The page: takes records of the monitor's stream and draws them.
+
+import { Controls } from "./controls.js";
+import { ago, brief, byId, bytes, element, fixed, setText } from "./dom.js";
+import { Maps, thumbnail } from "./maps.js";
+import { Notices } from "./notices.js";
+import { Stream } from "./stream.js";
+import { Strips } from "./strips.js";
+
+const STRIPS_MS = 250;
+const TEXT_MS = 100;
+
+const model = {
+  connection: "connecting", heard: 0, silent: 0, over: false, quiet: false,
+  graph: null, state: null, summaries: {}, skins: {}, maps: {}, fresh: {}, traffic: {},
+};
+let patch = null; // null: the overview
+let stream = null, maps = null, strips = null;
+let clock = 0; // the monitor's clock less the browser's, in seconds
+const controls = new Controls(byId("controls"));
+const notices = new Notices();
+
+const seconds = () => performance.now() / 1000;
+
+function onConnection(connection) {
+  model.connection = connection;
+  model.heard = seconds();
+  if (connection === "open") model.over = false;
+}
+
+function onRecord(record) {
+  model.heard = seconds();
+  if (record.kind === "state") onState(record);
+  else if (record.kind === "skin") onSkin(record);
+  else if (record.kind === "maps") {
+    model.maps[record.patch] = record.data;
+    model.fresh[record.patch] = true;
+    requestAnimationFrame(drawMaps);
+  } else if (record.kind === "rows") strips?.add(record);
+  else if (record.kind === "answer") controls.answer(record);
+}
+
+function onState(record) {
+  const before = model.state;
+  clock = record.now_s - seconds();
+  model.state = record;
+  model.over = record.closed;
+  if (record.graph) model.graph = record.graph;
+  for (const [name, state] of Object.entries(record.patches)) {
+    if (state.summary) onSummary(name, state.summary, record.now_s);
+    state.summary = model.summaries[name];
+  }
+  const names = Object.keys(record.patches);
+  if (!before && patch === null && names.length === 1) location.replace(`#/${names[0]}`);
+}
+
+function onSkin(record) {
+  model.skins[record.patch] = record;
+  if (record.patch === patch) maps = new Maps(byId("maps"), record);
+}
+
+// Bytes a second, from the counts of two summaries some time apart.
+function onSummary(name, summary, now) {
+  model.summaries[name] = summary;
+  const traffic = (model.traffic[name] ??= []);
+  traffic.push([now, summary.bytes_in, summary.bytes_out]);
+  while (traffic.length > 2 && now - traffic[0][0] > 3) traffic.shift();
+}
+
+function rates(name) {
+  const traffic = model.traffic[name] ?? [];
+  if (traffic.length < 2) return [NaN, NaN];
+  const [first, last] = [traffic[0], traffic.at(-1)];
+  const span = last[0] - first[0];
+  return span > 0 ? [1, 2].map((k) => (last[k] - first[k]) / span) : [NaN, NaN];
+}
+
+function drawMaps() {
+  for (const name of Object.keys(model.fresh)) {
+    if (!model.fresh[name]) continue;
+    model.fresh[name] = false;
+    document.body.dataset.drawn = Number(document.body.dataset.drawn ?? 0) + 1;
+    if (name === patch) maps?.show(model.maps[name], performance.now());
+    else if (patch === null) drawCard(name);
+  }
+}
+
+function drawCard(name) {
+  const canvas = document.querySelector(`#card-${name} canvas`);
+  const { restored } = model.maps[name];
+  if (canvas && restored) thumbnail(canvas, restored, model.skins[name]);
+}
+
+function tile(title, value, note, id) {
+  return element("div", { class: "tile", "data-tile": id }, element("h2", {}, title),
+    element("strong", {}, value), element("span", {}, note));
+}
+
+function mean(summary, which) {
+  return summary?.psnr_db?.[which]?.all?.mean ?? NaN;
+}
+
+function tiles(name) {
+  const s = model.summaries[name] ?? {};
+  const [before, after] = rates(name);
+  const gain = mean(s, "reconstruction") - mean(s, "noisy");
+  const skin = model.skins[name];
+  const rate = strips?.rate(seconds() + clock);
+  return [
+    ["compression", "Compression", s.ratio ? `${s.ratio.toFixed(2)} : 1` : "–",
+      s.n ? `N = ${s.n}, M = ${s.m}` : "Phi is not known yet"],
+    ["traffic", "Sent by the edge", `${bytes(after)}`, `in place of ${bytes(before)}`],
+    ["gain", "PSNR gain", Number.isFinite(gain) ? `${gain >= 0 ? "+" : "−"}${Math.abs(gain).toFixed(1)} dB`
+      : fixed(mean(s, "reconstruction"), 1, "dB"),
+      Number.isFinite(gain) ? `mean ${fixed(mean(s, "noisy"), 1)} → ${fixed(
+        mean(s, "reconstruction"), 1, "dB")}` : "to the taxels; no truth is known"],
+    ["latency", "Latency", `${fixed(s.latency_ms?.p50, 1, "ms")}`,
+      `p99 ${fixed(s.latency_ms?.p99, 1, "ms")}, solve ${fixed(s.solve_ms?.p50, 1, "ms")}`],
+    ["rate", "Rate", `${rate ?? "–"} Hz`, skin?.rate_hz ? `asked ${brief(skin.rate_hz)} Hz` : "as fast as it goes"],
+    ["frames", "Frames", `${s.frames?.reconstructed ?? "–"}`,
+      `of ${s.frames?.sensed ?? "–"}, ${s.frames?.lost_so_far ?? "–"} lost`],
+  ];
+}
+
+function drawHeadline() {
+  const root = byId("headline");
+  for (const [id, title, value, note] of tiles(patch)) {
+    const found = root.querySelector(`[data-tile="${id}"]`);
+    if (!found) root.append(tile(title, value, note, id));
+    else {
+      setText(found.querySelector("strong"), value);
+      setText(found.querySelector("span"), note);
+    }
+  }
+}
+
+function drawNodes() {
+  const list = byId("nodes");
+  const nodes = model.graph?.nodes ?? [];
+  if (list.children.length !== nodes.length) {
+    list.replaceChildren(...nodes.map(() => element("li")));
+  }
+  nodes.forEach((node, k) => {
+    list.children[k].dataset.condition = model.over ? "ended" : node.condition;
+    list.children[k].title = node.line;
+    const restarts = node.restarts ? `, ${node.restarts} restarts` : "";
+    setText(list.children[k], `${node.name}: ${model.over ? "ended" : node.condition}${restarts}`);
+  });
+}
+
+function drawNotices(now) {
+  const found = notices.list(model, now);
+  const list = byId("notices");
+  if (list.children.length !== found.length) {
+    list.replaceChildren(...found.map(() => element("li")));
+  }
+  found.forEach(([tone, text], k) => {
+    list.children[k].className = tone;
+    setText(list.children[k], text);
+  });
+  const bad = found.some(([tone]) => tone === "bad");
+  const pill = byId("liveness");
+  pill.className = `pill ${bad ? "bad" : found.length ? "note" : "good"}`;
+  const stale = found.some(([, text]) => text.includes("stale"));
+  const waits = model.connection !== "open" && !model.over;
+  setText(pill, model.over ? "ended" : waits ? "no connection" : stale ? "stale"
+    : model.quiet ? "paused" : bad ? "look here" : "live");
+}
+
+function drawOverview() {
+  const root = byId("overview"), names = Object.keys(model.state?.patches ?? {});
+  if (root.children.length !== names.length) {
+    root.replaceChildren(...names.map((name) => element("a",
+      { class: "card", id: `card-${name}`, href: `#/${name}` },
+      element("h2", {}, name), element("canvas"), element("p", {}))));
+  }
+  for (const name of names) {
+    const s = model.summaries[name] ?? {}, state = model.state.patches[name];
+    const card = byId(`card-${name}`);
+    const age = state.age_s.restored;
+    card.classList.toggle("stale", !state.ended && !(age <= state.stale_s));
+    setText(card.querySelector("p"), [
+      s.ratio ? `${s.ratio.toFixed(2)} : 1` : "–",
+      `PSNR ${fixed(mean(s, "noisy"), 1)} → ${fixed(mean(s, "reconstruction"), 1, "dB")}`,
+      `latency ${fixed(s.latency_ms?.p50, 1)} / ${fixed(s.latency_ms?.p99, 1, "ms")}`,
+      `${s.frames?.lost_so_far ?? 0} lost`,
+      state.ended ? "ended" : age === undefined ? "no frame yet"
+        : age > state.stale_s ? `stale for ${ago(age)}` : "live",
+    ].join(" · "));
+  }
+}
+
+function drawText() {
+  const now = performance.now();
+  model.silent = model.connection === "open" ? seconds() - model.heard : 0;
+  const sources = (model.graph?.nodes ?? []).filter((node) => "pause" in node.commands);
+  model.quiet = sources.length > 0 && sources.every((node) => node.state.paused);
+  setText(byId("graph-name"), model.graph?.name ?? "");
+  byId("recording").hidden = !model.graph?.recording;
+  setText(byId("recording"), `● recording ${model.graph?.recording ?? ""}`);
+  drawNodes();
+  drawNotices(now);
+  if (patch === null) {
+    drawOverview();
+    return;
+  }
+  drawHeadline();
+  if (model.graph && model.state) controls.show(model.graph, patch);
+  const state = model.state?.patches[patch];
+  const reachable = model.connection === "open";
+  // What was not heard of since is as much older.
+  const behind = Math.max(0, seconds() - model.heard);
+  const ages = Object.fromEntries(
+    Object.entries(state?.age_s ?? {}).map(([name, age]) => [name, age + behind]));
+  maps?.markStale(ages, state?.stale_s ?? 0.2, reachable && (model.quiet || state?.ended));
+}
+
+function drawStrips() {
+  if (patch === null) return;
+  strips?.draw(seconds() + clock, model.skins[patch]?.rate_hz ?? 0);
+}
+
+function open() {
+  const name = decodeURIComponent(location.hash.replace(/^#\/?/, "")) || null;
+  stream?.close();
+  patch = name;
+  maps = null;
+  strips = name === null ? null : new Strips(byId("strips"));
+  model.skins = {};
+  model.maps = {};
+  byId("maps").replaceChildren();
+  byId("headline").replaceChildren();
+  byId("patch").hidden = name === null;
+  byId("overview").hidden = name !== null;
+  stream = new Stream(name, onRecord, onConnection);
+}
+
+window.addEventListener("hashchange", open);
+for (const id of ["range", "error-range"]) {
+  byId(id).addEventListener("change", () => maps?.draw(performance.now()));
+}
+open();
+setInterval(drawText, TEXT_MS);
+setInterval(drawStrips, STRIPS_MS);

@@ -1,0 +1,175 @@
+// The maps of one patch: truth, taxels, reconstruction and error on canvases, with a colour bar.
+
+import { GRADIENT, VIRIDIS, rounded } from "./colours.js";
+import { byId, brief, element, setText } from "./dom.js";
+
+const TITLES = {
+  truth: "Truth",
+  taxels: "Taxels read",
+  restored: "Reconstructed",
+  error: "Absolute error",
+};
+const HOLD_MS = 4000; // how long the range of colours stays wide after a peak
+const CONTACT = 0.004; // of f_max: below this no centre of pressure is stated
+
+export class Maps {
+  constructor(root, skin) {
+    this.skin = skin;
+    this.root = root;
+    this.peaks = []; // [time, peak] of the last seconds
+    this.panels = {};
+    this.maps = {};
+    this.mask = skin.data.mask ?? null;
+    root.replaceChildren();
+    const names = skin.has_truth ? Object.keys(TITLES) : ["taxels", "restored", "error"];
+    for (const name of names) root.append(this.panel(name));
+    root.style.setProperty("--n-maps", names.length);
+    root.addEventListener("pointermove", (event) => this.point(event));
+    root.addEventListener("pointerleave", () => this.unpoint());
+  }
+
+  panel(name) {
+    const canvas = element("canvas", {
+      width: this.skin.n_cols, height: this.skin.n_rows, role: "img",
+      "aria-label": TITLES[name], "data-map": name,
+    });
+    canvas.style.aspectRatio = `${this.skin.n_cols} / ${this.skin.n_rows}`;
+    const context = canvas.getContext("2d");
+    const image = context.createImageData(this.skin.n_cols, this.skin.n_rows);
+    const bar = element("div", { class: "bar" });
+    bar.style.background = GRADIENT;
+    const top = element("span", {}), figures = element("figcaption", {});
+    this.panels[name] = {
+      canvas, context, image, pixels: new Uint32Array(image.data.buffer), top, figures,
+    };
+    const title = name === "error" && !this.skin.has_truth ? "Difference from the taxels"
+      : TITLES[name];
+    return element("figure", { "data-panel": name }, element("h2", {}, title),
+      element("div", { class: "framed" }, canvas,
+        element("div", { class: "scale" }, top, bar, element("span", {}, "0"))),
+      figures);
+  }
+
+  // Take new maps, each float32 (n_rows * n_cols,), row after row.
+  show(maps, now) {
+    this.maps = { ...maps };
+    const reference = maps.truth ?? maps.taxels;
+    if (maps.restored && reference) {
+      this.maps.error = maps.restored.map((v, k) => Math.abs(v - reference[k]));
+    }
+    this.draw(now);
+  }
+
+  draw(now) {
+    const peak = Math.max(...["truth", "taxels", "restored"].map((m) => highest(this.maps[m])));
+    this.peaks = this.peaks.filter(([at]) => now - at < HOLD_MS);
+    this.peaks.push([now, peak]);
+    const held = Math.max(...this.peaks.map(([, value]) => value), 0.02 * this.skin.f_max);
+    const range = byId("range").value === "full" ? this.skin.f_max
+      : Math.min(rounded(held), this.skin.f_max);
+    for (const [name, panel] of Object.entries(this.panels)) {
+      const map = this.maps[name];
+      if (!map) continue;
+      const own = name === "error" && byId("error-range").value === "own";
+      const top = own ? Math.min(rounded(highest(map)), this.skin.f_max) : range;
+      paint(panel, map, this.mask, top);
+      setText(panel.top, brief(top, this.skin.unit));
+      setText(panel.figures, name === "error" ? this.errorText(map) : this.forceText(map));
+    }
+    this.read();
+  }
+
+  forceText(map) {
+    const { n_cols: nCols, unit, pitch_m: pitch, f_max: fMax } = this.skin;
+    let total = 0, rows = 0, cols = 0, peak = 0;
+    for (let k = 0; k < map.length; k++) {
+      const force = map[k];
+      total += force;
+      rows += force * Math.floor(k / nCols);
+      cols += force * (k % nCols);
+      if (force > peak) peak = force;
+    }
+    const place = (sum) => pitch ? (1000 * pitch * (sum / total)).toFixed(1)
+      : (sum / total).toFixed(1);
+    const centre = peak > CONTACT * fMax ? `${place(rows)}, ${place(cols)} ${pitch ? "mm" : ""}`
+      : "no contact";
+    return `peak ${brief(peak, unit)}\ntotal ${brief(total, unit)}\ncentre ${centre}`;
+  }
+
+  errorText(map) {
+    let sum = 0;
+    for (const value of map) sum += value * value;
+    const n = this.mask ? this.mask.reduce((a, b) => a + b, 0) : map.length;
+    return `peak ${brief(highest(map), this.skin.unit)}\nRMS ${brief(Math.sqrt(sum / n),
+      this.skin.unit)}`;
+  }
+
+  point(event) {
+    const canvas = event.target.closest("canvas");
+    if (!canvas) return this.unpoint();
+    const box = canvas.getBoundingClientRect();
+    const place = (at, start, size, n) =>
+      Math.min(n - 1, Math.max(0, Math.floor(((at - start) / size) * n)));
+    this.pointed = [
+      place(event.clientY, box.top, box.height, this.skin.n_rows),
+      place(event.clientX, box.left, box.width, this.skin.n_cols),
+    ];
+    this.read();
+  }
+
+  unpoint() {
+    this.pointed = null;
+    setText(byId("under-pointer"), "Point at a taxel to read it.");
+  }
+
+  // The values under the pointer, in all maps.
+  read() {
+    if (!this.pointed) return;
+    const [row, col] = this.pointed, k = row * this.skin.n_cols + col;
+    const place = `row ${row}, column ${col}: `;
+    if (this.mask && !this.mask[k]) {
+      setText(byId("under-pointer"), place + "no taxel here");
+      return;
+    }
+    const values = Object.keys(this.panels).filter((name) => this.maps[name])
+      .map((name) => `${TITLES[name].toLowerCase()} ${this.maps[name][k].toFixed(4)}`);
+    setText(byId("under-pointer"), `${place}${values.join(", ")} ${this.skin.unit}`);
+  }
+
+  // Grey what is older than it may be, and say so on it.
+  markStale(ages, limit, quiet) {
+    for (const [name, panel] of Object.entries(this.panels)) {
+      const age = ages[name === "error" ? "restored" : name];
+      const stale = age === undefined || age > limit;
+      const figure = panel.canvas.closest("figure");
+      figure.classList.toggle("stale", stale && !quiet);
+      figure.dataset.age = stale && !quiet && age !== undefined ? `${age.toFixed(1)} s old` : "";
+    }
+  }
+}
+
+// One small map, for the overview.
+export function thumbnail(canvas, map, skin) {
+  if (canvas.width !== skin.n_cols || canvas.height !== skin.n_rows) {
+    canvas.width = skin.n_cols;
+    canvas.height = skin.n_rows;
+  }
+  const context = canvas.getContext("2d");
+  const image = context.createImageData(skin.n_cols, skin.n_rows);
+  const top = Math.max(rounded(highest(map)), 0.02 * skin.f_max);
+  paint({ context, image, pixels: new Uint32Array(image.data.buffer) }, map, skin.data.mask, top);
+}
+
+function highest(map) {
+  let high = 0;
+  if (map) for (const value of map) if (value > high) high = value;
+  return high;
+}
+
+function paint({ context, image, pixels }, map, mask, top) {
+  const scale = 255 / top;
+  for (let k = 0; k < map.length; k++) {
+    pixels[k] = mask && !mask[k] ? 0 : VIRIDIS[Math.max(0, Math.min(255, (map[k] * scale) | 0))];
+  }
+  context.putImageData(image, 0, 0);
+}

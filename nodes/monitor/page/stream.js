@@ -1,0 +1,77 @@
+// Reads the monitor's stream: records of a JSON header and its arrays; connects again when it ends.
+
+const TYPES = { "<f4": Float32Array, "<f8": Float64Array, "|u1": Uint8Array };
+const RETRY_MS = 1000;
+
+function parsed(bytes, offset, nHead, nData) {
+  const header = JSON.parse(new TextDecoder().decode(bytes.subarray(offset, offset + nHead)));
+  // A copy, because a typed array must begin at a multiple of its element size.
+  const data = bytes.slice(offset + nHead, offset + nHead + nData).buffer;
+  let start = 0;
+  header.data = {};
+  for (const [name, dtype, shape] of header.arrays) {
+    const n = shape.reduce((a, b) => a * b, 1);
+    header.data[name] = new TYPES[dtype](data, start, n);
+    start += n * TYPES[dtype].BYTES_PER_ELEMENT;
+  }
+  return header;
+}
+
+class Records {
+  #bytes = new Uint8Array(0);
+
+  // Complete records, once these bytes are added to what is left from before.
+  *add(chunk) {
+    const bytes = new Uint8Array(this.#bytes.length + chunk.length);
+    bytes.set(this.#bytes);
+    bytes.set(chunk, this.#bytes.length);
+    const view = new DataView(bytes.buffer);
+    let at = 0;
+    while (bytes.length - at >= 8) {
+      const nHead = view.getUint32(at, true), nData = view.getUint32(at + 4, true);
+      if (bytes.length - at < 8 + nHead + nData) break;
+      yield parsed(bytes, at + 8, nHead, nData);
+      at += 8 + nHead + nData;
+    }
+    this.#bytes = bytes.slice(at);
+  }
+}
+
+export class Stream {
+  // onRecord takes a record; onConnection takes "connecting", "open" or why there is none.
+  constructor(patch, onRecord, onConnection) {
+    this.aborter = new AbortController();
+    this.run(patch, onRecord, onConnection);
+  }
+
+  close() {
+    this.aborter.abort();
+  }
+
+  async run(patch, onRecord, onConnection) {
+    const query = patch === null ? "" : `?patch=${encodeURIComponent(patch)}`;
+    const { signal } = this.aborter;
+    while (!signal.aborted) {
+      onConnection("connecting");
+      let why = "";
+      try {
+        const answer = await fetch(`stream${query}`, { signal, cache: "no-store" });
+        if (answer.ok) {
+          onConnection("open");
+          const records = new Records();
+          const reader = answer.body.getReader();
+          for (let part = await reader.read(); !part.done; part = await reader.read()) {
+            for (const record of records.add(part.value)) onRecord(record);
+          }
+        } else {
+          why = (await answer.text()).trim();
+        }
+      } catch (error) {
+        why = "";
+      }
+      if (signal.aborted) return;
+      onConnection(why || "closed");
+      await new Promise((done) => setTimeout(done, RETRY_MS));
+    }
+  }
+}

@@ -1,0 +1,211 @@
+// Strip charts of the last 60 s. Every frame is counted: frames fall into buckets of a second or
+// a quarter of one, and a bucket keeps extremes, mean and quantiles of all its frames.
+
+import { brief, element, tick } from "./dom.js";
+
+const SPAN_S = 60;
+const LEFT = 44, RIGHT = 10, TOP = 20, BOTTOM = 16;
+
+class Buckets {
+  constructor(width) {
+    this.width = width;
+    this.list = []; // {k, values}, oldest first; bucket k holds times k * width and on
+  }
+
+  add(time, value) {
+    const k = Math.floor(time / this.width);
+    let last = this.list.at(-1);
+    if (!last || last.k < k) {
+      last = { k, values: [], done: null };
+      this.list.push(last);
+      while (this.list[0].k < k - SPAN_S / this.width - 2) this.list.shift();
+    }
+    if (Number.isFinite(value)) last.values.push(value);
+    last.done = null;
+  }
+
+  // [time of the middle, figures] of each bucket.
+  points() {
+    return this.list.map((bucket) => {
+      bucket.done ??= figures(bucket.values);
+      return [(bucket.k + 0.5) * this.width, bucket.done];
+    });
+  }
+}
+
+function figures(values) {
+  if (!values.length) return null;
+  const sorted = Float64Array.from(values).sort();
+  const at = (q) => sorted[Math.min(sorted.length - 1, Math.floor(q * sorted.length))];
+  return {
+    n: sorted.length, low: sorted[0], high: sorted.at(-1), p50: at(0.5), p99: at(0.99),
+    mean: values.reduce((a, b) => a + b, 0) / values.length, last: values.at(-1),
+  };
+}
+
+const CHARTS = [
+  { id: "psnr", title: "PSNR", unit: "dB", floating: true, lines: [
+    ["noisy", "psnr_noisy_db", (f) => f.mean, "taxels"],
+    ["good", "psnr_db", (f) => f.mean, "reconstruction"]], band: true },
+  { id: "latency", title: "Latency, sensor to reconstruction", unit: "ms", lines: [
+    ["good", "latency_ms", (f) => f.p50, "p50"], ["noisy", "latency_ms", (f) => f.p99, "p99"]] },
+  { id: "solve", title: "Solve time", unit: "ms", lines: [
+    ["good", "solve_ms", (f) => f.p50, "p50"], ["noisy", "solve_ms", (f) => f.p99, "p99"]] },
+  { id: "rate", title: "Rate achieved", unit: "Hz", lines: [
+    ["good", "rate", (f) => f.n, "frames restored a second"]], asked: true },
+  { id: "lost", title: "Frames lost", unit: "", lines: [
+    ["bad", "lost", (f) => f.last, "lost since the start"]] },
+];
+const WIDTHS = { psnr_noisy_db: 0.25, psnr_db: 0.25, latency_ms: 1, solve_ms: 1, lost: 0.25, rate: 1 };
+
+export class Strips {
+  constructor(root) {
+    this.series = Object.fromEntries(
+      Object.entries(WIDTHS).map(([name, width]) => [name, new Buckets(width)]));
+    this.nFrames = 0;
+    this.canvases = CHARTS.map((chart) => element("canvas", { "data-strip": chart.id, role: "img",
+      "aria-label": `${chart.title}, last ${SPAN_S} s` }));
+    root.replaceChildren(...this.canvases.map((canvas) => element("figure", {}, canvas)));
+  }
+
+  // Take the figures of frames: a record of kind "rows".
+  add({ columns, now_s: now, data: { rows } }) {
+    for (let at = 0; at < rows.length; at += columns.length) {
+      const time = now + rows[at];
+      columns.forEach((name, c) => this.series[name]?.add(time, rows[at + c]));
+      this.series.rate.add(time, 1);
+      this.nFrames += 1;
+    }
+  }
+
+  // The frames of the last whole second.
+  rate(now) {
+    const k = Math.floor(now) - 1;
+    return this.series.rate.list.find((bucket) => bucket.k === k)?.values.length ?? 0;
+  }
+
+  draw(now, asked) {
+    CHARTS.forEach((chart, k) => this.chart(this.canvases[k], chart, now, asked));
+  }
+
+  lineOf(name, figure, now) {
+    const points = this.series[name].points();
+    if (name !== "rate") return points.map(([t, f]) => [t, f && figure(f), f]);
+    // A second without a frame is a rate of 0, and the second under way is not over yet.
+    const found = new Map(points.map(([t, f]) => [Math.floor(t), f?.n ?? 0]));
+    const first = points.length ? Math.floor(points[0][0]) : Infinity;
+    const line = [];
+    for (let k = first; k < Math.floor(now); k++) line.push([k + 0.5, found.get(k) ?? 0, null]);
+    return line;
+  }
+
+  chart(canvas, chart, now, asked) {
+    const width = canvas.clientWidth, height = canvas.clientHeight;
+    const ratio = window.devicePixelRatio || 1;
+    if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+      canvas.width = Math.round(width * ratio);
+      canvas.height = Math.round(height * ratio);
+    }
+    const g = canvas.getContext("2d"), style = getComputedStyle(canvas);
+    const colour = (name) => style.getPropertyValue(`--${name}`).trim();
+    g.setTransform(ratio, 0, 0, ratio, 0, 0);
+    g.clearRect(0, 0, width, height);
+    g.font = "11px system-ui, sans-serif";
+    const lines = chart.lines.map(([tone, name, figure, label]) =>
+      ({ tone, label, points: this.lineOf(name, figure, now).filter(([t]) => t > now - SPAN_S) }));
+    const [low, high] = limits(lines, chart, asked);
+    const x = (t) => LEFT + ((t - now + SPAN_S) / SPAN_S) * (width - LEFT - RIGHT);
+    const y = (v) => TOP + ((high - v) / (high - low)) * (height - TOP - BOTTOM);
+    g.fillStyle = g.strokeStyle = colour("dim");
+    g.lineWidth = 0.5;
+    g.textBaseline = "middle";
+    for (const v of [low, (low + high) / 2, high]) {
+      g.beginPath(); g.moveTo(LEFT, y(v)); g.lineTo(width - RIGHT, y(v)); g.stroke();
+      g.textAlign = "right"; g.fillText(tick(v), LEFT - 5, y(v));
+    }
+    g.textBaseline = "alphabetic";
+    for (const s of [60, 40, 20, 0]) {
+      g.textAlign = s === 60 ? "left" : s === 0 ? "right" : "center";
+      g.fillText(s ? `−${s} s` : "now", x(now - s), height - 3);
+    }
+    if (chart.asked && asked) {
+      g.setLineDash([4, 3]); g.strokeStyle = colour("text"); g.lineWidth = 1;
+      g.beginPath(); g.moveTo(LEFT, y(asked)); g.lineTo(width - RIGHT, y(asked)); g.stroke();
+      g.setLineDash([]);
+    }
+    for (const { tone, points } of lines) {
+      if (chart.band) band(g, points, x, y, colour(tone));
+      curve(g, points, x, y, colour(tone), tone === "noisy");
+    }
+    legend(g, chart, lines, asked, colour, width);
+  }
+}
+
+function limits(lines, chart, asked) {
+  const values = lines.flatMap(({ points }) => points.flatMap(([, v, f]) =>
+    chart.band && f ? [f.low, f.high] : v === null ? [] : [v]));
+  if (chart.asked && asked) values.push(asked);
+  let low = chart.floating && values.length ? Math.min(...values) : 0;
+  let high = values.length ? Math.max(...values) : 1;
+  if (chart.floating) {
+    low = 5 * Math.floor((low - 0.5) / 5);
+    high = 5 * Math.ceil((high + 0.5) / 5);
+  } else {
+    high = nice(high * 1.08) || 1;
+  }
+  return [low, high > low ? high : low + 1];
+}
+
+// A rounded-up end of an axis whose half is round as well.
+function nice(value) {
+  if (!(value > 0)) return 1;
+  const decade = 10 ** Math.floor(Math.log10(value));
+  return [1, 1.2, 1.6, 2, 2.4, 3, 4, 5, 6, 8, 10].map((k) => k * decade).find((v) => v >= value);
+}
+
+function curve(g, points, x, y, colour, dashed) {
+  g.strokeStyle = colour;
+  g.lineWidth = 1.5;
+  g.setLineDash(dashed ? [5, 2] : []);
+  g.beginPath();
+  let open = false, before = 0;
+  for (const [t, v] of points) {
+    if (v === null) { open = false; continue; }
+    if (open && t - before < 2.5) g.lineTo(x(t), y(v)); else g.moveTo(x(t), y(v));
+    open = true;
+    before = t;
+  }
+  g.stroke();
+  g.setLineDash([]);
+}
+
+function band(g, points, x, y, colour) {
+  g.fillStyle = colour;
+  g.globalAlpha = 0.25;
+  for (const [t, , f] of points) {
+    if (f) g.fillRect(x(t - 0.125), y(f.high), Math.max(1, x(t + 0.125) - x(t - 0.125)),
+      Math.max(1, y(f.low) - y(f.high)));
+  }
+  g.globalAlpha = 1;
+}
+
+function legend(g, chart, lines, asked, colour, width) {
+  g.textAlign = "left";
+  g.fillStyle = colour("text");
+  const title = chart.unit ? `${chart.title} (${chart.unit})` : chart.title;
+  g.font = "600 11px system-ui, sans-serif";
+  g.fillText(title, 4, 12);
+  let at = 14 + g.measureText(title).width;
+  g.font = "11px system-ui, sans-serif";
+  const entries = lines.filter(({ points }) => points.some(([, v]) => v !== null)).map((line) => {
+    const last = line.points.findLast(([, v]) => v !== null);
+    return [line.tone, lines.length > 1 ? `${line.label} ${brief(last[1])}` : brief(last[1])];
+  });
+  if (chart.asked && asked) entries.push(["text", `asked ${brief(asked)}`]);
+  for (const [tone, text] of entries) {
+    if (at + g.measureText(text).width > width) break;
+    g.fillStyle = colour(tone);
+    g.fillText(text, at, 12);
+    at += g.measureText(text).width + 10;
+  }
+}

@@ -1,0 +1,181 @@
+"""The stream that a page reads: records of a JSON header and the bytes of its arrays.
+
+A record is two little-endian 32-bit counts, of header bytes and of data bytes, then both. The
+header's "arrays" lists [name, dtype, shape] of the arrays that follow one another in the data.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from .feed import STALE_S, Feed, PatchFeed
+from .history import COLUMNS
+
+FRAME_S = 1 / 30
+"""Pages are drawn 30 times a second."""
+OVERVIEW_S = 0.1
+STATE_S = 0.1
+SLACK_S = 0.005
+"""A frame that comes this little too early is not put off for a whole frame more."""
+
+
+def record(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray[Any, Any]]) -> bytes:
+    """One record as bytes; what is not finite becomes null in the header."""
+    listed = [[name, array.dtype.str, list(array.shape)] for name, array in arrays.items()]
+    head = json.dumps(finite({**header, "arrays": listed}), separators=(",", ":")).encode()
+    data = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays.values())
+    return struct.pack("<II", len(head), len(data)) + head + data
+
+
+def finite(value: Any) -> Any:
+    """The value with None in place of numbers that JSON does not know."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: finite(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(part) for part in value]
+    return value
+
+
+class StreamReader:
+    """What one page has seen of a feed, and what it is to be sent next.
+
+    Parameters
+    ----------
+    feed : Feed
+        The feed.
+    patch : str or None
+        The patch to show with all its maps and figures; None: an overview of all patches.
+    """
+
+    def __init__(self, feed: Feed, patch: str | None) -> None:
+        self._feed = feed
+        self._patch = patch
+        self._period_s = FRAME_S if patch is not None else OVERVIEW_S
+        self._n_maps = dict.fromkeys(feed.patches, -1)
+        self._n_rows = 0
+        self._n_answers = feed.n_answers
+        self._sent: dict[str, Any] = {}
+        self._frame_due_s = self._state_at_s = -math.inf
+
+    def records(self) -> Iterator[bytes]:
+        """Records without end, or until the feed is closed; waits for news between them."""
+        closed = False
+        while not closed:
+            with self._feed.changed:
+                self._wait()
+                closed = self._feed.closed
+                parts = list(self._collect(time.monotonic(), closed))
+            # Encoding and sending are done without the lock, so that nobody waits for this page.
+            yield b"".join(record(header, arrays) for header, arrays in parts)
+
+    def _wait(self) -> None:
+        """Wait until there is something to send."""
+        feed = self._feed
+        while not feed.closed and self._n_answers == feed.n_answers:
+            now_s = time.monotonic()
+            frame_s, state_s = self._frame_due_s - now_s, self._state_at_s + STATE_S - now_s
+            if state_s <= 0:
+                return
+            if frame_s > 0:
+                feed.changed.wait(min(frame_s, state_s))
+            elif any(patch.n_maps != self._n_maps[name] for name, patch in feed.patches.items()):
+                return
+            else:
+                feed.hungry += 1
+                feed.changed.wait(state_s)
+                feed.hungry -= 1
+
+    def _collect(
+        self, now_s: float, closed: bool
+    ) -> Iterator[tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]]:
+        feed = self._feed
+        while self._n_answers < feed.n_answers:
+            self._n_answers += 1
+            for number, answer in feed.answers:
+                if number == self._n_answers:
+                    yield {"kind": "answer", **answer}, {}
+        if closed or now_s >= self._state_at_s + STATE_S - SLACK_S:
+            self._state_at_s = now_s
+            yield self._state(now_s, closed), {}
+        if not closed and now_s < self._frame_due_s:
+            return
+        # The next is due one period after this one was: a late one puts off none that follow.
+        self._frame_due_s = max(self._frame_due_s, now_s - SLACK_S) + self._period_s - SLACK_S
+        for name, patch in feed.patches.items():
+            if patch.skin is None or self._patch not in (None, name):
+                continue
+            if self._is_new(f"skin {name}", patch.skin):
+                yield _skin(name, patch)
+            if self._n_maps[name] != patch.n_maps and patch.maps:
+                self._n_maps[name] = patch.n_maps
+                shown = patch.maps if self._patch else {"restored": patch.maps.get("restored")}
+                maps = {key: array for key, array in shown.items() if array is not None}
+                yield {"kind": "maps", "patch": name}, dict(maps)
+        if self._patch is not None:
+            first, rows = feed.patches[self._patch].history.since(self._n_rows)
+            if len(rows):
+                self._n_rows = first + len(rows)
+                # As ages: float32 holds a minute to 4 us.
+                rows[:, 0] -= now_s
+                header = {"kind": "rows", "columns": COLUMNS, "now_s": now_s}
+                yield header, {"rows": rows.astype(np.float32)}
+
+    def _state(self, now_s: float, closed: bool) -> dict[str, Any]:
+        """How everything is just now: a small record that also shows that the monitor lives."""
+        feed = self._feed
+        header: dict[str, Any] = {
+            "kind": "state",
+            "now_s": now_s,
+            "closed": closed,
+            "graph_age_s": now_s - feed.graph_came_s,
+            "patches": {name: self._patch_state(name, now_s) for name in feed.patches},
+        }
+        if self._is_new("graph", feed.graph):
+            header["graph"] = feed.graph
+        return header
+
+    def _patch_state(self, name: str, now_s: float) -> dict[str, Any]:
+        patch = self._feed.patches[name]
+        rate_hz = patch.skin.rate_hz if patch.skin is not None else 0.0
+        state: dict[str, Any] = {
+            "age_s": {key: now_s - came_s for key, came_s in patch.came_s.items()},
+            # A skin that is read less often than that is not stale between two frames.
+            "stale_s": max(STALE_S, 2.5 / rate_hz) if rate_hz else STALE_S,
+            "ended": patch.ended,
+        }
+        if self._is_new(f"summary {name}", patch.summary):
+            state["summary"] = patch.summary
+        return state
+
+    def _is_new(self, key: str, value: Any) -> bool:
+        """Whether this very object has not been sent yet."""
+        is_new = self._sent.get(key) is not value
+        self._sent[key] = value
+        return is_new
+
+
+def _skin(name: str, patch: PatchFeed) -> tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]:
+    skin = patch.skin
+    assert skin is not None
+    header = {
+        "kind": "skin",
+        "patch": name,
+        "n_rows": skin.n_rows,
+        "n_cols": skin.n_cols,
+        "f_max": skin.f_max,
+        "unit": skin.unit,
+        "pitch_m": skin.pitch_m,
+        "source": skin.source,
+        "rate_hz": skin.rate_hz,
+        "has_truth": skin.has_truth,
+    }
+    return header, {} if skin.mask is None else {"mask": skin.mask.view(np.uint8)}
