@@ -1,4 +1,4 @@
-"""The launcher's terminal: log lines of all nodes, and one status line that renews itself."""
+"""The launcher's terminal: log lines of all nodes, and a status that renews itself."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ class Terminal:
         self._open = sys.stderr is not None
         self._live = self._open and sys.stderr.isatty()
         self._status = ""
+        self._n_drawn = 0
         self._keys_fd: int | None = None
         self._next_s = time.monotonic() + QUIET_STATUS_S
 
@@ -38,7 +39,7 @@ class Terminal:
         self._draw()
 
     def status(self, line: str) -> None:
-        """Renew the status line."""
+        """Renew the status line, or lines."""
         if self._live:
             self._erase()
             self._status = line
@@ -74,12 +75,16 @@ class Terminal:
 
     def _erase(self) -> None:
         if self._live and self._status:
-            self._write("\r\x1b[K")
+            up = f"\x1b[{self._n_drawn - 1}A" if self._n_drawn > 1 else ""
+            self._write(f"\r{up}\x1b[J")
 
     def _draw(self) -> None:
         if self._live and self._status:
-            width = shutil.get_terminal_size().columns - 1
-            self._write(self._status[:width])
+            size = shutil.get_terminal_size()
+            lines = [line[: size.columns - 1] for line in self._status.split("\n")]
+            lines = lines[: size.lines - 1]
+            self._n_drawn = len(lines)
+            self._write("\n".join(lines))
 
     def _write(self, text: str) -> None:
         if not self._open:

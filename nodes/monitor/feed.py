@@ -18,6 +18,8 @@ from .history import History
 from .metrics import Judged
 
 MAX_ANSWERS = 64
+STALE_S = 0.2
+"""Data older than this is stale."""
 Floats = npt.NDArray[np.float32]
 
 
@@ -35,7 +37,15 @@ class PatchFeed:
     n_maps: int = 0
     history: History = field(default_factory=History)
     summary: dict[str, Any] = field(default_factory=dict)
+    lost: int = 0
     ended: bool = False
+
+    @property
+    def stale_s(self) -> float:
+        """The age beyond which maps are stale."""
+        rate_hz = self.skin.rate_hz if self.skin is not None else 0.0
+        # A skin that is read less often than that is not stale between two frames.
+        return max(STALE_S, 2.5 / rate_hz) if rate_hz else STALE_S
 
 
 class Feed:
@@ -55,7 +65,7 @@ class Feed:
         self.changed = threading.Condition()
         self.patches = {patch: PatchFeed() for patch in patches}
         self.graph: dict[str, Any] | None = None
-        self.graph_came_s = -math.inf
+        self.graph_came_s = self.pulse_s = time.monotonic()
         self.answers: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MAX_ANSWERS)
         self.n_answers = 0
         self.closed = False
@@ -77,6 +87,7 @@ class Feed:
                 feed.maps["truth"] = judged.truth.forces
             feed.came_s.update(dict.fromkeys(feed.maps, now_s))
             feed.n_maps += 1
+            feed.lost = judged.lost
             feed.ended = False
             feed.history.add(
                 now_s,
@@ -87,6 +98,17 @@ class Feed:
                 judged.lost,
             )
             self._feed_hungry()
+
+    @property
+    def paused(self) -> bool:
+        """Whether all sources were told to wait."""
+        nodes = (self.graph or {}).get("nodes", [])
+        sources = [node["state"].get("paused") for node in nodes if "pause" in node["commands"]]
+        return bool(sources) and all(sources)
+
+    def pulse(self) -> None:
+        """The monitor's own loop is alive."""
+        self.pulse_s = time.monotonic()
 
     def _note_alone(self, feed: PatchFeed, message: Message, now_s: float) -> None:
         """Show what the taxels read where nothing has been restored for a while."""
@@ -119,6 +141,7 @@ class Feed:
                 self.answers.append((self.n_answers, answer))
             if ended is not None:
                 self.patches[ended].ended = True
+                self.patches[ended].lost = self.patches[ended].summary["frames"]["lost"]
             self.closed = self.closed or closed
             if answer is not None or closed:
                 self.changed.notify_all()
@@ -126,7 +149,3 @@ class Feed:
     def _feed_hungry(self) -> None:
         if self.hungry:
             self.changed.notify_all()
-
-
-STALE_S = 0.2
-"""Data older than this is stale."""

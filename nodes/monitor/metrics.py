@@ -146,7 +146,7 @@ class PatchMetrics:
         self.latency = Quantiles()
         self.solve = Quantiles()
         self._sensed, self._reconstructed = StreamCount(late), StreamCount(late)
-        self._first_lag: int | None = None if late else 0
+        self._first_ns: int | None = None if late else 0
         self.bytes_in = self.bytes_out = 0
         self.lost_so_far = 0
         self.unpaired = 0
@@ -175,6 +175,8 @@ class PatchMetrics:
                 self.bytes_out += size_bytes(message)
             case Taxels():
                 self.bytes_in += size_bytes(message) - self._absent_bytes(message)
+                if self._first_ns is None:
+                    self._first_ns = message.stamp_ns
                 frame = self._pair(message.stamp_ns)
                 frame.taxels, frame.n_sensed = message, self._sensed.add(message)
                 return self._settle(message.stamp_ns)
@@ -182,6 +184,9 @@ class PatchMetrics:
                 self._pair(message.stamp_ns).truth = message
                 return self._settle(message.stamp_ns)
             case Reconstruction():
+                # Who joins late leaves out frames of which it has not seen the taxels.
+                if self._first_ns is None or message.stamp_ns < self._first_ns:
+                    return None
                 self.latency.add(message.done_ns - message.stamp_ns)
                 self.solve.add(message.solve_ns)
                 frame = self._pair(message.stamp_ns)
@@ -220,10 +225,7 @@ class PatchMetrics:
             return None
         del self._pending[stamp_ns]
         # Both streams count the same frames, so a lag of numbers is what has been lost.
-        lag = frame.n_sensed - frame.n_reconstructed
-        if self._first_lag is None:
-            self._first_lag = lag
-        self.lost_so_far = max(0, lag - self._first_lag)
+        self.lost_so_far = max(0, frame.n_sensed - frame.n_reconstructed)
         cells = self.skin.mask if self.skin.mask is not None else slice(None)
         taxels = frame.taxels.forces[cells]
         restored = frame.reconstruction.forces[cells]
@@ -273,7 +275,6 @@ class PatchMetrics:
                 "sensed": self.sensed,
                 "reconstructed": self.reconstructed,
                 "lost": max(0, self.sensed - self.reconstructed),
-                "lost_so_far": self.lost_so_far,
                 "unpaired": self.unpaired + len(self._pending),
             },
             "reference": {True: "truth", False: "taxels", None: None}[has_truth],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import webbrowser
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -25,6 +26,8 @@ from sparseskin.nodes.settings import Settings, check_patch, setting
 
 from .feed import Feed
 from .metrics import PatchMetrics
+from .notices import Notices
+from .screen import screen
 from .server import PageServer
 from .table import status_line
 
@@ -42,6 +45,7 @@ class MonitorSettings(Settings):
         8470, "port of the page; a free one where it is busy, or 0", low=0, high=65535
     )
     browser: bool = setting(False, "open the page in a browser")
+    screen: bool = setting(False, "show a whole screen of text in place of one line")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -74,12 +78,14 @@ class Monitor(Node[MonitorSettings]):
 
     def start(self) -> Iterable[Message]:
         ask = self.context.ask
-        if self.settings.page and ask is not None:
+        if (self.settings.page and ask is not None) or self.settings.screen:
             self._feed = Feed(self.settings.patches)
-            self._page = PageServer(self._feed, self.settings.port, ask)
+            self._notices = Notices(self._feed)
+        if self._feed is not None and self.settings.page and ask is not None:
+            self._page = PageServer(self._feed, self._notices, self.settings.port, ask)
             self.context.log(f"live page: {self._page.url}")
-            if self.settings.browser:
-                webbrowser.open(self._page.url)
+            if self.settings.browser and not _open_browser(self._page.url):
+                self.context.log("no browser could be opened here; open the address by hand")
         return ()
 
     def step(self, message: Message) -> Iterable[Message]:
@@ -92,12 +98,15 @@ class Monitor(Node[MonitorSettings]):
         patch, schema = split_topic(topic)
         self._patches[patch].end(schema, n_messages)
         if self._feed is not None and schema == Reconstruction.schema:
-            self._feed.tell(ended=patch)
+            self._feed.tell(summaries=self.report()["patches"], ended=patch)
         return ()
 
     def idle(self) -> None:
+        if self._feed is None:
+            return
+        self._feed.pulse()
         now_ns = self.context.clock.now_ns()
-        if self._feed is not None and now_ns >= self._next_summary_ns:
+        if now_ns >= self._next_summary_ns:
             self._next_summary_ns = now_ns + SUMMARY_EVERY_NS
             self._feed.tell(summaries=self.report()["patches"])
 
@@ -110,11 +119,14 @@ class Monitor(Node[MonitorSettings]):
         return ""
 
     def close(self, counts: dict[str, Any]) -> None:
-        if self._feed is not None and self._page is not None:
+        if self._feed is not None:
             self._feed.tell(summaries=self.report()["patches"])
+        if self._page is not None:
             self._page.close()
 
     def status(self) -> str:
+        if self._feed is not None and self.settings.screen:
+            return screen(self._feed, self._notices)
         now_ns = self.context.clock.now_ns()
         seconds = (now_ns - self._said_ns) / 1e9
         self._said_ns = now_ns
@@ -127,3 +139,9 @@ class Monitor(Node[MonitorSettings]):
 
     def report(self) -> dict[str, Any]:
         return {"patches": {name: metrics.summary() for name, metrics in self._patches.items()}}
+
+
+def _open_browser(url: str) -> bool:
+    # Without a display a text browser would take the terminal of the graph.
+    has_display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    return has_display and webbrowser.open(url)

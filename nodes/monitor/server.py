@@ -16,6 +16,7 @@ from urllib.parse import parse_qs, urlsplit
 from sparseskin.nodes.errors import SparseskinError
 
 from .feed import Feed
+from .notices import Notices
 from .stream import StreamReader
 
 ADDRESS = "127.0.0.1"
@@ -49,6 +50,8 @@ class PageServer:
     ----------
     feed : Feed
         What the pages show.
+    notices : Notices
+        What is wrong.
     port : int
         Port to take; another, free one where it is busy.
     ask : callable
@@ -60,14 +63,15 @@ class PageServer:
         If no port can be had.
     """
 
-    def __init__(self, feed: Feed, port: int, ask: Request) -> None:
+    def __init__(self, feed: Feed, notices: Notices, port: int, ask: Request) -> None:
         files = {
             f"/{path.name}": (path.read_bytes(), TYPES[path.suffix])
             for path in PAGE.iterdir()
             if path.suffix in TYPES
         }
         files["/"] = files["/index.html"]
-        handler = type("Handler", (_Handler,), {"feed": feed, "ask": ask, "files": files})
+        parts = {"feed": feed, "notices": notices, "ask": ask, "files": files}
+        handler = type("Handler", (_Handler,), parts)
         try:
             self._server = _server(port, handler)
         except OSError as error:
@@ -150,6 +154,7 @@ class _Server(ThreadingHTTPServer):
 
 class _Handler(BaseHTTPRequestHandler):
     feed: ClassVar[Feed]
+    notices: ClassVar[Notices]
     ask: ClassVar[Request]
     files: ClassVar[dict[str, tuple[bytes, str]]]
     server: _Server
@@ -240,7 +245,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Connection", "close")
             self.end_headers()
             with contextlib.suppress(OSError):
-                for data in StreamReader(self.feed, patch).records():
+                for data in StreamReader(self.feed, self.notices, patch).records():
                     self.connection.sendall(data)
 
     def _refuse(self, status: HTTPStatus, text: str) -> None:

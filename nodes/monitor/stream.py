@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from .feed import STALE_S, Feed, PatchFeed
+from .feed import Feed, PatchFeed
 from .history import COLUMNS
+from .notices import Notices
 
 FRAME_S = 1 / 30
 """Pages are drawn 30 times a second."""
@@ -52,12 +53,15 @@ class StreamReader:
     ----------
     feed : Feed
         The feed.
+    notices : Notices
+        What is wrong, shared by all pages.
     patch : str or None
         The patch to show with all its maps and figures; None: an overview of all patches.
     """
 
-    def __init__(self, feed: Feed, patch: str | None) -> None:
+    def __init__(self, feed: Feed, notices: Notices, patch: str | None) -> None:
         self._feed = feed
+        self._notices = notices
         self._patch = patch
         self._period_s = FRAME_S if patch is not None else OVERVIEW_S
         self._n_maps = dict.fromkeys(feed.patches, -1)
@@ -136,7 +140,8 @@ class StreamReader:
             "kind": "state",
             "now_s": now_s,
             "closed": closed,
-            "graph_age_s": now_s - feed.graph_came_s,
+            "paused": feed.paused,
+            "notices": self._notices.all(now_s),
             "patches": {name: self._patch_state(name, now_s) for name in feed.patches},
         }
         if self._is_new("graph", feed.graph):
@@ -145,11 +150,10 @@ class StreamReader:
 
     def _patch_state(self, name: str, now_s: float) -> dict[str, Any]:
         patch = self._feed.patches[name]
-        rate_hz = patch.skin.rate_hz if patch.skin is not None else 0.0
         state: dict[str, Any] = {
             "age_s": {key: now_s - came_s for key, came_s in patch.came_s.items()},
-            # A skin that is read less often than that is not stale between two frames.
-            "stale_s": max(STALE_S, 2.5 / rate_hz) if rate_hz else STALE_S,
+            "stale_s": patch.stale_s,
+            "lost": patch.lost,
             "ended": patch.ended,
         }
         if self._is_new(f"summary {name}", patch.summary):

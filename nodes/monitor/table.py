@@ -46,8 +46,8 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
         f"frames      sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
         f"lost {frames['lost']}",
         f"measured    {patch['phi']}: N = {patch['n']}, M = {patch['m']} "
-        f"(ratio {_number(patch['ratio'], '.2f')}), "
-        f"range 0..{_number(patch['f_max'], 'g')} {patch['unit']}",
+        f"(ratio {shown(patch['ratio'], '.2f')}), "
+        f"range 0..{shown(patch['f_max'], 'g')} {patch['unit']}",
         f"restored    {patch['solver']} in {patch['basis']}, {patch['iterations']} iterations"
         + (f" (preset {patch['preset']})" if patch["preset"] not in ("", NONE) else ""),
         f"bytes       taxels {patch['bytes_in']:,}, measurements {patch['bytes_out']:,}"
@@ -74,7 +74,10 @@ def _extent(extent: Mapping[str, float], form: str) -> str:
     return "".join(f"{extent[key]:>8{form}}" for key in ("mean", "min", "max"))
 
 
-def _number(value: float | str, form: str) -> str:
+def shown(value: float | str | None, form: str) -> str:
+    """A number in a format; "-" where it is not known."""
+    if value is None:
+        return NONE
     return value if isinstance(value, str) else format(value, form)
 
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from sparseskin.nodes.sensor.bodies import Body
-from sparseskin.nodes.sensor.contact import GRAVITY_M_S2, RigidBody
+from sparseskin.nodes.sensor.contact import GRAVITY_M_S2, Array, Bed, Indices, RigidBody
 from sparseskin.nodes.sensor.motion import Course, Drag, Lift, Place, RandomPath
 from sparseskin.nodes.sensor.smoothing import MovingAverage
 from sparseskin.nodes.sensor.source import Forces, Skin
@@ -38,7 +38,7 @@ class Scene:
         Height above the skin at which the body is released at rest at the first frame, in m.
     motion : Lift, Drag or RandomPath
         What is done with it afterwards.
-    dof : ("z",) or ("z", "pitch")
+    dof : ("z",), ("z", "pitch") or ("z", "pitch", "roll")
         Free coordinates.
     place_m : (x, y)
         Where the centre of mass is dropped, from the middle of the skin, in m; RandomPath draws
@@ -57,10 +57,35 @@ class Scene:
     surface: Surface
     drop_height_m: float
     motion: Lift | Drag | RandomPath
-    dof: tuple[Literal["z", "pitch"], ...] = ("z",)
+    dof: tuple[Literal["z", "pitch", "roll"], ...] = ("z",)
     place_m: Place = (0.0, 0.0)
     yaw_rad: float = 0.0
     f_max_n: float = 2.5
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What the simulation holds at one time step.
+
+    Attributes
+    ----------
+    bed : Bed
+        The cells under the body, taxels first.
+    taxels : ndarray of intp, shape (n_taxels,)
+        Where the bed's first n_taxels cells are in the flattened frame.
+    q, v : ndarray of float64, shape (n_dof,)
+        Coordinates (m, rad) and rates (m/s, rad/s) of the body.
+    """
+
+    bed: Bed
+    taxels: Indices
+    q: Array
+    v: Array
+
+    def write_forces(self, out: Forces) -> None:
+        """Write the taxels' forces, in N, to out, float32 of shape (n_rows, n_cols)."""
+        out.fill(0.0)
+        out.reshape(-1)[self.taxels] = self.bed.forces(self.q, self.v)[: self.taxels.size]
 
 
 class SceneSource:
@@ -97,6 +122,16 @@ class SceneSource:
             True forces in N in [0, f_max], smoothed over 10 steps; a fresh array each time.
         """
         scene = self.scene
+        average = MovingAverage(SMOOTHING_STEPS, scene.shape)
+        for step, state in enumerate(self.states()):
+            state.write_forces(average.newest)
+            forces = average.step()
+            np.minimum(forces, np.float32(scene.f_max_n), out=forces)
+            yield step * scene.dt_ns, forces
+
+    def states(self) -> Iterator[State]:
+        """Yield what the simulation holds at each time step, the first one at rest in the air."""
+        scene = self.scene
         place, course = self._course()
         terrain = Terrain(scene.surface, scene.shape, scene.body.sole, scene.yaw_rad, scene.dof)
         n_dof = len(scene.dof)
@@ -107,19 +142,12 @@ class SceneSource:
         q, v = np.zeros(n_dof), np.zeros(n_dof)
         q[0] = scene.drop_height_m
 
-        average = MovingAverage(SMOOTHING_STEPS, scene.shape)
         dt_s = scene.dt_ns * 1e-9
         motion = scene.motion
         here = course.place(0.0)
         bed, taxels = terrain.under((place[0] + here[0], place[1] + here[1]))
         for step in range(scene.n_steps):
-            raw = average.newest
-            raw.fill(0.0)
-            raw.reshape(-1)[taxels] = bed.forces(q, v)[: taxels.size]
-            forces = average.step()
-            np.minimum(forces, np.float32(scene.f_max_n), out=forces)
-            yield step * scene.dt_ns, forces
-
+            yield State(bed, taxels, q, v)
             t_s = step * dt_s
             if isinstance(motion, Lift) and t_s >= motion.at_s:
                 v = np.zeros(n_dof)

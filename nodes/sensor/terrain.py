@@ -58,9 +58,10 @@ class Terrain:
         The underside of the body.
     yaw_rad : float
         Rotation of the body about the vertical, constant.
-    dof : ("z",) or ("z", "pitch")
+    dof : ("z",), ("z", "pitch") or ("z", "pitch", "roll")
         The free coordinates, in the order of the bed's Jacobian. Pitch turns the body about its
-        y axis; positive lowers what lies at positive x.
+        y axis; positive lowers what lies at positive x. Roll turns it about its x axis; positive
+        lifts what lies at positive y.
     """
 
     def __init__(
@@ -109,11 +110,14 @@ class Terrain:
             self._search(place)
         x, y = self._to_body(*place)
         body_x = self._body_x - x
-        gap = self._sole.sample(body_x, self._body_y - y)
+        body_y = self._body_y - y
+        gap = self._sole.sample(body_x, body_y)
         gap += self._depth
         jacobian = np.ones((gap.size, len(self._dof)))
         if "pitch" in self._dof:
             np.negative(body_x, out=jacobian[:, self._dof.index("pitch")])
+        if "roll" in self._dof:
+            jacobian[:, self._dof.index("roll")] = body_y
         return Bed(self._stiffness, self._damping, gap, jacobian), self._taxels
 
     def _to_body(self, x: _Value, y: _Value) -> tuple[_Value, _Value]:

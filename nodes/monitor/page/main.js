@@ -3,7 +3,7 @@
 import { Controls } from "./controls.js";
 import { ago, brief, byId, bytes, element, fixed, setText } from "./dom.js";
 import { Maps, thumbnail } from "./maps.js";
-import { Notices } from "./notices.js";
+import { notices } from "./notices.js";
 import { Stream } from "./stream.js";
 import { Strips } from "./strips.js";
 
@@ -18,7 +18,6 @@ let patch = null; // null: the overview
 let stream = null, maps = null, strips = null;
 let clock = 0; // the monitor's clock less the browser's, in seconds
 const controls = new Controls(byId("controls"));
-const notices = new Notices();
 
 const seconds = () => performance.now() / 1000;
 
@@ -118,7 +117,7 @@ function tiles(name) {
       `p99 ${fixed(s.latency_ms?.p99, 1, "ms")}, solve ${fixed(s.solve_ms?.p50, 1, "ms")}`],
     ["rate", "Rate", `${rate ?? "–"} Hz`, skin?.rate_hz ? `asked ${brief(skin.rate_hz)} Hz` : "as fast as it goes"],
     ["frames", "Frames", `${s.frames?.reconstructed ?? "–"}`,
-      `of ${s.frames?.sensed ?? "–"}, ${s.frames?.lost_so_far ?? "–"} lost`],
+      `of ${s.frames?.sensed ?? "–"}, ${model.state?.patches[name]?.lost ?? "–"} lost`],
   ];
 }
 
@@ -148,8 +147,8 @@ function drawNodes() {
   });
 }
 
-function drawNotices(now) {
-  const found = notices.list(model, now);
+function drawNotices() {
+  const found = notices(model);
   const list = byId("notices");
   if (list.children.length !== found.length) {
     list.replaceChildren(...found.map(() => element("li")));
@@ -183,7 +182,7 @@ function drawOverview() {
       s.ratio ? `${s.ratio.toFixed(2)} : 1` : "–",
       `PSNR ${fixed(mean(s, "noisy"), 1)} → ${fixed(mean(s, "reconstruction"), 1, "dB")}`,
       `latency ${fixed(s.latency_ms?.p50, 1)} / ${fixed(s.latency_ms?.p99, 1, "ms")}`,
-      `${s.frames?.lost_so_far ?? 0} lost`,
+      `${state.lost} lost`,
       state.ended ? "ended" : age === undefined ? "no frame yet"
         : age > state.stale_s ? `stale for ${ago(age)}` : "live",
     ].join(" · "));
@@ -191,15 +190,13 @@ function drawOverview() {
 }
 
 function drawText() {
-  const now = performance.now();
   model.silent = model.connection === "open" ? seconds() - model.heard : 0;
-  const sources = (model.graph?.nodes ?? []).filter((node) => "pause" in node.commands);
-  model.quiet = sources.length > 0 && sources.every((node) => node.state.paused);
+  model.quiet = model.state?.paused ?? false;
   setText(byId("graph-name"), model.graph?.name ?? "");
   byId("recording").hidden = !model.graph?.recording;
   setText(byId("recording"), `● recording ${model.graph?.recording ?? ""}`);
   drawNodes();
-  drawNotices(now);
+  drawNotices();
   if (patch === null) {
     drawOverview();
     return;

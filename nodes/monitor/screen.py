@@ -1,0 +1,141 @@
+"""The live monitor as text, for a terminal of 80 columns."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from typing import Any
+
+import numpy as np
+
+from .feed import Feed, PatchFeed
+from .history import SPAN_S
+from .notices import BAD, Notices
+from .table import NONE, shown
+
+WIDTH = 79
+BARS = "▁▂▃▄▅▆▇█"
+N_BARS = 48
+MAPS = ("truth", "taxels", "restored")
+CONTACT_FRACTION = 0.004
+
+
+def screen(feed: Feed, notices: Notices) -> str:
+    """All that the page tells in numbers, as lines of at most 79 characters.
+
+    Parameters
+    ----------
+    feed : Feed
+        What the monitor knows.
+    notices : Notices
+        What is wrong.
+    """
+    with feed.changed:
+        now_s = time.monotonic()
+        said = notices.all(now_s)
+        graph = feed.graph or {}
+        live = "LOOK HERE" if any(tone == BAD for tone, _ in said) else "live"
+        head = f"sparseskin  {graph.get('name', '')}"
+        recording = f"recording {graph['recording']}  " if graph.get("recording") else ""
+        lines = [f"{head}{recording + live:>{max(1, WIDTH - len(head))}}"]
+        states = [f"{node['name']}: {node['condition']}" for node in graph.get("nodes", [])]
+        lines += _wrapped(states)
+        lines += [f"{'!!' if tone == BAD else ' *'} {text}" for tone, text in said]
+        for name, patch in feed.patches.items():
+            lines += _patch_lines(name, patch, now_s)
+    return "\n".join(line[:WIDTH] for line in lines)
+
+
+def _wrapped(parts: list[str]) -> list[str]:
+    lines = [""]
+    for part in parts:
+        if lines[-1] and len(lines[-1]) + len(part) + 2 > WIDTH:
+            lines.append("")
+        lines[-1] += ("  " if lines[-1] else "") + part
+    return lines
+
+
+def _patch_lines(name: str, patch: PatchFeed, now_s: float) -> list[str]:
+    summary, skin = patch.summary, patch.skin
+    if skin is None or not summary:
+        return [f" {name} ".center(WIDTH, "-"), "no frame has come yet"]
+    title = f" {name}: {skin.source}, {skin.n_rows} x {skin.n_cols} "
+    psnr = summary["psnr_db"]
+    noisy, restored = psnr["noisy"]["all"], psnr["reconstruction"]["all"]
+    gain = shown(restored["mean"] - noisy["mean"], "+.1f") if noisy and restored else NONE
+    rows = patch.history.since(0)[1]
+    rows = rows[rows[:, 0] > now_s - SPAN_S]
+    rate = int(np.count_nonzero(rows[:, 0] > now_s - 1.0))
+    latency, solve = summary["latency_ms"] or {}, summary["solve_ms"] or {}
+    frames = summary["frames"]
+    left = [
+        f"compression  {shown(summary['ratio'], '.2f')} : 1 (N {summary['n']}, M {summary['m']})",
+        f"PSNR mean    {_mean(noisy)} -> {_mean(restored)} dB ({gain} dB)",
+        f"rate         {rate} Hz, asked {skin.rate_hz:g}",
+    ]
+    right = [
+        f"sent  {_bytes(summary['bytes_out'])} in place of {_bytes(summary['bytes_in'])}",
+        f"latency {shown(latency.get('p50'), '.1f')} / {shown(latency.get('p99'), '.1f')} ms, "
+        f"solve {shown(solve.get('p50'), '.1f')} ms",
+        f"{frames['reconstructed']} of {frames['sensed']} frames, {patch.lost} lost",
+    ]
+    lines = [title.center(WIDTH, "-")]
+    lines += [f"{a:<42} {b}" for a, b in zip(left, right, strict=True)]
+    lines += _map_lines(patch)
+    for title, column in (("PSNR", 2), ("latency", 3)):
+        line, low, high = _sparkline(rows, column, now_s)
+        unit = "dB" if column == 2 else "ms"
+        lines.append(f"{title:<8} {line}  {low} .. {high} {unit}")
+    return lines
+
+
+def _map_lines(patch: PatchFeed) -> list[str]:
+    """Peak, total force and centre of pressure of each map."""
+    skin = patch.skin
+    assert skin is not None
+    lines = [
+        f"{'':<10}{f'peak ({skin.unit})':>12}{f'total ({skin.unit})':>14}   centre of pressure"
+    ]
+    for name in MAPS:
+        forces = patch.maps.get(name)
+        if forces is None:
+            continue
+        total, peak = float(forces.sum(dtype=np.float64)), float(forces.max())
+        centre = "no contact"
+        if peak > CONTACT_FRACTION * skin.f_max:
+            row = float(forces.sum(1, dtype=np.float64) @ np.arange(skin.n_rows)) / total
+            col = float(forces.sum(0, dtype=np.float64) @ np.arange(skin.n_cols)) / total
+            centre = f"row {row:.1f}, column {col:.1f}"
+        lines.append(f"{name:<10}{peak:>12.4g}{total:>14.4g}   {centre}")
+    return lines
+
+
+def _sparkline(rows: np.ndarray[Any, Any], column: int, now_s: float) -> tuple[str, str, str]:
+    """The mean over the last minute, `N_BARS` spans of it; then its lowest and its highest."""
+    edges = now_s - SPAN_S * (1 - np.arange(N_BARS + 1) / N_BARS)
+    means: list[float] = []
+    for begin, end in itertools.pairwise(edges):
+        values = rows[(rows[:, 0] > begin) & (rows[:, 0] <= end), column]
+        means.append(float(values.mean()) if len(values) else math.nan)
+    known = [value for value in means if math.isfinite(value)]
+    if not known:
+        return " " * len(means), NONE, NONE
+    low, high = min(known), max(known)
+    span = high - low or 1.0
+    line = "".join(
+        BARS[int((value - low) / span * (len(BARS) - 1))] if math.isfinite(value) else " "
+        for value in means
+    )
+    return line, f"{low:.1f}", f"{high:.1f}"
+
+
+def _mean(extent: dict[str, float] | None) -> str:
+    return shown(extent["mean"] if extent else None, ".1f")
+
+
+def _bytes(count: float) -> str:
+    for size, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if count >= size:
+            return f"{count / size:.2f} {unit}"
+    return f"{count:.0f} B"
