@@ -46,13 +46,13 @@ class Program:
             text=True,
         )
 
-    def wait_for(self, token: str) -> None:
-        """Read stderr until a line holds the token."""
+    def wait_for(self, token: str) -> str:
+        """Read stderr until a line holds the token; return what follows it there."""
         assert self.process.stderr is not None
         for line in self.process.stderr:
             self._stderr += line
             if token in line:
-                return
+                return line.partition(token)[2].strip()
         raise AssertionError(f"ended without {token!r}: {self._stderr}")
 
     def finish(self) -> tuple[int, str, str]:
@@ -71,6 +71,12 @@ class Program:
                     command = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
                     found[int(folder.name)] = command.decode(errors="replace")
         return found
+
+    def pid_of(self, node: str) -> int:
+        """Process number of a node."""
+        ending = f"sparseskin.nodes.run_node {node}"
+        (pid,) = (pid for pid, line in self.survivors().items() if line.strip().endswith(ending))
+        return pid
 
     def kill_all(self) -> None:
         for pid in self.survivors():

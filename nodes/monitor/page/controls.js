@@ -19,13 +19,13 @@ const PATIENCE_MS = 8000;
 export class Controls {
   constructor(root) {
     this.root = root;
-    this.waiting = new Map(); // id of a request -> {output, timer}
+    this.waiting = new Map(); // id of a request -> {line, timer}
     this.shape = "";
   }
 
   // Take news of the graph; build the controls anew where it has other nodes.
   show(graph, patch) {
-    const nodes = graph.nodes.filter((node) => node.patch === patch || node.patch === null);
+    const nodes = graph.nodes.filter((node) => node.patch === patch || "seek" in node.commands);
     const shape = JSON.stringify([patch, nodes.map((node) => [node.name, node.type])]);
     if (shape !== this.shape) {
       this.shape = shape;
@@ -139,12 +139,11 @@ export class Controls {
   }
 
   async ask(node, command, value, line) {
-    const output = this.root.querySelector(`[data-answer="${CSS.escape(line)}"]`);
     const id = Array.from(crypto.getRandomValues(new Uint32Array(3)), (n) => n.toString(16)).join("");
     const timer = setTimeout(() => this.answer({ id, done: false, text: "no answer came" }),
       PATIENCE_MS);
-    this.waiting.set(id, { output, timer });
-    this.say(output, "asking", "…");
+    this.waiting.set(id, { line, timer });
+    this.say(line, "asking", "…");
     try {
       const answer = await fetch("request", {
         method: "POST", headers: { "Content-Type": "application/json" },
@@ -161,10 +160,12 @@ export class Controls {
     if (!waiting) return; // somebody else's
     this.waiting.delete(id);
     clearTimeout(waiting.timer);
-    this.say(waiting.output, done ? "done" : "refused", done ? `✓ ${text}` : `✗ ${text}`);
+    this.say(waiting.line, done ? "done" : "refused", done ? `✓ ${text}` : `✗ ${text}`);
   }
 
-  say(output, state, text) {
+  say(line, state, text) {
+    const output = this.root.querySelector(`[data-answer="${CSS.escape(line)}"]`);
+    if (!output) return;
     output.dataset.state = state;
     setText(output, text);
   }

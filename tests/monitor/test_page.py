@@ -1,0 +1,193 @@
+"""The live page in a real browser, on a real graph."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import browser, lack
+from conftest import Program, StartProgram, wait_until
+
+pytestmark = pytest.mark.skipif(bool(lack()), reason=lack() or "a browser is there")
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    with browser(tmp_path_factory.mktemp("browser") / "profile") as driver:
+        yield driver
+
+
+def open_page(start: StartProgram, page: Any, *arguments: str) -> Program:
+    """Launch a graph and open its page; the page shows frames."""
+    program = start("launch", *arguments, "--set", "monitor.port=0")
+    url = program.wait_for("live page: ")
+    program.wait_for("ready:")
+    page.get(url)
+    wait_until(lambda: int(drawn(page)) > 0, "the first maps")
+    return program
+
+
+def drawn(page: Any) -> str:
+    return str(page.execute_script("return document.body.dataset.drawn ?? '0'"))
+
+
+def text(page: Any, selector: str) -> str:
+    # In one go: an element found first and read later may be gone in between.
+    script = "return [...document.querySelectorAll(arguments[0])].map((e) => e.innerText).join(' ')"
+    return str(page.execute_script(script, selector))
+
+
+def pixels(page: Any, which: str) -> str:
+    return str(
+        page.execute_script(
+            f"return document.querySelector('canvas[data-map={which}]').toDataURL()"
+        )
+    )
+
+
+def set_field(page: Any, field: str, value: str) -> None:
+    """Type a value into a control and press Enter."""
+    page.execute_script(
+        "const input = document.getElementById(arguments[0]);"
+        "input.value = arguments[1];"
+        "input.form.requestSubmit();",
+        field,
+        value,
+    )
+
+
+def answer(page: Any, field: str) -> str:
+    return text(page, f'output[data-answer="{field}"]')
+
+
+def test_the_page_asks_nothing_of_any_other_host(start: StartProgram, page: Any) -> None:
+    open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    entries = [json.loads(entry["message"])["message"] for entry in page.get_log("performance")]
+    asked = [
+        entry["params"]["request"]["url"]
+        for entry in entries
+        if entry["method"] == "Network.requestWillBeSent"
+    ]
+    host = page.current_url.partition("#")[0]
+    assert f"{host}main.js" in asked
+    # The browser's own first page is of another scheme.
+    web = [url for url in asked if url.startswith(("http", "ws"))]
+    assert [url for url in web if not url.startswith(host)] == []
+    assert page.get_log("browser") == []
+
+
+def test_maps_change_from_frame_to_frame(start: StartProgram, page: Any) -> None:
+    open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    for which in ("taxels", "restored", "error"):
+        before = pixels(page, which)
+        wait_until(lambda: pixels(page, which) != before, f"another map of {which}")  # noqa: B023
+    assert text(page, "figure h2") == "Truth Taxels read Reconstructed Absolute error"
+
+
+def test_a_control_changes_the_solver_and_the_page_says_so(start: StartProgram, page: Any) -> None:
+    open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    field = "reconstructor.iterations"
+    wait_until(lambda: bool(page.find_elements("id", field)), "the controls")
+    set_field(page, field, "7")
+    wait_until(lambda: answer(page, field).startswith("✓"), "the answer")
+    assert answer(page, field) == "✓ iterations = 7"
+    wait_until(lambda: page.find_element("id", field).get_property("value") == "7", "the new value")
+    # What the owner refuses changes nothing, and the page says why.
+    set_field(page, field, "0")
+    wait_until(lambda: answer(page, field).startswith("✗"), "the refusal")
+    assert answer(page, field) == "✗ iterations: 0 is outside 1..1000"
+    set_field(page, "compressor.m", "99999")
+    wait_until(lambda: answer(page, "compressor.m").startswith("✗"), "the refusal")
+    assert "allowed: 1..1600" in answer(page, "compressor.m")
+    set_field(page, "compressor.m", "400")
+    wait_until(lambda: text(page, '[data-tile="compression"] strong') == "4.00 : 1", "M = 400")
+
+
+def test_a_stopped_sensor_is_told_and_forgotten_when_it_is_back(
+    start: StartProgram, page: Any
+) -> None:
+    program = open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    wait_until(lambda: text(page, "#liveness") == "live", "the page to say that all is well")
+    sensor = program.pid_of("sensor")
+    os.kill(sensor, signal.SIGSTOP)
+    try:
+        wait_until(lambda: "stale: no new frame for" in text(page, "#notices"), "the notice")
+        wait_until(lambda: "sensor: not answering" in text(page, "#nodes"), "the node's state")
+        assert text(page, "#liveness") == "stale"
+        assert len(page.find_elements("css selector", "#maps figure.stale")) == 4
+    finally:
+        os.kill(sensor, signal.SIGCONT)
+    wait_until(lambda: "stale" not in text(page, "#notices"), "the notice to go")
+    wait_until(lambda: text(page, "#liveness") == "live", "all to be well again")
+    assert page.find_elements("css selector", "#maps figure.stale") == []
+
+
+def test_the_numbers_of_the_page_are_those_of_the_summary(
+    start: StartProgram, page: Any, tmp_path: Path
+) -> None:
+    summary = tmp_path / "summary.json"
+    settings = ("--set", "sensor.rate_hz=100", "--frames", "1000", "--summary", str(summary))
+    program = open_page(start, page, "drag_wrench_40", *settings)
+    code, _, stderr = program.finish()
+    assert code == 0, stderr
+    wait_until(lambda: "The graph has ended" in text(page, "#notices"), "the end on the page")
+    patch = json.loads(summary.read_text())["patches"]["skin"]
+    noisy, restored = (patch["psnr_db"][k]["all"]["mean"] for k in ("noisy", "reconstruction"))
+    assert text(page, '[data-tile="frames"] strong') == "1000"
+    assert text(page, '[data-tile="frames"] span') == "of 1000, 0 lost"
+    assert text(page, '[data-tile="gain"] span') == f"mean {noisy:.1f} → {restored:.1f} dB"
+    assert text(page, '[data-tile="latency"] strong') == f"{patch['latency_ms']['p50']:.1f} ms"
+    assert text(page, '[data-tile="compression"] strong') == f"{patch['ratio']:.2f} : 1"
+
+
+def test_a_recording_is_begun_and_ended_from_the_page(
+    start: StartProgram, page: Any, tmp_path: Path
+) -> None:
+    open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    wait_until(lambda: bool(page.find_elements("id", "record")), "the controls")
+    page.find_element("id", "record").click()
+    wait_until(lambda: answer(page, "launch").startswith("✓ recording to"), "the recording")
+    wait_until(lambda: "Stop" in text(page, "#record"), "the button to change")
+    before = int(drawn(page))
+    wait_until(lambda: int(drawn(page)) > before + 10, "some frames")
+    page.find_element("id", "record").click()
+    wait_until(lambda: "messages recorded" in answer(page, "launch"), "the end of the recording")
+    (file,) = tmp_path.glob("path_40-*.mcap")
+    assert file.stat().st_size > 10_000
+
+
+def test_a_replay_is_paused_stepped_and_sought(start: StartProgram, page: Any) -> None:
+    program = start("launch", "path_40", "--frames", "300", "--record", "path.mcap")
+    assert program.finish()[0] == 0
+    open_page(start, page, "replay_taxels", "--set", "player.file=path.mcap", "--set",
+              "player.rate=0.2")  # fmt: skip
+    pause = '[data-pause="player"]'
+    wait_until(lambda: "Pause" in text(page, pause), "the controls")
+    page.find_element("css selector", pause).click()
+    wait_until(lambda: text(page, "#liveness") == "paused", "the pause")
+    before = int(drawn(page))
+    (step,) = (b for b in page.find_elements("css selector", "button") if b.text == "Step")
+    step.click()
+    wait_until(lambda: int(drawn(page)) == before + 1, "one frame more")
+    page.execute_script(
+        "const seek = document.querySelector('[data-seek=player]');"
+        "seek.value = 1; seek.dispatchEvent(new Event('change'));"
+    )
+    wait_until(lambda: answer(page, "player") == "✓ at 1.00 s", "the answer")
+    wait_until(lambda: text(page, "[data-position]").startswith("1.0 of"), "the position")
+
+
+def test_a_page_left_open_finds_the_next_graph(start: StartProgram, page: Any) -> None:
+    program = open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    port = page.current_url.split(":")[2].split("/")[0]
+    program.process.send_signal(signal.SIGINT)
+    program.finish()
+    wait_until(lambda: "The graph has ended" in text(page, "#notices"), "the end")
+    again = start("launch", "path_40", "--set", f"monitor.port={port}")
+    again.wait_for("ready:")
+    wait_until(lambda: text(page, "#liveness") == "live", "the new graph")
