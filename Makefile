@@ -2,7 +2,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo scenes replay-timing test check clean
+.PHONY: demo scenes replay-timing page-load shots charts charts-quick test check clean
 .DELETE_ON_ERROR:
 
 # The main job: a wrench dragged over 64 x 64 taxels, streamed through four processes.
@@ -16,6 +16,20 @@ scenes: .venv/installed
 # How well a replay keeps time, as a table (6 minutes).
 replay-timing: .venv/installed
 	$(BIN)/python -m sparseskin.studies.replay_timing
+
+# What the live page costs, as a table (6 minutes).
+page-load: .venv/installed
+	$(BIN)/python -m sparseskin.studies.page_load
+
+# Pictures of the live page in several states, in docs/ (needs chromium, chromium-driver).
+shots: .venv/installed-dev
+	PYTHONPATH=tests $(BIN)/python tests/shots.py
+
+# All tables and charts of the studies, in out/ (an hour; the quick ones 8 minutes).
+charts charts-quick: .venv/installed-charts
+	for study in paper-tables speed-accuracy stability scene-needs; do \
+	    $(BIN)/sparseskin study $$study $(if $(findstring quick,$@),--quick) || exit; \
+	done
 
 test: .venv/installed-dev
 	$(ONE_THREAD) $(BIN)/python -m pytest -q
@@ -32,6 +46,10 @@ check: .venv/installed-dev
 .venv/installed: pyproject.toml .venv/python
 	$(BIN)/pip install --quiet --disable-pip-version-check -e .
 	touch $@
+
+.venv/installed-charts: pyproject.toml .venv/python
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[charts,peers]'
+	touch $@ .venv/installed
 
 .venv/installed-dev: pyproject.toml .venv/python
 	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[dev]'

@@ -87,7 +87,8 @@ function drawMaps() {
 function drawCard(name) {
   const canvas = document.querySelector(`#card-${name} canvas`);
   const { restored } = model.maps[name];
-  if (canvas && restored) thumbnail(canvas, restored, model.skins[name]);
+  if (!canvas || !restored) return;
+  setText(canvas.nextElementSibling, thumbnail(canvas, restored, model.skins[name]));
 }
 
 function tile(title, value, note, id) {
@@ -171,7 +172,7 @@ function drawOverview() {
   if (root.children.length !== names.length) {
     root.replaceChildren(...names.map((name) => element("a",
       { class: "card", id: `card-${name}`, href: `#/${name}` },
-      element("h2", {}, name), element("canvas"), element("p", {}))));
+      element("h2", {}, name), element("canvas"), element("small", {}), element("p", {}))));
   }
   for (const name of names) {
     const s = model.summaries[name] ?? {}, state = model.state.patches[name];

@@ -1,7 +1,7 @@
 // The maps of one patch: truth, taxels, reconstruction and error on canvases, with a colour bar.
 
 import { GRADIENT, VIRIDIS, rounded } from "./colours.js";
-import { byId, brief, element, setText } from "./dom.js";
+import { byId, brief, element, setText, tick } from "./dom.js";
 
 const TITLES = {
   truth: "Truth",
@@ -73,7 +73,7 @@ export class Maps {
       const own = name === "error" && byId("error-range").value === "own";
       const top = own ? Math.min(rounded(highest(map)), this.skin.f_max) : range;
       paint(panel, map, this.mask, top);
-      setText(panel.top, brief(top, this.skin.unit));
+      setText(panel.top, `${tick(top)} ${this.skin.unit}`);
       setText(panel.figures, name === "error" ? this.errorText(map) : this.forceText(map));
     }
     this.read();
@@ -143,12 +143,13 @@ export class Maps {
       const stale = age === undefined || age > limit;
       const figure = panel.canvas.closest("figure");
       figure.classList.toggle("stale", stale && !quiet);
-      figure.dataset.age = stale && !quiet && age !== undefined ? `${age.toFixed(1)} s old` : "";
+      const title = figure.querySelector("h2");
+      title.dataset.age = stale && !quiet && age !== undefined ? `${age.toFixed(1)} s old` : "";
     }
   }
 }
 
-// One small map, for the overview.
+// One small map, for the overview; returns its range in words.
 export function thumbnail(canvas, map, skin) {
   if (canvas.width !== skin.n_cols || canvas.height !== skin.n_rows) {
     canvas.width = skin.n_cols;
@@ -156,8 +157,9 @@ export function thumbnail(canvas, map, skin) {
   }
   const context = canvas.getContext("2d");
   const image = context.createImageData(skin.n_cols, skin.n_rows);
-  const top = Math.max(rounded(highest(map)), 0.02 * skin.f_max);
+  const top = Math.max(rounded(highest(map)), 0.1 * skin.f_max); // noise is no picture
   paint({ context, image, pixels: new Uint32Array(image.data.buffer) }, map, skin.data.mask, top);
+  return `peak ${brief(highest(map), skin.unit)}, colours to ${tick(top)} ${skin.unit}`;
 }
 
 function highest(map) {
