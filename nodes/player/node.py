@@ -202,9 +202,7 @@ class Player(SourceNode[PlayerSettings]):
             for recorded in self._bag.messages(streams, from_ns, self._stop_ns):
                 message = self._decoded(recorded.topic, recorded.payload)
                 n_read += 1
-                yield (
-                    replace(message, stamp_ns=message.stamp_ns + shift_ns) if shift_ns else message
-                )
+                yield message.moved(shift_ns) if shift_ns else message
             if not (self.settings.loop and n_read):
                 return
             from_ns = self._start_ns

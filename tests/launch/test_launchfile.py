@@ -60,7 +60,9 @@ def test_every_scene_has_a_launch_file_that_checks(name: str) -> None:
 
 
 def test_all_bundled_files_are_known() -> None:
-    assert bundled_names() == sorted([*SCENES, "replay", "replay_taxels", "replay_measurements"])
+    assert bundled_names() == sorted(
+        [*SCENES, "replay", "replay_taxels", "replay_measurements", "two_patches"]
+    )
 
 
 @pytest.mark.parametrize(
