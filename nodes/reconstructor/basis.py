@@ -12,6 +12,11 @@ from sparseskin.nodes.lookup import find_class
 
 BASES = {
     "haar": "sparseskin.nodes.reconstructor.haar:HaarBasis",
+    "db2": "sparseskin.nodes.reconstructor.separable:db2",
+    "db4": "sparseskin.nodes.reconstructor.separable:db4",
+    "sym4": "sparseskin.nodes.reconstructor.separable:sym4",
+    "coif1": "sparseskin.nodes.reconstructor.separable:coif1",
+    "dct": "sparseskin.nodes.reconstructor.separable:DctBasis",
     "identity": "sparseskin.nodes.reconstructor.basis:IdentityBasis",
 }
 _INTERFACE = ("n_rows", "n_cols", "analysis", "synthesis")
@@ -126,8 +131,9 @@ def make_basis(name: str, n_rows: int, n_cols: int) -> Basis:
     Parameters
     ----------
     name : str
-        "haar", "identity", or "module:Class" for your own: called with the keywords n_rows,
-        n_cols, it must offer what `Basis` does.
+        "haar"; "db2", "db4", "sym4", "coif1" (PyWavelets' names); "dct"; "identity"; or
+        "module:Class" for your own: called with the keywords n_rows, n_cols, it must offer what
+        `Basis` does.
     n_rows, n_cols : int
         Size of the grid of taxels.
 
