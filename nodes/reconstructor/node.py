@@ -67,6 +67,14 @@ class ReconstructorSettings(PatchSettings):
         high=1e6,
         live=True,
     )
+    budget_ms: float | None = setting(
+        None,
+        "most time for a frame's iterations, in milliseconds: when it is over, the best "
+        "estimate so far is published",
+        low=0.05,
+        high=60_000.0,
+        live=True,
+    )
     phi: str = setting(
         ANNOUNCED,
         "measurement matrix: announced (what the compressor says), a kind or module:Class",
@@ -224,7 +232,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             )
         begin_ns = time.perf_counter_ns()
         try:
-            forces = self._solver.solve(measurements.y, self._warm)
+            forces, n_steps = self._solve(self._solver, measurements.y)
         except SolverError as error:
             raise RefusedError(f"{measurements.topic}: {error}") from error
         solve_ns = time.perf_counter_ns() - begin_ns
@@ -236,8 +244,25 @@ class Reconstructor(Node[ReconstructorSettings]):
             patch=self.settings.patch,
             forces=forces,
             phi=self._phi.fingerprint,
-            iterations=self._solver.n_steps,
+            iterations=n_steps,
             residual=math.sqrt(float(np.mean(np.square(misfit, dtype=np.float64)))),
             solve_ns=solve_ns,
             done_ns=done_ns,
         )
+
+    def _solve(self, solver: Solver, y: Floats) -> tuple[Floats, int]:
+        """Restore one frame within the budget; the forces and how many steps they took."""
+        budget_ms = self.settings.budget_ms
+        if budget_ms is None:
+            return solver.solve(y, self._warm), solver.n_steps
+        deadline_ns = time.perf_counter_ns() + round(1e6 * budget_ms)
+        solver.setup(y, self._warm)
+        done, longest_ns, before_ns = 0, 0, time.perf_counter_ns()
+        # A step is begun only where one like the longest so far would end in time; the first is
+        # always done, for without it there is no estimate of this frame.
+        while done < solver.n_steps and (not done or before_ns + longest_ns <= deadline_ns):
+            solver.step()
+            now_ns = time.perf_counter_ns()
+            longest_ns, before_ns = max(longest_ns, now_ns - before_ns), now_ns
+            done += 1
+        return solver.finish(), done

@@ -10,6 +10,7 @@ const OFFERED = [
   ["reconstructor", "basis", "Basis"],
   ["reconstructor", "iterations", "Iterations"],
   ["reconstructor", "lambda_n", "λ (N)"],
+  ["reconstructor", "budget_ms", "Budget (ms a frame)"],
   ["compressor", "m", "Measurements M"],
   ["sensor", "noise", "Noise (× the paper's)"],
   ["sensor", "rate_hz", "Rate (Hz)"],
