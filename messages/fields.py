@@ -13,12 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import FieldError, MalformedError, NotFiniteError, OversizedError, ShapeError
+from .quantised import MAX_BITS, MIN_BITS, Quantised, largest_code, n_bytes, packed, unpacked
 
 MAX_SIDE = 4096
 """Largest number of rows, or of columns, of a grid of taxels."""
 MAX_ELEMENTS = 1 << 20
 """Largest number of elements of one array."""
 INT64_MAX = (1 << 63) - 1
+STEP_MAX = 1e30
 
 
 class FieldKind:
@@ -176,6 +178,68 @@ class Array(FieldKind):
                 f"{name}: shape {list(shape)}, at most {MAX_ELEMENTS} elements "
                 f"and {MAX_SIDE} a side"
             )
+
+
+@dataclass(frozen=True)
+class Samples(Array):
+    """A float32 array of one dimension; one that is `Quantised` travels in as many bits.
+
+    Its map has then dtype "intB", B the number of bits, `step`, and the codes as
+    `sparseskin.messages.quantised.packed` gives them.
+    """
+
+    dtype: str = "<f4"
+    ndim: int = 1
+
+    def check(self, name: str, value: Any) -> npt.NDArray[Any] | None:
+        checked = super().check(name, value)
+        if not isinstance(value, Quantised):
+            return checked
+        _check_quantiser(name, value.bits, value.step)
+        return value
+
+    def pack(self, value: Any) -> Any:
+        if not isinstance(value, Quantised):
+            return super().pack(value)
+        return {
+            "dtype": f"int{value.bits}",
+            "shape": list(value.shape),
+            "order": "C",
+            "step": value.step,
+            "data": packed(value.codes(), value.bits),
+        }
+
+    def unpack(self, name: str, raw: Any) -> npt.NDArray[Any] | None:
+        if not isinstance(raw, dict) or "step" not in raw:
+            return super().unpack(name, raw)
+        if raw.keys() != {"dtype", "shape", "order", "step", "data"}:
+            raise MalformedError(f"{name}: expected a map of dtype, shape, order, step and data")
+        dtype, shape, step, data = (raw[key] for key in ("dtype", "shape", "step", "data"))
+        if not isinstance(dtype, str) or not dtype.removeprefix("int").isdecimal():
+            raise ShapeError(f"{name}: expected dtype intB, got {str(dtype)[:32]!r}")
+        bits = int(dtype.removeprefix("int")[:4])
+        if dtype != f"int{bits}" or raw["order"] != "C":
+            raise ShapeError(f"{name}: dtype {dtype[:32]!r} in order {str(raw['order'])[:8]!r}")
+        if not isinstance(shape, list) or not all(type(side) is int for side in shape):
+            raise MalformedError(f"{name}: shape must be a list of whole numbers")
+        self._check_shape(name, tuple(shape))
+        if type(step) is not float or not isinstance(data, bytes):
+            raise MalformedError(f"{name}: step must be a float and data a bin field")
+        _check_quantiser(name, bits, step)
+        (m,) = shape
+        if len(data) != n_bytes(m, bits):
+            raise ShapeError(f"{name}: {m} numbers of {bits} bits do not fit {len(data)} bytes")
+        codes = unpacked(data, m, bits)
+        if codes.max() > largest_code(bits):
+            raise MalformedError(f"{name}: a code beyond {largest_code(bits)}")
+        return Quantised.of(codes, bits, step)
+
+
+def _check_quantiser(name: str, bits: int, step: float) -> None:
+    if not MIN_BITS <= bits <= MAX_BITS:
+        raise FieldError(f"{name}: {bits} bits is outside {MIN_BITS}..{MAX_BITS}")
+    if not 0 < step < STEP_MAX:
+        raise FieldError(f"{name}: a step of {step} is outside 0..{STEP_MAX:g}")
 
 
 def wire(kind: FieldKind, **options: Any) -> Any:

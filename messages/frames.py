@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .base import Message
-from .fields import Array, Integer, Real, Text, wire
+from .fields import Array, Integer, Real, Samples, Text, wire
 
 Floats = npt.NDArray[np.float32]
 FINGERPRINT_PATTERN = r"[0-9a-f]{16}"
@@ -41,7 +41,8 @@ class Truth(Message):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measurements(Message):
-    """What the edge sends: y = Phi x, shape (M,), float32, in the skin's unit.
+    """What the edge sends: y = Phi x, shape (M,), float32, in the skin's unit; `Quantised` where
+    the edge sends fewer bits than float32 has.
 
     `phi` is the fingerprint of the Phi that made them, 16 hex digits.
     """
@@ -49,7 +50,7 @@ class Measurements(Message):
     schema: ClassVar[str] = "measurements"
     version: ClassVar[int] = 1
 
-    y: Floats = wire(Array("<f4", 1))
+    y: Floats = wire(Samples())
     phi: str = wire(Text(16, FINGERPRINT_PATTERN))
 
 

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from .base import Message, wire_fields
-from .fields import MAX_ELEMENTS, MAX_SIDE, Array, FieldKind, Flag, Integer, Real, Text
+from .fields import MAX_ELEMENTS, MAX_SIDE, Array, FieldKind, Flag, Integer, Real, Samples, Text
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -54,6 +54,8 @@ def _property(kind: FieldKind) -> dict[str, Any]:
         return {"type": "boolean"}
     if isinstance(kind, Text):
         return {"type": "string", "maxLength": kind.longest, "pattern": f"^(?:{kind.pattern})$"}
+    if isinstance(kind, Samples):
+        return {"oneOf": [_array(kind), _quantised()]}
     if isinstance(kind, Array):
         return _array(kind)
     raise TypeError(f"no JSON Schema for a field of kind {type(kind).__name__}")
@@ -72,6 +74,26 @@ def _array(kind: Array) -> dict[str, Any]:
     }
     return {
         "type": ["object", "null"] if kind.optional else "object",
+        "properties": fields,
+        "required": list(fields),
+        "additionalProperties": False,
+    }
+
+
+def _quantised() -> dict[str, Any]:
+    size = {"type": "integer", "minimum": 1, "maximum": MAX_ELEMENTS}
+    fields = {
+        "dtype": {"type": "string", "pattern": "^int[0-9]+$"},
+        "shape": {"type": "array", "items": size, "minItems": 1, "maxItems": 1},
+        "order": {"const": "C"},
+        "step": {"type": "number", "exclusiveMinimum": 0},
+        "data": {
+            "description": "msgpack bin: for dtype intB, B bits each, the highest first and "
+            "nothing between them: k + 2^(B-1) - 1 of the values k * step"
+        },
+    }
+    return {
+        "type": "object",
         "properties": fields,
         "required": list(fields),
         "additionalProperties": False,

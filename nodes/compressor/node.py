@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -14,7 +14,9 @@ from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
+from .limits import compression_warnings
 from .phi import KINDS, Phi, make_phi
+from .quantiser import quantised
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,9 @@ class CompressorSettings(PatchSettings):
     )
     m: int | None = setting(
         None, "number of measurements M, in place of ratio", low=1, high=2**20, live=True
+    )
+    bits: int | None = setting(
+        None, "bits of a measurement; float32 where not stated", low=4, high=16, live=True
     )
     block: int = setting(32, "size of the Hadamard blocks, a power of two", low=1, high=2**20)
     seed: int = setting(0, "seed of the measurement matrix", low=0, high=2**32 - 1)
@@ -86,6 +91,8 @@ class Compressor(Node[CompressorSettings]):
         before, self.settings = self.settings, settings
         if self._state is None:
             return ()
+        if replace(settings, bits=before.bits) == before:
+            return ()  # the same Phi
         try:
             return (self._learn_skin(self._state),)
         except PhiError:
@@ -93,7 +100,8 @@ class Compressor(Node[CompressorSettings]):
             raise
 
     def state(self) -> dict[str, Any]:
-        return {} if self._phi is None else {"m": self._phi.m, "n": self._phi.n}
+        known = {} if self._phi is None else {"m": self._phi.m, "n": self._phi.n}
+        return {**known, "bits": self.settings.bits}
 
     def status(self) -> str:
         return "" if self._phi is None else f"{self._phi.kind} {self._phi.m} x {self._phi.n}"
@@ -102,6 +110,8 @@ class Compressor(Node[CompressorSettings]):
         n = state.skin.n_taxels
         s = self.settings
         phi = make_phi(s.phi, n=n, m=s.n_measurements(n), seed=s.seed, block=s.block)
+        for warning in compression_warnings(s.phi, phi.n, phi.m, phi.block):
+            self.context.log(warning)
         self._state, self._phi = state, phi
         self._cells = None if state.mask is None else np.flatnonzero(state.mask)
         return PhiState(
@@ -126,9 +136,11 @@ class Compressor(Node[CompressorSettings]):
         x = taxels.forces.reshape(-1)
         if self._cells is not None:
             x = x[self._cells]
+        y = self._phi.forward(x)
+        bits = self.settings.bits
         return Measurements(
             stamp_ns=taxels.stamp_ns,
             patch=self.settings.patch,
-            y=self._phi.forward(x),
+            y=y if bits is None else quantised(y, bits),
             phi=self._phi.fingerprint,
         )

@@ -21,12 +21,15 @@ from sparseskin.messages import (
     Truth,
     size_bytes,
 )
+from sparseskin.messages.quantised import Quantised
 
 from .statistics import Extent, Quantiles
 
 PSNR_CAP_DB = 100.0
 CONTACT_FRACTION = 0.004
 """A frame is in contact where some taxel bears more than this part of f_max: 0.01 N of 2.5 N."""
+FLOAT_BITS = 32
+"""Bits of a taxel's reading as it is published."""
 MAX_PENDING = 512
 """Frames that wait for their reconstruction; older ones are given up."""
 RECENT = 100
@@ -148,6 +151,7 @@ class PatchMetrics:
         self._sensed, self._reconstructed = StreamCount(late), StreamCount(late)
         self._first_ns: int | None = None if late else 0
         self.bytes_in = self.bytes_out = 0
+        self.bits: int | None = None
         self.lost_so_far = 0
         self.unpaired = 0
         self._pending: OrderedDict[int, _Pending] = OrderedDict()
@@ -173,6 +177,8 @@ class PatchMetrics:
                 self.solver = message
             case Measurements():
                 self.bytes_out += size_bytes(message)
+                y = message.y
+                self.bits = y.bits if isinstance(y, Quantised) else 8 * y.itemsize
             case Taxels():
                 self.bytes_in += size_bytes(message) - self._absent_bytes(message)
                 if self._first_ns is None:
@@ -269,6 +275,8 @@ class PatchMetrics:
             "n": n,
             "m": m,
             "ratio": n / m if n and m else None,
+            "bits": self.bits,
+            "ratio_bits": FLOAT_BITS * n / (m * self.bits) if n and m and self.bits else None,
             "f_max": self.skin.f_max if self.skin else None,
             "unit": self.skin.unit if self.skin else None,
             "frames": {

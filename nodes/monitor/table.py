@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .metrics import PatchMetrics, Quality
+from .metrics import FLOAT_BITS, PatchMetrics, Quality
 
 NONE = "-"
 
@@ -47,7 +47,8 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
         f"lost {frames['lost']}",
         f"measured    {patch['phi']}: N = {patch['n']}, M = {patch['m']} "
         f"(ratio {shown(patch['ratio'], '.2f')}), "
-        f"range 0..{shown(patch['f_max'], 'g')} {patch['unit']}",
+        f"range 0..{shown(patch['f_max'], 'g')} {patch['unit']}"
+        + (f", {patch['bits']} bits" if patch["bits"] not in (NONE, FLOAT_BITS) else ""),
         f"restored    {patch['solver']} in {patch['basis']}, {patch['iterations']} iterations"
         + (f" (preset {patch['preset']})" if patch["preset"] not in ("", NONE) else ""),
         f"bytes       taxels {patch['bytes_in']:,}, measurements {patch['bytes_out']:,}"

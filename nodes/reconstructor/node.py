@@ -33,6 +33,7 @@ from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .basis import BASES, make_basis
+from .limits import check_lambda, check_phi, reconstruction_warnings
 from .presets import PRESETS
 from .solver import SOLVERS, Solver, make_solver
 
@@ -176,10 +177,17 @@ class Reconstructor(Node[ReconstructorSettings]):
         phi = self._make_phi(skin.n_taxels, announced)
         chosen = dict(self.settings.chosen())
         options = {k: v for k, v in chosen.items() if k not in ("solver", "basis")}
+        warnings = reconstruction_warnings(chosen["solver"], chosen["basis"], phi.n, phi.m, options)
         if "lambda_n" in options:
             options["lambda_n"] *= skin.f_max / PAPER_F_MAX_N
+            check_lambda(options["lambda_n"], skin.f_max, skin.n_rows * skin.n_cols)
         basis = make_basis(chosen["basis"], skin.n_rows, skin.n_cols)
-        self._solver = make_solver(chosen["solver"], phi, basis, skin.mask, **options)
+        solver = make_solver(chosen["solver"], phi, basis, skin.mask, **options)
+        if ":" in self.settings.phi:
+            warnings += check_phi(phi, solver.mask)
+        for warning in warnings:
+            self.context.log(warning)
+        self._solver = solver
         self._phi = phi
         # Another Phi or solver in the middle of a stream starts from what the last one found.
         if self._last is not None and self._last.shape != skin.shape:

@@ -108,7 +108,8 @@ function tiles(name) {
   const rate = strips?.rate(seconds() + clock);
   return [
     ["compression", "Compression", s.ratio ? `${s.ratio.toFixed(2)} : 1` : "–",
-      s.n ? `N = ${s.n}, M = ${s.m}` : "Phi is not known yet"],
+      s.n ? `N = ${s.n}, M = ${s.m}${s.bits && s.bits < 32
+        ? `, ${s.bits} bits: ${s.ratio_bits.toFixed(1)} : 1 in bits` : ""}` : "Phi is not known yet"],
     ["traffic", "Sent by the edge", `${bytes(after)}`, `in place of ${bytes(before)}`],
     ["gain", "PSNR gain", Number.isFinite(gain) ? `${gain >= 0 ? "+" : "−"}${Math.abs(gain).toFixed(1)} dB`
       : fixed(mean(s, "reconstruction"), 1, "dB"),

@@ -1,0 +1,172 @@
+"""Settings of a reconstructor that fail: what is refused, and what is known to restore little.
+
+The numbers come from the study `stability`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sparseskin.nodes.compressor.phi import Phi
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.reconstructor.solver import Mask
+
+#: Solvers of the l1 problem with a lambda of its own, in newtons for a range of 2.5 N.
+L1_SOLVERS = ("fista", "ista", "fista_nonneg")
+LAMBDA_LOW_N, LAMBDA_HIGH_N = 0.0006, 0.05
+#: With fewer, a sudden contact takes several frames, which are worse by 3 dB and more.
+MIN_ITERATIONS = {"fista": 15}
+#: A gradient step diverges beyond 2 / L, and with momentum beyond 4 / (3 L).
+MAX_STEP = 4.0 / 3.0
+N_POWER_STEPS = 30
+PAD_SIDE, N_PADS = 8, 256
+MAX_PAD_SPREAD = 1.75
+TINY = 1e-30
+
+
+def reconstruction_warnings(
+    solver: str, basis: str, n: int, m: int, options: Mapping[str, Any]
+) -> list[str]:
+    """What is known to fail with settings that are possible.
+
+    Parameters
+    ----------
+    solver, basis : str
+        Registered names, or "module:Class"; of these nothing is known.
+    n, m : int
+        Number of taxels and of measurements.
+    options : mapping
+        Settings of the solver that are stated, lambda_n for a range of 2.5 N.
+
+    Returns
+    -------
+    list of str
+        One line each: what is set, what fails, what is advised.
+    """
+    warnings = []
+    lambda_n = options.get("lambda_n")
+    if solver in L1_SOLVERS and lambda_n is not None:
+        advised = f"advised: {LAMBDA_LOW_N:g} to {LAMBDA_HIGH_N:g}"
+        if lambda_n > LAMBDA_HIGH_N:
+            warnings.append(
+                f"lambda_n = {lambda_n:g}: forces are shrunk away (0.1 on rows of +1 and -1 is "
+                f"0.003125 here); {advised}"
+            )
+        elif lambda_n < LAMBDA_LOW_N:
+            warnings.append(f"lambda_n = {lambda_n:g}: the noise is fitted; {advised}")
+    iterations = options.get("iterations")
+    least = MIN_ITERATIONS.get(solver, 0)
+    if iterations is not None and iterations < least:
+        warnings.append(
+            f"iterations = {iterations}: {solver} takes several frames to follow a sudden contact; "
+            f"advised: {least} or more"
+        )
+    if basis == "identity" and m < n:
+        warnings.append(
+            f"basis = identity with m = {m} of n = {n}: restores no more than {m // 4} pressed "
+            "taxels or so; advised: haar"
+        )
+    return warnings
+
+
+def check_lambda(lambda_n: float, f_max: float, n_cells: int) -> None:
+    """Refuse a lambda beyond which nothing is left of any frame.
+
+    No coefficient of an orthonormal basis is larger than that of a skin pressed all over,
+    f_max sqrt(N).
+
+    Raises
+    ------
+    SolverError
+        If lambda_n is that or more, both in the skin's unit.
+    """
+    largest = f_max * math.sqrt(n_cells)
+    if lambda_n >= largest:
+        raise SolverError(
+            f"lambda_n = {lambda_n:g}: restores 0 whatever presses; allowed: below {largest:g} "
+            "(f_max times the square root of the taxels)"
+        )
+
+
+def check_phi(phi: Phi, mask: Mask) -> list[str]:
+    """Check what a measurement matrix of the user's own says of itself.
+
+    Parameters
+    ----------
+    phi : Phi
+        Not one of the registered kinds, which keep what they promise.
+    mask : ndarray of bool, shape (n_rows, n_cols)
+        True where a taxel exists.
+
+    Returns
+    -------
+    list of str
+        Warnings, one line each.
+
+    Raises
+    ------
+    SolverError
+        If `adjoint` is not the transpose of `forward`, or the largest eigenvalue of Phi Phi^T is
+        more than 4/3 of what `lipschitz` says: a solver would diverge, or end at wrong forces.
+    """
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal(phi.n).astype(np.float32)
+    y = rng.standard_normal(phi.m).astype(np.float32)
+    measured, spread = phi.forward(x), phi.adjoint(y)
+    forth, back = float(measured @ y), float(x @ spread)
+    rounding = 1e-3 * float(np.linalg.norm(measured) * np.linalg.norm(y))
+    if not abs(forth - back) <= rounding:
+        raise SolverError(
+            f"phi {phi.kind}: adjoint is not the transpose of forward: <Phi x, y> = {forth:.6g} "
+            f"but <x, Phi^T y> = {back:.6g}; allowed: equal but for rounding"
+        )
+    for _ in range(N_POWER_STEPS):
+        y /= max(float(np.linalg.norm(y)), TINY)
+        y = phi.forward(phi.adjoint(y))
+    largest = float(np.linalg.norm(y))
+    if not largest <= MAX_STEP * phi.lipschitz:
+        raise SolverError(
+            f"phi {phi.kind}: lipschitz says {phi.lipschitz:.4g} but the largest eigenvalue of "
+            f"Phi Phi^T is {largest:.4g}, and solvers diverge; allowed: that or more"
+        )
+    evenness = pad_spread(phi, mask, rng)
+    if evenness <= MAX_PAD_SPREAD:
+        return []
+    return [
+        f"phi {phi.kind}: some contacts are measured far better than others (spread {evenness:.1f} "
+        f"times that of a random matrix), and the others are lost; advised: taxels dealt out at "
+        f"random, {MAX_PAD_SPREAD:g} or less"
+    ]
+
+
+def pad_spread(phi: Phi, mask: Mask, rng: np.random.Generator) -> float:
+    """How unevenly pads of 8 x 8 taxels are measured.
+
+    The standard deviation of ||Phi x||^2 / ||x||^2 over pads at random places, relative to its
+    mean, over sqrt(2 / m), which it is for a matrix of normal random numbers: about 1 where the
+    taxels are dealt out at random, more where neighbours share a measurement.
+
+    Parameters
+    ----------
+    phi, mask
+        As in `check_phi`.
+    rng : numpy.random.Generator
+        Where the places come from.
+    """
+    sides = np.minimum(PAD_SIDE, mask.shape)
+    taxels = np.flatnonzero(mask)
+    shares = []
+    for _ in range(N_PADS):
+        row, col = rng.integers(0, np.array(mask.shape) - sides + 1)
+        frame = np.zeros(mask.shape, np.float32)
+        frame[row : row + sides[0], col : col + sides[1]] = 1.0
+        x = frame.reshape(-1)[taxels]
+        if x.any():
+            energy = float(np.sum(np.square(phi.forward(x), dtype=np.float64)))
+            shares.append(energy / float(np.sum(x)))
+    mean = float(np.mean(shares))
+    return float(np.std(shares)) / max(mean, TINY) / math.sqrt(2.0 / phi.m)

@@ -1,0 +1,92 @@
+"""Measurements of few bits: their size, their error, and the same numbers at the other end."""
+
+from __future__ import annotations
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparseskin.messages import Measurements, MessageError, decode, encode
+from sparseskin.messages.quantised import Quantised, largest_code, n_bytes, packed, unpacked
+from sparseskin.nodes.compressor.quantiser import quantised
+
+
+def message(y: np.ndarray) -> Measurements:
+    return Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16)
+
+
+def frame(m: int, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).normal(scale=3.0, size=m).astype(np.float32)
+
+
+@given(bits=st.integers(2, 24), m=st.integers(1, 300), seed=st.integers(0, 99))
+def test_codes_take_their_bits_and_come_back(bits: int, m: int, seed: int) -> None:
+    top = largest_code(bits)
+    codes = np.random.default_rng(seed).integers(-top, top + 1, m).astype(np.int32)
+    data = packed(codes, bits)
+    assert len(data) == n_bytes(m, bits) == -(-m * bits // 8)
+    np.testing.assert_array_equal(unpacked(data, m, bits), codes)
+
+
+@given(bits=st.integers(4, 16), m=st.integers(1, 300), seed=st.integers(0, 99))
+def test_no_measurement_is_off_by_more_than_half_a_step_and_none_is_clipped(
+    bits: int, m: int, seed: int
+) -> None:
+    y = frame(m, seed)
+    rounded = quantised(y, bits)
+    step = float(np.abs(y).max()) / (2 ** (bits - 1) - 1)
+    assert rounded.step == pytest.approx(step, rel=1e-6)
+    assert float(np.abs(np.asarray(rounded) - y).max()) <= 0.5001 * step
+
+
+@given(bits=st.integers(4, 16), m=st.integers(1, 300), seed=st.integers(0, 99))
+def test_quantised_measurements_survive_the_wire_to_the_bit(bits: int, m: int, seed: int) -> None:
+    sent = message(quantised(frame(m, seed), bits))
+    topic, payload = encode(sent)
+    found = decode(topic, payload)
+    assert found == sent
+    assert isinstance(found, Measurements)
+    assert isinstance(found.y, Quantised)
+    assert (found.y.bits, found.y.step) == (sent.y.bits, sent.y.step)  # type: ignore[attr-defined]
+    # Said again, as a recorder does, it is the same message.
+    assert encode(found) == (topic, payload)
+
+
+def test_eight_bits_take_a_quarter_of_the_bytes_of_float32() -> None:
+    y = frame(1365, 0)
+    sizes = [len(encode(message(part))[1]) for part in (y, quantised(y, 8))]
+    assert sizes[0] - sizes[1] == pytest.approx(0.75 * y.nbytes, abs=24)
+
+
+def test_what_is_computed_from_quantised_numbers_is_a_plain_array() -> None:
+    y = quantised(frame(9, 0), 8)
+    assert type(y + 1) is np.ndarray
+
+
+def test_a_frame_of_zeros_stays_one() -> None:
+    assert not np.asarray(quantised(np.zeros(5, np.float32), 4)).any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"dtype": "int99"}, "99 bits is outside 2..24"),
+        ({"dtype": "float8"}, "expected dtype intB"),
+        ({"dtype": "int08"}, "dtype"),
+        ({"step": 0.0}, "a step of 0.0"),
+        ({"step": float("nan")}, "a step of nan"),
+        ({"step": 1}, "step must be a float"),
+        ({"shape": [8]}, "8 numbers of 6 bits do not fit"),
+        ({"shape": [0]}, "none empty"),
+        ({"data": b"\xff" * 7}, "a code beyond 31"),
+        ({"more": 1}, "expected a map of dtype"),
+    ],
+)
+def test_a_malformed_quantised_array_is_refused(changes: dict[str, object], word: str) -> None:
+    topic, payload = encode(message(quantised(frame(9, 0), 6)))
+    body = msgpack.unpackb(payload)
+    body["y"] |= changes
+    with pytest.raises(MessageError, match=word):
+        decode(topic, msgpack.packb(body))
