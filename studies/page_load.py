@@ -26,6 +26,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from sparseskin.messages import Reconstruction, decode
+from sparseskin.nodes.monitor.server import MAX_PAGES
 from sparseskin.nodes.recorder.bag_reader import BagReader
 
 COMMAND = [sys.executable, "-m", "sparseskin.launch.entry", "launch", "drag_wrench_64"]
@@ -45,7 +46,7 @@ class Graph:
         self._process = subprocess.Popen(
             [*COMMAND, "--set", "monitor.port=0", *arguments],
             stderr=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
             text=True,
         )
         assert self._process.stderr is not None
@@ -72,9 +73,11 @@ class Graph:
         pages = int(Path(f"/proc/{self.monitor}/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
-    def close(self) -> None:
+    def close(self) -> str:
+        """End the graph; how many frames it sensed, reconstructed and lost."""
         self._process.terminate()
-        self._process.communicate()
+        table, _ = self._process.communicate()
+        return re.sub(" +", " ", next((k for k in table.splitlines() if "sensed" in k), ""))
 
 
 class Client:
@@ -85,6 +88,9 @@ class Client:
         self._connection = http.client.HTTPConnection(urlsplit(url).netloc)
         self._connection.request("GET", "/stream?patch=skin")
         self._answer = self._connection.getresponse()
+        self.refusal = ""
+        if self._answer.status != http.client.OK:
+            self.refusal = f"{self._answer.status} {self._answer.read().decode().strip()}"
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
@@ -152,13 +158,19 @@ def load() -> None:
         row(f"one page, one stalled for {STALL_S:.0f} s", *measure(graph, STALL_S, client), graph)
         print(f"memory grew by {graph.memory_mb() - before_mb:+.2f} MB while one page was stalled")
         held.close()
-        client.close()
+        crowd = [Client(graph.url) for _ in range(MAX_PAGES - 2)]
+        row(f"{MAX_PAGES - 1} pages", *measure(graph, 20, client), graph)
+        crowd.append(Client(graph.url))
+        print(f"the page after {MAX_PAGES}: {Client(graph.url).refusal}")
+        for one in [*crowd, client]:
+            one.close()
+        time.sleep(3)
         if shutil.which("chromium"):
             with chromium(graph.url):
                 time.sleep(5)
                 row("one page, in Chromium", *measure(graph, 20), graph)
     finally:
-        graph.close()
+        print(f"the graph all the while: {graph.close()}")
 
 
 def row(title: str, cpu: float, frames: float, graph: Graph) -> None:
