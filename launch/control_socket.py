@@ -29,31 +29,32 @@ MAX_QUEUED_BYTES = 1 << 20
 class _Client:
     """One connection; `read` and `write` never block."""
 
-    def __init__(self, connection: socket.socket) -> None:
+    def __init__(self, connection: socket.socket, max_line_bytes: int) -> None:
         connection.setblocking(False)
+        self._max_line_bytes = max_line_bytes
         self.connection = connection
         self.watches = False
         self._rest = b""
         self._unsent = b""
 
     def lines(self) -> list[bytes] | None:
-        """Complete lines that wait; None once the connection has ended."""
+        """Complete lines that wait; None once the connection has ended and all are read."""
         try:
-            while chunk := self.connection.recv(65536):
-                self._rest += chunk
-                if len(self._rest) > MAX_LINE_BYTES:
-                    return None
-            return None
+            chunk = self.connection.recv(65536)
         except BlockingIOError:
-            pass
+            return []
         except OSError:
             return None
-        *lines, self._rest = self._rest.split(b"\n")
-        return lines
+        *lines, self._rest = (self._rest + chunk).split(b"\n")
+        return None if not chunk or len(self._rest) > self._max_line_bytes else lines
 
     def send(self, fields: Mapping[str, Any]) -> bool:
         """Send one object; False where the client does not take it."""
         self._unsent += json.dumps(fields).encode() + b"\n"
+        return self.flush()
+
+    def flush(self) -> bool:
+        """Send what there was no room for; False where too much waits, or all is over."""
         try:
             while self._unsent:
                 self._unsent = self._unsent[self.connection.send(self._unsent) :]
@@ -100,6 +101,11 @@ class ControlServer:
         """Whether anybody wants to know the state of the graph."""
         return any(client.watches for client in self._clients)
 
+    def flush(self) -> None:
+        """Send what clients had no room for; leave those that take nothing any more."""
+        for client in [client for client in self._clients if not client.flush()]:
+            self._drop(client)
+
     def tell(self, fields: dict[str, Any]) -> None:
         """Send one object to all who watch."""
         for client in [client for client in self._clients if client.watches]:
@@ -117,7 +123,7 @@ class ControlServer:
             if len(self._clients) >= MAX_CLIENTS:
                 connection.close()
                 return
-            client = _Client(connection)
+            client = _Client(connection, MAX_LINE_BYTES)
             self._clients.append(client)
             self._fleet.watch(connection, partial(self._serve, client))
 
@@ -165,15 +171,20 @@ class ControlClient:
                 self._socket.connect(short)
         except OSError as error:
             raise SparseskinError(f"{path}: no graph listens there: {error.strerror}") from error
-        self._client = _Client(self._socket)
+        self._client = _Client(self._socket, MAX_QUEUED_BYTES)
         self.fd = self._socket.fileno()
 
     def send(self, fields: Mapping[str, Any]) -> bool:
         """Send one request, or {"watch": true}; False once the graph is gone."""
         return self._client.send(fields)
 
+    def flush(self) -> None:
+        """Send what the graph had no room for."""
+        self._client.flush()
+
     def receive(self) -> list[dict[str, Any]] | None:
-        """All that waits, without waiting for more; None once the graph is gone."""
+        """What waits, without waiting for more; None once the graph is gone."""
+        self._client.flush()
         lines = self._client.lines()
         return None if lines is None else [json.loads(line) for line in lines]
 

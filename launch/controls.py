@@ -45,6 +45,8 @@ class Controls:
     def serve(self) -> None:
         """Tell what is new; answer in place of nodes that do not."""
         self._requests.expire()
+        if self._server is not None:
+            self._server.flush()
         conditions = [self._fleet.condition(node) for node in self._fleet]
         if conditions == self._said and time.monotonic() < self._next_s:
             return
@@ -55,7 +57,7 @@ class Controls:
             return
         state = graph_state(self._launch.name, self._fleet, self._recording.out)
         for node in watching:
-            node.command("graph", value=state)
+            node.news("graph", state)
         if self._server is not None:
             self._server.tell({"graph": state})
 

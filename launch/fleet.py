@@ -16,6 +16,8 @@ from .process import NodeProcess, exit_text
 from .running import RunningGraph
 from .supervision import Restarts
 
+START_S = 30.0
+"""How long all nodes together may take until they are ready."""
 GRACE_S = 2.0
 """How long a process may take from one request to end to the next, sterner one."""
 POLL_S = 0.1
@@ -71,6 +73,8 @@ class Fleet:
         self._selector = selectors.DefaultSelector()
         self._restarts = {name: Restarts(spec.restart) for name, spec in launch.nodes.items()}
         self._due_s: dict[str, float] = {}
+        self._endpoints: dict[str, str] = {}
+        self._to_pause: set[str] = set()
         self._links = list(launch.links)
         self.nodes: dict[str, NodeProcess] = {}
         self.exit_code = self.late_code = 0
@@ -172,14 +176,21 @@ class Fleet:
         """Start a node that died, at the endpoint where its readers look for it."""
         del self._due_s[name]
         dead = self.nodes[name]
+        for pipe in dead.pipes:  # a child of the node's may still hold the other end
+            if pipe in self._selector.get_map():
+                self._selector.unregister(pipe)
         dead.close()
         self._log(f"[launch] {name} is started again (restart {self.n_restarts(name)})")
-        self._start_process(dead.spec.with_live(dead.settings), late=True, endpoint=dead.endpoint)
+        if dead.state.get("paused"):
+            self._to_pause.add(name)
+        endpoint = self._endpoints.get(name, "")
+        self._start_process(dead.spec.with_live(dead.settings), late=True, endpoint=endpoint)
 
     def _endpoint_of(self, writer: str) -> str:
         if self._joined is not None:
             return self._joined.nodes[writer].endpoint
-        return self.nodes[writer].endpoint
+        # Of a writer that is being started again, too: it will bind where it did before.
+        return self._endpoints[writer]
 
     def _alive(self) -> list[NodeProcess]:
         return [node for node in self if node.exit_code() is None]
@@ -189,7 +200,9 @@ class Fleet:
         code = node.exit_code()
         if code is None:
             hang_s = node.spec.restart.hang_s
-            hung = bool(hang_s) and now_s - node.heard_s > hang_s and node.ready
+            if hang_s and not node.ready:
+                hang_s = max(hang_s, START_S)  # to import and to open a device takes its time
+            hung = bool(hang_s) and now_s - node.heard_s > hang_s
             if self.supervised and hung and not node.ended and node.spec.restart.restarts:
                 self._log(f"[launch] {node.name} has been silent for {hang_s:g} s: SIGKILL")
                 node.send_signal(signal.SIGKILL)
@@ -212,13 +225,16 @@ class Fleet:
     def _take(self, node: NodeProcess, event: dict[str, Any]) -> None:
         match event["event"]:
             case "bound":
-                node.endpoint = event["endpoint"]
+                node.endpoint = self._endpoints[node.name] = event["endpoint"]
                 if self.supervised:
                     self.connect(node)
             case "ready":
                 node.ready = True
                 if self.supervised:
                     node.command("start")
+                if node.name in self._to_pause:
+                    self._to_pause.discard(node.name)
+                    node.command("pause", value=True)
             case "heartbeat":
                 node.lacks, node.line, node.counts = event["lacks"], event["line"], event["counts"]
                 node.state, node.refusal = event["state"], event["refusal"]
@@ -252,6 +268,7 @@ class Fleet:
         node.ended = True
         self._log(line)
         self._fail(node, code)
+        self.hear(node, {"event": "died"})
 
     def _fail(self, node: NodeProcess, code: int) -> None:
         """A node cannot go on. The graph ends with it, if it is one that it needs."""

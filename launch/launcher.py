@@ -12,15 +12,13 @@ from sparseskin.nodes.clock import wall_offset_ns
 
 from .configs import note_of
 from .controls import Controls
-from .fleet import EXIT_FAILED, EXIT_USAGE, Fleet
+from .fleet import EXIT_FAILED, EXIT_USAGE, START_S, Fleet
 from .launchfile import LaunchFile
 from .process import NodeProcess
 from .remote_controls import RemoteControls
 from .running import RunningGraph, announced, control_path, is_running
 from .terminal import Terminal
 
-START_S = 30.0
-"""How long all nodes together may take until they are ready."""
 DRAIN_S = 5.0
 """How long frames under way may take to the end of the graph, once the sources have stopped."""
 LOOK_S = 0.5
@@ -123,8 +121,7 @@ class Launcher:
 
     def _serve_controls(self) -> None:
         if self._joined is None:
-            path = control_path(self._launch.name)
-            self._controls = Controls(self._launch, self._fleet, path)
+            self._controls = Controls(self._launch, self._fleet, control_path())
         else:
             self._controls = RemoteControls(self._fleet, self._joined.control)
 
@@ -200,7 +197,8 @@ class Launcher:
         if self._joined is not None:
             return  # the sources are not ours
         for node in self._fleet:
-            node.send_signal(signal.SIGINT)
+            # One that is still starting has no handler yet; it has nothing to drain either.
+            node.send_signal(signal.SIGINT if node.endpoint else signal.SIGTERM)
         if not self._until(self._all_drained, DRAIN_S, draining=True):
             late = [node.name for node in self._fleet if not node.ended]
             if late and self._interrupts <= 1:

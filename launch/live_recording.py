@@ -62,7 +62,7 @@ class LiveRecording:
         out = self.out
         if event == "ready":
             self._done(True, f"recording to {out}")
-        elif event in ("failed", "error"):
+        elif event in ("failed", "error", "died"):
             self.out = None
             self._done(False, f"{out}: {node.refusal or 'cannot be recorded; see the log'}")
         elif event == "ended":
@@ -74,7 +74,7 @@ class LiveRecording:
 
     def _begin(self) -> None:
         self._n += 1
-        self.out = time.strftime(f"{self._launch.name}-%Y%m%d-%H%M%S.mcap")
+        self.out = f"{self._launch.name}-{time.strftime('%Y%m%d-%H%M%S')}.mcap"
         self._node = f"live_recorder_{self._n}"
         topics = list(
             dict.fromkeys(

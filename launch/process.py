@@ -55,7 +55,9 @@ class NodeProcess:
         self.report: dict[str, Any] = {}
         self.closed_pipes: list[IO[bytes]] = []
         self._rest: dict[int, bytes] = {}
-        for pipe in self.pipes:
+        self._unsent = b""
+        assert self._popen.stdin is not None
+        for pipe in (*self.pipes, self._popen.stdin):
             os.set_blocking(pipe.fileno(), False)
         self._write(config)
 
@@ -91,22 +93,42 @@ class NodeProcess:
         """Send a command; a process that is gone is noticed by its exit code."""
         self._write({"command": command, **fields})
 
+    def news(self, command: str, value: Any) -> None:
+        """Send what will soon be replaced by something newer: not while older things wait."""
+        self.flush()
+        if not self._unsent:
+            self.command(command, value=value)
+
+    def flush(self) -> None:
+        """Send what the process had no room for; one that hangs must not hold up the others."""
+        assert self._popen.stdin is not None
+        try:
+            while self._unsent:
+                n_sent = os.write(self._popen.stdin.fileno(), self._unsent)
+                self._unsent = self._unsent[n_sent:]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._unsent = b""  # it is gone
+
     def send_signal(self, number: signal.Signals) -> None:
         if self.exit_code() is None:
             self._popen.send_signal(number)
 
     def read(self) -> tuple[list[dict[str, Any]], list[str]]:
         """All (events, log lines) that wait."""
+        self.flush()
         events, log = (self._lines(pipe) for pipe in self.pipes)
         if events:
             self.heard_s = time.monotonic()
         return [_event(line) for line in events], log
 
     def close(self) -> None:
-        """Close the pipes and collect the process; it must have been told to end."""
+        """Collect the process and close its pipes; what has not ended by now is killed."""
         with contextlib.suppress(OSError):
             assert self._popen.stdin is not None
             self._popen.stdin.close()
+        self.send_signal(signal.SIGKILL)
         self._popen.wait()
         for pipe in self.pipes:
             pipe.close()
@@ -125,10 +147,8 @@ class NodeProcess:
         return [line.decode(errors="replace") for line in lines if line]
 
     def _write(self, fields: dict[str, Any]) -> None:
-        assert self._popen.stdin is not None
-        with contextlib.suppress(BrokenPipeError):
-            self._popen.stdin.write(json.dumps(fields).encode() + b"\n")
-            self._popen.stdin.flush()
+        self._unsent += json.dumps(fields).encode() + b"\n"
+        self.flush()
 
 
 def _event(line: str) -> dict[str, Any]:

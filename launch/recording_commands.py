@@ -53,7 +53,7 @@ def record(arguments: argparse.Namespace) -> int:
             hint = did_you_mean(pattern, writers)
             raise SettingsError(f"{pattern}: {graph.label} has no such topic{hint}")
     topics = [t for t in writers if any(fnmatch.fnmatchcase(t, p) for p in patterns)]
-    out = arguments.out or time.strftime(f"{graph.name}-%Y%m%d-%H%M%S.mcap")
+    out = arguments.out or f"{graph.name}-{time.strftime('%Y%m%d-%H%M%S')}.mcap"
     name = f"record_{os.getpid()}"
     values = {"out": out, "topics": topics, "launch": graph.launch, "source": graph.name}
     launch = single_node(name, "recorder", values)

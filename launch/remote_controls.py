@@ -34,7 +34,9 @@ class RemoteControls:
         fleet.hear = self._hear
 
     def serve(self) -> None:
-        """Nothing is done but on request."""
+        """Send what the graph had no room for."""
+        if self._client is not None:
+            self._client.flush()
 
     def close(self) -> None:
         """Leave the graph."""
@@ -53,7 +55,7 @@ class RemoteControls:
             if "graph" in fields:
                 for node in self._fleet:
                     if node.spec.cls.watches and node.ready:
-                        node.command("graph", value=fields["graph"])
+                        node.news("graph", fields["graph"])
             elif "answer" in fields:
                 asker = self._askers.pop(fields["answer"]["id"], None)
                 if asker is not None:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from sparseskin.nodes.control import MAX_DEPTH, is_shallow
 from sparseskin.nodes.errors import RefusedError
 from sparseskin.nodes.lookup import did_you_mean
 
@@ -60,6 +61,8 @@ class Requests:
         said = _Open(str(number)[:64], str(node)[:64], str(command)[:64], reply, 0.0)
         if not (isinstance(number, str) and isinstance(node, str) and isinstance(command, str)):
             _answer(said, False, "expected the texts id, node and command")
+        elif not is_shallow(request.get("value")):
+            _answer(said, False, f"value: nested more than {MAX_DEPTH} deep")
         elif node == LAUNCHER:
             try:
                 self._own(command, request.get("value"), lambda *what: _answer(said, *what))

@@ -51,7 +51,7 @@ class RunningGraph:
     @property
     def control(self) -> str:
         """Path of its control socket."""
-        return str(notes_folder() / f"{self.label}.sock")
+        return str(notes_folder() / f"{self.pid}.sock")
 
     def writers(self) -> dict[str, str]:
         """Name of the node that writes each topic."""
@@ -74,9 +74,9 @@ def notes_folder() -> Path:
     return folder
 
 
-def control_path(name: str) -> str:
+def control_path() -> str:
     """Where the launcher of a graph, this process, is to lay its control socket."""
-    path = notes_folder() / f"{name}-{os.getpid()}.sock"
+    path = notes_folder() / f"{os.getpid()}.sock"
     path.unlink(missing_ok=True)  # left by a process that had the same number
     return str(path)
 
@@ -102,7 +102,8 @@ def running_graphs() -> list[RunningGraph]:
         with contextlib.suppress(FileNotFoundError), path.open() as note:
             if not _is_locked(note):
                 path.unlink(missing_ok=True)
-                path.with_suffix(".sock").unlink(missing_ok=True)
+                pid = path.stem.rpartition("-")[2]
+                path.with_name(f"{pid}.sock").unlink(missing_ok=True)
                 continue
             with contextlib.suppress(ValueError, TypeError, KeyError):
                 found.append(_graph(json.load(note)))

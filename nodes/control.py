@@ -14,6 +14,17 @@ from typing import Any, TextIO
 PARENT_CHECK_S = 1.0
 
 
+MAX_DEPTH = 4
+
+
+def is_shallow(value: Any, depth: int = MAX_DEPTH) -> bool:
+    """Whether a JSON value nests lists and maps at most `depth` deep: all that requests need."""
+    if not isinstance(value, dict | list):
+        return True
+    parts = value.values() if isinstance(value, dict) else value
+    return depth > 0 and all(is_shallow(part, depth - 1) for part in parts)
+
+
 def watch_parent() -> None:
     """End this process once its parent is gone, even where a driver holds up the main thread."""
     parent = os.getppid()

@@ -17,6 +17,9 @@ from sparseskin.messages.topics import check_name
 from .errors import SettingsError, SparseskinError
 from .lookup import did_you_mean
 
+HUGE = 1 << 256
+"""Whole numbers beyond this are beyond any range, and beyond float for all we care."""
+
 
 @dataclass(frozen=True)
 class Range:
@@ -191,7 +194,8 @@ def _checked(name: str, value: Any, hint: Any) -> Any:
                 return tuple(value)
         elif option is float:
             if isinstance(value, int | float) and not isinstance(value, bool):
-                return float(value)
+                huge = isinstance(value, int) and abs(value) >= HUGE
+                return math.inf if huge else float(value)
         elif option is int:
             if isinstance(value, int) and not isinstance(value, bool):
                 return value
@@ -213,8 +217,10 @@ _TYPE_NAMES: dict[Any, str] = {
 
 def _check_range(name: str, value: Any, allowed: Range) -> None:
     if isinstance(value, int | float) and not isinstance(value, bool):
-        if not (math.isfinite(value) and allowed.low <= value <= allowed.high):
-            raise SettingsError(f"{name}: {value!r} is outside {allowed.low}..{allowed.high}")
+        finite = abs(value) < HUGE if isinstance(value, int) else math.isfinite(value)
+        if not (finite and allowed.low <= value <= allowed.high):
+            shown = f"{value!r}"[:40]
+            raise SettingsError(f"{name}: {shown} is outside {allowed.low}..{allowed.high}")
     elif allowed.choices and isinstance(value, str) and value not in allowed.choices:
         raise SettingsError(
             f"{name}: {value!r} is not allowed{did_you_mean(value, allowed.choices)}"

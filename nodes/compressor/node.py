@@ -83,7 +83,7 @@ class Compressor(Node[CompressorSettings]):
 
     def step(self, message: Message) -> Iterable[Message]:
         if isinstance(message, SkinState):
-            yield self._learn_skin(message)
+            yield self._learn_skin(message, message.stamp_ns)
         elif isinstance(message, Taxels):
             yield self._compress(message)
 
@@ -94,8 +94,8 @@ class Compressor(Node[CompressorSettings]):
         if replace(settings, bits=before.bits) == before:
             return ()  # the same Phi
         try:
-            return (self._learn_skin(self._state),)
-        except PhiError:
+            return (self._learn_skin(self._state, self.context.clock.now_ns()),)
+        except Exception:  # a user's own Phi may raise anything
             self.settings = before
             raise
 
@@ -106,7 +106,8 @@ class Compressor(Node[CompressorSettings]):
     def status(self) -> str:
         return "" if self._phi is None else f"{self._phi.kind} {self._phi.m} x {self._phi.n}"
 
-    def _learn_skin(self, state: SkinState) -> PhiState:
+    def _learn_skin(self, state: SkinState, stamp_ns: int) -> PhiState:
+        """Make Phi for a skin, and say which; it holds from `stamp_ns` on."""
         n = state.skin.n_taxels
         s = self.settings
         phi = make_phi(s.phi, n=n, m=s.n_measurements(n), seed=s.seed, block=s.block)
@@ -115,7 +116,7 @@ class Compressor(Node[CompressorSettings]):
         self._state, self._phi = state, phi
         self._cells = None if state.mask is None else np.flatnonzero(state.mask)
         return PhiState(
-            stamp_ns=state.stamp_ns,
+            stamp_ns=stamp_ns,
             patch=s.patch,
             kind=phi.kind if s.phi == phi.kind else s.phi,
             n=phi.n,

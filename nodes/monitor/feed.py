@@ -115,7 +115,7 @@ class Feed:
         if isinstance(message, Reconstruction) or not isinstance(message, Taxels | Truth):
             return
         name = message.schema
-        if now_s - feed.came_s.get("restored", -math.inf) > STALE_S:
+        if now_s - feed.came_s.get("restored", -math.inf) > feed.stale_s:
             feed.maps = {**feed.maps, name: message.forces}
             feed.came_s[name] = now_s
             feed.n_maps += 1
@@ -135,7 +135,11 @@ class Feed:
             for patch, summary in (summaries or {}).items():
                 self.patches[patch].summary = summary
             if graph is not None:
-                self.graph, self.graph_came_s = graph, time.monotonic()
+                was_paused, now_s = self.paused, time.monotonic()
+                self.graph, self.graph_came_s = graph, now_s
+                if was_paused and not self.paused:
+                    for feed in self.patches.values():  # no frame could have come until now
+                        feed.came_s = dict.fromkeys(feed.came_s, now_s)
             if answer is not None:
                 self.n_answers += 1
                 self.answers.append((self.n_answers, answer))

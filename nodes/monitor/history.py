@@ -23,6 +23,7 @@ class History:
 
     def __init__(self) -> None:
         self.n = 0
+        self._oldest = 0
         self._rows = np.zeros((MIN_CAPACITY, len(COLUMNS)))
 
     def add(self, *row: float) -> None:
@@ -31,9 +32,9 @@ class History:
         k = self.n % capacity
         full = self.n >= capacity
         if full and capacity < MAX_CAPACITY and row[0] - self._rows[k, 0] < SPAN_S:
-            kept = self.since(self.n - capacity)[1]
+            self._oldest, kept = self.since(0)
             self._rows = np.zeros((2 * capacity, len(COLUMNS)))
-            self._rows[np.arange(self.n - capacity, self.n) % len(self._rows)] = kept
+            self._rows[np.arange(self._oldest, self.n) % len(self._rows)] = kept
             k = self.n % len(self._rows)
         self._rows[k] = row
         self.n += 1
@@ -49,6 +50,6 @@ class History:
             A copy.
         """
         capacity = len(self._rows)
-        first = max(n, self.n - capacity, 0)
+        first = max(n, self._oldest, self.n - capacity)
         places = np.arange(first, self.n) % capacity
         return first, self._rows[places]

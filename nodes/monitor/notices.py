@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 from .feed import Feed, PatchFeed
@@ -20,13 +20,6 @@ Notice = tuple[str, str]
 """Tone, "bad" or "note", and text."""
 
 
-@dataclass
-class _Rise:
-    count: int
-    since: int
-    at_s: float = -math.inf
-
-
 class Notices:
     """Tells what is wrong just now, and for a few seconds what went wrong a moment ago.
 
@@ -38,7 +31,7 @@ class Notices:
 
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
-        self._rises: dict[str, _Rise] = {}
+        self._seen: dict[str, deque[tuple[float, int]]] = {}
 
     def all(self, now_s: float) -> list[Notice]:
         """All notices, the worst of each kind first; `now_s` by time.monotonic()."""
@@ -89,15 +82,15 @@ class Notices:
 
     def _risen(self, name: str, count: int, now_s: float) -> int:
         """By how much a count has risen within the last seconds."""
-        rise = self._rises.get(name)
-        if rise is None or count < rise.count:
-            self._rises[name] = _Rise(count, count)
-            return 0
-        if count > rise.count:
-            if now_s - rise.at_s > RECENT_S:
-                rise.since = rise.count
-            rise.count, rise.at_s = count, now_s
-        return rise.count - rise.since if now_s - rise.at_s < RECENT_S else 0
+        seen = self._seen.setdefault(name, deque())
+        if not seen or count != seen[-1][1]:
+            if seen and count < seen[-1][1]:
+                seen.clear()  # another run of the node counts from 0
+            seen.append((now_s, count))
+        # The last count from before the window stays: the rise begins there.
+        while len(seen) > 1 and seen[1][0] <= now_s - RECENT_S:
+            seen.popleft()
+        return count - seen[0][1] if seen[-1][0] > now_s - RECENT_S else 0
 
 
 def ago(seconds: float) -> str:

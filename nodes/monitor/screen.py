@@ -37,8 +37,9 @@ def screen(feed: Feed, notices: Notices) -> str:
         graph = feed.graph or {}
         live = "LOOK HERE" if any(tone == BAD for tone, _ in said) else "live"
         head = f"sparseskin  {graph.get('name', '')}"
-        recording = f"recording {graph['recording']}  " if graph.get("recording") else ""
-        lines = [f"{head}{recording + live:>{max(1, WIDTH - len(head))}}"]
+        lines = [f"{head[: WIDTH - len(live) - 2]:<{WIDTH - len(live)}}{live}"]
+        if graph.get("recording"):
+            lines.append(f"recording {graph['recording']}")
         states = [f"{node['name']}: {node['condition']}" for node in graph.get("nodes", [])]
         lines += _wrapped(states)
         lines += [f"{'!!' if tone == BAD else ' *'} {text}" for tone, text in said]

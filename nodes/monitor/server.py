@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 from urllib.parse import parse_qs, urlsplit
 
+from sparseskin.nodes.control import is_shallow
 from sparseskin.nodes.errors import SparseskinError
 
 from .feed import Feed
@@ -28,6 +29,8 @@ SEND_BUFFER_BYTES = 256 * 1024
 """What may wait for a page that does not read: with a small buffer it is seldom behind."""
 STALLED_S = 30.0
 IDLE_S = 10.0
+POLL_S = 0.25
+"""How long the server takes, at the most, to notice that it is to end."""
 HOSTS = ("127.0.0.1", "localhost", "[::1]")
 PAGE = Path(__file__).parent / "page"
 TYPES = {
@@ -79,7 +82,7 @@ class PageServer:
         self.url = f"http://{ADDRESS}:{self._server.server_address[1]}/"
         self._feed = feed
         self._thread = threading.Thread(
-            target=self._server.serve_forever, kwargs={"poll_interval": 1.0}, daemon=True
+            target=self._server.serve_forever, kwargs={"poll_interval": POLL_S}, daemon=True
         )
         self._thread.start()
 
@@ -87,7 +90,7 @@ class PageServer:
         """Tell the pages that this is the end, and give them a moment to hear it."""
         self._feed.tell(closed=True)
         self._server.wait_for_streams(1.0)
-        # No shutdown(): it waits for a poll interval; the thread ends with the process.
+        self._server.shutdown()
         self._server.socket.close()
 
 
@@ -165,7 +168,11 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         if not self._is_local():
             return
-        url = urlsplit(self.path)
+        try:
+            url = urlsplit(self.path)
+        except ValueError:
+            self._refuse(HTTPStatus.BAD_REQUEST, "that is no address")
+            return
         if url.path == "/stream":
             self._stream(parse_qs(url.query).get("patch", [None])[0])
         elif url.path in self.files:
@@ -178,14 +185,14 @@ class _Handler(BaseHTTPRequestHandler):
         self.close_connection = True  # a body that is not read must not be taken for a request
         if not self._is_local():
             return
-        if urlsplit(self.path).path != "/request":
+        if self.path != "/request":
             self._refuse(HTTPStatus.NOT_FOUND, "requests go to /request")
             return
         length = self.headers.get("Content-Length", "")
         if not length.isdecimal():
             self._refuse(HTTPStatus.LENGTH_REQUIRED, "Content-Length is missing")
             return
-        if int(length[:9]) > MAX_BODY_BYTES:
+        if len(length) > 9 or int(length) > MAX_BODY_BYTES:
             self._refuse(
                 HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"at most {MAX_BODY_BYTES} bytes are allowed"
             )
@@ -198,8 +205,12 @@ class _Handler(BaseHTTPRequestHandler):
         except (ValueError, RecursionError):
             request = None
         fields = ("id", "node", "command")
-        if not isinstance(request, dict) or not all(
-            isinstance(request.get(key), str) and len(request[key]) <= 64 for key in fields
+        if (
+            not isinstance(request, dict)
+            or not all(
+                isinstance(request.get(key), str) and len(request[key]) <= 64 for key in fields
+            )
+            or not is_shallow(request.get("value"))
         ):
             self._refuse(HTTPStatus.BAD_REQUEST, "expected {id, node, command, value} as JSON")
             return

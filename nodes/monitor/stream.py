@@ -65,6 +65,7 @@ class StreamReader:
         self._patch = patch
         self._period_s = FRAME_S if patch is not None else OVERVIEW_S
         self._n_maps = dict.fromkeys(feed.patches, -1)
+        self._shown = list(feed.patches) if patch is None else [patch]
         self._n_rows = 0
         self._n_answers = feed.n_answers
         self._sent: dict[str, Any] = {}
@@ -91,7 +92,7 @@ class StreamReader:
                 return
             if frame_s > 0:
                 feed.changed.wait(min(frame_s, state_s))
-            elif any(patch.n_maps != self._n_maps[name] for name, patch in feed.patches.items()):
+            elif any(feed.patches[name].n_maps != self._n_maps[name] for name in self._shown):
                 return
             else:
                 feed.hungry += 1
@@ -114,8 +115,9 @@ class StreamReader:
             return
         # The next is due one period after this one was: a late one puts off none that follow.
         self._frame_due_s = max(self._frame_due_s, now_s - SLACK_S) + self._period_s - SLACK_S
-        for name, patch in feed.patches.items():
-            if patch.skin is None or self._patch not in (None, name):
+        for name in self._shown:
+            patch = feed.patches[name]
+            if patch.skin is None:
                 continue
             if self._is_new(f"skin {name}", patch.skin):
                 yield _skin(name, patch)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from itertools import chain
 from typing import Any, ClassVar
 
 from tqdm import tqdm
@@ -19,6 +20,7 @@ from sparseskin.nodes.recorder.bag_reader import BagReader
 from .schedule import Schedule
 from .settings import PlayerSettings, renamed_topics
 
+LOWEST_RATE, HIGHEST_RATE = 0.001, 1000.0
 MAX_STAMPS = 4096
 """How many frames may be under way at once before a late message counts as a frame of its own."""
 
@@ -65,6 +67,10 @@ class Player(SourceNode[PlayerSettings]):
         self._n_frames = 0
         self._started_ns = 0
         self._shift_ns = 0
+        # Where states change within the recording, they have to be said again after a jump.
+        self._has_changes = any(
+            info.n_messages > 1 for t, info in self._bag.topics.items() if _latched(t)
+        )
         self._renumbering: _Renumbering | None = None
         self._messages = self._read(self._start_ns)
         self._next: Message | None = None
@@ -75,14 +81,16 @@ class Player(SourceNode[PlayerSettings]):
         return tuple(renamed_topics(settings).values())
 
     def start(self) -> Iterable[Message]:
+        return self._states_at(self._start_ns)
+
+    def _states_at(self, at_ns: int) -> list[Message]:
+        """The states that hold at a stamp: the last ones by then, else the first ones."""
+        found: dict[str, Message] = {}
         states = [topic for topic in self._names if _latched(topic)]
-        newest = {m.topic: m for m in self._bag.messages(states)} if states else {}
-        for recorded in newest.values():
-            state = self._decoded(recorded.topic, recorded.payload)
-            if isinstance(state, SkinState) and not self.settings.verbatim:
-                truth = topic_of(split_topic(recorded.topic)[0], Truth.schema)
-                state = replace(state, has_truth=state.has_truth and truth in self._names)
-            yield state
+        for recorded in self._bag.messages(states) if states else ():
+            if recorded.stamp_ns <= at_ns or recorded.topic not in found:
+                found[recorded.topic] = self._decoded(recorded.topic, recorded.payload)
+        return list(found.values())
 
     @property
     def follows_readers(self) -> bool:
@@ -117,9 +125,10 @@ class Player(SourceNode[PlayerSettings]):
                 return "one frame"
             case "faster" | "slower":
                 factor = 1.1 if name == "faster" else 1 / 1.1
-                return self._change_rate(self._schedule.rate * factor, now_ns)
+                rate = min(max(self._schedule.rate * factor, LOWEST_RATE), HIGHEST_RATE)
+                return self._change_rate(rate, now_ns)
             case "rate":
-                return self._change_rate(_number("rate", value, 0.001, 1000.0), now_ns)
+                return self._change_rate(_number("rate", value, LOWEST_RATE, HIGHEST_RATE), now_ns)
             case "seek":
                 length_s = (self._stop_ns - self._start_ns) / 1e9
                 at_s = _number("seek", value, 0.0, length_s)
@@ -155,10 +164,15 @@ class Player(SourceNode[PlayerSettings]):
         """Go on from another place of the recording."""
         if self.exhausted:
             raise RefusedError("seek: the recording has been played to its end")
+        shift_ns = self._shift_ns
         messages = self._read(stamp_ns)
         first = next(messages, None)
         if first is None:
+            self._shift_ns = shift_ns
             raise RefusedError("seek: no frame follows there")
+        if self._has_changes:
+            states = [s.moved(stamp_ns - s.stamp_ns) for s in self._states_at(stamp_ns)]
+            messages, first = chain(states[1:], [first], messages), states[0]
         self._messages, self._next = messages, first
         self._stamps.clear()
         self._renumbering = _Renumbering()
@@ -195,25 +209,34 @@ class Player(SourceNode[PlayerSettings]):
 
     def _read(self, from_ns: int) -> Iterator[Message]:
         """All messages to play, in order; stamps move on with each round of a loop."""
-        self._shift_ns = shift_ns = 0
-        streams = [topic for topic in self._names if not _latched(topic)]
-        while streams:
+        shift_ns = 0
+        topics = list(self._names)
+        while any(not _latched(topic) for topic in topics):
+            self._shift_ns = shift_ns
             n_read = 0
-            for recorded in self._bag.messages(streams, from_ns, self._stop_ns):
+            for recorded in self._bag.messages(topics, from_ns, self._stop_ns):
+                latched = _latched(recorded.topic)
+                if latched and recorded.stamp_ns <= from_ns:
+                    continue  # published before
                 message = self._decoded(recorded.topic, recorded.payload)
-                n_read += 1
+                n_read += not latched
                 yield message.moved(shift_ns) if shift_ns else message
             if not (self.settings.loop and n_read):
                 return
             from_ns = self._start_ns
             shift_ns += self._stop_ns - self._start_ns
-            self._shift_ns = shift_ns
+            if self._has_changes:
+                for state in self._states_at(from_ns):
+                    yield state.moved(self._start_ns + shift_ns - state.stamp_ns)
 
     def _decoded(self, topic: str, payload: bytes) -> Message:
         try:
             message = decode(topic.encode(), payload)
         except MessageError as error:
             raise SparseskinError(f"{self.settings.file}: {topic}: {error}") from error
+        if isinstance(message, SkinState) and not self.settings.verbatim:
+            truth = topic_of(split_topic(topic)[0], Truth.schema)
+            message = replace(message, has_truth=message.has_truth and truth in self._names)
         patch = split_topic(self._names[topic])[0]
         return message if patch == message.patch else replace(message, patch=patch)
 
@@ -236,12 +259,14 @@ class _Renumbering:
     """
 
     def __init__(self) -> None:
-        self._run_id = secrets.token_hex(8)
-        self._first: dict[str, int] = {}
+        self._run_ids: dict[str, str] = {}
+        self._first: dict[tuple[str, str], int] = {}
 
     def apply(self, message: Message) -> Message:
-        first = self._first.setdefault(message.topic, message.seq)
-        return message.published(self._run_id, max(0, message.seq - first))
+        # A publisher that was started again while it was recorded stays another run.
+        run_id = self._run_ids.setdefault(message.run_id, secrets.token_hex(8))
+        first = self._first.setdefault((message.topic, message.run_id), message.seq)
+        return message.published(run_id, max(0, message.seq - first))
 
 
 def _number(name: str, value: Any, low: float, high: float) -> float:

@@ -26,7 +26,6 @@ from sparseskin.nodes.errors import (
     RefusedError,
     SettingsError,
     SolverError,
-    SparseskinError,
 )
 from sparseskin.nodes.lookup import did_you_mean, find_class
 from sparseskin.nodes.node import Context, Node
@@ -152,15 +151,16 @@ class Reconstructor(Node[ReconstructorSettings]):
             self._announced = message
         if self._skin is not None and self._announced is not None:
             self._phi = self._solver = None
-            yield self._set_up(self._skin, self._announced)
+            stamp_ns = max(self._skin.stamp_ns, self._announced.stamp_ns)
+            yield self._set_up(self._skin, self._announced, stamp_ns)
 
     def change(self, settings: ReconstructorSettings) -> Iterable[Message]:
         before, self.settings = self.settings, settings
         if self._skin is None or self._announced is None:
             return ()
         try:
-            return (self._set_up(self._skin, self._announced),)
-        except SparseskinError:
+            return (self._set_up(self._skin, self._announced, self.context.clock.now_ns()),)
+        except Exception:  # a user's own solver may raise anything
             self.settings = before
             raise
 
@@ -171,8 +171,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         chosen = self.settings.chosen()
         return f"{chosen['solver']} in {chosen['basis']}" if self._solver else ""
 
-    def _set_up(self, state: SkinState, announced: PhiState) -> SolverState:
-        """Make Phi and solver for a skin, and say which."""
+    def _set_up(self, state: SkinState, announced: PhiState, stamp_ns: int) -> SolverState:
+        """Make Phi and solver for a skin, and say which; they hold from `stamp_ns` on."""
         skin = state.skin
         phi = self._make_phi(skin.n_taxels, announced)
         chosen = dict(self.settings.chosen())
@@ -194,7 +194,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             self._last = None
         self._warm = self._last
         return SolverState(
-            stamp_ns=state.stamp_ns,
+            stamp_ns=stamp_ns,
             patch=self.settings.patch,
             solver=chosen["solver"],
             basis=chosen["basis"],

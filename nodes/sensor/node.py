@@ -108,6 +108,8 @@ class Sensor(SourceNode[SensorSettings]):
         new_pace = settings.rate_hz != self.settings.rate_hz
         self.settings = settings
         self._noise = self._chosen_noise()
+        if self._next is not None and self._next[1] is not None:
+            self._next = self._measured(self._next[1])  # made ready with the noise from before
         if new_pace:
             self.rate_hz = self._chosen_rate()
             self.begin(self.context.clock.now_ns())
@@ -194,7 +196,11 @@ class Sensor(SourceNode[SensorSettings]):
         if self._source.delivers == "taxels":
             self._next = (forces, None)
             return
-        taxels = self._noise.apply(forces, self._rng)
+        self._next = self._measured(forces)
+
+    def _measured(self, truth: Forces) -> _Frame:
+        """What the taxels read of true forces."""
+        taxels = self._noise.apply(truth, self._rng)
         if self.skin.mask is not None:
             taxels[~self.skin.mask] = 0.0
-        self._next = (taxels, forces)
+        return taxels, truth

@@ -1,0 +1,113 @@
+"""Feeds with made-up frames for tests, a clock for them, and what a page reads of their streams."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import frame, skin_state
+
+from sparseskin.messages import Message, SkinState
+from sparseskin.nodes.monitor import feed as feed_module
+from sparseskin.nodes.monitor import screen as screen_module
+from sparseskin.nodes.monitor import stream as stream_module
+from sparseskin.nodes.monitor.feed import Feed
+from sparseskin.nodes.monitor.metrics import PatchMetrics
+
+BEGIN_S = 1000.0
+
+
+class FakeTime:
+    """Stands in for the module `time` in what a monitor shows; moves only when told to."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = BEGIN_S
+        for module in (feed_module, stream_module, screen_module):
+            monkeypatch.setattr(module, "time", self)
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def advance(self, seconds: float) -> float:
+        self.now_s += seconds
+        return self.now_s
+
+
+class Graph:
+    """A feed, and the frames of its patches as a monitor takes them in."""
+
+    def __init__(self, *patches: str) -> None:
+        self.feed = Feed(patches or ("skin",))
+        self.metrics = {patch: PatchMetrics() for patch in self.feed.patches}
+        self.n = dict.fromkeys(self.feed.patches, 0)
+
+    def take(self, message: Message) -> None:
+        judged = self.metrics[message.patch].add(message)
+        self.feed.frame(message.patch, message, judged)
+
+    def skin(self, patch: str = "skin", **changes: Any) -> SkinState:
+        values = {**skin_state(patch).__dict__, **changes}
+        state = SkinState(**values)
+        self.take(state)
+        return state
+
+    def frame(self, patch: str = "skin", upto: int = 4) -> list[Message]:
+        """The next frame: taxels, truth, measurements, reconstruction; or the first of them."""
+        k = self.n[patch]
+        self.n[patch] += 1
+        messages = [message.published("0" * 16, k) for message in frame(k, patch)[:upto]]
+        for message in messages:
+            self.take(message)
+        return messages
+
+    def summarise(self) -> None:
+        summaries = {patch: metrics.summary() for patch, metrics in self.metrics.items()}
+        self.feed.tell(summaries=summaries)
+
+    def answer(self, number: object = "") -> None:
+        self.feed.tell(answer={"id": number})
+
+    def close(self) -> None:
+        self.feed.tell(closed=True)
+
+
+def node_state(name: str, **changes: Any) -> dict[str, Any]:
+    """One node of a graph's state, as the launcher tells it."""
+    return {
+        "name": name,
+        "condition": "running",
+        "restarts": 0,
+        "refused": 0,
+        "refusal": "",
+        "state": {},
+        "commands": {},
+    } | changes
+
+
+def graph_state(*nodes: dict[str, Any], **changes: Any) -> dict[str, Any]:
+    return {"name": "a_graph", "recording": None, "nodes": list(nodes)} | changes
+
+
+Record = tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]
+
+
+def read_records(read: Callable[[int], bytes]) -> Iterator[Record]:
+    """(header, arrays) of each record, taken from `read` until it ends.
+
+    Written from the description of the stream alone, as a page has to.
+    """
+    while counts := read(8):
+        n_head, n_data = struct.unpack("<II", counts)
+        header = json.loads(read(n_head))
+        data, arrays = read(n_data), {}
+        for name, dtype, shape in header.pop("arrays"):
+            n_bytes = np.dtype(dtype).itemsize * int(np.prod(shape, dtype=np.int64))
+            piece, data = data[:n_bytes], data[n_bytes:]
+            assert len(piece) == n_bytes
+            arrays[name] = np.frombuffer(piece, dtype).reshape(shape)
+        assert data == b""
+        yield header, arrays

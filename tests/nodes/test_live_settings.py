@@ -1,0 +1,214 @@
+"""Settings that change while the graph runs: between two frames, whole, or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sparseskin.launch.launchfile import load
+from sparseskin.messages import (
+    Measurements,
+    Message,
+    PhiState,
+    Reconstruction,
+    SkinState,
+    SolverState,
+    Taxels,
+    Truth,
+)
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.host import NodeHost
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.sensor.node import Sensor
+from sparseskin.nodes.settings import Settings, setting
+
+OVERRIDES = ("reconstructor.iterations=5",)
+CONTACT = 340
+"""By this frame of path_40 the peg is on the skin."""
+
+
+@dataclass(frozen=True)
+class Example(Settings):
+    rate_hz: float = setting(100.0, "how often", low=1.0, high=1000.0, live=True)
+    basis: str = setting("haar", "which", known=("haar", "dct"), live=True)
+    tail: str | None = setting(None, "which end", choices=("left", "right"), live=True)
+    seed: int = setting(0, "which numbers", low=0)
+
+    def check(self) -> None:
+        if self.rate_hz == 13.0:
+            raise SettingsError("rate_hz: 13 brings bad luck")
+
+
+def graph(*overrides: str) -> Bus:
+    nodes = load("path_40", [*OVERRIDES, *overrides]).nodes.values()
+    return Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
+
+
+def run(
+    bus: Bus, n_frames: int, at: int = -1, node: str = "", changes: Mapping[str, Any] | None = None
+) -> list[list[Message]]:
+    """Messages frame by frame; a change falls between frame `at` - 1 and frame `at`."""
+    frames, said = [], bus._deliver(bus.hosts[node].change(changes or {})) if at == 0 else []
+    for k, messages in enumerate(bus.frames(n_frames), start=1):
+        frames.append([*said, *messages])
+        said = bus._deliver(bus.hosts[node].change(changes or {})) if k == at else []
+    return frames
+
+
+def forces(frames: list[list[Message]], kind: type[Any] = Reconstruction) -> list[bytes]:
+    return [m.forces.tobytes() for messages in frames for m in messages if isinstance(m, kind)]
+
+
+def only(messages: list[Message], kind: type[Any]) -> Any:
+    (found,) = [message for message in messages if isinstance(message, kind)]
+    return found
+
+
+def test_live_settings_change_and_the_others_stay() -> None:
+    before = Example(seed=3)
+    after = before.changed({"rate_hz": 50, "basis": "dct"})
+    assert after == Example(rate_hz=50.0, basis="dct", seed=3)
+    assert before == Example(seed=3)
+    assert after.live_values() == {"rate_hz": 50.0, "basis": "dct", "tail": None}
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"rate": 5}, r"rate: unknown key \(did you mean 'rate_hz'\?\)"),
+        ({"seed": 5}, r"seed: cannot be changed while the graph runs \(allowed: rate_hz, basis"),
+        ({"rate_hz": 0.5}, r"rate_hz: 0.5 is outside 1.0..1000.0"),
+        ({"rate_hz": float("nan")}, "rate_hz: nan is outside"),
+        ({"rate_hz": "50"}, "rate_hz: expected a number, got '50'"),
+        ({"rate_hz": None}, "rate_hz: expected a number, got None"),
+        ({"rate_hz": 13}, "rate_hz: 13 brings bad luck"),
+        ({"tail": "middle"}, "tail: 'middle' is not allowed"),
+        ({"basis": "os:system"}, "basis: 'os:system' is not allowed while the graph runs"),
+        ({"basis": ["haar"]}, "basis: .* is not allowed while the graph runs"),
+        ({"rate_hz": 50, "seed": 5}, "seed: cannot be changed"),
+    ],
+)
+def test_a_change_that_is_not_allowed_is_named(changes: dict[str, Any], text: str) -> None:
+    with pytest.raises(SettingsError, match=text):
+        Example().changed(changes)
+
+
+def test_settings_are_described_as_plain_data() -> None:
+    rate_hz, basis, tail, seed = Example.described()
+    assert (rate_hz["key"], rate_hz["type"], rate_hz["live"]) == ("rate_hz", "float", True)
+    assert (rate_hz["low"], rate_hz["high"], rate_hz["doc"]) == (1.0, 1000.0, "how often")
+    assert (basis["known"], basis["low"], basis["high"]) == (["haar", "dct"], None, None)
+    assert (tail["type"], tail["choices"]) == ("str | None", ["left", "right"])
+    assert (seed["live"], seed["low"], seed["high"]) == (False, 0, None)
+
+
+def test_a_ratio_that_is_stated_last_counts() -> None:
+    settings = load("path_40", ["compressor.m=400"]).nodes["compressor"].settings
+    assert settings.changed({"ratio": 4}).n_measurements(1600) == 400
+    assert settings.changed({"ratio": 8}).n_measurements(1600) == 200
+    assert settings.changed({"ratio": 8, "m": 300}).n_measurements(1600) == 300
+    assert settings.changed({"ratio": 8}).changed({"m": 100}).n_measurements(1600) == 100
+
+
+def test_what_was_changed_stays_when_the_node_is_started_again() -> None:
+    spec = load("path_40", ["compressor.m=400"]).nodes["compressor"]
+    again = spec.with_live(spec.settings.changed({"ratio": 8}).live_values())
+    assert again.settings == type(again.settings).from_mapping(again.values)
+    assert again.settings.n_measurements(1600) == 200
+    assert spec.with_live(spec.settings.live_values()) == spec
+
+
+@pytest.mark.parametrize("changes", [{"ratio": 8.0}, {"m": 700}])
+def test_a_new_phi_is_announced_before_what_is_measured_with_it(changes: dict[str, Any]) -> None:
+    key, value = next(iter(changes.items()))
+    bus = graph()
+    frames = run(bus, 6, 3, "compressor", changes)
+    kinds = [type(message) for message in frames[3]]
+    assert kinds.index(PhiState) < kinds.index(Measurements)
+    phi = only(frames[3], PhiState)
+    for k, messages in enumerate(frames):
+        made, restored = only(messages, Measurements), only(messages, Reconstruction)
+        assert (made.phi == phi.fingerprint) == (k >= 3)
+        assert restored.phi == made.phi
+    assert bus.hosts["reconstructor"].counts.refused == {}
+    # From then on it measures as if it had been launched that way.
+    fresh = run(graph(f"compressor.{key}={value}"), 6)
+    for old, new in zip(frames[3:], fresh[3:], strict=True):
+        assert only(old, Measurements) == only(new, Measurements)
+
+
+def test_a_solver_that_is_changed_goes_on_from_what_the_last_one_found() -> None:
+    bus = graph("reconstructor.iterations=20")
+    frames = run(bus, CONTACT + 1, CONTACT, "reconstructor", {"iterations": 1})
+    solver = only(frames[-1], SolverState)
+    assert (solver.iterations, solver.preset) == (1, "")
+    truth = only(frames[-1], Truth).forces
+    assert truth.max() > 0.01
+    cold = graph("reconstructor.iterations=1").hosts["reconstructor"]
+    (restored,) = cold.receive(only(frames[-1], Measurements).published("1" * 16, 0))
+    errors = [float(np.square(m.forces - truth).sum()) for m in (frames[-1][-1], restored)]  # type: ignore[attr-defined]
+    assert errors[0] < 0.5 * errors[1]
+
+
+@pytest.mark.parametrize(
+    ("node", "changes"),
+    [
+        ("compressor", {"m": 1601}),
+        ("compressor", {"ratio": 1e5}),
+        ("compressor", {"ratio": 4.0, "m": 5000}),
+        ("compressor", {"phi": "gaussian"}),
+        ("compressor", {"seed": 1}),
+        ("reconstructor", {"iterations": 0}),
+        ("reconstructor", {"iterations": 20, "lambda_n": -1.0}),
+        ("reconstructor", {"iterations": 20, "solver": "os:system"}),
+        ("reconstructor", {"basis": "mine:Basis"}),
+        ("reconstructor", {"preset": "papr"}),
+        ("reconstructor", {"phi": "sbhe"}),
+        ("sensor", {"noise": -1.0}),
+        ("sensor", {"noise": 0.0, "rate_hz": 1e9}),
+        ("sensor", {"source": "scene:lift_box_40"}),
+        ("monitor", {"patches": ["skin"]}),
+    ],
+)
+def test_a_refused_change_leaves_everything_as_it_was(node: str, changes: dict[str, Any]) -> None:
+    bus = graph()
+    host, settings = bus.hosts[node], bus.hosts[node].node.settings
+    frames = []
+    for messages in bus.frames(5):
+        frames.append(messages)
+        with pytest.raises(SparseskinError):
+            host.change(changes)
+        assert host.node.settings == settings
+    untouched = run(graph(), 5)
+    for kind in (Taxels, Truth, Reconstruction):
+        assert forces(frames, kind) == forces(untouched, kind)
+
+
+def test_noise_follows_its_setting_and_the_skin_says_so_first() -> None:
+    frames = run(graph(), 8, 4, "sensor", {"noise": 0.0})
+    assert isinstance(frames[4][0], SkinState)
+    assert (frames[4][0].sigma_mid, frames[4][0].sigma_end) == (0.0, 0.0)
+    for messages in frames[:4]:
+        assert not np.array_equal(only(messages, Taxels).forces, only(messages, Truth).forces)
+    # The frame after the change was made ready before it.
+    for messages in frames[5:]:
+        assert np.array_equal(only(messages, Taxels).forces, only(messages, Truth).forces)
+
+
+def test_noise_cannot_be_added_to_what_brings_its_own(tmp_path: Path) -> None:
+    np.save(tmp_path / "skin.npy", np.full((30, 4, 5), 0.5, np.float32))
+    settings = Sensor.Settings(source=f"file:{tmp_path / 'skin.npy'}")
+    host = NodeHost(Sensor(settings, Context("sensor", ManualClock())), "0" * 16, print)
+    with pytest.raises(SettingsError, match="noise: these taxels bring their own"):
+        host.change({"noise": 2.0})
+    assert host.node.settings == settings
+    (state,) = host.change({"rate_hz": 50})
+    assert isinstance(state, SkinState)
+    assert state.rate_hz == 50.0

@@ -1,0 +1,61 @@
+"""A source that is paused, goes on, and changes its pace: when its next frame is due."""
+
+from __future__ import annotations
+
+import pytest
+
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.errors import RefusedError
+from sparseskin.nodes.node import Context, Tick
+from sparseskin.nodes.sensor.node import Sensor
+
+
+def sensor(clock: ManualClock, rate_hz: float = 100.0) -> Sensor:
+    made = Sensor(Sensor.Settings(source="scene:path_40", rate_hz=rate_hz), Context("s", clock))
+    made.begin(clock.now_ns())
+    return made
+
+
+def test_a_pause_holds_the_source_until_it_is_told_to_go_on() -> None:
+    clock = ManualClock(5_000)
+    source = sensor(clock)
+    assert source.next_tick_ns() == 10_005_000
+    assert source.command("pause", True) == "paused"
+    assert (source.next_tick_ns(), source.state()) == (None, {"paused": True})
+    clock.advance(10**9)
+    assert source.command("pause", True) == "paused"
+    assert source.command("pause", False) == "runs"
+    assert source.next_tick_ns() == 1_010_005_000  # one period from now, not all that were missed
+    assert source.state() == {"paused": False}
+    assert [source.command("pause", None) for _ in range(3)] == ["paused", "runs", "paused"]
+
+
+@pytest.mark.parametrize("value", [1, 0, "true", [], {"pause": True}])
+def test_a_pause_is_true_or_false(value: object) -> None:
+    source = sensor(ManualClock())
+    with pytest.raises(RefusedError, match=r"pause: .* is not allowed \(allowed: true, false\)"):
+        source.command("pause", value)
+    assert not source.paused
+
+
+def test_to_go_on_where_nothing_was_paused_moves_no_tick() -> None:
+    clock = ManualClock()
+    source = sensor(clock)
+    for k in range(5):
+        list(source.acquire(Tick(k, k)))
+    clock.advance(51_000_000)
+    source.command("pause", False)
+    assert source.next_tick_ns() == 60_000_000
+
+
+def test_a_new_rate_counts_from_the_moment_of_the_change() -> None:
+    clock = ManualClock()
+    source = sensor(clock)
+    for k in range(7):
+        list(source.acquire(Tick(k, k)))
+    clock.advance(75_000_000)
+    (state,) = source.change(source.settings.changed({"rate_hz": 20.0}))
+    assert state.rate_hz == 20.0  # type: ignore[attr-defined]
+    assert source.next_tick_ns() == 125_000_000
+    list(source.change(source.settings.changed({"noise": 0.5})))
+    assert source.next_tick_ns() == 125_000_000

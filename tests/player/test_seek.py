@@ -1,0 +1,250 @@
+"""A player at the controls: seek, rate, step and pause."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bags import PERIOD_NS, frames, make_bag
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sparseskin.messages import Message, Taxels
+from sparseskin.nodes.bus import LOCAL_RUN_ID
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.errors import RefusedError
+from sparseskin.nodes.host import NodeHost
+from sparseskin.nodes.node import Context, Tick
+from sparseskin.nodes.player.node import Player
+
+N_FRAMES = 20
+PER_FRAME = 4
+LENGTH_S = (N_FRAMES - 1) * PERIOD_NS / 1e9
+RUN = "00000000000000aa"
+TAXELS = [m.forces.tobytes() for m in frames(N_FRAMES) if isinstance(m, Taxels)]
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """20 frames, 10 ms apart, numbered as one run of their publishers has them."""
+    path = tmp_path_factory.mktemp("bag") / "bag.mcap"
+    skin, *messages = frames(N_FRAMES)
+    numbered = [m.published(RUN, k // PER_FRAME) for k, m in enumerate(messages)]
+    make_bag(path, [skin.published(RUN, 0), *numbered])
+    return path
+
+
+class Deck:
+    """A player, its clock, and who presses its keys."""
+
+    def __init__(self, bag: Path, **values: Any) -> None:
+        self.clock = ManualClock(10**9)
+        settings = Player.Settings(file=str(bag), **values)
+        self.player = Player(settings, Context("player", self.clock))
+        self.host = NodeHost(self.player, LOCAL_RUN_ID, lambda line: None)
+        self.player.begin(self.clock.now_ns())
+        self._n_ticks = self._stamp_ns = 0
+
+    def press(self, name: str, value: Any = None) -> str:
+        return self.player.command(name, value)
+
+    def play(self, n_frames: int) -> list[list[Message]]:
+        """The next frames, each when it is due."""
+        return [self.play_one() for _ in range(n_frames)]
+
+    def play_one(self) -> list[Message]:
+        due_ns = self.player.next_tick_ns()
+        assert due_ns is not None
+        self.clock.advance(max(0, due_ns - self.clock.now_ns()))
+        self._stamp_ns = max(self.clock.now_ns(), self._stamp_ns + 1)
+        self._n_ticks += 1
+        return list(self.host.tick(Tick(self._stamp_ns, self._n_ticks - 1)))
+
+    def due_in_ns(self) -> int | None:
+        due_ns = self.player.next_tick_ns()
+        return None if due_ns is None else due_ns - self.clock.now_ns()
+
+
+def recorded(messages: list[Message]) -> int:
+    """Number of the recorded frame, by its forces, which no other frame has."""
+    (taxels,) = [message for message in messages if isinstance(message, Taxels)]
+    (number,) = [k for k, forces in enumerate(TAXELS) if forces == taxels.forces.tobytes()]
+    return number
+
+
+@pytest.mark.parametrize("values", [{}, {"verbatim": True}, {"lockstep": True}, {"rate": 0.0}])
+def test_it_goes_on_from_where_it_is_told_forward_and_back(
+    bag: Path, values: dict[str, Any]
+) -> None:
+    deck = Deck(bag, **values)
+    assert [recorded(f) for f in deck.play(3)] == [0, 1, 2]
+    assert deck.press("seek", 0.15) == "at 0.15 s"
+    assert [recorded(f) for f in deck.play(2)] == [15, 16]
+    deck.press("seek", 0)
+    assert [recorded(f) for f in deck.play(4)] == [0, 1, 2, 3]
+    deck.press("seek", 0.045)  # between two frames: the next one
+    assert [recorded(f) for f in deck.play(2)] == [5, 6]
+
+
+@settings(max_examples=30, deadline=None)
+@given(seeks=st.lists(st.tuples(st.integers(0, N_FRAMES - 2), st.integers(1, 3)), max_size=6))
+def test_after_any_seeks_the_frame_that_was_asked_for_is_due_at_once(
+    bag: Path, seeks: list[tuple[int, int]]
+) -> None:
+    deck = Deck(bag)
+    for k, n_frames in seeks:
+        deck.press("seek", k * PERIOD_NS / 1e9)
+        assert deck.due_in_ns() == 0
+        n_frames = min(n_frames, N_FRAMES - 1 - k)
+        assert [recorded(f) for f in deck.play(n_frames)] == list(range(k, k + n_frames))
+        assert deck.due_in_ns() == PERIOD_NS
+
+
+def test_the_position_is_told_in_recorded_seconds(bag: Path) -> None:
+    deck = Deck(bag)
+    at_s = {"position_s": 0.0, "length_s": pytest.approx(LENGTH_S, abs=1e-8)}
+    assert deck.player.state() == {"paused": False, "rate": 1.0, **at_s}
+    deck.press("seek", 0.12)
+    assert deck.player.state()["position_s"] == pytest.approx(0.12)
+    deck.play(3)
+    assert deck.player.state()["position_s"] == pytest.approx(0.15)
+
+
+def test_a_seek_counts_from_the_beginning_of_the_part_that_is_played(bag: Path) -> None:
+    deck = Deck(bag, start_s=0.05, duration_s=0.1)
+    assert deck.player.state()["length_s"] == pytest.approx(0.1)
+    deck.press("seek", 0.08)
+    assert [recorded(f) for f in deck.play(2)] == [13, 14]
+    assert deck.player.exhausted
+
+
+def test_stamps_of_what_is_played_never_go_back(bag: Path) -> None:
+    deck = Deck(bag)
+    played = deck.play(5)
+    deck.press("seek", 0.01)
+    played += deck.play(5)
+    stamps = [{m.stamp_ns for m in messages} for messages in played]
+    assert all(len(of_frame) == 1 for of_frame in stamps)
+    flat = [of_frame.pop() for of_frame in stamps]
+    assert flat == sorted(set(flat))
+    numbers = [m.seq for messages in played for m in messages if isinstance(m, Taxels)]
+    assert numbers == list(range(10))
+
+
+def test_what_is_played_as_recorded_gets_a_new_run_with_every_seek(bag: Path) -> None:
+    deck = Deck(bag, verbatim=True)
+    runs = []
+    for seek_s in (None, 0.1, 0.02):
+        if seek_s is not None:
+            deck.press("seek", seek_s)
+        played = deck.play(4)
+        for topic in {m.topic for m in played[0]}:
+            of_topic = [m for messages in played for m in messages if m.topic == topic]
+            assert [m.seq for m in of_topic] == [0, 1, 2, 3]
+        (run_id,) = {m.run_id for messages in played for m in messages}
+        runs.append(run_id)
+        first = recorded(played[0])
+        assert {m.stamp_ns for m in played[0]} == {first * PERIOD_NS}
+    assert runs[0] == RUN
+    assert len(set(runs)) == 3
+
+
+def test_in_a_loop_the_next_round_begins_at_the_beginning(bag: Path) -> None:
+    deck = Deck(bag, loop=True)
+    deck.press("seek", 0.17)
+    assert [recorded(f) for f in deck.play(5)] == [17, 18, 19, 0, 1]
+    deck.press("seek", 0.18)
+    assert deck.player.state()["position_s"] == pytest.approx(0.18)
+    assert [recorded(f) for f in deck.play(3)] == [18, 19, 0]
+
+
+@pytest.mark.parametrize("value", [-0.01, 0.5, None, "0.1", True, [0.1], float("nan")])
+def test_a_place_that_is_not_there_is_refused_and_nothing_moves(bag: Path, value: object) -> None:
+    deck = Deck(bag)
+    deck.play(3)
+    state, due_ns = deck.player.state(), deck.player.next_tick_ns()
+    with pytest.raises(RefusedError, match=r"seek: .* is not allowed \(allowed: 0\.\.0\.19\)"):
+        deck.press("seek", value)
+    assert (deck.player.state(), deck.player.next_tick_ns()) == (state, due_ns)
+    assert [recorded(f) for f in deck.play(2)] == [3, 4]
+
+
+def test_after_the_end_there_is_no_way_back(bag: Path) -> None:
+    deck = Deck(bag)
+    deck.play(N_FRAMES)
+    assert deck.player.exhausted
+    with pytest.raises(RefusedError, match="seek: the recording has been played to its end"):
+        deck.press("seek", 0.1)
+
+
+@pytest.mark.parametrize(("rate", "period_ns"), [(0.5, 20_000_000), (4.0, 2_500_000)])
+def test_another_rate_counts_from_where_it_is(bag: Path, rate: float, period_ns: int) -> None:
+    deck = Deck(bag)
+    deck.play(4)
+    assert deck.press("rate", rate) == f"rate {rate:g}"
+    assert deck.due_in_ns() == period_ns
+    assert deck.player.state()["rate"] == rate
+    deck.press("seek", 0.1)
+    deck.play(1)
+    assert deck.due_in_ns() == period_ns
+
+
+def test_faster_and_slower_undo_one_another(bag: Path) -> None:
+    deck = Deck(bag)
+    assert deck.press("faster") == "rate 1.1"
+    assert deck.press("slower") == "rate 1"
+    assert deck.press("slower") == "rate 0.909"
+
+
+@pytest.mark.parametrize("value", [0, 0.0009, 1001, -1, None, "2", True, float("inf")])
+def test_a_rate_that_is_not_allowed_changes_nothing(bag: Path, value: object) -> None:
+    deck = Deck(bag)
+    with pytest.raises(RefusedError, match=r"rate: .* is not allowed \(allowed: 0\.001\.\.1000\)"):
+        deck.press("rate", value)
+    assert deck.player.state()["rate"] == 1.0
+
+
+@pytest.mark.parametrize("command", ["rate", "faster", "slower"])
+def test_where_the_readers_set_the_pace_there_is_no_rate(bag: Path, command: str) -> None:
+    with pytest.raises(RefusedError, match="rate: at rate 0 the readers set the pace"):
+        Deck(bag, rate=0.0).press(command, 2.0)
+
+
+def test_a_pause_is_a_state_or_the_other_of_the_two(bag: Path) -> None:
+    deck = Deck(bag)
+    deck.play(2)
+    for value, said, paused in (
+        *((True, "paused", True), (True, "paused", True), (None, "runs", False)),
+        *((False, "runs", False), (None, "paused", True), (False, "runs", False)),
+    ):
+        assert deck.press("pause", value) == said
+        assert deck.player.state()["paused"] is paused
+        assert (deck.player.next_tick_ns() is None) is paused
+    with pytest.raises(RefusedError, match="pause: 1 is not allowed"):
+        deck.press("pause", 1)
+
+
+def test_a_pause_takes_nothing_from_the_period(bag: Path) -> None:
+    deck = Deck(bag)
+    deck.play(2)
+    deck.clock.advance(PERIOD_NS // 4)
+    deck.press("pause", True)
+    deck.clock.advance(10**9)
+    deck.press("pause", False)
+    assert deck.due_in_ns() == PERIOD_NS * 3 // 4
+
+
+def test_paused_it_seeks_without_playing_and_steps_from_there(bag: Path) -> None:
+    deck = Deck(bag, paused=True)
+    deck.press("seek", 0.1)
+    assert deck.player.next_tick_ns() is None
+    assert deck.player.state()["position_s"] == pytest.approx(0.1)
+    for k in (10, 11):
+        assert deck.press("step") == "one frame"
+        assert recorded(deck.play_one()) == k
+        assert deck.player.next_tick_ns() is None
+    deck.press("seek", 0.05)
+    deck.press("pause", False)
+    assert deck.due_in_ns() == 0
+    assert [recorded(f) for f in deck.play(3)] == [5, 6, 7]
