@@ -6,16 +6,19 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.monitor.node import Monitor
 from sparseskin.nodes.monitor.table import summary_table
 
 from .bag_commands import add_bag_parser
 from .launcher import Launcher
 from .launchfile import LaunchError, LaunchFile, bundled_names, load
+from .monitor_command import add_monitor_parser
 from .recording_commands import add_play_parser, add_record_parser
 from .reprocess import add_reprocess_parser
 from .scenes_command import add_scenes_parser
@@ -23,6 +26,8 @@ from .terminal import Terminal
 from .whole_file import check_writable
 
 EXIT_USAGE = 2
+#: By name, as node types are: studies use this package, not this package studies.
+STUDIES = "sparseskin.studies.command"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -65,13 +70,16 @@ def _parser() -> argparse.ArgumentParser:
         "--dry-run", action="store_true", help="check the launch file, print the graph, start none"
     )
     launch.add_argument("--record", metavar="F.mcap", help="record all topics into a file")
+    launch.add_argument("--open", action="store_true", help="open the live page in a browser")
     launch.add_argument("--summary", metavar="OUT.json", help="write the summary to a file")
     launch.set_defaults(run=_launch)
+    add_monitor_parser(commands)
     add_record_parser(commands)
     add_play_parser(commands)
     add_bag_parser(commands)
     add_reprocess_parser(commands)
     add_scenes_parser(commands)
+    import_module(STUDIES).add_study_parser(commands)
     return parser
 
 
@@ -83,6 +91,10 @@ def _positive(text: str) -> int:
 
 def _launch(arguments: argparse.Namespace) -> int:
     launch = load(arguments.name, arguments.set, arguments.record)
+    if arguments.open:
+        monitors = [node.name for node in launch.nodes.values() if issubclass(node.cls, Monitor)]
+        changes = [f"{name}.browser=true" for name in monitors]
+        launch = load(arguments.name, [*arguments.set, *changes], arguments.record)
     if arguments.dry_run:
         print(graph_text(launch))
         return 0

@@ -1,0 +1,83 @@
+"""The command `sparseskin study`: tables and charts, computed anew."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from sparseskin.launch.executors import FORMS
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import did_you_mean, find_callable
+
+#: By name: what it is, and its run(out, quick, seed, executor), imported when it is asked for.
+STUDIES = {
+    "paper-tables": (
+        "tables I to IV and the figures of the paper, beside ours",
+        "sparseskin.studies.paper_tables:run",
+    ),
+    "speed-accuracy": (
+        "solve time and bytes against PSNR: solvers, bases, Phi, and other libraries",
+        "sparseskin.studies.speed_accuracy:run",
+    ),
+    "stability": (
+        "where integrators of a contact hold and where they blow up",
+        "sparseskin.studies.stability:run",
+    ),
+    "scene-needs": (
+        "what a scene has to model for its tables to come out",
+        "sparseskin.studies.scene_needs:run",
+    ),
+}
+
+
+def add_study_parser(commands: Any) -> None:
+    """Add `study` to the commands."""
+    parser = commands.add_parser(
+        "study",
+        help="compute tables and charts anew",
+        description="Compute the tables and charts of a study. A run that was interrupted goes "
+        "on where it was.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="\n".join(f"{name:<15} {what}" for name, (what, _) in STUDIES.items()),
+    )
+    parser.add_argument("name", metavar="NAME", help=f"study: {', '.join(STUDIES)}")
+    parser.add_argument(
+        "--quick", action="store_true", help="fewer frames and points: to see that it runs"
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, help="folder to write to (default: out/NAME)"
+    )
+    parser.add_argument(
+        "--executor",
+        metavar="HOW",
+        default=f"process:{len(os.sched_getaffinity(0))}",
+        help=f"where points are computed: {FORMS} (default: %(default)s)",
+    )
+    parser.add_argument("--seed", type=_seed, default=0, help="seed of noise and Phi (default: 0)")
+    parser.set_defaults(run=_study)
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal() or int(text) >= 2**32:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, 0 or more")
+    return int(text)
+
+
+def _study(arguments: argparse.Namespace) -> int:
+    name: str = arguments.name
+    if name not in STUDIES:
+        raise SettingsError(f"study {name!r} is not known{did_you_mean(name, STUDIES)}")
+    if find_spec("matplotlib") is None:
+        raise SettingsError("studies draw charts with matplotlib: pip install 'sparseskin[charts]'")
+    out: Path = arguments.out or Path("out") / (f"{name}-quick" if arguments.quick else name)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SettingsError(f"--out {out}: {error.strerror}") from error
+    run = find_callable(STUDIES[name][1], SettingsError)
+    run(out=out, quick=arguments.quick, seed=arguments.seed, executor=arguments.executor)
+    print(out / f"{name}.md")
+    return 0

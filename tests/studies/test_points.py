@@ -1,0 +1,193 @@
+"""The points of a study: kept as they are computed, and never computed twice."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import PATIENCE_S, wait_until
+
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.studies import points as points_module
+from sparseskin.studies.points import POINTS_FILE, StudyError, compute, key_of
+
+#: A study of eight points, of which the last four wait for a file. It notes each computation.
+STUDY = """
+import sys, time
+from pathlib import Path
+
+from sparseskin.launch.entry import main
+from sparseskin.studies import command
+from sparseskin.studies.points import compute
+
+
+def square(point):
+    with open("calls", "a") as file:
+        file.write(f"{point['k']}\\n")
+    while point["k"] >= 4 and not Path("go").exists():
+        time.sleep(0.01)
+    return {"square": point["k"] ** 2}
+
+
+def run(out, quick, seed, executor):
+    figures = compute(square, [{"k": k} for k in range(8)], out, executor, "squares")
+    (out / "squares.md").write_text(str([f["square"] for f in figures]))
+
+
+if __name__ == "__main__":
+    command.STUDIES["squares"] = ("squares", "__main__:run")
+    sys.exit(main())
+"""
+
+
+class Run:
+    """A process that runs the study; its workers carry its mark."""
+
+    def __init__(self, folder: Path, executor: str) -> None:
+        self._mark = f"SPARSESKIN_TEST_STUDY={folder}"
+        (folder / "a_study.py").write_text(STUDY)
+        key, value = self._mark.split("=")
+        self.process = subprocess.Popen(
+            [sys.executable, "a_study.py", "study", "squares", "--executor", executor],
+            cwd=folder,
+            env={**os.environ, key: value},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def finish(self) -> tuple[int, str]:
+        """Exit code and stderr."""
+        _, stderr = self.process.communicate(timeout=PATIENCE_S)
+        return self.process.returncode, stderr
+
+    def survivors(self) -> list[str]:
+        """Processes that carry the mark."""
+        found = []
+        for folder in Path("/proc").iterdir():
+            try:
+                if self._mark.encode() in (folder / "environ").read_bytes().split(b"\0"):
+                    found.append(folder.name)
+            except OSError:
+                continue
+        return found
+
+
+def n_lines(path: Path) -> int:
+    return len(path.read_bytes().splitlines()) if path.exists() else 0
+
+
+def calls(folder: Path) -> Counter[int]:
+    return Counter(map(int, (folder / "calls").read_text().split()))
+
+
+@pytest.mark.parametrize("executor", ["process:2", "serial"])
+def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path, executor: str) -> None:
+    points = tmp_path / "out" / "squares" / POINTS_FILE
+    first = Run(tmp_path, executor)
+    wait_until(lambda: n_lines(points) == 4, "four points")
+    first.process.send_signal(signal.SIGKILL)
+    first.finish()
+    wait_until(lambda: not first.survivors(), "the workers to end")
+    n_under_way = sum(calls(tmp_path).values()) - 4
+    with points.open("ab") as file:
+        file.write(b'{"key": "torn by the e')
+    (tmp_path / "go").touch()
+
+    code, stderr = Run(tmp_path, executor).finish()
+    assert code == 0, stderr
+    assert "4 of 8 points are known" in stderr
+    assert (tmp_path / "out" / "squares" / "squares.md").read_text() == str(
+        [k**2 for k in range(8)]
+    )
+    assert n_under_way <= 2
+    assert sum(calls(tmp_path).values()) == 8 + n_under_way
+    assert all(calls(tmp_path)[k] == 1 for k in range(4))
+    assert len([json.loads(line) for line in points.read_text().splitlines()]) == 8
+
+
+def test_ctrl_c_ends_it_without_a_traceback_and_without_workers(tmp_path: Path) -> None:
+    points = tmp_path / "out" / "squares" / POINTS_FILE
+    run = Run(tmp_path, "process:2")
+    wait_until(lambda: n_lines(points) == 4, "four points")
+    os.killpg(run.process.pid, signal.SIGINT)
+    code, stderr = run.finish()
+    assert code == 130
+    assert "Traceback" not in stderr
+    wait_until(lambda: not run.survivors(), "the workers to end")
+    assert n_lines(points) == 4
+
+
+def double(point: dict[str, Any]) -> dict[str, Any]:
+    return {"double": 2 * point["k"], "pair": (point["k"], 1.5)}
+
+
+def fail_on_two(point: dict[str, Any]) -> dict[str, Any]:
+    if point["k"] == 2:
+        raise ValueError("two is\nnot allowed")
+    return double(point)
+
+
+def nothing_finite(point: dict[str, Any]) -> dict[str, Any]:
+    return {"ratio": float("nan")}
+
+
+def test_figures_are_in_the_order_of_the_points_and_the_same_when_read(tmp_path: Path) -> None:
+    points = [{"k": k} for k in (3, 1, 3, 2)]
+    fresh = compute(double, points, tmp_path, "thread:3", "doubles")
+    assert [figures["double"] for figures in fresh] == [6, 2, 6, 4]
+    assert n_lines(tmp_path / POINTS_FILE) == 3
+    assert compute(double, points, tmp_path, "thread:3", "doubles") == fresh
+    assert n_lines(tmp_path / POINTS_FILE) == 3
+
+
+def test_points_of_other_code_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
+    compute(double, [{"k": 1}, {"k": 2}], tmp_path, "serial", "doubles")
+    assert "1 of 2 points are known from an earlier run (remove" in capsys.readouterr().err
+    monkeypatch.setattr(points_module, "code_fingerprint", lambda: "another")
+    compute(double, [{"k": 1}, {"k": 2}, {"k": 3}], tmp_path, "serial", "doubles")
+    assert "2 of 3 points are known from an earlier run, 2 of them by" in capsys.readouterr().err
+
+
+def test_the_key_is_of_function_and_parameters_whatever_their_order() -> None:
+    assert key_of(double, {"a": 1, "b": 2}) == key_of(double, {"b": 2, "a": 1})
+    assert key_of(double, {"a": 1}) != key_of(double, {"a": 2})
+    assert key_of(double, {"a": 1}) != key_of(fail_on_two, {"a": 1})
+
+
+def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path: Path) -> None:
+    with pytest.raises(StudyError, match=r"point k = 2: ValueError: two is not allowed"):
+        compute(fail_on_two, [{"k": k} for k in range(3)], tmp_path, "serial", "some")
+    assert n_lines(tmp_path / POINTS_FILE) == 2
+
+
+def test_figures_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(StudyError, match="point k = 0: ValueError"):
+        compute(nothing_finite, [{"k": 0}], tmp_path, "serial", "some")
+    assert n_lines(tmp_path / POINTS_FILE) == 0
+
+
+def test_a_second_run_in_the_same_folder_is_refused(tmp_path: Path) -> None:
+    run = Run(tmp_path, "serial")
+    out = tmp_path / "out" / "squares"
+    wait_until(lambda: n_lines(out / POINTS_FILE) == 4, "four points")
+    with pytest.raises(StudyError, match="another run of a study is at work"):
+        compute(double, [{"k": 0}], out, "serial", "doubles")
+    (tmp_path / "go").touch()
+    assert run.finish()[0] == 0
+
+
+def test_an_executor_that_does_not_exist_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="--executor proces:2"):
+        compute(double, [{"k": 0}], tmp_path, "proces:2", "doubles")
