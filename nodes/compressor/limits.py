@@ -4,8 +4,8 @@ from __future__ import annotations
 
 #: Below N/16 a frame with more than one small pad is not restored, by any solver.
 MAX_RATIO = 16.0
-#: Smaller blocks lose more than 1 dB against blocks of 32.
-MIN_BLOCK = 16
+#: Smaller blocks lose more than 3 dB on the touched taxels, against blocks of 32.
+MIN_BLOCK = 8
 
 
 def compression_warnings(kind: str, n: int, m: int, block: int) -> list[str]:
@@ -38,7 +38,7 @@ def compression_warnings(kind: str, n: int, m: int, block: int) -> list[str]:
         )
     if kind == "sbhe" and block < MIN_BLOCK <= n:
         warnings.append(
-            f"block = {block}: most measurements see no pressed taxel, which loses 1 to 4 dB; "
-            f"advised: {MIN_BLOCK} or more"
+            f"block = {block}: most measurements see no pressed taxel, which loses 3 to 10 dB on "
+            f"those that are; advised: {MIN_BLOCK} or more"
         )
     return warnings

@@ -15,9 +15,9 @@ from sparseskin.nodes.compressor.phi import Phi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.reconstructor.solver import Mask
 
-#: Solvers of the l1 problem with a lambda of its own, in newtons for a range of 2.5 N.
-L1_SOLVERS = ("fista", "ista", "fista_nonneg")
-LAMBDA_LOW_N, LAMBDA_HIGH_N = 0.0006, 0.05
+#: Solvers of the l1 problem whose lambda, in newtons for a range of 2.5 N, the study has swept.
+L1_SOLVERS = ("fista",)
+LAMBDA_LOW_N, LAMBDA_HIGH_N = 0.0006, 0.015
 #: With fewer, a sudden contact takes several frames, which are worse by 3 dB and more.
 MIN_ITERATIONS = {"fista": 15}
 #: A gradient step diverges beyond 2 / L, and with momentum beyond 4 / (3 L).
@@ -65,7 +65,7 @@ def reconstruction_warnings(
             f"iterations = {iterations}: {solver} takes several frames to follow a sudden contact; "
             f"advised: {least} or more"
         )
-    if basis == "identity" and m < n:
+    if solver in L1_SOLVERS and basis == "identity" and m < n:
         warnings.append(
             f"basis = identity with m = {m} of n = {n}: restores no more than {m // 4} pressed "
             "taxels or so; advised: haar"
@@ -73,22 +73,29 @@ def reconstruction_warnings(
     return warnings
 
 
-def check_lambda(lambda_n: float, f_max: float, n_cells: int) -> None:
-    """Refuse a lambda beyond which nothing is left of any frame.
+def check_lambda(solver: str, lambda_n: float, f_max: float, phi: Phi) -> None:
+    """Refuse a lambda that leaves nothing of any frame.
 
-    No coefficient of an orthonormal basis is larger than that of a skin pressed all over,
-    f_max sqrt(N).
+    A frame is restored as 0 where no coefficient of Phi^T y is above lambda; none is above
+    L f_max sqrt(N), which a skin pressed all over may have.
+
+    Parameters
+    ----------
+    solver : str
+        As in `reconstruction_warnings`.
+    lambda_n, f_max : float
+        Both in the skin's unit.
+    phi : Phi
 
     Raises
     ------
     SolverError
-        If lambda_n is that or more, both in the skin's unit.
+        If lambda_n is that or more.
     """
-    largest = f_max * math.sqrt(n_cells)
-    if lambda_n >= largest:
+    largest = phi.lipschitz * f_max * math.sqrt(phi.n)
+    if solver in L1_SOLVERS and lambda_n >= largest:
         raise SolverError(
-            f"lambda_n = {lambda_n:g}: restores 0 whatever presses; allowed: below {largest:g} "
-            "(f_max times the square root of the taxels)"
+            f"lambda_n = {lambda_n:g}: restores 0 whatever presses; allowed: below {largest:g}"
         )
 
 

@@ -165,7 +165,8 @@ class Reconstructor(Node[ReconstructorSettings]):
             raise
 
     def state(self) -> dict[str, Any]:
-        return self.settings.chosen()
+        chosen, preset = self.settings.chosen(), self.settings.preset
+        return {**chosen, "preset": preset if chosen == PRESETS[preset] else ""}
 
     def status(self) -> str:
         chosen = self.settings.chosen()
@@ -180,7 +181,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         warnings = reconstruction_warnings(chosen["solver"], chosen["basis"], phi.n, phi.m, options)
         if "lambda_n" in options:
             options["lambda_n"] *= skin.f_max / PAPER_F_MAX_N
-            check_lambda(options["lambda_n"], skin.f_max, skin.n_rows * skin.n_cols)
+            check_lambda(chosen["solver"], options["lambda_n"], skin.f_max, phi)
         basis = make_basis(chosen["basis"], skin.n_rows, skin.n_cols)
         solver = make_solver(chosen["solver"], phi, basis, skin.mask, **options)
         if ":" in self.settings.phi:

@@ -17,7 +17,10 @@ from sparseskin.nodes.reconstructor.basis import Basis
 
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
-SOLVERS = {"fista": "sparseskin.nodes.reconstructor.fista:FistaSolver"}
+SOLVERS = {
+    "skin": "sparseskin.nodes.reconstructor.skin:SkinSolver",
+    "fista": "sparseskin.nodes.reconstructor.fista:FistaSolver",
+}
 #: Measurements beyond this could overflow float32 inside a solver.
 Y_MAX = 1e30
 _INTERFACE = ("setup", "step", "finish", "solve", "reset", "n_steps", "taxels")

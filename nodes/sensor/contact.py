@@ -18,6 +18,10 @@ _GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 # Newton ends when the set of loaded cells repeats, as a rule after two or three rounds.
 _MAX_NEWTON = 50
 _MAX_HALVINGS = 30
+# A step in which cells come into contact or leave it is halved up to so many times. A landing
+# hurried or delayed by a part of a step is a bounce of another height: with undivided steps of
+# 1 ms the frames of the wrench are off by more than the noise, with sixteenths 16 dB below it.
+_MAX_SPLITS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +92,10 @@ class RigidBody:
         SDIRK2: implicit, second order, L-stable; it damps what is too fast for the step, where an
         explicit method blows up. That holds on a linear bed. Where the loaded cells change within
         the step, its extrapolating second stage could throw the body off a bed that cannot pull
-        it back; such a step is done by implicit Euler, which on springs and dampers that only
-        push never adds energy. Its error of second order comes in at such steps alone, so that
-        the whole stays second order, and stable at any omega dt and c dt / m.
+        it back. Such a step is halved, and its halves again, up to four times; where they still
+        change, it is done by implicit Euler, which on springs and dampers that only push never
+        adds energy, and whose error of second order is then one of a sixteenth of a step. So the
+        whole is second order, and stable at any omega dt and c dt / m.
 
         Parameters
         ----------
@@ -111,19 +116,26 @@ class RigidBody:
         Source: Alexander, Diagonally implicit Runge-Kutta methods for stiff O.D.E.'s,
         SIAM J. Numer. Anal. 14 (1977).
         """
+        return self._advance(bed, q, v, dt_s, _MAX_SPLITS)
+
+    def _advance(
+        self, bed: Bed, q: Array, v: Array, dt_s: float, splits: int
+    ) -> tuple[Array, Array]:
         loaded0 = bed.forces(q, v).nonzero()[0]
         h = _GAMMA * dt_s
         v1, loaded1 = self._solve_stage(bed, q, v, h)
-        if not np.array_equal(loaded0, loaded1):
+        if np.array_equal(loaded0, loaded1):
+            # The second stage starts from what the first one leaves: slopes v1 and (v1 - v) / h.
+            carry = (1.0 - _GAMMA) * dt_s
+            v_start = v + carry / h * (v1 - v)
+            q_start = q + carry * v1
+            v2, loaded2 = self._solve_stage(bed, q_start, v_start, h)
+            if np.array_equal(loaded1, loaded2):
+                return q_start + h * v2, v2
+        if splits == 0:
             return self._euler(bed, q, v, dt_s)
-        # The second stage starts from what the first one leaves: its slopes are v1, (v1 - v) / h.
-        carry = (1.0 - _GAMMA) * dt_s
-        v_start = v + carry / h * (v1 - v)
-        q_start = q + carry * v1
-        v2, loaded2 = self._solve_stage(bed, q_start, v_start, h)
-        if not np.array_equal(loaded1, loaded2):
-            return self._euler(bed, q, v, dt_s)
-        return q_start + h * v2, v2
+        q, v = self._advance(bed, q, v, dt_s / 2, splits - 1)
+        return self._advance(bed, q, v, dt_s / 2, splits - 1)
 
     def _euler(self, bed: Bed, q: Array, v: Array, dt_s: float) -> tuple[Array, Array]:
         v_end, _ = self._solve_stage(bed, q, v, dt_s)

@@ -194,3 +194,17 @@ def test_step_leaves_its_arguments_alone() -> None:
     q, v = np.array([-1e-3]), np.array([-0.5])
     falling_body().step(square_bed(100.0, 1.0), q, v, 1e-3)
     assert (q[0], v[0]) == (-1e-3, -0.5)
+
+
+@pytest.mark.parametrize("height_m", [0.05, 0.5])
+def test_bounce_is_as_high_with_long_steps_as_with_short_ones(height_m: float) -> None:
+    bed = square_bed(122.24, 0.4)
+
+    def rebound_m(dt_s: float) -> float:
+        fall_s = math.sqrt(2 * height_m / GRAVITY_M_S2)
+        q, v = run(falling_body(), bed, [height_m], [0.0], dt_s, round(2 * fall_s / dt_s))
+        left = np.flatnonzero((q[:, 0] > 0.0) & (v[:, 0] > 0.0))
+        assert left.size > 0
+        return float(v[left[0], 0] ** 2 / (2 * GRAVITY_M_S2) + q[left[0], 0])
+
+    assert rebound_m(1e-3) == pytest.approx(rebound_m(1e-5), rel=0.02)

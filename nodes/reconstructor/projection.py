@@ -1,0 +1,136 @@
+"""Measurements as seen from inside an iteration: Phi, its transpose, and an order of taxels."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from sparseskin.nodes.compressor.calls import Floats, Indices
+from sparseskin.nodes.compressor.hadamard import hadamard_matrix
+from sparseskin.nodes.compressor.phi import Phi
+from sparseskin.nodes.compressor.sbhe import SbhePhi
+
+MAX_BLOCK = 64
+"""Hadamard blocks beyond this cost more as a matrix than as butterflies."""
+
+
+class Projection(ABC):
+    """Phi on vectors that hold the taxels in an order of its own, measurements in rows.
+
+    Attributes
+    ----------
+    order : ndarray of intp, shape (n,)
+        Place p of a vector holds taxel order[p].
+    n_rows : int
+        Length of a vector of rows: m, or more where some rows are always 0.
+    step_size : float
+        1 / L, L the largest eigenvalue of Phi Phi^T.
+    """
+
+    order: Indices
+    n_rows: int
+    step_size: float
+
+    @abstractmethod
+    def rows_of(self, y: Floats, out: Floats) -> None:
+        """Write measurements, float32 (m,), to a vector of rows, float32 (n_rows,)."""
+
+    @abstractmethod
+    def forward(self, x: Floats, out: Floats) -> None:
+        """Write Phi x to out: float32 (k, n) to float32 (k, n_rows)."""
+
+    @abstractmethod
+    def adjoint(self, rows: Floats, out: Floats) -> None:
+        """Write Phi^T rows / L to out: float32 (n_rows,) to float32 (n,)."""
+
+
+class PlainProjection(Projection):
+    """Any phi, through its public operators.
+
+    Parameters
+    ----------
+    phi : Phi
+    """
+
+    def __init__(self, phi: Phi) -> None:
+        self._phi = phi
+        self.order = np.arange(phi.n)
+        self.n_rows = phi.m
+        self.step_size = 1 / phi.lipschitz
+        self._step = np.array(self.step_size, dtype=np.float32)
+
+    def rows_of(self, y: Floats, out: Floats) -> None:
+        np.copyto(out, y)
+
+    def forward(self, x: Floats, out: Floats) -> None:
+        self._phi.forward(x, out)
+
+    def adjoint(self, rows: Floats, out: Floats) -> None:
+        self._phi.adjoint(rows, out)
+        np.multiply(out, self._step, out)
+
+
+class SbheProjection(Projection):
+    """The scrambled block Hadamard ensemble: taxels as they are dealt out, one product a block.
+
+    A vector of rows has a place for every row of W; those that are not measured are 0. So
+    neither way needs a permutation.
+
+    Parameters
+    ----------
+    phi : SbhePhi
+        With blocks of `MAX_BLOCK` at most.
+    """
+
+    def __init__(self, phi: SbhePhi) -> None:
+        self.order = phi.permutation
+        self.n_rows = phi.n
+        self.step_size = 1.0
+        # Rows that are not measured read the 0 behind the last measurement.
+        self._spread = np.full(phi.n, phi.m, dtype=np.intp)
+        self._spread[phi.rows] = np.arange(phi.m)
+        self._y_and_zero = np.zeros(phi.m + 1, dtype=np.float32)
+        self._measured = np.zeros(phi.n, dtype=np.float32)
+        self._measured[phi.rows] = 1
+        block = phi.block
+        self._hadamard = (hadamard_matrix(block) / np.sqrt(block)).astype(np.float32)
+        self._whole = phi.n - phi.n % block
+        # What the last blocks leave over is dealt into smaller ones.
+        self._rest = np.zeros((phi.n - self._whole,) * 2, dtype=np.float32)
+        start = 0
+        for size in phi.hadamard.sizes[self._whole // block :]:
+            part = slice(start, start + size)
+            self._rest[part, part] = hadamard_matrix(size) / np.sqrt(size)
+            start += size
+
+    def rows_of(self, y: Floats, out: Floats) -> None:
+        self._y_and_zero[:-1] = y
+        self._y_and_zero.take(self._spread, None, out, "clip")
+
+    def forward(self, x: Floats, out: Floats) -> None:
+        self._transform(x, out)
+        np.multiply(out, self._measured, out)
+
+    def adjoint(self, rows: Floats, out: Floats) -> None:
+        self._transform(rows, out)
+
+    def _transform(self, given: Floats, out: Floats) -> None:
+        """W is symmetric: its blocks are."""
+        block = len(self._hadamard)
+        if not len(self._rest):
+            np.dot(given.reshape(-1, block), self._hadamard, out.reshape(-1, block))
+            return
+        given, out = np.atleast_2d(given, out)
+        for one, result in zip(given, out, strict=True):
+            whole = one[: self._whole].reshape(-1, block)
+            np.dot(whole, self._hadamard, result[: self._whole].reshape(-1, block))
+            np.dot(self._rest, one[self._whole :], result[self._whole :])
+
+
+def make_projection(phi: Phi) -> Projection:
+    """Return the fastest projection there is for a phi."""
+    # Exactly this type: a subclass may have changed what the operators do.
+    if type(phi) is SbhePhi and phi.block <= MAX_BLOCK:
+        return SbheProjection(phi)
+    return PlainProjection(phi)

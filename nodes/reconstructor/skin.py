@@ -1,0 +1,247 @@
+"""The default solver: random shifts of Haar, and what the last frame knows."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from sparseskin.nodes.compressor.calls import Floats, run
+from sparseskin.nodes.compressor.phi import Phi
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.reconstructor.basis import Basis
+from sparseskin.nodes.reconstructor.clip_bias import ClipBias
+from sparseskin.nodes.reconstructor.kalman_weight import KalmanWeight
+from sparseskin.nodes.reconstructor.neighbours import Neighbours
+from sparseskin.nodes.reconstructor.noise_level import NoiseLevel
+from sparseskin.nodes.reconstructor.prediction import Prediction
+from sparseskin.nodes.reconstructor.projection import make_projection
+from sparseskin.nodes.reconstructor.shifted_haar import SHIFTS, ShiftedHaar
+from sparseskin.nodes.reconstructor.solver import Mask, Solver
+
+MAX_ITERATIONS = 1000
+#: Threshold, in root mean squares of what is left of the measurements.
+THRESHOLD = 1.4
+#: The least threshold, in deviations of the noise that a filtered frame has.
+LEAST_THRESHOLD = 0.5
+#: ... and in root mean squares of the misfit that a frame begins with. With a threshold that
+#: falls as the misfit does, nothing would hold against an estimate that explains the
+#: measurements and is wrong.
+HELD_THRESHOLD = 0.8
+#: The threshold of a frame that starts from nothing, in deviations of what its first gradient
+#: step holds of the others' forces. With few measurements `THRESHOLD` would be far above that,
+#: and a contact would not come up at all.
+COLD_THRESHOLD = 2.4
+MOMENTUM = 0.7
+#: The estimate is the mean of so many last iterates, each with its own shift.
+AVERAGED = 3
+#: Misfit, in noise variances, beyond which more iterations are done, and how many a variance.
+SURPRISE, PER_SURPRISE = 1.05, 20.0
+N_DRAWN = 4093
+TINY = 1e-30
+#: The squares of larger measurements, summed, could overflow float32.
+Y_MAX = 1e14
+
+
+class SkinSolver(Solver):
+    """Restores frames of a skin by all that is known of them; nothing has to be tuned.
+
+    1. Noise cut off at 0 biases untouched taxels: the bias is found and taken off
+       (`ClipBias`).
+    2. The last frame predicts this one, affinely moved (`Prediction`), x_p.
+    3. The misfit e = y - Phi x_p and the noise level (`NoiseLevel`) weigh prediction against
+       measurements as a Kalman filter does (`KalmanWeight`): y' = Phi x_p + K e, K = 1 where
+       the scene has jumped.
+    4. Iterations from x_p: r = y' - Phi z, u = z + Phi^T r, x = max(0, Psi_s g(Psi_s^T u)),
+       z = x + 0.7 (x - x_before). Psi_s is three levels of Haar under a random shift s
+       (`ShiftedHaar`), g(c) = c max(0, 1 - lambda^2 / c^2) the nonnegative garrote, lambda 1.4
+       root mean squares of r, and not far below what it begins with. Few iterations where a
+       frame brings no surprise, more where it does.
+    5. The mean of the last iterates, and the bias given back to touched taxels.
+
+    Lengths of steps, noise and threshold come from the measurements: a skin of another range
+    gets the same relative errors. The same measurements give the same bits on one machine: the
+    shifts are drawn from a generator of its own, which `reset` starts anew.
+
+    Parameters
+    ----------
+    phi, mask
+        As in `Solver`. "sbhe" with blocks of 64 at most is several times faster than others.
+    basis : Basis
+        Gives the size of the grid; the solver has its own Haar.
+    iterations : int, optional
+        Iterations of a frame that brings no surprise, 1..1000. None: 3 at M = N/3 and N/4, 4 at
+        N/8; fewer measurements take more.
+    max_iterations : int
+        Iterations of a frame that does, at most, 1..1000; never fewer than `iterations`.
+    seed : int
+        Seed of the shifts, at least 0.
+
+    Raises
+    ------
+    SolverError
+        If a parameter is not allowed; and as in `Solver`.
+
+    Notes
+    -----
+    Source: a denoiser within the iteration: Metzler, Maleki, Baraniuk, "From denoising to
+    compressed sensing", IEEE Trans. Information Theory 62(9), 2016. Those of the parts stand
+    with them.
+    """
+
+    def __init__(
+        self,
+        phi: Phi,
+        basis: Basis,
+        mask: Mask | None = None,
+        *,
+        iterations: int | None = None,
+        max_iterations: int = 16,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(phi, basis, mask)
+        if iterations is None:
+            iterations = min(2 + round(phi.ratio / 4), MAX_ITERATIONS)
+        _check("iterations", iterations, 1, MAX_ITERATIONS)
+        _check("max_iterations", max_iterations, 1, MAX_ITERATIONS)
+        _check("seed", seed, 0, 2**32 - 1)
+        self.iterations = int(iterations)
+        self.max_iterations = max(int(max_iterations), self.iterations)
+
+        n = phi.n
+        self._projection = make_projection(phi)
+        self._place_of_cell = np.full(self.mask.size, n, dtype=np.intp)
+        self._place_of_cell[self.taxels[self._projection.order]] = np.arange(n)
+        places = self._place_of_cell.reshape(self.mask.shape)
+        self._haar = ShiftedHaar(self.mask.shape, places, n)
+        neighbours = Neighbours(places, n)
+        self._prediction = Prediction(self._projection, neighbours, n, phi.m)
+        self._noise = NoiseLevel(phi.m)
+        self._bias = ClipBias(self._projection, n)
+        self._filter = KalmanWeight(self._projection.n_rows)
+        rng = np.random.default_rng(seed)
+        self._shifts: list[int] = rng.integers(len(SHIFTS), size=N_DRAWN).tolist()
+
+        def floats(size: int) -> Floats:
+            return np.zeros(size, dtype=np.float32)
+
+        n_rows = self._projection.n_rows
+        # Vectors of taxels end with a 0, which cells without a taxel read.
+        self._x_and_zero, self._u_and_zero = floats(n + 1), floats(n + 1)
+        self._x, self._u = self._x_and_zero[:n], self._u_and_zero[:n]
+        self._before, self._z, self._sum = floats(n), floats(n), floats(n)
+        self._y, self._misfit = floats(n_rows), floats(n_rows)
+        self._target, self._r = floats(n_rows), floats(n_rows)
+        self._canvas = floats(self._haar.size)
+        # An array of them: numpy compares with a single number three times as slowly.
+        self._zeros = floats(n)
+        self._lambda2 = np.zeros((), dtype=np.float32)
+        self._momentum = np.array(MOMENTUM, dtype=np.float32)
+        self._factor = np.zeros((), dtype=np.float32)
+        self._shrink = self._haar.shrinking(self._canvas, self._lambda2)
+        self.n_steps = self.iterations
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all earlier frames: the next one starts from 0."""
+        self._x.fill(0)
+        self._noise.reset()
+        self._bias.reset()
+        self._filter.reset()
+        self._next_shift = 0
+        self._done = self.n_steps  # no frame is begun
+
+    def setup(self, y: Floats, warm: Floats | None = None) -> None:
+        """Begin a frame; parameters and Raises as in `solve`."""
+        y = self._checked_y(y)
+        if max(float(y.max()), -float(y.min())) > Y_MAX:
+            raise SolverError(f"skin: a measurement is beyond +-{Y_MAX:g}: too large for float32")
+        if warm is not None:
+            cells = self.taxels[self._projection.order]
+            self._checked_warm(warm).reshape(-1).take(cells, None, self._x, "clip")
+            np.maximum(self._x, 0, out=self._x)
+        self._projection.rows_of(y, self._y)
+        self._bias.take_off(self._y)
+        e2 = self._prediction.predict(self._x, self._y, self._misfit, self._noise.s2) / self.phi.m
+        self._noise.update(y, e2, self._prediction.failed)
+        jumped = self._noise.jumped
+        self._filter.update(self._misfit, self.phi.m, self._noise.s2, jumped)
+        weight = self._filter.weight
+
+        noise = 0.0 if jumped else LEAST_THRESHOLD * math.sqrt(self._filter.noise * weight)
+        held = HELD_THRESHOLD * math.sqrt(e2) * weight
+        self._least = max(noise, held) * self._projection.step_size
+        cold = COLD_THRESHOLD / math.sqrt(self.phi.ratio)
+        threshold = min(THRESHOLD, cold) if jumped else THRESHOLD
+        self._threshold = threshold * self._projection.step_size
+        more = PER_SURPRISE * max(0.0, self._filter.surprise - SURPRISE)
+        more = self.max_iterations if jumped else min(more, self.max_iterations)
+        self.n_steps = min(self.max_iterations, self.iterations + int(more))
+        # y' = Phi x_p + K e
+        self._factor[()] = 1 - weight
+        np.multiply(self._misfit, self._factor, self._target)
+        np.subtract(self._y, self._target, self._target)
+        np.copyto(self._z, self._x)
+        self._sum.fill(0)
+        self._done = self._n_summed = 0
+
+    def step(self) -> None:
+        """Do one iteration of the frame that was begun.
+
+        Raises
+        ------
+        SolverError
+            If the frame has had all its iterations, or none was begun.
+        """
+        if self._done == self.n_steps:
+            raise SolverError(f"skin: no step is left of the frame's {self.n_steps}")
+        x, u, z, r = self._x, self._u, self._z, self._r
+        self._projection.forward(z[None], r[None])
+        np.subtract(self._target, r, r)
+        threshold = self._threshold * math.sqrt(float(np.dot(r, r)) / self.phi.m)
+        self._lambda2[()] = max(threshold, self._least) ** 2 + TINY
+        self._projection.adjoint(r, u)
+        np.add(u, z, u)
+
+        to_canvas, from_canvas = self._haar.tables(self._shifts[self._next_shift])
+        self._next_shift = (self._next_shift + 1) % N_DRAWN
+        self._u_and_zero.take(to_canvas, None, self._canvas, "clip")
+        run(self._shrink)
+        np.copyto(self._before, x)
+        self._canvas.take(from_canvas, None, x, "clip")
+        np.maximum(x, self._zeros, out=x)
+
+        np.subtract(x, self._before, z)
+        np.multiply(z, self._momentum, z)
+        np.add(z, x, z)
+        self._done += 1
+        if self._done > self.n_steps - AVERAGED:
+            np.add(self._sum, x, self._sum)
+            self._n_summed += 1
+
+    def finish(self) -> Floats:
+        """End the frame and return its estimate, as `solve` does."""
+        if self._n_summed:
+            self._factor[()] = 1 / self._n_summed
+            np.multiply(self._sum, self._factor, self._x)
+        if not math.isfinite(float(np.dot(self._x, self._x))):
+            self.reset()
+            raise SolverError("skin: the iteration diverged: is phi.lipschitz too small?")
+        if self._done:
+            # y - Phi x is what the last iteration left, and what the weight kept from it.
+            ones, kept = self._bias.ones, 1 - self._filter.weight
+            left = float(np.dot(ones, self._r)) + kept * float(np.dot(ones, self._misfit))
+            self._bias.update(left, self._x, self._noise.s2)
+        self._done = self.n_steps
+        forces = self._x_and_zero.take(self._place_of_cell, None, None, "clip")
+        self._bias.give_back(forces)
+        return forces.reshape(self.mask.shape)
+
+
+def _check(name: str, value: Any, low: int, high: int) -> None:
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or not low <= value <= high:
+        raise SolverError(
+            f"skin: {name} = {value!r} is not allowed; allowed: an integer {low}..{high}"
+        )

@@ -1,0 +1,52 @@
+"""What a compressor says of settings that work and restore little."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.compressor.limits import compression_warnings
+from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.sensor.node import Sensor
+
+
+@pytest.mark.parametrize(
+    ("kind", "m", "block"),
+    [("sbhe", 533, 32), ("sbhe", 100, 16), ("full", 1600, 32), ("gaussian", 200, 1)],
+)
+def test_of_settings_that_restore_well_nothing_is_said(kind: str, m: int, block: int) -> None:
+    assert compression_warnings(kind, 1600, m, block) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "m", "block", "said"),
+    [
+        ("sbhe", 99, 32, "m = 99 of n = 1600 taxels: more than one small contact is not restored"),
+        ("sbhe", 533, 4, "block = 4: most measurements see no pressed taxel"),
+        ("subsample", 400, 32, "phi = subsample: a contact of fewer than 4 taxels may touch none"),
+    ],
+)
+def test_what_fails_is_said_with_what_is_advised(kind: str, m: int, block: int, said: str) -> None:
+    (warning,) = compression_warnings(kind, 1600, m, block)
+    assert warning.startswith(said)
+    assert "advised: " in warning
+    assert "\n" not in warning
+
+
+def lines_of(**compressor: Any) -> list[str]:
+    bus = Bus(
+        {
+            "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
+            "compressor": (Compressor, Compressor.Settings(**compressor)),
+        }
+    )
+    bus.run(n_frames=2)
+    return bus.lines
+
+
+def test_a_compressor_says_it_once_when_it_learns_the_skin() -> None:
+    assert lines_of() == []
+    (line,) = lines_of(ratio=40)
+    assert line.startswith("[compressor] m = 40 of n = 1600 taxels")

@@ -1,0 +1,109 @@
+"""The integrators of the stability study against their theory and the exact motion."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from sparseskin.nodes.sensor.scenes import SCENES
+from sparseskin.studies.stability_contact import measure, place_of_scene, rebound, swing
+from sparseskin.studies.stability_integrators import (
+    INTEGRATORS,
+    Mass,
+    amplification,
+    growth,
+    propagator,
+    stability_margin,
+)
+
+DT_S = 1e-3
+decades = st.floats(-2.0, 1.4).map(lambda exponent: 10.0**exponent)
+
+
+@given(omega_dt=decades, c_dt_over_m=decades)
+def test_propagator_is_the_matrix_exponential(omega_dt: float, c_dt_over_m: float) -> None:
+    rates = np.array([[0.0, 1.0], [-(omega_dt**2), -c_dt_over_m]])
+    np.testing.assert_allclose(propagator(omega_dt, c_dt_over_m), expm(rates), atol=1e-7)
+
+
+@pytest.mark.parametrize("method", INTEGRATORS)
+@given(omega_dt=decades, c_dt_over_m=decades, angle=st.floats(0.0, 6.3))
+def test_a_step_does_what_its_amplification_matrix_says(
+    method: str, omega_dt: float, c_dt_over_m: float, angle: float
+) -> None:
+    mass = Mass(omega_dt / DT_S, c_dt_over_m / DT_S, unilateral=False)
+    # Near the balance, so that the bed of the scenes' integrator stays loaded.
+    scale = 1e-3 * mass.static_depth
+    away, v_dt = scale * math.cos(angle), scale * math.sin(angle)
+    matrix = amplification(method, omega_dt, c_dt_over_m)
+    if method.startswith("SDIRK2"):
+        assume(c_dt_over_m * abs(v_dt) < 0.1 * omega_dt**2 * mass.static_depth)
+    x, v = INTEGRATORS[method](mass, mass.static_depth + away, v_dt / DT_S, DT_S)
+    expected = matrix @ (away, v_dt)
+    size = np.abs(matrix).max() * scale
+    np.testing.assert_allclose((x - mass.static_depth, v * DT_S), expected, atol=1e-6 * size)
+
+
+@pytest.mark.parametrize("method", ["explicit Euler", "semi-implicit Euler"])
+@given(omega_dt=decades, c_dt_over_m=decades)
+def test_the_boundary_that_is_drawn_is_where_amplitudes_begin_to_grow(
+    method: str, omega_dt: float, c_dt_over_m: float
+) -> None:
+    margin = stability_margin(method, np.array(omega_dt), np.array(c_dt_over_m))
+    assert margin is not None
+    assume(abs(float(margin)) > 1e-3)
+    assert (growth(method, omega_dt, c_dt_over_m) < 1.0) == (float(margin) > 0.0)
+
+
+@pytest.mark.parametrize("method", ["implicit Euler", "SDIRK2 (the scenes)", "exact"])
+@given(omega_dt=decades, c_dt_over_m=decades)
+def test_implicit_methods_are_stable_everywhere(
+    method: str, omega_dt: float, c_dt_over_m: float
+) -> None:
+    assert growth(method, omega_dt, c_dt_over_m) < 1.0
+    assert stability_margin(method, np.array(1.0), np.array(1.0)) is None
+
+
+def test_measured_growth_is_the_spectral_radius() -> None:
+    for method, omega_dt, c_dt_over_m in (
+        ("explicit Euler", 0.5, 0.1),
+        ("semi-implicit Euler", 2.5, 0.1),
+        ("implicit Euler", 1.0, 0.5),
+        ("SDIRK2 (the scenes)", 0.5, 0.05),
+    ):
+        factor, _ = swing(method, Mass(omega_dt / DT_S, c_dt_over_m / DT_S, unilateral=False))
+        assert factor == pytest.approx(growth(method, omega_dt, c_dt_over_m), rel=0.02)
+
+
+def test_a_damper_too_strong_for_the_step_makes_an_explicit_method_chatter() -> None:
+    mass = Mass(0.05 / DT_S, 3.0 / DT_S, unilateral=False)
+    assert swing("explicit Euler", mass)[1] > 0.9
+    assert swing("exact", mass)[1] < 0.1
+
+
+@pytest.mark.parametrize("omega_dt", [0.3, 1.5, 6.0])
+def test_on_a_bed_that_only_pushes_implicit_methods_make_no_energy(omega_dt: float) -> None:
+    mass = Mass(omega_dt / DT_S, 0.0, unilateral=True)
+    assert rebound("implicit Euler", mass) <= 1.0 + 1e-9
+    assert rebound("SDIRK2 (the scenes)", mass) <= 1.0 + 1e-9
+    assert rebound("explicit Euler", mass) > 1.5
+
+
+def test_the_box_has_the_frequency_and_damping_of_its_400_taxels() -> None:
+    scene = SCENES["lift_box_40"]()
+    place = place_of_scene(scene)
+    omega = math.sqrt(400 * scene.surface.stiffness / scene.body.mass_kg)
+    assert place["omega_dt"] == pytest.approx(omega * 1e-3)
+    assert place["c_dt_over_m"] == pytest.approx(400 * 0.4 / scene.body.mass_kg * 1e-3)
+
+
+def test_a_point_is_a_row_of_the_map_with_its_theory() -> None:
+    figures = measure({"method": "explicit Euler", "c_dt_over_m": 0.1, "omega_dts": [0.1, 1.0]})
+    assert figures["theory"] == [growth("explicit Euler", a, 0.1) for a in (0.1, 1.0)]
+    assert figures["growth"] == pytest.approx(figures["theory"], rel=0.05)
+    assert len(figures["rebound"]) == 2
