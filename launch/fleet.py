@@ -272,8 +272,8 @@ class Fleet:
 
     def _fail(self, node: NodeProcess, code: int) -> None:
         """A node cannot go on. The graph ends with it, if it is one that it needs."""
+        node.failed = True
         if node.spec.cls.required:
             self.exit_code = self.exit_code or code
         else:
-            node.failed = True
             self.late_code = self.late_code or code

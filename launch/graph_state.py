@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from .fleet import Fleet
+from .live_recording import LIVE_RECORDER
 from .process import NodeProcess
 
 
@@ -23,7 +24,11 @@ def graph_state(name: str, fleet: Fleet, recording: str | None) -> dict[str, Any
     return {
         "name": name,
         "recording": recording,
-        "nodes": [_node_state(fleet, node) for node in fleet],
+        "nodes": [
+            _node_state(fleet, node)
+            for node in fleet
+            if not (node.ended and node.name.startswith(LIVE_RECORDER))
+        ],
     }
 
 
@@ -39,6 +44,7 @@ def _node_state(fleet: Fleet, node: NodeProcess) -> dict[str, Any]:
         "line": node.line,
         "refused": sum(counts.get("refused", {}).values()),
         "refusal": node.refusal,
+        "said": node.said if not cls.watches else "",
         "lost": sum(counts.get("lost", {}).values()),
         "state": node.state,
         "settings": node.settings,

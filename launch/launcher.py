@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import time
 from collections.abc import Callable, Mapping
@@ -80,7 +81,9 @@ class Launcher:
                 self._serve_controls()
                 endpoints = {node.name: node.endpoint for node in self._fleet}
                 note = note_of(self._launch, endpoints, self._offset_ns)
-                with announced(note), self._terminal.keyboard(bool(self._keys)):
+                # What only joins another graph is no graph that could be joined itself.
+                told = announced(note) if self._joined is None else contextlib.nullcontext()
+                with told, self._terminal.keyboard(bool(self._keys)):
                     self._fleet.supervised = self._joined is None
                     self._fleet.command_all("start")
                     self._until(self._all_ended, None)

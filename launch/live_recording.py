@@ -13,6 +13,7 @@ from .launchfile import single_node
 from .launchspec import LaunchFile
 from .process import NodeProcess
 
+LIVE_RECORDER = "live_recorder_"
 Say = Callable[[bool, str], None]
 
 
@@ -75,7 +76,7 @@ class LiveRecording:
     def _begin(self) -> None:
         self._n += 1
         self.out = f"{self._launch.name}-{time.strftime('%Y%m%d-%H%M%S')}.mcap"
-        self._node = f"live_recorder_{self._n}"
+        self._node = f"{LIVE_RECORDER}{self._n}"
         topics = list(
             dict.fromkeys(
                 topic

@@ -29,13 +29,15 @@ def add_monitor_parser(commands: Any) -> None:
     )
     parser.add_argument("--text", action="store_true", help="in this terminal, without a page")
     parser.add_argument("--open", action="store_true", help="open the page in a browser")
-    parser.add_argument("--port", type=int, default=8470, help="port of the page on 127.0.0.1")
+    parser.add_argument("--port", type=int, help="port of the page on 127.0.0.1; 8470 by default")
     parser.add_argument("--graph", metavar="NAME", help="which graph, where several run")
     parser.set_defaults(run=monitor)
 
 
 def monitor(arguments: argparse.Namespace) -> int:
     """Run a monitor beside a running graph."""
+    if arguments.text and (arguments.open or arguments.port is not None):
+        raise SettingsError("--text: goes with neither --open nor --port: it has no page")
     graph = choose_graph(arguments.graph)
     writers = graph.writers()
     watched = {schema.schema for schema in WATCHED}
@@ -49,8 +51,9 @@ def monitor(arguments: argparse.Namespace) -> int:
         "page": not arguments.text,
         "screen": arguments.text,
         "browser": arguments.open,
-        "port": arguments.port,
     }
+    if arguments.port is not None:
+        values["port"] = arguments.port
     launch = single_node(name, "monitor", values)
     links = [Link(topic, writers[topic], name) for topic in topics]
     launcher = Launcher(replace(launch, links=links), Terminal(), joined=graph)

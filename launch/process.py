@@ -13,6 +13,8 @@ from typing import IO, Any
 
 from .launchspec import NodeSpec
 
+NEW_S = 8.0
+"""How long a line of a log is told as news."""
 SILENT_S = 1.6
 """After three heartbeats that did not come a node counts as not answering."""
 
@@ -56,6 +58,7 @@ class NodeProcess:
         self.closed_pipes: list[IO[bytes]] = []
         self._rest: dict[int, bytes] = {}
         self._unsent = b""
+        self._said, self._said_s = "", 0.0
         assert self._popen.stdin is not None
         for pipe in (*self.pipes, self._popen.stdin):
             os.set_blocking(pipe.fileno(), False)
@@ -84,6 +87,11 @@ class NodeProcess:
         if time.monotonic() - self.heard_s > SILENT_S:
             return "not answering"
         return "paused" if self.state.get("paused") else "running"
+
+    @property
+    def said(self) -> str:
+        """The last line of its log, while it is new."""
+        return self._said if time.monotonic() - self._said_s < NEW_S else ""
 
     def exit_code(self) -> int | None:
         """Exit code, negative for a signal; None while the process runs."""
@@ -119,6 +127,8 @@ class NodeProcess:
         """All (events, log lines) that wait."""
         self.flush()
         events, log = (self._lines(pipe) for pipe in self.pipes)
+        if log:
+            self._said, self._said_s = log[-1], time.monotonic()
         if events:
             self.heard_s = time.monotonic()
         return [_event(line) for line in events], log

@@ -168,7 +168,10 @@ class Runner:
         try:
             if name == "set":
                 self._publish(self.host.change(value))
-                text = ", ".join(f"{key} = {json.dumps(v)}" for key, v in value.items())
+                text = ", ".join(
+                    f"{key} = {json.dumps(v)}" if v is not None else f"{key} is not stated any more"
+                    for key, v in value.items()
+                )
             else:
                 text = node.command(name, value)
             done = True

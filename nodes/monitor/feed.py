@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import secrets
 import threading
 import time
 from collections import deque
@@ -38,6 +39,7 @@ class PatchFeed:
     history: History = field(default_factory=History)
     summary: dict[str, Any] = field(default_factory=dict)
     lost: int = 0
+    latency_s: float = 0.0
     ended: bool = False
 
     @property
@@ -69,6 +71,7 @@ class Feed:
         self.answers: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MAX_ANSWERS)
         self.n_answers = 0
         self.closed = False
+        self.run = secrets.token_hex(4)
         self.hungry = 0
 
     def frame(self, patch: str, message: Message, judged: Judged | None) -> None:
@@ -79,6 +82,8 @@ class Feed:
             if isinstance(message, SkinState):
                 feed.skin = message
                 feed.maps.clear()
+            elif isinstance(message, Reconstruction):
+                feed.latency_s = (message.done_ns - message.stamp_ns) / 1e9
             if judged is None:
                 self._note_alone(feed, message, now_s)
                 return
@@ -111,10 +116,12 @@ class Feed:
         self.pulse_s = time.monotonic()
 
     def _note_alone(self, feed: PatchFeed, message: Message, now_s: float) -> None:
-        """Show what the taxels read where nothing has been restored for a while."""
-        if isinstance(message, Reconstruction) or not isinstance(message, Taxels | Truth):
+        """Show what comes alone, where no whole frame has come for a while: what the taxels read
+        while nothing is restored, and what is restored so late that its taxels are forgotten.
+        """
+        if not isinstance(message, Taxels | Truth | Reconstruction):
             return
-        name = message.schema
+        name = "restored" if isinstance(message, Reconstruction) else message.schema
         if now_s - feed.came_s.get("restored", -math.inf) > feed.stale_s:
             feed.maps = {**feed.maps, name: message.forces}
             feed.came_s[name] = now_s

@@ -83,7 +83,9 @@ class Monitor(Node[MonitorSettings]):
             self._notices = Notices(self._feed)
         if self._feed is not None and self.settings.page and ask is not None:
             self._page = PageServer(self._feed, self._notices, self.settings.port, ask)
-            self.context.log(f"live page: {self._page.url}")
+            port = self.settings.port
+            taken = f" (port {port} is taken)" if port and not self._page.has(port) else ""
+            self.context.log(f"live page: {self._page.url}{taken}")
             if self.settings.browser and not _open_browser(self._page.url):
                 self.context.log("no browser could be opened here; open the address by hand")
         return ()

@@ -14,6 +14,8 @@ RECENT_S = 4.0
 """How long something that happened is told."""
 GRAPH_S = 2.5
 PULSE_S = 1.0
+LATE_S = 0.5
+"""A latency beyond this is none of a solver, but of a queue that grows."""
 TROUBLED = ("failed", "not answering", "restarting", "starting")
 
 Notice = tuple[str, str]
@@ -57,6 +59,8 @@ class Notices:
             yield NOTE, f"{name} was started again."
         if self._risen(f"refused {name}", node["refused"], now_s) and node["refusal"]:
             yield BAD, f"{name} refuses messages: {node['refusal']}"
+        if node["said"]:
+            yield NOTE, f"{name} says: {node['said']}"
         if condition == "paused":
             yield NOTE, f"{name} is paused."
 
@@ -76,6 +80,8 @@ class Notices:
                 yield BAD, f"stale: frames are sensed, none restored for {ago(restored)}."
         elif not self._feed.paused:
             yield NOTE, "no frame has come yet."
+        if patch.latency_s > max(LATE_S, patch.stale_s) and not patch.ended:
+            yield BAD, f"frames are restored {ago(patch.latency_s)} late: it cannot keep up."
         lost = self._risen(f"lost {name}", patch.lost, now_s)
         if lost:
             yield BAD, f"{lost} frames lost just now."

@@ -86,6 +86,10 @@ class PageServer:
         )
         self._thread.start()
 
+    def has(self, port: int) -> bool:
+        """Whether it serves at that port."""
+        return bool(self._server.server_address[1] == port)
+
     def close(self) -> None:
         """Tell the pages that this is the end, and give them a moment to hear it."""
         self._feed.tell(closed=True)

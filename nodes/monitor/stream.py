@@ -142,6 +142,7 @@ class StreamReader:
             "kind": "state",
             "now_s": now_s,
             "closed": closed,
+            "run": feed.run,
             "paused": feed.paused,
             "notices": self._notices.all(now_s),
             "patches": {name: self._patch_state(name, now_s) for name in feed.patches},
@@ -155,7 +156,7 @@ class StreamReader:
         state: dict[str, Any] = {
             "age_s": {key: now_s - came_s for key, came_s in patch.came_s.items()},
             "stale_s": patch.stale_s,
-            "lost": patch.lost,
+            "lost": patch.lost if not self._feed.closed else patch.summary["frames"]["lost"],
             "ended": patch.ended,
         }
         if self._is_new(f"summary {name}", patch.summary):

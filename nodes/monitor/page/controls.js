@@ -64,10 +64,10 @@ export class Controls {
     return element("output", { "data-answer": name, "aria-live": "polite" });
   }
 
-  button(node, command, label, attributes = {}) {
+  button(node, command, label, attributes = {}, line = "launch") {
     return element("button", { type: "button", ...attributes, onclick: (event) => {
       const { value } = event.currentTarget.dataset;
-      this.ask(node, command, value === undefined ? null : JSON.parse(value), "launch");
+      this.ask(node, command, value === undefined ? null : JSON.parse(value), line);
     } }, label);
   }
 
@@ -77,15 +77,16 @@ export class Controls {
       onchange: (event) => this.ask(name, "seek", Number(event.target.value), name) });
     const rate = element("input", { type: "number", min: 0.001, max: 1000, step: "any",
       "data-rate": name, "aria-label": "rate of the replay" });
-    const form = element("form", { class: "line", onsubmit: (event) => {
+    const form = element("form", { class: "line", novalidate: true, onsubmit: (event) => {
       event.preventDefault();
       this.ask(name, "rate", Number(rate.value), name);
     } }, element("label", {}, "Replay rate ×", rate), element("button", {}, "Set"));
     return element("div", { class: "player" },
       element("div", { class: "buttons" },
-        this.button(name, "pause", "", { "data-pause": name }),
-        this.button(name, "step", "Step"),
-        this.button(name, "slower", "Slower"), this.button(name, "faster", "Faster")),
+        this.button(name, "pause", "", { "data-pause": name }, name),
+        this.button(name, "step", "Step", {}, name),
+        this.button(name, "slower", "Slower", {}, name),
+        this.button(name, "faster", "Faster", {}, name)),
       seek, element("span", { "data-position": name }), form, this.answerLine(name));
   }
 
@@ -99,6 +100,10 @@ export class Controls {
         ...(entry.high === null ? {} : { max: entry.high }) });
     const send = (event) => {
       event.preventDefault();
+      if (input.validity.badInput) {
+        this.say(id, "refused", "✗ that is no number");
+        return;
+      }
       const value = options.length ? input.value : input.value === "" ? null : Number(input.value);
       this.ask(node, "set", { [entry.key]: value }, id);
     };
@@ -162,6 +167,8 @@ export class Controls {
     if (!waiting) return; // somebody else's
     this.waiting.delete(id);
     clearTimeout(waiting.timer);
+    const input = byId(waiting.line);
+    if (input) delete input.dataset.shown; // what is in force is shown again, also after a refusal
     this.say(waiting.line, done ? "done" : "refused", done ? `✓ ${text}` : `✗ ${text}`);
   }
 

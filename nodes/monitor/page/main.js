@@ -11,7 +11,7 @@ const STRIPS_MS = 250;
 const TEXT_MS = 100;
 
 const model = {
-  connection: "connecting", heard: 0, silent: 0, over: false, quiet: false,
+  run: null, connection: "connecting", heard: 0, silent: 0, over: false, quiet: false,
   graph: null, state: null, summaries: {}, skins: {}, maps: {}, fresh: {}, traffic: {},
 };
 let patch = null; // null: the overview
@@ -42,6 +42,11 @@ function onRecord(record) {
 function onState(record) {
   const before = model.state;
   clock = record.now_s - seconds();
+  if (model.run !== null && record.run !== model.run) {
+    location.reload(); // another graph, or another monitor: nothing shown here is of it
+    return;
+  }
+  model.run = record.run;
   model.state = record;
   model.over = record.closed;
   if (record.graph) model.graph = record.graph;
@@ -100,6 +105,12 @@ function mean(summary, which) {
   return summary?.psnr_db?.[which]?.all?.mean ?? NaN;
 }
 
+// The rate that was asked for: the skin's own, times that of a replay.
+function asked(name) {
+  const player = model.graph?.nodes.find((node) => "seek" in node.commands);
+  return (model.skins[name]?.rate_hz ?? 0) * (player?.state.rate ?? 1);
+}
+
 function tiles(name) {
   const s = model.summaries[name] ?? {};
   const [before, after] = rates(name);
@@ -108,16 +119,18 @@ function tiles(name) {
   const rate = strips?.rate(seconds() + clock);
   return [
     ["compression", "Compression", s.ratio ? `${s.ratio.toFixed(2)} : 1` : "–",
-      s.n ? `N = ${s.n}, M = ${s.m}${s.bits && s.bits < 32
-        ? `, ${s.bits} bits: ${s.ratio_bits.toFixed(1)} : 1 in bits` : ""}` : "Phi is not known yet"],
+      !s.n ? "Phi is not known yet" : s.bits && s.bits < 32
+        ? `N/M ${s.n}/${s.m}, ${s.bits} bits: ${s.ratio_bits.toFixed(1)} : 1`
+        : `N = ${s.n}, M = ${s.m}`],
     ["traffic", "Sent by the edge", `${bytes(after)}`, `in place of ${bytes(before)}`],
-    ["gain", "PSNR gain", Number.isFinite(gain) ? `${gain >= 0 ? "+" : "−"}${Math.abs(gain).toFixed(1)} dB`
+    ["gain", "PSNR gain, all frames", Number.isFinite(gain) ? `${gain >= 0 ? "+" : "−"}${Math.abs(gain).toFixed(1)} dB`
       : fixed(mean(s, "reconstruction"), 1, "dB"),
       Number.isFinite(gain) ? `mean ${fixed(mean(s, "noisy"), 1)} → ${fixed(
         mean(s, "reconstruction"), 1, "dB")}` : "to the taxels; no truth is known"],
-    ["latency", "Latency", `${fixed(s.latency_ms?.p50, 1, "ms")}`,
+    ["latency", "Latency, all frames", `${fixed(s.latency_ms?.p50, 1, "ms")}`,
       `p99 ${fixed(s.latency_ms?.p99, 1, "ms")}, solve ${fixed(s.solve_ms?.p50, 1, "ms")}`],
-    ["rate", "Rate", `${rate ?? "–"} Hz`, skin?.rate_hz ? `asked ${brief(skin.rate_hz)} Hz` : "as fast as it goes"],
+    ["rate", "Rate", `${rate ?? "–"} Hz`, skin?.rate_hz ? `asked ${brief(asked(name))} Hz`
+      : "as fast as it goes"],
     ["frames", "Frames", `${s.frames?.reconstructed ?? "–"}`,
       `of ${s.frames?.sensed ?? "–"}, ${model.state?.patches[name]?.lost ?? "–"} lost`],
   ];
@@ -135,6 +148,10 @@ function drawHeadline() {
   }
 }
 
+function condition(node) {
+  return model.over && node.condition !== "failed" ? "ended" : node.condition;
+}
+
 function drawNodes() {
   const list = byId("nodes");
   const nodes = model.graph?.nodes ?? [];
@@ -142,10 +159,11 @@ function drawNodes() {
     list.replaceChildren(...nodes.map(() => element("li")));
   }
   nodes.forEach((node, k) => {
-    list.children[k].dataset.condition = model.over ? "ended" : node.condition;
+    list.children[k].dataset.condition = condition(node);
     list.children[k].title = node.line;
-    const restarts = node.restarts ? `, ${node.restarts} restarts` : "";
-    setText(list.children[k], `${node.name}: ${model.over ? "ended" : node.condition}${restarts}`);
+    const restarts = node.restarts
+      ? `, ${node.restarts} restart${node.restarts > 1 ? "s" : ""}` : "";
+    setText(list.children[k], `${node.name}: ${condition(node)}${restarts}`);
   });
 }
 
@@ -216,7 +234,7 @@ function drawText() {
 
 function drawStrips() {
   if (patch === null) return;
-  strips?.draw(seconds() + clock, model.skins[patch]?.rate_hz ?? 0);
+  strips?.draw(seconds() + clock, asked(patch));
 }
 
 function open() {

@@ -65,6 +65,7 @@ export class Stream {
           }
         } else {
           why = (await answer.text()).trim();
+          if (answer.status === 404) location.hash = "#/"; // no such patch: show those there are
         }
       } catch (error) {
         why = "";

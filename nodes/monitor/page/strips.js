@@ -47,7 +47,7 @@ const CHARTS = [
   { id: "psnr", title: "PSNR", unit: "dB", floating: true, lines: [
     ["noisy", "psnr_noisy_db", (f) => f.mean, "taxels"],
     ["good", "psnr_db", (f) => f.mean, "reconstruction"]], band: true },
-  { id: "latency", title: "Latency, sensor to reconstruction", unit: "ms", lines: [
+  { id: "latency", title: "Latency", unit: "ms", lines: [
     ["good", "latency_ms", (f) => f.p50, "p50"], ["noisy", "latency_ms", (f) => f.p99, "p99"]] },
   { id: "solve", title: "Solve time", unit: "ms", lines: [
     ["good", "solve_ms", (f) => f.p50, "p50"], ["noisy", "solve_ms", (f) => f.p99, "p99"]] },
