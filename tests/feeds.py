@@ -83,6 +83,7 @@ def node_state(name: str, **changes: Any) -> dict[str, Any]:
         "restarts": 0,
         "refused": 0,
         "refusal": "",
+        "said": "",
         "state": {},
         "commands": {},
     } | changes

@@ -156,12 +156,17 @@ class StreamReader:
         state: dict[str, Any] = {
             "age_s": {key: now_s - came_s for key, came_s in patch.came_s.items()},
             "stale_s": patch.stale_s,
-            "lost": patch.lost if not self._feed.closed else patch.summary["frames"]["lost"],
+            "lost": self._lost(patch),
             "ended": patch.ended,
         }
         if self._is_new(f"summary {name}", patch.summary):
             state["summary"] = patch.summary
         return state
+
+    def _lost(self, patch: PatchFeed) -> int:
+        """Frames lost up to the newest one; at the end, all that were."""
+        at_the_end = self._feed.closed and "frames" in patch.summary
+        return int(patch.summary["frames"]["lost"]) if at_the_end else patch.lost
 
     def _is_new(self, key: str, value: Any) -> bool:
         """Whether this very object has not been sent yet."""

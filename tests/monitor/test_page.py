@@ -28,7 +28,9 @@ def open_page(start: StartProgram, page: Any, *arguments: str) -> Program:
     url = program.wait_for("live page: ")
     program.wait_for("ready:")
     page.get(url)
-    wait_until(lambda: int(drawn(page)) > 0, "the first maps")
+    canvases = "#maps canvas"
+    wait_until(lambda: bool(page.find_elements("css selector", canvases)), "the maps")
+    wait_until(lambda: int(drawn(page)) > 0, "the first frame")
     return program
 
 
