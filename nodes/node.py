@@ -70,6 +70,8 @@ class Node(Generic[S]):
     """Whether the graph ends when this node fails."""
     watches: ClassVar[bool] = False
     """Whether the launcher tells the node how all nodes are, as a command "graph"."""
+    patience_s: ClassVar[float] = 0.0
+    """How long its messages may wait, so that those that come together are taken in together."""
     commands: ClassVar[Mapping[str, str]] = {}
     """What the node can be told to do, and what each means."""
     verbatim: bool = False

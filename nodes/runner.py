@@ -71,6 +71,8 @@ class Runner:
         self.draining = self.failed = self.terminated = False
         self.asks: deque[int] = deque()
         self.owed: deque[tuple[int, bytes]] = deque()
+        self.all_taken = True
+        self.asked = False
         self.n_ticks = 0
         self.next_heartbeat_ns = 0
         self.last_stamp_ns = -1
@@ -144,7 +146,11 @@ class Runner:
             if 0 < left_ns < SPIN_NS:
                 time.sleep(left_ns / 1e9)
             timeout_ms = max(0, min(POLL_MS, (left_ns - SPIN_NS) // 1_000_000))
-        self.poller.poll(timeout_ms)
+        ready = self.poller.poll(timeout_ms)
+        patience_s = self.host.node.patience_s
+        # Not while messages wait from before, and not where a source waits for answers.
+        if patience_s and self.all_taken and not self.asked and ready:
+            time.sleep(patience_s)
 
     def _obey(self) -> None:
         for command in self.control.commands():
@@ -207,10 +213,12 @@ class Runner:
             return
         for _ in range(BATCH):
             parts = self.reader.receive()
+            self.all_taken = parts is None
             if parts is None:
                 return
             topic, payload = parts
             if self.reader.is_ask(topic):
+                self.asked = True
                 self.owed.append((self.writer.ask(), payload))
             else:
                 self._publish(self.host.receive_bytes(topic, payload))

@@ -34,8 +34,8 @@ CHROMIUM = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-sync"),
     *("--disable-background-networking", "--disable-component-update"),
 )
-TURN_S = 10.0
-TURNS = 5
+TURN_S = 6.0
+TURNS = 3
 STALL_S = 60.0
 
 

@@ -60,6 +60,8 @@ class Monitor(Node[MonitorSettings]):
 
     Settings = MonitorSettings
     watches = True
+    # Nobody sees 8 ms, and the messages of a frame cost half as much when they come at once.
+    patience_s = 0.008
 
     def __init__(self, settings: MonitorSettings, context: Context) -> None:
         super().__init__(settings, context)
