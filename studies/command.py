@@ -30,6 +30,10 @@ STUDIES = {
         "what a scene has to model for its tables to come out",
         "sparseskin.studies.scene_needs:run",
     ),
+    "targets": (
+        "the default solver against the paper's and the full reading; what each part of it earns",
+        "sparseskin.studies.targets:run",
+    ),
 }
 
 
@@ -56,6 +60,9 @@ def add_study_parser(commands: Any) -> None:
         default=f"process:{len(os.sched_getaffinity(0))}",
         help=f"where points are computed: {FORMS} (default: %(default)s)",
     )
+    parser.add_argument(
+        "--recordings", metavar="DIR", type=Path, help="targets: folder of real skins' recordings"
+    )
     parser.add_argument("--seed", type=_seed, default=0, help="seed of noise and Phi (default: 0)")
     parser.set_defaults(run=_study)
 
@@ -78,6 +85,11 @@ def _study(arguments: argparse.Namespace) -> int:
     except OSError as error:
         raise SettingsError(f"--out {out}: {error.strerror}") from error
     run = find_callable(STUDIES[name][1], SettingsError)
-    run(out=out, quick=arguments.quick, seed=arguments.seed, executor=arguments.executor)
+    more = {}
+    if arguments.recordings is not None:
+        if name != "targets":
+            raise SettingsError(f"--recordings: study {name!r} takes none; allowed: targets")
+        more["recordings"] = arguments.recordings
+    run(out=out, quick=arguments.quick, seed=arguments.seed, executor=arguments.executor, **more)
     print(out / f"{name}.md")
     return 0

@@ -86,7 +86,7 @@ class KalmanWeight:
         self._last_energy = energy
 
         e2 = energy / m
-        self.noise = min(s2, e2) * self._belief
+        self.noise = s2 * self._belief
         self.surprise = e2 / (self.noise + TINY)
         news = max(0.0, self.surprise - EXPECTED)
         still = self.weight / (1 + self.weight)

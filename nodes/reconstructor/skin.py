@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -15,12 +14,12 @@ from sparseskin.nodes.reconstructor.clip_bias import ClipBias
 from sparseskin.nodes.reconstructor.kalman_weight import KalmanWeight
 from sparseskin.nodes.reconstructor.neighbours import Neighbours
 from sparseskin.nodes.reconstructor.noise_level import NoiseLevel
+from sparseskin.nodes.reconstructor.parameters import MAX_ITERATIONS, whole_number
 from sparseskin.nodes.reconstructor.prediction import Prediction
 from sparseskin.nodes.reconstructor.projection import make_projection
 from sparseskin.nodes.reconstructor.shifted_haar import SHIFTS, ShiftedHaar
 from sparseskin.nodes.reconstructor.solver import Mask, Solver
 
-MAX_ITERATIONS = 1000
 #: Threshold, in root mean squares of what is left of the measurements.
 THRESHOLD = 1.4
 #: The least threshold, in deviations of the noise that a filtered frame has.
@@ -103,11 +102,10 @@ class SkinSolver(Solver):
         super().__init__(phi, basis, mask)
         if iterations is None:
             iterations = min(2 + round(phi.ratio / 4), MAX_ITERATIONS)
-        _check("iterations", iterations, 1, MAX_ITERATIONS)
-        _check("max_iterations", max_iterations, 1, MAX_ITERATIONS)
-        _check("seed", seed, 0, 2**32 - 1)
-        self.iterations = int(iterations)
-        self.max_iterations = max(int(max_iterations), self.iterations)
+        self.iterations = whole_number("skin", "iterations", iterations, 1, MAX_ITERATIONS)
+        most = whole_number("skin", "max_iterations", max_iterations, 1, MAX_ITERATIONS)
+        self.max_iterations = max(most, self.iterations)
+        whole_number("skin", "seed", seed, 0, 2**32 - 1)
 
         n = phi.n
         self._projection = make_projection(phi)
@@ -237,11 +235,3 @@ class SkinSolver(Solver):
         forces = self._x_and_zero.take(self._place_of_cell, None, None, "clip")
         self._bias.give_back(forces)
         return forces.reshape(self.mask.shape)
-
-
-def _check(name: str, value: Any, low: int, high: int) -> None:
-    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not whole or not low <= value <= high:
-        raise SolverError(
-            f"skin: {name} = {value!r} is not allowed; allowed: an integer {low}..{high}"
-        )

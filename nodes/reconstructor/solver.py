@@ -20,6 +20,12 @@ Mask: TypeAlias = npt.NDArray[np.bool_]
 SOLVERS = {
     "skin": "sparseskin.nodes.reconstructor.skin:SkinSolver",
     "fista": "sparseskin.nodes.reconstructor.fista:FistaSolver",
+    "fista_nonneg": "sparseskin.nodes.reconstructor.fista_nonneg:FistaNonnegSolver",
+    "reweighted": "sparseskin.nodes.reconstructor.reweighted:ReweightedSolver",
+    "tv": "sparseskin.nodes.reconstructor.tv:TvSolver",
+    "oamp": "sparseskin.nodes.reconstructor.oamp:OampSolver",
+    "ista": "sparseskin.nodes.reconstructor.ista:IstaSolver",
+    "omp": "sparseskin.nodes.reconstructor.omp:OmpSolver",
 }
 #: Measurements beyond this could overflow float32 inside a solver.
 Y_MAX = 1e30
@@ -154,8 +160,8 @@ def make_solver(
     Parameters
     ----------
     name : str
-        "fista", or "module:Class" for your own: called with phi, basis, mask and the settings
-        as keywords, it must offer what `Solver` does.
+        One of `SOLVERS`, or "module:Class" for your own: called with phi, basis, mask and the
+        settings as keywords, it must offer what `Solver` does.
     phi, basis, mask
         As in `Solver`.
     **settings

@@ -1,4 +1,4 @@
-"""Noise level and clip bias: both found in the measurements of a skin nobody described."""
+"""Noise level, weight and clip bias: found in the measurements of a skin nobody described."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from reconstructor.pressed import noisy, sliding_disc
 
 from sparseskin.nodes.compressor.phi import make_phi
 from sparseskin.nodes.reconstructor.clip_bias import ClipBias
+from sparseskin.nodes.reconstructor.kalman_weight import LEAST_WEIGHT, KalmanWeight
 from sparseskin.nodes.reconstructor.noise_level import JUMP, NoiseLevel
 from sparseskin.nodes.reconstructor.projection import make_projection
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
@@ -101,3 +102,41 @@ def test_the_noise_of_a_touched_skin_is_found_in_its_measurements() -> None:
     for one in y:
         level.update(one, e2=1.0)
     assert level.s2 == pytest.approx(float((y - clean)[40:].var()), rel=0.25)
+
+
+def misfits(n_frames: int, scale: float = 1.0) -> np.ndarray:
+    noise = np.random.default_rng(0).normal(0, scale * SIGMA_N, (n_frames, 500))
+    return noise.astype(np.float32)
+
+
+def test_noise_alone_is_averaged_over_all_frames_since_the_last_jump() -> None:
+    weight = KalmanWeight(500)
+    weights = []
+    for k, misfit in enumerate(misfits(12)):
+        weight.update(misfit, 500, 1.2 * SIGMA_N**2, jumped=k == 0)
+        weights.append(weight.weight)
+    np.testing.assert_allclose(weights, 1 / np.arange(1, 13), rtol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [2.0, 5.0])
+def test_what_is_more_than_noise_is_news(scale: float) -> None:
+    """K = P / (P + R), P + R the mean square of the misfit, to within what is not doubted."""
+    weight = KalmanWeight(500)
+    for misfit in misfits(40):
+        weight.update(misfit, 500, SIGMA_N**2, jumped=False)
+    assert weight.weight < 0.25
+    weight.update(misfits(1, scale)[0], 500, SIGMA_N**2, jumped=False)
+    assert weight.weight == pytest.approx(1 - 1 / scale**2, abs=0.05)
+    weight.update(misfits(1)[0], 500, SIGMA_N**2, jumped=True)
+    assert weight.weight == 1
+
+
+def test_misfits_that_are_alike_raise_the_weight_whatever_the_noise_level_says() -> None:
+    lagging = np.full(500, SIGMA_N, dtype=np.float32)
+    weight = KalmanWeight(500)
+    for misfit in misfits(30):
+        weight.update(misfit, 500, SIGMA_N**2, jumped=False)
+    assert LEAST_WEIGHT <= weight.weight < 0.25
+    for _ in range(15):
+        weight.update(lagging, 500, SIGMA_N**2, jumped=False)
+    assert weight.weight > 0.8
