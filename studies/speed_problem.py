@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from sparseskin.nodes.compressor.phi import Phi, make_phi
 from sparseskin.nodes.reconstructor.basis import Basis, make_basis
-from sparseskin.nodes.reconstructor.fista import MAX_ITERATIONS, FistaSolver
+from sparseskin.nodes.reconstructor.fista import FistaSolver
+from sparseskin.nodes.reconstructor.parameters import MAX_ITERATIONS
 
 from .scene_frames import Floats
 

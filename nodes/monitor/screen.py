@@ -11,6 +11,7 @@ import numpy as np
 
 from .feed import Feed, PatchFeed
 from .history import SPAN_S
+from .metrics import CONTACT_FRACTION
 from .notices import BAD, Notices
 from .table import NONE, shown
 
@@ -18,7 +19,6 @@ WIDTH = 79
 BARS = "▁▂▃▄▅▆▇█"
 N_BARS = 48
 MAPS = ("truth", "taxels", "restored")
-CONTACT_FRACTION = 0.004
 
 
 def screen(feed: Feed, notices: Notices) -> str:

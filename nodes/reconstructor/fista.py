@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -13,9 +12,8 @@ from sparseskin.nodes.compressor.phi import Phi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.reconstructor.basis import Basis
 from sparseskin.nodes.reconstructor.descent import make_descent
+from sparseskin.nodes.reconstructor.parameters import MAX_ITERATIONS, newtons, whole_number
 from sparseskin.nodes.reconstructor.solver import Mask, Solver
-
-MAX_ITERATIONS = 1000
 
 
 class FistaSolver(Solver):
@@ -61,9 +59,8 @@ class FistaSolver(Solver):
         lambda_n: float = 0.1 / 32,
     ) -> None:
         super().__init__(phi, basis, mask)
-        _check(iterations, lambda_n)
-        self.iterations = int(iterations)
-        self.lambda_n = float(lambda_n)
+        self.iterations = whole_number("fista", "iterations", iterations, 1, MAX_ITERATIONS)
+        self.lambda_n = newtons("fista", "lambda_n", lambda_n)
         self.n_steps = self.iterations
         self._momenta = _momenta(self.iterations)
         self._beta = np.zeros((), dtype=np.float32)
@@ -159,18 +156,3 @@ def _momenta(iterations: int) -> list[float]:
         betas.append((t - 1) / t_next)
         t = t_next
     return betas
-
-
-def _check(iterations: Any, lambda_n: Any) -> None:
-    whole = isinstance(iterations, (int, np.integer)) and not isinstance(iterations, bool)
-    if not whole or not 1 <= iterations <= MAX_ITERATIONS:
-        raise SolverError(
-            f"fista: iterations = {iterations!r} is not allowed; "
-            f"allowed: an integer 1..{MAX_ITERATIONS}"
-        )
-    real = isinstance(lambda_n, (int, float, np.number)) and not isinstance(lambda_n, bool)
-    if not real or not 0 <= lambda_n < math.inf:
-        raise SolverError(
-            f"fista: lambda_n = {lambda_n!r} is not allowed; allowed: a finite number of newtons, "
-            "0 or more"
-        )

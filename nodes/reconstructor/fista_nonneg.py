@@ -55,7 +55,8 @@ class FistaNonnegSolver(ImageSolver):
     ) -> None:
         super().__init__(phi, basis, mask, iterations=iterations)
         self.lambda_n = newtons(self.name, "lambda_n", lambda_n)
-        self._limit = np.float32(self.lambda_n * self._projection.step_size)
+        #: What a coefficient is shrunk by; a subclass may have a limit for each of them.
+        self._limit: Floats | np.float32 = np.float32(self.lambda_n * self._projection.step_size)
         self._z: Floats = np.zeros_like(self._image)
         self._theta: Floats = np.zeros_like(self._image)
         self._clipped: Floats = np.zeros_like(self._image)

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from sparseskin.nodes.compressor.calls import Floats
 from sparseskin.nodes.compressor.phi import Phi
 from sparseskin.nodes.reconstructor.basis import Basis
-from sparseskin.nodes.reconstructor.image_solver import ImageSolver
-from sparseskin.nodes.reconstructor.parameters import newtons
+from sparseskin.nodes.reconstructor.fista_nonneg import FistaNonnegSolver
 from sparseskin.nodes.reconstructor.solver import Mask
 
 #: A coefficient of so many lambdas in the last frame has half its weight.
 HALF = 3.0
 
 
-class ReweightedSolver(ImageSolver):
+class ReweightedSolver(FistaNonnegSolver):
     """min over x of 1/2 ||Phi x - y||^2 + lambda sum_i w_i |theta_i|, theta = Psi^T x.
 
     w_i = e / (e + |theta_i of the last frame|), e = 3 lambda (RWL1-DF with "the scene stays" for
@@ -55,34 +51,11 @@ class ReweightedSolver(ImageSolver):
         iterations: int = 20,
         lambda_n: float = 0.0125,
     ) -> None:
-        super().__init__(phi, basis, mask, iterations=iterations)
-        self.lambda_n = newtons(self.name, "lambda_n", lambda_n)
-        self._limit: Floats = np.zeros_like(self._image)
-        self._z: Floats = np.zeros_like(self._image)
-        self._theta: Floats = np.zeros_like(self._image)
-        self._before: Floats = np.zeros_like(self._image)
+        super().__init__(phi, basis, mask, iterations=iterations, lambda_n=lambda_n)
 
     def _begin(self) -> None:
-        np.copyto(self._z, self._image)
-        self._t = 1.0
+        super()._begin()
         half = np.float32(HALF * self.lambda_n + 1e-30)
         last = np.abs(self.basis.analysis(self._image, self._theta))
         limit = np.float32(self.lambda_n * self._projection.step_size)
         self._limit = limit * half / (half + last)
-
-    def _iterate(self) -> None:
-        x, z = self._image, self._z
-        self._descend(z)
-        np.add(self._gradient, z, self._gradient)
-        self.basis.analysis(self._gradient, self._theta)
-        self._theta -= np.clip(self._theta, -self._limit, self._limit)
-        np.copyto(self._before, x)
-        self.basis.synthesis(self._theta, x)
-        np.maximum(x, 0, out=x)
-        np.multiply(x, self._inside, x)
-
-        t_next = (1 + math.sqrt(1 + 4 * self._t**2)) / 2
-        np.subtract(x, self._before, z)
-        np.multiply(z, np.float32((self._t - 1) / t_next), z)
-        np.add(z, x, z)
-        self._t = t_next
