@@ -33,8 +33,8 @@ def draw_speed(out: Path, results: Results, pooled: bool) -> str:
     return _draw(
         *(out, f"speed_{where}", results, pooled, "median_ms"),
         *("solve time a frame in ms (median, one core)", curve),
-        "Solve time against PSNR, M = N/3: along each line the iterations grow; open marks: the "
-        "other M at the solver's own iterations; grey: the Pareto front at M = N/3",
+        "Solve time against PSNR, M = N/3: along each line the iterations grow; open marks: other "
+        "M, of the solvers with a preset; grey: the Pareto front at M = N/3",
     )
 
 
@@ -100,7 +100,7 @@ def _panel(
         points = [(getattr(row, x), getattr(row, y)) for row in along]
         style = series_style(k)
         axis.plot(*zip(*points, strict=True), label=label, markersize=5, **style)
-        if x == "median_ms":
+        if x == "median_ms" and "preset" in label:
             style |= {"markerfacecolor": "white", "linestyle": ""}
             for row in swept_m(rows, label):
                 if row.ratio == CENTRE_RATIO:

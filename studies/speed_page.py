@@ -104,8 +104,9 @@ Frames are 1 ms apart in every scene: 200 around the first contact, and 200 from
 solver is reset in between. PSNR is over the frames in contact, `worst` is the worst of them, and
 `touched` the root mean square error of the taxels that bear more than 0.01 N. Pooled: the mean
 over the scenes of one size, the worst of all, and the mean of the scenes' median times. A solve is
-timed by itself (`perf_counter_ns` around `Solver.solve`), in one process of one thread, with no
-other point of the study under way; other work on the host shows in the times, and most in p99.
+timed by itself, in one process of one thread, with no other point of the study under way: `median`
+is of the processor time of `Solver.solve`, `p99` of its time by the clock, in which other work on
+the host shows most.
 Bytes are those of the whole message, 4 a measurement and about a hundred around them."""
 
 
@@ -117,7 +118,8 @@ def _disturbed(results: Results) -> list[str]:
         return []
     return [
         f"**The host was busy: {n_busy} of {len(rows)} points had a core for less than "
-        f"{QUIET_SHARE:.0%} of the time that their solves took. Times are too long there.**"
+        f"{QUIET_SHARE:.0%} of the time that their solves took. Their p99 is too long, and their "
+        "median by what shared caches cost.**"
     ]
 
 

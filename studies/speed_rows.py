@@ -34,8 +34,10 @@ class Row:
         PSNR over the frames in contact.
     touched_mn : float
         Root mean square error of touched taxels, mN.
-    median_ms, p99_ms : float
-        Solve time a frame.
+    median_ms : float
+        Processor time of a frame's solve.
+    p99_ms : float
+        Time of a solve by the clock.
     cpu_share : float
         Part of the solve time in which the process had a core; the least of the scenes.
     n_bytes : int
