@@ -2,7 +2,7 @@
 
 It lies in the folder of the notes, which nobody else may enter. A client writes requests
 {id, node, command, value} and reads their answers {"answer": ...}; {"watch": true} brings
-{"graph": ...} too, again and again.
+{"graph": ...} too, again and again; {"describe": NODE or null} brings {"description": ...}, once.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ import socket
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sparseskin.nodes.errors import SparseskinError
 
-from .fleet import Fleet
+if TYPE_CHECKING:  # a client, such as the completion of a shell, is to load fast
+    from .fleet import Fleet
 
 MAX_CLIENTS = 32
 MAX_LINE_BYTES = 65536
@@ -76,6 +77,8 @@ class ControlServer:
         Whose loop waits for requests.
     take : callable
         Takes (request, reply).
+    describe : callable
+        Takes the name of a node, or None; gives the description of the graph.
     """
 
     def __init__(
@@ -83,10 +86,12 @@ class ControlServer:
         path: str,
         fleet: Fleet,
         take: Callable[[Mapping[str, Any], Callable[[dict[str, Any]], None]], None],
+        describe: Callable[[str | None], dict[str, Any]],
     ) -> None:
         self._path = path
         self._fleet = fleet
         self._take = take
+        self._describe = describe
         self._clients: list[_Client] = []
         self._socket = socket.socket(socket.AF_UNIX)
         with _short_path(path) as short:
@@ -141,6 +146,8 @@ class ControlServer:
                 self._send(client, {"error": "expected one JSON object a line"})
             elif request.get("watch"):
                 client.watches = True
+            elif "describe" in request:
+                self._send(client, {"description": self._describe(request["describe"])})
             else:
                 self._take(request, lambda answer: self._send(client, {"answer": answer}))
 

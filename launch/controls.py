@@ -9,9 +9,10 @@ from typing import Any
 
 from .control_socket import ControlServer
 from .fleet import Fleet
-from .graph_state import graph_state
+from .graph_state import graph_description, graph_state
 from .launchspec import LaunchFile
 from .live_recording import LiveRecording
+from .missing import hosts_state
 from .process import NodeProcess
 from .requests import Requests
 
@@ -37,7 +38,9 @@ class Controls:
         self._fleet = fleet
         self._recording = LiveRecording(launch, fleet)
         self._requests = Requests(fleet.nodes, self._recording.command)
-        self._server = ControlServer(path, fleet, self._requests.take) if path else None
+        self._server = (
+            ControlServer(path, fleet, self._requests.take, self._describe) if path else None
+        )
         self._next_s = 0.0
         self._said: list[str] = []
         fleet.hear = self._hear
@@ -56,6 +59,7 @@ class Controls:
         if not watching and not (self._server and self._server.watched):
             return
         state = graph_state(self._launch.name, self._fleet, self._recording.out)
+        state["hosts"] = hosts_state(self._launch, self._fleet)
         for node in watching:
             node.news("graph", state)
         if self._server is not None:
@@ -65,6 +69,9 @@ class Controls:
         """Take no more requests."""
         if self._server is not None:
             self._server.close()
+
+    def _describe(self, node: str | None) -> dict[str, Any]:
+        return graph_description(self._launch.name, self._fleet, self._recording.out, node)
 
     def _hear(self, node: NodeProcess, event: dict[str, Any]) -> None:
         self._recording.hear(node, event["event"])

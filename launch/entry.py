@@ -13,7 +13,10 @@ def main() -> int:
             # Read as numpy is loaded: the times that a study reports are those of one core.
             os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         # Imported here, so that a Ctrl-C while it loads is taken like any other.
-        from .cli import main as run
+        if sys.argv[1:2] == ["__complete"]:  # a key was pressed: nothing more is loaded for it
+            from .completion_words import main as run
+        else:
+            from .cli import main as run
 
         code = run()
         sys.stdout.flush()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import os
+import socket
 from typing import Any
 
 from .fleet import Fleet
@@ -24,12 +27,74 @@ def graph_state(name: str, fleet: Fleet, recording: str | None) -> dict[str, Any
     return {
         "name": name,
         "recording": recording,
-        "nodes": [
-            _node_state(fleet, node)
-            for node in fleet
-            if not (node.ended and node.name.startswith(LIVE_RECORDER))
-        ],
+        "nodes": [_node_state(fleet, node) for node in _present(fleet)],
     }
+
+
+def graph_description(
+    name: str, fleet: Fleet, recording: str | None, node: str | None
+) -> dict[str, Any]:
+    """All that can be told of a graph to somebody who asks once.
+
+    Parameters
+    ----------
+    name : str
+        Name of the graph.
+    fleet : Fleet
+        Its nodes.
+    recording : str or None
+        File that is being recorded on request, if any.
+    node : str or None
+        The one node whose settings are told too, each with what it may be.
+    """
+    return {
+        "name": name,
+        "pid": os.getpid(),
+        "host": socket.gethostname(),
+        "recording": recording,
+        "nodes": [_node_description(fleet, one, one.name == node) for one in _present(fleet)],
+    }
+
+
+def _present(fleet: Fleet) -> list[NodeProcess]:
+    """The nodes, without recorders that have done their work."""
+    return [node for node in fleet if not (node.ended and node.name.startswith(LIVE_RECORDER))]
+
+
+def _node_description(fleet: Fleet, node: NodeProcess, in_full: bool) -> dict[str, Any]:
+    counts = {what: node.counts.get(what, {}) for what in ("received", "lost", "published")}
+    outputs = node.spec.cls.outputs(node.spec.settings)
+    told = {
+        "name": node.name,
+        "type": node.spec.type_name,
+        "condition": fleet.condition(node),
+        "pid": node.pid,
+        "restarts": fleet.n_restarts(node.name),
+        "line": node.line,
+        "state": node.state,
+        "refused": node.counts.get("refused", {}),
+        "refusal": node.refusal,
+        "inputs": [
+            {
+                "topic": topic,
+                "received": counts["received"].get(topic, 0),
+                "lost": counts["lost"].get(topic, 0),
+            }
+            for topic in node.config["inputs"]
+        ],
+        "outputs": [
+            {"topic": topic, "sent": counts["published"].get(topic, 0)} for topic in outputs
+        ],
+        "commands": dict(node.spec.cls.commands),
+    }
+    if in_full:
+        settings = node.spec.settings
+        values = {f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)}
+        values |= node.settings
+        told["settings"] = [
+            {**entry, "value": values[entry["key"]]} for entry in node.spec.cls.Settings.described()
+        ]
+    return told
 
 
 def _node_state(fleet: Fleet, node: NodeProcess) -> dict[str, Any]:

@@ -50,7 +50,12 @@ class Line:
         self.path = str(path)
         self.loop = Loop()
         self.taken: list[Mapping[str, Any]] = []
-        self.server = ControlServer(self.path, self.loop, self._take)  # type: ignore[arg-type]
+        self.server = ControlServer(
+            self.path,
+            self.loop,  # type: ignore[arg-type]
+            self._take,
+            lambda node: {"of": node},
+        )
         self._clients: list[ControlClient] = []
 
     def _take(self, request: Mapping[str, Any], reply: Callable[[dict[str, Any]], None]) -> None:
@@ -130,6 +135,18 @@ def test_who_watches_is_told_of_the_graph_and_nobody_else(line: Line) -> None:
     assert other.receive() == []
     watcher.close()
     wait_until(lambda: (line.loop.serve(), not line.server.watched)[1], "the watcher to leave")
+
+
+def test_who_asks_for_a_description_gets_one_and_no_more(line: Line) -> None:
+    client = line.client()
+    client.send({"describe": None})
+    client.send({"describe": "sensor"})
+    assert line.receive(client, 2) == [
+        {"description": {"of": None}},
+        {"description": {"of": "sensor"}},
+    ]
+    assert not line.server.watched
+    assert line.taken == []
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,210 @@
+"""One topic of a running graph, read by an onlooker: nobody waits for it, and what it does not
+take in time is dropped for it alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import msgpack
+import zmq
+
+from sparseskin.messages import End
+from sparseskin.messages.topics import split_topic
+from sparseskin.messages.wire import SCHEMAS
+from sparseskin.nodes.clock import SystemClock
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.keys import read_key_pair
+from sparseskin.nodes.sockets import Reader, make_context
+
+from .inspection import describe, topics_of
+from .running import RunningGraph, is_running
+
+POLL_MS = 100
+LOOK_S = 0.5
+"""How often it is looked whether the graph is still there."""
+NICE = 10
+"""An onlooker gives way to the graph's own processes."""
+BATCH = 256
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """One message as it came: its bytes, and what of them names it.
+
+    Attributes
+    ----------
+    at_ns : int
+        When it was taken in, on the graph's clock.
+    ends : bool
+        Whether it says that its topic sends no more; `seq` is then the number of messages sent.
+    """
+
+    topic: bytes
+    payload: bytes
+    at_ns: int
+    run_id: str
+    seq: int
+    stamp_ns: int
+    ends: bool
+
+    @property
+    def n_bytes(self) -> int:
+        """Its size on the wire, topic and payload."""
+        return len(self.topic) + len(self.payload)
+
+
+class Losses:
+    """How many messages of a topic did not arrive: gaps in their numbers.
+
+    Attributes
+    ----------
+    n : int
+        Lost so far. What was sent before the first that arrived is not counted.
+    """
+
+    def __init__(self) -> None:
+        self.n = 0
+        self._run_id = ""
+        self._expected = 0
+
+    def take(self, arrival: Arrival) -> bool:
+        """Count what lies between this message and the last; False where a new run begins."""
+        same = arrival.run_id == self._run_id and arrival.seq >= self._expected
+        if same:
+            self.n += arrival.seq - self._expected
+        self._run_id, self._expected = arrival.run_id, arrival.seq + (not arrival.ends)
+        return same
+
+
+class TopicStream:
+    """The messages of one topic, as they come.
+
+    Parameters
+    ----------
+    graph : RunningGraph
+        The graph.
+    topic : str
+        One of its topics.
+    patience_s : float
+        How long messages may wait, so that those that come together are taken in together.
+
+    Attributes
+    ----------
+    unreadable : int
+        Messages that were not of the wire form; they are left out.
+    interrupted : bool
+        Whether SIGINT or SIGTERM came.
+    """
+
+    def __init__(self, graph: RunningGraph, topic: str, patience_s: float = 0.0) -> None:
+        self._graph = graph
+        self._patience_s = patience_s
+        self._clock = SystemClock(graph.offset_ns)
+        self._context = make_context()
+        self._reader = onlooker(self._context, graph, topic)
+        self.unreadable = 0
+        self.interrupted = False
+
+    def __enter__(self) -> TopicStream:
+        self._handlers = {
+            number: signal.signal(number, self._on_signal)
+            for number in (signal.SIGINT, signal.SIGTERM)
+        }
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+        self._context.destroy(linger=0)
+
+    def batches(self, duration_s: float | None) -> Iterator[list[Arrival]]:
+        """What has come since the last batch, every 100 ms or sooner; it ends after
+        `duration_s`, with an interrupt, or with the graph.
+        """
+        began_s = look_at_s = time.monotonic()
+        while not self.interrupted:
+            now_s = time.monotonic()
+            if duration_s is not None and now_s - began_s >= duration_s:
+                return
+            if now_s >= look_at_s:
+                look_at_s = now_s + LOOK_S
+                if not is_running(self._graph):
+                    yield self._take()
+                    return
+            timeout_ms = POLL_MS
+            if duration_s is not None:
+                timeout_ms = min(POLL_MS, max(1, round(1e3 * (began_s + duration_s - now_s))))
+            if self._reader.socket.poll(timeout_ms) and self._patience_s:
+                time.sleep(self._patience_s)
+            yield self._take()
+
+    def _take(self) -> list[Arrival]:
+        found: list[Arrival] = []
+        while len(found) < BATCH and (parts := self._reader.receive()) is not None:
+            arrival = _arrival(*parts, self._clock.now_ns())
+            if arrival is None:
+                self.unreadable += 1
+            else:
+                found.append(arrival)
+        return found
+
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        self.interrupted = True
+
+
+def onlooker(context: zmq.Context[Any], graph: RunningGraph, topic: str) -> Reader:
+    """A reader of one topic that its writer does not wait for.
+
+    Raises
+    ------
+    KeyFileError
+        If the graph asks for a key that this user may not read.
+    """
+    keys = read_key_pair(Path(graph.key_file)) if graph.key_file else None
+    reader = Reader(context, f"onlooker_{os.getpid()}", (), [topic], present=False, keys=keys)
+    node = graph.nodes[graph.writers()[topic]]
+    reader.connect(node.endpoint, node.key)
+    return reader
+
+
+def why_quiet(graph: RunningGraph, topic: str) -> str:
+    """What is known of why nothing comes on a topic; "" where nothing is."""
+    try:
+        described = describe(graph)
+    except SparseskinError:
+        return " (the graph has ended)"
+    publisher = topics_of(described)[topic].publisher
+    (condition,) = (n["condition"] for n in described["nodes"] if n["name"] == publisher)
+    if condition != "running":
+        return f" ({publisher}: {condition})"
+    schema = SCHEMAS.get(split_topic(topic)[1])
+    return " (latched: sent when it changes)" if schema is not None and schema.latched else ""
+
+
+def give_way() -> None:
+    """Let this process run only where the graph leaves it room."""
+    with contextlib.suppress(OSError):
+        os.nice(NICE)
+
+
+def _arrival(topic: bytes, payload: bytes, at_ns: int) -> Arrival | None:
+    """A message with its head read, its fields unchecked; None where it has none."""
+    try:
+        body: Any = msgpack.unpackb(payload, raw=False, max_map_len=64, max_ext_len=0)
+        ends = body["schema"] == End.schema
+        seq = body["n_messages"] if ends else body["seq"]
+        head = (str(body["run_id"]), seq, body["stamp_ns"])
+    except Exception:  # msgpack promises no narrower family for hostile bytes
+        return None
+    if type(head[1]) is not int or type(head[2]) is not int:
+        return None
+    return Arrival(topic, payload, at_ns, *head, ends)

@@ -1,0 +1,223 @@
+"""What looking at a graph costs it: `make introspection-load` (2 minutes).
+
+A graph of 40 x 40 taxels at 1 kHz, with and without `topic echo`, `hz` and `bw` beside it, turn by
+turn in one run: the latency from sensor to reconstruction, as a node of the graph itself reads it,
+and the processor time that the graph's own processes take.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from array import array
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages import Message, Reconstruction
+from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.sensor.scenes import open_scene
+from sparseskin.nodes.settings import PatchSettings, setting
+
+COMMAND = [sys.executable, "-m", "sparseskin.launch.entry"]
+LAUNCH = """
+[nodes.sensor]
+type = "sensor"
+source = "sparseskin.studies.introspection_load:frames"
+rate_hz = {rate_hz}
+[nodes.compressor]
+type = "compressor"
+[nodes.reconstructor]
+type = "reconstructor"
+iterations = {iterations}
+[nodes.monitor]
+type = "monitor"
+port = 0
+[nodes.latencies]
+type = "sparseskin.studies.introspection_load:Latencies"
+out = "{out}"
+"""
+WAYS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "alone": (),
+    "echo, hz and bw": (
+        ("topic", "echo", "/skin/reconstruction"),
+        ("topic", "hz", "/skin/taxels"),
+        ("topic", "bw", "/skin/measurements"),
+    ),
+}
+SETTLE_S = 1.0
+N_FRAMES = 2000
+
+
+def frames() -> Iterator[tuple[int, npt.NDArray[np.float32]]]:
+    """The first frames of the scene PATH, again and again: (stamp in ns, forces in newtons)."""
+    scene = open_scene("path_40", seed=0)
+    some = [forces for _, forces in itertools.islice(scene, N_FRAMES)]
+    for index, forces in enumerate(itertools.cycle(some)):
+        yield index * 1_000_000, forces
+
+
+@dataclass(frozen=True)
+class LatenciesSettings(PatchSettings):
+    """Settings of the node that notes latencies."""
+
+    out: str = setting("latencies.npy", "file to write")
+
+
+class Latencies(Node[LatenciesSettings]):
+    """Notes of each frame its stamp and the time when it was restored, int64, nanoseconds."""
+
+    Settings = LatenciesSettings
+
+    def __init__(self, settings: LatenciesSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        self._times = array("q")
+
+    @classmethod
+    def inputs(cls, settings: LatenciesSettings) -> tuple[str, ...]:
+        return (f"/{settings.patch}/reconstruction",)
+
+    def step(self, message: Message) -> Iterable[Message]:
+        assert isinstance(message, Reconstruction)
+        self._times.extend((message.stamp_ns, message.done_ns))
+        return ()
+
+    def close(self, counts: dict[str, Any]) -> None:
+        np.save(self.settings.out, np.array(self._times, dtype=np.int64).reshape(-1, 2))
+
+
+@contextlib.contextmanager
+def looked_at(commands: Iterable[tuple[str, ...]]) -> Iterator[None]:
+    """Commands beside the graph, each from its first line on."""
+    processes = [
+        subprocess.Popen([*COMMAND, *command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        for command in commands
+    ]
+    drains = []
+    try:
+        for process in processes:
+            assert process.stdout is not None
+            process.stdout.readline()
+            # What they print is read on, as a terminal would; it costs the graph nothing.
+            drains.append(
+                subprocess.Popen(["cat"], stdin=process.stdout, stdout=subprocess.DEVNULL)
+            )
+        time.sleep(SETTLE_S)
+        yield
+    finally:
+        for process in processes:
+            process.terminate()
+        for process in [*processes, *drains]:
+            process.wait()
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One stretch of time, ns on the graph's clock, and the processor time of the graph in it."""
+
+    way: str
+    began_ns: int
+    ended_ns: int
+    cpu_s: float
+
+
+def cpu_of(pid: int) -> float:
+    """Processor time in seconds that a launcher and its nodes have used."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    ticks = 0
+    for one in [str(pid), *children]:
+        fields = Path(f"/proc/{one}/stat").read_text().rpartition(")")[2].split()
+        ticks += int(fields[11]) + int(fields[12])
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
+def measure(turns: int, turn_s: float, rate_hz: float, iterations: int) -> None:
+    """Print p50 and p99 of the latency of each way, and the ratio of neighbouring turns."""
+    with tempfile.TemporaryDirectory() as folder:
+        out, launch = Path(folder) / "latencies.npy", Path(folder) / "load.toml"
+        launch.write_text(LAUNCH.format(out=out, rate_hz=rate_hz, iterations=iterations))
+        graph = subprocess.Popen(
+            [*COMMAND, "launch", str(launch)],
+            stderr=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert graph.stderr is not None
+        for line in graph.stderr:
+            if "ready:" in line:
+                break
+        spans: list[Turn] = []
+        try:
+            time.sleep(2 * SETTLE_S)
+            for _ in range(turns):
+                for way, commands in WAYS.items():
+                    with looked_at(commands):
+                        began_ns, cpu_s = time.time_ns(), cpu_of(graph.pid)
+                        time.sleep(turn_s)
+                        used_s = cpu_of(graph.pid) - cpu_s
+                        spans.append(Turn(way, began_ns, time.time_ns(), used_s))
+                    time.sleep(SETTLE_S)
+        finally:
+            graph.terminate()
+            table, _ = graph.communicate()
+        stamps, done = np.load(out).T
+    report(spans, stamps, (done - stamps) / 1e6)
+    print(re.sub(" +", " ", next((k for k in table.splitlines() if "sensed" in k), "")))
+
+
+def report(
+    turns: list[Turn],
+    stamps: npt.NDArray[np.int64],
+    latency_ms: npt.NDArray[np.float64],
+) -> None:
+    """Print the table.
+
+    Parameters
+    ----------
+    turns : list of Turn
+        The turns.
+    stamps : ndarray of int64, shape (n_frames,)
+        Stamps, ns.
+    latency_ms : ndarray of float64, shape (n_frames,)
+        Latency of each frame, ms.
+    """
+    inside = [latency_ms[(stamps >= t.began_ns) & (stamps < t.ended_ns)] for t in turns]
+    print(f"{'40 x 40':<20}{'frames':>8}{'p50 ms':>10}{'p99 ms':>10}{'CPU us a frame':>16}")
+    p50s, cpus = {}, {}
+    for way in WAYS:
+        of_way = [found for turn, found in zip(turns, inside, strict=True) if turn.way == way]
+        p50, p99 = np.quantile(np.concatenate(of_way), [0.5, 0.99])
+        n = sum(map(len, of_way))
+        p50s[way] = np.array([np.median(found) for found in of_way])
+        cpus[way] = 1e6 * sum(turn.cpu_s for turn in turns if turn.way == way) / n
+        print(f"{way:<20}{n:>8}{p50:>10.3f}{p99:>10.3f}{cpus[way]:>16.0f}")
+    alone, looked = WAYS
+    ratios = p50s[looked] / p50s[alone]
+    print(f"p50 with / without, turn by turn: {' '.join(f'{r:.3f}' for r in ratios)}")
+    print(f"median {np.median(ratios):.3f}; CPU x {cpus[looked] / cpus[alone]:.3f}")
+
+
+def main() -> None:
+    """Read the options, and measure."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--turns", type=int, default=6, help="turns of each way")
+    parser.add_argument("--seconds", type=float, default=6.0, help="length of a turn")
+    parser.add_argument("--rate-hz", type=float, default=1000.0, help="frames a second")
+    parser.add_argument("--iterations", type=int, default=10, help="of the solver a frame")
+    arguments = parser.parse_args()
+    measure(arguments.turns, arguments.seconds, arguments.rate_hz, arguments.iterations)
+
+
+if __name__ == "__main__":
+    main()
