@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from sparseskin.messages.errors import MessageError
@@ -15,18 +17,24 @@ from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.recorder.node import Recorder
 from sparseskin.nodes.registry import make_settings, node_class
 
+from .hosts import check_exposure, give_ports, read_hosts, read_place, read_security
 from .launchspec import LaunchError, LaunchFile, NodeSpec
 from .supervision import RESTART_KEYS, RestartPolicy
 
 TRANSPORTS = ("ipc", "tcp")
 RECORDER = "recorder"
-_GRAPH_KEYS = ("description", "transport", *RESTART_KEYS)
+INSECURE = "insecure"
+TABLES = ("graph", "nodes", "hosts", "security")
+_GRAPH_KEYS = ("description", "transport", "log_dir", INSECURE, *RESTART_KEYS)
 
 
 class Checker:
     """Turns a TOML tree into a LaunchFile, or all its errors into a LaunchError."""
 
-    def __init__(self, shown: str, text: str, tree: dict[str, Any], name: str) -> None:
+    def __init__(
+        self, shown: str, text: str, tree: dict[str, Any], name: str, folder: Path | None = None
+    ) -> None:
+        self.folder = folder or Path()
         self.shown = shown
         self.text = text
         self.tree = tree
@@ -38,9 +46,13 @@ class Checker:
 
     def check(self, overrides: Sequence[str], record: str | None) -> LaunchFile:
         for key in self.tree:
-            if key not in ("graph", "nodes"):
-                self.fault((key,), f"unknown table{did_you_mean(key, ('graph', 'nodes'))}")
+            if key not in TABLES:
+                self.fault((key,), f"unknown table{did_you_mean(key, TABLES)}")
         graph = self.graph_table()
+        hosts = read_hosts(self.tree, self.fault)
+        security = read_security(self.tree, hosts, self.folder, self.fault)
+        insecure = graph.get(INSECURE) is True
+        check_exposure(hosts.values(), security, insecure, self.fault)
         self.restart = self.restart_policy(("graph",), graph, RestartPolicy())
         tables = self.node_tables()
         for override in overrides:
@@ -50,6 +62,10 @@ class Checker:
         if record is not None:
             tables[RECORDER] = {"type": "recorder", "out": record}
             self.overridden[RECORDER, "out"] = f"{RECORDER}.out={record}"
+        places = {}
+        for node_name, table in tables.items():
+            if hosts and not (node_name == RECORDER and record is not None):
+                places[node_name] = read_place(node_name, table, hosts, self.fault)
         nodes: dict[str, NodeSpec] = {}
         for node_name, table in tables.items():
             spec = self.node(node_name, table)
@@ -61,11 +77,30 @@ class Checker:
                 links = join({spec.name: (spec.cls, spec.settings) for spec in nodes.values()})
             except SparseskinError as error:
                 self.errors.append(f"{self.shown}: {error}")
+            # All that publish, read or not: a recorder more on one host moves no port of another.
+            publish = {
+                name: place
+                for name, place in places.items()
+                if nodes[name].cls.outputs(nodes[name].settings)
+            }
+            endpoints = give_ports(publish, hosts, self.fault)
+            for node_name, (host, _) in places.items():
+                public = endpoints.get(node_name, "")
+                nodes[node_name] = replace(nodes[node_name], host=host, public=public)
         if self.errors:
             raise LaunchError(self.errors)
-        description = graph.get("description", "")
-        transport = graph.get("transport", "ipc")
-        return LaunchFile(self.name, description, transport, nodes, links, self.launched)
+        return LaunchFile(
+            self.name,
+            graph.get("description", ""),
+            graph.get("transport", "ipc"),
+            nodes,
+            links,
+            self.launched,
+            hosts,
+            security,
+            insecure,
+            log_dir=graph.get("log_dir", ""),
+        )
 
     def graph_table(self) -> dict[str, Any]:
         graph = self.tree.get("graph", {})
@@ -77,6 +112,9 @@ class Checker:
                 self.fault(("graph", key), f"unknown key{did_you_mean(key, _GRAPH_KEYS)}")
             elif key in RESTART_KEYS:
                 continue
+            elif key == INSECURE:
+                if not isinstance(value, bool):
+                    self.fault(("graph", key), f"expected true or false, got {value!r}")
             elif not isinstance(value, str):
                 self.fault(("graph", key), f"expected a text, got {value!r}")
             elif key == "transport" and value not in TRANSPORTS:

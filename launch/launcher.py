@@ -14,7 +14,9 @@ from sparseskin.nodes.clock import wall_offset_ns
 from .configs import note_of
 from .controls import Controls
 from .fleet import EXIT_FAILED, EXIT_USAGE, START_S, Fleet
+from .late import late_at_end, or_tell
 from .launchfile import LaunchFile
+from .missing import Missing, hosts_state
 from .process import NodeProcess
 from .remote_controls import RemoteControls
 from .running import RunningGraph, announced, control_path, is_running
@@ -61,6 +63,7 @@ class Launcher:
         self._offset_ns = joined.offset_ns if joined else wall_offset_ns()
         self._fleet = Fleet(launch, self._offset_ns, terminal.log, max_frames, joined)
         self._controls: Controls | RemoteControls | None = None
+        self._missing = Missing(launch, terminal.log, time.monotonic())
         writers = {link.writer for link in launch.links}
         self._sinks = [name for name in launch.nodes if name not in writers]
         self._interrupts = 0
@@ -76,6 +79,11 @@ class Launcher:
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         }
         try:
+            if self._launch.insecure and self._launch.hosts and not self._launch.security:
+                self._terminal.log(
+                    "[launch] warning: insecure = true and no keys: whoever reaches this network "
+                    "can read all topics and pretend to be any node"
+                )
             self._fleet.spawn()
             if self._handshake():
                 self._serve_controls()
@@ -102,6 +110,9 @@ class Launcher:
     def summary(self) -> dict[str, Any]:
         """What the nodes reported, and what each of them counted."""
         merged: dict[str, Any] = {"launch": self._launch.name, "patches": {}, "nodes": {}}
+        if self._launch.host:
+            merged["host"] = self._launch.host
+            merged["hosts"] = hosts_state(self._launch, self._fleet)
         for node in self._fleet:
             found = dict(node.report)
             merged["patches"].update(found.pop("patches", {}))
@@ -130,13 +141,19 @@ class Launcher:
 
     def _handshake(self) -> bool:
         """Join the nodes; False if one of them failed or was late."""
-        if not self._until(lambda: all(node.endpoint for node in self._fleet), START_S):
+        log = self._terminal.log
+        started = or_tell(lambda: all(node.endpoint for node in self._fleet), self._fleet, log)
+        if not self._until(started, START_S):
             return self._name_late("has not started", lambda node: not node.endpoint)
         for node in self._fleet:
             self._fleet.connect(node)
-        if not self._until(lambda: all(node.ready for node in self._fleet), START_S):
+        # Parts start in any order: however long another host takes, it is waited for.
+        limit_s = None if self._launch.elsewhere else START_S
+        ready = or_tell(lambda: all(node.ready for node in self._fleet), self._fleet, log)
+        if not self._until(ready, limit_s):
             return self._name_late("is not ready", lambda node: not node.ready)
-        self._terminal.log(f"[launch] ready: {', '.join(self._fleet.nodes)}")
+        where = f" on {self._launch.host}" if self._launch.host else ""
+        self._terminal.log(f"[launch] ready{where}: {', '.join(self._fleet.nodes)}")
         return True
 
     def _look_around(self) -> None:
@@ -167,6 +184,8 @@ class Launcher:
     def _all_drained(self) -> bool:
         """Whether all have ended but those that wait for a node that is dead."""
         cut_off = {node.name for node in self._fleet if node.exit_code() is not None}
+        # The sources of another host are not stopped from here.
+        cut_off |= {ln.reader for ln in self._launch.links if ln.writer in self._launch.elsewhere}
         for _ in self._fleet:
             cut_off |= {link.reader for link in self._launch.links if link.writer in cut_off}
         return all(node.ended or node.failed or node.name in cut_off for node in self._fleet)
@@ -189,6 +208,8 @@ class Launcher:
     def _serve(self) -> None:
         self._look_around()
         self._fleet.serve()
+        if self._launch.elsewhere:
+            self._missing.tell(self._fleet, time.monotonic())
         if self._controls is not None:
             self._controls.serve()
         nodes = self._fleet.nodes
@@ -203,6 +224,6 @@ class Launcher:
             # One that is still starting has no handler yet; it has nothing to drain either.
             node.send_signal(signal.SIGINT if node.endpoint else signal.SIGTERM)
         if not self._until(self._all_drained, DRAIN_S, draining=True):
-            late = [node.name for node in self._fleet if not node.ended]
+            late = late_at_end(self._fleet, self._launch.links)
             if late and self._interrupts <= 1:
                 self._terminal.log(f"[launch] not drained after {DRAIN_S:g} s: {', '.join(late)}")

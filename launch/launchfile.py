@@ -92,7 +92,7 @@ def load(name: str, overrides: Sequence[str] = (), record: str | None = None) ->
         tree = tomllib.loads(text)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise LaunchError([f"{shown}: not a TOML file: {one_line_of(error)}"]) from error
-    return Checker(shown, text, tree, path.stem).check(overrides, record)
+    return Checker(shown, text, tree, path.stem, path.parent).check(overrides, record)
 
 
 def load_tables(

@@ -31,6 +31,8 @@ class RunningNode:
     type_name: str
     endpoint: str
     outputs: list[str]
+    key: str = ""
+    """Public key that the node asks its readers to know; "" where it asks for none."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class RunningGraph:
     offset_ns: int
     launch: str
     nodes: dict[str, RunningNode]
+    key_file: str = ""
+    """Secret key with which others of this user may read; "" where none is asked for."""
 
     @property
     def label(self) -> str:
@@ -116,7 +120,7 @@ def is_running(graph: RunningGraph) -> bool:
 
 
 def choose_graph(name: str | None) -> RunningGraph:
-    """The graph of that name or label, or the only one there is.
+    """The graph of that name, label or process number, or the only one there is.
 
     Raises
     ------
@@ -126,7 +130,7 @@ def choose_graph(name: str | None) -> RunningGraph:
     graphs = running_graphs()
     if not graphs:
         raise GraphError("no graph runs on this host (start one: sparseskin launch NAME)")
-    matching = [graph for graph in graphs if name in (None, graph.name, graph.label)]
+    matching = [g for g in graphs if name in (None, g.name, g.label, str(g.pid))]
     labels = [graph.label for graph in graphs]
     if not matching:
         raise GraphError(f"--graph {name}: no such graph runs{did_you_mean(str(name), labels)}")

@@ -5,7 +5,7 @@ repeats and refusals counted on what comes in, and the end of a stream passed on
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -91,6 +91,8 @@ class NodeHost:
         The node's input topics; by default those that it names.
     late : bool
         Whether the node joins a graph that already runs: what it finds first is no gap then.
+    late_inputs : collection of str
+        Topics that may run already when the node joins them, as those of another host.
     """
 
     def __init__(
@@ -100,12 +102,15 @@ class NodeHost:
         log: Log,
         inputs: Iterable[str] | None = None,
         late: bool = False,
+        late_inputs: Collection[str] = (),
     ) -> None:
         self.node = node
         self.run_id = run_id
         self.inputs = tuple(node.inputs(node.settings) if inputs is None else inputs)
         self.outputs = node.outputs(node.settings)
-        self.counts = Counts({topic: InputCount(late=late) for topic in self.inputs})
+        self.counts = Counts(
+            {topic: InputCount(late=late or topic in late_inputs) for topic in self.inputs}
+        )
         self._streams = [topic for topic in self.inputs if not is_latched(topic)]
         self.finished = False
         self.ends: list[End] = []

@@ -16,13 +16,16 @@ import zmq
 from sparseskin.messages import Message
 
 from .clock import SystemClock
+from .clock_offset import ClockEstimate
 from .control import Control
 from .errors import SparseskinError
 from .host import NodeHost
 from .lookup import one_line
+from .network import Network
 from .node import Context, SourceNode, Tick
+from .peers import Peer
 from .registry import make_settings, node_class
-from .sockets import FAREWELL_MS, Reader, Writer, make_context
+from .sockets import FAREWELL_MS, Reader, make_context
 
 POLL_MS = 100
 """Longest wait: a signal is noticed within it."""
@@ -46,7 +49,8 @@ class Runner:
     config : dict
         name, type, settings, endpoint, inputs (topics), readers (names of the nodes that read
         this one), offset_ns (of the graph's clock), and where they differ from the default:
-        max_frames (of a source), late (the node joins a graph that already runs).
+        max_frames (of a source), late (the node joins a graph that already runs), and what
+        `Network` expects.
     """
 
     def __init__(self, control: Control, config: dict[str, Any]) -> None:
@@ -56,17 +60,23 @@ class Runner:
         cls = node_class(config["type"])
         settings = make_settings(cls, config["settings"])
         late = bool(config.get("late"))
-        node = cls(settings, Context(self.name, self.clock, self.log, self._ask, late))
+        node = cls(
+            settings,
+            Context(self.name, self.clock, self.log, self._ask, late, self._clock_of),
+        )
         run_id = secrets.token_hex(8)
-        self.host = NodeHost(node, run_id, self.log, config["inputs"], late)
+        self.host = NodeHost(
+            node, run_id, self.log, config["inputs"], late, config.get("distant_inputs", ())
+        )
         self.expected = set(config["readers"])
         self.max_frames: int | None = config.get("max_frames")
         self.context = make_context()
-        self.writer = Writer(self.context, config["endpoint"], self.name)
+        self.network = Network(self.context, config, self.clock.now_ns, self.log)
+        self.writer = self.network.writer
         self.reader: Reader | None = None
         self.poller = zmq.Poller()
         self.poller.register(control.fd, zmq.POLLIN)
-        self.poller.register(self.writer.socket, zmq.POLLIN)
+        self._poll_all()
         self.connected = self.ready = self.started = self.stopping = self.told = False
         self.draining = self.failed = self.terminated = False
         self.asks: deque[int] = deque()
@@ -93,6 +103,7 @@ class Runner:
         while not (self.stopping or self.control.closed):
             self._wait()
             self._obey()
+            self.network.serve()
             self.writer.serve_subscriptions()
             self._take_in()
             self._answer()
@@ -106,6 +117,9 @@ class Runner:
             self.control.emit("error", text="terminated (SIGTERM)", code=EXIT_CRASH)
         if not self.told:
             self._tell_end()
+        for _, note in self.owed:  # nobody is to wait for one that is gone
+            assert self.reader is not None
+            self.reader.answer(note)
         # What is under way is still sent, but nobody who does not take it holds up the end.
         self.context.destroy(linger=FAREWELL_MS)
 
@@ -149,14 +163,15 @@ class Runner:
         ready = self.poller.poll(timeout_ms)
         patience_s = self.host.node.patience_s
         # Not while messages wait from before, and not where a source waits for answers.
-        if patience_s and self.all_taken and not self.asked and ready:
+        hurries = self.asked or self.network.awaits_time
+        if patience_s and self.all_taken and not hurries and ready:
             time.sleep(patience_s)
 
     def _obey(self) -> None:
         for command in self.control.commands():
             match command["command"]:
                 case "connect":
-                    self._connect(command["endpoints"])
+                    self._connect([Peer(**peer) for peer in command["peers"]])
                 case "start":
                     self._start()
                 case "drain":
@@ -197,11 +212,21 @@ class Runner:
         elif not done:
             self.log(text)
 
-    def _connect(self, endpoints: list[str]) -> None:
-        if endpoints:
-            self.reader = Reader(self.context, self.name, endpoints, self.host.inputs)
-            self.poller.register(self.reader.socket, zmq.POLLIN)
+    def _connect(self, peers: list[Peer]) -> None:
+        """Listen to writers; those on other hosts are named later, once this node is ready."""
+        if peers and self.reader is None:
+            self.reader = self.network.make_reader(self.host.inputs)
+            self._poll_all()
+        if self.reader is not None:
+            self.network.connect(self.reader, peers)
         self.connected = True
+
+    def _poll_all(self) -> None:
+        for socket in self.network.sockets:
+            self.poller.register(socket, zmq.POLLIN)
+
+    def _clock_of(self, topic: str) -> ClockEstimate | None:
+        return self.network.clock_of(topic)
 
     def _start(self) -> None:
         if isinstance(self.host.node, SourceNode):
@@ -218,6 +243,8 @@ class Runner:
                 return
             topic, payload = parts
             if self.reader.is_ask(topic):
+                if self.network.take_time(payload):
+                    continue
                 self.asked = True
                 self.owed.append((self.writer.ask(), payload))
             else:
@@ -254,6 +281,7 @@ class Runner:
             self.next_heartbeat_ns = now_ns + HEARTBEAT_NS
             # Where readers are far behind, an end too can be dropped: it is said again.
             self._publish(self.host.ends)
+            self.network.end_said_again()
             self.control.emit(
                 "heartbeat",
                 lacks=sorted(self.expected - self.writer.present) if not self.ready else [],
@@ -261,11 +289,12 @@ class Runner:
                 state=self.host.node.state(),
                 refusal=self.host.refusal,
                 counts=self.host.counts.as_dict(),
+                **self.network.state(),
             )
         if self.host.failure and not self.failed:
             self.failed = True
             self.control.emit("failed")
-        if self.host.finished and not self.told:
+        if self.host.finished and not self.told and self.network.end_taken():
             self._tell_end()
 
     def _tell_end(self) -> None:
@@ -276,4 +305,5 @@ class Runner:
             report=self.host.node.report(),
             counts=self.host.counts.as_dict(),
             failure=self.host.failure,
+            clocks=self.network.state()["clocks"],
         )
