@@ -10,7 +10,7 @@ from typing import Any
 
 from sparseskin.nodes.graph import Link
 
-from .configs import node_config
+from .configs import node_config, peer_of
 from .launchspec import LaunchFile, NodeSpec
 from .process import NodeProcess, exit_text
 from .running import RunningGraph
@@ -98,10 +98,14 @@ class Fleet:
         self._restarts[spec.name] = Restarts(spec.restart)
         self._start_process(spec, late=True)
 
-    def connect(self, node: NodeProcess) -> None:
-        """Tell a node where its writers are."""
-        writers = sorted({link.writer for link in self._links if link.reader == node.name})
-        node.command("connect", endpoints=[self._endpoint_of(writer) for writer in writers])
+    def connect(self, node: NodeProcess, distant: bool = False) -> None:
+        """Tell a node where its writers on this host are, or where those on other hosts are."""
+        writers = {link.writer for link in self._links if link.reader == node.name}
+        here = {writer for writer in writers if writer not in self._launch.elsewhere}
+        names = sorted(writers - here if distant else here)
+        peers = [peer_of(self._launch, self._joined, name, self._endpoints) for name in names]
+        if peers or not distant:
+            node.command("connect", peers=peers)
 
     def command_all(self, command: str) -> None:
         for node in self:
@@ -158,9 +162,10 @@ class Fleet:
 
     def _start_process(self, spec: NodeSpec, late: bool = False, endpoint: str = "") -> None:
         config = node_config(
-            self._launch.transport,
+            self._launch,
             spec,
             self._links,
+            joined=self._joined,
             offset_ns=self._offset_ns,
             max_frames=self._max_frames,
             late=late or self._joined is not None,
@@ -184,13 +189,8 @@ class Fleet:
         if dead.state.get("paused"):
             self._to_pause.add(name)
         endpoint = self._endpoints.get(name, "")
-        self._start_process(dead.spec.with_live(dead.settings), late=True, endpoint=endpoint)
-
-    def _endpoint_of(self, writer: str) -> str:
-        if self._joined is not None:
-            return self._joined.nodes[writer].endpoint
-        # Of a writer that is being started again, too: it will bind where it did before.
-        return self._endpoints[writer]
+        spec = dead.spec.with_live(dead.settings).again(self.n_restarts(name))
+        self._start_process(spec, late=True, endpoint=endpoint)
 
     def _alive(self) -> list[NodeProcess]:
         return [node for node in self if node.exit_code() is None]
@@ -230,6 +230,8 @@ class Fleet:
                     self.connect(node)
             case "ready":
                 node.ready = True
+                # Not before: what comes from other hosts can be passed on from now on.
+                self.connect(node, distant=True)
                 if self.supervised:
                     node.command("start")
                 if node.name in self._to_pause:
@@ -238,9 +240,11 @@ class Fleet:
             case "heartbeat":
                 node.lacks, node.line, node.counts = event["lacks"], event["line"], event["counts"]
                 node.state, node.refusal = event["state"], event["refusal"]
+                node.heard, node.clocks = event["heard"], event["clocks"]
             case "ended":
                 node.ended = True
                 node.counts, node.report = event["counts"], event["report"]
+                node.clocks = event["clocks"]
             case "failed":  # the node has said why in its log
                 self._fail(node, EXIT_USAGE)
             case "error":

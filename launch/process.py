@@ -49,6 +49,8 @@ class NodeProcess:
         self.endpoint = ""
         self.ready = self.ended = self.failed = False
         self.lacks: list[str] = []
+        self.heard: dict[str, bool] = {}
+        self.clocks: dict[str, tuple[int, int]] = {}
         self.line = self.refusal = ""
         self.state: dict[str, Any] = {}
         self.settings: dict[str, Any] = spec.settings.live_values()

@@ -10,7 +10,9 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+
+from .run_log import RunLog, time_text
 
 QUIET_STATUS_S = 10.0
 """How often the status is printed where the output is no terminal."""
@@ -21,9 +23,21 @@ NAMES = {"\ue000": "up", "\ue001": "down", "\ue002": "right", "\ue003": "left"}
 
 
 class Terminal:
-    """Writes to stderr, so that stdout holds results alone."""
+    """Writes to stderr, so that stdout holds results alone.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    run_log : RunLog, optional
+        Where each line of the log is written too.
+    now_s : callable
+        Time of day, in seconds since the epoch.
+    """
+
+    def __init__(
+        self, run_log: RunLog | None = None, now_s: Callable[[], float] = time.time
+    ) -> None:
+        self._run_log = run_log
+        self._now_s = now_s
         # Started with stderr closed, or closed while it runs: the graph goes on without a word.
         self._open = sys.stderr is not None
         self._live = self._open and sys.stderr.isatty()
@@ -33,9 +47,14 @@ class Terminal:
         self._next_s = time.monotonic() + QUIET_STATUS_S
 
     def log(self, line: str) -> None:
-        """Print one line above the status line."""
+        """Print one line, with its time, above the status line."""
+        now_s = self._now_s()
         self._erase()
-        self._write(line + "\n")
+        self._write(f"{time_text(now_s)} {line}\n")
+        if self._run_log is not None and not self._run_log.error:
+            self._run_log.write(line, now_s)
+            if self._run_log.error:
+                self._write(f"{time_text(now_s)} [launch] no more logs: {self._run_log.error}\n")
         self._draw()
 
     def status(self, line: str) -> None:
