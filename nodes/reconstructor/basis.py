@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sparseskin.nodes.compressor.calls import Floats
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.lookup import find_class
+from sparseskin.nodes.lookup import find_callable, find_class
 
 BASES = {
     "haar": "sparseskin.nodes.reconstructor.haar:HaarBasis",
@@ -19,6 +23,9 @@ BASES = {
     "dct": "sparseskin.nodes.reconstructor.separable:DctBasis",
     "identity": "sparseskin.nodes.reconstructor.basis:IdentityBasis",
 }
+#: What a basis from a file of `sparseskin learn-basis` begins with; the path follows.
+LEARNED = "learned:"
+_LEARNED_MODULE = "sparseskin.nodes.reconstructor.learned"
 _INTERFACE = ("n_rows", "n_cols", "analysis", "synthesis")
 
 
@@ -49,38 +56,36 @@ class Basis(ABC):
 
         Parameters
         ----------
-        image : ndarray of float32, shape (n_rows, n_cols)
-            Forces, newtons.
-        out : ndarray of float32, shape (n_rows, n_cols), contiguous, optional
+        image : ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
+            Forces, newtons; or k such frames.
+        out : ndarray of float32, of the same shape, contiguous, optional
             Where to put the result; not the image itself.
 
         Returns
         -------
-        ndarray of float32, shape (n_rows, n_cols)
-            Coefficients, newtons.
+        ndarray of float32, of the same shape
+            Coefficients, newtons. A frame gives the same bits alone and in a batch.
 
         Raises
         ------
         SolverError
             If image or out has another shape, or out is not contiguous float32.
         """
-        image, out = self._checked("image", image, out)
-        self._analysis(image.reshape(-1), out.reshape(-1))
-        return out
+        return self._each(self._analysis, "image", image, out)
 
     def synthesis(self, coefficients: Floats, out: Floats | None = None) -> Floats:
         """Return the image Psi theta.
 
         Parameters
         ----------
-        coefficients : ndarray of float32, shape (n_rows, n_cols)
-            Laid out as `analysis` gives them, newtons.
-        out : ndarray of float32, shape (n_rows, n_cols), contiguous, optional
+        coefficients : ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
+            Laid out as `analysis` gives them, newtons; or k sets of them.
+        out : ndarray of float32, of the same shape, contiguous, optional
             Where to put the result; not the coefficients themselves.
 
         Returns
         -------
-        ndarray of float32, shape (n_rows, n_cols)
+        ndarray of float32, of the same shape
             Forces, newtons.
 
         Raises
@@ -88,9 +93,7 @@ class Basis(ABC):
         SolverError
             If coefficients or out has another shape, or out is not contiguous float32.
         """
-        coefficients, out = self._checked("coefficients", coefficients, out)
-        self._synthesis(coefficients.reshape(-1), out.reshape(-1))
-        return out
+        return self._each(self._synthesis, "coefficients", coefficients, out)
 
     @abstractmethod
     def _analysis(self, image: Floats, out: Floats) -> None:
@@ -100,19 +103,32 @@ class Basis(ABC):
     def _synthesis(self, coefficients: Floats, out: Floats) -> None:
         """Write Psi theta to out; both flat, contiguous, float32."""
 
-    def _checked(self, name: str, given: Floats, out: Floats | None) -> tuple[Floats, Floats]:
+    def _each(
+        self,
+        apply: Callable[[Floats, Floats], None],
+        name: str,
+        given: Floats,
+        out: Floats | None,
+    ) -> Floats:
         given = np.ascontiguousarray(given, dtype=np.float32)
         shape = (self.n_rows, self.n_cols)
-        if given.shape != shape:
-            raise SolverError(f"basis: {name} has shape {given.shape}; expected {shape}")
+        if given.ndim not in (2, 3) or given.shape[-2:] != shape:
+            raise SolverError(
+                f"basis: {name} has shape {given.shape}; expected {shape}, or several of them"
+            )
         if out is None:
-            out = np.empty(shape, dtype=np.float32)
-        elif out.shape != shape or out.dtype != np.float32 or not out.flags.c_contiguous:
+            out = np.empty(given.shape, dtype=np.float32)
+        elif out.shape != given.shape or out.dtype != np.float32 or not out.flags.c_contiguous:
             raise SolverError(
                 f"basis: out is {out.dtype} of shape {out.shape}; "
-                f"expected contiguous float32 of shape {shape}"
+                f"expected contiguous float32 of shape {given.shape}"
             )
-        return given, out
+        if given.ndim == 2:
+            apply(given.reshape(-1), out.reshape(-1))
+        else:
+            for one, result in zip(given, out, strict=True):
+                apply(one.reshape(-1), result.reshape(-1))
+        return out
 
 
 class IdentityBasis(Basis):
@@ -125,24 +141,42 @@ class IdentityBasis(Basis):
         np.copyto(out, coefficients)
 
 
+def find_basis(name: str) -> Callable[..., Any]:
+    """Return what makes a basis of this name, given n_rows and n_cols.
+
+    Raises
+    ------
+    SolverError
+        If the name is unknown, or it is a learned basis whose file is not as it should be.
+    """
+    if not name.startswith(LEARNED):
+        return find_class("basis", name, BASES, SolverError)
+    path = name.removeprefix(LEARNED)
+    # By name: what is learned is itself a Basis, of this module.
+    read_atoms = find_callable(f"{_LEARNED_MODULE}:read_atoms", SolverError)
+    made = find_callable(f"{_LEARNED_MODULE}:LearnedBasis", SolverError)
+    return partial(made, atoms=read_atoms(path), name=Path(path).stem)
+
+
 def make_basis(name: str, n_rows: int, n_cols: int) -> Basis:
     """Make a basis by name.
 
     Parameters
     ----------
     name : str
-        "haar"; "db2", "db4", "sym4", "coif1" (PyWavelets' names); "dct"; "identity"; or
-        "module:Class" for your own: called with the keywords n_rows, n_cols, it must offer what
-        `Basis` does.
+        "haar"; "db2", "db4", "sym4", "coif1" (PyWavelets' names); "dct"; "identity";
+        "learned:B.npz", the file of `sparseskin learn-basis`; or "module:Class" for your own:
+        called with the keywords n_rows, n_cols, it must offer what `Basis` does.
     n_rows, n_cols : int
         Size of the grid of taxels.
 
     Raises
     ------
     SolverError
-        If the name is unknown, the grid is empty, or a class of your own is not a basis.
+        If the name is unknown, the grid is empty, a class of your own is not a basis, or the
+        file of a learned one is not as it should be.
     """
-    cls = find_class("basis", name, BASES, SolverError)
+    cls = find_basis(name)
     try:
         made = cls(n_rows=n_rows, n_cols=n_cols)
     except TypeError as cause:

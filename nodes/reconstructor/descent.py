@@ -1,41 +1,34 @@
-"""One gradient step on 1/2 ||Phi R Psi theta - y||^2: what an iteration spends its time on."""
+"""Iterations of FISTA on 1/2 ||Phi R Psi theta - y||^2 + lambda ||theta||_1."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import partial
 
 import numpy as np
 
 from sparseskin.nodes.compressor.calls import Call, Floats, Indices, gather, run
 from sparseskin.nodes.compressor.phi import Phi
 from sparseskin.nodes.compressor.sbhe import SbhePhi
+from sparseskin.nodes.fast import MAX_PLACES
 from sparseskin.nodes.reconstructor.basis import Basis
 from sparseskin.nodes.reconstructor.haar import HaarBasis
 
 
 class Descent(ABC):
-    """A gradient step of length 1/L, as a program of calls on fixed buffers.
+    """Gradient steps of length 1/L, with momentum and shrinkage.
 
     Coefficients are held in an order and scale of the descent's own: w = weights * theta.
 
     Attributes
     ----------
-    z : ndarray of float32, shape (n_inner,)
-        Where the step starts from; overwritten by it.
-    u : ndarray of float32, shape (n_inner,)
-        Where the step leaves its result, theta_z - gradient / L.
     weights : ndarray of float32, shape (n_inner,)
     step_size : float
         1 / L.
-    calls : list of Call
-        The step.
     """
 
-    z: Floats
-    u: Floats
     weights: Floats
     step_size: float
-    calls: list[Call]
 
     @abstractmethod
     def set_measurements(self, y: Floats) -> None:
@@ -49,8 +42,69 @@ class Descent(ABC):
     def coefficients_of(self, image: Floats, out: Floats) -> None:
         """Write the coefficients of an image to out, float32, shape (n_inner,)."""
 
+    @abstractmethod
+    def prepare(self, thetas: tuple[Floats, Floats], threshold: Floats) -> None:
+        """Take the two buffers that `iterate` works on, and the thresholds of coefficients w."""
 
-class PlainDescent(Descent):
+    @abstractmethod
+    def iterate(self, newest: int, betas: Floats) -> None:
+        """Do an iteration for each of the momenta betas, float32 (k,).
+
+        z = theta + beta (theta - theta_before); u = z - gradient / L; the result is u drawn
+        towards 0 by the threshold. It replaces theta_before, so that the buffers take turns;
+        `newest` says which of them, 0 or 1, holds theta at first.
+        """
+
+
+class NumpyDescent(Descent):
+    """Iterations as programs of calls on fixed buffers.
+
+    Attributes
+    ----------
+    z : ndarray of float32, shape (n_inner,)
+        Where the gradient step starts from; overwritten by it.
+    u : ndarray of float32, shape (n_inner,)
+        Where the gradient step leaves its result.
+    calls : list of Call
+        The gradient step.
+    """
+
+    z: Floats
+    u: Floats
+    calls: list[Call]
+
+    def prepare(self, thetas: tuple[Floats, Floats], threshold: Floats) -> None:
+        self._beta = np.zeros((), dtype=np.float32)
+        clipped = np.empty_like(threshold)
+        self._iterations = [
+            self._iteration(theta, before, -threshold, threshold, clipped)
+            for theta, before in (thetas, thetas[::-1])
+        ]
+
+    def iterate(self, newest: int, betas: Floats) -> None:
+        for beta in betas:
+            self._beta[()] = beta
+            run(self._iterations[newest])
+            newest = 1 - newest
+
+    def _iteration(
+        self, theta: Floats, before: Floats, low: Floats, high: Floats, clipped: Floats
+    ) -> list[Call]:
+        """Return the calls of one iteration; u - clip(u) is u drawn towards 0."""
+        z, u = self.z, self.u
+        return [
+            (np.subtract, (theta, before, z)),
+            (np.multiply, (z, self._beta, z)),
+            (np.add, (z, theta, z)),
+            *self.calls,
+            # These two take no third argument by position any more.
+            (partial(np.minimum, u, high, out=clipped), ()),
+            (partial(np.maximum, clipped, low, out=clipped), ()),
+            (np.subtract, (u, clipped, before)),
+        ]
+
+
+class PlainDescent(NumpyDescent):
     """The step for any phi and any basis, through their public operators.
 
     Parameters
@@ -100,7 +154,7 @@ class PlainDescent(Descent):
         np.add(self.u, self.z, self.u)
 
 
-class SbheHaarDescent(Descent):
+class SbheHaarDescent(NumpyDescent):
     """The step for the scrambled block Hadamard ensemble and the Haar basis, many times faster.
 
     With orthonormal rows L = 1, and the step replaces the measured Hadamard coefficients of the
@@ -168,9 +222,14 @@ class SbheHaarDescent(Descent):
         np.multiply(self._w, self.weights * self.weights, out)
 
 
-def make_descent(phi: Phi, basis: Basis, taxels: Indices) -> Descent:
-    """Return the fastest gradient step there is for a phi and a basis."""
+def make_descent(phi: Phi, basis: Basis, taxels: Indices, compiled: bool = False) -> Descent:
+    """Return the fastest iterations there are, of compiled loops if these are wanted."""
     # Exactly these types: a subclass may have changed what the operators do.
-    if type(phi) is SbhePhi and type(basis) is HaarBasis:
-        return SbheHaarDescent(phi, basis, taxels)
-    return PlainDescent(phi, basis, taxels)
+    if type(phi) is not SbhePhi or type(basis) is not HaarBasis:
+        return PlainDescent(phi, basis, taxels)
+    if compiled and basis.n_rows * basis.n_cols < MAX_PLACES:
+        # Imported here: it needs numba.
+        from sparseskin.nodes.reconstructor.fast_descent import CompiledDescent
+
+        return CompiledDescent(phi, basis, taxels)
+    return SbheHaarDescent(phi, basis, taxels)

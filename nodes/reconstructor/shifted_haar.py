@@ -58,7 +58,7 @@ class ShiftedHaar:
         self._canvas = canvas
         # Partners along the rows, then along the columns, stand half a part apart at each level.
         cells = np.arange(self.size).reshape(n_rows, n_cols)
-        self._cells = _in_planes(cells, LEVELS)
+        self._cells = in_planes(cells, LEVELS)
         self._tables: dict[int, tuple[Indices, Indices]] = {}
 
         self.weights2: Floats = np.empty(self.size, dtype=np.float32)
@@ -146,9 +146,17 @@ def _sums_and_differences(source: npt.NDArray[np.float32], target: Floats) -> li
     return [(np.add, (low, high, into[:, 0])), (np.subtract, (low, high, into[:, 1]))]
 
 
-def _in_planes(cells: Indices, levels: int) -> Indices:
-    """Return the cells with partners half a part apart: even rows first, even columns first."""
+def in_planes(cells: Indices, levels: int) -> Indices:
+    """Return the cells with partners half a part apart: even rows first, even columns first.
+
+    Parameters
+    ----------
+    cells : ndarray of intp, shape (n_rows, n_cols)
+        Both sides divisible by 2^levels.
+    levels : int
+        How often this is done, again within each quarter.
+    """
     if levels == 0:
         return cells.reshape(-1)
     planes = [cells[down::2, right::2] for down in (0, 1) for right in (0, 1)]
-    return np.concatenate([_in_planes(plane, levels - 1) for plane in planes])
+    return np.concatenate([in_planes(plane, levels - 1) for plane in planes])
