@@ -74,16 +74,18 @@ class Feed:
         self.run = secrets.token_hex(4)
         self.hungry = 0
 
-    def frame(self, patch: str, message: Message, judged: Judged | None) -> None:
-        """Take in a message of a patch, and the frame that it completes."""
+    def frame(
+        self, patch: str, message: Message, judged: Judged | None, latency_ns: int | None = None
+    ) -> None:
+        """Take in a message of a patch, the frame that it completes, and the newest latency."""
         now_s = time.monotonic()
         feed = self.patches[patch]
         with self.changed:
             if isinstance(message, SkinState):
                 feed.skin = message
                 feed.maps.clear()
-            elif isinstance(message, Reconstruction):
-                feed.latency_s = (message.done_ns - message.stamp_ns) / 1e9
+            elif latency_ns is not None:
+                feed.latency_s = latency_ns / 1e9
             if judged is None:
                 self._note_alone(feed, message, now_s)
                 return

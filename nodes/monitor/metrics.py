@@ -23,6 +23,7 @@ from sparseskin.messages import (
 )
 from sparseskin.messages.quantised import Quantised
 
+from .delay import ClockOf, Delay, same_clock
 from .statistics import Extent, Quantiles
 
 PSNR_CAP_DB = 100.0
@@ -126,6 +127,7 @@ class _Pending:
     taxels: Taxels | None = None
     truth: Truth | None = None
     reconstruction: Reconstruction | None = None
+    latency_ns: int | None = None
     n_sensed: int = 0
     n_reconstructed: int = 0
 
@@ -137,9 +139,18 @@ class PatchMetrics:
     ----------
     late : bool
         Whether the graph already ran when the first message came.
+    clock_of : callable
+        Tells how far the clock of a topic's writer is ahead.
+
+    Attributes
+    ----------
+    latency_ns : int or None
+        Of the last reconstruction; None while a clock is not known.
     """
 
-    def __init__(self, late: bool = False) -> None:
+    def __init__(self, late: bool = False, clock_of: ClockOf = same_clock) -> None:
+        self._delay = Delay(clock_of)
+        self.latency_ns: int | None = None
         self.skin: SkinState | None = None
         self.phi: PhiState | None = None
         self.solver: SolverState | None = None
@@ -155,6 +166,11 @@ class PatchMetrics:
         self.lost_so_far = 0
         self.unpaired = 0
         self._pending: OrderedDict[int, _Pending] = OrderedDict()
+
+    @property
+    def latency_uncertainty_ms(self) -> float:
+        """By how much a latency may be wrong, because the clocks of two hosts are; 0 on one."""
+        return self._delay.uncertainty_ns / 1e6
 
     @property
     def sensed(self) -> int:
@@ -193,10 +209,13 @@ class PatchMetrics:
                 # Who joins late leaves out frames of which it has not seen the taxels.
                 if self._first_ns is None or message.stamp_ns < self._first_ns:
                     return None
-                self.latency.add(message.done_ns - message.stamp_ns)
+                self.latency_ns = self._delay.of(message)
+                if self.latency_ns is not None:
+                    self.latency.add(self.latency_ns)
                 self.solve.add(message.solve_ns)
                 frame = self._pair(message.stamp_ns)
                 frame.reconstruction = message
+                frame.latency_ns = self.latency_ns
                 frame.n_reconstructed = self._reconstructed.add(message)
                 return self._settle(message.stamp_ns)
         return None
@@ -255,7 +274,7 @@ class PatchMetrics:
             reconstruction=reconstruction,
             psnr_noisy_db=noisy_db,
             psnr_db=restored_db,
-            latency_ms=(reconstruction.done_ns - reconstruction.stamp_ns) / 1e6,
+            latency_ms=math.nan if frame.latency_ns is None else frame.latency_ns / 1e6,
             solve_ms=reconstruction.solve_ns / 1e6,
             lost=self.lost_so_far,
         )
@@ -268,10 +287,12 @@ class PatchMetrics:
         return {
             "scene": self.skin.source if self.skin else None,
             "phi": self.phi.kind if self.phi else None,
+            "rows": self.phi.rows if self.phi else None,
             "basis": self.solver.basis if self.solver else None,
             "solver": self.solver.solver if self.solver else None,
             "preset": self.solver.preset if self.solver else None,
             "iterations": self.solver.iterations if self.solver else None,
+            "max_iterations": self.solver.max_iterations if self.solver else None,
             "n": n,
             "m": m,
             "ratio": n / m if n and m else None,
@@ -292,6 +313,7 @@ class PatchMetrics:
             },
             "relative_error": self.relative_error.summary(),
             "latency_ms": self.latency.summary(),
+            "latency_uncertainty_ms": self.latency_uncertainty_ms,
             "solve_ms": self.solve.summary(),
             "bytes_in": self.bytes_in,
             "bytes_out": self.bytes_out,

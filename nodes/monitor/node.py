@@ -65,7 +65,9 @@ class Monitor(Node[MonitorSettings]):
 
     def __init__(self, settings: MonitorSettings, context: Context) -> None:
         super().__init__(settings, context)
-        self._patches = {patch: PatchMetrics(context.late) for patch in settings.patches}
+        self._patches = {
+            patch: PatchMetrics(context.late, context.clock_of) for patch in settings.patches
+        }
         self._feed: Feed | None = None
         self._page: PageServer | None = None
         self._next_summary_ns = 0
@@ -93,9 +95,10 @@ class Monitor(Node[MonitorSettings]):
         return ()
 
     def step(self, message: Message) -> Iterable[Message]:
-        judged = self._patches[message.patch].add(message)
+        metrics = self._patches[message.patch]
+        judged = metrics.add(message)
         if self._feed is not None:
-            self._feed.frame(message.patch, message, judged)
+            self._feed.frame(message.patch, message, judged, metrics.latency_ns)
         return ()
 
     def ended(self, topic: str, n_messages: int) -> Iterable[Message]:

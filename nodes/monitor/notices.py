@@ -63,6 +63,10 @@ class Notices:
             yield NOTE, f"{name} says: {node['said']}"
         if condition == "paused":
             yield NOTE, f"{name} is paused."
+        if node["state"].get("left_out"):
+            yield NOTE, f"{name}: {node['state']['left_out']}."
+        if node["state"].get("swamped"):
+            yield BAD, f"{name}: too many measurements do not fit each other."
 
     def _of_patch(self, name: str, patch: PatchFeed, now_s: float) -> Iterator[Notice]:
         if patch.ended:

@@ -42,10 +42,23 @@ def screen(feed: Feed, notices: Notices) -> str:
             lines.append(f"recording {graph['recording']}")
         states = [f"{node['name']}: {node['condition']}" for node in graph.get("nodes", [])]
         lines += _wrapped(states)
+        lines += [_host_line(name, host) for name, host in graph.get("hosts", {}).items()]
         lines += [f"{'!!' if tone == BAD else ' *'} {text}" for tone, text in said]
         for name, patch in feed.patches.items():
             lines += _patch_lines(name, patch, now_s)
     return "\n".join(line[:WIDTH] for line in lines)
+
+
+def _host_line(name: str, host: dict[str, Any]) -> str:
+    """What is heard of another host, and how well its clock is known."""
+    if host["silent"]:
+        return f"host {name}: does not hear {', '.join(host['silent'])}"
+    if host["clock_uncertainty_ms"] is None:
+        return f"host {name}: heard" if host["heard"] else f"host {name}: nothing is read from it"
+    return (
+        f"host {name}: heard, its clock is ahead by {host['clock_offset_ms']:.2f} ms "
+        f"± {host['clock_uncertainty_ms']:.2f} ms"
+    )
 
 
 def _wrapped(parts: list[str]) -> list[str]:
@@ -77,8 +90,9 @@ def _patch_lines(name: str, patch: PatchFeed, now_s: float) -> list[str]:
     ]
     right = [
         f"sent  {_bytes(summary['bytes_out'])} in place of {_bytes(summary['bytes_in'])}",
-        f"latency {shown(latency.get('p50'), '.1f')} / {shown(latency.get('p99'), '.1f')} ms, "
-        f"solve {shown(solve.get('p50'), '.1f')} ms",
+        f"latency {shown(latency.get('p50'), '.1f')} / {shown(latency.get('p99'), '.1f')}"
+        + (f" ± {within:.1f} ms, " if (within := summary["latency_uncertainty_ms"]) else " ms, ")
+        + f"solve {shown(solve.get('p50'), '.1f')} ms",
         f"{frames['reconstructed']} of {frames['sensed']} frames, {patch.lost} lost",
     ]
     lines = [title.center(WIDTH, "-")]

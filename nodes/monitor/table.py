@@ -24,6 +24,8 @@ def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
     latency = metrics.latency.summary()
     if latency:
         parts.append(f"latency {latency['p50']:.1f}/{latency['p99']:.1f} ms")
+        if metrics.latency_uncertainty_ms:
+            parts[-1] += f" ± {metrics.latency_uncertainty_ms:.1f}"
     return " | ".join(parts)
 
 
@@ -45,16 +47,18 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
         title.center(78, "="),
         f"frames      sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
         f"lost {frames['lost']}",
-        f"measured    {patch['phi']}: N = {patch['n']}, M = {patch['m']} "
+        f"measured    {patch['phi']}{', rotating rows' if patch['rows'] == 'rotating' else ''}: N = {patch['n']}, M = {patch['m']} "
         f"(ratio {shown(patch['ratio'], '.2f')}), "
         f"range 0..{shown(patch['f_max'], 'g')} {patch['unit']}"
         + (f", {patch['bits']} bits" if patch["bits"] not in (NONE, FLOAT_BITS) else ""),
-        f"restored    {patch['solver']} in {patch['basis']}, {patch['iterations']} iterations"
+        f"restored    {patch['solver']} in {patch['basis']}, {_iterations(patch)}"
         + (f" (preset {patch['preset']})" if patch["preset"] not in ("", NONE) else ""),
         f"bytes       taxels {patch['bytes_in']:,}, measurements {patch['bytes_out']:,}"
         + (f" (1/{patch['bytes_in'] / patch['bytes_out']:.2f})" if patch["bytes_out"] else ""),
         f"time        latency p50 {_time(patch['latency_ms'], 'p50')}, "
-        f"p99 {_time(patch['latency_ms'], 'p99')}; "
+        f"p99 {_time(patch['latency_ms'], 'p99')}"
+        + (f" (± {within:.2f})" if (within := patch["latency_uncertainty_ms"]) else "")
+        + "; "
         f"solve p50 {_time(patch['solve_ms'], 'p50')}, p99 {_time(patch['solve_ms'], 'p99')}",
         "",
         f"{'PSNR in dB ' + against.get(patch['reference'], ''):<41}{'mean':>8}{'min':>8}{'max':>8}",
@@ -69,6 +73,13 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
         rows.append(f"{'relative error':<24}{'contact frames':<17}" + _extent(error, ".3f"))
     rows.append("=" * 78)
     return "\n".join(rows)
+
+
+def _iterations(patch: Mapping[str, Any]) -> str:
+    """How many iterations a frame has: a number, or where the solver chooses, its range."""
+    least, most = patch["iterations"], patch["max_iterations"]
+    adaptive = most not in (NONE, 0) and most > least
+    return f"adaptive, {least} to {most} iterations" if adaptive else f"{least} iterations"
 
 
 def _extent(extent: Mapping[str, float], form: str) -> str:

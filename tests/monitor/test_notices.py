@@ -219,3 +219,13 @@ def test_of_several_patches_each_is_named(monkeypatch: pytest.MonkeyPatch) -> No
 )
 def test_a_span_of_time_in_words(seconds: float, text: str) -> None:
     assert ago(seconds) == text
+
+
+def test_measurements_that_are_left_out_are_told_while_they_are(desk: Desk) -> None:
+    left_out = "false measurements left out: 2 of 533 (3, 100)"
+    desk.news(node_state("reconstructor", state={"left_out": left_out, "swamped": False}))
+    assert desk.look() == [(NOTE, f"reconstructor: {left_out}.")]
+    desk.news(node_state("reconstructor", state={"left_out": "", "swamped": True}))
+    assert desk.look() == [(BAD, "reconstructor: too many measurements do not fit each other.")]
+    desk.news(node_state("reconstructor", state={"left_out": "", "swamped": False}))
+    assert desk.look() == []

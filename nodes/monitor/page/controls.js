@@ -12,6 +12,7 @@ const OFFERED = [
   ["reconstructor", "lambda_n", "λ (N)"],
   ["reconstructor", "budget_ms", "Budget (ms a frame)"],
   ["compressor", "m", "Measurements M"],
+  ["compressor", "rows", "Rows of Φ"],
   ["compressor", "bits", "Bits a measurement"],
   ["sensor", "noise", "Noise (× the paper's)"],
   ["sensor", "rate_hz", "Rate (Hz)"],

@@ -127,7 +127,8 @@ function tiles(name) {
       : fixed(mean(s, "reconstruction"), 1, "dB"),
       Number.isFinite(gain) ? `mean ${fixed(mean(s, "noisy"), 1)} → ${fixed(
         mean(s, "reconstruction"), 1, "dB")}` : "to the taxels; no truth is known"],
-    ["latency", "Latency, all frames", `${fixed(s.latency_ms?.p50, 1, "ms")}`,
+    ["latency", "Latency, all frames", `${fixed(s.latency_ms?.p50, 1, "ms")}`
+      + (s.latency_uncertainty_ms ? ` ± ${fixed(s.latency_uncertainty_ms, 1)}` : ""),
       `p99 ${fixed(s.latency_ms?.p99, 1, "ms")}, solve ${fixed(s.solve_ms?.p50, 1, "ms")}`],
     ["rate", "Rate", `${rate ?? "–"} Hz`, skin?.rate_hz ? `asked ${brief(asked(name))} Hz`
       : "as fast as it goes"],
