@@ -97,6 +97,7 @@ def _draw_edges(axes: Axes, edges: Mapping[str, float]) -> None:
             fontsize=7,
             ha="right",
             va="bottom",
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
         )
 
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from sparseskin.nodes.compressor.calls import Floats
 from sparseskin.nodes.compressor.phi import make_phi
+from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.reconstructor.solver import SOLVERS
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
 from sparseskin.studies.stability_frames import (
@@ -42,7 +43,8 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
         "rows": (0, 1, 10) if quick else (0, 1, 2, 5, 10, 20, 50),
         "lost singly": lost,
         "lost in bursts": lost,
-        "bits": (4, 8, 12) if quick else tuple(range(4, 17)),
+        "bits": (4, 8) if quick else (4, 5, 6, 7, 8, 10, 12, 16),
+        "converter": (4, 8, 12) if quick else tuple(range(4, 17)),
     }
     return [
         {"sweep": fault, "value": level, "solver": solver, "seed": seed}
@@ -74,7 +76,9 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         if fault == "rows":
             ys[:, rng.permutation(M)[:level]] = 0.0
         if fault == "bits":
-            ys = quantised(ys, level)
+            ys = np.stack([np.asarray(quantised(y, level)) for y in ys])
+        if fault == "converter":
+            ys = converted(ys, level)
         arrives = arrivals(fault, level, len(truth), rng)
         solver = solver_for(point["solver"], phi, SHAPE, mask)
         restored = restore(solver, ys[arrives])
@@ -84,15 +88,15 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     return dict(zip(SCORES, np.mean(scores, axis=0).tolist(), strict=True))
 
 
-def quantised(ys: Floats, bits: int) -> Floats:
+def converted(ys: Floats, bits: int) -> Floats:
     """Measurements as a converter of so many bits gives them.
 
     Its range holds whatever a row of a block of 32 can sum up to: a row of ones 32 f_max, a
     row of both signs 16 f_max either way, over sqrt(32).
     """
     step = converter_step_n(bits)
-    quantised: Floats = (step * np.round(ys / step)).astype(np.float32)
-    return quantised
+    rounded: Floats = (step * np.round(ys / step)).astype(np.float32)
+    return rounded
 
 
 def converter_step_n(bits: int) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from sparseskin.nodes.compressor.limits import MIN_BITS
 from sparseskin.studies.report import write_csv
 from sparseskin.studies.stability_curves import (
     Sweep,
@@ -19,9 +20,10 @@ _TEXT = """## What breaks on the way
 The same excerpts and figures, M = N/3. Broken taxels are not judged, the living ones are. *dead*:
 reads 0; *masked*: the skin says so, and they are left out; *stuck*: reads one value between 0 and
 f_max for ever; *saturated*: reads f_max for ever. *rows*: measurements that read 0. *lost* frames
-leave the last restored frame standing; bursts are of 10 frames. *bits*: of a converter whose range
-holds any sum of 32 taxels; the dotted line is where its steps make as much noise (step/√12) as an
-untouched taxel has."""
+leave the last restored frame standing; bursts are of 10 frames. *bits*: of a measurement as the
+compressor sends it, with steps that fit each frame's largest. *converter*: bits of an ADC before
+it, whose range holds any sum of 32 taxels; the dotted line is where its steps make as much noise
+(step/√12) as an untouched taxel has."""
 
 SWEEPS = {
     "dead": Sweep(
@@ -59,9 +61,14 @@ SWEEPS = {
         "as above",
     ),
     "bits": Sweep(
+        "bits of a measurement",
+        "steps that fit the largest measurement hide what the small ones say",
+        f"warns below {MIN_BITS}",
+    ),
+    "converter": Sweep(
         "bits of the converter",
         "steps larger than the noise are noise themselves, and no longer independent",
-        "nothing: it sends float32 and has no such setting",
+        "nothing: it cannot know of a converter before it",
         edges={"noise of the skin": bits_of_the_noise()},
     ),
 }
@@ -73,7 +80,7 @@ def section(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     return [
         _TEXT,
         reasons_table(SWEEPS),
-        draw_sweeps(out, "faults", "Faults, M = N/3.", rows, SWEEPS, 4),
+        draw_sweeps(out, "faults", "Faults, M = N/3.", rows, SWEEPS, 3),
         sweep_table(rows, SWEEPS),
         f"All figures: {write_csv(out, 'faults', rows)}.",
     ]

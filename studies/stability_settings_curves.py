@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sparseskin.nodes.compressor.limits import MIN_BLOCK
-from sparseskin.nodes.reconstructor.limits import LAMBDA_HIGH_N, LAMBDA_LOW_N, MIN_ITERATIONS
+from sparseskin.nodes.reconstructor.limits import LAMBDAS_N, MIN_ITERATIONS
 from sparseskin.studies.report import markdown_table, write_csv
 from sparseskin.studies.stability_curves import (
     Sweep,
@@ -41,14 +41,17 @@ SWEEPS = {
     "lambda_n": Sweep(
         "λ, N",
         "too large, forces are shrunk away; too small, the noise is fitted",
-        f"warns outside {LAMBDA_LOW_N:g} to {LAMBDA_HIGH_N:g} N; refuses what leaves nothing of a "
-        "skin pressed all over",
+        "warns, in newtons, outside "
+        + ", ".join(f"{low:g} to {high:g} ({name})" for name, (low, high) in LAMBDAS_N.items())
+        + "; refuses what leaves nothing of a skin pressed all over",
         scale="log",
     ),
     "iterations": Sweep(
         "iterations a frame",
         "a sudden change is not followed within its frame",
-        f"warns of fista below {MIN_ITERATIONS['fista']}; skin chooses how many by what it finds",
+        "warns below "
+        + ", ".join(f"{least} ({name})" for name, least in MIN_ITERATIONS.items())
+        + "; skin chooses how many by what it finds",
         scale="log",
     ),
     "noise": Sweep(

@@ -6,9 +6,13 @@ from __future__ import annotations
 MAX_RATIO = 16.0
 #: Smaller blocks lose more than 3 dB on the touched taxels, against blocks of 32.
 MIN_BLOCK = 8
+#: With fewer bits, the steps of a frame's largest measurement hide what its small ones say.
+MIN_BITS = 5
 
 
-def compression_warnings(kind: str, n: int, m: int, block: int) -> list[str]:
+def compression_warnings(
+    kind: str, n: int, m: int, block: int, bits: int | None = None
+) -> list[str]:
     """What is known to fail with a measurement matrix that can be made.
 
     Parameters
@@ -19,6 +23,8 @@ def compression_warnings(kind: str, n: int, m: int, block: int) -> list[str]:
         Number of taxels and of measurements.
     block : int
         Size of the Hadamard blocks; only "sbhe" has them.
+    bits : int or None
+        Bits of a measurement; None: it is sent as float32.
 
     Returns
     -------
@@ -40,5 +46,9 @@ def compression_warnings(kind: str, n: int, m: int, block: int) -> list[str]:
         warnings.append(
             f"block = {block}: most measurements see no pressed taxel, which loses 3 to 10 dB on "
             f"those that are; advised: {MIN_BLOCK} or more"
+        )
+    if bits is not None and bits < MIN_BITS:
+        warnings.append(
+            f"bits = {bits}: the steps of the quantiser lose 2 to 5 dB; advised: {MIN_BITS} or more"
         )
     return warnings

@@ -46,7 +46,7 @@ class IstaSolver(ImageSolver):
         basis: Basis,
         mask: Mask | None = None,
         *,
-        iterations: int = 30,
+        iterations: int = 50,
         lambda_n: float = 0.1 / 32,
     ) -> None:
         super().__init__(phi, basis, mask, iterations=iterations)

@@ -15,11 +15,22 @@ from sparseskin.nodes.compressor.phi import Phi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.reconstructor.solver import Mask
 
-#: Solvers of the l1 problem whose lambda, in newtons for a range of 2.5 N, the study has swept.
-L1_SOLVERS = ("fista",)
-LAMBDA_LOW_N, LAMBDA_HIGH_N = 0.0006, 0.015
+#: For each solver with a lambda, between which, in newtons for a range of 2.5 N, at M = N/3 it
+#: stays within 3 dB of its best.
+LAMBDAS_N = {
+    "fista": (0.0006, 0.015),
+    "fista_nonneg": (0.0015, 0.015),
+    "ista": (0.002, 0.03),
+    "reweighted": (0.002, 0.03),
+    "tv": (0.002, 0.03),
+}
+#: Those that restore 0 from measurements below their lambda, and need a sparse basis.
+L1_SOLVERS = ("fista", "fista_nonneg", "ista")
 #: With fewer, a sudden contact takes several frames, which are worse by 3 dB and more.
-MIN_ITERATIONS = {"fista": 15}
+MIN_ITERATIONS = {
+    **{"fista": 15, "fista_nonneg": 10, "reweighted": 10, "tv": 10},
+    **{"ista": 50, "oamp": 10, "omp": 50},
+}
 #: A gradient step diverges beyond 2 / L, and with momentum beyond 4 / (3 L).
 MAX_STEP = 4.0 / 3.0
 N_POWER_STEPS = 30
@@ -49,14 +60,15 @@ def reconstruction_warnings(
     """
     warnings = []
     lambda_n = options.get("lambda_n")
-    if solver in L1_SOLVERS and lambda_n is not None:
-        advised = f"advised: {LAMBDA_LOW_N:g} to {LAMBDA_HIGH_N:g}"
-        if lambda_n > LAMBDA_HIGH_N:
+    if solver in LAMBDAS_N and lambda_n is not None:
+        low, high = LAMBDAS_N[solver]
+        advised = f"advised: {low:g} to {high:g}"
+        if lambda_n > high:
             warnings.append(
                 f"lambda_n = {lambda_n:g}: forces are shrunk away (0.1 on rows of +1 and -1 is "
                 f"0.003125 here); {advised}"
             )
-        elif lambda_n < LAMBDA_LOW_N:
+        elif lambda_n < low:
             warnings.append(f"lambda_n = {lambda_n:g}: the noise is fitted; {advised}")
     iterations = options.get("iterations")
     least = MIN_ITERATIONS.get(solver, 0)

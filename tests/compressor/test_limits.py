@@ -35,6 +35,12 @@ def test_what_fails_is_said_with_what_is_advised(kind: str, m: int, block: int, 
     assert "\n" not in warning
 
 
+def test_few_bits_are_warned_of() -> None:
+    (warning,) = compression_warnings("sbhe", 1600, 533, 32, bits=4)
+    assert warning.startswith("bits = 4: the steps of the quantiser lose")
+    assert compression_warnings("sbhe", 1600, 533, 32, bits=5) == []
+
+
 def lines_of(**compressor: Any) -> list[str]:
     bus = Bus(
         {
@@ -50,3 +56,17 @@ def test_a_compressor_says_it_once_when_it_learns_the_skin() -> None:
     assert lines_of() == []
     (line,) = lines_of(ratio=40)
     assert line.startswith("[compressor] m = 40 of n = 1600 taxels")
+
+
+def test_a_compressor_says_it_when_few_bits_are_asked_for_while_it_runs() -> None:
+    bus = Bus(
+        {
+            "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
+            "compressor": (Compressor, Compressor.Settings()),
+        }
+    )
+    bus.run(n_frames=2)
+    compressor = bus.hosts["compressor"].node
+    list(compressor.change(compressor.settings.changed({"bits": 4})))
+    (line,) = bus.lines
+    assert line.startswith("[compressor] bits = 4: ")

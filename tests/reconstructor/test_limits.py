@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,11 @@ from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi import Phi, make_phi
 from sparseskin.nodes.compressor.sbhe import SbhePhi
 from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.reconstructor.basis import make_basis
 from sparseskin.nodes.reconstructor.limits import (
+    LAMBDAS_N,
+    MIN_ITERATIONS,
     check_lambda,
     check_phi,
     pad_spread,
@@ -22,7 +26,7 @@ from sparseskin.nodes.reconstructor.limits import (
 )
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.reconstructor.presets import PRESETS
-from sparseskin.nodes.reconstructor.solver import make_solver
+from sparseskin.nodes.reconstructor.solver import SOLVERS, make_solver
 from sparseskin.nodes.sensor.node import Sensor
 
 SHAPE = (40, 40)
@@ -77,6 +81,29 @@ def test_of_the_presets_nothing_is_said() -> None:
     for preset in PRESETS.values():
         options = {k: v for k, v in preset.items() if k not in ("solver", "basis")}
         assert reconstruction_warnings(preset["solver"], preset["basis"], N, N // 3, options) == []
+
+
+def test_of_a_solvers_own_settings_nothing_is_said() -> None:
+    for name in MIN_ITERATIONS:
+        parameters = inspect.signature(find_class("solver", name, SOLVERS, SolverError)).parameters
+        known = ("iterations", "lambda_n")
+        options = {key: parameters[key].default for key in known if key in parameters}
+        assert reconstruction_warnings(name, "haar", N, N // 3, options) == []
+
+
+@pytest.mark.parametrize("name", LAMBDAS_N)
+def test_a_lambda_is_warned_of_outside_its_solvers_range(name: str) -> None:
+    low, high = LAMBDAS_N[name]
+    for lambda_n in (low / 2, high * 2):
+        (warning,) = reconstruction_warnings(name, "haar", N, N // 3, {"lambda_n": lambda_n})
+        assert f"advised: {low:g} to {high:g}" in warning
+
+
+@pytest.mark.parametrize("name", MIN_ITERATIONS)
+def test_too_few_iterations_are_warned_of(name: str) -> None:
+    options = {"iterations": MIN_ITERATIONS[name] - 1}
+    (warning,) = reconstruction_warnings(name, "haar", N, N // 3, options)
+    assert warning.endswith(f"advised: {MIN_ITERATIONS[name]} or more")
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from sparseskin.studies.stability_change import (
     sequence,
 )
 from sparseskin.studies.stability_curves import Sweep, failing
-from sparseskin.studies.stability_faults import bits_of_the_noise, converter_step_n, quantised
+from sparseskin.studies.stability_faults import bits_of_the_noise, converted, converter_step_n
 from sparseskin.studies.stability_frames import (
     BLOWN_UP_DB,
     SHAPE,
@@ -118,7 +118,7 @@ def test_settling_counts_the_last_frame_that_is_off_by_more_than_1_db() -> None:
 def test_converter_has_the_step_and_the_noise_that_are_said() -> None:
     step = converter_step_n(8)
     ys = np.random.default_rng(0).uniform(-5.0, 5.0, 20_000).astype(np.float32)
-    off = quantised(ys, 8) - ys
+    off = converted(ys, 8) - ys
     assert np.abs(off).max() <= 0.5001 * step
     assert off.std() == pytest.approx(step / math.sqrt(12), rel=0.02)
     bits = bits_of_the_noise()
