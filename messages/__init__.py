@@ -12,7 +12,7 @@ from .errors import (
     UnknownSchemaError,
     VersionError,
 )
-from .frames import Measurements, Reconstruction, Taxels, Truth
+from .frames import Measurements, Reconstruction, Resultant, Taxels, Truth
 from .skin import Skin
 from .state import End, PhiState, SkinState, SolverState
 from .topics import topic_of
@@ -30,6 +30,7 @@ __all__ = [
     "OversizedError",
     "PhiState",
     "Reconstruction",
+    "Resultant",
     "ShapeError",
     "Skin",
     "SkinState",

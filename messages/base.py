@@ -107,6 +107,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 _fields: dict[type[Message], dict[str, FieldKind]] = {}
+_omitted: dict[type[Message], dict[str, Any]] = {}
 
 
 def wire_fields(cls: type[Message]) -> dict[str, FieldKind]:
@@ -116,3 +117,12 @@ def wire_fields(cls: type[Message]) -> dict[str, FieldKind]:
             f.name: cast(FieldKind, f.metadata["wire"]) for f in dataclasses.fields(cls)
         }
     return _fields[cls]
+
+
+def omitted_fields(cls: type[Message]) -> dict[str, Any]:
+    """Name and default of the fields that travel only where they are not their default."""
+    if cls not in _omitted:
+        _omitted[cls] = {
+            f.name: f.default for f in dataclasses.fields(cls) if f.metadata["omitted"]
+        }
+    return _omitted[cls]

@@ -242,6 +242,10 @@ def _check_quantiser(name: str, bits: int, step: float) -> None:
         raise FieldError(f"{name}: a step of {step} is outside 0..{STEP_MAX:g}")
 
 
-def wire(kind: FieldKind, **options: Any) -> Any:
-    """Declare a dataclass field that travels as `kind`; options as dataclasses.field."""
-    return dataclasses.field(metadata={"wire": kind}, **options)
+def wire(kind: FieldKind, *, omitted: bool = False, **options: Any) -> Any:
+    """Declare a dataclass field that travels as `kind`; options as dataclasses.field.
+
+    One that is `omitted` travels only where it is not its default: messages from before there
+    was such a field are read as well, and those that do not use it are the same bytes.
+    """
+    return dataclasses.field(metadata={"wire": kind, "omitted": omitted}, **options)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from .base import Message, wire_fields
+from .base import Message, omitted_fields, wire_fields
 from .fields import MAX_ELEMENTS, MAX_SIDE, Array, FieldKind, Flag, Integer, Real, Samples, Text
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -35,7 +35,7 @@ def json_schema(cls: type[Message], version: int | None = None) -> dict[str, Any
         "description": " ".join((cls.__doc__ or "").partition("\n\n")[0].split()),
         "type": "object",
         "properties": properties,
-        "required": list(properties),
+        "required": [name for name in properties if name not in omitted_fields(cls)],
         "additionalProperties": False,
     }
 

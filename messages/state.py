@@ -64,7 +64,11 @@ class SkinState(Message):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhiState(Message):
-    """The measurement matrix in use: enough to make it again, and its fingerprint as proof."""
+    """The measurement matrix in use: enough to make it again, and its fingerprint as proof.
+
+    `rows` "rotating": frames take turns among several matrices, each `m` rows of the same W; the
+    fingerprint is that of the first, and each frame's measurements carry that of their own.
+    """
 
     schema: ClassVar[str] = "phi"
     version: ClassVar[int] = 1
@@ -76,11 +80,16 @@ class PhiState(Message):
     block: int = wire(Integer(1, MAX_ELEMENTS))
     seed: int = wire(Integer())
     fingerprint: str = wire(Text(16, FINGERPRINT_PATTERN))
+    rows: str = wire(Text(8, "fixed|rotating"), default="fixed", omitted=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SolverState(Message):
-    """How the reconstructor restores forces."""
+    """How the reconstructor restores forces.
+
+    `iterations` is the number of a frame, at least; `max_iterations` the most, where the solver
+    chooses by frame, else 0.
+    """
 
     schema: ClassVar[str] = "solver"
     version: ClassVar[int] = 1
@@ -91,6 +100,7 @@ class SolverState(Message):
     preset: str = wire(Text())
     iterations: int = wire(Integer(0, 1_000_000))
     lambda_n: float = wire(Real(0.0))
+    max_iterations: int = wire(Integer(0, 1_000_000), default=0, omitted=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import msgpack
+import numpy as np
 
-from .base import Message, wire_fields
+from .base import Message, omitted_fields, wire_fields
 from .errors import (
     FieldError,
     MalformedError,
@@ -14,12 +15,12 @@ from .errors import (
     VersionError,
 )
 from .fields import MAX_ELEMENTS, FieldKind
-from .frames import Measurements, Reconstruction, Taxels, Truth
+from .frames import Measurements, Reconstruction, Resultant, Taxels, Truth
 from .state import End, PhiState, SkinState, SolverState
 from .topics import MAX_TOPIC_BYTES
 
-MAX_MESSAGE_BYTES = 4 * MAX_ELEMENTS + 65536
-"""Largest payload: the largest float32 array and room for the other fields."""
+MAX_MESSAGE_BYTES = 8 * MAX_ELEMENTS + 65536
+"""Largest payload: two of the largest float32 arrays and room for the other fields."""
 
 SCHEMAS: dict[str, type[Message]] = {
     cls.schema: cls
@@ -30,6 +31,7 @@ SCHEMAS: dict[str, type[Message]] = {
         PhiState,
         Measurements,
         SolverState,
+        Resultant,
         Reconstruction,
         End,
     )
@@ -39,8 +41,12 @@ SCHEMAS: dict[str, type[Message]] = {
 def encode(message: Message) -> tuple[bytes, bytes]:
     """Turn a message into its two wire parts, (topic, payload)."""
     body: dict[str, object] = {"schema": message.schema, "version": message.version}
+    omitted = omitted_fields(type(message))
     for name, kind in wire_fields(type(message)).items():
-        body[name] = kind.pack(getattr(message, name))
+        value = getattr(message, name)
+        # The default stands for itself: an array is never one.
+        if name not in omitted or isinstance(value, np.ndarray) or value != omitted[name]:
+            body[name] = kind.pack(value)
     return message.topic.encode(), msgpack.packb(body, use_bin_type=True)
 
 
@@ -62,6 +68,7 @@ def decode(topic: bytes, payload: bytes) -> Message:
         raise OversizedError(f"message of {len(payload)} bytes, at most {MAX_MESSAGE_BYTES}")
     body = _unpack(payload)
     cls, fields = _schema_of(body)
+    body = omitted_fields(cls) | body
     if body.keys() != fields.keys() | {"schema", "version"}:
         names = sorted(str(key) for key in body.keys() ^ (fields.keys() | {"schema", "version"}))
         raise MalformedError(f"{cls.schema}: missing or unknown fields {', '.join(names)[:200]}")

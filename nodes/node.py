@@ -13,6 +13,7 @@ import numpy as np
 from sparseskin.messages import Message
 
 from .clock import Clock
+from .clock_offset import SAME_CLOCK, ClockEstimate
 from .errors import RefusedError
 from .lookup import did_you_mean
 from .settings import Settings
@@ -38,6 +39,9 @@ class Context:
         nobody can sit at the controls.
     late : bool
         Whether the node joins a graph that already runs.
+    clock_of : callable
+        Takes a topic that the node reads; tells how far the clock of the host that writes it is
+        ahead of `clock`, None while that is not known.
     """
 
     name: str
@@ -45,6 +49,7 @@ class Context:
     log: Callable[[str], None] = field(default=lambda line: None)
     ask: Callable[[dict[str, Any]], None] | None = None
     late: bool = False
+    clock_of: Callable[[str], ClockEstimate | None] = field(default=lambda topic: SAME_CLOCK)
 
     def rng(self, seed: int) -> np.random.Generator:
         """A random generator for a stated seed: the same numbers wherever the node runs."""
@@ -90,6 +95,11 @@ class Node(Generic[S]):
     def outputs(cls, settings: S) -> tuple[str, ...]:
         """Topics that the node writes; its stream ends with an End on each."""
         return ()
+
+    @classmethod
+    def values_again(cls, settings: S, n_restarts: int) -> dict[str, Any]:
+        """Settings that differ where the node is started again after its n-th failure."""
+        return {}
 
     def start(self) -> Iterable[Message]:
         """Messages to publish before the first step: what is known of the node by then."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 from importlib.util import find_spec
 from pathlib import Path
@@ -30,9 +31,37 @@ STUDIES = {
         "what a scene has to model for its tables to come out",
         "sparseskin.studies.scene_needs:run",
     ),
+    "operators": (
+        "time of Phi, Psi and whole solvers beside the least there can be, and other libraries",
+        "sparseskin.studies.operators:run",
+    ),
     "targets": (
         "the default solver against the paper's and the full reading; what each part of it earns",
         "sparseskin.studies.targets:run",
+    ),
+    "bases": (
+        "in which basis forces are sparse: D2, D4 and others, learned ones; adaptive sampling",
+        "sparseskin.studies.bases:run",
+    ),
+    "endurance": (
+        "the default solver over a million frames: nothing grows, drifts or locks in",
+        "sparseskin.studies.endurance:run",
+    ),
+    "latency": (
+        "from acquisition to reconstruction at 1 kHz, and where the time goes",
+        "sparseskin.studies.latency:run",
+    ),
+    "soak": (
+        "a graph that runs for long: memory, open files, lost frames",
+        "sparseskin.studies.soak:run",
+    ),
+    "fuzz": (
+        "hostile messages on the sockets of nodes that run, and mutated launch files",
+        "sparseskin.studies.fuzz:run",
+    ),
+    "faults": (
+        "what a graph does when something breaks: what is lost, how soon it recovers",
+        "sparseskin.studies.faults:run",
     ),
 }
 
@@ -63,6 +92,9 @@ def add_study_parser(commands: Any) -> None:
     parser.add_argument(
         "--recordings", metavar="DIR", type=Path, help="targets: folder of real skins' recordings"
     )
+    parser.add_argument(
+        "--minutes", metavar="T", type=_minutes, help="soak: how long the graph runs (default: 30)"
+    )
     parser.add_argument("--seed", type=_seed, default=0, help="seed of noise and Phi (default: 0)")
     parser.set_defaults(run=_study)
 
@@ -71,6 +103,16 @@ def _seed(text: str) -> int:
     if not text.isdecimal() or int(text) >= 2**32:
         raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, 0 or more")
     return int(text)
+
+
+def _minutes(text: str) -> float:
+    try:
+        minutes = float(text)
+    except ValueError:
+        minutes = math.nan
+    if not 0.1 <= minutes <= 100_000:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected minutes, 0.1..100000")
+    return minutes
 
 
 def _study(arguments: argparse.Namespace) -> int:
@@ -90,6 +132,10 @@ def _study(arguments: argparse.Namespace) -> int:
         if name != "targets":
             raise SettingsError(f"--recordings: study {name!r} takes none; allowed: targets")
         more["recordings"] = arguments.recordings
+    if arguments.minutes is not None:
+        if name != "soak":
+            raise SettingsError(f"--minutes: study {name!r} takes none; allowed: soak")
+        more["minutes"] = arguments.minutes
     run(out=out, quick=arguments.quick, seed=arguments.seed, executor=arguments.executor, **more)
     print(out / f"{name}.md")
     return 0

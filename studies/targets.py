@@ -21,8 +21,10 @@ RANDOM_SCENES, QUICK_RANDOM_SCENES = range(10), (0, 3, 6, 9)
 RATIOS = (1, 3, 4, 8, 16)
 LONGEST_FRAMES, QUICK_FRAMES, ABLATION_FRAMES = 4000, 150, 300
 TRIALS, QUICK_TRIALS = 300, 40
-#: Solver and ratio N / M: the last is asked to be no worse than the first.
-RECORDED = (("paper", 2), ("paper", 4), ("skin", 2), ("skin", 4))
+#: Solver and ratio N / M: skin at 4 is asked to be no worse than paper at 2.
+RECORDED = tuple(
+    (solver, ratio) for solver in ("paper", "skin", "skin, rotating") for ratio in (2, 4)
+)
 SUFFIXES = (".lst", ".csv", ".asf", ".npy", ".npz")
 
 Point = dict[str, Any]
@@ -68,7 +70,7 @@ def run(out: Path, quick: bool, seed: int, executor: str, recordings: Path | Non
             "seed": seed,
         }
         for side in (40, 64)
-        for solver in ("paper", "skin")
+        for solver in ("paper", "skin", "skin, rotating")
     ]
     recording = [
         {"path": str(path), "ratio": ratio, "solver": solver, "seed": seed}

@@ -8,8 +8,8 @@ from pathlib import Path
 from .report import MARKERS, PALETTE, chart_style, legend_outside, new_figure, save_figure
 
 
-def draw_gain(out: Path, gains_db: Mapping[str, Mapping[int, float]]) -> str:
-    """Draw the gain over preset paper by scene and ratio N / M; the Markdown that shows it."""
+def draw_gain(out: Path, method: str, gains_db: Mapping[str, Mapping[int, float]]) -> str:
+    """Draw a method's gain over preset paper by scene and N / M; the Markdown that shows it."""
     figure = new_figure(8.0, 0.3 * len(gains_db) + 2.0)
     with chart_style():
         axes = figure.subplots()
@@ -18,9 +18,10 @@ def draw_gain(out: Path, gains_db: Mapping[str, Mapping[int, float]]) -> str:
             gains = [gains_db[scene][ratio] for scene in scenes]
             axes.plot(gains, scenes, MARKERS[k], color=PALETTE[k], label=f"M = N/{ratio}")
         axes.axvline(0, color="black", linewidth=0.8)
-        axes.set_xlabel("mean PSNR over preset paper, same measurements, dB")
+        axes.set_xlabel("mean PSNR over preset paper, same frames, dB")
         legend_outside(figure)
-    return save_figure(figure, out, "gain", "Gain of the solver skin over preset paper, by scene")
+    name = "gain_" + method.replace(", ", "_")
+    return save_figure(figure, out, name, f"Gain of {method} over preset paper, by scene")
 
 
 def draw_ablation(

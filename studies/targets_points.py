@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.compressor.phi import Phi, make_phi
+from sparseskin.nodes.compressor.phi import make_phi
+from sparseskin.nodes.compressor.rotation import FIXED, ROTATING, phases_of
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.basis import make_basis
 from sparseskin.nodes.reconstructor.presets import PRESETS
-from sparseskin.nodes.reconstructor.solver import Mask, Solver, make_solver
+from sparseskin.nodes.reconstructor.rotating import make_rotating_solver
+from sparseskin.nodes.reconstructor.solver import Mask
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.recorded import open_file
 
@@ -33,6 +35,7 @@ SOLVERS: dict[str, dict[str, Any]] = {
     "paper": PRESETS["paper"],
     "fista, tuned": {**PRESETS["paper"], "lambda_n": 0.00625},
     "skin": PRESETS["skin"],
+    f"skin, {ROTATING}": PRESETS["skin"],
 }
 LIGHT_TOUCH_N, LIGHT_TOUCH_SIDE = 0.05, 3
 #: A touch is told by a mean of nine taxels above this.
@@ -82,13 +85,53 @@ def frames_of(scene: str, seed: int, n_frames: int | None) -> Iterator[tuple[Flo
         yield truth, noise.apply(truth, rng)
 
 
-def solver_of(
-    chosen: dict[str, Any], phi: Phi, shape: tuple[int, int], mask: Mask | None
-) -> Solver:
-    """Make a solver of a preset's settings."""
-    settings = {k: v for k, v in chosen.items() if k not in ("solver", "basis")}
-    basis = make_basis(chosen["basis"], *shape)
-    return make_solver(chosen["solver"], phi, basis, mask, **settings)
+class Method:
+    """One of `SOLVERS` with the measurements it asks for, frame after frame.
+
+    Parameters
+    ----------
+    name : str
+    ratio : int
+        N / M; where rows rotate, M is rounded up, else down.
+    exists : ndarray of bool, shape (n_rows, n_cols)
+        Where there are taxels.
+    seed : int
+        Of Phi.
+    f_max_n : float
+        Range, which a lambda goes with.
+    """
+
+    def __init__(
+        self, name: str, ratio: int, exists: Mask, seed: int, f_max_n: float = F_MAX_N
+    ) -> None:
+        chosen = dict(SOLVERS[name])
+        if "lambda_n" in chosen:
+            chosen["lambda_n"] *= f_max_n / F_MAX_N
+        n = int(exists.sum())
+        rotating = name.endswith(ROTATING)
+        phi = make_phi("sbhe", n, -(-n // ratio) if rotating else n // ratio, seed=seed)
+        self._phases = phases_of(phi, ROTATING if rotating else FIXED)
+        basis = make_basis(chosen.pop("basis"), *exists.shape)
+        self._solver = make_rotating_solver(
+            chosen.pop("solver"), self._phases, basis, exists, **chosen
+        )
+        self._exists = exists
+        self._n_frames = 0
+
+    def reset(self) -> None:
+        """Forget all frames."""
+        self._solver.reset()
+        self._n_frames = 0
+
+    def restore(self, taxels: Floats) -> tuple[Floats, float]:
+        """Measure a frame and restore it: the forces, and the seconds that the solver took."""
+        phi = self._phases[self._n_frames % len(self._phases)]
+        self._n_frames += 1
+        y = phi.forward(taxels[self._exists])
+        begin = time.perf_counter()
+        self._solver.use(phi)
+        forces = self._solver.solve(y)
+        return forces, time.perf_counter() - begin
 
 
 def restored(point: Point) -> dict[str, Any]:
@@ -108,14 +151,14 @@ def restored(point: Point) -> dict[str, Any]:
     ratio: int = point["ratio"]
     frames = frames_of(point["scene"], point["seed"], point["n_frames"])
     tallies: dict[str, Tally] = {}
-    made: list[tuple[str, Phi, Solver]] = []
+    made: dict[str, Method] = {}
     n = 0
     for truth, taxels in frames:
         if not n:
             n = truth.size
-            phi = make_phi("sbhe", n, n // ratio, seed=point["seed"])
+            everywhere = np.ones(truth.shape, dtype=np.bool_)
             names = ["skin"] if ratio == 1 else list(SOLVERS)
-            made = [(name, phi, solver_of(SOLVERS[name], phi, truth.shape, None)) for name in names]
+            made = {name: Method(name, ratio, everywhere, point["seed"]) for name in names}
             zones = [f"dead zone {zone:.2f} N" for zone in DEAD_ZONES_N] if ratio == 1 else []
             readings = ["raw", *zones] if ratio == 1 else []
             tallies = {name: Tally() for name in (*readings, *names)}
@@ -124,11 +167,9 @@ def restored(point: Point) -> dict[str, Any]:
             for zone in DEAD_ZONES_N:
                 cut = np.where(taxels < zone, np.float32(0), taxels)
                 tallies[f"dead zone {zone:.2f} N"].add(cut, truth, 0.0)
-        y = phi.forward(taxels.reshape(-1))
-        for name, _, solver in made:
-            begin = time.perf_counter()
-            estimate = solver.solve(y)
-            tallies[name].add(estimate, truth, time.perf_counter() - begin)
+        for name, method in made.items():
+            estimate, seconds = method.restore(taxels)
+            tallies[name].add(estimate, truth, seconds)
     return {"n": n, "methods": {name: tally.figures() for name, tally in tallies.items()}}
 
 
@@ -147,28 +188,23 @@ def touched_lightly(point: Point) -> dict[str, Any]:
         would be told as touched.
     """
     side: int = point["side"]
-    n = side * side
-    phi = make_phi("sbhe", n, n // point["ratio"], seed=point["seed"])
-    solver = solver_of(SOLVERS[point["solver"]], phi, (side, side), None)
+    everywhere = np.ones((side, side), dtype=np.bool_)
+    method = Method(point["solver"], point["ratio"], everywhere, point["seed"])
     noise, rng = NoiseModel.for_range(F_MAX_N), np.random.default_rng(point["seed"])
-
-    def measured(truth: Floats) -> Floats:
-        return phi.forward(noise.apply(truth, rng).reshape(-1))
-
     nothing = np.zeros((side, side), dtype=np.float32)
-    untouched = [measured(nothing) for _ in range(UNTOUCHED_FRAMES)]
-    false = sum(_told(solver.solve(y)) for y in untouched[BEFORE:])
+    untouched = [noise.apply(nothing, rng) for _ in range(UNTOUCHED_FRAMES)]
+    false = sum(_told(method.restore(taxels)[0]) for taxels in untouched[BEFORE:])
     found = 0
     for _ in range(point["n_trials"]):
         row, col = rng.integers(side - LIGHT_TOUCH_SIDE, size=2)
         here = slice(row, row + LIGHT_TOUCH_SIDE), slice(col, col + LIGHT_TOUCH_SIDE)
         truth = nothing.copy()
         truth[here] = LIGHT_TOUCH_N
-        solver.reset()
-        for y in untouched[:BEFORE]:
-            solver.solve(y)
+        method.reset()
+        for taxels in untouched[:BEFORE]:
+            method.restore(taxels)
         # Each of the three frames draws its noise, told or not.
-        frames = [solver.solve(measured(truth))[here] for _ in range(3)]
+        frames = [method.restore(noise.apply(truth, rng))[0][here] for _ in range(3)]
         found += any(_told(forces) for forces in frames)
     return {"found": found / point["n_trials"], "false": false / (UNTOUCHED_FRAMES - BEFORE)}
 
@@ -189,22 +225,15 @@ def recorded(point: Point) -> dict[str, Any]:
     source = open_file(Path(point["path"]))
     skin = source.skin
     mask = np.ones((skin.n_rows, skin.n_cols), dtype=np.bool_) if skin.mask is None else skin.mask
-    n = int(mask.sum())
-    chosen = dict(SOLVERS[point["solver"]])
-    if "lambda_n" in chosen:
-        chosen["lambda_n"] *= skin.f_max / F_MAX_N
-    phi = make_phi("sbhe", n, n // point["ratio"], seed=point["seed"])
-    solver = solver_of(chosen, phi, mask.shape, mask)
+    method = Method(point["solver"], point["ratio"], mask, point["seed"], skin.f_max)
     errors, seconds = [], []
     for _, frame in source:
-        y = phi.forward(frame[mask])
-        begin = time.perf_counter()
-        estimate = solver.solve(y)
-        seconds.append(time.perf_counter() - begin)
+        estimate, took = method.restore(frame)
+        seconds.append(took)
         if in_contact(frame, skin.f_max):
             errors.append(float(np.linalg.norm(estimate - frame) / np.linalg.norm(frame)))
     return {
-        "n": n,
+        "n": int(mask.sum()),
         "n_contact": len(errors),
         "error": float(np.mean(errors)) if errors else 0.0,
         "p50_ms": float(np.median(seconds) * 1e3),

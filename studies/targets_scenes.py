@@ -82,7 +82,9 @@ class Touch:
         return force
 
 
-def random_scene(seed: int, n_frames: int = 200) -> tuple[str, Iterator[Floats]]:
+def random_scene(
+    seed: int, n_frames: int = 200, side: int | None = None
+) -> tuple[str, Iterator[Floats]]:
     """Draw a scene.
 
     Parameters
@@ -92,6 +94,8 @@ def random_scene(seed: int, n_frames: int = 200) -> tuple[str, Iterator[Floats]]
         with both.
     n_frames : int
         Frames, 1 ms apart.
+    side : int, optional
+        Rows and columns, in place of 40 or 64.
 
     Returns
     -------
@@ -102,7 +106,7 @@ def random_scene(seed: int, n_frames: int = 200) -> tuple[str, Iterator[Floats]]
     """
     rng = np.random.default_rng(seed)
     kind = KINDS[seed // 2 % len(KINDS)]
-    side = SIDES[seed % 2]
+    side = side or SIDES[seed % 2]
     n_bodies = int(rng.integers(2, 5)) if kind == "several" else 1
     touches = [_touch(rng, kind, side, n_frames) for _ in range(n_bodies)]
     return kind, _frames(touches, side, n_frames)

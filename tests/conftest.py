@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -29,16 +29,23 @@ def wait_until(done: Callable[[], bool], what: str) -> None:
 class Program:
     """One run of the command `sparseskin`, and every process that descends from it."""
 
-    def __init__(self, *arguments: str, cwd: Path, pythonpath: Path | None = None) -> None:
+    def __init__(
+        self,
+        *arguments: str,
+        cwd: Path,
+        pythonpath: Path | None = None,
+        prefix: Sequence[str] = (),
+    ) -> None:
         self._mark = f"SPARSESKIN_TEST={uuid.uuid4().hex}"
         key, value = self._mark.split("=")
         # Graphs of a test are told apart from all others on the host.
         environment = {**os.environ, key: value, "SPARSESKIN_RUNTIME_DIR": str(cwd / "graphs")}
+        environment["XDG_STATE_HOME"] = str(cwd / "state")
         if pythonpath is not None:
             environment["PYTHONPATH"] = str(pythonpath)
         self._stderr = ""
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "sparseskin.launch.entry", *arguments],
+            [*prefix, sys.executable, "-m", "sparseskin.launch.entry", *arguments],
             cwd=cwd,
             env=environment,
             stdout=subprocess.PIPE,
@@ -92,8 +99,8 @@ def start(tmp_path: Path) -> Iterator[StartProgram]:
     """Start `sparseskin ARGUMENTS` in an empty folder; nothing outlives the test."""
     programs: list[Program] = []
 
-    def run(*arguments: str, pythonpath: Path | None = None) -> Program:
-        programs.append(Program(*arguments, cwd=tmp_path, pythonpath=pythonpath))
+    def run(*arguments: str, pythonpath: Path | None = None, prefix: Sequence[str] = ()) -> Program:
+        programs.append(Program(*arguments, cwd=tmp_path, pythonpath=pythonpath, prefix=prefix))
         return programs[-1]
 
     yield run

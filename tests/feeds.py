@@ -46,8 +46,9 @@ class Graph:
         self.n = dict.fromkeys(self.feed.patches, 0)
 
     def take(self, message: Message) -> None:
-        judged = self.metrics[message.patch].add(message)
-        self.feed.frame(message.patch, message, judged)
+        metrics = self.metrics[message.patch]
+        judged = metrics.add(message)
+        self.feed.frame(message.patch, message, judged, metrics.latency_ns)
 
     def skin(self, patch: str = "skin", **changes: Any) -> SkinState:
         values = {**skin_state(patch).__dict__, **changes}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -14,9 +15,12 @@ from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
+from .acts import ActsPhi, packed_places
+from .acts_search import ActsSearch, force_threshold
 from .limits import compression_warnings
 from .phi import KINDS, Phi, make_phi
 from .quantiser import quantised
+from .rotation import FIXED, ROTATING, ROWS, check_rotates, phases_of
 
 
 @dataclass(frozen=True)
@@ -25,11 +29,16 @@ class CompressorSettings(PatchSettings):
 
     phi: str = setting(
         "sbhe",
-        "measurement matrix: sbhe, full, subsample, gaussian or module:Class",
+        "measurement matrix: sbhe, full, subsample, gaussian, acts (taxels chosen anew each "
+        "frame, for the solver interpolation) or module:Class",
         known=KINDS,
     )
     ratio: float = setting(
-        3.0, "compression ratio N / M; M is N / ratio, rounded down", low=1.0, high=1e6, live=True
+        3.0,
+        "compression ratio N / M; M is N / ratio, rounded down, and up where rows rotate",
+        low=1.0,
+        high=1e6,
+        live=True,
     )
     m: int | None = setting(
         None, "number of measurements M, in place of ratio", low=1, high=2**20, live=True
@@ -37,12 +46,21 @@ class CompressorSettings(PatchSettings):
     bits: int | None = setting(
         None, "bits of a measurement; float32 where not stated", low=4, high=16, live=True
     )
+    rows: str = setting(
+        FIXED,
+        "rows of the measurement matrix: fixed, the same M in every frame; or rotating, other M "
+        "in each of N / M frames, rounded up, until all have been read",
+        choices=ROWS,
+        live=True,
+    )
     block: int = setting(32, "size of the Hadamard blocks, a power of two", low=1, high=2**20)
     seed: int = setting(0, "seed of the measurement matrix", low=0, high=2**32 - 1)
 
     def check(self) -> None:
         with naming("phi"):
-            find_class("phi", self.phi, KINDS, PhiError)
+            made_by = find_class("phi", self.phi, KINDS, PhiError)
+        if self.rows == ROTATING and isinstance(made_by, type):
+            check_rotates(made_by, self.phi)
         if self.block & (self.block - 1):
             raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
 
@@ -58,7 +76,8 @@ class CompressorSettings(PatchSettings):
             return self.m
         if self.ratio > n:
             raise PhiError(f"ratio: {self.ratio:g} leaves no measurement of {n} taxels")
-        return int(n / self.ratio)
+        # One row more, where it divides no further, saves a turn that would read few new ones.
+        return math.ceil(n / self.ratio) if self.rows == ROTATING else int(n / self.ratio)
 
 
 class Compressor(Node[CompressorSettings]):
@@ -70,7 +89,9 @@ class Compressor(Node[CompressorSettings]):
         super().__init__(settings, context)
         settings.check()
         self._state: SkinState | None = None
-        self._phi: Phi | None = None
+        self._phases: list[Phi] = []
+        self._turn = 0
+        self._search: ActsSearch | None = None
         self._cells: np.ndarray[tuple[int], np.dtype[np.intp]] | None = None
 
     @classmethod
@@ -91,7 +112,8 @@ class Compressor(Node[CompressorSettings]):
         before, self.settings = self.settings, settings
         if self._state is None:
             return ()
-        if replace(settings, bits=before.bits) == before:
+        if replace(settings, bits=before.bits) == before and self._phases:
+            self._warn(self._phases[0])
             return ()  # the same Phi
         try:
             return (self._learn_skin(self._state, self.context.clock.now_ns()),)
@@ -100,21 +122,29 @@ class Compressor(Node[CompressorSettings]):
             raise
 
     def state(self) -> dict[str, Any]:
-        known = {} if self._phi is None else {"m": self._phi.m, "n": self._phi.n}
-        return {**known, "bits": self.settings.bits}
+        known = {"m": self._phases[0].m, "n": self._phases[0].n} if self._phases else {}
+        return {**known, "bits": self.settings.bits, "rows": self.settings.rows}
 
     def status(self) -> str:
-        return "" if self._phi is None else f"{self._phi.kind} {self._phi.m} x {self._phi.n}"
+        if not self._phases:
+            return ""
+        phi = self._phases[0]
+        rotating = ", rotating rows" if len(self._phases) > 1 else ""
+        return f"{phi.kind} {phi.m} x {phi.n}{rotating}"
 
     def _learn_skin(self, state: SkinState, stamp_ns: int) -> PhiState:
         """Make Phi for a skin, and say which; it holds from `stamp_ns` on."""
         n = state.skin.n_taxels
         s = self.settings
         phi = make_phi(s.phi, n=n, m=s.n_measurements(n), seed=s.seed, block=s.block)
-        for warning in compression_warnings(s.phi, phi.n, phi.m, phi.block):
-            self.context.log(warning)
-        self._state, self._phi = state, phi
+        phases = phases_of(phi, s.rows)
+        self._warn(phi)
+        self._state, self._phases, self._turn = state, phases, 0
         self._cells = None if state.mask is None else np.flatnonzero(state.mask)
+        if isinstance(phi, ActsPhi):
+            exists = np.ones(state.skin.shape, np.bool_) if state.mask is None else state.mask
+            threshold = force_threshold(state.sigma_end, state.f_max)
+            self._search = ActsSearch(exists, phi.m, threshold)
         return PhiState(
             stamp_ns=stamp_ns,
             patch=s.patch,
@@ -124,10 +154,17 @@ class Compressor(Node[CompressorSettings]):
             block=s.block,
             seed=s.seed,
             fingerprint=phi.fingerprint,
+            rows=s.rows,
         )
 
+    def _warn(self, phi: Phi) -> None:
+        """Say what is known to fail with the settings."""
+        s = self.settings
+        for warning in compression_warnings(s.phi, phi.n, phi.m, phi.block, s.bits):
+            self.context.log(warning)
+
     def _compress(self, taxels: Taxels) -> Measurements:
-        if self._phi is None or self._state is None:
+        if self._state is None:
             raise RefusedError(f"{taxels.topic}: the skin is not known yet")
         if taxels.forces.shape != self._state.skin.shape:
             raise RefusedError(
@@ -137,11 +174,19 @@ class Compressor(Node[CompressorSettings]):
         x = taxels.forces.reshape(-1)
         if self._cells is not None:
             x = x[self._cells]
-        y = self._phi.forward(x)
+        phi = self._phases[self._turn]
+        self._turn = (self._turn + 1) % len(self._phases)
+        places = None
+        if isinstance(phi, ActsPhi) and self._search is not None:
+            found = self._search.places(x.take)
+            phi.choose(found)
+            places = packed_places(found, phi.n)
+        y = phi.forward(x)
         bits = self.settings.bits
         return Measurements(
             stamp_ns=taxels.stamp_ns,
             patch=self.settings.patch,
             y=y if bits is None else quantised(y, bits),
-            phi=self._phi.fingerprint,
+            phi=phi.fingerprint,
+            places=places,
         )

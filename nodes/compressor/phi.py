@@ -18,6 +18,7 @@ KINDS = {
     "full": "sparseskin.nodes.compressor.full:FullPhi",
     "subsample": "sparseskin.nodes.compressor.subsample:SubsamplePhi",
     "gaussian": "sparseskin.nodes.compressor.gaussian:GaussianPhi",
+    "acts": "sparseskin.nodes.compressor.acts:ActsPhi",
 }
 _INTERFACE = (
     *("kind", "n", "m", "ratio", "lipschitz", "fingerprint"),
@@ -202,8 +203,9 @@ def make_phi(kind: str, n: int, m: int, seed: int, block: int = 32) -> Phi:
     ----------
     kind : str
         "sbhe" (scrambled block Hadamard, the paper's), "full" (every taxel), "subsample"
-        (single taxels), "gaussian" (dense), or "module:Class" for your own: called with the
-        keywords n, m, seed, block, it must offer what `Phi` does.
+        (single taxels), "gaussian" (dense), "acts" (single taxels, chosen anew each frame), or
+        "module:Class" for your own: called with the keywords n, m, seed, block, it must offer
+        what `Phi` does.
     n, m, seed, block : int
         As in `Phi`.
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.compressor.calls import Floats, Indices, run
 from sparseskin.nodes.compressor.hadamard import BlockHadamard, hadamard_matrix
 from sparseskin.nodes.compressor.phi import Phi, fingerprint_of
+from sparseskin.nodes.compressor.rotation import turns
 
 
 class SbhePhi(Phi):
@@ -48,29 +51,48 @@ class SbhePhi(Phi):
         super().__init__(n, m, seed, block)
         rng = np.random.default_rng(seed)
         self.permutation: Indices = rng.permutation(n).astype(np.intp)
-        self.rows: Indices = np.sort(rng.permutation(n)[:m]).astype(np.intp)
         self.permutation.setflags(write=False)
-        self.rows.setflags(write=False)
-        self.fingerprint = fingerprint_of(self.kind, n, m, block, self.permutation, self.rows)
+        self._order: Indices = rng.permutation(n).astype(np.intp)
 
         self.hadamard = BlockHadamard(n, block)
-        place_of_row = np.argsort(self.hadamard.order_out)
         #: Taxel that belongs to each place of the transform's input, shape (n,).
         self.scramble: Indices = self.permutation[self.hadamard.order_in]
-        #: Place of the transform's output where each measurement appears, shape (m,).
-        self.row_places: Indices = place_of_row[self.rows]
-        #: 1 / sqrt(B) of each measurement's block, shape (m,).
-        self.scale: Floats = np.reciprocal(np.sqrt(self.hadamard.size_at[self.row_places]))
         self._unscramble: Indices = np.argsort(self.scramble)
-        # Places of rows that are not kept read the zero behind the last measurement.
-        self._spread: Indices = np.full(n, m, dtype=np.intp)
-        self._spread[self.row_places] = np.arange(m)
         self._y_and_zero = np.zeros(m + 1, dtype=np.float32)
+        self._keep(np.sort(self._order[:m]))
 
         self._a = np.zeros(n, dtype=np.float32)
         b = np.zeros(n, dtype=np.float32)
         self._transform, self._result = self.hadamard.program(self._a, b)
         self._transposed = self.hadamard.transposed(self._a, b)
+
+    def phases(self) -> list[Phi]:
+        """Return the matrices of rotating rows, the first like this one; they share its arrays.
+
+        P = ceil(n / m) of them, m rows of the same W each, which together read all of its rows.
+        """
+        twins: list[Phi] = []
+        for rows in turns(self._order, self.m):
+            twin = copy(self)
+            twin._keep(rows)
+            twins.append(twin)
+        return twins
+
+    def _keep(self, rows: Indices) -> None:
+        """Measure by these rows of W, ascending."""
+        rows.setflags(write=False)
+        self.rows: Indices = rows
+        self.fingerprint = fingerprint_of(
+            self.kind, self.n, self.m, self.block, self.permutation, rows
+        )
+        place_of_row = np.argsort(self.hadamard.order_out)
+        #: Place of the transform's output where each measurement appears, shape (m,).
+        self.row_places: Indices = place_of_row[rows]
+        #: 1 / sqrt(B) of each measurement's block, shape (m,).
+        self.scale: Floats = np.reciprocal(np.sqrt(self.hadamard.size_at[self.row_places]))
+        # Places of rows that are not kept read the zero behind the last measurement.
+        self._spread: Indices = np.full(self.n, self.m, dtype=np.intp)
+        self._spread[self.row_places] = np.arange(self.m)
 
     def dense(self) -> npt.NDArray[np.float64]:
         """Return the explicit matrix, float64, shape (m, n), built from its definition."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.compressor.calls import Floats, Indices
 from sparseskin.nodes.compressor.phi import Phi, fingerprint_of
+from sparseskin.nodes.compressor.rotation import turns
 
 
 class SubsamplePhi(Phi):
@@ -27,10 +30,25 @@ class SubsamplePhi(Phi):
 
     def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
         super().__init__(n, m, seed, block)
-        rng = np.random.default_rng(seed)
-        self.rows: Indices = np.sort(rng.permutation(n)[:m]).astype(np.intp)
-        self.rows.setflags(write=False)
-        self.fingerprint = fingerprint_of(self.kind, n, m, 1, self.rows)
+        self._order: Indices = np.random.default_rng(seed).permutation(n).astype(np.intp)
+        self._keep(np.sort(self._order[:m]))
+
+    def phases(self) -> list[Phi]:
+        """Return the matrices of rotating rows, the first like this one: P = ceil(n / m) of them,
+        m taxels each, which together read every taxel.
+        """
+        twins: list[Phi] = []
+        for rows in turns(self._order, self.m):
+            twin = copy(self)
+            twin._keep(rows)
+            twins.append(twin)
+        return twins
+
+    def _keep(self, rows: Indices) -> None:
+        """Read these taxels, ascending."""
+        rows.setflags(write=False)
+        self.rows: Indices = rows
+        self.fingerprint = fingerprint_of(self.kind, self.n, self.m, 1, rows)
 
     def dense(self) -> npt.NDArray[np.float64]:
         """Return the explicit matrix, float64, shape (m, n)."""

@@ -12,6 +12,9 @@ from sparseskin.nodes.reconstructor.projection import Projection
 #: Normal noise of deviation sigma, clipped at 0, has mean 0.399 sigma and deviation 0.584 sigma.
 #: The mean is thus at most this part of the noise, with room for the error of its estimate.
 LARGEST = 0.75
+#: That noise is an untouched taxel's, the least the skin has had; it is forgotten by so much a
+#: frame. A contact's own would let a whole scene that is restored badly pass for bias.
+FORGOTTEN = 1.002
 SLOWEST = 0.05
 #: Frames at the beginning in which the level of most taxels is looked at, and how often later.
 FIRST, EVERY = 8, 32
@@ -40,22 +43,31 @@ class ClipBias:
     b : float
         The estimate, newtons, at least 0.
     ones : ndarray of float32, shape (n_rows,)
-        Phi 1 as a vector of rows.
+        Phi 1 as a vector of rows, of the phase that is in use.
     """
 
     def __init__(self, projection: Projection, n: int) -> None:
-        rows = np.zeros((1, projection.n_rows), dtype=np.float32)
-        projection.forward(np.ones((1, n), dtype=np.float32), rows)
-        self.ones: Floats = rows[0]
-        self._energy = float(np.dot(self.ones, self.ones))
+        self._projection = projection
+        self._n = n
+        self._known: dict[int, tuple[Floats, float]] = {}
+        self.use(0)
         self._b = np.zeros((), dtype=np.float32)
         self._scaled = np.zeros_like(self.ones)
         self.reset()
+
+    def use(self, phase: int) -> None:
+        """Take measurements of the phase, known by its number, that the projection is now of."""
+        if phase not in self._known:
+            rows = np.zeros((1, self._projection.n_rows), dtype=np.float32)
+            self._projection.forward(np.ones((1, self._n), dtype=np.float32), rows)
+            self._known[phase] = rows[0], float(np.dot(rows[0], rows[0]))
+        self.ones, self._energy = self._known[phase]
 
     def reset(self) -> None:
         """Forget all frames."""
         self.b = 0.0
         self._n_frames = 0
+        self._least_s2 = math.inf
 
     def take_off(self, y_rows: Floats) -> None:
         """Subtract the bias from measurements in place, a vector of rows."""
@@ -80,7 +92,8 @@ class ClipBias:
         more = left / self._energy if self._energy else 0.0
         if self._n_frames <= FIRST or self._n_frames % EVERY == 0:
             more += float(np.median(x))
-        noise = math.sqrt(s2)
+        self._least_s2 = min(FORGOTTEN * self._least_s2, s2)
+        noise = math.sqrt(self._least_s2)
         more = min(max(more, -noise / 2), noise / 2)
         rate = max(SLOWEST, 1 / (self._n_frames + 1))
         self.b = min(max(self.b + rate * more, 0.0), LARGEST * noise)

@@ -23,7 +23,8 @@ class KalmanWeight:
 
     K = P / (P + R), R the variance of the noise, P + R the mean square of the misfit. While
     nothing moves, K falls no faster than 1, 1/2, 1/3, which makes the estimate the mean of all
-    frames since the last change.
+    frames since the last change. Where rows rotate, that counts the frames of one phase: what
+    a row says is new when it is read for the first time.
 
     The misfits of a filter that is right are white. Where one is much like the last, the
     estimate lags behind: what was taken for noise is motion, and R is lowered until K is high
@@ -51,7 +52,7 @@ class KalmanWeight:
     """
 
     def __init__(self, n_rows: int) -> None:
-        self._last = np.zeros(n_rows, dtype=np.float32)
+        self._n_rows = n_rows
         self.reset()
 
     def reset(self) -> None:
@@ -60,7 +61,12 @@ class KalmanWeight:
         self.surprise = math.inf
         self.noise = 0.0
         self._belief = 1.0
-        self._last_energy = 0.0
+        self._phases: dict[int, _Past] = {}
+        self.use(0)
+
+    def use(self, phase: int) -> None:
+        """Take misfits of this phase: what is compared are frames of the same one."""
+        self._past = self._phases.setdefault(phase, _Past(self._n_rows))
 
     def update(self, misfit: Floats, m: int, s2: float, jumped: bool) -> None:
         """Take in a frame.
@@ -76,18 +82,31 @@ class KalmanWeight:
         jumped : bool
             Whether the prediction is worth nothing.
         """
-        energy = float(np.dot(misfit, misfit))
-        both = energy * self._last_energy
+        energy, past = float(np.dot(misfit, misfit)), self._past
+        both = energy * past.energy
         if both > 0:
-            alike = float(np.dot(misfit, self._last)) / math.sqrt(both)
+            alike = float(np.dot(misfit, past.misfit)) / math.sqrt(both)
             change = math.exp(DOUBTING * (LAGGING - alike)) if alike > LAGGING else BELIEVING
             self._belief = min(max(self._belief * change, LEAST_BELIEF), 1.0)
-        np.copyto(self._last, misfit)
-        self._last_energy = energy
+        np.copyto(past.misfit, misfit)
+        past.energy = energy
 
         e2 = energy / m
         self.noise = s2 * self._belief
         self.surprise = e2 / (self.noise + TINY)
         news = max(0.0, self.surprise - EXPECTED)
-        still = self.weight / (1 + self.weight)
+        still = past.weight / (1 + past.weight)
         self.weight = 1.0 if jumped else max(LEAST_WEIGHT, still, news / (1 + news))
+        past.weight = self.weight
+        if jumped:
+            for other in self._phases.values():
+                other.weight = 1.0
+
+
+class _Past:
+    """The last misfit of one phase, and the weight it was given."""
+
+    def __init__(self, n_rows: int) -> None:
+        self.misfit = np.zeros(n_rows, dtype=np.float32)
+        self.energy = 0.0
+        self.weight = 1.0

@@ -21,18 +21,20 @@ class Neighbours:
     ----------
     after, before : ndarray of float32, shape (2, n)
         What `gather` found in the next and in the last row, and column.
+    places : tuple of ndarray of intp, shape (2, n)
+        Where it finds that, of after and of before.
     """
 
     def __init__(self, place_of_cell: Indices, n: int) -> None:
-        self._after = _places(place_of_cell, n, -1)
-        self._before = _places(place_of_cell, n, 1)
+        self.places = _places(place_of_cell, n, -1), _places(place_of_cell, n, 1)
         self.after = np.zeros((2, n), dtype=np.float32)
         self.before = np.zeros((2, n), dtype=np.float32)
 
     def gather(self, x: Floats) -> None:
         """Fill `after` and `before` from a vector of taxels, float32 (n,)."""
-        x.take(self._after, None, self.after, "clip")
-        x.take(self._before, None, self.before, "clip")
+        after, before = self.places
+        x.take(after, None, self.after, "clip")
+        x.take(before, None, self.before, "clip")
 
 
 def _places(place_of_cell: Indices, n: int, shift: int) -> Indices:

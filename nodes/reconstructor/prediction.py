@@ -17,7 +17,7 @@ SIGNIFICANT = 12.0
 STILL = 0.95
 #: A prediction that leaves this part of the measurements' energy, and more of it than noise
 #: does, has failed.
-HARDLY, DOUBTFUL = 0.8, 2.0
+HARDLY, DOUBTFUL = 0.5, 2.0
 
 
 class Prediction:
@@ -74,10 +74,7 @@ class Prediction:
         if not float(np.dot(x, x)) > 0:
             np.copyto(misfit, y)
             return y2
-        self._fill_terms(x)
-        self._projection.forward(self._terms, self._rows)
-        np.subtract(y, self._rows[0], misfit)
-        e2 = float(np.dot(misfit, misfit))
+        e2 = self._stay(x, y, misfit)
         if e2 > STILL * self._m * s2:
             e2 = self._move(x, y, misfit, e2, s2)
         # A contact that has vanished is still worth a little: scaled down to next to nothing.
@@ -87,6 +84,12 @@ class Prediction:
             np.copyto(misfit, y)
             return y2
         return e2
+
+    def _stay(self, x: Floats, y: Floats, misfit: Floats) -> float:
+        """Find the misfit of x as it is, and its squared length."""
+        self._projection.forward(x[None], self._rows[:1])
+        np.subtract(y, self._rows[0], misfit)
+        return float(np.dot(misfit, misfit))
 
     def _fill_terms(self, x: Floats) -> None:
         """x, and its differences along rows and columns."""
@@ -98,6 +101,8 @@ class Prediction:
     def _move(self, x: Floats, y: Floats, misfit: Floats, e2: float, s2: float) -> float:
         """Add the terms that the misfit asks for; its squared length then."""
         rows = self._rows
+        self._fill_terms(x)
+        self._projection.forward(self._terms[1:], rows[1:])
         gram = [[float(np.dot(a, b)) for b in rows[: k + 1]] for k, a in enumerate(rows)]
         right = [float(np.dot(row, misfit)) for row in rows]
         largest = max(gram[k][k] for k in range(3))

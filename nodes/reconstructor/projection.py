@@ -33,6 +33,10 @@ class Projection(ABC):
     step_size: float
 
     @abstractmethod
+    def use(self, phi: Phi) -> None:
+        """Be the projection of another phase of rotating rows: of the same W, other rows of it."""
+
+    @abstractmethod
     def rows_of(self, y: Floats, out: Floats) -> None:
         """Write measurements, float32 (m,), to a vector of rows, float32 (n_rows,)."""
 
@@ -59,6 +63,9 @@ class PlainProjection(Projection):
         self.n_rows = phi.m
         self.step_size = 1 / phi.lipschitz
         self._step = np.array(self.step_size, dtype=np.float32)
+
+    def use(self, phi: Phi) -> None:
+        self._phi = phi
 
     def rows_of(self, y: Floats, out: Floats) -> None:
         np.copyto(out, y)
@@ -87,12 +94,9 @@ class SbheProjection(Projection):
         self.order = phi.permutation
         self.n_rows = phi.n
         self.step_size = 1.0
-        # Rows that are not measured read the 0 behind the last measurement.
-        self._spread = np.full(phi.n, phi.m, dtype=np.intp)
-        self._spread[phi.rows] = np.arange(phi.m)
+        self._tables: dict[str, tuple[Indices, Floats]] = {}
+        self.use(phi)
         self._y_and_zero = np.zeros(phi.m + 1, dtype=np.float32)
-        self._measured = np.zeros(phi.n, dtype=np.float32)
-        self._measured[phi.rows] = 1
         block = phi.block
         self._hadamard = (hadamard_matrix(block) / np.sqrt(block)).astype(np.float32)
         self._whole = phi.n - phi.n % block
@@ -103,6 +107,17 @@ class SbheProjection(Projection):
             part = slice(start, start + size)
             self._rest[part, part] = hadamard_matrix(size) / np.sqrt(size)
             start += size
+
+    def use(self, phi: Phi) -> None:
+        if phi.fingerprint not in self._tables:
+            assert isinstance(phi, SbhePhi)
+            # Rows that are not measured read the 0 behind the last measurement.
+            spread = np.full(phi.n, phi.m, dtype=np.intp)
+            spread[phi.rows] = np.arange(phi.m)
+            measured = np.zeros(phi.n, dtype=np.float32)
+            measured[phi.rows] = 1
+            self._tables[phi.fingerprint] = spread, measured
+        self._spread, self._measured = self._tables[phi.fingerprint]
 
     def rows_of(self, y: Floats, out: Floats) -> None:
         self._y_and_zero[:-1] = y
@@ -128,9 +143,13 @@ class SbheProjection(Projection):
             np.dot(self._rest, one[self._whole :], result[self._whole :])
 
 
-def make_projection(phi: Phi) -> Projection:
-    """Return the fastest projection there is for a phi."""
+def make_projection(phi: Phi, compiled: bool = False) -> Projection:
+    """Return the fastest projection there is for a phi, of compiled loops if these are wanted."""
     # Exactly this type: a subclass may have changed what the operators do.
+    if compiled and type(phi) is SbhePhi:
+        from sparseskin.nodes.reconstructor.fast_projection import CompiledProjection
+
+        return CompiledProjection(phi)
     if type(phi) is SbhePhi and phi.block <= MAX_BLOCK:
         return SbheProjection(phi)
     return PlainProjection(phi)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from sparseskin.nodes.compressor.calls import Floats, run
 from sparseskin.nodes.compressor.phi import Phi
+from sparseskin.nodes.compressor.sbhe import SbhePhi
 from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.fast import MAX_PLACES, use_compiled
 from sparseskin.nodes.reconstructor.basis import Basis
 from sparseskin.nodes.reconstructor.clip_bias import ClipBias
 from sparseskin.nodes.reconstructor.kalman_weight import KalmanWeight
@@ -17,7 +20,7 @@ from sparseskin.nodes.reconstructor.noise_level import NoiseLevel
 from sparseskin.nodes.reconstructor.parameters import MAX_ITERATIONS, whole_number
 from sparseskin.nodes.reconstructor.prediction import Prediction
 from sparseskin.nodes.reconstructor.projection import make_projection
-from sparseskin.nodes.reconstructor.shifted_haar import SHIFTS, ShiftedHaar
+from sparseskin.nodes.reconstructor.shifted_haar import SHIFTS, TILE, ShiftedHaar
 from sparseskin.nodes.reconstructor.solver import Mask, Solver
 
 #: Threshold, in root mean squares of what is left of the measurements.
@@ -28,10 +31,15 @@ LEAST_THRESHOLD = 0.5
 #: falls as the misfit does, nothing would hold against an estimate that explains the
 #: measurements and is wrong.
 HELD_THRESHOLD = 0.8
+#: ... which is less where rows rotate: the next frame's rows speak against it.
+HELD_ROTATING = 0.3
 #: The threshold of a frame that starts from nothing, in deviations of what its first gradient
 #: step holds of the others' forces. With few measurements `THRESHOLD` would be far above that,
 #: and a contact would not come up at all.
 COLD_THRESHOLD = 2.4
+#: Frames after a jump that are measured anew as the jump itself is, with all iterations: what it
+#: left wrong where no measurement looks would be believed otherwise.
+SETTLING = 2
 MOMENTUM = 0.7
 #: The estimate is the mean of so many last iterates, each with its own shift.
 AVERAGED = 3
@@ -39,8 +47,6 @@ AVERAGED = 3
 SURPRISE, PER_SURPRISE = 1.05, 20.0
 N_DRAWN = 4093
 TINY = 1e-30
-#: The squares of larger measurements, summed, could overflow float32.
-Y_MAX = 1e14
 
 
 class SkinSolver(Solver):
@@ -59,6 +65,10 @@ class SkinSolver(Solver):
        frame brings no surprise, more where it does.
     5. The mean of the last iterates, and the bias given back to touched taxels.
 
+    Where rows rotate, one solver serves all phases (`use`): the prediction carries over, so that
+    what the others have read stays known, and noise, bias and weight are kept by phase. An
+    estimate that explains one frame's rows and is wrong is spoken against by the next.
+
     Lengths of steps, noise and threshold come from the measurements: a skin of another range
     gets the same relative errors. The same measurements give the same bits on one machine: the
     shifts are drawn from a generator of its own, which `reset` starts anew.
@@ -76,6 +86,11 @@ class SkinSolver(Solver):
         Iterations of a frame that does, at most, 1..1000; never fewer than `iterations`.
     seed : int
         Seed of the shifts, at least 0.
+    fast : str
+        Whether compiled loops do the work, for "sbhe": "auto" (where numba is installed), "on"
+        or "off". The forces are the same but for rounding: to within some 1e-5 N at M = N/3. With
+        far fewer measurements the method depends on rounding, with numpy as well: measurements
+        that differ by 1e-7 N make as large a difference there.
 
     Raises
     ------
@@ -89,6 +104,10 @@ class SkinSolver(Solver):
     with them.
     """
 
+    rotates = True
+    #: The squares of larger ones, summed, could overflow float32.
+    y_max = 1e14
+
     def __init__(
         self,
         phi: Phi,
@@ -98,6 +117,7 @@ class SkinSolver(Solver):
         iterations: int | None = None,
         max_iterations: int = 16,
         seed: int = 0,
+        fast: str = "auto",
     ) -> None:
         super().__init__(phi, basis, mask)
         if iterations is None:
@@ -108,7 +128,10 @@ class SkinSolver(Solver):
         whole_number("skin", "seed", seed, 0, 2**32 - 1)
 
         n = phi.n
-        self._projection = make_projection(phi)
+        self._phases = {phi.fingerprint: 0}
+        n_tiles = math.prod(-(-side // TILE) for side in self.mask.shape)
+        compiled = use_compiled(fast) and type(phi) is SbhePhi and n_tiles * TILE**2 < MAX_PLACES
+        self._projection = make_projection(phi, compiled)
         self._place_of_cell = np.full(self.mask.size, n, dtype=np.intp)
         self._place_of_cell[self.taxels[self._projection.order]] = np.arange(n)
         places = self._place_of_cell.reshape(self.mask.shape)
@@ -138,8 +161,28 @@ class SkinSolver(Solver):
         self._momentum = np.array(MOMENTUM, dtype=np.float32)
         self._factor = np.zeros((), dtype=np.float32)
         self._shrink = self._haar.shrinking(self._canvas, self._lambda2)
+        #: What `step` and `finish` do to the vectors: with numpy, or in compiled loops.
+        self._iterate: Callable[[int, float, float, bool], None] = self._numpy_iteration
+        self._forces_of: Callable[[Floats, float], Floats] = self._numpy_forces
+        if compiled:
+            self._compile(neighbours)
         self.n_steps = self.iterations
         self.reset()
+
+    def _compile(self, neighbours: Neighbours) -> None:
+        """Let compiled loops do what takes most of the time."""
+        # Imported here: they need numba.
+        from sparseskin.nodes.reconstructor import fast_skin as fast
+        from sparseskin.nodes.reconstructor.fast_projection import CompiledProjection
+
+        projection, m = self._projection, self.phi.m
+        assert isinstance(projection, CompiledProjection)
+        vectors = (self._x, self._z, self._r, self._target, self._sum, self._canvas)
+        self._prediction = fast.CompiledPrediction(projection, neighbours, self.phi.n, m)
+        self._iterate = fast.CompiledIteration(
+            projection, self._haar, (*vectors, self._u_and_zero), m, MOMENTUM
+        )
+        self._forces_of = fast.compiled_forces(self._place_of_cell)
 
     def reset(self) -> None:
         """Forget all earlier frames: the next one starts from 0."""
@@ -147,14 +190,40 @@ class SkinSolver(Solver):
         self._noise.reset()
         self._bias.reset()
         self._filter.reset()
+        phase = self._phases[self.phi.fingerprint]
+        self._noise.use(phase)
+        self._filter.use(phase)
         self._next_shift = 0
         self._done = self.n_steps  # no frame is begun
+
+    def use(self, phi: Phi) -> None:
+        """Take measurements of this phase of rotating rows from the next frame on.
+
+        Parameters
+        ----------
+        phi : Phi
+            Of the same kind and size as the one that the solver was made for, and other rows.
+
+        Raises
+        ------
+        SolverError
+            If it is of another size.
+        """
+        if (phi.n, phi.m) != (self.phi.n, self.phi.m):
+            raise SolverError(
+                f"skin: phi {phi.fingerprint} is {phi.m} x {phi.n}; "
+                f"allowed: {self.phi.m} x {self.phi.n}"
+            )
+        phase = self._phases.setdefault(phi.fingerprint, len(self._phases))
+        self.phi = phi
+        self._projection.use(phi)
+        self._noise.use(phase)
+        self._bias.use(phase)
+        self._filter.use(phase)
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         """Begin a frame; parameters and Raises as in `solve`."""
         y = self._checked_y(y)
-        if max(float(y.max()), -float(y.min())) > Y_MAX:
-            raise SolverError(f"skin: a measurement is beyond +-{Y_MAX:g}: too large for float32")
         if warm is not None:
             cells = self.taxels[self._projection.order]
             self._checked_warm(warm).reshape(-1).take(cells, None, self._x, "clip")
@@ -163,18 +232,18 @@ class SkinSolver(Solver):
         self._bias.take_off(self._y)
         e2 = self._prediction.predict(self._x, self._y, self._misfit, self._noise.s2) / self.phi.m
         self._noise.update(y, e2, self._prediction.failed)
-        jumped = self._noise.jumped
-        self._filter.update(self._misfit, self.phi.m, self._noise.s2, jumped)
+        jumped, settling = self._noise.jumped, self._noise.since_jump <= SETTLING
+        self._filter.update(self._misfit, self.phi.m, self._noise.s2, settling)
         weight = self._filter.weight
 
         noise = 0.0 if jumped else LEAST_THRESHOLD * math.sqrt(self._filter.noise * weight)
-        held = HELD_THRESHOLD * math.sqrt(e2) * weight
+        held = (HELD_ROTATING if self._rotating else HELD_THRESHOLD) * math.sqrt(e2) * weight
         self._least = max(noise, held) * self._projection.step_size
         cold = COLD_THRESHOLD / math.sqrt(self.phi.ratio)
         threshold = min(THRESHOLD, cold) if jumped else THRESHOLD
         self._threshold = threshold * self._projection.step_size
         more = PER_SURPRISE * max(0.0, self._filter.surprise - SURPRISE)
-        more = self.max_iterations if jumped else min(more, self.max_iterations)
+        more = self.max_iterations if settling else min(more, self.max_iterations)
         self.n_steps = min(self.max_iterations, self.iterations + int(more))
         # y' = Phi x_p + K e
         self._factor[()] = 1 - weight
@@ -194,16 +263,24 @@ class SkinSolver(Solver):
         """
         if self._done == self.n_steps:
             raise SolverError(f"skin: no step is left of the frame's {self.n_steps}")
+        summed = self._done >= self.n_steps - AVERAGED
+        shift = self._shifts[self._next_shift]
+        self._iterate(shift, self._threshold, self._least, summed)
+        self._next_shift = (self._next_shift + 1) % N_DRAWN
+        self._done += 1
+        self._n_summed += summed
+
+    def _numpy_iteration(self, shift: int, threshold: float, least: float, summed: bool) -> None:
+        """Do one iteration under a shift; thresholds in root mean squares of r and in newtons."""
         x, u, z, r = self._x, self._u, self._z, self._r
         self._projection.forward(z[None], r[None])
         np.subtract(self._target, r, r)
-        threshold = self._threshold * math.sqrt(float(np.dot(r, r)) / self.phi.m)
-        self._lambda2[()] = max(threshold, self._least) ** 2 + TINY
+        threshold *= math.sqrt(float(np.dot(r, r)) / self.phi.m)
+        self._lambda2[()] = max(threshold, least) ** 2 + TINY
         self._projection.adjoint(r, u)
         np.add(u, z, u)
 
-        to_canvas, from_canvas = self._haar.tables(self._shifts[self._next_shift])
-        self._next_shift = (self._next_shift + 1) % N_DRAWN
+        to_canvas, from_canvas = self._haar.tables(shift)
         self._u_and_zero.take(to_canvas, None, self._canvas, "clip")
         run(self._shrink)
         np.copyto(self._before, x)
@@ -213,10 +290,8 @@ class SkinSolver(Solver):
         np.subtract(x, self._before, z)
         np.multiply(z, self._momentum, z)
         np.add(z, x, z)
-        self._done += 1
-        if self._done > self.n_steps - AVERAGED:
+        if summed:
             np.add(self._sum, x, self._sum)
-            self._n_summed += 1
 
     def finish(self) -> Floats:
         """End the frame and return its estimate, as `solve` does."""
@@ -231,7 +306,29 @@ class SkinSolver(Solver):
             ones, kept = self._bias.ones, 1 - self._filter.weight
             left = float(np.dot(ones, self._r)) + kept * float(np.dot(ones, self._misfit))
             self._bias.update(left, self._x, self._noise.s2)
+            if self._rotating:
+                self._noise.limit(self._unexplained())
         self._done = self.n_steps
-        forces = self._x_and_zero.take(self._place_of_cell, None, None, "clip")
+        return self._forces_of(self._x_and_zero, self._bias.b).reshape(self.mask.shape)
+
+    @property
+    def _rotating(self) -> bool:
+        return len(self._phases) > 1
+
+    def _unexplained(self) -> float:
+        """Variance of the noise, going by what the frame leaves of its measurements.
+
+        Of the misfit the iterations have explained what a sparse frame can; noise is hardly
+        explained, but for the part that as many free numbers as there are pressed taxels take
+        up. Infinite where these are too many to tell.
+        """
+        free = self.phi.m - np.count_nonzero(self._x)
+        if free < self.phi.m / 2:
+            return math.inf
+        return float(np.dot(self._r, self._r)) / self._filter.weight**2 / free
+
+    def _numpy_forces(self, x_and_zero: Floats, bias: float) -> Floats:
+        """Forces of all cells, from a vector of means above the bias with a 0 behind it."""
+        forces = x_and_zero.take(self._place_of_cell, None, None, "clip")
         self._bias.give_back(forces)
-        return forces.reshape(self.mask.shape)
+        return forces

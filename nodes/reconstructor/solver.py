@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import inspect
+import math
 from abc import ABC, abstractmethod
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.nodes.compressor.acts import ActsPhi
 from sparseskin.nodes.compressor.calls import Floats, Indices
 from sparseskin.nodes.compressor.phi import Phi
 from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.fast import check_fast
 from sparseskin.nodes.lookup import did_you_mean, find_class
 from sparseskin.nodes.reconstructor.basis import Basis
 
@@ -26,9 +29,8 @@ SOLVERS = {
     "oamp": "sparseskin.nodes.reconstructor.oamp:OampSolver",
     "ista": "sparseskin.nodes.reconstructor.ista:IstaSolver",
     "omp": "sparseskin.nodes.reconstructor.omp:OmpSolver",
+    "interpolation": "sparseskin.nodes.reconstructor.interpolation:InterpolationSolver",
 }
-#: Measurements beyond this could overflow float32 inside a solver.
-Y_MAX = 1e30
 _INTERFACE = ("setup", "step", "finish", "solve", "reset", "n_steps", "taxels")
 
 
@@ -63,6 +65,12 @@ class Solver(ABC):
     """
 
     n_steps: int = 1
+    #: Measurements beyond this could overflow float32 inside the solver.
+    y_max: float = 1e30
+    #: Whether `use` makes one solver serve all phases of rotating rows.
+    rotates: bool = False
+    #: Whether it follows a phi that chooses its taxels anew each frame.
+    follows_choice: bool = False
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:
         shape = (basis.n_rows, basis.n_cols)
@@ -126,6 +134,17 @@ class Solver(ABC):
     def reset(self) -> None:
         """Forget all earlier frames."""
 
+    def use(self, phi: Phi) -> None:
+        """Take measurements of this phase of rotating rows from the next frame on.
+
+        Raises
+        ------
+        SolverError
+            If the solver was made for another matrix, and can use no other.
+        """
+        if phi.fingerprint != self.phi.fingerprint:
+            raise SolverError(f"solver: was not made for phi {phi.fingerprint}")
+
     def _checked_y(self, y: Floats) -> Floats:
         """Return y as contiguous float32, or raise SolverError."""
         y = np.ascontiguousarray(y, dtype=np.float32)
@@ -133,11 +152,18 @@ class Solver(ABC):
             raise SolverError(
                 f"solver: y has shape {y.shape}; expected ({self.phi.m},): m = {self.phi.m}"
             )
+        # The squares' sum is found far sooner than the extremes, and is hardly ever as large.
+        with np.errstate(over="ignore", invalid="ignore"):
+            power = float(np.dot(y, y))
+        if power < min(self.y_max**2, math.inf):
+            return y
         if not np.isfinite(y).all():
             bad = int(np.flatnonzero(~np.isfinite(y))[0])
             raise SolverError(f"solver: measurement {bad} is {y[bad]}; allowed: finite numbers")
-        if y.max() > Y_MAX or y.min() < -Y_MAX:
-            raise SolverError(f"solver: a measurement is beyond +-{Y_MAX:g}: too large for float32")
+        if max(float(y.max()), -float(y.min())) > self.y_max:
+            raise SolverError(
+                f"solver: a measurement is beyond +-{self.y_max:g}: too large for float32"
+            )
         return y
 
     def _checked_warm(self, warm: Floats) -> Floats:
@@ -153,7 +179,13 @@ class Solver(ABC):
 
 
 def make_solver(
-    name: str, phi: Phi, basis: Basis, mask: Mask | None = None, **settings: Any
+    name: str,
+    phi: Phi,
+    basis: Basis,
+    mask: Mask | None = None,
+    *,
+    fast: str = "auto",
+    **settings: Any,
 ) -> Solver:
     """Make a solver by name.
 
@@ -164,6 +196,9 @@ def make_solver(
         settings as keywords, it must offer what `Solver` does.
     phi, basis, mask
         As in `Solver`.
+    fast : str
+        Whether compiled loops are used by solvers that have them: "auto", "on" or "off", as
+        `sparseskin.nodes.fast` tells.
     **settings
         The solver's own, e.g. iterations=20 for "fista".
 
@@ -172,16 +207,25 @@ def make_solver(
     SolverError
         If the name or a setting is unknown, a setting is not allowed, phi, basis and mask do
         not fit, or a class of your own is not a solver.
+    SettingsError
+        If fast is none of these, or "on" without numba.
     """
     cls = find_class("solver", name, SOLVERS, SolverError)
+    if isinstance(phi, ActsPhi) and not getattr(cls, "follows_choice", False):
+        raise SolverError(
+            f'solver "{name}": phi "acts" reads other taxels each frame; allowed: interpolation'
+        )
     parameters = inspect.signature(cls).parameters
-    known = [p for p in parameters if p not in ("phi", "basis", "mask")]
+    known = [p for p in parameters if p not in ("phi", "basis", "mask", "fast")]
     takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
     for setting in settings:
         if setting not in known and not takes_any:
             raise SolverError(
                 f'solver "{name}": setting "{setting}" is not known{did_you_mean(setting, known)}'
             )
+    check_fast(fast)  # refused here, whether or not the solver has compiled loops
+    if "fast" in parameters:
+        settings["fast"] = fast
     try:
         made = cls(phi=phi, basis=basis, mask=mask, **settings)
     except TypeError as cause:

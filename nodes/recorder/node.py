@@ -74,6 +74,13 @@ class Recorder(Node[RecorderSettings]):
     def inputs(cls, settings: RecorderSettings) -> tuple[str, ...]:
         return settings.topics
 
+    @classmethod
+    def values_again(cls, settings: RecorderSettings, n_restarts: int) -> dict[str, Any]:
+        # What the one before could write stands in its file, and nothing is written over it.
+        out = Path(settings.out)
+        stem = out.stem.removesuffix(f".restart{n_restarts - 1}")
+        return {"out": str(out.with_name(f"{stem}.restart{n_restarts}{FILE_SUFFIX}"))}
+
     def step(self, message: Message) -> Iterable[Message]:
         if self._error or self._closed:
             return ()
@@ -175,6 +182,7 @@ def metadata_of(states: Iterable[Message], launch: str, graph: str) -> dict[str,
             "block": state.block,
             "seed": state.seed,
             "fingerprint": state.fingerprint,
+            "rows": state.rows,
         }
         for state in states
         if isinstance(state, PhiState)

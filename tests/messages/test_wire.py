@@ -23,6 +23,7 @@ from sparseskin.messages import (
     OversizedError,
     PhiState,
     Reconstruction,
+    Resultant,
     ShapeError,
     SkinState,
     SolverState,
@@ -77,6 +78,21 @@ def skin_states(draw: st.DrawFn) -> SkinState:
     )
 
 
+@st.composite
+def reconstructions_with_sd(draw: st.DrawFn) -> Reconstruction:
+    restored = draw(forces(2))
+    return Reconstruction(
+        **{key: draw(value) for key, value in headers.items()},
+        forces=restored,
+        phi=draw(prints),
+        iterations=3,
+        residual=draw(positive),
+        solve_ns=draw(numbers),
+        done_ns=draw(numbers),
+        sd=np.abs(restored),
+    )
+
+
 elements = st.integers(1, MAX_ELEMENTS)
 messages: st.SearchStrategy[Message] = st.one_of(
     st.builds(Taxels, **headers, forces=forces(2)),
@@ -92,6 +108,14 @@ messages: st.SearchStrategy[Message] = st.one_of(
         solve_ns=numbers,
         done_ns=numbers,
     ),
+    reconstructions_with_sd(),
+    st.builds(Resultant, **headers, total=positive, total_sd=positive, done_ns=numbers),
+    st.builds(
+        Resultant,
+        **headers,
+        **dict.fromkeys(("total", "total_sd", "row", "col", "row_sd", "col_sd"), positive),
+        done_ns=numbers,
+    ),
     skin_states(),
     st.builds(
         PhiState,
@@ -102,6 +126,7 @@ messages: st.SearchStrategy[Message] = st.one_of(
         block=elements,
         seed=numbers,
         fingerprint=prints,
+        rows=st.sampled_from(["fixed", "rotating"]),
     ),
     st.builds(
         SolverState,
@@ -111,6 +136,7 @@ messages: st.SearchStrategy[Message] = st.one_of(
         preset=texts,
         iterations=st.integers(0, 1000),
         lambda_n=positive,
+        max_iterations=st.integers(0, 1000),
     ),
     st.builds(End, **headers, of=names.filter(lambda name: name != "end"), n_messages=numbers),
 )
@@ -143,7 +169,8 @@ def test_decoding_undoes_encoding(message: Message) -> None:
 
 
 def test_every_schema_is_in_the_property() -> None:
-    built = {"taxels", "truth", "measurements", "reconstruction", "skin", "phi", "solver", "end"}
+    built = {"taxels", "truth", "measurements", "resultant", "reconstruction"}
+    built |= {"skin", "phi", "solver", "end"}
     assert set(SCHEMAS) == built
 
 
@@ -274,6 +301,18 @@ def test_a_missing_field_is_named() -> None:
     del body["stamp_ns"]
     with pytest.raises(MalformedError, match="stamp_ns"):
         decode_body(body)
+
+
+def test_a_field_that_an_older_message_has_not_is_its_default_and_costs_no_bytes() -> None:
+    told = {"stamp_ns": 1, "patch": "skin", "kind": "sbhe", "n": 9, "m": 3, "block": 8, "seed": 0}
+    fixed = PhiState(**told, fingerprint="0" * 16)  # type: ignore[arg-type]
+    assert "rows" not in body_of(fixed)
+    assert decode(*encode(fixed)).rows == "fixed"  # type: ignore[attr-defined]
+    rotating = PhiState(**told, fingerprint="0" * 16, rows="rotating")  # type: ignore[arg-type]
+    assert body_of(rotating)["rows"] == "rotating"
+    assert decode(*encode(rotating)) == rotating
+    with pytest.raises(FieldError, match="rows"):
+        decode_body(body_of(rotating) | {"rows": "spinning"}, b"/skin/phi")
 
 
 @pytest.mark.parametrize("body", [None, 3, "text", [1, 2], {}, {1: 2}])

@@ -53,8 +53,8 @@ def restored(budget_ms: float | None, monkeypatch: pytest.MonkeyPatch) -> Recons
     SlowSolver.clockwork = clockwork
     monkeypatch.setattr(time, "perf_counter_ns", clockwork.perf_counter_ns)
     monkeypatch.setattr(
-        "sparseskin.nodes.reconstructor.node.make_solver",
-        lambda name, phi, basis, mask, **options: SlowSolver(phi, basis, mask),
+        "sparseskin.nodes.reconstructor.node.make_rotating_solver",
+        lambda name, phases, basis, mask, **options: SlowSolver(phases[0], basis, mask),
     )
     settings = ReconstructorSettings(budget_ms=budget_ms)
     node = Reconstructor(settings, Context("reconstructor", ManualClock(0)))

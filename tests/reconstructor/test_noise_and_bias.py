@@ -140,3 +140,44 @@ def test_misfits_that_are_alike_raise_the_weight_whatever_the_noise_level_says()
     for _ in range(15):
         weight.update(lagging, 500, SIGMA_N**2, jumped=False)
     assert weight.weight > 0.8
+
+
+def test_where_rows_rotate_frames_of_one_phase_are_compared() -> None:
+    """Phases differ far more from each other than noise does; that is not taken for noise."""
+    level = NoiseLevel(500)
+    rng = np.random.default_rng(0)
+    offsets = rng.normal(0, 1, (3, 500))
+    for k in range(60):
+        level.use(k % 3)
+        y = offsets[k % 3] + rng.normal(0, SIGMA_N, 500)
+        level.update(y.astype(np.float32), e2=2 * SIGMA_N**2)
+    assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.15)
+
+
+def test_what_a_frame_cannot_explain_bounds_the_level_of_the_next() -> None:
+    level = NoiseLevel(500)
+    for y in np.random.default_rng(0).normal(0, 1, (30, 500)).astype(np.float32):
+        level.limit(SIGMA_N**2)
+        level.update(y, e2=1.0)
+    assert level.s2 == pytest.approx(SIGMA_N**2, rel=1e-3)
+
+
+def test_where_rows_rotate_each_phase_has_been_averaged_over_its_own_frames() -> None:
+    weight = KalmanWeight(500)
+    weights = []
+    for k, misfit in enumerate(misfits(12)):
+        weight.use(k % 3)
+        weight.update(misfit, 500, 1.2 * SIGMA_N**2, jumped=k < 3)
+        weights.append(weight.weight)
+    expected = np.repeat([1, 1 / 2, 1 / 3, 1 / 4], 3)
+    np.testing.assert_allclose(weights, expected, rtol=1e-6)
+
+
+def test_a_noisy_contact_does_not_let_the_bias_grow() -> None:
+    """The bias is an untouched taxel's: what the least noise of the skin allows."""
+    bias = ClipBias(make_projection(make_phi("sbhe", 1600, 533, seed=0)), 1600)
+    pressed = np.full(1600, 0.5, dtype=np.float32)
+    bias.update(0.0, pressed, s2=0.01**2)
+    for _ in range(50):
+        bias.update(0.0, pressed, s2=0.1**2)
+    assert bias.b < 0.01

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sparseskin.nodes.compressor.phi import make_phi
+from sparseskin.nodes.compressor.rotation import phases_of
 from sparseskin.nodes.compressor.sbhe import SbhePhi
 from sparseskin.nodes.reconstructor.projection import (
     PlainProjection,
@@ -58,3 +59,17 @@ def test_the_fast_way_is_for_the_built_in_phi_with_small_blocks() -> None:
     assert isinstance(make_projection(SbhePhi(300, 100, 0)), SbheProjection)
     assert isinstance(make_projection(SbhePhi(300, 100, 0, 128)), PlainProjection)
     assert isinstance(make_projection(OwnPhi(300, 100, 0)), PlainProjection)
+
+
+@pytest.mark.parametrize(("kind", "block"), [("sbhe", 32), ("sbhe", 128), ("subsample", 32)])
+def test_it_becomes_the_projection_of_another_phase_and_back(kind: str, block: int) -> None:
+    n, m = 300, 100
+    phases = phases_of(make_phi(kind, n, m, seed=1, block=block), "rotating")
+    projection = make_projection(phases[0])
+    x = np.random.default_rng(0).normal(size=n).astype(np.float32)
+    for phi in (*phases, phases[0]):
+        projection.use(phi)
+        rows, expected = (np.zeros((1, projection.n_rows), np.float32) for _ in range(2))
+        projection.forward(x[projection.order][None], rows)
+        projection.rows_of((phi.dense() @ x).astype(np.float32), expected[0])
+        np.testing.assert_allclose(rows, expected, atol=1e-4)

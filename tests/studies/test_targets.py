@@ -40,7 +40,7 @@ def test_all_methods_of_a_point_have_the_same_frames() -> None:
     point = {"scene": "random 2", "ratio": 3, "n_frames": None, "seed": 0}
     compressed, reading = restored(point), restored({**point, "ratio": 1})
     assert compressed["n"] == reading["n"] == 1600
-    assert set(compressed["methods"]) == {"paper", "fista, tuned", "skin"}
+    assert set(compressed["methods"]) == {"paper", "fista, tuned", "skin", "skin, rotating"}
     skin, paper = (compressed["methods"][name]["mean_db"] for name in ("skin", "paper"))
     raw = reading["methods"]["raw"]["mean_db"]
     assert skin > paper + 5
@@ -94,8 +94,9 @@ def test_the_page_holds_every_scene_and_says_what_is_missing(tmp_path: Path) -> 
     write(tmp_path, pairs, [(light, touched_lightly(light))], [], [(ablation, ablated(ablation))])
     page = (tmp_path / "targets.md").read_text()
     assert page.count("| random 2 | N/3 |") == 2
+    assert page.count("| N/3 | skin, rotating |") == 1
     assert "--recordings" in page
-    for name in ("gain.png", "gain.svg", "ablation.png", "ablation.svg", "scenes.csv"):
+    for name in ("gain_skin.png", "gain_skin_rotating.svg", "ablation.png", "scenes.csv"):
         assert (tmp_path / name).stat().st_size > 100
         assert name in page
     assert all(f"| {name} |" in page for name in list(WITHOUT)[1:])

@@ -1,0 +1,178 @@
+"""Rotating rows through the stations: live, with losses, replayed and reprocessed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sparseskin.launch.cli import main
+from sparseskin.launch.launchfile import load
+from sparseskin.launch.scenes_command import make_scenario
+from sparseskin.messages import (
+    Measurements,
+    Message,
+    PhiState,
+    Reconstruction,
+    SkinState,
+    decode,
+)
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.phi import make_phi
+from sparseskin.nodes.compressor.rotation import phases_of
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.player.node import Player
+from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
+from sparseskin.nodes.recorder.bag_reader import BagReader
+
+ROTATING = "compressor.rows=rotating"
+SOLVERS = ["reconstructor.preset=skin", "reconstructor.iterations=10"]
+
+
+def graph(*overrides: str) -> Bus:
+    nodes = load("path_40", list(overrides)).nodes.values()
+    return Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
+
+
+def frames_of(bus: Bus, n_frames: int) -> list[list[Message]]:
+    return list(bus.frames(n_frames))
+
+
+def states_of(bus: Bus) -> list[Any]:
+    """What the reconstructor was told of skin and Phi, before the first frame."""
+    node: Any = bus.hosts["reconstructor"].node
+    return [node._skin, node._announced]
+
+
+def only(messages: Iterable[Message], kind: type[Any]) -> Any:
+    (found,) = [message for message in messages if isinstance(message, kind)]
+    return found
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_frames_take_turns_and_each_is_inverted_by_its_own_matrix(solver: str) -> None:
+    bus = graph(ROTATING, "compressor.ratio=4", solver)
+    frames = frames_of(bus, 10)
+    prints = [phi.fingerprint for phi in phases_of(make_phi("sbhe", 1600, 400, 0), "rotating")]
+    assert [state.rows for state in states_of(bus)[1:]] == ["rotating"]
+    for k, messages in enumerate(frames):
+        assert only(messages, Measurements).phi == prints[k % 4]
+        assert only(messages, Reconstruction).phi == prints[k % 4]
+    assert bus.hosts["reconstructor"].counts.refused == {}
+    assert bus.hosts["compressor"].node.status() == "sbhe 400 x 1600, rotating rows"
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_frames_that_are_lost_cost_themselves_alone(solver: str) -> None:
+    """Any frames may be missing: no other is refused, and none is inverted by a wrong matrix."""
+    bus = graph(ROTATING, solver)
+    messages = [m for f in frames_of(bus, 60) for m in f]
+    settings = load("path_40", [solver]).nodes["reconstructor"].settings
+    node = Reconstructor(settings, Context("reconstructor", ManualClock(1)))
+    lost = np.random.default_rng(0).random(60) < 0.4
+    for state in states_of(bus):
+        list(node.step(state))
+    for k, measured in enumerate(m for m in messages if isinstance(m, Measurements)):
+        if not lost[k]:
+            (restored,) = node.step(measured)
+            assert isinstance(restored, Reconstruction)
+            assert restored.phi == measured.phi
+            assert restored.residual < 0.05
+
+
+def test_a_matrix_of_none_of_the_turns_is_refused_by_name() -> None:
+    bus = graph(ROTATING)
+    messages = frames_of(bus, 1)[0]
+    node = Reconstructor(ReconstructorSettings(), Context("reconstructor", ManualClock(1)))
+    for state in states_of(bus):
+        list(node.step(state))
+    stranger = Measurements(
+        stamp_ns=9, patch="skin", y=only(messages, Measurements).y, phi="0123456789abcdef"
+    )
+    with pytest.raises(SparseskinError, match=r"made by Phi 0123456789abcdef, .* and 2 others"):
+        list(node.step(stranger))
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_it_can_be_switched_on_and_off_while_the_graph_runs(solver: str) -> None:
+    bus = graph(solver)
+    frames: list[list[Message]] = []
+    said: list[Message] = []
+    for k, messages in enumerate(bus.frames(18)):
+        frames.append([*said, *messages])
+        changes: dict[int, dict[str, Any]] = {
+            5: {"rows": "rotating"},
+            11: {"ratio": 8.0},
+            14: {"rows": "fixed", "ratio": 3.0},
+        }
+        said = bus._deliver(bus.hosts["compressor"].change(changes[k])) if k in changes else []
+    assert bus.hosts["reconstructor"].counts.refused == {}
+    prints = [only(messages, Measurements).phi for messages in frames]
+    assert [len(set(part)) for part in (prints[:6], prints[6:12], prints[12:15])] == [1, 3, 3]
+    assert set(prints[15:]) == {prints[0]}
+    assert all(only(m, Reconstruction).phi == p for m, p in zip(frames, prints, strict=True))
+
+
+def test_a_refused_rotation_changes_nothing() -> None:
+    bus = graph("compressor.ratio=200")
+    frames_of(bus, 1)
+    with pytest.raises(SparseskinError, match='"rotating" is not allowed for m = 8 of n = 1600'):
+        bus.hosts["compressor"].change({"rows": "rotating"})
+    assert bus.hosts["compressor"].node.settings.rows == "fixed"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of 12 bits a measurement, rows rotating."""
+    folder = tmp_path_factory.mktemp("rotating")
+    source = make_scenario("tap_peg", folder)
+    path = folder / "rotating.mcap"
+    changes = [ROTATING, "compressor.bits=12", "reconstructor.preset=skin"]
+    sets = [text for change in changes for text in ("--set", change)]
+    assert main(["reprocess", str(source), "--out", str(path), *sets]) == 0
+    return path
+
+
+def messages_of(path: Path, kind: type[Any]) -> list[Any]:
+    with BagReader(path) as bag:
+        topics = [f"/skin/{kind.schema}"]
+        return [decode(m.topic.encode(), m.payload) for m in bag.messages(topics)]
+
+
+def test_reprocessed_from_its_measurements_a_recording_is_the_same_to_the_bit(
+    recording: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "again.mcap"
+    sets = ["--set", "reconstructor.preset=skin", "--from", "measurements"]
+    assert main(["reprocess", str(recording), "--out", str(out), *sets]) == 0
+    old, new = (messages_of(path, Reconstruction) for path in (recording, out))
+    assert len(old) > 100
+    assert [m.forces.tobytes() for m in old] == [m.forces.tobytes() for m in new]
+    assert len({m.phi for m in new}) == 3
+
+
+def test_replayed_from_the_middle_it_is_restored_as_by_one_who_joined_there(
+    recording: Path,
+) -> None:
+    schemas = ("skin", "phi", "measurements")
+    settings = ReconstructorSettings(preset="skin")
+    # Not where a round of turns begins.
+    player = Player.Settings(file=str(recording), schemas=schemas, keep_stamps=True, start_s=0.52)
+    bus = Bus({"player": (Player, player), "reconstructor": (Reconstructor, settings)})
+    replayed = [m for ms in bus.frames() for m in ms if isinstance(m, Reconstruction)]
+    assert bus.hosts["reconstructor"].counts.refused == {}
+
+    node = Reconstructor(settings, Context("reconstructor", ManualClock(1)))
+    for state in (SkinState, PhiState):
+        list(node.step(messages_of(recording, state)[-1]))
+    measured = messages_of(recording, Measurements)
+    later = [m for m in measured if m.stamp_ns >= replayed[0].stamp_ns]
+    assert 20 < len(later) < len(measured)
+    joined = [only(node.step(m), Reconstruction) for m in later]
+    assert [m.forces.tobytes() for m in joined] == [m.forces.tobytes() for m in replayed]
+    assert len({m.phi for m in replayed}) == 3
