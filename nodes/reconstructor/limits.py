@@ -26,6 +26,8 @@ LAMBDAS_N = {
 }
 #: Those that restore 0 from measurements below their lambda, and need a sparse basis.
 L1_SOLVERS = ("fista", "fista_nonneg", "ista")
+#: Those that take no basis from outside.
+OWN_BASIS = ("skin", "tv", "oamp", "interpolation")
 #: With fewer, a sudden contact takes several frames, which are worse by 3 dB and more.
 MIN_ITERATIONS = {
     **{"fista": 15, "fista_nonneg": 10, "reweighted": 10, "tv": 10},
@@ -77,6 +79,8 @@ def reconstruction_warnings(
             f"iterations = {iterations}: {solver} takes several frames to follow a sudden contact; "
             f"advised: {least} or more"
         )
+    if solver in OWN_BASIS and basis != "haar":
+        warnings.append(f"basis = {basis}: {solver} does not use it; advised: haar, or fista")
     if solver in L1_SOLVERS and basis == "identity" and m < n:
         warnings.append(
             f"basis = identity with m = {m} of n = {n}: restores no more than {m // 4} pressed "

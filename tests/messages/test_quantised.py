@@ -38,7 +38,10 @@ def test_no_measurement_is_off_by_more_than_half_a_step_and_none_is_clipped(
     rounded = quantised(y, bits)
     step = float(np.abs(y).max()) / (2 ** (bits - 1) - 1)
     assert rounded.step == pytest.approx(step, rel=1e-6)
-    assert float(np.abs(np.asarray(rounded) - y).max()) <= 0.5001 * step
+    # Half a step, of a step that is a float32, and the rounding of k * step to float32.
+    bound = 0.5 * rounded.step + 2.0**-24 * float(np.abs(y).max())
+    off = np.asarray(rounded, np.float64) - y
+    assert float(np.abs(off).max()) <= bound
 
 
 @given(bits=st.integers(4, 16), m=st.integers(1, 300), seed=st.integers(0, 99))

@@ -19,6 +19,7 @@ from sparseskin.nodes.reconstructor.basis import make_basis
 from sparseskin.nodes.reconstructor.limits import (
     LAMBDAS_N,
     MIN_ITERATIONS,
+    OWN_BASIS,
     check_lambda,
     check_phi,
     pad_spread,
@@ -121,6 +122,13 @@ def test_settings_of_fista_that_fail_are_said_with_what_is_advised(
     assert warning.startswith(said)
     assert "advised: " in warning
     assert "\n" not in warning
+
+
+def test_a_basis_that_the_solver_does_not_use_is_said() -> None:
+    for name in OWN_BASIS:
+        (warning,) = reconstruction_warnings(name, "db2", N, N // 3, {})
+        assert warning.startswith(f"basis = db2: {name} does not use it")
+        assert reconstruction_warnings(name, "haar", N, N // 3, {}) == []
 
 
 def test_the_identity_is_no_basis_for_a_compressed_skin() -> None:
