@@ -33,7 +33,6 @@ from sparseskin.nodes.errors import (
 from sparseskin.nodes.fast import FAST, check_fast, compile_loops
 from sparseskin.nodes.lookup import did_you_mean, find_class
 from sparseskin.nodes.node import Context, Node
-from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .basis import BASES, find_basis, make_basis
@@ -55,7 +54,7 @@ class ReconstructorSettings(PatchSettings):
     """What a reconstructor can be told."""
 
     preset: str = setting(
-        "paper",
+        "skin",
         f"named set of the settings below: {', '.join(PRESETS)}",
         known=PRESETS,
         live=True,
@@ -248,8 +247,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._uncertainty = self._make_uncertainty(solver, phi.ratio)
         self._taxel_watch = None
         if self.settings.watch_taxels and state.sigma_mid > 0:
-            noise = NoiseModel(skin.f_max, state.sigma_mid, state.sigma_end)
-            self._taxel_watch = TaxelWatch(solver.mask, noise, self.context.log)
+            sigmas = state.sigma_mid, state.sigma_end
+            self._taxel_watch = TaxelWatch(solver.mask, skin.f_max, *sigmas, self.context.log)
         if self.settings.resultant:
             self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
         # Another Phi or solver in the middle of a stream starts from what the last one found.

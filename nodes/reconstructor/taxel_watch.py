@@ -10,7 +10,6 @@ import numpy as np
 from sparseskin.nodes.compressor.calls import Floats
 from sparseskin.nodes.compressor.phi import Phi
 from sparseskin.nodes.reconstructor.solver import Mask
-from sparseskin.nodes.sensor.noise import NoiseModel
 
 #: Frames between two looks for taxels that stand alone, with at least this part of the range and
 #: next to neighbours of at most this part of their own force.
@@ -53,8 +52,9 @@ class TaxelWatch:
     ----------
     mask : ndarray of bool, shape (n_rows, n_cols)
         True where a taxel exists.
-    noise : NoiseModel
-        Noise of the skin.
+    f_max, sigma_mid, sigma_end : float
+        Range of the skin, and the deviation of its noise at mid-range and at both ends; between
+        them it is linear. Newtons.
     log : callable
         Takes one line of text.
 
@@ -64,11 +64,20 @@ class TaxelWatch:
         What stuck taxels read, newtons, by place in the flat grid.
     """
 
-    def __init__(self, mask: Mask, noise: NoiseModel, log: Callable[[str], None]) -> None:
-        self._mask, self._noise, self._log = mask, noise, log
+    def __init__(
+        self,
+        mask: Mask,
+        f_max: float,
+        sigma_mid: float,
+        sigma_end: float,
+        log: Callable[[str], None],
+    ) -> None:
+        self._mask, self._log = mask, log
+        self._middle = f_max / 2
+        self._sigma_mid, self._sigma_end = sigma_mid, sigma_end
         self._taxels = np.flatnonzero(mask)
         self._number = np.cumsum(mask.reshape(-1)) - 1
-        self._least = LEAST_FORCE * noise.f_max
+        self._least = LEAST_FORCE * f_max
         self._suspects: dict[int, _Suspect] = {}
         self._last: dict[str, Floats] = {}
         self._columns: dict[tuple[str, int], Floats] = {}
@@ -136,7 +145,7 @@ class TaxelWatch:
                 continue
             # The median: a contact that moves elsewhere is no noise.
             variance = float(np.median(suspect.noise)) / MEDIAN_SQUARE
-            expected = seen * float(self._noise.sigma(np.array(suspect.force, np.float32)))
+            expected = seen * float(self._sigma(np.array(suspect.force, np.float32)))
             suspect.noise.clear()
             if variance < QUIET * expected**2 and self._as_noisy_as_said(forces, change):
                 self._stick(place, suspect.force)
@@ -150,11 +159,17 @@ class TaxelWatch:
 
     def _as_noisy_as_said(self, forces: Floats, change: Floats) -> bool:
         """Whether the measurements have the noise that the skin says it has."""
-        variances = np.square(self._noise.sigma(forces))
+        variances = np.square(self._sigma(forces))
         # Half of what an untouched taxel reads is cut off at 0.
-        variances[forces < self._noise.sigma_end] *= CUT_OFF
+        variances[forces < self._sigma_end] *= CUT_OFF
         said = float(variances[self._mask].mean())
         return float(np.median(np.square(change))) / MEDIAN_SQUARE / 2 > REAL * said
+
+    def _sigma(self, forces: Floats) -> Floats:
+        """Deviation of the noise on forces, as the skin says."""
+        apart = np.minimum(np.abs(forces - self._middle) / self._middle, 1)
+        sigma: Floats = self._sigma_mid + (self._sigma_end - self._sigma_mid) * apart
+        return sigma
 
     def _stick(self, place: int, value: float) -> None:
         del self._suspects[place]

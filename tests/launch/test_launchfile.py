@@ -56,7 +56,7 @@ def test_every_scene_has_a_launch_file_that_checks(name: str) -> None:
     launch = load(name)
     assert launch.nodes["sensor"].settings.source == f"scene:{name}"
     assert launch.nodes["compressor"].settings.ratio == 3
-    assert launch.nodes["reconstructor"].settings.preset == "paper"
+    assert launch.nodes["reconstructor"].settings.preset == "skin"
 
 
 def test_all_bundled_files_are_known() -> None:

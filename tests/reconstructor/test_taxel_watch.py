@@ -31,7 +31,9 @@ class Skin:
         self.lines: list[str] = []
         self.phi, self.noise = phi, noise
         mask = np.ones(SHAPE, np.bool_)
-        self.watch = TaxelWatch(mask, NOISE, self.lines.append)
+        self.watch = TaxelWatch(
+            mask, NOISE.f_max, NOISE.sigma_mid, NOISE.sigma_end, self.lines.append
+        )
         self.solver = make_solver("skin", phi, make_basis("haar", *SHAPE), mask)
         self.rng = np.random.default_rng(0)
 
@@ -92,7 +94,7 @@ def test_a_ring_that_rests_for_long_is_a_contact(phi: Phi) -> None:
 
 
 def test_what_is_left_out_is_the_mean_of_the_neighbours_that_work(phi: Phi) -> None:
-    watch = TaxelWatch(np.ones(SHAPE, np.bool_), NOISE, print)
+    watch = TaxelWatch(np.ones(SHAPE, np.bool_), 2.5, 0.0628, 0.0141, print)
     watch.stuck = {0: 1.0, 29: 1.0, 30: 1.5}
     forces = np.arange(N, dtype=np.float32).reshape(SHAPE)
     filled = watch.filled(forces)
