@@ -11,6 +11,7 @@ from typing import Any
 
 from sparseskin.launch.executors import FORMS
 from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.fast import ENVIRONMENT
 from sparseskin.nodes.lookup import did_you_mean, find_callable
 
 #: By name: what it is, and its run(out, quick, seed, executor), imported when it is asked for.
@@ -64,6 +65,8 @@ STUDIES = {
         "sparseskin.studies.faults:run",
     ),
 }
+#: Those whose figures are of numpy alone where nothing else is said, with numba installed or not.
+OF_NUMPY = ("paper-tables", "speed-accuracy", "stability", "targets", "bases")
 
 
 def add_study_parser(commands: Any) -> None:
@@ -126,6 +129,8 @@ def _study(arguments: argparse.Namespace) -> int:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SettingsError(f"--out {out}: {error.strerror}") from error
+    if name in OF_NUMPY:
+        os.environ.setdefault(ENVIRONMENT, "off")
     run = find_callable(STUDIES[name][1], SettingsError)
     more = {}
     if arguments.recordings is not None:

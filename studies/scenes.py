@@ -52,6 +52,7 @@ def stream(scene: str) -> dict[str, Any]:
         out = Path(folder) / "out.json"
         command = [sys.executable, "-m", "sparseskin.launch.entry", "launch", scene]
         command += ["--set", f"sensor.rate_hz={RATE_HZ}", "--summary", str(out)]
+        command += ["--set", "reconstructor.preset=paper"]
         done = subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
         if done.returncode:
             raise RuntimeError(f"{scene}: exit code {done.returncode}")

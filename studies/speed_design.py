@@ -11,14 +11,18 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
+from importlib.util import find_spec
 from typing import Any
 
 from sparseskin.nodes.compressor.phi import KINDS
+from sparseskin.nodes.compressor.rotation import ROTATING
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.reconstructor.basis import BASES
 from sparseskin.nodes.reconstructor.presets import PRESETS
 from sparseskin.nodes.reconstructor.solver import SOLVERS
+
+from .solvers import SUM_SOLVERS
 
 SCENES = (
     *("lift_box_40", "lift_wrench_40", "drag_wrench_40", "path_40"),
@@ -29,13 +33,19 @@ ITERATIONS = (3, 5, 10, 20, 30)
 QUICK_ITERATIONS = (5, 20)
 RATIOS = (2, 3, 4, 8, 16)
 QUICK_RATIOS = (3, 8)
+#: Every Phi but the one that no solver of sums inverts.
+SUM_KINDS = tuple(kind for kind in KINDS if kind != "acts")
 #: With every basis and every Phi.
 PARTS_RATIOS = (3, 4, 8)
 PAPER_LABEL = "fista, preset paper"
 CENTRE_RATIO = 3
-#: The paper's solver with the lambda that serves it best: a second yardstick.
+#: The paper's lambda that serves it best: a second yardstick.
 TUNED_LAMBDA_N = 0.0125
-TUNED = {"fista, tuned": {**PRESETS["paper"], "lambda_n": TUNED_LAMBDA_N}}
+VARIED = {
+    "skin, rotating rows": {**PRESETS["skin"], "rows": ROTATING},
+    "fista, tuned": {**PRESETS["paper"], "lambda_n": TUNED_LAMBDA_N},
+}
+COMPILED = {"skin, compiled": {**PRESETS["skin"], "fast": "on"}}
 
 Point = dict[str, Any]
 
@@ -43,12 +53,16 @@ Point = dict[str, Any]
 def variants() -> dict[str, dict[str, Any]]:
     """Solvers by the label they are shown with: solver, basis and settings.
 
-    Each preset, the tuned FISTA, and each solver that has no preset with its own defaults.
+    Each preset, `skin` with rotating rows and (with numba) in compiled loops, the tuned FISTA,
+    and each solver that has no preset with its own defaults.
     """
     found = {f"{preset['solver']}, preset {name}": dict(preset) for name, preset in PRESETS.items()}
-    found |= {label: dict(chosen) for label, chosen in TUNED.items()}
+    varied = VARIED | (COMPILED if find_spec("numba") else {})
+    found |= {label: dict(chosen) for label, chosen in varied.items()}
     covered = {chosen["solver"] for chosen in found.values()}
-    found |= {name: {"solver": name, "basis": "haar"} for name in SOLVERS if name not in covered}
+    found |= {
+        name: {"solver": name, "basis": "haar"} for name in SUM_SOLVERS if name not in covered
+    }
     return found
 
 
@@ -80,10 +94,11 @@ def _ways(quick: bool) -> Iterator[Point]:
                 yield {**way, "ratio": CENTRE_RATIO, "iterations": iterations}
         for ratio in ratios:
             yield {**way, "ratio": ratio}
-        yield {**way, "phi": "full", "ratio": 1}
+        if "rows" not in chosen:
+            yield {**way, "phi": "full", "ratio": 1}
     paper = {"label": PAPER_LABEL, "short": True, "phi": "sbhe", **PRESETS["paper"]}
     for ratio in QUICK_RATIOS if quick else PARTS_RATIOS:
         for basis in BASES:
             yield {**paper, "basis": basis, "ratio": ratio}
-        for phi in KINDS:
+        for phi in SUM_KINDS:
             yield {**paper, "phi": phi, "ratio": 1 if phi == "full" else ratio}

@@ -12,10 +12,11 @@ import numpy.typing as npt
 from sparseskin.messages import Measurements, Taxels
 from sparseskin.messages.wire import size_bytes
 from sparseskin.nodes.compressor.phi import Phi, make_phi
+from sparseskin.nodes.compressor.rotation import FIXED, phases_of
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.basis import make_basis
-from sparseskin.nodes.reconstructor.solver import make_solver
+from sparseskin.nodes.reconstructor.rotating import make_rotating_solver
 
 from .scene_frames import (
     Floats,
@@ -29,7 +30,7 @@ from .scene_frames import (
 )
 
 #: What is no setting of the solver.
-_OF_THE_POINT = ("scene", "seed", "short", "label", "phi", "ratio", "solver", "basis")
+_OF_THE_POINT = ("scene", "seed", "short", "label", "phi", "rows", "ratio", "solver", "basis")
 #: Frames are 1 ms apart in all scenes, whatever their own step.
 PERIOD_S = 1e-3
 BEFORE, AFTER, LATER = 20, 180, 200
@@ -58,11 +59,12 @@ def sequences(scene: str, seed: int, short: bool) -> tuple[tuple[Floats, Floats]
     return tuple(found)
 
 
-def phi_of(point: dict[str, Any]) -> Phi:
-    """The measurement matrix of a point."""
-    rows, cols = shape_of(point["scene"])
-    n = rows * cols
-    return make_phi(point["phi"], n=n, m=n // point["ratio"], seed=point["seed"])
+def phases_for(point: dict[str, Any]) -> list[Phi]:
+    """The measurement matrix of a point; where its rows rotate, those that frames take in turn."""
+    n_rows, n_cols = shape_of(point["scene"])
+    n, ratio, rows = n_rows * n_cols, point["ratio"], point.get("rows", FIXED)
+    m = n // ratio if rows == FIXED else -(-n // ratio)
+    return phases_of(make_phi(point["phi"], n=n, m=m, seed=point["seed"]), rows)
 
 
 def timed(point: dict[str, Any]) -> dict[str, Any]:
@@ -71,7 +73,8 @@ def timed(point: dict[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     point : dict
-        scene, seed, short, phi, ratio, solver, basis, and the solver's settings.
+        scene, seed, short, phi, rows ("fixed" where it is not there), ratio, solver, basis, and
+        the solver's settings.
 
     Returns
     -------
@@ -89,9 +92,9 @@ def timed(point: dict[str, Any]) -> dict[str, Any]:
 
 def _timed(point: dict[str, Any]) -> dict[str, Any]:
     settings = {key: value for key, value in point.items() if key not in _OF_THE_POINT}
-    phi = phi_of(point)
+    phases = phases_for(point)
     basis = make_basis(point["basis"], *shape_of(point["scene"]))
-    solver = make_solver(point["solver"], phi, basis, **settings)
+    solver = make_rotating_solver(point["solver"], phases, basis, **settings)
     spans_ns: list[int] = []
     cpu_ns: list[int] = []
     n_steps = []
@@ -100,7 +103,9 @@ def _timed(point: dict[str, Any]) -> dict[str, Any]:
         solver.reset()
         images = np.empty_like(taxels)
         for k, frame in enumerate(taxels):
+            phi = phases[k % len(phases)]
             y = phi.forward(frame.reshape(-1))
+            solver.use(phi)
             begin_ns, cpu_begin_ns = time.perf_counter_ns(), time.thread_time_ns()
             forces = solver.solve(y)
             cpu_ns.append(time.thread_time_ns() - cpu_begin_ns)

@@ -8,7 +8,7 @@ import numpy as np
 
 from sparseskin.nodes.compressor.calls import Floats
 from sparseskin.nodes.compressor.phi import make_phi
-from sparseskin.nodes.reconstructor.solver import SOLVERS
+from sparseskin.studies.solvers import SUM_SOLVERS
 from sparseskin.studies.stability_frames import (
     F_MAX_N,
     contacts,
@@ -40,7 +40,7 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
             "n_trials": 4 if quick else 12,
             "seed": seed,
         }
-        for solver in SOLVERS
+        for solver in SUM_SOLVERS
         for side in sides
         for ratio in ratios
     ]

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.nodes.reconstructor.solver import SOLVERS
 from sparseskin.studies.points import compute
 from sparseskin.studies.report import (
     chart_style,
@@ -17,6 +16,7 @@ from sparseskin.studies.report import (
     save_figure,
     write_csv,
 )
+from sparseskin.studies.solvers import SUM_SOLVERS
 from sparseskin.studies.stability_change import (
     EVENTS,
     N_BEFORE,
@@ -105,7 +105,7 @@ def _chart(out: Path, whole: Sequence[Row]) -> str:
 def _table(rows: Sequence[Row]) -> str:
     lines = []
     for side, ratio in dict.fromkeys((row["side"], row["ratio"]) for row in rows):
-        for solver in SOLVERS:
+        for solver in SUM_SOLVERS:
             mine = {
                 row["event"]: row
                 for row in rows

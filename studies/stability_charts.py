@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from sparseskin.nodes.reconstructor.solver import SOLVERS
 from sparseskin.studies.report import LINES, MARKERS, PALETTE, new_figure
+from sparseskin.studies.solvers import SUM_SOLVERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +30,7 @@ def panels(
 
 def solver_style(solver: str) -> dict[str, Any]:
     """Colour, marker and line of a solver, the same in each chart."""
-    k = list(SOLVERS).index(solver)
+    k = list(SUM_SOLVERS).index(solver)
     return {
         "color": PALETTE[k % len(PALETTE)],
         "marker": MARKERS[k % len(MARKERS)],

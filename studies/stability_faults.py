@@ -11,8 +11,8 @@ import numpy.typing as npt
 from sparseskin.nodes.compressor.calls import Floats
 from sparseskin.nodes.compressor.phi import make_phi
 from sparseskin.nodes.compressor.quantiser import quantised
-from sparseskin.nodes.reconstructor.solver import SOLVERS
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
+from sparseskin.studies.solvers import SUM_SOLVERS
 from sparseskin.studies.stability_frames import (
     EXCERPTS,
     F_MAX_N,
@@ -48,7 +48,7 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     }
     return [
         {"sweep": fault, "value": level, "solver": solver, "seed": seed}
-        for solver in SOLVERS
+        for solver in SUM_SOLVERS
         for fault, values in levels.items()
         for level in values
     ]

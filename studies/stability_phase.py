@@ -12,7 +12,7 @@ from scipy.stats import norm
 from sparseskin.nodes.compressor.phi import make_phi
 from sparseskin.nodes.reconstructor.basis import make_basis
 from sparseskin.nodes.reconstructor.fista import FistaSolver
-from sparseskin.nodes.reconstructor.solver import SOLVERS
+from sparseskin.studies.solvers import SUM_SOLVERS
 from sparseskin.studies.stability_frames import (
     SHAPE,
     contacts,
@@ -96,7 +96,7 @@ def skin_points(quick: bool, seed: int) -> list[dict[str, Any]]:
     n_trials = 1 if quick else 3
     return [
         {"solver": solver, "delta": 1 / ratio, "rho": rho, "n_trials": n_trials, "seed": seed}
-        for solver in SOLVERS
+        for solver in SUM_SOLVERS
         for ratio in ratios
         for rho in rhos
         if rho * math.prod(SHAPE) / ratio >= LEAST_K

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sparseskin.nodes.reconstructor.solver import SOLVERS
 from sparseskin.studies.points import compute
 from sparseskin.studies.report import (
     chart_style,
@@ -17,6 +16,7 @@ from sparseskin.studies.report import (
     save_figure,
     write_csv,
 )
+from sparseskin.studies.solvers import SUM_SOLVERS
 from sparseskin.studies.stability_charts import label_outer, panels
 from sparseskin.studies.stability_phase import (
     l1_points,
@@ -91,9 +91,9 @@ def _draw_l1(out: Path, rows: Sequence[Row]) -> str:
 
 
 def _draw_skin(out: Path, rows: Sequence[Row]) -> str:
-    n_columns = min(3, len(SOLVERS))
-    figure, axes = panels(len(SOLVERS), n_columns)
-    for one, solver in zip(axes, SOLVERS, strict=True):
+    n_columns = min(3, len(SUM_SOLVERS))
+    figure, axes = panels(len(SUM_SOLVERS), n_columns)
+    for one, solver in zip(axes, SUM_SOLVERS, strict=True):
         mine = [row for row in rows if row["solver"] == solver]
         spots = one.scatter(
             [row["delta"] for row in mine],
@@ -139,7 +139,7 @@ def _skin_table(rows: Sequence[Row]) -> str:
     """Up to which K/M each solver is at least as good as the readings."""
     deltas = list(dict.fromkeys(row["delta"] for row in rows))
     lines = []
-    for solver in SOLVERS:
+    for solver in SUM_SOLVERS:
         cells = []
         for delta in deltas:
             mine = [r for r in rows if (r["solver"], r["delta"]) == (solver, delta)]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sparseskin.nodes.compressor.phi import Phi, make_phi
-from sparseskin.nodes.reconstructor.solver import SOLVERS
+from sparseskin.studies.solvers import SUM_SOLVERS
 from sparseskin.studies.stability_frames import (
     EXCERPTS,
     SCORES,
@@ -42,7 +42,7 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     }
     return [
         {"sweep": sweep, "value": value, "solver": solver, "ratio": ratio, "seed": seed}
-        for solver in SOLVERS
+        for solver in SUM_SOLVERS
         for sweep, values in sweeps.items()
         if sweep not in ("lambda_n", "iterations") or takes(solver, sweep)
         for value in values

@@ -16,8 +16,8 @@ def quantised(y: Floats, bits: int) -> Quantised:
     """Round a frame's measurements to `bits` bits; the step is a frame's own and goes with it.
 
     The largest measurement of the frame sets the step, so that none is clipped: the steps are
-    small where the forces are. The error is at most half a step (and a float32's rounding), and as good as uniform:
-    its standard deviation is step / sqrt(12).
+    small where the forces are. The error is at most half a step (and a float32's rounding), and
+    as good as uniform: its standard deviation is step / sqrt(12).
 
     Parameters
     ----------

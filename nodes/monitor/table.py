@@ -47,8 +47,8 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
         title.center(78, "="),
         f"frames      sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
         f"lost {frames['lost']}",
-        f"measured    {patch['phi']}{', rotating rows' if patch['rows'] == 'rotating' else ''}: N = {patch['n']}, M = {patch['m']} "
-        f"(ratio {shown(patch['ratio'], '.2f')}), "
+        f"measured    {patch['phi']}{', rotating rows' if patch['rows'] == 'rotating' else ''}: "
+        f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
         f"range 0..{shown(patch['f_max'], 'g')} {patch['unit']}"
         + (f", {patch['bits']} bits" if patch["bits"] not in (NONE, FLOAT_BITS) else ""),
         f"restored    {patch['solver']} in {patch['basis']}, {_iterations(patch)}"

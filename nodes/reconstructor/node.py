@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,128 +21,23 @@ from sparseskin.messages import (
 )
 from sparseskin.nodes.compressor.acts import follow
 from sparseskin.nodes.compressor.calls import Floats
-from sparseskin.nodes.compressor.phi import KINDS, Phi, make_phi
-from sparseskin.nodes.compressor.rotation import FIXED, ROWS, phases_of
-from sparseskin.nodes.errors import (
-    PhiError,
-    RefusedError,
-    SettingsError,
-    SolverError,
-)
-from sparseskin.nodes.fast import FAST, check_fast, compile_loops
-from sparseskin.nodes.lookup import did_you_mean, find_class
+from sparseskin.nodes.compressor.phi import Phi
+from sparseskin.nodes.errors import PhiError, RefusedError, SolverError
+from sparseskin.nodes.fast import compile_loops
 from sparseskin.nodes.node import Context, Node
-from sparseskin.nodes.settings import PatchSettings, naming, setting
 
-from .basis import BASES, find_basis, make_basis
-from .faulty_rows import FaultyRows
+from .basis import make_basis
+from .fault_watch import FaultWatch
 from .limits import check_lambda, check_phi, reconstruction_warnings
+from .phases import make_phases
 from .presets import PRESETS
-from .resultant import RESULTANT_SOLVERS, Estimate, ResultantEstimator
+from .resultant import Estimate, ResultantEstimator
 from .rotating import make_rotating_solver
-from .solver import SOLVERS, Solver
-from .taxel_watch import TaxelWatch
+from .settings import ReconstructorSettings
+from .solver import Solver
 from .uncertainty import CALIBRATED, Uncertainty
 
-ANNOUNCED = "announced"
 PAPER_F_MAX_N = 2.5
-
-
-@dataclass(frozen=True)
-class ReconstructorSettings(PatchSettings):
-    """What a reconstructor can be told."""
-
-    preset: str = setting(
-        "skin",
-        f"named set of the settings below: {', '.join(PRESETS)}",
-        known=PRESETS,
-        live=True,
-    )
-    solver: str | None = setting(
-        None, "solver, in place of the preset's; or module:Class", known=SOLVERS, live=True
-    )
-    basis: str | None = setting(
-        None,
-        "basis Psi, in place of the preset's; or learned:FILE.npz, or module:Class",
-        known=BASES,
-        live=True,
-    )
-    iterations: int | None = setting(
-        None, "iterations a frame, in place of the preset's", low=1, high=1000, live=True
-    )
-    lambda_n: float | None = setting(
-        None,
-        "weight of the l1 norm in place of the preset's, in newtons for orthonormal rows and a "
-        "range of 2.5 N; scaled with the range of the skin",
-        low=0.0,
-        high=1e6,
-        live=True,
-    )
-    budget_ms: float | None = setting(
-        None,
-        "most time for a frame's iterations, in milliseconds: when it is over, the best "
-        "estimate so far is published",
-        low=0.05,
-        high=60_000.0,
-        live=True,
-    )
-    uncertainty: bool = setting(
-        False, "publish a standard deviation with each force; twice as many bytes"
-    )
-    resultant: bool = setting(
-        False, "publish total force and centre of pressure before the frame is restored"
-    )
-    watch_rows: bool = setting(True, "leave out measurements that read 0, a constant or garbage")
-    fast: str = setting(
-        "auto",
-        "compiled loops: auto (where numba is installed), on or off; but for rounding the same",
-        choices=FAST,
-    )
-    watch_taxels: bool = setting(
-        True, "leave out taxels that are stuck, on a skin that states its noise"
-    )
-    phi: str = setting(
-        ANNOUNCED,
-        "measurement matrix: announced (what the compressor says), a kind or module:Class",
-    )
-    phi_m: int | None = setting(None, "M of a stated phi; N // 3 by default", low=1, high=2**20)
-    phi_block: int = setting(32, "block size of a stated phi", low=1, high=2**20)
-    phi_seed: int = setting(0, "seed of a stated phi", low=0, high=2**32 - 1)
-    phi_rows: str = setting(FIXED, "rows of a stated phi: fixed or rotating", choices=ROWS)
-
-    def check(self) -> None:
-        if self.preset not in PRESETS:
-            raise SettingsError(
-                f"preset: '{self.preset}' is not known{did_you_mean(self.preset, PRESETS)}"
-            )
-        check_fast(self.fast)
-        chosen = self.chosen()
-        with naming("solver"):
-            find_class("solver", chosen["solver"], SOLVERS, SolverError)
-        with naming("basis"):
-            find_basis(chosen["basis"])
-        if self.resultant and chosen["solver"] not in RESULTANT_SOLVERS:
-            raise SettingsError(
-                f"resultant: is not told with solver {chosen['solver']}, whose frames are biased; "
-                f"allowed: {', '.join(RESULTANT_SOLVERS)}"
-            )
-        if self.phi != ANNOUNCED:
-            with naming("phi"):
-                find_class("phi", self.phi, KINDS, PhiError)
-
-    def chosen(self) -> dict[str, Any]:
-        """The preset with what is stated beside it."""
-        stated = {
-            "solver": self.solver,
-            "basis": self.basis,
-            "iterations": self.iterations,
-            "lambda_n": self.lambda_n,
-        }
-        preset = PRESETS[self.preset]
-        if self.solver not in (None, preset["solver"]):
-            # A preset's numbers belong to its solver; another one has settings of its own.
-            preset = {"basis": preset["basis"]}
-        return preset | {k: v for k, v in stated.items() if v is not None}
 
 
 class Reconstructor(Node[ReconstructorSettings]):
@@ -165,10 +59,9 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._solver: Solver | None = None
         self._last: Floats | None = None
         self._warm: Floats | None = None
-        self._faulty_rows = FaultyRows(context.log)
+        self._watch = FaultWatch(settings.watch_rows, settings.watch_taxels, context.log)
         self._uncertainty: Uncertainty | None = None
         self._resultant: ResultantEstimator | None = None
-        self._taxel_watch: TaxelWatch | None = None
 
     @classmethod
     def inputs(cls, settings: ReconstructorSettings) -> tuple[str, ...]:
@@ -207,24 +100,21 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     def state(self) -> dict[str, Any]:
         chosen, preset = self.settings.chosen(), self.settings.preset
-        told = {"left_out": self._left_out(), "swamped": self._faulty_rows.swamped}
+        told = {"left_out": self._watch.text, "swamped": self._watch.swamped}
         return {**chosen, "preset": preset if chosen == PRESETS[preset] else "", **told}
 
     def status(self) -> str:
         chosen = self.settings.chosen()
         if self._solver is None:
             return ""
-        left_out = self._left_out()
-        return f"{chosen['solver']} in {chosen['basis']}" + (f"; {left_out}" if left_out else "")
-
-    def _left_out(self) -> str:
-        taxels = "" if self._taxel_watch is None else self._taxel_watch.text
-        return "; ".join(filter(None, (self._faulty_rows.text, taxels)))
+        return "; ".join(
+            filter(None, (f"{chosen['solver']} in {chosen['basis']}", self._watch.text))
+        )
 
     def _set_up(self, state: SkinState, announced: PhiState, stamp_ns: int) -> SolverState:
         """Make Phi and solver for a skin, and say which; they hold from `stamp_ns` on."""
         skin = state.skin
-        phases = self._make_phases(skin.n_taxels, announced)
+        phases = make_phases(self.settings, skin.n_taxels, announced)
         phi = phases[0]
         chosen = dict(self.settings.chosen())
         options = {k: v for k, v in chosen.items() if k not in ("solver", "basis")}
@@ -243,12 +133,8 @@ class Reconstructor(Node[ReconstructorSettings]):
             self.context.log(warning)
         self._solver = solver
         self._phases = {one.fingerprint: one for one in phases}
-        self._faulty_rows.keep(self._phases)
+        self._watch.set_up(self._phases, state, solver.mask)
         self._uncertainty = self._make_uncertainty(solver, phi.ratio)
-        self._taxel_watch = None
-        if self.settings.watch_taxels and state.sigma_mid > 0:
-            sigmas = state.sigma_mid, state.sigma_end
-            self._taxel_watch = TaxelWatch(solver.mask, skin.f_max, *sigmas, self.context.log)
         if self.settings.resultant:
             self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
         # Another Phi or solver in the middle of a stream starts from what the last one found.
@@ -278,36 +164,6 @@ class Reconstructor(Node[ReconstructorSettings]):
         )
         return None
 
-    def _make_phases(self, n: int, announced: PhiState) -> list[Phi]:
-        """Phi, or where its rows rotate the several of it; the first is what is announced."""
-        s = self.settings
-        if s.phi != ANNOUNCED:
-            phi = make_phi(
-                s.phi, n=n, m=s.phi_m or max(1, n // 3), seed=s.phi_seed, block=s.phi_block
-            )
-            return phases_of(phi, s.phi_rows)
-        # What comes over the wire is never imported: a Phi of the user's own has to be stated.
-        if announced.kind not in KINDS:
-            raise RefusedError(
-                f"{announced.topic}: phi '{announced.kind}' is not built in; "
-                "state it as the reconstructor's phi"
-            )
-        if announced.n != n:
-            raise RefusedError(f"{announced.topic}: for {announced.n} taxels; the skin has {n}")
-        try:
-            phi = make_phi(
-                announced.kind, n=n, m=announced.m, seed=announced.seed, block=announced.block
-            )
-            phases = phases_of(phi, announced.rows)
-        except PhiError as error:
-            raise RefusedError(f"{announced.topic}: {error}") from error
-        if phi.fingerprint != announced.fingerprint:
-            raise RefusedError(
-                f"{announced.topic}: seed {announced.seed} gives Phi {phi.fingerprint} here, "
-                f"not {announced.fingerprint}: the random generators differ"
-            )
-        return phases
-
     def _reconstruct(self, measurements: Measurements) -> Iterator[Message]:
         if self._solver is None:
             raise RefusedError(f"{measurements.topic}: skin or Phi is not known yet")
@@ -323,10 +179,12 @@ class Reconstructor(Node[ReconstructorSettings]):
             follow(phi, measurements.places)
             if len(self._phases) > 1:
                 self._solver.use(phi)
-            given = measurements.y
-            if self._taxel_watch is not None and measurements.places is None:
-                given = self._taxel_watch.cleaned(phi, given)
-            y = self._believed(phi, given) if self._watches_rows(measurements) else given
+            given = y = measurements.y
+            # Where each frame chooses anew what it reads, there are no rows to watch.
+            watched = measurements.places is None
+            if watched:
+                last = None if self._last is None else self._last.reshape(-1)[self._solver.taxels]
+                given, y = self._watch.cleaned(phi, given, last)
         except (PhiError, SolverError) as error:
             raise RefusedError(f"{measurements.topic}: {error}") from error
         if self._resultant is not None:
@@ -338,7 +196,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             raise RefusedError(f"{measurements.topic}: {error}") from error
         solve_ns = time.perf_counter_ns() - begin_ns
         self._last, self._warm = forces, None
-        filled = forces if self._taxel_watch is None else self._taxel_watch.filled(forces)
+        filled = self._watch.filled(forces)
         done_ns = self.context.clock.now_ns()
         fitted = phi.forward(forces.reshape(-1)[self._solver.taxels])
         residual = math.sqrt(float(np.mean(np.square(fitted - y, dtype=np.float64))))
@@ -353,12 +211,9 @@ class Reconstructor(Node[ReconstructorSettings]):
             done_ns=done_ns,
             sd=None if self._uncertainty is None else self._uncertainty.update(forces, residual),
         )
-        if self._watches_rows(measurements) and self._faulty_rows.update(phi, given, fitted):
+        if watched and self._watch.update(phi, given, y, forces, fitted):
             # What the false rows have left in the estimate would stand for long.
             self._warm, self._last = np.zeros_like(forces), None
-
-        if self._taxel_watch is not None and measurements.places is None:
-            self._taxel_watch.update(phi, forces, y - fitted)
         if self._resultant is not None:
             fingerprints = list(self._phases)
             following = fingerprints[(fingerprints.index(phi.fingerprint) + 1) % len(fingerprints)]
@@ -379,16 +234,6 @@ class Reconstructor(Node[ReconstructorSettings]):
             col_sd=col_sd,
             done_ns=self.context.clock.now_ns(),
         )
-
-    def _watches_rows(self, measurements: Measurements) -> bool:
-        """Whether rows are told apart: not where each frame chooses anew what it reads."""
-        return self.settings.watch_rows and measurements.places is None
-
-    def _believed(self, phi: Phi, y: Floats) -> Floats:
-        """The measurements, false rows replaced by what the last frame says."""
-        assert self._solver is not None
-        last = None if self._last is None else self._last.reshape(-1)[self._solver.taxels]
-        return self._faulty_rows.cleaned(phi, y, last)
 
     def _solve(self, solver: Solver, y: Floats) -> tuple[Floats, int]:
         """Restore one frame within the budget; the forces and how many steps they took."""

@@ -234,8 +234,8 @@ def test_m_changes_while_the_graph_runs(overrides: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     ("overrides", "text"),
     [
-        (ACTS[:1], 'solver "fista": phi "acts" reads other taxels each frame'),
-        ((ACTS[0], "reconstructor.preset=skin"), 'solver "skin": phi "acts" reads other taxels'),
+        (ACTS[:1], 'solver "skin": phi "acts" reads other taxels each frame'),
+        ((ACTS[0], "reconstructor.preset=paper"), 'solver "fista": phi "acts" reads other taxels'),
         (ACTS[1:], 'solver "interpolation": phi "sbhe" mixes taxels; allowed: acts, subsample'),
     ],
 )

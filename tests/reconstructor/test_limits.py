@@ -204,12 +204,12 @@ def lines_of(phi: str = "", **reconstructor: Any) -> list[str]:
 
 def test_a_reconstructor_says_it_once_when_it_knows_skin_and_phi() -> None:
     assert lines_of() == []
-    (line,) = lines_of(lambda_n=0.1)
+    (line,) = lines_of(preset="paper", lambda_n=0.1)
     assert line.startswith("[reconstructor] lambda_n = 0.1: forces are shrunk away")
 
 
 def test_a_reconstructor_fails_by_name_where_the_forces_would_be_wrong() -> None:
-    line = lines_of(lambda_n=1000.0)[0]
+    line = lines_of(preset="paper", lambda_n=1000.0)[0]
     assert line.startswith("[reconstructor] failed: lambda_n = 1000: restores 0 whatever presses")
 
 

@@ -1,0 +1,12 @@
+"""Which of the project's solvers studies compare on the same measurements."""
+
+from __future__ import annotations
+
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.lookup import find_class
+from sparseskin.nodes.reconstructor.solver import SOLVERS
+
+#: All but those that need a phi which chooses its taxels anew in each frame.
+SUM_SOLVERS = tuple(
+    name for name in SOLVERS if not find_class("solver", name, SOLVERS, SolverError).follows_choice
+)
