@@ -2,7 +2,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo scenes replay-timing page-load shots charts charts-quick test check clean
+.PHONY: demo scenes replay-timing page-load introspection-load soak shots charts charts-quick
+.PHONY: test check clean
 .DELETE_ON_ERROR:
 
 # The main job: a wrench dragged over 64 x 64 taxels, streamed through four processes.
@@ -20,6 +21,14 @@ replay-timing: .venv/installed
 # What the live page costs, as a table (6 minutes).
 page-load: .venv/installed
 	$(BIN)/python -m sparseskin.studies.page_load
+
+# What looking at a graph from another terminal costs it, as a table (2 minutes).
+introspection-load: .venv/installed
+	$(BIN)/python -m sparseskin.studies.introspection_load
+
+# All nodes at 500 Hz for half an hour: memory, open files, lost frames.
+soak: .venv/installed-charts
+	$(BIN)/sparseskin study soak --minutes 30
 
 # Pictures of the live page in several states, in docs/ (needs chromium, chromium-driver).
 shots: .venv/installed-dev

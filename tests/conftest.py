@@ -39,8 +39,13 @@ class Program:
         self._mark = f"SPARSESKIN_TEST={uuid.uuid4().hex}"
         key, value = self._mark.split("=")
         # Graphs of a test are told apart from all others on the host.
-        environment = {**os.environ, key: value, "SPARSESKIN_RUNTIME_DIR": str(cwd / "graphs")}
-        environment["XDG_STATE_HOME"] = str(cwd / "state")
+        environment = {
+            # Numpy, the reference, unless a test asks for compiled loops, which start slowly.
+            "SPARSESKIN_FAST": "off",
+            **os.environ,
+            **{key: value, "SPARSESKIN_RUNTIME_DIR": str(cwd / "graphs")},
+            "XDG_STATE_HOME": str(cwd / "state"),
+        }
         if pythonpath is not None:
             environment["PYTHONPATH"] = str(pythonpath)
         self._stderr = ""

@@ -303,6 +303,15 @@ def test_readings_outside_the_range_are_clipped_but_not_silently(
     assert summary["nodes"]["sensor"]["clipped"] == 200
 
 
+def test_compiled_loops_serve_a_graph_from_its_first_frame(start: StartProgram) -> None:
+    pytest.importorskip("numba")
+    code, stdout, stderr = start(
+        *("launch", "path_40", "--frames", "50", "--set", "reconstructor.fast=on")
+    ).finish()
+    assert code == 0, stderr
+    assert "sensed 50, reconstructed 50, lost 0" in stdout
+
+
 def test_a_graph_that_restores_nothing_has_failed(start: StartProgram, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         "from sparseskin.nodes.reconstructor.fista import FistaSolver\n"
