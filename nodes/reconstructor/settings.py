@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,7 +92,8 @@ class ReconstructorSettings(PatchSettings):
         check_fast(self.fast)
         chosen = self.chosen()
         with naming("solver"):
-            find_class("solver", chosen["solver"], SOLVERS, SolverError)
+            solver = find_class("solver", chosen["solver"], SOLVERS, SolverError)
+        self._check_known_to(solver)
         with naming("basis"):
             find_basis(chosen["basis"])
         if self.resultant and chosen["solver"] not in RESULTANT_SOLVERS:
@@ -101,6 +104,17 @@ class ReconstructorSettings(PatchSettings):
         if self.phi != ANNOUNCED:
             with naming("phi"):
                 find_class("phi", self.phi, KINDS, PhiError)
+
+    def _check_known_to(self, solver: Callable[..., Any]) -> None:
+        parameters = inspect.signature(solver).parameters
+        if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+            return
+        for name in ("iterations", "lambda_n"):
+            if getattr(self, name) is not None and name not in parameters:
+                raise SettingsError(
+                    f"{name}: solver {self.chosen()['solver']} has none; allowed: to leave it out, "
+                    "or another solver (preset paper has both)"
+                )
 
     def chosen(self) -> dict[str, Any]:
         """The preset with what is stated beside it."""

@@ -86,7 +86,7 @@ def test_the_summary_holds_what_it_promises(start: StartProgram, tmp_path: Path)
     patch = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]
     assert (patch["scene"], patch["phi"], patch["basis"], patch["solver"]) == (
         *("drag_wrench_40", "sbhe"),
-        *("haar", "fista"),
+        *("haar", "skin"),
     )
     assert (patch["n"], patch["m"], patch["frames"]["sensed"]) == (1600, 533, 20)
     assert patch["ratio"] == pytest.approx(1600 / 533)

@@ -120,7 +120,7 @@ def test_forces_of_a_shape_that_the_skin_does_not_have_are_refused() -> None:
 
 
 def test_the_full_matrix_and_no_shrinkage_give_back_the_taxels() -> None:
-    nodes = graph(lambda_n=0.0)
+    nodes = graph(preset="paper", lambda_n=0.0)
     nodes["compressor"] = (Compressor, Compressor.Settings(phi="full"))
     for messages in Bus(nodes).frames(3):
         by_type = {type(m): m for m in messages}

@@ -174,7 +174,7 @@ def test_recorded_taxels_through_another_solver_are_judged_by_the_recorded_truth
         {
             "player": (Player, settings),
             "compressor": (Compressor, Compressor.Settings(ratio=2.0)),
-            "reconstructor": (Reconstructor, Reconstructor.Settings()),
+            "reconstructor": (Reconstructor, Reconstructor.Settings(preset="paper")),
             "monitor": (Monitor, Monitor.Settings()),
         }
     )

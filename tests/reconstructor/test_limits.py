@@ -13,7 +13,7 @@ from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi import Phi, make_phi
 from sparseskin.nodes.compressor.sbhe import SbhePhi
-from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.errors import SettingsError, SolverError
 from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.reconstructor.basis import make_basis
 from sparseskin.nodes.reconstructor.limits import (
@@ -122,6 +122,13 @@ def test_settings_of_fista_that_fail_are_said_with_what_is_advised(
     assert warning.startswith(said)
     assert "advised: " in warning
     assert "\n" not in warning
+
+
+def test_a_setting_that_the_solver_does_not_have_is_refused_before_anything_starts() -> None:
+    with pytest.raises(SettingsError, match=r"^lambda_n: solver skin has none; allowed: "):
+        Reconstructor.Settings(preset="skin", lambda_n=0.01).check()
+    Reconstructor.Settings(preset="paper", lambda_n=0.01).check()
+    Reconstructor.Settings(solver="ista", lambda_n=0.01, iterations=60).check()
 
 
 def test_a_basis_that_the_solver_does_not_use_is_said() -> None:
