@@ -23,7 +23,8 @@ f_max for ever; *saturated*: reads f_max for ever. *rows*: measurements that rea
 leave the last restored frame standing; bursts are of 10 frames. *bits*: of a measurement as the
 compressor sends it, with steps that fit each frame's largest. *converter*: bits of an ADC before
 it, whose range holds any sum of 32 taxels; the dotted line is where its steps make as much noise
-(step/√12) as an untouched taxel has."""
+(step/√12) as an untouched taxel has. Solvers are shown by themselves here, without the watch that
+a reconstructor keeps on rows and taxels."""
 
 SWEEPS = {
     "dead": Sweep(
@@ -41,13 +42,18 @@ SWEEPS = {
         "share of taxels stuck",
         "to whoever sees the sums alone a false force is a force: it is restored, and takes up "
         "what measurements there are",
+        "finds most of them within some 200 frames, takes them out of the sums, and says so; takes "
+        "a mask with the skin",
+    ),
+    "saturated": Sweep(
+        "share of taxels saturated",
+        "as stuck, at the largest force",
         "takes a mask with the skin; the maps of the monitor show them while nobody touches it",
     ),
-    "saturated": Sweep("share of taxels saturated", "as stuck, at the largest force", "as stuck"),
     "rows": Sweep(
         "measurements that read 0",
         "a sum said to be 0 is an error as large as the sum, spread over the whole frame",
-        "says the residual of each frame, which rises with it",
+        "finds them by their residual, within 20 frames or so, leaves them out, and says so",
     ),
     "lost singly": Sweep(
         "share of frames lost, singly",
