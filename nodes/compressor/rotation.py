@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from copy import copy
+
 import numpy as np
 
 from sparseskin.nodes.compressor.calls import Indices
@@ -31,6 +34,31 @@ def turns(order: Indices, m: int) -> list[Indices]:
     n_turns = -(-n // m)
     starts = [turn * n // n_turns for turn in range(n_turns)]
     return [np.sort(np.roll(order, -start)[:m]) for start in starts]
+
+
+class RotatingPhi(Phi):
+    """A Phi whose rows are a choice among n, and may be another choice in each frame.
+
+    Its `__init__` sets `_order`, all rows as they are chosen, and calls `_keep`.
+    """
+
+    _order: Indices
+
+    @abstractmethod
+    def _keep(self, rows: Indices) -> None:
+        """Measure by these rows, ascending."""
+
+    def phases(self) -> list[Phi]:
+        """Return the matrices of rotating rows, the first like this one; they share its arrays.
+
+        P = ceil(n / m) of them, m rows each, which together read every row.
+        """
+        twins: list[Phi] = []
+        for rows in turns(self._order, self.m):
+            twin = copy(self)
+            twin._keep(rows)
+            twins.append(twin)
+        return twins
 
 
 def phases_of(phi: Phi, rows: str) -> list[Phi]:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from copy import copy
-
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.compressor.calls import Floats, Indices, run
 from sparseskin.nodes.compressor.hadamard import BlockHadamard, hadamard_matrix
-from sparseskin.nodes.compressor.phi import Phi, fingerprint_of
-from sparseskin.nodes.compressor.rotation import turns
+from sparseskin.nodes.compressor.phi import fingerprint_of
+from sparseskin.nodes.compressor.rotation import RotatingPhi
 
 
-class SbhePhi(Phi):
+class SbhePhi(RotatingPhi):
     """Phi = Q_M W P_N with orthonormal rows.
 
     P_N deals the taxels out at random, W has Hadamard blocks of size B divided by sqrt(B), Q_M
@@ -65,18 +63,6 @@ class SbhePhi(Phi):
         b = np.zeros(n, dtype=np.float32)
         self._transform, self._result = self.hadamard.program(self._a, b)
         self._transposed = self.hadamard.transposed(self._a, b)
-
-    def phases(self) -> list[Phi]:
-        """Return the matrices of rotating rows, the first like this one; they share its arrays.
-
-        P = ceil(n / m) of them, m rows of the same W each, which together read all of its rows.
-        """
-        twins: list[Phi] = []
-        for rows in turns(self._order, self.m):
-            twin = copy(self)
-            twin._keep(rows)
-            twins.append(twin)
-        return twins
 
     def _keep(self, rows: Indices) -> None:
         """Measure by these rows of W, ascending."""

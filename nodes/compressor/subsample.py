@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from copy import copy
-
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.compressor.calls import Floats, Indices
-from sparseskin.nodes.compressor.phi import Phi, fingerprint_of
-from sparseskin.nodes.compressor.rotation import turns
+from sparseskin.nodes.compressor.phi import fingerprint_of
+from sparseskin.nodes.compressor.rotation import RotatingPhi
 
 
-class SubsamplePhi(Phi):
+class SubsamplePhi(RotatingPhi):
     """Phi = Q_M: m single taxels, chosen at random; needs no wiring between taxels.
 
     Attributes
@@ -32,17 +30,6 @@ class SubsamplePhi(Phi):
         super().__init__(n, m, seed, block)
         self._order: Indices = np.random.default_rng(seed).permutation(n).astype(np.intp)
         self._keep(np.sort(self._order[:m]))
-
-    def phases(self) -> list[Phi]:
-        """Return the matrices of rotating rows, the first like this one: P = ceil(n / m) of them,
-        m taxels each, which together read every taxel.
-        """
-        twins: list[Phi] = []
-        for rows in turns(self._order, self.m):
-            twin = copy(self)
-            twin._keep(rows)
-            twins.append(twin)
-        return twins
 
     def _keep(self, rows: Indices) -> None:
         """Read these taxels, ascending."""
