@@ -34,7 +34,7 @@ soak: .venv/installed-charts
 shots: .venv/installed-dev
 	PYTHONPATH=tests $(BIN)/python tests/shots.py
 
-# All tables and charts of the studies, in out/ (an hour; the quick ones 8 minutes).
+# The tables and charts of four studies, in out/ (an hour; the quick ones 8 minutes).
 charts charts-quick: .venv/installed-charts
 	for study in paper-tables speed-accuracy stability scene-needs; do \
 	    $(BIN)/sparseskin study $$study $(if $(findstring quick,$@),--quick) || exit; \

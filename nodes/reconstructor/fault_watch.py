@@ -31,6 +31,7 @@ class FaultWatch:
         self._log = log
         self._rows = FaultyRows(log)
         self._taxels: TaxelWatch | None = None
+        self._noisy = False
 
     @property
     def text(self) -> str:
@@ -45,9 +46,11 @@ class FaultWatch:
 
     def set_up(self, phases: dict[str, Phi], state: SkinState, mask: Mask) -> None:
         """Watch these phases, by fingerprint, and this skin, whose existing taxels are `mask`."""
+        # On a skin that does not state its noise, what is still or exact could be taken for false.
+        self._noisy = state.sigma_mid > 0
         self._rows.keep(phases)
         self._taxels = None
-        if self._watch_taxels and state.sigma_mid > 0:
+        if self._watch_taxels and self._noisy:
             sigmas = state.sigma_mid, state.sigma_end
             self._taxels = TaxelWatch(mask, state.f_max, *sigmas, self._log)
 
@@ -67,7 +70,7 @@ class FaultWatch:
             y without what stuck taxels read; and its false rows replaced by what `last` says.
         """
         given = y if self._taxels is None else self._taxels.cleaned(phi, y)
-        return given, self._rows.cleaned(phi, given, last) if self._watch_rows else given
+        return given, self._rows.cleaned(phi, given, last) if self._looks_at_rows else given
 
     def filled(self, forces: Floats) -> Floats:
         """The frame with stuck taxels filled in from their neighbours; as in `TaxelWatch`."""
@@ -95,4 +98,8 @@ class FaultWatch:
         """
         if self._taxels is not None:
             self._taxels.update(phi, forces, believed - fitted)
-        return self._watch_rows and self._rows.update(phi, given, fitted)
+        return self._looks_at_rows and self._rows.update(phi, given, fitted)
+
+    @property
+    def _looks_at_rows(self) -> bool:
+        return self._watch_rows and self._noisy

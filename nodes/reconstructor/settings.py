@@ -66,7 +66,11 @@ class ReconstructorSettings(PatchSettings):
     resultant: bool = setting(
         False, "publish total force and centre of pressure before the frame is restored"
     )
-    watch_rows: bool = setting(True, "leave out measurements that read 0, a constant or garbage")
+    watch_rows: bool = setting(
+        True,
+        "leave out measurements that read 0, a constant or garbage, on a skin that states its "
+        "noise",
+    )
     fast: str = setting(
         "auto",
         "compiled loops: auto (where numba is installed), on or off; but for rounding the same",
@@ -113,7 +117,7 @@ class ReconstructorSettings(PatchSettings):
             if getattr(self, name) is not None and name not in parameters:
                 raise SettingsError(
                     f"{name}: solver {self.chosen()['solver']} has none; allowed: to leave it out, "
-                    "or another solver (preset paper has both)"
+                    "or a solver that has it (preset paper)"
                 )
 
     def chosen(self) -> dict[str, Any]:

@@ -56,16 +56,17 @@ def spoilt(y: Floats, fault: str) -> Floats:
 class Desk:
     """A reconstructor that knows its skin, and what it said."""
 
-    def __init__(self, phi: Phi, **settings: object) -> None:
+    def __init__(self, phi: Phi, *, states_noise: bool = True, **settings: object) -> None:
         self.lines: list[str] = []
         context = Context("reconstructor", ManualClock(0), self.lines.append)
         self.node = Reconstructor(ReconstructorSettings(**settings), context)
         self.phi = phi
         self._stamps = itertools.count(1)
+        sigmas = (0.0628, 0.0141) if states_noise else (0.0, 0.0)
         skin = SkinState(
             stamp_ns=0, patch="skin", n_rows=SHAPE[0], n_cols=SHAPE[1], f_max=2.5, unit="N",
             pitch_m=None, mask=None, source="", seed=0, rate_hz=0.0, has_truth=False,
-            sigma_mid=0.0, sigma_end=0.0,
+            sigma_mid=sigmas[0], sigma_end=sigmas[1],
         )  # fmt: skip
         told = PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe())
         for message in (skin, told):
@@ -196,3 +197,12 @@ def test_false_rows_give_way_to_what_the_last_frame_says(phi: Phi, truth: Floats
     np.testing.assert_array_equal(np.delete(cleaned, [1, 5]), 9.0)
     np.testing.assert_array_equal(watch.cleaned(y, None)[[1, 5]], 0)
     np.testing.assert_array_equal(y, 9.0)
+
+
+def test_of_a_skin_that_does_not_state_its_noise_nothing_is_left_out(phi: Phi) -> None:
+    """Exact frames that stand still repeat their measurements, and no row is false."""
+    pressed = np.zeros((60, *SHAPE), np.float32)
+    pressed[:, 10:15, 8:20] = 1.0
+    desk = Desk(phi, states_noise=False)
+    desk.messages(phi.forward(pressed.reshape(-1, N)))
+    assert desk.lines == []
