@@ -102,7 +102,10 @@ void skin(V x, V z, V r, C target, V total, I to_canvas, I from_canvas, V canvas
     }
 }
 """
-FLAGS = ("-O3", "-march=native", "-ffast-math", "-shared", "-fPIC")
+#: What -ffast-math allows a loop, but for its start-up code, which would make the whole process
+#: flush small numbers to 0.
+LOOPS = ("-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math")
+FLAGS = ("-O3", "-march=native", *LOOPS, "-shared", "-fPIC")
 _COMPILERS = ("cc", "gcc", "clang")
 
 

@@ -14,6 +14,9 @@ from pathlib import Path
 
 import pytest
 
+# Numpy, the reference, in all processes, unless a test asks for compiled loops.
+os.environ.setdefault("SPARSESKIN_FAST", "off")
+
 PATIENCE_S = 60.0
 """When a wait is given up: far beyond what anything here takes, so it is no claim on speed."""
 
@@ -40,8 +43,6 @@ class Program:
         key, value = self._mark.split("=")
         # Graphs of a test are told apart from all others on the host.
         environment = {
-            # Numpy, the reference, unless a test asks for compiled loops, which start slowly.
-            "SPARSESKIN_FAST": "off",
             **os.environ,
             **{key: value, "SPARSESKIN_RUNTIME_DIR": str(cwd / "graphs")},
             "XDG_STATE_HOME": str(cwd / "state"),

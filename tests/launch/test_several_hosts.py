@@ -9,7 +9,7 @@ import socket
 from pathlib import Path
 
 import pytest
-from conftest import Program, StartProgram
+from conftest import Program, StartProgram, wait_until
 
 from sparseskin.nodes.keys import make_key_files
 
@@ -109,6 +109,8 @@ def test_a_part_that_is_killed_joins_again_and_is_told_what_is_latched(
     (tmp_path / "two.mcap.part").unlink(missing_ok=True)
     again = part(start, "desk")
     again.wait_for("[recorder] hears sensor on edge")
+    recorded = tmp_path / "two.mcap.part"
+    wait_until(lambda: recorded.exists() and recorded.stat().st_size > 20_000, "frames in the file")
     edge.process.send_signal(signal.SIGINT)
     code, _, stderr = again.finish()
     assert code in (0, 1), stderr

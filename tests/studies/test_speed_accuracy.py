@@ -14,6 +14,7 @@ from sparseskin.nodes.reconstructor.basis import BASES
 from sparseskin.nodes.reconstructor.presets import PRESETS
 from sparseskin.nodes.reconstructor.solver import SOLVERS
 from sparseskin.studies import speed_design
+from sparseskin.studies.solvers import SUM_SOLVERS
 from sparseskin.studies.speed_accuracy import TIMED_ON
 from sparseskin.studies.speed_charts import draw_bytes, draw_parts, draw_race, draw_speed
 from sparseskin.studies.speed_design import CENTRE_RATIO, PAPER_LABEL, SCENES, design, variants
@@ -31,21 +32,23 @@ PAPER_POINT = {**SHORT, "label": PAPER_LABEL, "phi": "sbhe", "ratio": 3, **PRESE
 @pytest.mark.parametrize("quick", [True, False])
 def test_the_design_covers_every_solver_basis_and_phi_and_repeats_no_point(quick: bool) -> None:
     points = design(quick, 0)
-    assert {point["solver"] for point in points} == set(SOLVERS)
+    assert {point["solver"] for point in points} == set(SUM_SOLVERS)
     assert {point["basis"] for point in points} >= set(BASES)
-    assert {point["phi"] for point in points} >= set(KINDS)
+    assert {point["phi"] for point in points} == set(KINDS) - {"acts"}
     assert len({str(sorted(point.items())) for point in points}) == len(points)
     if not quick:
         assert {point["scene"] for point in points} == set(SCENES)
 
 
-def test_a_solver_that_is_registered_later_is_in_the_design(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setitem(SOLVERS, "another", SOLVERS["fista"])
-    assert variants()["another"] == {"solver": "another", "basis": "haar"}
-    swept = [p for p in design(True, 0) if p["label"] == "another" and "iterations" in p]
-    assert {p["iterations"] for p in swept} == set(speed_design.QUICK_ITERATIONS)
+def test_all_solvers_but_those_that_choose_taxels_anew_are_solvers_of_sums() -> None:
+    assert set(SOLVERS) - set(SUM_SOLVERS) == {"interpolation"}
+    assert {chosen["solver"] for chosen in variants().values()} == set(SUM_SOLVERS)
+
+
+def test_the_iterations_of_each_variant_that_takes_them_are_swept() -> None:
+    for label in ("ista", "skin, rotating rows"):
+        swept = [p for p in design(True, 0) if p["label"] == label and "iterations" in p]
+        assert {p["iterations"] for p in swept} == set(speed_design.QUICK_ITERATIONS)
 
 
 def test_the_problem_has_an_adjoint_and_its_minimum_is_lowest() -> None:

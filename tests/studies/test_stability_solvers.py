@@ -10,9 +10,9 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
 from sparseskin.nodes.reconstructor.basis import make_basis
-from sparseskin.nodes.reconstructor.solver import SOLVERS
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
 from sparseskin.studies import stability_faults, stability_settings
+from sparseskin.studies.solvers import SUM_SOLVERS
 from sparseskin.studies.stability_change import (
     EVENTS,
     N_BEFORE,
@@ -135,7 +135,7 @@ def test_as_many_frames_are_lost_as_is_said(fault: str) -> None:
         assert set(np.diff(ends)[::2].tolist()) == {stability_faults.BURST}
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", SUM_SOLVERS)
 def test_every_solver_can_be_put_through_every_kind_of_point(solver: str) -> None:
     point = {"sweep": "masked", "value": 0.02, "solver": solver, "seed": 0}
     figures = stability_faults.measure(point)
