@@ -48,6 +48,7 @@ class FaultWatch:
         """Watch these phases, by fingerprint, and this skin, whose existing taxels are `mask`."""
         # On a skin that does not state its noise, what is still or exact could be taken for false.
         self._noisy = state.sigma_mid > 0
+        self._mask = mask
         self._rows.keep(phases)
         self._taxels = None
         if self._watch_taxels and self._noisy:
@@ -61,8 +62,8 @@ class FaultWatch:
         ----------
         phi : Phi
         y : ndarray of float32, shape (m,)
-        last : ndarray of float32, shape (n,), or None
-            Forces of the existing taxels in the last frame.
+        last : ndarray of float32, shape (n_rows, n_cols), or None
+            The last frame as the solver restored it.
 
         Returns
         -------
@@ -70,7 +71,10 @@ class FaultWatch:
             y without what stuck taxels read; and its false rows replaced by what `last` says.
         """
         given = y if self._taxels is None else self._taxels.cleaned(phi, y)
-        return given, self._rows.cleaned(phi, given, last) if self._looks_at_rows else given
+        if not self._looks_at_rows or not self._rows.text:
+            return given, given
+        forces = None if last is None else last[self._mask]
+        return given, self._rows.cleaned(phi, given, forces)
 
     def filled(self, forces: Floats) -> Floats:
         """The frame with stuck taxels filled in from their neighbours; as in `TaxelWatch`."""

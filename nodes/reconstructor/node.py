@@ -183,8 +183,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             # Where each frame chooses anew what it reads, there are no rows to watch.
             watched = measurements.places is None
             if watched:
-                last = None if self._last is None else self._last.reshape(-1)[self._solver.taxels]
-                given, y = self._watch.cleaned(phi, given, last)
+                given, y = self._watch.cleaned(phi, given, self._last)
         except (PhiError, SolverError) as error:
             raise RefusedError(f"{measurements.topic}: {error}") from error
         if self._resultant is not None:
