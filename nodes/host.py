@@ -19,6 +19,11 @@ from .node import Node, SourceNode, Tick
 
 Log = Callable[[str], None]
 
+COUNTED = ("received", "lost", "skipped")
+"""What is counted of each input: messages that were taken in, that never came, and those taken
+in of which nothing was made, since newer ones were waiting.
+"""
+
 
 def is_latched(topic: str) -> bool:
     """Whether a topic carries state rather than a stream."""
@@ -33,6 +38,7 @@ class InputCount:
     expected: int = 0
     received: int = 0
     lost: int = 0
+    skipped: int = 0
     ended: bool = False
     late: bool = False
 
@@ -69,8 +75,10 @@ class Counts:
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, for status lines and summaries."""
         return {
-            "received": {topic: count.received for topic, count in self.inputs.items()},
-            "lost": {topic: count.lost for topic, count in self.inputs.items()},
+            **{
+                what: {topic: getattr(count, what) for topic, count in self.inputs.items()}
+                for what in COUNTED
+            },
             "published": dict(self.published),
             "refused": dict(self.refused),
         }
@@ -111,7 +119,7 @@ class NodeHost:
         self.counts = Counts(
             {topic: InputCount(late=late or topic in late_inputs) for topic in self.inputs}
         )
-        self._streams = [topic for topic in self.inputs if not is_latched(topic)]
+        self.streams = [topic for topic in self.inputs if not is_latched(topic)]
         self.finished = False
         self.ends: list[End] = []
         self.failure = ""
@@ -140,16 +148,20 @@ class NodeHost:
         if self.node.exhausted or self.failure:
             yield from self.finish(tick.stamp_ns)
 
-    def receive_bytes(self, topic: bytes, payload: bytes) -> Iterator[Message]:
-        """Decode and take in one message; one that cannot be decoded is counted."""
+    def receive_bytes(
+        self, topic: bytes, payload: bytes, overtaken: bool = False
+    ) -> Iterator[Message]:
+        """Decode and take in one message; one that cannot be decoded is counted, and one that is
+        overtaken by newer ones is counted and skipped, unless it ends its stream.
+        """
         try:
             message = decode(topic, payload)
         except MessageError as error:
             self._refuse(error.reason, str(error))
             return
-        yield from self.receive(message)
+        yield from self.receive(message, overtaken)
 
-    def receive(self, message: Message) -> Iterator[Message]:
+    def receive(self, message: Message, overtaken: bool = False) -> Iterator[Message]:
         """Take in one message; one that the node refuses is counted, and the node goes on."""
         count = self.counts.inputs.get(message.topic)
         if count is None:
@@ -160,9 +172,12 @@ class NodeHost:
             if not count.ended:
                 count.end(message)
                 yield from self._guarded(self.node.ended, message.topic, message.n_messages)
-                if all(self.counts.inputs[topic].ended for topic in self._streams):
+                if all(self.counts.inputs[topic].ended for topic in self.streams):
                     yield from self.finish(self._last_stamp_ns)
         elif count.admit(message):
+            if overtaken:
+                count.skipped += 1
+                return
             yield from self._guarded(self.node.step, message)
 
     def change(self, changes: Mapping[str, Any]) -> list[Message]:

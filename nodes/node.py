@@ -86,9 +86,21 @@ class Node(Generic[S]):
         self.settings = settings
         self.context = context
 
+    @property
+    def depth(self) -> int:
+        """How many messages of each stream may wait for the node before older ones are skipped,
+        and counted; 0: none is ever skipped.
+        """
+        return 0
+
     @classmethod
     def inputs(cls, settings: S) -> tuple[str, ...]:
         """Topics that the node reads; "*" in one stands for any text."""
+        return ()
+
+    @classmethod
+    def optional_inputs(cls, settings: S) -> tuple[str, ...]:
+        """Topics that the node reads where some node writes them."""
         return ()
 
     @classmethod

@@ -15,6 +15,7 @@ import zmq
 
 from sparseskin.messages import Message
 
+from .backlog import Backlog
 from .clock import SystemClock
 from .clock_offset import ClockEstimate
 from .control import Control
@@ -74,6 +75,7 @@ class Runner:
         self.network = Network(self.context, config, self.clock.now_ns, self.log)
         self.writer = self.network.writer
         self.reader: Reader | None = None
+        self.backlog: Backlog | None = None
         self.poller = zmq.Poller()
         self.poller.register(control.fd, zmq.POLLIN)
         self._poll_all()
@@ -154,12 +156,12 @@ class Runner:
         return left_ns is not None and left_ns <= 0
 
     def _wait(self) -> None:
-        timeout_ms = POLL_MS
+        timeout_ms = POLL_MS if self.all_taken else 0
         left_ns = self._left_ns()
         if left_ns is not None:
             if 0 < left_ns < SPIN_NS:
                 time.sleep(left_ns / 1e9)
-            timeout_ms = max(0, min(POLL_MS, (left_ns - SPIN_NS) // 1_000_000))
+            timeout_ms = max(0, min(timeout_ms, (left_ns - SPIN_NS) // 1_000_000))
         ready = self.poller.poll(timeout_ms)
         patience_s = self.host.node.patience_s
         # Not while messages wait from before, and not where a source waits for answers.
@@ -216,6 +218,7 @@ class Runner:
         """Listen to writers; those on other hosts are named later, once this node is ready."""
         if peers and self.reader is None:
             self.reader = self.network.make_reader(self.host.inputs)
+            self.backlog = Backlog(self.reader, frozenset(t.encode() for t in self.host.streams))
             self._poll_all()
         if self.reader is not None:
             self.network.connect(self.reader, peers)
@@ -234,21 +237,20 @@ class Runner:
         self.started = True
 
     def _take_in(self) -> None:
-        if self.reader is None:
+        if self.reader is None or self.backlog is None:
             return
         for _ in range(BATCH):
-            parts = self.reader.receive()
-            self.all_taken = parts is None
-            if parts is None:
+            waiting = self.backlog.take(self.host.node.depth)
+            self.all_taken = waiting is None
+            if waiting is None:
                 return
-            topic, payload = parts
-            if self.reader.is_ask(topic):
-                if self.network.take_time(payload):
+            if self.reader.is_ask(waiting.topic):
+                if self.network.take_time(waiting.payload):
                     continue
                 self.asked = True
-                self.owed.append((self.writer.ask(), payload))
+                self.owed.append((self.writer.ask(), waiting.payload))
             else:
-                self._publish(self.host.receive_bytes(topic, payload))
+                self._publish(self.host.receive_bytes(*waiting))
 
     def _answer(self) -> None:
         """Answer what was asked, as soon as those who read from this node have answered it."""

@@ -18,8 +18,11 @@ Bools = npt.NDArray[np.bool_]
 #: taxel is that taxel.
 LEAST_MIXED, N_PROBED = 8.0, 8
 #: What a frame adds to the evidence against a row: its squared residual over that of its peers,
-#: no more than `LARGEST`, less `ALLOWED`; the row is false from `ENOUGH` on.
-LARGEST, ALLOWED, ENOUGH = 36.0, 9.0, 150.0
+#: no more than `LARGEST`, less `ALLOWED`; the row is false from `ENOUGH` on. Evidence begins with
+#: `ODD` at least.
+LARGEST, ALLOWED, ENOUGH, ODD = 36.0, 9.0, 150.0, 16.0
+#: Frames between two close looks, where no row asks for one.
+EVERY = 10
 #: Frames without any change after which a row reads a constant, on a skin whose noise changes
 #: at least `LIVELY` of the rows from frame to frame.
 CONSTANT, LIVELY, LIVELY_RATE = 20, 0.75, 0.05
@@ -42,9 +45,14 @@ class RowWatch:
 
     Each restored frame leaves a residual y - Phi x. A row is judged by its residual against that
     of its peers, the rows that sum the same taxels with other signs: where a contact is restored
-    badly all of them are off alike. The squared ratio, cut off at 36, less 9, adds up to the
-    evidence against a row, never below 0. A row that works passes 9 in one frame of a few
-    hundred, so its evidence stays near 0; one that reads garbage reaches 200 within 8 frames.
+    badly all of them are off alike. Once the squared ratio has passed 16, which a row that works
+    does in one frame of ten thousand, it adds up to the evidence against that row: cut off at 36,
+    less 9, never below 0. A row that reads garbage reaches 150 within 8 frames.
+
+    Most frames get a glance: whether any residual has passed what the last close look allows. A
+    close look compares all peers; there is one wherever a row has, each tenth frame, and in
+    each frame while there is evidence against a row.
+
     On a skin with noise a row whose value stays the same for 20 frames is false, too, also where
     nobody touches the skin and a row that reads 0 does not show.
 
@@ -80,8 +88,13 @@ class RowWatch:
         _, self._starts, self._block = np.unique(
             _blocks(phi), return_index=True, return_inverse=True
         )
-        self._last, self._left, self._evidence, self._misfit = np.zeros((4, m), dtype=np.float32)
-        self._unchanged, self._agreed = np.zeros((2, m), dtype=np.int32)
+        self._last, self._before, self._evidence, self._misfit = np.zeros((4, m), dtype=np.float32)
+        self._residual, self._left = np.zeros((2, m), dtype=np.float32)
+        self._squared, self._bound = np.zeros((2, m), dtype=np.float32)
+        self._last_but_one = np.zeros(m, dtype=np.float32)
+        self._changed_at, self._agreed = np.zeros((2, m), dtype=np.int32)
+        self._loud = np.zeros(m, dtype=np.bool_)
+        self._coarse = self._suspects = False
         self._to_heal = np.full(m, HEALED, dtype=np.int32)
         self._n_frames = 0
         self._lively = 0.0
@@ -122,31 +135,43 @@ class RowWatch:
         """
         if not self.watches:
             return False
-        change = np.subtract(y, self._last)
+        self._n_frames += 1
+        self._residual, self._before = self._before, self._residual
+        np.subtract(y, fitted, out=self._residual)
+        np.square(self._residual, out=self._squared)
+        np.greater(self._squared, self._bound, out=self._loud)
+        self._note_changes(y)
+        if self._n_frames == 1:
+            return False  # what changes from frame to frame is not known yet
+        due = self._n_frames % EVERY == 0 or self._suspects or self._loud.any()
+        return bool(due or self._constant().any()) and self._look(y)
+
+    def _look(self, y: Floats) -> bool:
+        """Compare all rows with their peers; whether `left_out` has changed."""
         # A solver that fits the noise leaves less than it, and small errors would be large.
-        noise2 = _typical(change) / 2 if self._n_frames else math.inf
+        noise2 = _typical(self._last - self._last_but_one) / 2
         step = y.step if isinstance(y, Quantised) else 0.0
-        coarse = step > FINE * math.sqrt(noise2)
+        self._coarse = step > FINE * math.sqrt(noise2)
         # A force below a step is read as 0 or as a step, again and again.
         noise2 += step * step / 4
-        np.copyto(self._last, y)
-        self._n_frames += 1
-        odd = self._oddness(np.subtract(y, fitted), noise2)
+        odd = self._oddness(noise2)
         evidence = self._evidence
+        odd_enough = (evidence > 0) | (odd > ODD)
         evidence += odd
         evidence -= ALLOWED
-        np.maximum(evidence, 0, out=evidence)
-        np.minimum(evidence, 2 * ENOUGH, out=evidence)
-        false = evidence >= ENOUGH
-        false |= self._constant(change != 0, coarse)
-        return self._leave_out(false) | self._heal(odd, false)
+        evidence *= odd_enough
+        np.clip(evidence, 0, 2 * ENOUGH, out=evidence)
+        false = (evidence >= ENOUGH) | self._constant()
+        changed = self._leave_out(false) | self._heal(odd, false)
+        self._suspects = bool(evidence.any() or self.left_out.any())
+        return changed
 
-    def _oddness(self, residual: Floats, noise2: float) -> Floats:
+    def _oddness(self, noise2: float) -> Floats:
         """Squared residuals over what the peers have, and over the noise; no more than 36."""
-        heavy = self._heavy
-        bias = _middle(residual[heavy] / self._heavy_ones)
-        residual -= np.float32(bias) * self._ones
-        squared = np.square(residual)
+        heavy, few = self._heavy, self._few
+        bias = np.float32(_middle(self._residual[heavy] / self._heavy_ones))
+        self._left = self._residual - bias * self._ones
+        squared = np.square(self._left)
         typical = np.float32(max(_middle(squared) / MEDIAN_SQUARE, noise2) + TINY)
         # One huge row must not hide another in its own block.
         peers = np.minimum(squared, LARGEST * typical)
@@ -156,22 +181,32 @@ class RowWatch:
         np.maximum(peers, typical, out=peers)
         # What is left of the bias differs from block to block.
         peers[heavy] = np.maximum(peers[heavy], _middle(squared[heavy]) / MEDIAN_SQUARE)
+        np.multiply(peers, ODD, out=self._bound)
+        # A glance does not know the bias of its frame.
+        shown = abs(bias) * np.abs(self._heavy_ones)
+        self._bound[heavy] = np.square(np.sqrt(self._bound[heavy]) + shown)
         # A row may be the only one of few that feels a contact at all. That lasts; of such blocks
         # only what changes from frame to frame counts.
-        few = self._few
-        news = residual[few] - self._left[few]
+        news = self._residual[few] - self._before[few]
         squared[few] = np.minimum(squared[few], np.square(news, out=news))
-        self._left = residual
         squared /= peers
         return np.minimum(squared, LARGEST, out=squared)
 
-    def _constant(self, changed: Bools, coarse: bool) -> Bools:
-        """Which rows have read the same for long, on a skin that does not."""
-        self._unchanged += 1
-        self._unchanged[changed | coarse] = 0
+    def _note_changes(self, y: Floats) -> None:
+        """Note which rows read something else than in the frame before."""
+        changed = y != self._last
+        self._last, self._last_but_one = self._last_but_one, self._last
+        np.copyto(self._last, y)
         rate = max(LIVELY_RATE, 1 / self._n_frames)
         self._lively += rate * (np.count_nonzero(changed) / changed.size - self._lively)
-        return (self._unchanged >= CONSTANT) & (self._lively >= LIVELY)
+        if self._coarse:
+            self._changed_at.fill(self._n_frames)
+        else:
+            np.copyto(self._changed_at, self._n_frames, where=changed)
+
+    def _constant(self) -> Bools:
+        """Which rows have read the same for long, on a skin that does not."""
+        return (self._changed_at <= self._n_frames - CONSTANT) & (self._lively >= LIVELY)
 
     def _leave_out(self, false: Bools) -> bool:
         """Believe false rows no longer; whether there are new ones."""

@@ -60,6 +60,15 @@ class ReconstructorSettings(PatchSettings):
         high=60_000.0,
         live=True,
     )
+    depth: int = setting(
+        0,
+        "how many measurements may wait, the newest: older ones are skipped and counted, so that "
+        "what is restored is never old; 0: every frame is restored. Nothing is skipped where the "
+        "source waits for its readers",
+        low=0,
+        high=1000,
+        live=True,
+    )
     uncertainty: bool = setting(
         False, "publish a standard deviation with each force; twice as many bytes"
     )

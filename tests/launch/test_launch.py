@@ -45,6 +45,16 @@ class Tap(Node):
         return ()
 """
 
+SLOW = """
+import time
+from sparseskin.nodes.reconstructor.fista import FistaSolver
+
+class Slow(FistaSolver):
+    def finish(self):
+        time.sleep(0.002)
+        return super().finish()
+"""
+
 
 def test_not_one_of_the_first_thousand_frames_is_lost(start: StartProgram, tmp_path: Path) -> None:
     # As fast as the sensor can: whatever is not joined at the start would be lost.
@@ -72,6 +82,7 @@ def test_as_fast_as_it_is_read_nothing_is_lost_beyond_any_queue(
     code, _, stderr = start(
         *("launch", "path_40", "--frames", "6000", "--summary", "out.json"),
         *("--set", "sensor.rate_hz=0", "--set", "reconstructor.iterations=10"),
+        *("--set", "reconstructor.depth=1"),  # nothing is overtaken by what waits its turn
     ).finish()
     assert code == 0, stderr
     frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
@@ -86,7 +97,7 @@ def test_the_summary_holds_what_it_promises(start: StartProgram, tmp_path: Path)
     patch = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]
     assert (patch["scene"], patch["phi"], patch["basis"], patch["solver"]) == (
         *("drag_wrench_40", "sbhe"),
-        *("haar", "skin"),
+        *("", "skin"),
     )
     assert (patch["n"], patch["m"], patch["frames"]["sensed"]) == (1600, 533, 20)
     assert patch["ratio"] == pytest.approx(1600 / 533)
@@ -250,14 +261,7 @@ def test_a_driver_that_blocks_does_not_outlive_a_killed_launcher(
 def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
     start: StartProgram, tmp_path: Path
 ) -> None:
-    (tmp_path / "slow.py").write_text(
-        "import time\n"
-        "from sparseskin.nodes.reconstructor.fista import FistaSolver\n"
-        "class Slow(FistaSolver):\n"
-        "    def finish(self):\n"
-        "        time.sleep(0.002)\n"
-        "        return super().finish()\n"
-    )
+    (tmp_path / "slow.py").write_text(SLOW)
     code, _, stderr = start(
         *("launch", "path_40", "--frames", "6000", "--summary", "out.json"),
         *("--set", "sensor.rate_hz=4000", "--set", "reconstructor.solver=slow:Slow"),
@@ -270,6 +274,27 @@ def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
     assert frames["lost"] > 0
     missed = [sum(node["lost"].values()) for node in summary["nodes"].values()]
     assert frames["lost"] == missed[1] + missed[2]  # at the compressor and the reconstructor
+
+
+def test_one_that_takes_the_newest_alone_says_how_many_it_skipped(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "slow.py").write_text(SLOW)
+    code, _, stderr = start(
+        *("launch", "path_40", "--frames", "600", "--summary", "out.json"),
+        *("--set", "sensor.rate_hz=2000", "--set", "reconstructor.solver=slow:Slow"),
+        *("--set", "reconstructor.iterations=1", "--set", "reconstructor.depth=1"),
+    ).finish()
+    assert code == 0, stderr
+    summary = json.loads((tmp_path / "out.json").read_text())
+    frames, node = summary["patches"]["skin"]["frames"], summary["nodes"]["reconstructor"]
+    n_skipped = node["skipped"]["/skin/measurements"]
+    assert n_skipped > 0
+    assert frames == {
+        **{"sensed": 600, "reconstructed": 600 - n_skipped, "lost": n_skipped, "unpaired": 0}
+    }
+    for one in summary["nodes"].values():
+        assert not any(one["lost"].values())
 
 
 def test_a_driver_is_closed_when_the_graph_ends(start: StartProgram, tmp_path: Path) -> None:
