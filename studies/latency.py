@@ -29,19 +29,22 @@ QUIET = 0.1
 
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
-    """Both sizes, the default solver and the paper's, with and without a monitor."""
+    """Both sizes, the default solver and the paper's, with and without a monitor; of the default
+    one also where it restores the newest frames alone.
+    """
     n_frames = 3000 if quick else 12_000
     return [
         {
             "scene": scene,
             "preset": preset,
+            "depth": depth,
             "rate_hz": RATE_HZ,
             "n_frames": n_frames,
             "monitor": monitor,
             "seed": seed,
         }
         for monitor in (False, True)
-        for preset in ("skin", "paper")
+        for preset, depth in (("skin", 0), ("skin", 1), ("paper", 0))
         for scene in SCENES.values()
     ]
 
@@ -64,13 +67,14 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     found = compute(measure, made, out, "serial", "latency")
     rows = [row_of(point, figures) for point, figures in zip(made, found, strict=True)]
     header = (
-        *("skin", "preset", "monitor", "frames", "lost"),
+        *("skin", "preset", "restored", "monitor", "frames", "skipped", "lost"),
         *(f"{name} ms" for name in QUANTILES),
         *(f"{stage}" for stage in STAGES),
     )
     lines = [
         [
-            *(row["skin"], row["preset"], row["monitor"], row["n_frames"], row["lost"]),
+            *(row["skin"], row["preset"], row["restored"], row["monitor"]),
+            *(row["n_frames"], row["skipped"], row["lost"]),
             *(f"{row[f'{name}_ms']:.2f}" for name in QUANTILES),
             *(f"{row[f'p50 {stage}_ms']:.3f}" for stage in STAGES),
         ]
@@ -99,9 +103,11 @@ def row_of(point: dict[str, Any], figures: dict[str, Any]) -> dict[str, Any]:
     row: dict[str, Any] = {
         "skin": skin,
         "preset": point["preset"],
+        "restored": "newest" if point["depth"] else "all",
         "monitor": "yes" if point["monitor"] else "no",
         "rate_hz": point["rate_hz"],
         "n_frames": figures["n_frames"],
+        "skipped": figures["skipped"],
         "lost": figures["lost"],
         "others_cores": figures["others"],
     }
@@ -115,12 +121,9 @@ def row_of(point: dict[str, Any], figures: dict[str, Any]) -> dict[str, Any]:
 def draw(out: Path, rows: list[dict[str, Any]]) -> str:
     """Where the time goes: a bar a graph, for the median and both tails."""
     with chart_style():
-        figure = new_figure(9.0, 4.2)
+        figure = new_figure(9.0, 5.0)
         panels = figure.subplots(1, len(QUANTILES), sharey=True)
-        labels = [
-            f"{row['skin']}, {row['preset']}{', monitor' * (row['monitor'] == 'yes')}"
-            for row in rows
-        ]
+        labels = [_label(row) for row in rows]
         for axes, name in zip(panels, QUANTILES, strict=True):
             left = np.zeros(len(rows))
             for k, stage in enumerate(STAGES):
@@ -152,6 +155,11 @@ def draw(out: Path, rows: list[dict[str, Any]]) -> str:
     )
 
 
+def _label(row: dict[str, Any]) -> str:
+    newest = ", newest" * (row["restored"] == "newest")
+    return f"{row['skin']}, {row['preset']}{newest}{', monitor' * (row['monitor'] == 'yes')}"
+
+
 def _disturbed(busiest: float) -> list[str]:
     if busiest <= QUIET:
         return []
@@ -163,7 +171,8 @@ def _disturbed(busiest: float) -> list[str]:
 
 _INTRODUCTION = """\
 A sensor, an edge and a host, each in a process of its own, at 1 kHz on {cores} cores; in half of
-the graphs a monitor watches. The first {warm_up} frames are left out. The nodes are the shipped
+the graphs a monitor watches, and some restore the newest frame that waits and skip the others
+(`depth = 1`). The first {warm_up} frames are left out. The nodes are the shipped
 ones, each with a stopwatch beside it (`studies/latency_nodes.py`): when a message came, when what
 was made of it had been sent. `queue` is the time for which the reader was still busy with the frame
 before, `wire` what else lies between: ZeroMQ, the wake-up of the reader, decoding; `host` is what

@@ -35,6 +35,7 @@ type = "sparseskin.studies.latency_nodes:TimedCompressor"
 [nodes.reconstructor]
 type = "sparseskin.studies.latency_nodes:TimedReconstructor"
 preset = "{preset}"
+depth = {depth}
 """
 _MONITOR = """
 [nodes.monitor]
@@ -50,14 +51,14 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     point : dict
-        scene, preset, rate_hz, n_frames, monitor (whether one watches).
+        scene, preset, depth, rate_hz, n_frames, monitor (whether one watches).
 
     Returns
     -------
     dict
         Of each quantile, total_ms and stages_ms: the mean, over the frames around that quantile,
-        of the time in each of `STAGES`. Further n_frames, lost, and others: how many cores other
-        work on the host had meanwhile.
+        of the time in each of `STAGES`. Further n_frames, skipped, lost, and others: how many
+        cores other work on the host had meanwhile.
     """
     folder = Path(tempfile.mkdtemp(prefix="sparseskin-latency-"))
     graph = _GRAPH.format(**point) + _MONITOR * point["monitor"]
@@ -82,10 +83,12 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         for name in ("sensor", "compressor", "reconstructor")
     )
     stages = stages_ns(sensor, edge, host)[WARM_UP:]
+    skipped = sum(nodes["reconstructor"]["skipped"].values())
     return {
         **figures(stages / 1e6),
         "n_frames": len(stages),
-        "lost": len(sensor) - len(host),
+        "skipped": skipped,
+        "lost": len(sensor) - len(host) - skipped,
         "others": round((_host_busy_s() - before - own_s) / took_s, 2),
     }
 

@@ -291,7 +291,10 @@ def test_one_that_takes_the_newest_alone_says_how_many_it_skipped(
     n_skipped = node["skipped"]["/skin/measurements"]
     assert n_skipped > 0
     assert frames == {
-        **{"sensed": 600, "reconstructed": 600 - n_skipped, "lost": n_skipped, "unpaired": 0}
+        "sensed": 600,
+        "reconstructed": 600 - n_skipped,
+        "lost": n_skipped,
+        "unpaired": n_skipped,
     }
     for one in summary["nodes"].values():
         assert not any(one["lost"].values())
