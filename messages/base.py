@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self, cast
+from typing import Any, ClassVar, Self, TypeVar, cast
 
 import numpy as np
 
 from .fields import FieldKind, Integer, Text, wire
 from .topics import MAX_NAME, NAME_PATTERN, topic_of
+
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,8 +51,9 @@ class Message:
     seq: int = wire(Integer(), default=0)
 
     def __post_init__(self) -> None:
-        for name, kind in wire_fields(type(self)).items():
-            object.__setattr__(self, name, kind.check(name, getattr(self, name)))
+        values = self.__dict__
+        for name, check in checks_of(type(self)):
+            values[name] = check(name, values[name])
         self.validate()
 
     def validate(self) -> None:
@@ -106,23 +111,24 @@ def _same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-_fields: dict[type[Message], dict[str, FieldKind]] = {}
-_omitted: dict[type[Message], dict[str, Any]] = {}
+def once_a_class(make: Callable[[type[Message]], Made]) -> Callable[[type[Message]], Made]:
+    """As `functools.cache`: classes are hashable, also those whose messages are not."""
+    return cast(Callable[[type[Message]], Made], functools.cache(make))
 
 
+@once_a_class
 def wire_fields(cls: type[Message]) -> dict[str, FieldKind]:
     """Name and kind of every field of a message class, in order of declaration."""
-    if cls not in _fields:
-        _fields[cls] = {
-            f.name: cast(FieldKind, f.metadata["wire"]) for f in dataclasses.fields(cls)
-        }
-    return _fields[cls]
+    return {f.name: cast(FieldKind, f.metadata["wire"]) for f in dataclasses.fields(cls)}
 
 
+@once_a_class
 def omitted_fields(cls: type[Message]) -> dict[str, Any]:
     """Name and default of the fields that travel only where they are not their default."""
-    if cls not in _omitted:
-        _omitted[cls] = {
-            f.name: f.default for f in dataclasses.fields(cls) if f.metadata["omitted"]
-        }
-    return _omitted[cls]
+    return {f.name: f.default for f in dataclasses.fields(cls) if f.metadata["omitted"]}
+
+
+@once_a_class
+def checks_of(cls: type[Message]) -> tuple[tuple[str, Callable[[str, Any], Any]], ...]:
+    """What is called with the name and value of every field when a message is made."""
+    return tuple((name, kind.check) for name, kind in wire_fields(cls).items())

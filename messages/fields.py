@@ -7,7 +7,7 @@ import functools
 import math
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,10 +21,17 @@ MAX_ELEMENTS = 1 << 20
 """Largest number of elements of one array."""
 INT64_MAX = (1 << 63) - 1
 STEP_MAX = 1e30
+REMEMBERED = 256
+"""So many sound texts of a field are known again without another look."""
+_ARRAY_KEYS = frozenset({"dtype", "shape", "order", "data"})
+_QUANTISED_KEYS = _ARRAY_KEYS | {"step"}
 
 
 class FieldKind:
     """How one field travels. `check` is run when a message is made, also by `decode`."""
+
+    travels_as_it_is: ClassVar[bool] = True
+    """Whether a checked value is what msgpack carries: there is nothing to pack or unpack."""
 
     def check(self, name: str, value: Any) -> Any:
         """Return the value in its canonical form or raise a MessageError."""
@@ -47,6 +54,8 @@ class Integer(FieldKind):
     high: int = INT64_MAX
 
     def check(self, name: str, value: Any) -> int:
+        if type(value) is int and self.low <= value <= self.high:
+            return value
         if isinstance(value, bool) or not isinstance(value, int | np.integer):
             raise FieldError(f"{name}: expected a whole number, got {type(value).__name__}")
         if not self.low <= value <= self.high:
@@ -63,6 +72,8 @@ class Real(FieldKind):
     optional: bool = False
 
     def check(self, name: str, value: Any) -> float | None:
+        if type(value) is float and self.low <= value <= self.high and math.isfinite(value):
+            return value
         if value is None and self.optional:
             return None
         if isinstance(value, bool) or not isinstance(value, int | float | np.number):
@@ -93,16 +104,26 @@ class Text(FieldKind):
     pattern: str = r"[^\x00-\x1f\x7f\ud800-\udfff]*"
 
     def check(self, name: str, value: Any) -> str:
+        if type(value) is str and value in self._sound:
+            return value
         if not isinstance(value, str):
             raise FieldError(f"{name}: expected a text, got {type(value).__name__}")
         if len(value) > self.longest:
             raise OversizedError(f"{name}: {len(value)} characters, at most {self.longest}")
-        if _compiled(self.pattern).fullmatch(value) is None:
+        if self._compiled.fullmatch(value) is None:
             raise FieldError(f"{name}: {value!r} does not match {self.pattern}")
+        if type(value) is str and len(self._sound) < REMEMBERED:
+            self._sound.add(value)
         return value
 
+    @functools.cached_property
+    def _sound(self) -> set[str]:
+        """Texts that were checked before: the same few come with every frame."""
+        return set()
 
-_compiled = functools.cache(re.compile)
+    @functools.cached_property
+    def _compiled(self) -> re.Pattern[str]:
+        return re.compile(self.pattern)
 
 
 @dataclass(frozen=True)
@@ -113,6 +134,8 @@ class Array(FieldKind):
     form with its byte order ("<f4"), `order` always "C", `data` a msgpack bin field.
     """
 
+    travels_as_it_is: ClassVar[bool] = False
+
     dtype: str
     ndim: int
     optional: bool = False
@@ -122,7 +145,7 @@ class Array(FieldKind):
             return None
         if not isinstance(value, np.ndarray):
             raise FieldError(f"{name}: expected an array, got {type(value).__name__}")
-        if value.dtype != np.dtype(self.dtype):
+        if value.dtype != self._dtype:
             raise ShapeError(f"{name}: expected dtype {self.dtype}, got {value.dtype.str}")
         self._check_shape(name, value.shape)
         self._check_finite(name, value)
@@ -141,30 +164,34 @@ class Array(FieldKind):
     def unpack(self, name: str, raw: Any) -> npt.NDArray[Any] | None:
         if raw is None and self.optional:
             return None
-        if not isinstance(raw, dict) or raw.keys() != {"dtype", "shape", "order", "data"}:
+        if not isinstance(raw, dict) or raw.keys() != _ARRAY_KEYS:
             raise MalformedError(f"{name}: expected a map of dtype, shape, order and data")
         if raw["dtype"] != self.dtype or raw["order"] != "C":
             raise ShapeError(
                 f"{name}: expected dtype {self.dtype} in order C, "
                 f"got {raw['dtype']!r} in order {raw['order']!r}"
             )
-        shape, data = raw["shape"], raw["data"]
-        if not isinstance(data, bytes) or not isinstance(shape, list):
-            raise MalformedError(f"{name}: shape must be a list and data a bin field")
-        if not all(type(side) is int for side in shape):
-            raise MalformedError(f"{name}: shape must be a list of whole numbers")
-        self._check_shape(name, tuple(shape))
-        dtype = np.dtype(self.dtype)
+        shape, data, dtype = _sides(name, raw["shape"]), raw["data"], self._dtype
+        if not isinstance(data, bytes):
+            raise MalformedError(f"{name}: data must be a bin field")
+        self._check_shape(name, shape)
         if len(data) != math.prod(shape) * dtype.itemsize:
-            raise ShapeError(f"{name}: shape {shape} does not fit {len(data)} bytes of data")
+            raise ShapeError(f"{name}: shape {list(shape)} does not fit {len(data)} bytes of data")
         if dtype.kind == "b" and max(data) > 1:
             raise MalformedError(f"{name}: a boolean byte other than 0 and 1")
-        value = np.frombuffer(data, dtype).reshape(shape)
+        value = np.ndarray(shape, dtype, data)
         self._check_finite(name, value)
         return value
 
+    @functools.cached_property
+    def _dtype(self) -> np.dtype[Any]:
+        return np.dtype(self.dtype)
+
     def _check_finite(self, name: str, value: npt.NDArray[Any]) -> None:
-        if value.dtype.kind == "f" and not np.isfinite(value).all():
+        if value.dtype.kind != "f":
+            return
+        # A value that is not finite makes the sum of squares so; huge ones may do it, too.
+        if not math.isfinite(np.vdot(value, value)) and not np.isfinite(value).all():
             cell = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
             raise NotFiniteError(f"{name}{list(cell)}: {value[cell]} is not a finite number")
 
@@ -212,7 +239,7 @@ class Samples(Array):
     def unpack(self, name: str, raw: Any) -> npt.NDArray[Any] | None:
         if not isinstance(raw, dict) or "step" not in raw:
             return super().unpack(name, raw)
-        if raw.keys() != {"dtype", "shape", "order", "step", "data"}:
+        if raw.keys() != _QUANTISED_KEYS:
             raise MalformedError(f"{name}: expected a map of dtype, shape, order, step and data")
         dtype, shape, step, data = (raw[key] for key in ("dtype", "shape", "step", "data"))
         if not isinstance(dtype, str) or not dtype.removeprefix("int").isdecimal():
@@ -220,9 +247,7 @@ class Samples(Array):
         bits = int(dtype.removeprefix("int")[:4])
         if dtype != f"int{bits}" or raw["order"] != "C":
             raise ShapeError(f"{name}: dtype {dtype[:32]!r} in order {str(raw['order'])[:8]!r}")
-        if not isinstance(shape, list) or not all(type(side) is int for side in shape):
-            raise MalformedError(f"{name}: shape must be a list of whole numbers")
-        self._check_shape(name, tuple(shape))
+        self._check_shape(name, _sides(name, shape))
         if type(step) is not float or not isinstance(data, bytes):
             raise MalformedError(f"{name}: step must be a float and data a bin field")
         _check_quantiser(name, bits, step)
@@ -233,6 +258,13 @@ class Samples(Array):
         if codes.max() > largest_code(bits):
             raise MalformedError(f"{name}: a code beyond {largest_code(bits)}")
         return Quantised.of(codes, bits, step)
+
+
+def _sides(name: str, shape: Any) -> tuple[int, ...]:
+    """The shape that an array's map states, if it is a list of whole numbers."""
+    if not isinstance(shape, list) or not set(map(type, shape)) <= {int}:
+        raise MalformedError(f"{name}: shape must be a list of whole numbers")
+    return tuple(shape)
 
 
 def _check_quantiser(name: str, bits: int, step: float) -> None:

@@ -87,8 +87,8 @@ class PhiState(Message):
 class SolverState(Message):
     """How the reconstructor restores forces.
 
-    `iterations` is the number of a frame, at least; `max_iterations` the most, where the solver
-    chooses by frame, else 0.
+    `basis` is "" where the solver takes none from outside. `iterations` is the number of a frame,
+    at least; `max_iterations` the most, where the solver chooses by frame, else 0.
     """
 
     schema: ClassVar[str] = "solver"

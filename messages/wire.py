@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
 import msgpack
 import numpy as np
 
-from .base import Message, omitted_fields, wire_fields
+from .base import Message, omitted_fields, once_a_class, wire_fields
 from .errors import (
     FieldError,
     MalformedError,
@@ -14,7 +18,7 @@ from .errors import (
     UnknownSchemaError,
     VersionError,
 )
-from .fields import MAX_ELEMENTS, FieldKind
+from .fields import MAX_ELEMENTS
 from .frames import Measurements, Reconstruction, Resultant, Taxels, Truth
 from .state import End, PhiState, SkinState, SolverState
 from .topics import MAX_TOPIC_BYTES
@@ -38,16 +42,47 @@ SCHEMAS: dict[str, type[Message]] = {
 }
 
 
+@dataclass(frozen=True)
+class _Form:
+    """The map of a message class, made out once for all its messages."""
+
+    cls: type[Message]
+    keys: frozenset[object]
+    omitted: dict[str, Any]
+    packs: tuple[tuple[str, Callable[[Any], Any]], ...]
+    unpacks: tuple[tuple[str, Callable[[str, Any], Any]], ...]
+
+
+@once_a_class
+def _form(cls: type[Message]) -> _Form:
+    fields = wire_fields(cls)
+    return _Form(
+        cls=cls,
+        keys=frozenset({"schema", "version", *fields}),
+        omitted=omitted_fields(cls),
+        packs=tuple(
+            (name, kind.pack) for name, kind in fields.items() if not kind.travels_as_it_is
+        ),
+        unpacks=tuple(
+            (name, kind.check if kind.travels_as_it_is else kind.unpack)
+            for name, kind in fields.items()
+        ),
+    )
+
+
 def encode(message: Message) -> tuple[bytes, bytes]:
     """Turn a message into its two wire parts, (topic, payload)."""
-    body: dict[str, object] = {"schema": message.schema, "version": message.version}
-    omitted = omitted_fields(type(message))
-    for name, kind in wire_fields(type(message)).items():
-        value = getattr(message, name)
+    form = _form(type(message))
+    # What a message holds is its fields, in order of declaration.
+    body = {"schema": message.schema, "version": message.version, **message.__dict__}
+    for name, default in form.omitted.items():
         # The default stands for itself: an array is never one.
-        if name not in omitted or isinstance(value, np.ndarray) or value != omitted[name]:
-            body[name] = kind.pack(value)
-    return message.topic.encode(), msgpack.packb(body, use_bin_type=True)
+        if not isinstance(body[name], np.ndarray) and body[name] == default:
+            del body[name]
+    for name, pack in form.packs:
+        if name in body:
+            body[name] = pack(body[name])
+    return message.topic.encode(), msgpack.packb(body)
 
 
 def decode(topic: bytes, payload: bytes) -> Message:
@@ -67,12 +102,13 @@ def decode(topic: bytes, payload: bytes) -> Message:
     if len(payload) > MAX_MESSAGE_BYTES:
         raise OversizedError(f"message of {len(payload)} bytes, at most {MAX_MESSAGE_BYTES}")
     body = _unpack(payload)
-    cls, fields = _schema_of(body)
-    body = omitted_fields(cls) | body
-    if body.keys() != fields.keys() | {"schema", "version"}:
-        names = sorted(str(key) for key in body.keys() ^ (fields.keys() | {"schema", "version"}))
-        raise MalformedError(f"{cls.schema}: missing or unknown fields {', '.join(names)[:200]}")
-    message = cls.assembled({name: kind.unpack(name, body[name]) for name, kind in fields.items()})
+    form = _form(_class_of(body))
+    for name, default in form.omitted.items():
+        body.setdefault(name, default)
+    if body.keys() != form.keys:
+        names = ", ".join(sorted(str(key) for key in body.keys() ^ form.keys))
+        raise MalformedError(f"{form.cls.schema}: missing or unknown fields {names[:200]}")
+    message = form.cls.assembled({name: unpack(name, body[name]) for name, unpack in form.unpacks})
     if message.topic.encode() != topic:
         raise FieldError(f"a message of {message.topic} came under topic {topic!r}")
     return message
@@ -105,11 +141,11 @@ def _unpack(payload: bytes) -> dict[object, object]:
     return body
 
 
-def _schema_of(body: dict[object, object]) -> tuple[type[Message], dict[str, FieldKind]]:
+def _class_of(body: dict[object, object]) -> type[Message]:
     name, version = body.get("schema"), body.get("version")
     if not isinstance(name, str) or name not in SCHEMAS:
         raise UnknownSchemaError(f"schema {str(name)[:64]!r} (known: {', '.join(SCHEMAS)})")
     cls = SCHEMAS[name]
     if type(version) is not int or version != cls.version:
         raise VersionError(f"{name}: version {str(version)[:20]}, this program reads {cls.version}")
-    return cls, wire_fields(cls)
+    return cls

@@ -230,6 +230,17 @@ def test_forces_that_are_not_finite_are_refused_and_the_cell_is_named(bad: float
         decode_body(body)
 
 
+@pytest.mark.filterwarnings("error")
+def test_the_largest_finite_forces_are_taken_and_one_that_is_not_finite_among_them_is_named() -> (
+    None
+):
+    forces = np.full((40, 40), np.finfo(np.float32).max)
+    assert decode(*encode(taxels(forces=forces))) == taxels(forces=forces)
+    forces[7, 9] = -np.inf
+    with pytest.raises(NotFiniteError, match=r"forces\[7, 9\]: -inf"):
+        taxels(forces=forces)
+
+
 @pytest.mark.parametrize(
     ("forces", "error"),
     [
