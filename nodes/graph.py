@@ -49,4 +49,6 @@ def join(nodes: NodeSpecs) -> list[Link]:
                 links.append(Link(topic, writers[topic], name))
             if not matching:
                 raise SettingsError(f"{name}: reads {pattern}, of which no node writes any")
+        optional = [topic for topic in cls.optional_inputs(settings) if topic in writers]
+        links += [Link(topic, writers[topic], name) for topic in optional]
     return links

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import Message, Reconstruction, SkinState, Taxels, Truth
+from sparseskin.messages import Message, Reconstruction, Resultant, SkinState, Taxels, Truth
 
 from .history import History
 from .metrics import Judged
@@ -28,12 +28,13 @@ Floats = npt.NDArray[np.float32]
 class PatchFeed:
     """One patch: its newest maps, each with the time at which it came, and its history.
 
-    `maps` are those of one frame, as long as frames are restored; where they are not, the
-    newest of each.
+    `maps` are those of one frame, as long as frames are restored, with the `resultant` of the
+    same frame where it is told; where they are not, the newest of each.
     """
 
     skin: SkinState | None = None
     maps: dict[str, Floats] = field(default_factory=dict)
+    resultant: Resultant | None = None
     came_s: dict[str, float] = field(default_factory=dict)
     n_maps: int = 0
     history: History = field(default_factory=History)
@@ -84,6 +85,7 @@ class Feed:
             if isinstance(message, SkinState):
                 feed.skin = message
                 feed.maps.clear()
+                feed.resultant = None
             elif latency_ns is not None:
                 feed.latency_s = latency_ns / 1e9
             if judged is None:
@@ -92,6 +94,7 @@ class Feed:
             feed.maps = {"taxels": judged.taxels.forces, "restored": judged.reconstruction.forces}
             if judged.truth is not None:
                 feed.maps["truth"] = judged.truth.forces
+            feed.resultant = judged.resultant
             feed.came_s.update(dict.fromkeys(feed.maps, now_s))
             feed.n_maps += 1
             feed.lost = judged.lost
@@ -126,6 +129,7 @@ class Feed:
         name = "restored" if isinstance(message, Reconstruction) else message.schema
         if now_s - feed.came_s.get("restored", -math.inf) > feed.stale_s:
             feed.maps = {**feed.maps, name: message.forces}
+            feed.resultant = None
             feed.came_s[name] = now_s
             feed.n_maps += 1
             self._feed_hungry()

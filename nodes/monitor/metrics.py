@@ -15,6 +15,7 @@ from sparseskin.messages import (
     Message,
     PhiState,
     Reconstruction,
+    Resultant,
     SkinState,
     SolverState,
     Taxels,
@@ -115,6 +116,7 @@ class Judged:
     taxels: Taxels
     truth: Truth | None
     reconstruction: Reconstruction
+    resultant: Resultant | None
     psnr_noisy_db: float
     psnr_db: float
     latency_ms: float
@@ -127,6 +129,7 @@ class _Pending:
     taxels: Taxels | None = None
     truth: Truth | None = None
     reconstruction: Reconstruction | None = None
+    resultant: Resultant | None = None
     latency_ns: int | None = None
     n_sensed: int = 0
     n_reconstructed: int = 0
@@ -205,10 +208,14 @@ class PatchMetrics:
             case Truth():
                 self._pair(message.stamp_ns).truth = message
                 return self._settle(message.stamp_ns)
+            # Who joins late leaves out frames of which it has not seen the taxels.
+            case Resultant() | Reconstruction() if (
+                self._first_ns is None or message.stamp_ns < self._first_ns
+            ):
+                return None
+            case Resultant():
+                self._pair(message.stamp_ns).resultant = message
             case Reconstruction():
-                # Who joins late leaves out frames of which it has not seen the taxels.
-                if self._first_ns is None or message.stamp_ns < self._first_ns:
-                    return None
                 self.latency_ns = self._delay.of(message)
                 if self.latency_ns is not None:
                     self.latency.add(self.latency_ns)
@@ -272,6 +279,7 @@ class PatchMetrics:
             taxels=frame.taxels,
             truth=frame.truth,
             reconstruction=reconstruction,
+            resultant=frame.resultant,
             psnr_noisy_db=noisy_db,
             psnr_db=restored_db,
             latency_ms=math.nan if frame.latency_ns is None else frame.latency_ns / 1e6,

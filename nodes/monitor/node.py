@@ -13,6 +13,7 @@ from sparseskin.messages import (
     Message,
     PhiState,
     Reconstruction,
+    Resultant,
     SkinState,
     SolverState,
     Taxels,
@@ -32,7 +33,8 @@ from .server import PageServer
 from .table import status_line
 
 SUMMARY_EVERY_NS = 500_000_000
-WATCHED = (SkinState, Taxels, Truth, PhiState, Measurements, SolverState, Reconstruction)
+REQUIRED = (SkinState, Taxels, Truth, PhiState, Measurements, SolverState, Reconstruction)
+WATCHED = (*REQUIRED, Resultant)
 
 
 @dataclass(frozen=True)
@@ -76,9 +78,11 @@ class Monitor(Node[MonitorSettings]):
 
     @classmethod
     def inputs(cls, settings: MonitorSettings) -> tuple[str, ...]:
-        return tuple(
-            topic_of(patch, watched.schema) for patch in settings.patches for watched in WATCHED
-        )
+        return tuple(topic_of(patch, k.schema) for patch in settings.patches for k in REQUIRED)
+
+    @classmethod
+    def optional_inputs(cls, settings: MonitorSettings) -> tuple[str, ...]:
+        return tuple(topic_of(patch, Resultant.schema) for patch in settings.patches)
 
     def start(self) -> Iterable[Message]:
         ask = self.context.ask

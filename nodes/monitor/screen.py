@@ -9,8 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from sparseskin.messages import Resultant
+
 from .feed import Feed, PatchFeed
 from .history import SPAN_S
+from .hosts import hosts_told
 from .metrics import CONTACT_FRACTION
 from .notices import BAD, Notices
 from .table import NONE, shown
@@ -42,23 +45,11 @@ def screen(feed: Feed, notices: Notices) -> str:
             lines.append(f"recording {graph['recording']}")
         states = [f"{node['name']}: {node['condition']}" for node in graph.get("nodes", [])]
         lines += _wrapped(states)
-        lines += [_host_line(name, host) for name, host in graph.get("hosts", {}).items()]
+        lines += [text for _, text in hosts_told(graph)]
         lines += [f"{'!!' if tone == BAD else ' *'} {text}" for tone, text in said]
         for name, patch in feed.patches.items():
             lines += _patch_lines(name, patch, now_s)
     return "\n".join(line[:WIDTH] for line in lines)
-
-
-def _host_line(name: str, host: dict[str, Any]) -> str:
-    """What is heard of another host, and how well its clock is known."""
-    if host["silent"]:
-        return f"host {name}: does not hear {', '.join(host['silent'])}"
-    if host["clock_uncertainty_ms"] is None:
-        return f"host {name}: heard" if host["heard"] else f"host {name}: nothing is read from it"
-    return (
-        f"host {name}: heard, its clock is ahead by {host['clock_offset_ms']:.2f} ms "
-        f"± {host['clock_uncertainty_ms']:.2f} ms"
-    )
 
 
 def _wrapped(parts: list[str]) -> list[str]:
@@ -123,7 +114,20 @@ def _map_lines(patch: PatchFeed) -> list[str]:
             col = float(forces.sum(0, dtype=np.float64) @ np.arange(skin.n_cols)) / total
             centre = f"row {row:.1f}, column {col:.1f}"
         lines.append(f"{name:<10}{peak:>12.4g}{total:>14.4g}   {centre}")
+    if patch.resultant is not None:
+        lines.append(_resultant_line(patch.resultant))
     return lines
+
+
+def _resultant_line(told: Resultant) -> str:
+    """Total force and centre of pressure as they were told before the frame was restored."""
+    total = f"{told.total:.4g} ± {told.total_sd:.2g}"
+    centre = "no contact"
+    if told.row is not None and told.col is not None:
+        centre = (
+            f"row {told.row:.1f} ± {told.row_sd:.1f}, column {told.col:.1f} ± {told.col_sd:.1f}"
+        )
+    return f"{'resultant':<22}{total:>14}   {centre}"
 
 
 def _sparkline(rows: np.ndarray[Any, Any], column: int, now_s: float) -> tuple[str, str, str]:

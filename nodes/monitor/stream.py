@@ -17,6 +17,7 @@ import numpy as np
 
 from .feed import Feed, PatchFeed
 from .history import COLUMNS
+from .hosts import hosts_told
 from .notices import Notices
 
 FRAME_S = 1 / 30
@@ -125,7 +126,7 @@ class StreamReader:
                 self._n_maps[name] = patch.n_maps
                 shown = patch.maps if self._patch else {"restored": patch.maps.get("restored")}
                 maps = {key: array for key, array in shown.items() if array is not None}
-                yield {"kind": "maps", "patch": name}, dict(maps)
+                yield {"kind": "maps", "patch": name, **_resultant(patch)}, dict(maps)
         if self._patch is not None:
             first, rows = feed.patches[self._patch].history.since(self._n_rows)
             if len(rows):
@@ -149,6 +150,7 @@ class StreamReader:
         }
         if self._is_new("graph", feed.graph):
             header["graph"] = feed.graph
+            header["hosts"] = hosts_told(feed.graph or {})
         return header
 
     def _patch_state(self, name: str, now_s: float) -> dict[str, Any]:
@@ -173,6 +175,15 @@ class StreamReader:
         is_new = self._sent.get(key) is not value
         self._sent[key] = value
         return is_new
+
+
+def _resultant(patch: PatchFeed) -> dict[str, Any]:
+    """Total force and centre of pressure of the frame shown, where they are told."""
+    told = patch.resultant
+    if told is None:
+        return {}
+    fields = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
+    return {"resultant": {name: getattr(told, name) for name in fields}}
 
 
 def _skin(name: str, patch: PatchFeed) -> tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]:

@@ -51,7 +51,9 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
         f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
         f"range 0..{shown(patch['f_max'], 'g')} {patch['unit']}"
         + (f", {patch['bits']} bits" if patch["bits"] not in (NONE, FLOAT_BITS) else ""),
-        f"restored    {patch['solver']} in {patch['basis']}, {_iterations(patch)}"
+        f"restored    {patch['solver']}"
+        + (f" in {patch['basis']}" if patch["basis"] else "")
+        + f", {_iterations(patch)}"
         + (f" (preset {patch['preset']})" if patch["preset"] not in ("", NONE) else ""),
         f"bytes       taxels {patch['bytes_in']:,}, measurements {patch['bytes_out']:,}"
         + (f" (1/{patch['bytes_in'] / patch['bytes_out']:.2f})" if patch["bytes_out"] else ""),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import bags
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from sparseskin.messages import (
     Message,
     PhiState,
     Reconstruction,
+    Resultant,
     SkinState,
     SolverState,
     Taxels,
@@ -20,11 +22,15 @@ from sparseskin.messages import (
     size_bytes,
 )
 from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.graph import NodeSpecs, join
 from sparseskin.nodes.monitor.metrics import MAX_PENDING, PatchMetrics, psnr_db
 from sparseskin.nodes.monitor.node import Monitor
 from sparseskin.nodes.monitor.table import status_line, summary_table
 from sparseskin.nodes.node import Context
+from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.sensor.node import Sensor
 
 SHAPE = (4, 5)
 HEAD: dict[str, Any] = {"patch": "skin", "run_id": "0" * 16}
@@ -195,6 +201,44 @@ def test_the_status_line_counts_what_is_missing_so_far() -> None:
     messages[-1] = dataclasses.replace(messages[-1], seq=1)
     line = status_line("skin", metrics_of(skin(), *messages), 200.0)
     assert line == "skin: 2 frames, 200 Hz, lost 2 | PSNR 100.0 -> 100.0 dB | latency 3.0/3.0 ms"
+
+
+def resultant(k: int) -> Resultant:
+    return Resultant(
+        stamp_ns=k * bags.PERIOD_NS, patch="skin", total=float(k), total_sd=0.1, done_ns=0
+    )
+
+
+def test_a_frame_is_judged_with_its_own_resultant_where_it_has_one() -> None:
+    metrics = PatchMetrics()
+    metrics.add(bags.skin_state())
+    for k, told in enumerate((True, False, True)):
+        taxels, truth, measurements, restored = bags.frame(k)
+        messages = [taxels, truth, measurements, *[resultant(k)] * told, restored]
+        *_, judged = [metrics.add(m.published("0" * 16, k)) for m in messages]
+        assert judged is not None
+        assert (judged.resultant.total if judged.resultant else None) == (k if told else None)
+    assert metrics.summary()["frames"]["unpaired"] == 0
+
+
+def test_who_joins_late_pairs_no_resultant_of_before() -> None:
+    metrics = PatchMetrics(late=True)
+    metrics.add(resultant(0).published("0" * 16, 0))
+    assert metrics.summary()["frames"]["unpaired"] == 0
+
+
+def test_a_monitor_reads_resultants_where_they_are_written() -> None:
+    settings = Monitor.Settings()
+    for told in (False, True):
+        nodes: NodeSpecs = {
+            "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
+            "compressor": (Compressor, Compressor.Settings()),
+            "reconstructor": (Reconstructor, Reconstructor.Settings(resultant=told)),
+            "monitor": (Monitor, settings),
+        }
+        read = {link.topic for link in join(nodes) if link.reader == "monitor"}
+        assert ("/skin/resultant" in read) == told
+        assert set(Monitor.inputs(settings)) <= read
 
 
 def test_a_monitor_watches_several_patches_apart() -> None:

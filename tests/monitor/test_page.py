@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -12,6 +13,11 @@ from typing import Any
 import pytest
 from browser import browser, lack
 from conftest import Program, StartProgram, wait_until
+from feeds import Graph, graph_state
+
+from sparseskin.messages import Resultant
+from sparseskin.nodes.monitor.notices import Notices
+from sparseskin.nodes.monitor.server import PageServer
 
 pytestmark = pytest.mark.skipif(bool(lack()), reason=lack() or "a browser is there")
 
@@ -89,6 +95,57 @@ def test_maps_change_from_frame_to_frame(start: StartProgram, page: Any) -> None
         before = pixels(page, which)
         wait_until(lambda: pixels(page, which) != before, f"another map of {which}")  # noqa: B023
     assert text(page, "figure h2") == "Truth Taxels read Reconstructed Absolute error"
+
+
+def test_the_resultant_is_a_cross_in_its_ellipse_and_hosts_are_in_the_header(page: Any) -> None:
+    graph = Graph()
+    graph.skin()
+    with contextlib.closing(
+        PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
+    ) as server:
+        page.get(server.url)
+        told = {"total": 3.21, "total_sd": 0.12, "row": 1.0, "col": 5.0, "row_sd": 0.5, "col_sd": 1}
+        graph.take(Resultant(stamp_ns=0, patch="skin", done_ns=0, **told))
+        host = {"heard": True, "silent": [], "clock_offset_ms": 0.1, "clock_uncertainty_ms": 0.3}
+        graph.feed.tell(graph=graph_state(hosts={"edge": host}))
+        graph.frame()
+        figures = '[data-panel="restored"] figcaption'
+        wait_until(lambda: "resultant 3.2 ± 0.1 N" in text(page, figures), "the resultant")
+        assert text(page, "#hosts li") == "host edge: heard, clock +0.10 ± 0.30 ms"
+        # In pixels of the page: as the cells of the map beneath lie, of 5 rows and 7 columns.
+        of_map, of_ellipse = (
+            page.execute_script(
+                f"const b = document.querySelector('[data-panel=restored] {which}')"
+                ".getBoundingClientRect(); return [b.x, b.y, b.width, b.height]"
+            )
+            for which in ("canvas", "ellipse")
+        )
+        cell = (of_map[2] - 2) / 7  # without its border
+        middle = [of_ellipse[k] + of_ellipse[2 + k] / 2 - of_map[k] - 1 for k in (0, 1)]
+        assert middle == pytest.approx([5.5 * cell, 1.5 * cell], abs=1.0)
+        assert of_ellipse[2] == pytest.approx(2 * 2.146 * cell, abs=1.0)
+        graph.frame()
+        wait_until(lambda: "resultant" not in text(page, figures), "a frame without")
+        assert page.find_elements("css selector", "ellipse") == []
+
+
+def test_the_overview_has_a_card_of_each_patch_with_its_map(page: Any) -> None:
+    graph = Graph("left", "right")
+    with contextlib.closing(
+        PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
+    ) as server:
+        page.get(server.url)
+        for patch in ("left", "right"):
+            graph.skin(patch)
+
+            def is_shown(patch: str = patch) -> bool:
+                graph.frame(patch)  # one that comes before there is a card is not drawn
+                return "peak" in text(page, f"#card-{patch} small")
+
+            wait_until(is_shown, f"the map of {patch} on its card")
+        # The server of this page is gone: the browser says so, and that is no fault.
+        errors = [entry["message"] for entry in page.get_log("browser")]
+        assert not [text for text in errors if "ERR_" not in text]
 
 
 def test_a_control_changes_the_solver_and_the_page_says_so(start: StartProgram, page: Any) -> None:

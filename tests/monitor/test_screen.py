@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from bags import PHI
 from feeds import FakeTime, Graph, graph_state, node_state
 
-from sparseskin.messages import Measurements, PhiState, Reconstruction, Taxels, Truth
+from sparseskin.messages import Measurements, PhiState, Reconstruction, Resultant, Taxels, Truth
 from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.monitor.hosts import hosts_told
 from sparseskin.nodes.monitor.node import Monitor
 from sparseskin.nodes.monitor.notices import Notices
 from sparseskin.nodes.monitor.screen import BARS, N_BARS, WIDTH, screen
@@ -90,6 +93,46 @@ def test_each_map_has_its_peak_total_and_centre_of_pressure(clock: FakeTime) -> 
         *("column", f"{(2 * 4 + 6 * 2.5) / 8:.1f}"),
     ]
     assert "peak (N)" in " ".join(lines)
+
+
+def test_the_resultant_of_the_last_frame_is_a_line_where_it_is_told(clock: FakeTime) -> None:
+    graph = filled(clock)
+    assert not any(line.startswith("resultant") for line in lines_of(graph))
+    told = Resultant(patch="skin", stamp_ns=0, total=3.2, total_sd=0.12, done_ns=0)
+    place = {"row": 1.5, "col": 2.5, "row_sd": 0.3, "col_sd": 0.4}
+    graph.feed.patches["skin"].resultant = told
+    line = line_with(lines_of(graph), "resultant")
+    assert " ".join(line.split()) == "resultant 3.2 ± 0.12 no contact"
+    graph.feed.patches["skin"].resultant = replace(told, **place)
+    line = line_with(lines_of(graph), "resultant")
+    assert " ".join(line.split()) == "resultant 3.2 ± 0.12 row 1.5 ± 0.3, column 2.5 ± 0.4"
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"heard": True}, ("heard", "host edge: heard")),
+        ({}, ("unread", "host edge: nothing is read from it")),
+        (
+            {"heard": False, "silent": ["sensor", "compressor"]},
+            ("silent", "host edge: does not hear sensor, compressor"),
+        ),
+        (
+            {"heard": True, "clock_offset_ms": -0.124, "clock_uncertainty_ms": 0.3},
+            ("heard", "host edge: heard, clock -0.12 ± 0.30 ms"),
+        ),
+    ],
+)
+def test_each_other_host_is_a_line(
+    clock: FakeTime, changes: dict[str, Any], told: tuple[str, str]
+) -> None:
+    unknown = {"heard": None, "silent": [], "clock_offset_ms": None, "clock_uncertainty_ms": None}
+    graph = filled(clock)
+    assert not any(line.startswith("host") for line in lines_of(graph))
+    graph.feed.tell(graph=graph_state(hosts={"edge": unknown | changes}))
+    assert graph.feed.graph is not None
+    assert hosts_told(graph.feed.graph) == [told]
+    assert told[1] in lines_of(graph)
 
 
 def test_where_nothing_is_touched_there_is_no_centre(clock: FakeTime) -> None:

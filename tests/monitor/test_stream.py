@@ -9,10 +9,10 @@ import threading
 
 import numpy as np
 import pytest
-from bags import MASK, N_COLS, N_ROWS
+from bags import MASK, N_COLS, N_ROWS, frame
 from feeds import BEGIN_S, FakeTime, Graph, Record, graph_state, node_state, read_records
 
-from sparseskin.messages import Reconstruction, Taxels, Truth
+from sparseskin.messages import Reconstruction, Resultant, Taxels, Truth
 from sparseskin.nodes.monitor.feed import MAX_ANSWERS
 from sparseskin.nodes.monitor.history import COLUMNS
 from sparseskin.nodes.monitor.notices import Notices
@@ -83,6 +83,35 @@ def test_maps_that_go_together_are_of_one_frame(clock: FakeTime) -> None:
         for name, kind in by_name.items():
             (message,) = [m for m in whole if isinstance(m, kind)]
             np.testing.assert_array_equal(maps[name], message.forces)
+
+
+def test_the_resultant_of_the_frame_shown_comes_with_its_maps(clock: FakeTime) -> None:
+    graph = Graph()
+    graph.skin()
+    page = Page(graph, clock)
+    place = {"row": 1.5, "col": 2.5, "row_sd": 0.25, "col_sd": 0.5}
+    for told in (place, dict.fromkeys(place), None):
+        graph.frame(upto=0)  # its number is taken
+        taxels, truth, measurements, restored = frame(graph.n["skin"])
+        if told is not None:
+            head = {"stamp_ns": taxels.stamp_ns, "patch": "skin", "done_ns": 0}
+            graph.take(Resultant(**head, total=3.0, total_sd=0.1, **told))
+        for message in (taxels, truth, measurements, restored):
+            graph.take(message.published("0" * 16, graph.n["skin"]))
+        header, _ = only(page.pull(), "maps")
+        expected = None if told is None else {"total": 3.0, "total_sd": 0.1, **told}
+        assert header.get("resultant") == expected
+
+
+def test_other_hosts_are_told_with_the_graph_in_words(clock: FakeTime) -> None:
+    graph = Graph()
+    page = Page(graph, clock)
+    graph.feed.tell(graph=graph_state())
+    assert page.pull()[0][0]["hosts"] == []
+    host = {"heard": True, "silent": [], "clock_offset_ms": None, "clock_uncertainty_ms": None}
+    graph.feed.tell(graph=graph_state(hosts={"edge": host}))
+    assert page.pull()[0][0]["hosts"] == [["heard", "host edge: heard"]]
+    assert "hosts" not in page.pull()[0][0]
 
 
 def test_where_nothing_is_restored_the_taxels_are_shown(clock: FakeTime) -> None:

@@ -1,7 +1,8 @@
 // Small helpers: elements, and numbers as text.
 
 export function element(tag, attributes = {}, ...children) {
-  const made = document.createElement(tag);
+  const space = ["svg", "ellipse", "path"].includes(tag) ? "2000/svg" : "1999/xhtml";
+  const made = document.createElementNS(`http://www.w3.org/${space}`, tag);
   for (const [key, value] of Object.entries(attributes)) {
     if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
     else if (typeof value === "boolean") made.toggleAttribute(key, value);
@@ -28,6 +29,12 @@ export function brief(value, unit = "") {
   if (!known(value)) return "–";
   const digits = value === 0 ? 0 : 2 - Math.floor(Math.log10(Math.abs(value)));
   return value.toFixed(Math.min(Math.max(digits, 0), 4)) + (unit && ` ${unit}`);
+}
+
+// A value with its standard deviation, to one digit of that.
+export function within(value, deviation, unit) {
+  const digits = Math.min(Math.max(-Math.floor(Math.log10(deviation)), 0), 4);
+  return `${value.toFixed(digits)} ± ${deviation.toFixed(digits)} ${unit}`;
 }
 
 // The same without zeros at the end, for the ticks of an axis.

@@ -12,7 +12,7 @@ const TEXT_MS = 100;
 
 const model = {
   run: null, connection: "connecting", heard: 0, silent: 0, over: false, quiet: false,
-  graph: null, state: null, summaries: {}, skins: {}, maps: {}, fresh: {}, traffic: {},
+  graph: null, hosts: [], state: null, summaries: {}, skins: {}, maps: {}, fresh: {}, traffic: {},
 };
 let patch = null; // null: the overview
 let stream = null, maps = null, strips = null;
@@ -32,7 +32,7 @@ function onRecord(record) {
   if (record.kind === "state") onState(record);
   else if (record.kind === "skin") onSkin(record);
   else if (record.kind === "maps") {
-    model.maps[record.patch] = record.data;
+    model.maps[record.patch] = record;
     model.fresh[record.patch] = true;
     requestAnimationFrame(drawMaps);
   } else if (record.kind === "rows") strips?.add(record);
@@ -49,7 +49,7 @@ function onState(record) {
   model.run = record.run;
   model.state = record;
   model.over = record.closed;
-  if (record.graph) model.graph = record.graph;
+  if (record.graph) [model.graph, model.hosts] = [record.graph, record.hosts];
   for (const [name, state] of Object.entries(record.patches)) {
     if (state.summary) onSummary(name, state.summary, record.now_s);
     state.summary = model.summaries[name];
@@ -91,7 +91,7 @@ function drawMaps() {
 
 function drawCard(name) {
   const canvas = document.querySelector(`#card-${name} canvas`);
-  const { restored } = model.maps[name];
+  const { restored } = model.maps[name].data;
   if (!canvas || !restored) return;
   setText(canvas.nextElementSibling, thumbnail(canvas, restored, model.skins[name]));
 }
@@ -153,31 +153,35 @@ function condition(node) {
   return model.over && node.condition !== "failed" ? "ended" : node.condition;
 }
 
-function drawNodes() {
-  const list = byId("nodes");
-  const nodes = model.graph?.nodes ?? [];
-  if (list.children.length !== nodes.length) {
-    list.replaceChildren(...nodes.map(() => element("li")));
+// The elements of a list, as many as there are to be, each with its text.
+function listed(id, texts) {
+  const list = byId(id);
+  if (list.children.length !== texts.length) {
+    list.replaceChildren(...texts.map(() => element("li")));
   }
-  nodes.forEach((node, k) => {
-    list.children[k].dataset.condition = condition(node);
-    list.children[k].title = node.line;
+  texts.forEach((text, k) => setText(list.children[k], text));
+  return list.children;
+}
+
+function drawNodes() {
+  const nodes = model.graph?.nodes ?? [];
+  const items = listed("nodes", nodes.map((node) => {
     const restarts = node.restarts
       ? `, ${node.restarts} restart${node.restarts > 1 ? "s" : ""}` : "";
-    setText(list.children[k], `${node.name}: ${condition(node)}${restarts}`);
+    return `${node.name}: ${condition(node)}${restarts}`;
+  }));
+  nodes.forEach((node, k) => {
+    items[k].dataset.condition = condition(node);
+    items[k].title = node.line;
   });
+  const hosts = listed("hosts", model.hosts.map(([, text]) => text));
+  model.hosts.forEach(([heard], k) => (hosts[k].dataset.condition = model.over ? "ended" : heard));
 }
 
 function drawNotices() {
   const found = notices(model);
-  const list = byId("notices");
-  if (list.children.length !== found.length) {
-    list.replaceChildren(...found.map(() => element("li")));
-  }
-  found.forEach(([tone, text], k) => {
-    list.children[k].className = tone;
-    setText(list.children[k], text);
-  });
+  const items = listed("notices", found.map(([, text]) => text));
+  found.forEach(([tone], k) => (items[k].className = tone));
   const bad = found.some(([tone]) => tone === "bad");
   const pill = byId("liveness");
   pill.className = `pill ${bad ? "bad" : found.length ? "note" : "good"}`;

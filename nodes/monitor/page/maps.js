@@ -1,7 +1,7 @@
 // The maps of one patch: truth, taxels, reconstruction and error on canvases, with a colour bar.
 
 import { GRADIENT, VIRIDIS, rounded } from "./colours.js";
-import { byId, brief, element, setText, tick } from "./dom.js";
+import { brief, byId, element, setText, tick, within } from "./dom.js";
 
 const TITLES = {
   truth: "Truth",
@@ -11,6 +11,7 @@ const TITLES = {
 };
 const HOLD_MS = 4000; // how long the range of colours stays wide after a peak
 const CONTACT = 0.004; // of f_max: below this no centre of pressure is stated
+const ELLIPSE = 2.146; // standard deviations that hold 90 % of a normal distribution in a plane
 
 export class Maps {
   constructor(root, skin) {
@@ -44,15 +45,21 @@ export class Maps {
     };
     const title = name === "error" && !this.skin.has_truth ? "Difference from the taxels"
       : TITLES[name];
+    // Laid over the canvas in taxels, (0, 0) at the middle of the first.
+    const { n_rows: nRows, n_cols: nCols } = this.skin;
+    const over = element("svg", { class: "over", viewBox: `-0.5 -0.5 ${nCols} ${nRows}` });
+    this.panels[name].over = over;
     return element("figure", { "data-panel": name }, element("h2", {}, title),
-      element("div", { class: "framed" }, canvas,
+      element("div", { class: "framed" }, element("div", { class: "map" }, canvas, over),
         element("div", { class: "scale" }, top, bar, element("span", {}, "0"))),
       figures);
   }
 
-  // Take new maps, each float32 (n_rows * n_cols,), row after row.
-  show(maps, now) {
+  // Take new maps, each float32 (n_rows * n_cols,), row after row, and the frame's resultant.
+  show({ data: maps, resultant }, now) {
     this.maps = { ...maps };
+    this.resultant = resultant;
+    this.mark();
     const reference = maps.truth ?? maps.taxels;
     if (maps.restored && reference) {
       this.maps.error = maps.restored.map((v, k) => Math.abs(v - reference[k]));
@@ -74,9 +81,22 @@ export class Maps {
       const top = own ? Math.min(rounded(highest(map)), this.skin.f_max) : range;
       paint(panel, map, this.mask, top);
       setText(panel.top, `${tick(top)} ${this.skin.unit}`);
-      setText(panel.figures, name === "error" ? this.errorText(map) : this.forceText(map));
+      const told = name === "restored" && this.resultant;
+      setText(panel.figures, name === "error" ? this.errorText(map) : this.forceText(map)
+        + (told ? `\nresultant ${within(told.total, told.total_sd, this.skin.unit)}` : ""));
     }
     this.read();
+  }
+
+  // The centre of pressure that was told before the frame was restored: a cross, and the ellipse
+  // that holds it in 90 % of the frames.
+  mark() {
+    const { row, col, row_sd: rowSd, col_sd: colSd } = this.resultant ?? {};
+    const arm = 0.04 * Math.max(this.skin.n_rows, this.skin.n_cols);
+    const cross = `M${col - arm} ${row}h${2 * arm}M${col} ${row - arm}v${2 * arm}`;
+    this.panels.restored.over.replaceChildren(...(Number.isFinite(row) ? [
+      element("ellipse", { cx: col, cy: row, rx: ELLIPSE * colSd, ry: ELLIPSE * rowSd }),
+      element("path", { d: cross })] : []));
   }
 
   forceText(map) {
