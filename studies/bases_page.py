@@ -49,9 +49,10 @@ _SAMPLED = """\
 
 *acts*: M single taxels, chosen anew in each frame by what those that were read first say, and
 linear interpolation between them (after ACTS, arXiv 2410.13847: the sampling follows differences
-of readings, which is ours, and the interpolation is the one that article compares with, not its
-dictionary). *subsample*: M taxels drawn once, same interpolation. *paper*, *skin*: M scrambled
-block Hadamard measurements and those presets. Frames one after the other from shortly before the
+of readings, and interpolation is along rows, columns and diagonals, which is ours; that article
+compares with linear interpolation, and has a dictionary besides). *subsample*: M taxels drawn
+once, linear interpolation on triangles. *paper*, *skin*: M scrambled block Hadamard measurements
+and those presets. Frames one after the other from shortly before the
 first contact. Mean PSNR over contact frames in dB, in brackets the worst frame.
 
 A frame of *acts* is M reads one after the other, each decided by those before; its places take

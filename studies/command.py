@@ -79,7 +79,7 @@ def add_study_parser(commands: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="\n".join(f"{name:<15} {what}" for name, (what, _) in STUDIES.items()),
     )
-    parser.add_argument("name", metavar="NAME", help=f"study: {', '.join(STUDIES)}")
+    parser.add_argument("name", metavar="STUDY", help=f"study: {', '.join(STUDIES)}")
     parser.add_argument(
         "--quick", action="store_true", help="fewer frames and points: to see that it runs"
     )

@@ -15,6 +15,7 @@ from typing import Any
 
 from sparseskin.nodes.recorder.bag_reader import BagReader
 
+from .faults_keys import turned_away
 from .faults_signals import RATE_HZ, graph_text
 from .graph_probe import Probe
 from .graph_run import GraphRun, wait_until
@@ -24,7 +25,7 @@ N_STALLED = 100
 N_KILLS = 20
 STEP_S = 3600
 DISK = "1m"
-BACKLOG_S = 180.0
+BACKLOG_S = 60.0
 """When waiting for the end of a backlog is given up."""
 #: Found by Python before any module of its own: the wall clock of a process, an hour back once a
 #: file is there. The monotonic clock, which no step of the wall clock moves, is left as it is.
@@ -87,7 +88,7 @@ def in_a_row(point: dict[str, Any], folder: Path) -> dict[str, Any]:
         recover_s = (probe.wait_for_frame(last_ns) - last_ns) / 1e9
         busy = (cpu_s(graph.process.pid) - launcher_s) / ((probe.clock.now_ns() - began_ns) / 1e9)
         stopped = _stopped(graph, others, "reconstructor")
-        lost, _ = _lost(probe, began_ns)
+        lost, _ = probe.lost(began_ns)
         graph.end()
         return _row(
             recover_s,
@@ -127,7 +128,7 @@ def full_disk(point: dict[str, Any], folder: Path) -> dict[str, Any]:
             began_ns, others = probe.clock.now_ns(), dict(graph.nodes())
             said = graph.wait_for("No space left on device")
             time.sleep(point["seconds"])
-            lost, n_sensed = _lost(probe, began_ns)
+            lost, n_sensed = probe.lost(began_ns)
             stopped = _stopped(graph, others, "recorder")
             graph.end()
             left = graph.left()
@@ -159,7 +160,7 @@ def ten_times_the_rate(point: dict[str, Any], folder: Path) -> dict[str, Any]:
         recover_s = (recovered_ns - ended_ns) / 1e9
         oldest_s = max(seen.came_ns - seen.stamp_ns for seen in probe.seen()) / 1e9
         time.sleep(1.0)
-        lost, n_sensed = _lost(probe, began_ns)
+        lost, n_sensed = probe.lost(began_ns)
         stopped = _stopped(graph, others)
         graph.end()
         counted = graph.summary()["patches"]["skin"]["frames"]["lost"]
@@ -194,7 +195,7 @@ def stepped_clock(point: dict[str, Any], folder: Path) -> dict[str, Any]:
         switch.touch()
         recover_s = (probe.wait_for_frame(began_ns) - began_ns) / 1e9
         time.sleep(point["seconds"])
-        lost, n_sensed = _lost(probe, began_ns)
+        lost, n_sensed = probe.lost(began_ns)
         stamps = [seen.stamp_ns for seen in probe.seen()]
         stopped = _stopped(graph, others)
         graph.end()
@@ -227,7 +228,7 @@ def stalled_subscribers(point: dict[str, Any], folder: Path) -> dict[str, Any]:
             for name in ("sensor", "reconstructor"):
                 stack.enter_context(_stalled(endpoints[name]))
             time.sleep(point["seconds"])
-            lost, n_sensed = _lost(probe, began_ns)
+            lost, n_sensed = probe.lost(began_ns)
             recover_s = (probe.wait_for_frame(now := probe.clock.now_ns()) - now) / 1e9
             grew_mb = {name: memory_mb(pid) - before_mb[name] for name, pid in others.items()}
             stopped = _stopped(graph, others)
@@ -252,6 +253,7 @@ CASES: dict[str, Callable[[dict[str, Any], Path], dict[str, Any]]] = {
     "clock": stepped_clock,
     "driver": stepped_driver,
     "subscribers": stalled_subscribers,
+    "keys": turned_away,
 }
 
 
@@ -303,13 +305,6 @@ def _stalled(endpoint: str) -> Iterator[None]:
     finally:
         process.kill()
         process.communicate()
-
-
-def _lost(probe: Probe, began_ns: int) -> tuple[int, int]:
-    """Frames sensed since a time and not restored, and frames sensed; without the last 0.3 s."""
-    until_ns = probe.clock.now_ns() - 300_000_000
-    sensed = {stamp for stamp in probe.stamps("taxels") if began_ns < stamp < until_ns}
-    return len(sensed - probe.stamps("reconstruction")), len(sensed)
 
 
 def _stopped(graph: GraphRun, before: dict[str, int], *but: str) -> list[str]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import statistics
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,8 @@ NODES = ("sensor", "compressor", "reconstructor", "monitor", "recorder")
 STREAM = ("sensor", "compressor", "reconstructor")
 SETTLE_S = 0.4
 """Frames of before a fault, to know that the graph runs as it should."""
+KNOWN_S, KNOWN_PART = 0.1, 0.1
+"""How well the median time of recovery is to be known: in seconds, or as a part of it."""
 GRAPH = """
 [graph]
 restart = "on-failure"
@@ -87,23 +91,22 @@ def strike(
     if node not in STREAM:
         recover_s = (probe.clock.now_ns() - ended_ns) / 1e9
     probe.wait_for_fresh(probe.clock.now_ns())
-    time.sleep(SETTLE_S)  # what is still under way is not lost
-    until_ns = probe.clock.now_ns() - round(SETTLE_S * 5e8)
-    sensed = [s for s in probe.stamps("taxels") if began_ns - 1e8 < s < until_ns]
-    restored = probe.stamps("reconstruction")
-    expected = (until_ns - began_ns + 1e8) / 1e9 * point["rate_hz"]
+    time.sleep(SETTLE_S)
+    since_ns, until_ns = began_ns - 100_000_000, max(probe.stamps("reconstruction"))
+    lost, n_sensed = probe.lost(since_ns)
+    expected = (until_ns - since_ns) / 1e9 * point["rate_hz"]
     after = graph.nodes()
     others = [name for name, pid in before.items() if name != node and after.get(name) != pid]
     return {
         "recover_s": recover_s,
-        "lost": sum(stamp not in restored for stamp in sensed),
-        "not_sensed": max(0, round(expected) - len(sensed)) if node == "sensor" else 0,
+        "lost": lost,
+        "not_sensed": max(0, round(expected) - n_sensed) if node == "sensor" else 0,
         "stopped": others,
     }
 
 
-def measure(point: dict[str, Any], folder: Path) -> list[dict[str, Any]]:
-    """One row a node: the signal `point["signal"]`, `point["repeats"]` times each.
+def measure(point: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The signal `point["signal"]`, `point["repeats"]` times to each node of one graph.
 
     Parameters
     ----------
@@ -111,7 +114,14 @@ def measure(point: dict[str, Any], folder: Path) -> list[dict[str, Any]]:
         signal: its name. repeats: how often. stop_s: how long SIGSTOP lasts. rate_hz.
     folder : Path
         Empty folder in which the graph runs.
+
+    Returns
+    -------
+    dict
+        struck: what `strike` found of each node, by its name. not_recorded: frames that are in no
+        recording, a repeat. left: what the graph left behind. took_s.
     """
+    began_s = time.monotonic()
     number = signal.Signals[point["signal"]]
     struck: dict[str, list[dict[str, Any]]] = {node: [] for node in NODES}
     with GraphRun(folder, graph_text(rate_hz=point["rate_hz"]), "--record", "run.mcap") as graph:
@@ -123,20 +133,62 @@ def measure(point: dict[str, Any], folder: Path) -> list[dict[str, Any]]:
         in_memory = graph.shared_memory()
         graph.end()
         left = [what for what in graph.left() if not what.endswith(".mcap.part")] + in_memory
-    unrecorded = not_recorded(folder, sensed) / point["repeats"]
-    return [
-        {
-            "fault": point["signal"],
-            "node": node,
-            "recover_s": [round(s["recover_s"], 4) for s in found],
-            "lost": statistics.median(s["lost"] for s in found),
-            "not_sensed": statistics.median(s["not_sensed"] for s in found),
-            "not_recorded": round(unrecorded, 1) if node == "recorder" else 0,
-            "stopped": sorted({name for s in found for name in s["stopped"]}),
-            "left": left,
-        }
-        for node, found in struck.items()
-    ]
+    return {
+        "struck": struck,
+        "not_recorded": not_recorded(folder, sensed) / point["repeats"],
+        "left": left,
+        "took_s": round(time.monotonic() - began_s, 1),
+    }
+
+
+def rows_of(signal_name: str, lots: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row a node, of all that was measured of a signal, lot by lot."""
+    rows = []
+    for node in NODES:
+        found = [s for lot in lots for s in lot["struck"][node]]
+        unrecorded = statistics.mean(lot["not_recorded"] for lot in lots)
+        rows.append(
+            {
+                "fault": signal_name,
+                "node": node,
+                "recover_s": [round(s["recover_s"], 4) for s in found],
+                "lost": statistics.median(s["lost"] for s in found),
+                "not_sensed": statistics.median(s["not_sensed"] for s in found),
+                "not_recorded": round(unrecorded, 1) if node == "recorder" else 0,
+                "stopped": sorted({name for s in found for name in s["stopped"]}),
+                "left": [what for lot in lots for what in lot["left"]],
+            }
+        )
+    return rows
+
+
+def is_known(lots: list[dict[str, Any]]) -> bool:
+    """Whether the median time of recovery of every node is known well enough: the interval that
+    holds it in 90 % of the cases is within `KNOWN_S` or `KNOWN_PART` of it.
+    """
+    for node in NODES:
+        times_s = [s["recover_s"] for lot in lots for s in lot["struck"][node]]
+        if not times_s:
+            return False
+        low, high = median_interval(times_s)
+        if (high - low) / 2 > max(KNOWN_S, KNOWN_PART * statistics.median(times_s)):
+            return False
+    return True
+
+
+def median_interval(values: Sequence[float]) -> tuple[float, float]:
+    """The interval between two of the values that holds the median in 90 % of the cases or more,
+    whatever the distribution; with fewer than 5 values, all of them.
+
+    Source: the sign test; Conover, "Practical Nonparametric Statistics", Wiley, 1999, section 3.2.
+    """
+    found, n = sorted(values), len(values)
+    left_out, tail = 0, 2.0**-n
+    while left_out < n // 2 and 2 * tail <= 0.1:
+        left_out += 1
+        tail += math.comb(n, left_out) * 2.0**-n
+    k = max(0, left_out - 1)
+    return found[k], found[n - 1 - k]
 
 
 def not_recorded(folder: Path, sensed: set[int]) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -12,6 +13,7 @@ import zmq
 
 from sparseskin.messages import Message, MessageError, decode
 from sparseskin.nodes.clock import SystemClock
+from sparseskin.nodes.keys import read_key_pair
 from sparseskin.nodes.sockets import Reader, make_context
 
 from .graph_run import PATIENCE_S, GraphRun, wait_until
@@ -51,12 +53,15 @@ class Probe:
         self.clock = SystemClock(note["offset_ns"])
         topics = [f"/skin/{schema}" for schema in schemas]
         writers = [
-            node["endpoint"]
+            (node["endpoint"], node["key"])
             for node in note["nodes"].values()
             if any(topic in node["outputs"] for topic in topics)
         ]
+        keys = read_key_pair(Path(note["key_file"])) if note["key_file"] else None
         self._context = make_context()
-        self._reader = Reader(self._context, "probe", writers, topics, present=False)
+        self._reader = Reader(self._context, "probe", (), topics, present=False, keys=keys)
+        for endpoint, key in writers:
+            self._reader.connect(endpoint, key)
         self._seen: dict[str, list[Seen]] = {schema: [] for schema in schemas}
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._read, name="probe", daemon=True)
@@ -82,6 +87,15 @@ class Probe:
     def stamps(self, schema: str) -> set[int]:
         """The frames that came so far."""
         return {seen.stamp_ns for seen in self.seen(schema)}
+
+    def lost(self, since_ns: int) -> tuple[int, int]:
+        """Frames sensed since a time and not restored, and frames sensed; up to the newest that
+        was restored: those that come after it may be under way still.
+        """
+        restored = self.stamps("reconstruction")
+        until_ns = max(restored, default=0)
+        sensed = {stamp for stamp in self.stamps("taxels") if since_ns < stamp <= until_ns}
+        return len(sensed - restored), len(sensed)
 
     def wait_for_frame(self, after_ns: int, schema: str = "reconstruction") -> int:
         """Wait for a frame that was acquired after a time, and return when it came."""

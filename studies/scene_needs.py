@@ -69,8 +69,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     rows = [{**row, "verdict": verdict(row)} for row in rows]
     parts = [_TEXT]
     if quick:
-        parts.append(f"Quick: three scenes, their first {QUICK_STEPS} steps.")
-    parts += [_chart(out, rows), _summary(rows)]
+        parts.append(_quick_text())
+    parts += [_chart(out, rows), summary(rows, quick)]
     for scene in dict.fromkeys(row["scene"] for row in rows):
         parts += [f"## {scene}", _table([row for row in rows if row["scene"] == scene])]
     parts.append(f"All figures: {write_csv(out, 'scene-needs', rows)}.")
@@ -89,14 +89,25 @@ def verdict(row: Row) -> str:
     return "left out" if (row["scene"], row["variant"]) in _LEFT_OUT else "missing"
 
 
-def _summary(rows: Sequence[Row]) -> str:
+def _quick_text() -> str:
+    return (
+        f"Quick: {len(QUICK_SCENES)} scenes, their first {QUICK_STEPS} steps. That is the impact, "
+        "the bounces after it and little else, so a verdict here may differ from that of the whole "
+        "scene, where they are a small share of the frames in contact: the run without --quick "
+        "decides."
+    )
+
+
+def summary(rows: Sequence[Row], quick: bool) -> str:
+    """How many variants have each verdict, and by name those that should not be; as Markdown."""
     counts = {
         kind: [f"{row['scene']}: {row['variant']}" for row in rows if row["verdict"] == kind]
         for kind in ("needed", "rightly left out", "kept", "left out", "superfluous", "missing")
     }
     lines = [f"- {kind}: {len(found)}" for kind, found in counts.items()]
     for kind in ("superfluous", "missing"):
-        lines += [f"- **{kind}**: {name}" for name in counts[kind]]
+        shortened = f" (of its first {QUICK_STEPS} steps alone)" if quick else ""
+        lines += [f"- **{kind}**: {name}{shortened}" for name in counts[kind]]
     if not counts["superfluous"] + counts["missing"]:
         lines.append(
             "- So each scene carries what changes its frames above the noise, and else only what "

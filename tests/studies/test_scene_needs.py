@@ -10,7 +10,7 @@ import pytest
 
 from sparseskin.nodes.sensor.scenes import SCENES, open_scene
 from sparseskin.studies import scene_needs
-from sparseskin.studies.scene_needs import points, run, verdict
+from sparseskin.studies.scene_needs import points, run, summary, verdict
 from sparseskin.studies.scene_needs_variants import Variant, decibels, measure, variants
 
 
@@ -95,7 +95,21 @@ def test_the_page_has_every_scene_that_was_looked_at(
     monkeypatch.setattr(scene_needs, "QUICK_STEPS", 350)
     run(tmp_path, quick=True, seed=0, executor="serial")
     page = (tmp_path / "scene-needs.md").read_text()
-    for text in ("## lift_box_40", "without damping of the skin", "with roll", "- missing: 0"):
+    for text in (
+        "## lift_box_40",
+        "without damping of the skin",
+        "with roll",
+        "- missing: 0",
+        "Quick: 1 scenes",
+    ):
         assert text in page
     for name in ("scene-needs.png", "scene-needs.svg", "scene-needs.csv"):
         assert (tmp_path / name).stat().st_size > 100
+
+
+def test_a_quick_page_says_that_its_verdicts_are_of_shortened_scenes() -> None:
+    row = {"scene": "path_40", "variant": "roll", "verdict": "missing"}
+    assert "**missing**: path_40: roll (of its first 1000 steps alone)" in summary(
+        [row], quick=True
+    )
+    assert "**missing**: path_40: roll\n" in summary([row], quick=False) + "\n"
