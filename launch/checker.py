@@ -24,6 +24,8 @@ from .supervision import RESTART_KEYS, RestartPolicy
 TRANSPORTS = ("ipc", "tcp")
 RECORDER = "recorder"
 INSECURE = "insecure"
+TO_NAME = "RECORDING"
+"""Stands in a launch file for a recording that whoever starts it has to name."""
 TABLES = ("graph", "nodes", "hosts", "security")
 _GRAPH_KEYS = ("description", "transport", "log_dir", INSECURE, *RESTART_KEYS)
 
@@ -188,10 +190,11 @@ class Checker:
             settings.check()
         except SparseskinError as error:
             key, _, rest = str(error).partition(":")
-            if key in values:
-                self.fault(("nodes", name, key), rest.strip())
-            else:
-                self.fault(("nodes", name), str(error))
+            what = rest.strip() if key in values else str(error)
+            if key not in values:  # the line may begin with a value, as the name of a file
+                key = next((k for k, value in values.items() if value and value == key), "")
+            place = ("nodes", name, key) if key else ("nodes", name)
+            self.fault(place, what + (_to_name(name, values) if TO_NAME in what else ""))
             return None
         return NodeSpec(name, type_name, cls, values, settings, restart)
 
@@ -203,6 +206,14 @@ class Checker:
         line = _line_of(self.text, place)
         where = f"{self.shown}:{line}" if line else self.shown
         self.errors.append(f"{where}: {'.'.join(place)}: {one_line_of(what)}")
+
+
+def _to_name(node: str, values: dict[str, Any]) -> str:
+    """How to name a recording in place of one that only stands for it; "" where there is none."""
+    for key, value in values.items():
+        if isinstance(value, str) and TO_NAME in value:
+            return f"; name yours: --set {node}.{key}={value.replace(TO_NAME, 'PATH')}"
+    return ""
 
 
 def _line_of(text: str, place: tuple[str, ...]) -> int:

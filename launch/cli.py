@@ -109,8 +109,9 @@ def _parser() -> argparse.ArgumentParser:
     add_reprocess_parser(commands)
     add_learn_basis_parser(commands)
     add_scenes_parser(commands)
-    import_module(STUDIES).add_study_parser(commands)
-    add_completion_parser(commands, parser)
+    studies = import_module(STUDIES)
+    studies.add_study_parser(commands)
+    add_completion_parser(commands, parser, {"STUDY": studies.STUDIES})
     return parser
 
 
@@ -127,11 +128,11 @@ def _launch(arguments: argparse.Namespace) -> int:
         changes = [f"{name}.browser=true" for name in monitors]
         launch = load(arguments.name, [*arguments.set, *changes], arguments.record)
     if arguments.dry_run:
-        print(graph_text(launch))
         if arguments.svg is not None:
             write_svg(launch, arguments.svg)
         if arguments.png is not None:
             write_png(launch, arguments.png)
+        print(graph_text(launch))
         return 0
     if arguments.svg is not None or arguments.png is not None:
         raise LaunchError(["--svg, --png: only with --dry-run"])
@@ -147,8 +148,9 @@ def _launch(arguments: argparse.Namespace) -> int:
             print(f"what the nodes said: {run_log.folder}", file=sys.stderr)
     summary = launcher.summary()
     sensed = {name: p for name, p in summary["patches"].items() if p["frames"]["sensed"]}
-    if sensed or code != EXIT_USAGE:
-        print(summary_table(sensed or summary["patches"]))
+    patches = sensed or summary["patches"]  # none where the monitor is on another host
+    if patches and (sensed or code != EXIT_USAGE):
+        print(summary_table(patches))
     for name, patch in sensed.items():
         if not patch["frames"]["reconstructed"]:
             print(f"{name}: not one frame was reconstructed", file=sys.stderr)
@@ -172,12 +174,16 @@ def _run_log(launch: LaunchFile, stated: str | None) -> RunLog | None:
 def graph_text(launch: LaunchFile) -> str:
     """The graph of a launch file as text: its nodes with their settings, then its links."""
     lines = [f"{launch.name}: {launch.description}", f"transport {launch.transport}", "", "nodes"]
+    name_width = max(len(node.name) for node in launch.nodes.values())
+    type_width = max(len(node.type_name) for node in launch.nodes.values())
     for node in launch.nodes.values():
         shown = {k: v for k, v in node.values.items() if k != "launch"}
         if node.host:
             shown = {"host": node.host, **shown}
         settings = ", ".join(f"{key} = {value!r}" for key, value in shown.items())
-        lines.append(f"  {node.name:<15} {node.type_name:<15} {settings}")
+        lines.append(
+            f"  {node.name:<{name_width}} {node.type_name:<{type_width}} {settings}".rstrip()
+        )
     for host in launch.hosts.values():
         told = [f"{n.name} at {n.public}" for n in launch.nodes.values() if n.host == host.name]
         lines += ["", f"host {host.name}", f"  {host.address}"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .command_tree import whole_tree
@@ -28,6 +29,7 @@ _sparseskin() {
         case $word in
             :files) _sparseskin_paths -f "$2" ;;
             :folders) _sparseskin_paths -d "$2" ;;
+            *[.=]) COMPREPLY+=("$word"); compopt -o nospace 2> /dev/null ;;
             *) COMPREPLY+=("$word") ;;
         esac
     done < <("${1/#\~/$HOME}" __complete "${COMP_WORDS[@]:1:COMP_CWORD}" \
@@ -40,16 +42,18 @@ _ZSH = r"""#compdef sparseskin
 _sparseskin_tree='@TREE@'
 _sparseskin() {
     local word
-    local -a found
+    local -a found begun
     while IFS= read -r word; do
         case $word in
             :files) _files ;;
             :folders) _files -/ ;;
+            *[.=]) begun+=("$word") ;;
             *) found+=("$word") ;;
         esac
     done < <("${(Q)words[1]/#\~/$HOME}" __complete "${(@)words[2,CURRENT]}" \
         <<< "$_sparseskin_tree" 2> /dev/null)
     compadd -a found
+    compadd -S '' -a begun
 }
 if [[ $funcstack[1] == _sparseskin ]]; then
     _sparseskin "$@"
@@ -78,23 +82,26 @@ complete -c sparseskin -f -a '(__sparseskin_words)'
 SCRIPTS = {"bash": _BASH, "zsh": _ZSH, "fish": _FISH}
 
 
-def add_completion_parser(commands: Any, whole: argparse.ArgumentParser) -> None:
-    """Add `completion` to the commands of the whole command line."""
+def add_completion_parser(
+    commands: Any, whole: argparse.ArgumentParser, words: Mapping[str, Sequence[str]]
+) -> None:
+    """Add `completion` to the commands of the whole command line; `words` as in `whole_tree`."""
     parser = commands.add_parser(
         "completion",
         help="print a script that completes words in a shell",
-        description="Print a script with which a shell completes commands, options, launch files,\n"
-        "and the nodes, topics and settings of the running graph.",
+        description="Print a script with which a shell completes commands, options, launch files\n"
+        "and the settings of their nodes, studies, and the nodes, topics and settings of\n"
+        "the running graph.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="bash: add to ~/.bashrc       source <(sparseskin completion bash)\n"
         "zsh:  add to ~/.zshrc        source <(sparseskin completion zsh)\n"
         "fish: add to config.fish     sparseskin completion fish | source",
     )
     parser.add_argument("shell", choices=tuple(SCRIPTS), help="which shell")
-    parser.set_defaults(run=lambda arguments: _print(arguments.shell, whole))
+    parser.set_defaults(run=lambda arguments: _print(arguments.shell, whole_tree(whole, words)))
 
 
-def _print(shell: str, whole: argparse.ArgumentParser) -> int:
-    tree = json.dumps(whole_tree(whole), separators=(",", ":")).replace("'", "\\u0027")
+def _print(shell: str, whole: dict[str, Any]) -> int:
+    tree = json.dumps(whole, separators=(",", ":")).replace("'", "\\u0027")
     print(SCRIPTS[shell].replace("@TREE@", tree), end="")
     return 0

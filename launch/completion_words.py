@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from sparseskin.nodes.errors import SparseskinError
 
+from .completion_overrides import OF_RECORDINGS, node_types, override_words
 from .inspection import describe_node
 from .running import RunningGraph, choose_graph, running_graphs
 
@@ -41,17 +42,44 @@ def complete(tree: dict[str, Any], words: Sequence[str]) -> list[str]:
         From `sparseskin.launch.command_tree.whole_tree`.
     words : sequence of str
         The words after the name of the program, up to the one that is being typed, "" for one
-        that has not begun.
+        that has not begun; cut at "=" and ":", as bash does, or not.
+
+    Returns
+    -------
+    list of str
+        Words in place of the last one, which bash has cut or nobody has.
     """
-    *before, last = words or [""]
+    joined, head = joined_words(words or [""])
+    return [word.removeprefix(head) for word in _complete(tree, joined)]
+
+
+def joined_words(words: Sequence[str]) -> tuple[list[str], str]:
+    """Words as they were typed, where bash has made marks, "=" and ":", words of their own; and
+    the part of the last one that is no longer the one that bash completes.
+    """
+    joined: list[str] = []
+    head, after_mark = "", False
+    for word in words:
+        is_mark = bool(word) and not word.strip("=:")
+        if joined and (is_mark or after_mark):
+            head = joined[-1] + (word if is_mark else "")
+            joined[-1] += word
+        else:
+            head = ""
+            joined.append(word)
+        after_mark = is_mark
+    return joined, head
+
+
+def _complete(tree: dict[str, Any], words: Sequence[str]) -> list[str]:
+    *before, last = words
     fields: dict[str, list[str]] = tree["fields"]
+    settings: dict[str, dict[str, list[str]]] = tree["settings"]
     values: list[str] = []
     graph_name: str | None = None
     option = ""
     for word in before:
         name, equals, value = word.partition("=")
-        if option and word == "=":
-            continue  # bash makes a word of its own of it
         if option or (equals and _takes_value(tree, name)):
             graph_name = (value or word) if "--graph" in (option, name) else graph_name
             option = ""
@@ -63,7 +91,7 @@ def complete(tree: dict[str, Any], words: Sequence[str]) -> list[str]:
             values.append(word)
     prefix = ""
     if option:
-        kind, last = tree["options"][option], last.removeprefix("=")
+        kind = tree["options"][option]
     elif "=" in last and _takes_value(tree, last.partition("=")[0]):
         name, equals, last = last.partition("=")
         kind, prefix = tree["options"][name], name + equals
@@ -73,6 +101,11 @@ def complete(tree: dict[str, Any], words: Sequence[str]) -> list[str]:
         return _fitting(tree["commands"], last)
     else:
         kind = _kind_at(tree["arguments"], len(values))
+    if kind == "override":
+        of_launch = tree["arguments"][:1] == ["launch"]
+        types = node_types(values[0] if values else "") if of_launch else OF_RECORDINGS
+        found = override_words(types, settings, last)
+        return [prefix + word for word in _fitting(found, last)]
     if kind == "field":
         schema = values[0].rpartition("/")[2] if values else ""
         kind = fields.get(schema, [])
@@ -116,7 +149,7 @@ def _words_of(
             return [entry["key"] for entry in settings if entry["live"] or not to_set]
         case "value":
             found = [e for e in _settings(graph(), values) if e["key"] == values[-1]]
-            return _values(found[0]) if found else []
+            return offered_values(found[0]) if found else []
         case "launch":
             return [*sorted(path.stem for path in Path(__file__).parent.glob("*.toml")), FILES]
     return [FOLDERS if kind == "folder" else FILES]
@@ -128,7 +161,8 @@ def _settings(graph: RunningGraph, values: Sequence[str]) -> list[dict[str, Any]
     return settings
 
 
-def _values(entry: dict[str, Any]) -> list[str]:
+def offered_values(entry: Mapping[str, Any]) -> list[str]:
+    """Words that a described setting may be."""
     words = [*entry["choices"], *entry["known"]]
     if entry["type"] == "bool":
         words += ["true", "false"]

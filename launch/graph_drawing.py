@@ -100,12 +100,8 @@ def _svg_curve(curve: Curve) -> str:
 
 
 def _svg_label(curve: Curve) -> str:
-    x, y = curve.label_end
-    # A white rim under the letters, so that a link beneath them does not strike them out.
-    return (
-        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="end" stroke="white" stroke-width="4" '
-        f'paint-order="stroke" fill="{LINK}">{escape(curve.label)}</text>'
-    )
+    x, y = curve.label_start
+    return f'<text x="{x:.1f}" y="{y:.1f}" fill="{LINK}">{escape(curve.label)}</text>'
 
 
 def _svg_box(box: Box) -> str:
@@ -133,7 +129,6 @@ def _draw(axes: object, layout: Layout) -> None:
     from matplotlib.axes import Axes
     from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
     from matplotlib.path import Path as Outline
-    from matplotlib.patheffects import withStroke
 
     assert isinstance(axes, Axes)
     points = FONT_PX * 72 / 96
@@ -145,11 +140,9 @@ def _draw(axes: object, layout: Layout) -> None:
         axes.add_patch(
             FancyArrowPatch(path=Outline(at, codes), arrowstyle="-|>", mutation_scale=8, color=LINK)
         )
-    rim = [withStroke(linewidth=3, foreground="white")]
     for curve in layout.curves:
-        x, y = curve.label_end
-        below = {**place, "va": "baseline"}
-        axes.text(x, y, curve.label, ha="right", color=LINK, path_effects=rim, zorder=3, **below)
+        x, y = curve.label_start
+        axes.text(x, y, curve.label, color=LINK, **{**place, "va": "baseline"})
     for box in layout.boxes:
         style = "round,pad=0,rounding_size=6"
         fill = FILLS[box.host % len(FILLS)]

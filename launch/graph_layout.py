@@ -16,8 +16,11 @@ LINE = 15.0
 BOX_H, LANE_H, GAP_Y = 58.0, 18.0, 26.0
 PORT = 17.0
 """The least from one link to the next on a side of a box."""
-RISE, LETTER = 4.0, 9.0
+RISE = 4.0
+"""How far a label stands above its link: with its letters it is lower than the next port."""
 PAD = 14.0
+BEND, BEND_PER_RISE = 70.0, 0.35
+"""Room for links to change their height: the least, and the part of the most they rise by."""
 MARGIN = 24.0
 SWEEPS = 4
 _TELLING = {"sensor": "source", "reconstructor": "preset", "player": "file", "recorder": "out"}
@@ -38,12 +41,13 @@ class Box:
 @dataclass(frozen=True)
 class Curve:
     """A link: its points, joined by curves that leave and arrive level; its last is an arrow. The
-    label ends beside the end of the first curve, where the links are apart from each other.
+    label begins at the writer, on the first piece, which is level as those of all links are there:
+    none runs through the label of another.
     """
 
     points: tuple[tuple[float, float], ...]
     label: str
-    label_end: tuple[float, float]
+    label_start: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -90,13 +94,13 @@ def layout_of(launch: LaunchFile) -> Layout:
         ways[pair] = [slots[pair[0]], *_lanes(*pair, ranks, columns), slots[pair[1]]]
     _place(columns, list(ways.values()))
     labels = {pair: _label(topics) for pair, topics in _topics(launch).items()}
-    lefts = _lefts(columns, {pair: (way[0].rank, labels[pair]) for pair, way in ways.items()})
+    lefts, bends = _columns_x(columns, ways, labels)
     boxes = tuple(
         Box(lefts[s.rank], s.y - s.height / 2, s.width, s.height, texts[s.name], _host(launch, s))
         for s in slots.values()
     )
     curves = tuple(
-        _curve(pair, way, ways, labels[pair], lefts, columns) for pair, way in ways.items()
+        _curve(pair, way, ways, labels[pair], lefts, bends) for pair, way in ways.items()
     )
     bottom = max((slot.y + slot.height / 2 for slot in _all(columns)), default=0.0)
     right = max((box.x + box.width for box in boxes), default=0.0)
@@ -197,16 +201,27 @@ def _stack(column: list[_Slot]) -> None:
         y += slot.height + GAP_Y
 
 
-def _lefts(
-    columns: list[list[_Slot]], labels: dict[tuple[str, str], tuple[int, str]]
-) -> list[float]:
-    """The left edge of each rank: between two of them there is room for the labels."""
-    lefts, x = [], MARGIN
+def _columns_x(
+    columns: list[list[_Slot]],
+    ways: dict[tuple[str, str], list[_Slot]],
+    labels: dict[tuple[str, str], str],
+) -> tuple[list[float], list[float]]:
+    """Of each rank, where its boxes begin, and where its links begin to bend: behind the widest
+    box and the longest label.
+    """
+    lefts, bends, x = [], [], MARGIN
     for rank, column in enumerate(columns):
+        longest = max((len(labels[p]) for p, way in ways.items() if way[0].rank == rank), default=0)
         lefts.append(x)
-        longest = max((len(text) for of, text in labels.values() if of == rank), default=0)
-        x += max((slot.width for slot in column), default=0.0) + longest * CHAR + 5 * PAD
-    return lefts
+        bends.append(x + max((s.width for s in column), default=0.0) + longest * CHAR + 2 * PAD)
+        rises = (
+            abs(a.y - b.y)
+            for way in ways.values()
+            for a, b in itertools.pairwise(way)
+            if a.rank == rank
+        )
+        x = bends[-1] + max(BEND, BEND_PER_RISE * max(rises, default=0.0)) + PAD
+    return lefts, bends
 
 
 def _curve(
@@ -215,7 +230,7 @@ def _curve(
     ways: dict[tuple[str, str], list[_Slot]],
     label: str,
     lefts: list[float],
-    columns: list[list[_Slot]],
+    bends: list[float],
 ) -> Curve:
     """A link from its own place on the writer's right side to its own on the reader's left."""
     out = sorted((w[1].y, p) for p, w in ways.items() if p[0] == pair[0])
@@ -223,15 +238,12 @@ def _curve(
     first, last = way[0], way[-1]
     y0 = _port(first, [p for _, p in out].index(pair), len(out))
     y1 = _port(last, [p for _, p in into].index(pair), len(into))
-    points = [(lefts[first.rank] + first.width, y0)]
+    x0 = lefts[first.rank] + first.width
+    points = [(x0, y0), (bends[first.rank], y0)]
     for lane in way[1:-1]:
-        widest = max(slot.width for slot in columns[lane.rank])
-        points += [(lefts[lane.rank] - PAD, lane.y), (lefts[lane.rank] + widest + PAD, lane.y)]
+        points += [(lefts[lane.rank] - PAD, lane.y), (bends[lane.rank], lane.y)]
     points.append((lefts[last.rank], y1))
-    x, y = points[1]
-    # On the side that the curve does not come from.
-    side = -RISE if y0 >= y else RISE + LETTER
-    return Curve(tuple(points), label, (x - PAD, y + side))
+    return Curve(tuple(points), label, (x0 + PAD / 2, y0 - RISE))
 
 
 def _port(slot: _Slot, k: int, n: int) -> float:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import dataclasses
 import os
 import socket
+from collections.abc import Mapping
 from typing import Any
+
+from sparseskin.nodes.host import COUNTED
 
 from .fleet import Fleet
 from .live_recording import LIVE_RECORDER
@@ -62,7 +65,7 @@ def _present(fleet: Fleet) -> list[NodeProcess]:
 
 
 def _node_description(fleet: Fleet, node: NodeProcess, in_full: bool) -> dict[str, Any]:
-    counts = {what: node.counts.get(what, {}) for what in ("received", "lost", "published")}
+    published = node.counts.get("published", {})
     outputs = node.spec.cls.outputs(node.spec.settings)
     told = {
         "name": node.name,
@@ -75,16 +78,10 @@ def _node_description(fleet: Fleet, node: NodeProcess, in_full: bool) -> dict[st
         "refused": node.counts.get("refused", {}),
         "refusal": node.refusal,
         "inputs": [
-            {
-                "topic": topic,
-                "received": counts["received"].get(topic, 0),
-                "lost": counts["lost"].get(topic, 0),
-            }
+            {"topic": topic} | {what: node.counts.get(what, {}).get(topic, 0) for what in COUNTED}
             for topic in node.config["inputs"]
         ],
-        "outputs": [
-            {"topic": topic, "sent": counts["published"].get(topic, 0)} for topic in outputs
-        ],
+        "outputs": [{"topic": topic, "sent": published.get(topic, 0)} for topic in outputs],
         "commands": dict(node.spec.cls.commands),
     }
     if in_full:
@@ -92,9 +89,16 @@ def _node_description(fleet: Fleet, node: NodeProcess, in_full: bool) -> dict[st
         values = {f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)}
         values |= node.settings
         told["settings"] = [
-            {**entry, "value": values[entry["key"]]} for entry in node.spec.cls.Settings.described()
+            {**entry, "value": value, "in_force": _in_force(entry["key"], value, node.state)}
+            for entry in node.spec.cls.Settings.described()
+            for value in (values[entry["key"]],)
         ]
     return told
+
+
+def _in_force(key: str, value: Any, state: Mapping[str, Any]) -> Any:
+    """The value that a node works with: where none is stated, the one that it tells of itself."""
+    return state.get(key) if value is None else value
 
 
 def _node_state(fleet: Fleet, node: NodeProcess) -> dict[str, Any]:

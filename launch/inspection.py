@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from sparseskin.nodes.host import COUNTED
 from sparseskin.nodes.lookup import did_you_mean
 
 from .control_socket import ControlClient
@@ -42,7 +43,7 @@ class Topic:
     sent : int
         Messages that the node has sent on it.
     readers : dict of str to dict
-        "received" and "lost" of each node that reads it.
+        "received", "lost" and "skipped" of each node that reads it.
     """
 
     name: str
@@ -96,7 +97,7 @@ def topics_of(described: Mapping[str, Any]) -> dict[str, Topic]:
     for node in described["nodes"]:
         for entry in node["inputs"]:
             topic = topics.setdefault(entry["topic"], Topic(entry["topic"], "", 0, {}))
-            topic.readers[node["name"]] = {key: entry[key] for key in ("received", "lost")}
+            topic.readers[node["name"]] = {key: entry[key] for key in COUNTED}
     return topics
 
 

@@ -6,11 +6,15 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 
 from sparseskin.nodes.graph import Link
+from sparseskin.nodes.host import is_latched
+from sparseskin.nodes.player.settings import PlayerSettings
 
 from .process import NodeProcess
 
 SLOW_S = 5.0
 """How long a start may take before a line says what it waits for."""
+READER_S = 1.0
+"""How long a player waits for its readers before a line says so."""
 
 
 def late_at_start(node: NodeProcess) -> str:
@@ -22,6 +26,28 @@ def late_at_start(node: NodeProcess) -> str:
     if node.lacks:
         return f"{node.name} waits for a subscription from {', '.join(node.lacks)}"
     return f"{node.name} has not answered yet"
+
+
+def slow_at_start(node: NodeProcess) -> str:
+    """The same with how long it has taken by then."""
+    line = late_at_start(node)
+    return line and f"{line} ({SLOW_S:g} s)"
+
+
+def lacks_readers(node: NodeProcess, graph: str) -> str:
+    """What is to be done where a player of that graph waits for readers; "" where none does."""
+    settings = node.spec.settings
+    if not isinstance(settings, PlayerSettings) or node.ended or node.state.get("paused", True):
+        return ""
+    n_readers = settings.wait or int(settings.lockstep)
+    published = node.counts.get("published", {})
+    if not n_readers or any(n for topic, n in published.items() if not is_latched(topic)):
+        return ""
+    readers = "a reader" if n_readers == 1 else f"{n_readers} readers"
+    return (
+        f"{node.name} waits for {readers}; from another terminal: "
+        f"sparseskin monitor --graph {graph}, or sparseskin record --graph {graph}"
+    )
 
 
 def late_at_end(nodes: Iterable[NodeProcess], links: Sequence[Link]) -> list[str]:
@@ -42,9 +68,11 @@ def or_tell(
     nodes: Iterable[NodeProcess],
     log: Callable[[str], None],
     now_s: Callable[[], float] = time.monotonic,
+    late: Callable[[NodeProcess], str] = slow_at_start,
+    slow_s: float = SLOW_S,
 ) -> Callable[[], bool]:
-    """As `done`; where it takes longer than `SLOW_S`, all who are late are named, once."""
-    due_s = now_s() + SLOW_S
+    """As `done`; where it takes longer than `slow_s`, all who are late are named, once."""
+    due_s = now_s() + slow_s
     told = False
 
     def check() -> bool:
@@ -52,9 +80,9 @@ def or_tell(
         if done():
             return True
         if not told and now_s() >= due_s:
-            told = True
-            for line in filter(None, map(late_at_start, nodes)):
-                log(f"[launch] {line} ({SLOW_S:g} s)")
+            for line in filter(None, map(late, nodes)):
+                told = True
+                log(f"[launch] {line}")
         return False
 
     return check

@@ -10,16 +10,17 @@ from types import FrameType
 from typing import Any
 
 from sparseskin.nodes.clock import wall_offset_ns
+from sparseskin.nodes.errors import SparseskinError
 
 from .configs import note_of
 from .controls import Controls
 from .fleet import EXIT_FAILED, EXIT_USAGE, START_S, Fleet
-from .late import late_at_end, or_tell
+from .late import READER_S, lacks_readers, late_at_end, or_tell
 from .launchfile import LaunchFile
 from .missing import Missing, hosts_state
 from .process import NodeProcess
 from .remote_controls import RemoteControls
-from .running import RunningGraph, announced, control_path, is_running
+from .running import GraphError, RunningGraph, announced, control_path, is_running
 from .terminal import Terminal
 
 DRAIN_S = 5.0
@@ -94,7 +95,7 @@ class Launcher:
                 with told, self._terminal.keyboard(bool(self._keys)):
                     self._fleet.supervised = self._joined is None
                     self._fleet.command_all("start")
-                    self._until(self._all_ended, None)
+                    self._until(self._ended_or_told(), None)
                     self._fleet.supervised = False
                     if not self._all_ended():
                         self._drain()
@@ -136,8 +137,11 @@ class Launcher:
     def _serve_controls(self) -> None:
         if self._joined is None:
             self._controls = Controls(self._launch, self._fleet, control_path())
-        else:
+            return
+        try:
             self._controls = RemoteControls(self._fleet, self._joined.control)
+        except SparseskinError as error:
+            raise GraphError(f"{self._joined.label}: has just ended") from error
 
     def _handshake(self) -> bool:
         """Join the nodes; False if one of them failed or was late."""
@@ -180,6 +184,16 @@ class Launcher:
 
     def _all_ended(self) -> bool:
         return all(node.ended or node.failed for node in self._fleet)
+
+    def _ended_or_told(self) -> Callable[[], bool]:
+        """Whether all have ended; says so once where a player waits for readers."""
+        return or_tell(
+            self._all_ended,
+            self._fleet,
+            self._terminal.log,
+            late=lambda node: lacks_readers(node, self._launch.name),
+            slow_s=READER_S,
+        )
 
     def _all_drained(self) -> bool:
         """Whether all have ended but those that wait for a node that is dead."""

@@ -20,6 +20,7 @@ from sparseskin.nodes.reconstructor.learned import fingerprint_of_atoms
 from sparseskin.nodes.reconstructor.learned_training import (
     KEPT_FRACTION,
     MAX_ROUNDS,
+    NoWindowError,
     draw_windows,
     learn_atoms,
 )
@@ -110,20 +111,29 @@ def learned_from(
     Raises
     ------
     SparseskinError
-        If the recording cannot be read, has no such frames, none with a force in it, or its
+        If the recording cannot be read, has no such frames, too few with a force in them, or its
         frames do not fit the tile.
     """
     with BagReader(path) as bag:
         chosen = topic or _topic(bag)
         state = skin_of(bag, split_topic(chosen)[0]) if chosen in bag.topics else None
         frames = _frames(bag, chosen, n_frames)
+        n_recorded = bag.topics[chosen].n_messages
     f_max, is_read = _range(frames, state), chosen.endswith(f"/{Taxels.schema}")
     threshold = force_threshold(state.sigma_end if state and is_read else 0.0, f_max)
     try:
         mask = None if state is None else state.mask
         windows = draw_windows(frames, mask, tile, threshold, np.random.default_rng(seed))
+    except NoWindowError as error:
+        in_contact = any(frame.max() > threshold for frame in frames)
+        few = _too_few(frames, threshold, tile, 0, n_recorded)
+        why = f"{error}; try a smaller --tile" if in_contact else few
+        raise LearningError(f"{path}: {chosen}: {why}") from error
     except SparseskinError as error:
         raise LearningError(f"{path}: {chosen}: {error}") from error
+    if len(windows) < tile * tile:
+        few = _too_few(frames, threshold, tile, len(windows), n_recorded)
+        raise LearningError(f"{path}: {chosen}: {few}")
     with tqdm(total=MAX_ROUNDS, desc="learn", unit="round", disable=None, leave=False) as bar:
         atoms = learn_atoms(windows, KEPT_FRACTION * f_max, bar.update)
     n_rows, n_cols = frames[0].shape
@@ -139,6 +149,24 @@ def learned_from(
         "sparseskin": version("sparseskin"),
     }
     return {"atoms": atoms} | {name: np.asarray(value) for name, value in facts.items()}
+
+
+def _too_few(
+    frames: list[npt.NDArray[np.float32]],
+    threshold: float,
+    tile: int,
+    n_windows: int,
+    n_recorded: int,
+) -> str:
+    """How many frames in contact there are, what they give, what is needed, and how to get it."""
+    n_contact = sum(bool(frame.max() > threshold) for frame in frames)
+    more = "" if len(frames) == n_recorded else f", or look at all: --frames {n_recorded}"
+    return (
+        f"{n_contact} of {len(frames)} frames are in contact (a force above {threshold:g}) "
+        f"and give {n_windows} windows of {tile} x {tile} taxels; needed: {tile**2} windows, "
+        f"of 1 to {tile**2} frames in contact. Press the skin and record longer: "
+        f"sparseskin launch NAME --record F.mcap{more}"
+    )
 
 
 def _topic(bag: BagReader) -> str:

@@ -10,9 +10,11 @@ import socket
 from pathlib import Path
 from typing import Any
 
+from sparseskin.nodes.host import COUNTED
+
 from .inspection import ELSEWHERE, add_graph_option, describe, describe_node, topics_of
 from .running import choose_graph
-from .setting_text import shown_value
+from .setting_text import in_force_text, preset_of, shown_value
 from .text_table import printable, table, wrapped
 
 
@@ -108,17 +110,22 @@ def _text(node: dict[str, Any]) -> list[str]:
         lines += _entry("refused", f"{counts}; the last: {node['refusal']}")
     if node["inputs"]:
         rows = [
-            [e["topic"], e["publisher"] or ELSEWHERE, e["received"], e["lost"]]
+            [e["topic"], e["publisher"] or ELSEWHERE, *(e[what] for what in COUNTED)]
             for e in node["inputs"]
         ]
-        lines += ["", *table(["INPUT", "FROM", "RECEIVED", "LOST"], rows, "  ")]
+        lines += ["", *table(["INPUT", "FROM", *(what.upper() for what in COUNTED)], rows, "  ")]
     if node["outputs"]:
         rows = [[e["topic"], e["sent"], ", ".join(e["subscribers"])] for e in node["outputs"]]
         lines += ["", *table(["OUTPUT", "SENT", "READ BY"], rows, "  ")]
     if node["commands"]:
         lines += ["", *table(["COMMAND", "WHAT IT DOES"], list(node["commands"].items()), "  ")]
+    preset = preset_of(node["settings"])
     rows = [
-        [entry["key"], "live" if entry["live"] else "", shown_value(entry["value"])]
+        [
+            entry["key"],
+            "live" if entry["live"] else "",
+            shown_value(entry["value"]) + in_force_text(entry, preset),
+        ]
         for entry in node["settings"]
     ]
     lines += ["", *table(["SETTING", "", "VALUE"], rows, "  ")]

@@ -11,7 +11,7 @@ from sparseskin.nodes.lookup import did_you_mean
 
 from .inspection import add_graph_option, ask_node, describe, describe_node
 from .running import GraphError, RunningGraph, choose_graph
-from .setting_text import allowed_text, shown_value, typed_value
+from .setting_text import allowed_text, in_force_text, preset_of, shown_value, typed_value
 from .text_table import printable, wrapped
 
 
@@ -70,10 +70,11 @@ def _list(arguments: argparse.Namespace) -> int:
 def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
     """Two lines a setting at the least: its value and what it may be, then what it means."""
     widest = max((len(entry["key"]) for entry in entries), default=0)
+    preset = preset_of(entries)
     lines = [f"{name} (* can be set while the graph runs)"]
     for entry in entries:
         start = f"{'* ' if entry['live'] else '  '}{entry['key']:<{widest}} = "
-        value = printable(shown_value(entry["value"]))
+        value = printable(shown_value(entry["value"]) + in_force_text(entry, preset))
         lines += wrapped(start, f"{value}   ({allowed_text(entry)})")
         lines += wrapped(" " * len(start), printable(entry["doc"]))
     return lines

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 MAX_SHOWN = 200
@@ -30,6 +30,19 @@ def shown_value(value: Any) -> str:
     else:
         text = json.dumps(value)
     return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
+
+
+def preset_of(entries: Iterable[Mapping[str, Any]]) -> str | None:
+    """The preset among the settings of a node; None where it has none."""
+    return next((str(entry["value"]) for entry in entries if entry["key"] == "preset"), None)
+
+
+def in_force_text(entry: Mapping[str, Any], preset: str | None) -> str:
+    """What holds where a setting is not stated: that of the preset, where the node has one."""
+    if entry["value"] is not None or entry["in_force"] is None:
+        return ""
+    whose = f"preset {preset}" if preset else "in force"
+    return f" ({whose}: {shown_value(entry['in_force'])})"
 
 
 def types_of(entry: Mapping[str, Any]) -> list[str]:

@@ -11,6 +11,7 @@ from sparseskin.messages.base import wire_fields
 from sparseskin.messages.fields import Array, FieldKind, Flag, Integer, Real, Samples, Text
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
+from sparseskin.nodes.host import COUNTED
 
 from .inspection import ELSEWHERE, Topic, add_graph_option, describe, find_topic, topics_of
 from .running import choose_graph
@@ -101,8 +102,8 @@ def _info(arguments: argparse.Namespace) -> int:
         *wrapped("  publisher  ", f"{topic['publisher']}, {topic['sent']} sent"),
         "",
     ]
-    readers = [[one["node"], one["received"], one["lost"]] for one in topic["subscribers"]]
-    lines += table(["SUBSCRIBER", "RECEIVED", "LOST"], readers, "  ")
+    readers = [[one["node"], *(one[what] for what in COUNTED)] for one in topic["subscribers"]]
+    lines += table(["SUBSCRIBER", *(what.upper() for what in COUNTED)], readers, "  ")
     lines += ["", *table(["FIELD", "TYPE"], list(fields.items()), "  ")]
     print("\n".join(lines))
     return 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -15,10 +16,22 @@ from .errors import SparseskinError
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """' (did you mean 'iterations'?)' for a near miss, else the list of what is known."""
     names = sorted(known)
-    near = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(word, names, n=max(1, len(names)), cutoff=0.6)
     if near:
-        return f" (did you mean '{near[0]}'?)"
+        nearest = min(sorted(near), key=lambda name: _distance(word, name))
+        return f" (did you mean '{nearest}'?)"
     return f" (known: {', '.join(names)})" if names else ""
+
+
+def _distance(word: str, name: str) -> tuple[float, int, int]:
+    """How far a name is from a word: by the letters they share in order; of names that are as near,
+    by the numbers in them, then by the letters that stand at the same place.
+    """
+    apart = 1.0 - difflib.SequenceMatcher(None, name, word).ratio()
+    numbers = zip(re.findall(r"\d+", word), re.findall(r"\d+", name), strict=False)
+    other = sum(a != b for a, b in zip(word, name, strict=False))
+    # Beyond 9 digits they are no sizes; int() refuses thousands of them.
+    return apart, sum(abs(int(a[:9]) - int(b[:9])) for a, b in numbers), other
 
 
 def one_line(error: BaseException) -> str:

@@ -21,6 +21,10 @@ MAX_ROUNDS = 40
 LEAST_GAIN = 1e-5
 
 
+class NoWindowError(SolverError):
+    """No window of the frames has a force in it."""
+
+
 def draw_windows(
     frames: Sequence[Floats],
     mask: Mask | None,
@@ -52,7 +56,9 @@ def draw_windows(
     Raises
     ------
     SolverError
-        If the tile does not fit the frames, or no window has a force in it.
+        If the tile does not fit the frames.
+    NoWindowError
+        If no window has a force in it.
     """
     n_rows, n_cols = frames[0].shape
     most = min(n_rows, n_cols, MAX_TILE)
@@ -73,7 +79,7 @@ def draw_windows(
         drawn.append(windows[i, j].reshape(most, tile * tile))
     found: Matrix = np.concatenate(drawn or [np.empty((0, 1))]).astype(np.float64)
     if not len(found):
-        raise SolverError(f"no window of {tile} x {tile} taxels has a force above {threshold:g}")
+        raise NoWindowError(f"no window of {tile} x {tile} taxels has a force above {threshold:g}")
     return rng.permutation(found)[:MAX_WINDOWS]
 
 

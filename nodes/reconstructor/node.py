@@ -28,7 +28,7 @@ from sparseskin.nodes.node import Context, Node
 
 from .basis import make_basis
 from .fault_watch import FaultWatch
-from .limits import check_lambda, check_phi, reconstruction_warnings
+from .limits import OWN_BASIS, check_lambda, check_phi, reconstruction_warnings
 from .phases import make_phases
 from .presets import PRESETS
 from .resultant import Estimate, ResultantEstimator
@@ -75,6 +75,10 @@ class Reconstructor(Node[ReconstructorSettings]):
         written = (SolverState, *told, Reconstruction)
         return tuple(topic_of(settings.patch, cls.schema) for cls in written)
 
+    @property
+    def depth(self) -> int:
+        return self.settings.depth
+
     def step(self, message: Message) -> Iterable[Message]:
         if isinstance(message, Measurements):
             yield from self._reconstruct(message)
@@ -100,16 +104,20 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     def state(self) -> dict[str, Any]:
         chosen, preset = self.settings.chosen(), self.settings.preset
-        told = {"left_out": self._watch.text, "swamped": self._watch.swamped}
+        told: dict[str, Any] = {
+            "left_out": self._watch.text,
+            "swamped": self._watch.swamped,
+        }
+        if chosen["solver"] in OWN_BASIS:
+            told["basis"] = None
         return {**chosen, "preset": preset if chosen == PRESETS[preset] else "", **told}
 
     def status(self) -> str:
         chosen = self.settings.chosen()
         if self._solver is None:
             return ""
-        return "; ".join(
-            filter(None, (f"{chosen['solver']} in {chosen['basis']}", self._watch.text))
-        )
+        basis = "" if chosen["solver"] in OWN_BASIS else f" in {chosen['basis']}"
+        return "; ".join(filter(None, (f"solver {chosen['solver']}{basis}", self._watch.text)))
 
     def _set_up(self, state: SkinState, announced: PhiState, stamp_ns: int) -> SolverState:
         """Make Phi and solver for a skin, and say which; they hold from `stamp_ns` on."""
@@ -145,7 +153,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             stamp_ns=stamp_ns,
             patch=self.settings.patch,
             solver=chosen["solver"],
-            basis=getattr(basis, "label", chosen["basis"]),
+            basis="" if chosen["solver"] in OWN_BASIS else getattr(basis, "label", chosen["basis"]),
             preset=self.settings.preset if chosen == PRESETS[self.settings.preset] else "",
             iterations=options.get("iterations", solver.n_steps),
             lambda_n=options.get("lambda_n", 0.0),

@@ -151,6 +151,11 @@ class Sensor(SourceNode[SensorSettings]):
         if not self._live:
             self._prepare()
 
+    def state(self) -> dict[str, Any]:
+        # A driver that is asked for no rate has its own pace, whatever that is.
+        paced = self._live and self.settings.rate_hz is None
+        return {**super().state(), **({} if paced else {"rate_hz": self.rate_hz})}
+
     def status(self) -> str:
         total = f" of {self._source.n_frames}" if self._source.n_frames is not None else ""
         return f"{self._source.name}: frame {self._n_frames}{total}"

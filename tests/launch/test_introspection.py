@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import shutil
@@ -16,12 +18,12 @@ import pytest
 from conftest import Program, wait_until
 
 from sparseskin.launch.cli import _parser, main
-from sparseskin.launch.command_tree import whole_tree
 from sparseskin.launch.completion import SCRIPTS
-from sparseskin.launch.completion_words import FILES, complete
+from sparseskin.launch.completion_words import FILES, FOLDERS, complete
 from sparseskin.launch.inspection import Answer, ask_node
 from sparseskin.launch.running import RunningGraph, announced, choose_graph
 from sparseskin.messages import PhiState, decode
+from sparseskin.nodes.reconstructor.presets import PRESETS
 from sparseskin.nodes.recorder.bag import BagError
 from sparseskin.nodes.recorder.bag_reader import BagReader
 
@@ -30,6 +32,7 @@ TOPICS = [
     *("/skin/skin", "/skin/taxels", "/skin/truth", "/skin/phi", "/skin/measurements"),
     *("/skin/solver", "/skin/reconstruction"),
 ]
+CELLS = ["camera.n_rows=", "camera.n_cols="]
 COMMAND = [sys.executable, "-m", "sparseskin.launch.entry"]
 
 Run = Callable[..., str]
@@ -144,6 +147,21 @@ def test_param_list_tells_value_range_and_meaning_of_all_settings(
     text = run("param", "list", "sensor")
     assert "* rate_hz" in text
     assert max(map(len, text.splitlines())) <= 80
+
+
+def test_of_a_setting_that_is_not_stated_the_value_in_force_is_told(
+    run: Run, run_json: RunJson
+) -> None:
+    (entries,) = run_json("param", "list", "reconstructor")["nodes"].values()
+    told = {entry["key"]: (entry["value"], entry["in_force"]) for entry in entries}
+    assert told["preset"] == ("skin", "skin")
+    assert told["solver"] == (None, "skin")
+    assert told["basis"] == (None, None)  # that solver takes none
+    assert told["iterations"] == (3, 3)
+    text = run("param", "list", "reconstructor")
+    assert "* solver       = none (preset skin: skin)   (" in text
+    assert max(map(len, text.splitlines())) <= 80
+    assert run_json("param", "get", "reconstructor", "solver")["in_force"] == "skin"
 
 
 def test_a_setting_is_changed_by_its_node_and_the_recording_has_it(
@@ -375,6 +393,8 @@ def shell(name: str, script: str, folder: Path) -> list[str]:
 
 def test_bash_itself_completes(shell_folder: Path) -> None:
     lines = ["param set compressor ra", "node in", "topic echo --o", "bag info my"]
+    lines += ["study spee", "launch path_40 --set compressor.bl"]
+    lines += ["launch path_40 --set reconstructor.preset = pa"]  # as bash cuts it
     asked = "".join(
         f"COMP_WORDS=(sparseskin {line}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1))\n"
         '_sparseskin ./sparseskin "${COMP_WORDS[COMP_CWORD]}"\n'
@@ -387,14 +407,21 @@ def test_bash_itself_completes(shell_folder: Path) -> None:
         "info",
         "--once",
         "my skin.mcap",
+        "speed-accuracy",
+        "compressor.block=",
+        "paper",
     ]
 
 
 @pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
 def test_fish_itself_completes(shell_folder: Path) -> None:
     lines = ["param set compressor ra", "node in", "topic echo --o", "topic hz /skin/ta"]
+    lines += ["study spee", "launch path_40 --set reconstructor.preset=pa"]
     asked = "".join(f"complete -C 'sparseskin {line}'\n" for line in lines)
-    assert shell("fish", asked, shell_folder) == ["ratio", "info", "--once", "/skin/taxels"]
+    assert shell("fish", asked, shell_folder) == [
+        *("ratio", "info", "--once", "/skin/taxels"),
+        *("speed-accuracy", "reconstructor.preset=paper"),
+    ]
 
 
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="zsh is not installed")
@@ -402,11 +429,11 @@ def test_zsh_takes_the_script_and_completes(shell_folder: Path) -> None:
     # Words go to compadd, which works at a prompt alone: a function of its name prints them.
     asked = "".join(
         f"words=(sparseskin {line}); CURRENT=${{#words}}; _sparseskin\n"
-        for line in ("param set compressor ra", "node in")
+        for line in ("param set compressor ra", "node in", "launch path_40 --set compressor.bl")
     )
-    stand_in = "compdef() {}\ncompadd() { print -l -- $found }\n"
+    stand_in = "compdef() {}\ncompadd() { [[ -z ${(P)@[-1]} ]] || print -l -- ${(P)@[-1]} }\n"
     (shell_folder / "c.zsh").write_text(stand_in + (shell_folder / "c.zsh").read_text())
-    assert shell("zsh", asked, shell_folder) == ["ratio", "info"]
+    assert shell("zsh", asked, shell_folder) == ["ratio", "info", "compressor.block="]
 
 
 def test_commands_options_and_launch_files_are_completed_without_a_graph(
@@ -422,6 +449,54 @@ def test_commands_options_and_launch_files_are_completed_without_a_graph(
     assert complete(tree, ["launch", "drag_wrench_40", "--frames", ""]) == []
     assert complete(tree, ["node", "info", ""]) == []
     assert complete(tree, ["completion", "z"]) == ["zsh"]
+    assert complete(tree, ["study", "sta"]) == ["stability"]
+    assert complete(tree, ["study", "stability", "--out", ""]) == [FOLDERS]
+
+
+SET = ("launch", "path_40", "--set")
+
+
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [
+        ((*SET, ""), ["sensor.", "compressor.", "reconstructor.", "monitor."]),
+        ((*SET, "mon"), ["monitor."]),
+        ((*SET, "compressor.b"), ["compressor.bits=", "compressor.block="]),
+        ((*SET, "reconstructor.preset="), [f"reconstructor.preset={p}" for p in PRESETS]),
+        ((*SET, "reconstructor.preset=pa"), ["reconstructor.preset=paper"]),
+        ((*SET, "reconstructor.uncertainty=t"), ["reconstructor.uncertainty=true"]),
+        (("launch", "path_40", "--set=mon"), ["--set=monitor."]),
+        ((*SET, "reconstructor.preset", "="), list(PRESETS)),
+        ((*SET, "reconstructor.preset", "=", ""), list(PRESETS)),
+        ((*SET, "reconstructor.preset", "=", "pa"), ["paper"]),
+        ((*SET, "sensor.source", "=", "scene", ":", "x", "--fr"), ["--frames"]),
+        ((*SET, "sensor.source=scene:x", "--fr"), ["--frames"]),
+        ((*SET, "sensor.source=scene:x", "--set", "mon"), ["monitor."]),
+        ((*SET, "nothing."), []),
+        ((*SET, "sensor.nothing="), []),
+        (("launch", "no_such_file", "--set", ""), []),
+        (("launch", "own.toml", "--set", ""), ["camera.", "mine."]),
+        (("launch", "own.toml", "--set", "camera.n"), ["camera.noise=", *CELLS]),
+        (("launch", "own.toml", "--set", "mine."), []),
+        (("launch", "--set", ""), []),
+        (("reprocess", "a.mcap", "--set", ""), ["compressor.", "reconstructor."]),
+        (("reprocess", "a.mcap", "--set", "compressor.bi"), ["compressor.bits="]),
+    ],
+)
+def test_after_set_come_nodes_of_the_launch_file_their_settings_and_values(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: tuple[str, ...], words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    own = '[nodes.camera]\ntype = "sensor"\n[nodes.mine]\ntype = "no_module:Node"\n'
+    (tmp_path / "own.toml").write_text(own)
+    assert complete(_tree(), typed) == words
+
+
+@pytest.mark.parametrize("text", ["", "[nodes", "nodes = 3", "[nodes]\nsensor = 3", "\udcff"])
+def test_of_a_launch_file_that_cannot_be_read_nothing_is_offered(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "f.toml"
+    path.write_bytes(text.encode(errors="surrogateescape"))
+    assert complete(_tree(), ["launch", str(path), "--set", ""]) == []
 
 
 def test_two_graphs_are_named_and_one_is_chosen_by_name_or_process(
@@ -450,4 +525,10 @@ def test_where_no_graph_runs_one_line_says_so(
 
 
 def _tree() -> dict[str, Any]:
-    return json.loads(json.dumps(whole_tree(_parser())))
+    parsed = _parser().parse_args(["completion", "bash"])
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert parsed.run(parsed) == 0
+    (line,) = (line for line in printed.getvalue().splitlines() if "_tree='" in line)
+    tree: dict[str, Any] = json.loads(line.partition("'")[2].rpartition("'")[0])
+    return tree

@@ -7,11 +7,14 @@ import signal
 from dataclasses import dataclass, field
 from typing import Any
 
+import pytest
+from bags import frame, make_bag, skin_state
 from conftest import StartProgram, wait_until
 
 from sparseskin.launch import late
-from sparseskin.launch.late import late_at_end, late_at_start, or_tell
+from sparseskin.launch.late import lacks_readers, late_at_end, late_at_start, or_tell
 from sparseskin.nodes.graph import Link
+from sparseskin.nodes.player.settings import PlayerSettings
 
 LINKS = [
     Link("/skin/taxels", "sensor", "compressor"),
@@ -27,6 +30,9 @@ class Node:
     ready: bool = False
     ended: bool = False
     lacks: list[str] = field(default_factory=list)
+    spec: Any = None
+    state: dict[str, Any] = field(default_factory=lambda: {"paused": False})
+    counts: dict[str, Any] = field(default_factory=dict)
 
 
 def nodes(*made: Node) -> Any:
@@ -76,6 +82,52 @@ def test_a_start_is_told_of_once_it_is_slow_and_once_only() -> None:
     assert check()
 
 
+@dataclass
+class Spec:
+    settings: Any
+
+
+LATCHED, SENT = ({"published": {topic: 1}} for topic in ("/skin/skin", "/skin/taxels"))
+WAITS = "from another terminal: sparseskin monitor --graph drag, or sparseskin record --graph drag"
+
+
+@pytest.mark.parametrize(
+    ("stated", "fields", "line"),
+    [
+        ({"lockstep": True}, {}, f"player waits for a reader; {WAITS}"),
+        ({"wait": 2}, {}, f"player waits for 2 readers; {WAITS}"),
+        ({"wait": 1}, {"counts": LATCHED}, f"player waits for a reader; {WAITS}"),
+        ({"wait": 1}, {"counts": SENT}, ""),
+        ({"lockstep": True}, {"state": {"paused": True}}, ""),
+        ({"lockstep": True}, {"state": {}}, ""),
+        ({"lockstep": True}, {"ended": True}, ""),
+        ({}, {}, ""),
+    ],
+)
+def test_a_player_that_has_sent_no_frame_says_which_readers_it_waits_for(
+    stated: dict[str, Any], fields: dict[str, Any], line: str
+) -> None:
+    (node,) = nodes(Node("player", spec=Spec(PlayerSettings(**stated)), **fields))
+    assert lacks_readers(node, "drag") == line
+
+
+def test_what_is_no_player_waits_for_nobody() -> None:
+    (node,) = nodes(Node("sensor", spec=Spec(None)))
+    assert lacks_readers(node, "drag") == ""
+
+
+def test_a_player_in_lockstep_without_a_reader_says_so_once(
+    start: StartProgram, tmp_path: Any
+) -> None:
+    make_bag(tmp_path / "few.mcap", [skin_state(), *frame(0), *frame(1)])
+    program = start("play", "few.mcap", "--lockstep")
+    told = program.wait_for("[launch] player waits for a reader; ")
+    assert told.endswith("sparseskin monitor --graph few, or sparseskin record --graph few")
+    start("record", "--graph", "few", "--out", "again.mcap").wait_for("[launch] ready")
+    code, _, stderr = program.finish()
+    assert (code, stderr.count("waits for")) == (0, 1)
+
+
 def test_who_holds_up_the_end_is_named_with_what_waits_for_it(start: StartProgram) -> None:
     program = start("launch", "path_40", "--set", "monitor.page=false")
     program.wait_for("[launch] ready")
@@ -99,4 +151,4 @@ def test_a_driver_that_takes_its_time_is_named(start: StartProgram, tmp_path: An
     program = start("launch", "g.toml")
     program.wait_for("[launch] sensor has not started: it imports, or opens its device (5 s)")
     program.wait_for("[launch] ready")
-    program.finish()
+    assert program.finish()[1] == ""  # no monitor, no table, not even an empty one

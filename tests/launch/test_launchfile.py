@@ -226,3 +226,25 @@ def test_a_dry_run_shows_the_graph_and_starts_nothing(capsys: pytest.CaptureFixt
 
 def test_bundled_files_are_beside_the_launcher() -> None:
     assert (BUNDLED / "drag_wrench_64.toml").is_file()
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("replay", "--set sensor.source=file:PATH"),
+        ("replay_taxels", "--set player.file=PATH.mcap"),
+        ("replay_measurements", "--set player.file=PATH.mcap"),
+    ],
+)
+def test_a_launch_file_without_its_recording_says_how_to_name_one(name: str, hint: str) -> None:
+    for stated in (name, str(BUNDLED / f"{name}.toml")):
+        with pytest.raises(LaunchError) as refused:
+            load(stated)
+        (line,) = refused.value.lines
+        assert line.endswith(f"no such file; name yours: {hint}")
+        place = hint.removeprefix("--set ").partition("=")[0]
+        assert f": nodes.{place}: " in line
+    missing = f"{place}={'file:' if 'sensor' in place else ''}missing.mcap"
+    with pytest.raises(LaunchError) as refused:
+        load(name, [missing])
+    assert refused.value.lines == [f"--set {missing}: missing.mcap: no such file"]

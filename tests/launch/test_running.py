@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from sparseskin.launch.cli import main
 from sparseskin.launch.running import (
     GraphError,
     RunningGraph,
@@ -81,3 +82,12 @@ def test_what_is_no_note_is_passed_over() -> None:
 
 def test_writers_are_known_by_topic() -> None:
     assert graph().writers() == {"/skin/skin": "sensor", "/skin/taxels": "sensor"}
+
+
+def test_a_graph_that_ends_as_it_is_joined_is_said_to_have_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with announced(graph()):  # its control socket is gone
+        assert main(["record", "--out", "a.mcap"]) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == "path_40-7: has just ended"

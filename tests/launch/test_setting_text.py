@@ -8,7 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.launch.setting_text import MAX_SHOWN, allowed_text, shown_value, typed_value
+from sparseskin.launch.setting_text import (
+    MAX_SHOWN,
+    allowed_text,
+    in_force_text,
+    shown_value,
+    typed_value,
+)
 
 
 def entry(type_: str, **stated: Any) -> dict[str, Any]:
@@ -66,6 +72,22 @@ def test_any_text_is_shown_on_one_line_and_can_be_typed_again(value: str) -> Non
     assert len(shown.splitlines()) == 1
     if value.isprintable() and '"' not in value and "'" not in value:
         assert typed_value(shown, entry("str")) == value
+
+
+@pytest.mark.parametrize(
+    ("value", "in_force", "preset", "text"),
+    [
+        (None, "skin", "skin", " (preset skin: skin)"),
+        (None, 0.003125, "paper", " (preset paper: 0.003125)"),
+        (None, 100.0, None, " (in force: 100.0)"),
+        (None, None, "skin", ""),
+        ("fista", "fista", "skin", ""),
+    ],
+)
+def test_of_a_setting_that_is_not_stated_it_is_said_what_holds(
+    value: object, in_force: object, preset: str | None, text: str
+) -> None:
+    assert in_force_text({"value": value, "in_force": in_force}, preset) == text
 
 
 def test_a_long_text_is_cut() -> None:

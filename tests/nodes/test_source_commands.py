@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
 from sparseskin.nodes.clock import ManualClock
@@ -10,7 +13,7 @@ from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.sensor.node import Sensor
 
 
-def sensor(clock: ManualClock, rate_hz: float = 100.0) -> Sensor:
+def sensor(clock: ManualClock, rate_hz: float | None = 100.0) -> Sensor:
     made = Sensor(Sensor.Settings(source="scene:path_40", rate_hz=rate_hz), Context("s", clock))
     made.begin(clock.now_ns())
     return made
@@ -21,13 +24,33 @@ def test_a_pause_holds_the_source_until_it_is_told_to_go_on() -> None:
     source = sensor(clock)
     assert source.next_tick_ns() == 10_005_000
     assert source.command("pause", True) == "paused"
-    assert (source.next_tick_ns(), source.state()) == (None, {"paused": True})
+    assert (source.next_tick_ns(), source.state()["paused"]) == (None, True)
     clock.advance(10**9)
     assert source.command("pause", True) == "paused"
     assert source.command("pause", False) == "runs"
     assert source.next_tick_ns() == 1_010_005_000  # one period from now, not all that were missed
-    assert source.state() == {"paused": False}
+    assert source.state()["paused"] is False
     assert [source.command("pause", None) for _ in range(3)] == ["paused", "runs", "paused"]
+
+
+@pytest.mark.parametrize(("stated_hz", "in_force_hz"), [(50.0, 50.0), (0.0, 0.0), (None, 100.0)])
+def test_the_rate_in_force_is_told_where_none_is_stated(
+    stated_hz: float | None, in_force_hz: float
+) -> None:
+    assert sensor(ManualClock(), stated_hz).state()["rate_hz"] == in_force_hz
+
+
+def test_a_driver_has_its_own_pace_and_no_rate_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "paced_skin.py").write_text(
+        "import numpy as np\n\n\ndef frames():\n    yield 1, np.zeros((4, 4))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    settings = Sensor.Settings(source="paced_skin:frames")
+    made = Sensor(settings, Context("s", ManualClock()))
+    assert made.state() == {"paused": False}
+    assert Sensor(replace(settings, rate_hz=20.0), made.context).state()["rate_hz"] == 20.0
 
 
 @pytest.mark.parametrize("value", [1, 0, "true", [], {"pause": True}])
