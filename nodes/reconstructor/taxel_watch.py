@@ -9,6 +9,7 @@ import numpy as np
 
 from sparseskin.nodes.compressor.calls import Floats
 from sparseskin.nodes.compressor.phi import Phi
+from sparseskin.nodes.reconstructor.end_watch import EndWatch
 from sparseskin.nodes.reconstructor.solver import Mask
 
 #: Frames between two looks for taxels that stand alone, with at least this part of the range and
@@ -21,6 +22,8 @@ MEASURED, QUIET, CHANGE = 200, 0.2, 0.1
 #: that is quieter than it says has no stuck taxels. Of noise cut off at 0 this part is left.
 REAL, CUT_OFF = 0.5, 0.34
 MEDIAN_SQUARE = 0.455
+#: With fewer measurements than this part of the taxels, restored frames have holes of their own.
+LEAST_SEEN = 0.2
 #: Most taxels whose noise is measured at a time, and that a line names.
 MOST, MOST_NAMED = 64, 8
 #: Part of its value by which a stuck taxel has to be off, on average, to be believed again.
@@ -45,8 +48,8 @@ class TaxelWatch:
     measurements, and its force is the mean of its neighbours'. It is believed again where the
     measurements disagree.
 
-    A taxel that always reads 0 is not looked for: the solver sees sums alone, and fills its place
-    as the neighbours have it.
+    Dead taxels, which always read 0, and saturated ones are found by `EndWatch`: by what stays
+    while contacts move. A dead one takes nothing off the measurements; with M < N / 5 none is told.
 
     Parameters
     ----------
@@ -61,7 +64,7 @@ class TaxelWatch:
     Attributes
     ----------
     stuck : dict of int to float
-        What stuck taxels read, newtons, by place in the flat grid.
+        What stuck taxels read, newtons, by place in the flat grid; dead ones 0.
     """
 
     def __init__(
@@ -85,11 +88,14 @@ class TaxelWatch:
         self.stuck: dict[int, float] = {}
         self._off: dict[int, float] = {}
         self._taken: dict[str, Floats] = {}
+        self._ends = EndWatch(mask, f_max)
 
     @property
     def text(self) -> str:
         """Which taxels are left out now, by row and column; "" where none is."""
-        return f"stuck taxels left out: {self._names(self.stuck)}" if self.stuck else ""
+        stuck = [place for place, value in self.stuck.items() if value]
+        named = (("stuck", stuck), ("dead", self.stuck.keys() - stuck))
+        return "; ".join(f"{kind} taxels left out: {self._names(of)}" for kind, of in named if of)
 
     def cleaned(self, phi: Phi, y: Floats) -> Floats:
         """Measurements without what stuck taxels read; y, float32 (m,), is not modified."""
@@ -133,6 +139,7 @@ class TaxelWatch:
             self._measure(phi, forces, residual, residual - last)
         if self._n_frames % EVERY == 0:
             self._look(forces)
+            self._look_at_ends(forces, phi.m >= LEAST_SEEN * phi.n)
         self._n_frames += 1
 
     def _measure(self, phi: Phi, forces: Floats, residual: Floats, change: Floats) -> None:
@@ -150,12 +157,12 @@ class TaxelWatch:
             if variance < QUIET * expected**2 and self._as_noisy_as_said(forces, change):
                 self._stick(place, suspect.force)
         for place, value in list(self.stuck.items()):
+            if not value:
+                continue
             off = float(np.dot(self._column(phi, place), residual)) / seen
             self._off[place] += MOVED_RATE * (off - self._off[place])
             if abs(self._off[place]) > MOVED * value:
-                del self.stuck[place]
-                self._taken.clear()
-                self._log(f"taxel {self._names([place])} moves again")
+                self._believe(place)
 
     def _as_noisy_as_said(self, forces: Floats, change: Floats) -> bool:
         """Whether the measurements have the noise that the skin says it has."""
@@ -172,17 +179,34 @@ class TaxelWatch:
         return sigma
 
     def _stick(self, place: int, value: float) -> None:
-        del self._suspects[place]
+        self._suspects.pop(place, None)
         self.stuck[place], self._off[place] = value, 0.0
         self._taken.clear()
-        self._log(f"taxel {self._names([place])} is stuck at {value:.3g}: left out")
+        said = f"is stuck at {value:.3g}" if value else "reads 0 in every contact"
+        self._log(f"taxel {self._names([place])} {said}: left out")
+
+    def _believe(self, place: int) -> None:
+        del self.stuck[place]
+        self._taken.clear()
+        self._log(f"taxel {self._names([place])} moves again")
+
+    def _look_at_ends(self, forces: Floats, holes_tell: bool) -> None:
+        """Leave out taxels that stay at an end of their range; believe dead ones that do not."""
+        dead, saturated, alive = self._ends.look(forces, self.stuck)
+        for place in dead if holes_tell else ():
+            self._stick(place, 0.0)
+        for place in saturated:
+            self._stick(place, float(forces.flat[place]))
+        for place in alive:
+            if not self.stuck[place]:
+                self._believe(place)
 
     def _look(self, forces: Floats) -> None:
         """Suspect the taxels that stand alone; no longer those that do not, or have changed."""
         edged = np.pad(forces, 1)
-        rows, cols = forces.shape
-        shifts = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
-        most = np.max([edged[i : i + rows, j : j + cols] for i, j in shifts], axis=0)
+        beside = np.maximum(edged[:-2], edged[2:])
+        three = np.maximum(beside, edged[1:-1])
+        most = np.maximum(np.maximum(three[:, :-2], three[:, 2:]), beside[:, 1:-1])
         alone = self._mask & (forces > self._least) & (most < ALONE * forces)
         places = set(np.flatnonzero(alone).tolist()) - self.stuck.keys()
         flat = forces.reshape(-1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sparseskin.nodes.compressor.calls import Floats
@@ -9,20 +11,26 @@ from sparseskin.nodes.reconstructor.solver import Mask
 
 #: Part of the way to a frame's own change that the mean of squared changes goes.
 RATE = 0.2
-#: What the variance of an estimate is made of, by solver: the mean squared change, the noise, and
-#: force times noise. Fitted on random scenes 20..31 at N/3 and N/4, so that bands of 1.645
-#: deviations hold 90 %.
-CALIBRATED = {"skin": (1.4, 0.0125, 0.027), "fista": (2.1, 4.7, 0.0)}
+#: What the root mean square of the residual adds to the change, squared, and to the force: a
+#: taxel that stands still and one that is untouched are not certain.
+CHANGE_FLOOR, FORCE_FLOOR = 0.03, 0.3
+#: By solver: a factor, and the power of N / M. Fitted on random scenes 20..47 at N/3, N/4 and N/8,
+#: fixed rows and rotating ones, so that bands of 1.645 deviations hold 90 % of the touched taxels.
+CALIBRATED = {"skin": (1.25, 0.35), "fista": (1.55, 0.8)}
+TINY = 1e-12
 
 
 class Uncertainty:
-    """Tells the standard deviation of restored forces from how they change from frame to frame.
+    """Tells the standard deviation of restored forces from how they change and where they vary.
 
-    v = a d + b s^2 N / M + c s x, with a, b and c of the solver
+    sd = a (N / M)^b sqrt(r sqrt(p q)),  p = (d + 0.03 r^2) / (x + 0.3 r),  q = sqrt(g^2 + r^2)
 
-    d is the running mean of the squared change of the taxel's estimate: one that the measurements
-    do not hold wanders. s^2 is the mean square of what the frame leaves of the measurements, most
-    of which is noise. A pressed taxel (x) is noisier than one that is not.
+    with a and b of the solver. r is the root mean square of what the frame leaves of the
+    measurements, most of it noise. d is the running mean of the squared change of the taxel's
+    estimate x: one that the measurements do not hold wanders; a change of all forces by the same
+    factor is left out, for that is followed well. g is the sum of both differences to the next
+    taxels, the mean over 3 x 3: edges are uncertain, and inside of a flat contact the noise is
+    averaged. In a skin of another range the deviations scale with the forces.
 
     An untouched taxel that is restored as 0 has a small deviation, never 0.
 
@@ -37,11 +45,15 @@ class Uncertainty:
     """
 
     def __init__(self, mask: Mask, ratio: float, solver: str) -> None:
-        self._change, self._noise, self._force = CALIBRATED[solver]
-        self._noise *= ratio
+        factor, power = CALIBRATED[solver]
+        self._factor = factor * ratio**power
         self._nowhere = None if mask.all() else ~mask
-        vectors = np.zeros((4, *mask.shape), dtype=np.float32)
-        self._last, self._changes, self._scaled, self._v = vectors
+        n_rows, n_cols = mask.shape
+        vectors = np.zeros((4, n_rows, n_cols), dtype=np.float32)
+        self._last, self._changes, self._p, self._q = vectors
+        self._edged, self._rough, self._spare = np.zeros(
+            (3, n_rows + 2, n_cols + 2), dtype=np.float32
+        )
 
     def update(self, forces: Floats, residual: float) -> Floats:
         """Take in a restored frame.
@@ -59,17 +71,61 @@ class Uncertainty:
             Standard deviation of each force, newtons; the caller's own. Forces are not normal:
             90 % of the true ones lie within 1.645 of it, not 68 % within one.
         """
-        v, changes = self._v, self._changes
-        np.subtract(forces, self._last, out=v)
-        np.copyto(self._last, forces)
-        np.square(v, out=v)
-        v -= changes
-        v *= np.float32(RATE)
-        changes += v
-        np.multiply(forces, np.float32(self._force * residual), out=v)
-        v += np.float32(self._noise * residual * residual)
-        v += np.multiply(changes, np.float32(self._change), out=self._scaled)
+        r = max(residual, TINY)
+        p = self._p
+        self._add_change(forces)
+        np.add(self._changes, np.float32(CHANGE_FLOOR * r * r), out=p)
+        q = self._roughness(forces)
+        np.square(q, out=q)
+        q += np.float32(r * r)
+        np.sqrt(q, out=q)
+        p *= q
+        p /= np.add(forces, np.float32(FORCE_FLOOR * r), out=q)
+        np.sqrt(p, out=p)
+        p *= np.float32(self._factor**2 * r)
         if self._nowhere is not None:
-            v[self._nowhere] = 0
-        sd: Floats = np.sqrt(v)
+            p[self._nowhere] = 0
+        sd: Floats = np.sqrt(p)
         return sd
+
+    def _add_change(self, forces: Floats) -> None:
+        """Let the mean of squared changes follow, without what is more or less pressure of all."""
+        last, change, changes = self._last, self._p, self._changes
+        power = float(np.vdot(last, last))
+        gain = float(np.vdot(forces, last)) / power if power > 0 else 1.0
+        if not math.isfinite(gain):
+            gain = 1.0
+        np.multiply(last, np.float32(-gain), out=change)
+        change += forces
+        np.copyto(last, forces)
+        np.square(change, out=change)
+        change -= changes
+        change *= np.float32(RATE)
+        changes += change
+
+    def _roughness(self, forces: Floats) -> Floats:
+        """Sum of both differences to the next taxels, the mean over 3 x 3 of them."""
+        # Rows with their edges one behind the other: all sums but the last are of long vectors.
+        edged, rough, spare = self._edged, self._rough, self._spare
+        width = edged.shape[1]
+        _fill(edged, forces)
+        flat, down, right = edged.reshape(-1), rough.reshape(-1), spare.reshape(-1)
+        np.subtract(flat[width:], flat[:-width], out=down[:-width])
+        np.subtract(flat[1:], flat[:-1], out=right[:-1])
+        np.abs(down, out=down)
+        down += np.abs(right, out=right)
+        _fill(rough, rough[1:-1, 1:-1])
+        three = right
+        np.add(down[: -2 * width], down[width:-width], out=three[width:-width])
+        three[width:-width] += down[2 * width :]
+        np.add(three[:-2], three[1:-1], out=down[1:-1])
+        down[1:-1] += three[2:]
+        np.multiply(rough[1:-1, 1:-1], np.float32(1 / 9), out=self._q)
+        return self._q
+
+
+def _fill(edged: Floats, middle: Floats) -> None:
+    """Set an array but for its edges, and these to what is next to them."""
+    edged[1:-1, 1:-1] = middle
+    edged[0], edged[-1] = edged[1], edged[-2]
+    edged[:, 0], edged[:, -1] = edged[:, 1], edged[:, -2]
