@@ -141,6 +141,48 @@ class BlockHadamard:
         return max(group[2] - 1, 0)
 
 
+class HadamardProducts:
+    """The transform of `BlockHadamard` as a product with the matrix of each size of block.
+
+    It is quicker for small blocks, and no bits are promised: BLAS adds in an order of its own.
+
+    Attributes
+    ----------
+    order_in, order_out, size_at
+        As in `BlockHadamard`; input and output have the same order here.
+    """
+
+    def __init__(self, sizes: list[int]) -> None:
+        self._groups: list[tuple[int, int, int]] = []  # start, size, number of blocks
+        orders: list[Indices] = []
+        start = 0
+        for size in dict.fromkeys(sizes):
+            count = sizes.count(size)
+            self._groups.append((start, size, count))
+            # Blocks side by side: all their first places, then all their second ones, ...
+            orders.append(start + np.arange(size * count).reshape(count, size).T.ravel())
+            start += size * count
+        self.order_in: Indices = np.concatenate(orders)
+        self.order_out = self.order_in
+        self.size_at: Floats = np.array(sizes, dtype=np.float32).repeat(sizes)
+
+    def program(self, a: Floats, b: Floats) -> tuple[list[Call], Floats]:
+        """As `BlockHadamard.program`; the input is left in a."""
+        return self._calls(a, b), b
+
+    def transposed(self, a: Floats, b: Floats) -> list[Call]:
+        """As `BlockHadamard.transposed`; W is symmetric."""
+        return self._calls(b, a)
+
+    def _calls(self, source: Floats, target: Floats) -> list[Call]:
+        calls: list[Call] = []
+        for start, size, count in self._groups:
+            part = slice(start, start + size * count)
+            given, result = (buffer[part].reshape(size, count) for buffer in (source, target))
+            calls.append((np.dot, (hadamard_matrix(size).astype(np.float32), given, result)))
+        return calls
+
+
 _ONE_PLUS_I = np.array(1 + 1j, dtype=np.complex64)
 _ONE_MINUS_I = np.array(1 - 1j, dtype=np.complex64)
 

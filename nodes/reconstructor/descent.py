@@ -8,11 +8,13 @@ from functools import partial
 import numpy as np
 
 from sparseskin.nodes.compressor.calls import Call, Floats, Indices, gather, run
+from sparseskin.nodes.compressor.hadamard import HadamardProducts
 from sparseskin.nodes.compressor.phi import Phi
 from sparseskin.nodes.compressor.sbhe import SbhePhi
 from sparseskin.nodes.fast import MAX_PLACES
 from sparseskin.nodes.reconstructor.basis import Basis
 from sparseskin.nodes.reconstructor.haar import HaarBasis
+from sparseskin.nodes.reconstructor.projection import MAX_BLOCK
 
 
 class Descent(ABC):
@@ -43,8 +45,10 @@ class Descent(ABC):
         """Write the coefficients of an image to out, float32, shape (n_inner,)."""
 
     @abstractmethod
-    def prepare(self, thetas: tuple[Floats, Floats], threshold: Floats) -> None:
-        """Take the two buffers that `iterate` works on, and the thresholds of coefficients w."""
+    def prepare(self, thetas: Floats, threshold: Floats) -> None:
+        """Take the two buffers that `iterate` works on, shape (2, n_inner), and the thresholds of
+        coefficients w.
+        """
 
     @abstractmethod
     def iterate(self, newest: int, betas: Floats) -> None:
@@ -73,35 +77,27 @@ class NumpyDescent(Descent):
     u: Floats
     calls: list[Call]
 
-    def prepare(self, thetas: tuple[Floats, Floats], threshold: Floats) -> None:
-        self._beta = np.zeros((), dtype=np.float32)
+    def prepare(self, thetas: Floats, threshold: Floats) -> None:
+        self._parts = np.zeros(2, dtype=np.float32)
         clipped = np.empty_like(threshold)
-        self._iterations = [
-            self._iteration(theta, before, -threshold, threshold, clipped)
-            for theta, before in (thetas, thetas[::-1])
+        self._iterations: list[list[Call]] = [
+            [
+                # theta + beta (theta - before), in one pass.
+                (np.dot, (self._parts, thetas, self.z)),
+                *self.calls,
+                # u - clip(u) is u drawn towards 0. These two take no third argument by position.
+                (partial(np.minimum, self.u, threshold, out=clipped), ()),
+                (partial(np.maximum, clipped, -threshold, out=clipped), ()),
+                (np.subtract, (self.u, clipped, before)),
+            ]
+            for before in thetas[::-1]
         ]
 
     def iterate(self, newest: int, betas: Floats) -> None:
         for beta in betas:
-            self._beta[()] = beta
+            self._parts[newest], self._parts[1 - newest] = 1 + beta, -beta
             run(self._iterations[newest])
             newest = 1 - newest
-
-    def _iteration(
-        self, theta: Floats, before: Floats, low: Floats, high: Floats, clipped: Floats
-    ) -> list[Call]:
-        """Return the calls of one iteration; u - clip(u) is u drawn towards 0."""
-        z, u = self.z, self.u
-        return [
-            (np.subtract, (theta, before, z)),
-            (np.multiply, (z, self._beta, z)),
-            (np.add, (z, theta, z)),
-            *self.calls,
-            # These two take no third argument by position any more.
-            (partial(np.minimum, u, high, out=clipped), ()),
-            (partial(np.maximum, clipped, low, out=clipped), ()),
-            (np.subtract, (u, clipped, before)),
-        ]
 
 
 class PlainDescent(NumpyDescent):
@@ -158,8 +154,9 @@ class SbheHaarDescent(NumpyDescent):
     """The step for the scrambled block Hadamard ensemble and the Haar basis, many times faster.
 
     With orthonormal rows L = 1, and the step replaces the measured Hadamard coefficients of the
-    image by y and keeps the others. Both transforms run in their inner orders, scaled once; one
-    gather each way does the work of the permutation, the restriction and both reorderings.
+    image by y and keeps the others. Both transforms run in their inner orders, as products with
+    small matrices; one gather each way does the work of the permutation, the restriction and both
+    reorderings.
 
     Parameters
     ----------
@@ -182,16 +179,19 @@ class SbheHaarDescent(NumpyDescent):
         self._to_x = basis.synthesis_program(self._w, self._x)
         self._to_w = basis.analysis_program(self._x, self._w)
 
-        # Cells without a taxel ride along behind the transform's n places, untouched.
-        absent = np.setdiff1d(np.arange(n_cells), taxels)
-        places = basis.place_of_pixel[np.concatenate([taxels[phi.scramble], absent])]
         a = np.zeros(n_cells, dtype=np.float32)
         b = np.zeros(n_cells, dtype=np.float32)
-        transform, middle = phi.hadamard.program(a, b)
+        hadamard = HadamardProducts(phi.hadamard.sizes) if phi.block <= MAX_BLOCK else phi.hadamard
+        transform, middle = hadamard.program(a, b)
+        self._row_places = np.argsort(hadamard.order_out)[phi.rows]
 
+        # Cells without a taxel ride along behind the transform's n places, untouched.
+        absent = np.setdiff1d(np.arange(n_cells), taxels)
+        order = np.concatenate([taxels[phi.permutation[hadamard.order_in]], absent])
+        places = basis.place_of_pixel[order]
         # The transform is not scaled: there and back multiplies by the size of the block.
-        keep: Floats = np.reciprocal(phi.hadamard.size_at)
-        keep[phi.row_places] = 0
+        keep: Floats = np.reciprocal(hadamard.size_at)
+        keep[self._row_places] = 0
         self._measured = np.zeros(n, dtype=np.float32)
         self._scaled_y = np.zeros(phi.m, dtype=np.float32)
 
@@ -201,15 +201,16 @@ class SbheHaarDescent(NumpyDescent):
             *transform,
             (np.multiply, (middle[:n], keep, middle[:n])),
             (np.add, (middle[:n], self._measured, middle[:n])),
-            *phi.hadamard.transposed(a, b),
+            *hadamard.transposed(a, b),
             gather(a, np.argsort(places), self._x),
             *basis.analysis_program(self._x, self.u),
-            (np.multiply, (self.u, self.weights * self.weights, self.u)),
         ]
+        if (self.weights != 1).any():
+            self.calls.append((np.multiply, (self.u, self.weights * self.weights, self.u)))
 
     def set_measurements(self, y: Floats) -> None:
         np.multiply(y, self._phi.scale, self._scaled_y)
-        self._measured[self._phi.row_places] = self._scaled_y
+        self._measured[self._row_places] = self._scaled_y
 
     def image_of(self, w: Floats, out: Floats) -> None:
         np.copyto(self._w, w)

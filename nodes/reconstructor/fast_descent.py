@@ -68,7 +68,7 @@ class CompiledDescent(Descent):
     def coefficients_of(self, image: Floats, out: Floats) -> None:
         np.multiply(self._basis.analysis(image).reshape(-1)[self._cells], self.weights, out)
 
-    def prepare(self, thetas: tuple[Floats, Floats], threshold: Floats) -> None:
+    def prepare(self, thetas: Floats, threshold: Floats) -> None:
         self._thetas, self._threshold = thetas, threshold
 
     def iterate(self, newest: int, betas: Floats) -> None:

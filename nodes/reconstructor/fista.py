@@ -23,7 +23,8 @@ class FistaSolver(Solver):
     theta of the last one, the first from 0; the momentum starts anew with each frame. Negative
     forces of the final image are set to 0, which is not carried to the next frame.
 
-    The same measurements give the same bits, with `phi` "sbhe", whatever BLAS does.
+    The same measurements give the same bits on one machine with one number of BLAS threads; with
+    any number of these, where `phi` is "sbhe" and the grid is of 64 x 64 taxels or fewer.
 
     Parameters
     ----------
@@ -73,7 +74,7 @@ class FistaSolver(Solver):
         self._descent = make_descent(phi, basis, self.taxels, use_compiled(fast))
         weights = self._descent.weights
         # Two buffers that take turns: the newest theta and the one before it.
-        self._thetas = (np.zeros_like(weights), np.zeros_like(weights))
+        self._thetas: Floats = np.zeros((2, weights.size), dtype=np.float32)
         self._newest = 0
         threshold: Floats = (self.lambda_n * self._descent.step_size * weights).astype(np.float32)
         self._descent.prepare(self._thetas, threshold)
@@ -128,8 +129,7 @@ class FistaSolver(Solver):
 
     def reset(self) -> None:
         """Forget all earlier frames: the next one starts from 0."""
-        for theta in self._thetas:
-            theta.fill(0)
+        self._thetas.fill(0)
 
     def _iterate(self, count: int) -> None:
         betas = self._momenta[self._done : self._done + count]

@@ -7,7 +7,11 @@ import numpy.typing as npt
 
 from sparseskin.nodes.compressor.calls import Call, Floats, Indices, gather, run
 from sparseskin.nodes.reconstructor.basis import Basis
-from sparseskin.nodes.reconstructor.halving import Halvings
+from sparseskin.nodes.reconstructor.haar_tiles import HaarTiles, haar_matrix
+from sparseskin.nodes.reconstructor.halving import Bands, Halvings
+
+MAX_DENSE = 64
+"""Samples whose transform by a matrix is quicker than by halvings."""
 
 
 class HaarBasis(Basis):
@@ -20,7 +24,8 @@ class HaarBasis(Basis):
     right, along the rows' (axis 0) below it, along both diagonally.
 
     Where a side is odd, or gets odd after some halvings, the rest is padded to powers of two
-    inside, so such sizes (33 x 33) cost as much as the next power of two.
+    inside, so such sizes (33 x 33) cost as much as the next power of two. A rest of 64 samples or
+    fewer is one product with its matrix instead, and even levels are products with that of a tile.
 
     Parameters
     ----------
@@ -36,8 +41,8 @@ class HaarBasis(Basis):
     n_inner : int
         Length of an inner coefficient buffer, the padding included.
     weights : ndarray of float32, shape (n_inner,)
-        The inner transform T only adds and subtracts: theta = weights * T image. Weight 0: a
-        place of the padding, no coefficient.
+        What the inner transform T lacks to be orthonormal: theta = weights * T image; all 1 where
+        nothing is padded. Weight 0: a place of the padding, no coefficient.
 
     Raises
     ------
@@ -46,41 +51,32 @@ class HaarBasis(Basis):
 
     Notes
     -----
-    Source: the paper, section IV-A. Scaling once at the end, not at each level, changes no bit
-    on sides of powers of two: the weights are powers of two.
+    Source: the paper, section IV-A.
     """
 
     def __init__(self, n_rows: int, n_cols: int) -> None:
         super().__init__(n_rows, n_cols)
-        # First as many halvings as come out even; what is left is padded and halved on.
-        self._even = Halvings((n_rows, n_cols))
-        rest = self._even.shapes[-1]
-        padded = (_next_power_of_two(rest[0]), _next_power_of_two(rest[1]))
-        self._padded = Halvings(padded)
+        # First as many levels as come out even; what is left goes through one matrix, or is
+        # padded and halved on.
+        self._even = HaarTiles((n_rows, n_cols), few=MAX_DENSE)
         self.order: Indices = self._even.order
-        self.n_inner: int = max(self._even.n_inner + self._padded.n_inner, 1)
-
-        gain = np.outer(_gains(rest[0], padded[0]), _gains(rest[1], padded[1]))
-        i, j = np.divmod(self._padded.order, padded[1])
-        inside = (i < rest[0]) & (j < rest[1])
-        rest_places = self._even.last_places if self._even.depth else np.arange(rest[0] * rest[1])
-        sample = np.where(inside, i * rest[1] + j, 0)
-        self._pad: Indices = rest_places[sample]
-        self._pad_gain: Floats = gain.reshape(-1)[self._padded.order].astype(np.float32)
-        self._unpad: Indices = np.flatnonzero(inside)[np.argsort(sample[inside])]
-        self._unpad_gain: Floats = self._pad_gain[self._unpad]
-
-        even = self._even.bands((n_rows, n_cols), np.ones((n_rows, n_cols)), n_cols)
-        deep = self._padded.bands(rest, gain**2 * (n_rows * n_cols / (rest[0] * rest[1])), n_cols)
-        if deep.cells.size:
-            even.cells[self._even.last_places] = -1
-        cells = np.concatenate([even.cells, deep.cells])
-        energies = np.concatenate([even.energies, deep.energies])
-        if not cells.size:  # a single taxel is its own coefficient
-            cells, energies = np.zeros(1, dtype=np.intp), np.ones(1)
+        rows, cols = self._even.rest
+        self._matrix: Floats | None = None
+        if rows * cols <= MAX_DENSE:
+            self._matrix = haar_matrix((rows, cols)).astype(np.float32)
+            corner = np.arange(n_rows * n_cols).reshape(n_rows, n_cols)[:rows, :cols]
+            deep = Bands(corner.ravel(), np.ones(corner.size))
+        else:
+            deep = self._pad_rest(rows, cols)
+        cells = np.concatenate([self._even.cells, deep.cells])
         real = cells >= 0
-        self.weights: Floats = np.zeros(self.n_inner, dtype=np.float32)
-        self.weights[real] = 1 / np.sqrt(energies[real])
+        self.n_inner: int = cells.size
+        # The sums of even levels are no coefficients, but are overwritten on the way back.
+        self.weights: Floats = np.ones(self.n_inner, dtype=np.float32)
+        deep_weights = self.weights[self._even.cells.size :]
+        deep_weights[:] = 0
+        deep_real = deep.cells >= 0
+        deep_weights[deep_real] = 1 / np.sqrt(deep.energies[deep_real])
         self._cell_of_place: Indices = np.where(real, cells, 0)
         self._place_of_cell: Indices = np.flatnonzero(real)[np.argsort(cells[real])]
 
@@ -90,6 +86,20 @@ class HaarBasis(Basis):
         self._to_c = self.analysis_program(self._x, self._c)
         self._to_x = self.synthesis_program(self._c, self._x)
 
+    def _pad_rest(self, rows: int, cols: int) -> Bands:
+        """Prepare the halvings of a padded rest; return where their coefficients belong."""
+        padded = (_next_power_of_two(rows), _next_power_of_two(cols))
+        self._padded = Halvings(padded)
+        gain = np.outer(_gains(rows, padded[0]), _gains(cols, padded[1]))
+        i, j = np.divmod(self._padded.order, padded[1])
+        inside = (i < rows) & (j < cols)
+        sample = np.where(inside, i * cols + j, 0)
+        self._pad: Indices = self._even.rest_places[sample]
+        self._pad_gain: Floats = gain.reshape(-1)[self._padded.order].astype(np.float32)
+        self._unpad: Indices = np.flatnonzero(inside)[np.argsort(sample[inside])]
+        self._unpad_gain: Floats = self._pad_gain[self._unpad]
+        return self._padded.bands((rows, cols), gain**2, self.n_cols)
+
     def analysis_program(self, x: Floats, c: Floats) -> list[Call]:
         """Return the calls that compute c = T x.
 
@@ -98,18 +108,19 @@ class HaarBasis(Basis):
         x : ndarray of float32, shape (n_rows * n_cols,)
             Image in the inner `order`; left as it is.
         c : ndarray of float32, shape (n_inner,)
-            Unscaled coefficients: `weights` * c are the coefficients.
+            `weights` * c are the coefficients.
         """
-        if self.order.size == 1:
-            return [(np.copyto, (c, x))]
-        even_c, padded_c = c[: self._even.n_inner], c[self._even.n_inner :]
+        even_c, deep_c, rest = self._split(c, x)
         calls = self._even.analysis(x, even_c)
-        if self._padded.depth:
-            d = np.empty(self._pad.size, dtype=np.float32)
-            calls.append(gather(even_c if self._even.depth else x, self._pad, d))
-            calls.append((np.multiply, (d, self._pad_gain, d)))
-            calls += self._padded.analysis(d, padded_c)
-        return calls
+        if self._matrix is not None:
+            return [*calls, (np.dot, (self._matrix, rest, deep_c))]
+        d = np.empty(self._pad.size, dtype=np.float32)
+        return [
+            *calls,
+            gather(even_c if even_c.size else x, self._pad, d),
+            (np.multiply, (d, self._pad_gain, d)),
+            *self._padded.analysis(d, deep_c),
+        ]
 
     def synthesis_program(self, c: Floats, x: Floats) -> list[Call]:
         """Return the calls that compute x = T^T c.
@@ -121,19 +132,24 @@ class HaarBasis(Basis):
         x : ndarray of float32, shape (n_rows * n_cols,)
             Image in the inner `order`.
         """
-        if self.order.size == 1:
-            return [(np.copyto, (x, c))]
-        even_c, padded_c = c[: self._even.n_inner], c[self._even.n_inner :]
-        calls: list[Call] = []
-        if self._padded.depth:
-            d = np.empty(self._pad.size, dtype=np.float32)
-            rest = np.empty(self._unpad.size, dtype=np.float32)
-            calls += self._padded.synthesis(padded_c, d)
-            calls.append(gather(d, self._unpad, rest))
-            target = self._even.last(even_c) if self._even.depth else x
-            calls.append((np.multiply, (rest, self._unpad_gain, target)))
-        calls += self._even.synthesis(even_c, x)
-        return calls
+        even_c, deep_c, rest = self._split(c, x)
+        even = self._even.synthesis(even_c, x)
+        if self._matrix is not None:
+            return [(np.dot, (deep_c, self._matrix, rest)), *even]
+        d = np.empty(self._pad.size, dtype=np.float32)
+        return [
+            *self._padded.synthesis(deep_c, d),
+            gather(d, self._unpad, rest),
+            (np.multiply, (rest, self._unpad_gain, rest)),
+            *even,
+        ]
+
+    def _split(self, c: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return what even levels leave, what comes of the rest, and where the rest itself is."""
+        even_c, deep_c = np.split(c, [self._even.cells.size])
+        places = self._even.rest_places
+        rest = (even_c if even_c.size else x)[places[0] : places[-1] + 1]
+        return even_c, deep_c, rest
 
     def _analysis(self, image: Floats, out: Floats) -> None:
         image.take(self.order, None, self._x, "clip")

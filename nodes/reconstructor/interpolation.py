@@ -1,4 +1,4 @@
-"""Taxels that were read by themselves; the others by linear interpolation between them."""
+"""Taxels that were read by themselves; the others by interpolation between them."""
 
 from __future__ import annotations
 
@@ -8,22 +8,29 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
+from sparseskin.nodes.compressor.acts import ActsPhi
 from sparseskin.nodes.compressor.calls import Floats, Indices
 from sparseskin.nodes.compressor.phi import Phi
 from sparseskin.nodes.compressor.subsample import SubsamplePhi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.reconstructor.basis import Basis
+from sparseskin.nodes.reconstructor.line_interpolation import LineInterpolation
 from sparseskin.nodes.reconstructor.solver import Mask, Solver
 
 Points: TypeAlias = npt.NDArray[np.float64]
 
 
 class InterpolationSolver(Solver):
-    """Forces linear on the triangles of a Delaunay triangulation of the taxels that were read.
+    """Forces linear between the taxels that were read.
 
-    A taxel that was read keeps its reading, noise included. For one outside the triangles the
-    nearest that was read stands; where all that were read are on a line, it is linear along the
-    line. Nothing is carried from frame to frame, and the basis is not used.
+    Where these are always the same ones: linear on the triangles of their Delaunay triangulation,
+    which is made once. For a taxel outside the triangles the nearest that was read stands; where
+    all that were read are on a line, it is linear along the line. Where they are others in each
+    frame, a triangulation would cost more than all else: linear along rows, columns and
+    diagonals, `LineInterpolation`.
+
+    A taxel that was read keeps its reading, noise included. Nothing is carried from frame to
+    frame, and the basis is not used.
 
     Parameters
     ----------
@@ -39,7 +46,8 @@ class InterpolationSolver(Solver):
 
     Notes
     -----
-    Source: the linear interpolation that Slepyan et al., arXiv 2410.13847, compare with.
+    Source: the linear interpolation that Slepyan et al., arXiv 2410.13847, compare with; along
+    lines it is ours.
     """
 
     #: It asks phi anew in each frame which taxels were read.
@@ -56,10 +64,12 @@ class InterpolationSolver(Solver):
         self._y = np.zeros(phi.m, dtype=np.float32)
         self._forces = np.zeros(phi.n, dtype=np.float32)
         self._done = True  # no frame is begun
-        self._known: Indices = np.empty(0, dtype=np.intp)
-        self._wanted: Indices
-        self._corners: Indices
-        self._weights: Floats
+        self._lines = LineInterpolation(self.mask) if isinstance(phi, ActsPhi) else None
+        if self._lines is None:
+            self._wanted = np.delete(np.arange(phi.n), phi.rows)
+            self._corners, self._weights = interpolated_from(
+                self._cells[phi.rows], self._cells[self._wanted]
+            )
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         """Begin a frame; parameters and Raises as in `solve`. A warm start is of no use."""
@@ -78,12 +88,10 @@ class InterpolationSolver(Solver):
             raise SolverError("interpolation: no step is left of the frame's 1")
         self._done = True
         rows = self._rows_of.rows
-        if not np.array_equal(rows, self._known):
-            self._wanted = np.delete(np.arange(self.phi.n), rows)
-            self._corners, self._weights = interpolated_from(
-                self._cells[rows], self._cells[self._wanted]
-            )
-            self._known = rows
+        if self._lines is not None:
+            filled = self._lines.fill(self.taxels[rows], self._y)
+            self._forces = filled[self.taxels]
+            return
         self._forces[rows] = self._y
         corners = self._y[self._corners]
         self._forces[self._wanted] = np.einsum("ij,ij->i", corners, self._weights)

@@ -98,7 +98,7 @@ def test_a_warm_started_sequence_is_the_articles_iteration() -> None:
 
 
 @pytest.mark.parametrize("shape", [(13, 11), (12, 32), (28, 28), (16, 16)])
-@pytest.mark.parametrize("block", [8, 32])
+@pytest.mark.parametrize("block", [8, 32, 128])
 def test_missing_taxels_are_left_out(shape: tuple[int, int], block: int) -> None:
     mask = ring_mask(shape)
     n = int(mask.sum())

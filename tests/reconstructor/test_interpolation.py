@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -28,22 +30,35 @@ def acts(shape: tuple[int, int], taxels: npt.NDArray[np.intp]) -> ActsPhi:
     return phi
 
 
+def fixed(shape: tuple[int, int], taxels: npt.NDArray[np.intp]) -> SubsamplePhi:
+    phi = SubsamplePhi(shape[0] * shape[1], len(taxels), seed=0)
+    phi._keep(np.sort(taxels))
+    return phi
+
+
+SAMPLINGS = pytest.mark.parametrize("sampled", [acts, fixed])
+
+
+@SAMPLINGS
 @pytest.mark.parametrize("shape", [(40, 40), (12, 32), (33, 17), (2, 2)])
 def test_a_slope_is_restored_from_its_corners_and_some_taxels_between(
-    shape: tuple[int, int],
+    shape: tuple[int, int], sampled: Callable[..., SubsamplePhi]
 ) -> None:
     rows, cols = shape
     numbers = np.arange(rows * cols).reshape(shape)
     taxels = np.union1d(numbers[:: rows - 1, :: cols - 1], numbers[1::5, 2::7])
-    phi = acts(shape, taxels)
+    phi = sampled(shape, taxels)
     image = slope(rows, cols)
     restored = InterpolationSolver(phi, IdentityBasis(*shape)).solve(phi.forward(image.ravel()))
     np.testing.assert_allclose(restored, image, atol=1e-5)
 
 
+@SAMPLINGS
 @pytest.mark.parametrize("shape", [(1, 20), (20, 1)])
-def test_a_skin_of_one_row_or_column_is_interpolated_along_it(shape: tuple[int, int]) -> None:
-    phi = acts(shape, np.array([2, 9, 17]))
+def test_a_skin_of_one_row_or_column_is_interpolated_along_it(
+    shape: tuple[int, int], sampled: Callable[..., SubsamplePhi]
+) -> None:
+    phi = sampled(shape, np.array([2, 9, 17]))
     image = slope(*shape)
     restored = InterpolationSolver(phi, IdentityBasis(*shape)).solve(phi.forward(image.ravel()))
     np.testing.assert_allclose(restored.ravel()[2:18], image.ravel()[2:18], atol=1e-6)
@@ -53,22 +68,35 @@ def test_a_skin_of_one_row_or_column_is_interpolated_along_it(shape: tuple[int, 
 
 @settings(max_examples=40, deadline=None)
 @given(
-    rows=st.integers(1, 14), cols=st.integers(1, 14), part=st.floats(0, 1), seed=st.integers(0, 99)
+    rows=st.integers(1, 14),
+    cols=st.integers(1, 14),
+    part=st.floats(0, 1),
+    seed=st.integers(0, 99),
+    sampling=st.sampled_from([SubsamplePhi, ActsPhi]),
 )
 def test_taxels_keep_their_readings_and_the_others_lie_between(
-    rows: int, cols: int, part: float, seed: int
+    rows: int, cols: int, part: float, seed: int, sampling: type[SubsamplePhi]
 ) -> None:
     rng = np.random.default_rng(seed)
     mask = rng.random((rows, cols)) < 0.8
     mask[0, 0] = True
     n = int(mask.sum())
-    phi = SubsamplePhi(n, max(1, round(part * n)), seed)
+    phi = sampling(n, max(1, round(part * n)), seed)
     y = rng.random(phi.m).astype(np.float32)
     restored = InterpolationSolver(phi, IdentityBasis(rows, cols), mask).solve(y)
     np.testing.assert_array_equal(restored[mask][phi.rows], y)
     assert restored[mask].min() >= y.min() - 1e-6
     assert restored[mask].max() <= y.max() + 1e-6
     assert not restored[~mask].any()
+
+
+def test_a_taxel_is_the_mean_of_the_lines_on_which_it_lies_between_readings() -> None:
+    phi = acts((3, 3), np.array([0, 2, 6, 8]))
+    y = np.array([1, 5, 2, 2], dtype=np.float32)
+    restored = InterpolationSolver(phi, IdentityBasis(3, 3)).solve(y)
+    np.testing.assert_allclose(restored[[0, 1, 1, 2], [1, 0, 2, 1]], [3, 1.5, 3.5, 2], rtol=1e-6)
+    # The middle is on both diagonals; of its row and its column nothing is read.
+    assert restored[1, 1] == pytest.approx((1.5 + 3.5) / 2)
 
 
 def test_nothing_is_carried_from_a_frame_with_other_taxels() -> None:
