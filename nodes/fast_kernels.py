@@ -342,15 +342,17 @@ def dealt_adjoint(rows: A, measured: A, groups: A, x: A) -> None:
 
 
 @compiled(
-    "float64(float32[::1], float32[::1], float32[::1], int64[:,::1], float32[:,::1], float32[::1])"
+    "float64(float32[::1], float32[::1], float32[::1], float32[::1], int64[:,::1], "
+    "float32[::1], float32[:,::1], float32[::1])"
 )
-def stay(x: A, y: A, measured: A, groups: A, rows: A, misfit: A) -> float:
-    """rows[0] = Phi x, misfit = y - Phi x, and the squared length of that."""
+def stay(x: A, y: A, measured: A, scale: A, groups: A, whole: A, rows: A, misfit: A) -> float:
+    """whole = W x, rows[0] = Phi x, misfit = y - Phi x, and the squared length of that."""
     row = rows[0]
     for k in range(x.size):
         row[k] = x[k]
     hadamard(row, groups)
     for k in range(x.size):
+        whole[k] = row[k] * scale[k]
         row[k] *= measured[k]
         misfit[k] = y[k] - row[k]
     return np.float64(dot(misfit, misfit))
@@ -430,6 +432,53 @@ def move(
     return moved_e2
 
 
+@compiled(
+    "float64(float32[::1], boolean, float32[::1], float32[::1], float32[::1], int64[:,::1], "
+    "float32[::1], float32[::1], float32[::1])"
+)
+def compare_rows(
+    x: A, moved: bool, y: A, read: A, scale: A, groups: A, whole: A, values: A, rows: A
+) -> float:
+    """Move values by W x - whole, and take y in where it was read; the change then, squared."""
+    if moved:
+        for k in range(x.size):
+            rows[k] = x[k]
+        hadamard(rows, groups)
+        for k in range(x.size):
+            row = scale[k] * rows[k]
+            values[k] += row - whole[k]
+            whole[k] = row
+    for k in range(y.size):
+        rows[k] = read[k] * (y[k] - values[k])
+        values[k] += rows[k]
+    return np.float64(dot(rows, rows))
+
+
+@compiled(
+    "void(float64, float64, float32[::1], float32[::1], float32[::1], float32[::1], "
+    "float32[::1], float32[::1], float32[::1])"
+)
+def follow_rows(
+    weight: float,
+    counted: float,
+    read: A,
+    known: A,
+    values: A,
+    whole: A,
+    scale: A,
+    weights: A,
+    target: A,
+) -> None:
+    """Set what rows count by, times their scale, and the target that many times."""
+    k, w = np.float32(weight), np.float32(counted)
+    rest = np.float32(1) - w
+    for i in range(read.size):
+        known[i] = max(known[i], read[i])
+        counts = known[i] * w + read[i] * rest
+        weights[i] = counts * scale[i]
+        target[i] = ((values[i] - whole[i]) * k + whole[i]) * counts
+
+
 @compiled("void(float32[::1], uint32[::1], float64, float32[::1])")
 def give_back(x: A, place_of_cell: A, bias: float, forces: A) -> None:
     """Forces of all cells from means above a bias b: f + b (1 - exp(-f / b))."""
@@ -495,6 +544,9 @@ def haar_synthesis(
 
 #: The loops of each solver, by its name.
 LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
-    "skin": (dealt_rows, dealt_forward, dealt_adjoint, stay, move, skin_step, give_back),
+    "skin": (
+        *(dealt_rows, dealt_forward, dealt_adjoint, stay, move, skin_step, give_back),
+        *(compare_rows, follow_rows),
+    ),
     "fista": (fista, haar_synthesis),
 }

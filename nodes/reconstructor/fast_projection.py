@@ -26,13 +26,23 @@ class CompiledProjection(Projection):
         Start, size and number of the blocks of each size.
     measured : ndarray of float32, shape (n,)
         1 / sqrt(B) where a row is measured, 0 where not.
+    scale : ndarray of float32, shape (n,)
+        1 / sqrt(B).
+    weights : ndarray of float32, shape (n,)
+        `measured`, or `scale` times the weights of `weigh`.
     """
+
+    has_whole = True
 
     def __init__(self, phi: SbhePhi) -> None:
         ready(dealt_rows, dealt_forward, dealt_adjoint)
         columns, self.groups = side_by_side(phi.hadamard.sizes)
         self._place_of_row = np.argsort(columns)
         self.order = phi.permutation[columns]
+        self.scale = np.empty(phi.n, dtype=np.float32)
+        for start, size, count in self.groups:
+            self.scale[start : start + size * count] = 1 / np.sqrt(size)
+        self._weighted = np.zeros(phi.n, dtype=np.float32)
         self.n_rows = phi.n
         self.step_size = 1.0
         self._y = np.zeros(phi.m, dtype=np.float32)
@@ -47,6 +57,7 @@ class CompiledProjection(Projection):
             measured[places] = phi.scale
             self._tables[phi.fingerprint] = measured, places
         self.measured, self._places = self._tables[phi.fingerprint]
+        self.weights = self.measured
 
     def rows_of(self, y: Floats, out: Floats) -> None:
         # A copy, as measurements may be read-only, which compiled loops do not take.
@@ -54,7 +65,15 @@ class CompiledProjection(Projection):
         dealt_rows(self._y, self._places, out)
 
     def forward(self, x: Floats, out: Floats) -> None:
-        dealt_forward(x, self.measured, self.groups, out)
+        dealt_forward(x, self.weights, self.groups, out)
 
     def adjoint(self, rows: Floats, out: Floats) -> None:
-        dealt_adjoint(rows, self.measured, self.groups, out)
+        dealt_adjoint(rows, self.weights, self.groups, out)
+
+    def whole(self, x: Floats, out: Floats) -> None:
+        dealt_forward(x[None], self.scale, self.groups, out[None])
+
+    def weigh(self, weights: Floats | None) -> None:
+        self.weights = self.measured
+        if weights is not None:
+            self.weights = np.multiply(weights, self.scale, self._weighted)

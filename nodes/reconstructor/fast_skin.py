@@ -1,4 +1,5 @@
-"""The solver `skin` in compiled loops: its iteration, its prediction, and its last step."""
+"""The solver `skin` in compiled loops: its iteration, its prediction, what it
+remembers of rows, and its last step."""
 
 from __future__ import annotations
 
@@ -10,10 +11,18 @@ import numpy.typing as npt
 
 from sparseskin.nodes.compressor.calls import Floats, Indices
 from sparseskin.nodes.fast import ready
-from sparseskin.nodes.fast_kernels import give_back, move, skin_step, stay
+from sparseskin.nodes.fast_kernels import (
+    compare_rows,
+    follow_rows,
+    give_back,
+    move,
+    skin_step,
+    stay,
+)
 from sparseskin.nodes.reconstructor.fast_projection import CompiledProjection
 from sparseskin.nodes.reconstructor.neighbours import Neighbours
 from sparseskin.nodes.reconstructor.prediction import SIGNIFICANT, Prediction
+from sparseskin.nodes.reconstructor.row_memory import RowMemory
 from sparseskin.nodes.reconstructor.shifted_haar import SHIFTS, ShiftedHaar
 
 Places = npt.NDArray[np.uint16]
@@ -70,7 +79,7 @@ class CompiledIteration:
         to_canvas, from_canvas = self._tables[shift]
         skin_step(
             *(x, z, r, target, total, to_canvas, from_canvas, canvas, u),
-            *(self._projection.measured, self._projection.groups),
+            *(self._projection.weights, self._projection.groups),
             threshold / self._root_m,
             least,
             self._momentum,
@@ -91,7 +100,10 @@ class CompiledPrediction(Prediction):
 
     def _stay(self, x: Floats, y: Floats, misfit: Floats) -> float:
         projection = self._compiled
-        return stay(x, y, projection.measured, projection.groups, self._rows, misfit)
+        return stay(
+            *(x, y, projection.measured, projection.scale, projection.groups),
+            *(self.whole, self._rows, misfit),
+        )
 
     def _move(self, x: Floats, y: Floats, misfit: Floats, e2: float, s2: float) -> float:
         projection = self._compiled
@@ -100,6 +112,30 @@ class CompiledPrediction(Prediction):
             *(self._terms, self._rows, projection.measured, projection.groups),
             *(self._moved, self._moved_misfit),
         )
+
+
+class CompiledRowMemory(RowMemory):
+    """As `RowMemory`."""
+
+    def __init__(self, projection: CompiledProjection, m: int, whole: Floats) -> None:
+        super().__init__(projection, m, whole)
+        ready(compare_rows, follow_rows)
+        self._compiled = projection
+
+    def _compare(self, x: Floats | None, y: Floats) -> float:
+        projection = self._compiled
+        return compare_rows(
+            *(y if x is None else x, x is not None, y, self.read),
+            *(projection.scale, projection.groups, self._whole, self._values, self._rows),
+        )
+
+    def _follow(self, weight: float, counted: float, target: Floats) -> None:
+        projection = self._compiled
+        follow_rows(
+            *(weight, counted, self.read, self._known, self._values, self._whole),
+            *(projection.scale, self._weights, target),
+        )
+        projection.weights = self._weights
 
 
 def compiled_forces(place_of_cell: Indices) -> Callable[[Floats, float], Floats]:

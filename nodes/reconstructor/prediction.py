@@ -38,16 +38,21 @@ class Prediction:
     ----------
     failed : bool
         Whether the last frame was worse than none, and nothing was predicted from it.
+    moved : bool
+        Whether the prediction is another than the last frame.
+    whole : ndarray of float32, shape (n_rows,)
+        W x of the last frame, where the projection has all rows of one W.
     """
 
     def __init__(self, projection: Projection, neighbours: Neighbours, n: int, m: int) -> None:
         self._m = m
-        self.failed = False
+        self.failed = self.moved = False
         self._projection = projection
         self._neighbours = neighbours
         self._terms = np.zeros((3, n), dtype=np.float32)
         self._rows = np.zeros((3, projection.n_rows), dtype=np.float32)
         self._moved = np.zeros(n, dtype=np.float32)
+        self.whole = np.zeros(projection.n_rows, dtype=np.float32)
         self._moved_misfit = np.zeros(projection.n_rows, dtype=np.float32)
 
     def predict(self, x: Floats, y: Floats, misfit: Floats, s2: float) -> float:
@@ -70,16 +75,19 @@ class Prediction:
             Squared length of the misfit.
         """
         y2 = float(np.dot(y, y))
-        self.failed = False
+        self.failed = self.moved = False
         if not float(np.dot(x, x)) > 0:
+            self.whole.fill(0)
             np.copyto(misfit, y)
             return y2
         e2 = self._stay(x, y, misfit)
         if e2 > STILL * self._m * s2:
-            e2 = self._move(x, y, misfit, e2, s2)
+            still_e2, e2 = e2, self._move(x, y, misfit, e2, s2)
+            self.moved = e2 < still_e2
         # A contact that has vanished is still worth a little: scaled down to next to nothing.
         self.failed = e2 > HARDLY * y2 and e2 > DOUBTFUL * self._m * s2
         if self.failed:
+            self.moved = True
             x.fill(0)
             np.copyto(misfit, y)
             return y2
@@ -87,7 +95,11 @@ class Prediction:
 
     def _stay(self, x: Floats, y: Floats, misfit: Floats) -> float:
         """Find the misfit of x as it is, and its squared length."""
-        self._projection.forward(x[None], self._rows[:1])
+        if self._projection.has_whole:
+            self._projection.whole(x, self.whole)
+            np.multiply(self.whole, self._projection.measured, self._rows[0])
+        else:
+            self._projection.forward(x[None], self._rows[:1])
         np.subtract(y, self._rows[0], misfit)
         return float(np.dot(misfit, misfit))
 

@@ -26,11 +26,17 @@ class Projection(ABC):
         Length of a vector of rows: m, or more where some rows are always 0.
     step_size : float
         1 / L, L the largest eigenvalue of Phi Phi^T.
+    has_whole : bool
+        Whether there are `whole`, `weigh` and `measured`.
+    measured : ndarray of float32, shape (n_rows,)
+        What a row of W is multiplied by: above 0 where it is measured, 0 where not.
     """
 
     order: Indices
     n_rows: int
     step_size: float
+    has_whole = False
+    measured: Floats
 
     @abstractmethod
     def use(self, phi: Phi) -> None:
@@ -47,6 +53,17 @@ class Projection(ABC):
     @abstractmethod
     def adjoint(self, rows: Floats, out: Floats) -> None:
         """Write Phi^T rows / L to out: float32 (n_rows,) to float32 (n,)."""
+
+    def whole(self, x: Floats, out: Floats) -> None:
+        """Write W x to out, the rows that are not measured as well: float32 (n,), (n_rows,)."""
+        raise NotImplementedError
+
+    def weigh(self, weights: Floats | None) -> None:
+        """Let both ways multiply the rows of W by weights, float32 (n_rows,), till `use`.
+
+        None: 1 where a row is measured, 0 where not.
+        """
+        raise NotImplementedError
 
 
 class PlainProjection(Projection):
@@ -90,9 +107,12 @@ class SbheProjection(Projection):
         With blocks of `MAX_BLOCK` at most.
     """
 
+    has_whole = True
+
     def __init__(self, phi: SbhePhi) -> None:
         self.order = phi.permutation
         self.n_rows = phi.n
+        self._weighted = np.zeros(phi.n, dtype=np.float32)
         self.step_size = 1.0
         self._tables: dict[str, tuple[Indices, Floats]] = {}
         self.use(phi)
@@ -117,7 +137,8 @@ class SbheProjection(Projection):
             measured = np.zeros(phi.n, dtype=np.float32)
             measured[phi.rows] = 1
             self._tables[phi.fingerprint] = spread, measured
-        self._spread, self._measured = self._tables[phi.fingerprint]
+        self._spread, self.measured = self._tables[phi.fingerprint]
+        self._weights = self.measured
 
     def rows_of(self, y: Floats, out: Floats) -> None:
         self._y_and_zero[:-1] = y
@@ -125,10 +146,18 @@ class SbheProjection(Projection):
 
     def forward(self, x: Floats, out: Floats) -> None:
         self._transform(x, out)
-        np.multiply(out, self._measured, out)
+        np.multiply(out, self._weights, out)
 
     def adjoint(self, rows: Floats, out: Floats) -> None:
+        if self._weights is not self.measured:
+            rows = np.multiply(rows, self._weights, self._weighted)
         self._transform(rows, out)
+
+    def whole(self, x: Floats, out: Floats) -> None:
+        self._transform(x, out)
+
+    def weigh(self, weights: Floats | None) -> None:
+        self._weights = self.measured if weights is None else weights
 
     def _transform(self, given: Floats, out: Floats) -> None:
         """W is symmetric: its blocks are."""

@@ -20,6 +20,7 @@ from sparseskin.nodes.reconstructor.noise_level import NoiseLevel
 from sparseskin.nodes.reconstructor.parameters import MAX_ITERATIONS, whole_number
 from sparseskin.nodes.reconstructor.prediction import Prediction
 from sparseskin.nodes.reconstructor.projection import make_projection
+from sparseskin.nodes.reconstructor.row_memory import RowMemory
 from sparseskin.nodes.reconstructor.shifted_haar import SHIFTS, TILE, ShiftedHaar
 from sparseskin.nodes.reconstructor.solver import Mask, Solver
 
@@ -40,6 +41,11 @@ COLD_THRESHOLD = 2.4
 #: Frames after a jump that are measured anew as the jump itself is, with all iterations: what it
 #: left wrong where no measurement looks would be believed otherwise.
 SETTLING = 2
+#: Part of the noise that an estimate should leave unexplained: at most, and in M / N. Where it
+#: left less, noise was restored as force, and the threshold rises: by which power of what is
+#: missing, up to how many times, and how fast that is forgotten.
+LEFT, LEFT_BY_RATIO = 0.65, 2.0
+CAUTION, MOST_CAUTION, FORGETTING = 0.3, 1.5, 0.9
 MOMENTUM = 0.7
 #: The estimate is the mean of so many last iterates, each with its own shift.
 AVERAGED = 3
@@ -65,9 +71,13 @@ class SkinSolver(Solver):
        frame brings no surprise, more where it does.
     5. The mean of the last iterates, and the bias given back to touched taxels.
 
+    An estimate that leaves far less of the measurements unexplained than their noise has restored
+    noise as force: the next frame's thresholds are then higher, up to 1.5 times.
+
     Where rows rotate, one solver serves all phases (`use`): the prediction carries over, so that
     what the others have read stays known, and noise, bias and weight are kept by phase. An
-    estimate that explains one frame's rows and is wrong is spoken against by the next.
+    estimate that explains one frame's rows and is wrong is spoken against by the next; and what
+    the others have read is aimed at too, as long as the skin is still (`RowMemory`).
 
     Lengths of steps, noise and threshold come from the measurements: a skin of another range
     gets the same relative errors. The same measurements give the same bits on one machine: the
@@ -141,6 +151,9 @@ class SkinSolver(Solver):
         self._noise = NoiseLevel(phi.m)
         self._bias = ClipBias(self._projection, n)
         self._filter = KalmanWeight(self._projection.n_rows)
+        self._memory: RowMemory | None = None
+        if self._projection.has_whole:
+            self._memory = RowMemory(self._projection, phi.m, self._prediction.whole)
         rng = np.random.default_rng(seed)
         self._shifts: list[int] = rng.integers(len(SHIFTS), size=N_DRAWN).tolist()
 
@@ -179,6 +192,7 @@ class SkinSolver(Solver):
         assert isinstance(projection, CompiledProjection)
         vectors = (self._x, self._z, self._r, self._target, self._sum, self._canvas)
         self._prediction = fast.CompiledPrediction(projection, neighbours, self.phi.n, m)
+        self._memory = fast.CompiledRowMemory(projection, m, self._prediction.whole)
         self._iterate = fast.CompiledIteration(
             projection, self._haar, (*vectors, self._u_and_zero), m, MOMENTUM
         )
@@ -190,6 +204,11 @@ class SkinSolver(Solver):
         self._noise.reset()
         self._bias.reset()
         self._filter.reset()
+        if self._memory is not None:
+            self._memory.forget()
+        self._caution = 1.0
+        self._last_phi = self.phi
+        self._rotating = self._begun = False
         phase = self._phases[self.phi.fingerprint]
         self._noise.use(phase)
         self._filter.use(phase)
@@ -224,12 +243,17 @@ class SkinSolver(Solver):
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         """Begin a frame; parameters and Raises as in `solve`."""
         y = self._checked_y(y)
+        if self._begun and self.phi is not self._last_phi:
+            self._rotating = True
+        self._begun, self._last_phi = True, self.phi
         if warm is not None:
             cells = self.taxels[self._projection.order]
             self._checked_warm(warm).reshape(-1).take(cells, None, self._x, "clip")
             np.maximum(self._x, 0, out=self._x)
         self._projection.rows_of(y, self._y)
         self._bias.take_off(self._y)
+        if self._projection.has_whole:
+            self._projection.weigh(None)
         e2 = self._prediction.predict(self._x, self._y, self._misfit, self._noise.s2) / self.phi.m
         self._noise.update(y, e2, self._prediction.failed)
         jumped, settling = self._noise.jumped, self._noise.since_jump <= SETTLING
@@ -240,15 +264,20 @@ class SkinSolver(Solver):
         held = (HELD_ROTATING if self._rotating else HELD_THRESHOLD) * math.sqrt(e2) * weight
         self._least = max(noise, held) * self._projection.step_size
         cold = COLD_THRESHOLD / math.sqrt(self.phi.ratio)
-        threshold = min(THRESHOLD, cold) if jumped else THRESHOLD
+        if jumped:
+            self._caution = 1.0
+        threshold = min(THRESHOLD, cold) if jumped else THRESHOLD * self._caution
         self._threshold = threshold * self._projection.step_size
         more = PER_SURPRISE * max(0.0, self._filter.surprise - SURPRISE)
         more = self.max_iterations if settling else min(more, self.max_iterations)
         self.n_steps = min(self.max_iterations, self.iterations + int(more))
-        # y' = Phi x_p + K e
-        self._factor[()] = 1 - weight
-        np.multiply(self._misfit, self._factor, self._target)
-        np.subtract(self._y, self._target, self._target)
+        if self._memory is not None and self._rotating:
+            self._recall(self._memory)
+        else:
+            # y' = Phi x_p + K e
+            self._factor[()] = 1 - weight
+            np.multiply(self._misfit, self._factor, self._target)
+            np.subtract(self._y, self._target, self._target)
         np.copyto(self._z, self._x)
         self._sum.fill(0)
         self._done = self._n_summed = 0
@@ -306,26 +335,52 @@ class SkinSolver(Solver):
             ones, kept = self._bias.ones, 1 - self._filter.weight
             left = float(np.dot(ones, self._r)) + kept * float(np.dot(ones, self._misfit))
             self._bias.update(left, self._x, self._noise.s2)
+            unexplained, free = self._unexplained(), int(np.count_nonzero(self._x))
+            self._watch_out(unexplained, free)
             if self._rotating:
-                self._noise.limit(self._unexplained())
+                self._noise.limit(self._noise_of(unexplained, free))
         self._done = self.n_steps
         return self._forces_of(self._x_and_zero, self._bias.b).reshape(self.mask.shape)
 
-    @property
-    def _rotating(self) -> bool:
-        return len(self._phases) > 1
+    def _recall(self, memory: RowMemory) -> None:
+        """Let the rows that earlier frames have read count, as far as they still hold."""
+        if self._noise.jumped:
+            memory.forget()
+        memory.recall(
+            self._phases[self.phi.fingerprint],
+            self._x if self._prediction.moved else None,
+            *(self._y, self._filter.weight, self._noise.s2, self._filter.surprise),
+            self._target,
+        )
+        # The mean square of r, which thresholds go by, is that of the rows that count.
+        self._threshold *= math.sqrt(self.phi.m / memory.m_counted)
 
     def _unexplained(self) -> float:
+        """Energy of what the frame leaves of its own measurements, had K been 1."""
+        r = self._r
+        if self._memory is not None and self._rotating:
+            r = np.multiply(r, self._memory.read, self._target)
+        return float(np.dot(r, r)) / self._filter.weight**2
+
+    def _watch_out(self, unexplained: float, free: int) -> None:
+        """Raise the threshold of the next frame where this one explains too much."""
+        noise = self.phi.m * self._noise.s2
+        if free > self.phi.m:
+            # As many free numbers explain everything, right or wrong: that says nothing.
+            self._caution = max(1.0, FORGETTING * self._caution)
+        elif unexplained > 0 and noise > 0:
+            left = min(LEFT, LEFT_BY_RATIO / self.phi.ratio)
+            caution = self._caution * (left * noise / unexplained) ** CAUTION
+            self._caution = min(max(caution, 1.0), MOST_CAUTION)
+
+    def _noise_of(self, unexplained: float, free: int) -> float:
         """Variance of the noise, going by what the frame leaves of its measurements.
 
         Of the misfit the iterations have explained what a sparse frame can; noise is hardly
         explained, but for the part that as many free numbers as there are pressed taxels take
         up. Infinite where these are too many to tell.
         """
-        free = self.phi.m - np.count_nonzero(self._x)
-        if free < self.phi.m / 2:
-            return math.inf
-        return float(np.dot(self._r, self._r)) / self._filter.weight**2 / free
+        return unexplained / (self.phi.m - free) if free <= self.phi.m / 2 else math.inf
 
     def _numpy_forces(self, x_and_zero: Floats, bias: float) -> Floats:
         """Forces of all cells, from a vector of means above the bias with a 0 behind it."""

@@ -10,7 +10,8 @@ import pytest
 from reconstructor.pressed import noisy, sliding_disc
 
 from sparseskin.nodes import fast
-from sparseskin.nodes.compressor.phi import make_phi
+from sparseskin.nodes.compressor.phi import Phi, make_phi
+from sparseskin.nodes.compressor.rotation import phases_of
 from sparseskin.nodes.compressor.sbhe import SbhePhi
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.reconstructor.basis import make_basis
@@ -74,6 +75,29 @@ def test_skin_finds_the_forces_of_numpy_to_within_10_micronewtons(
     error = np.abs(on - off).max(axis=(1, 2))
     assert np.median(error) < 1e-5
     assert error.max() < 5e-5
+
+
+@pytest.mark.parametrize(("shape", "n_missing"), [((33, 47), 100), ((40, 40), 0)])
+def test_skin_finds_the_forces_of_numpy_where_rows_rotate(
+    shape: tuple[int, int], n_missing: int
+) -> None:
+    """Rows of earlier frames count in either way, blocks of the last taxels included."""
+    mask = mask_of(shape, n_missing)
+    n = int(mask.sum())
+    phases = phases_of(SbhePhi(n, -(-n // 3), 0), "rotating")
+    solvers = [made("skin", phases[0], mask, how) for how in ("on", "off")]
+    errors = []
+    for k, frame in enumerate(noisy(sliding_disc(shape, 25)) * mask):
+        phi = phases[k % 3]
+        on, off = (_solved(solver, phi, phi.forward(frame[mask])) for solver in solvers)
+        errors.append(float(np.abs(on - off).max()))
+    assert np.median(errors) < 1e-5
+    assert max(errors) < 5e-5
+
+
+def _solved(solver: Solver, phi: Phi, y: Floats) -> Floats:
+    solver.use(phi)
+    return solver.solve(y)
 
 
 def test_where_numpy_itself_depends_on_rounding_skin_is_as_near_as_numpy_is_to_itself() -> None:

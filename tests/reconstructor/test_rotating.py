@@ -85,3 +85,12 @@ def test_a_phase_that_it_was_not_made_for_is_refused() -> None:
             solver_for(name, phases_for(3)).use(other)
     with pytest.raises(SolverError, match="is 144 x 576; allowed: 192 x 576"):
         solver_for("skin", phases_for(3)).use(make_phi("sbhe", N, 144, seed=0))
+
+
+def test_a_touch_too_weak_for_one_frame_is_found_by_a_round_of_them() -> None:
+    """0.04 N on 4 x 4 taxels at M = N/8, as long as it stays: half of what it is, at least."""
+    phases = phases_for(8)
+    truth = np.zeros((80, *SHAPE), dtype=np.float32)
+    truth[10:, 9:13, 6:10] = 0.04
+    found = restored(solver_for("skin", phases), phases, noisy(truth))
+    assert found[40:, 9:13, 6:10].mean() > 0.02
