@@ -31,9 +31,9 @@ def main() -> int:
         control.emit("error", text=str(error), code=EXIT_USAGE)
         return EXIT_USAGE
     except zmq.ZMQError as error:
-        control.emit(
-            "error", text=f"cannot bind {commands[0]['endpoint']}: {error}", code=EXIT_USAGE
-        )
+        # The error names the address, which may be the one for other hosts.
+        text = f"cannot bind: {error}; allowed: a free port of an address that this host has"
+        control.emit("error", text=text, code=EXIT_USAGE)
         return EXIT_USAGE
     except Exception as error:
         if os.environ.get("SPARSESKIN_TRACEBACK"):

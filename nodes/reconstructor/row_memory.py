@@ -14,7 +14,7 @@ from sparseskin.nodes.reconstructor.projection import Projection
 MOST = 0.3
 #: Change since a row was read, in noise variances, that is not told from noise; how fast rows
 #: count less where there is more.
-UNDOUBTED, DOUBTING = 1.1, 3.0
+UNDOUBTED, DOUBTING = 1.0, 10.0
 TINY = 1e-30
 
 

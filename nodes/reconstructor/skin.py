@@ -46,6 +46,7 @@ SETTLING = 2
 #: missing, up to how many times, and how fast that is forgotten.
 LEFT, LEFT_BY_RATIO = 0.65, 2.0
 CAUTION, MOST_CAUTION, FORGETTING = 0.3, 1.5, 0.9
+DOUBTED = 0.15
 MOMENTUM = 0.7
 #: The estimate is the mean of so many last iterates, each with its own shift.
 AVERAGED = 3
@@ -365,7 +366,7 @@ class SkinSolver(Solver):
     def _watch_out(self, unexplained: float, free: int) -> None:
         """Raise the threshold of the next frame where this one explains too much."""
         noise = self.phi.m * self._noise.s2
-        if free > self.phi.m:
+        if free > self.phi.m or unexplained < DOUBTED * noise:
             # As many free numbers explain everything, right or wrong: that says nothing.
             self._caution = max(1.0, FORGETTING * self._caution)
         elif unexplained > 0 and noise > 0:
