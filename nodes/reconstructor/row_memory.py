@@ -14,7 +14,7 @@ from sparseskin.nodes.reconstructor.projection import Projection
 MOST = 0.3
 #: Change since a row was read, in noise variances, that is not told from noise; how fast rows
 #: count less where there is more.
-UNDOUBTED, DOUBTING = 1.0, 10.0
+UNDOUBTED, DOUBTING = 1.05, 10.0
 TINY = 1e-30
 
 
@@ -25,7 +25,7 @@ class RowMemory:
     is lost with the frame. Here each row of W keeps what was measured of it; a prediction that
     moves moves it along. In a frame such a row counts by
 
-        w = 0.3 / sqrt(1 + 3 D)
+        w = 0.3 / sqrt(1 + 10 D)
 
     D being how much the rows of this frame have changed since they were read last, in noise
     variances. So a still skin is restored from all of W, one that moves from the frame alone.

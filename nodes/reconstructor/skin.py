@@ -46,7 +46,8 @@ SETTLING = 2
 #: missing, up to how many times, and how fast that is forgotten.
 LEFT, LEFT_BY_RATIO = 0.65, 2.0
 CAUTION, MOST_CAUTION, FORGETTING = 0.3, 1.5, 0.9
-DOUBTED = 0.15
+#: Where still less is left, it is the noise level that is wrong: at few frames a second, motion.
+DOUBTED = 0.1
 MOMENTUM = 0.7
 #: The estimate is the mean of so many last iterates, each with its own shift.
 AVERAGED = 3
