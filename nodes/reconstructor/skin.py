@@ -346,7 +346,8 @@ class SkinSolver(Solver):
 
     def _recall(self, memory: RowMemory) -> None:
         """Let the rows that earlier frames have read count, as far as they still hold."""
-        if self._noise.jumped:
+        # What settles after a jump would be held where it is still wrong.
+        if self._noise.since_jump <= SETTLING:
             memory.forget()
         memory.recall(
             self._phases[self.phi.fingerprint],
