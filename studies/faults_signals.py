@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import statistics
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +19,6 @@ NODES = ("sensor", "compressor", "reconstructor", "monitor", "recorder")
 STREAM = ("sensor", "compressor", "reconstructor")
 SETTLE_S = 0.4
 """Frames of before a fault, to know that the graph runs as it should."""
-KNOWN_S, KNOWN_PART = 0.1, 0.1
-"""How well the median time of recovery is to be known: in seconds, or as a part of it."""
 GRAPH = """
 [graph]
 restart = "on-failure"
@@ -160,35 +156,6 @@ def rows_of(signal_name: str, lots: list[dict[str, Any]]) -> list[dict[str, Any]
             }
         )
     return rows
-
-
-def is_known(lots: list[dict[str, Any]]) -> bool:
-    """Whether the median time of recovery of every node is known well enough: the interval that
-    holds it in 90 % of the cases is within `KNOWN_S` or `KNOWN_PART` of it.
-    """
-    for node in NODES:
-        times_s = [s["recover_s"] for lot in lots for s in lot["struck"][node]]
-        if not times_s:
-            return False
-        low, high = median_interval(times_s)
-        if (high - low) / 2 > max(KNOWN_S, KNOWN_PART * statistics.median(times_s)):
-            return False
-    return True
-
-
-def median_interval(values: Sequence[float]) -> tuple[float, float]:
-    """The interval between two of the values that holds the median in 90 % of the cases or more,
-    whatever the distribution; with fewer than 5 values, all of them.
-
-    Source: the sign test; Conover, "Practical Nonparametric Statistics", Wiley, 1999, section 3.2.
-    """
-    found, n = sorted(values), len(values)
-    left_out, tail = 0, 2.0**-n
-    while left_out < n // 2 and 2 * tail <= 0.1:
-        left_out += 1
-        tail += math.comb(n, left_out) * 2.0**-n
-    k = max(0, left_out - 1)
-    return found[k], found[n - 1 - k]
 
 
 def not_recorded(folder: Path, sensed: set[int]) -> int:
