@@ -1,4 +1,4 @@
-"""What looking at a graph costs it: `make introspection-load` (2 minutes).
+"""What looking at a graph costs it: `make introspection-load` (3 minutes).
 
 A graph of 40 x 40 taxels at 1 kHz, with and without `topic echo`, `hz` and `bw` beside it, turn by
 turn in one run: the latency from sensor to reconstruction, as a node of the graph itself reads it,
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import itertools
 import os
 import re
 import subprocess
@@ -27,7 +26,6 @@ import numpy.typing as npt
 
 from sparseskin.messages import Message, Reconstruction
 from sparseskin.nodes.node import Context, Node
-from sparseskin.nodes.sensor.scenes import open_scene
 from sparseskin.nodes.settings import PatchSettings, setting
 
 from .graph_run import wait_until
@@ -36,7 +34,7 @@ COMMAND = [sys.executable, "-m", "sparseskin.launch.entry"]
 LAUNCH = """
 [nodes.sensor]
 type = "sensor"
-source = "sparseskin.studies.introspection_load:frames"
+source = "sparseskin.studies.latency_nodes:path_40"
 rate_hz = {rate_hz}
 [nodes.compressor]
 type = "compressor"
@@ -60,19 +58,10 @@ WAYS: dict[str, tuple[tuple[str, ...], ...]] = {
     ),
 }
 SETTLE_S = 1.0
-N_FRAMES = 2000
 DEPTH = 16
 """Frames that may wait: on a host that cannot restore them all, what is measured is the latency of
 those that are restored, and not how long a queue has grown; and the run ends when it should.
 """
-
-
-def frames() -> Iterator[tuple[int, npt.NDArray[np.float32]]]:
-    """The first frames of the scene PATH, again and again: (stamp in ns, forces in newtons)."""
-    scene = open_scene("path_40", seed=0)
-    some = [forces for _, forces in itertools.islice(scene, N_FRAMES)]
-    for index, forces in enumerate(itertools.cycle(some)):
-        yield index * 1_000_000, forces
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,51 @@
 """The shipped nodes with a stopwatch beside them: launch types of the study `latency` alone.
 
 Each notes when a frame's message came to it and when what it made of it was sent. What it costs is
-two looks at the clock and a list's append a frame, and the shipped nodes are as they are.
+two looks at the clock and a list's append a frame, and the shipped nodes are as they are. The skins
+are drivers that hand out frames from memory: no simulation takes processor time from the graph.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Iterator
 from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from sparseskin.messages import Measurements, Message, Reconstruction, Taxels
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.node import Tick
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.sensor.node import Sensor
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.scenes import open_scene
 
+Frames = Iterator[tuple[int, npt.NDArray[np.float32]]]
+
+N_FRAMES = 2000
 WATCH = "stopwatch"
 """The key under which a node reports [stamp_ns, ns from there until ...] of each frame."""
+
+
+def path_40() -> Frames:
+    """What the taxels read of PATH's first 2000 frames, again and again: (stamp in ns, N)."""
+    return _looped("path_40")
+
+
+def drag_wrench_64() -> Frames:
+    """What the taxels read of DRAG_WRENCH_64's first 2000 frames, again and again."""
+    return _looped("drag_wrench_64")
+
+
+def _looped(scene: str) -> Frames:
+    rng = np.random.default_rng(0)
+    source = open_scene(scene, seed=0)
+    noise = NoiseModel.for_range(source.skin.f_max)
+    read = [noise.apply(forces, rng) for _, forces in itertools.islice(source, N_FRAMES)]
+    for index, forces in enumerate(itertools.cycle(read)):
+        yield index * 1_000_000, forces
 
 
 class TimedSensor(Sensor):

@@ -26,7 +26,7 @@ QUANTILES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
 _GRAPH = """
 [nodes.sensor]
 type = "sparseskin.studies.latency_nodes:TimedSensor"
-source = "scene:{scene}"
+source = "sparseskin.studies.latency_nodes:{scene}"
 rate_hz = {rate_hz}
 
 [nodes.compressor]

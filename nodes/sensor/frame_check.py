@@ -10,6 +10,7 @@ from .parsed import check_grid, shown
 from .source import Forces, Skin
 
 _MAX_STAMP_NS = (1 << 63) - 1
+_FLOATS = (np.float32, np.float64)
 
 
 class FrameCheck:
@@ -107,6 +108,12 @@ class FrameCheck:
                 raise SourceError(
                     f"{where}: forces have shape {array.shape}, but the skin has {shape}"
                 )
+        if (
+            mask is None
+            and array.dtype in _FLOATS
+            and 0 <= array.min() <= array.max() <= self.f_max
+        ):
+            return array.astype(np.float32)  # nothing to clip; a NaN would be no number in between
         with np.errstate(all="ignore"):
             values = array.astype(np.float64)
         if mask is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -124,7 +125,7 @@ class PolygonalCourse:
 
     def place(self, t_s: float) -> Place:
         """Offset from the place it was dropped at, in m."""
-        i = int(np.searchsorted(self.times_s, t_s, side="right"))
+        i = bisect_right(self.times_s, t_s)
         if i == 0:
             return self.offsets_m[0]
         if i == len(self.times_s):

@@ -12,6 +12,7 @@ import pytest
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.driver import DriverSource, open_callable
+from sparseskin.nodes.sensor.frame_check import FrameCheck
 
 Writer = Callable[[str], str]
 
@@ -275,3 +276,22 @@ class TestName:
         name = module("def frames():\n    yield 0, [[1.0]]\n")
         with pytest.raises(SourceError, match="f_max = "):
             open_callable(f"{name}:frames", f_max=f_max)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("worst", [0.0, 2.5, -0.1, 2.6, np.nan, np.inf])
+def test_a_frame_is_a_copy_of_what_was_delivered_clipped_and_finite(
+    dtype: type[np.floating], worst: float
+) -> None:
+    delivered = np.linspace(0.0, 2.5, 12, dtype=dtype).reshape(3, 4)
+    delivered[1, 2] = worst
+    check = FrameCheck("skin:frames", f_max=2.5)
+    if not np.isfinite(worst):
+        with pytest.raises(SourceError, match="row 1, column 2"):
+            check((0, delivered))
+        return
+    _, forces = check((0, delivered))
+    assert forces.dtype == np.float32
+    assert not np.shares_memory(forces, delivered)
+    np.testing.assert_array_equal(forces, delivered.clip(0, 2.5).astype(np.float32))
+    assert check.n_clipped == (not 0 <= worst <= 2.5)
