@@ -8,6 +8,7 @@ from typing import Any
 
 from .points import Function, StudyError, compute
 from .targets_ablation import ablated
+from .targets_bands import banded
 from .targets_page import Pairs, write
 from .targets_points import RANDOM, recorded, restored, touched_lightly
 
@@ -19,7 +20,7 @@ SCENES = (
 RANDOM_SCENES, QUICK_RANDOM_SCENES = range(10), (0, 3, 6, 9)
 #: 1 is the reading itself; 16 is asked of 4096 taxels alone.
 RATIOS = (1, 3, 4, 8, 16)
-LONGEST_FRAMES, QUICK_FRAMES, ABLATION_FRAMES = 4000, 150, 300
+LONGEST_FRAMES, QUICK_FRAMES, ABLATION_FRAMES, BAND_FRAMES = 4000, 150, 300, 900
 TRIALS, QUICK_TRIALS = 300, 40
 #: Solver and ratio N / M: skin at 4 is asked to be no worse than paper at 2.
 RECORDED = tuple(
@@ -72,6 +73,18 @@ def run(out: Path, quick: bool, seed: int, executor: str, recordings: Path | Non
         for side in (40, 64)
         for solver in ("paper", "skin", "skin, rotating")
     ]
+    banding = [
+        {
+            "scene": scene,
+            "rows": rows,
+            "ratio": ratio,
+            "n_frames": QUICK_FRAMES if quick else BAND_FRAMES,
+            "seed": seed,
+        }
+        for scene in scenes
+        for rows in ("fixed", "rotating")
+        for ratio in (3, 4, 8)
+    ]
     recording = [
         {"path": str(path), "ratio": ratio, "solver": solver, "seed": seed}
         for path in files
@@ -81,11 +94,12 @@ def run(out: Path, quick: bool, seed: int, executor: str, recordings: Path | Non
         {
             "scene": scene,
             "ratio": ratio,
+            "rows": rows,
             "n_frames": QUICK_FRAMES if quick else ABLATION_FRAMES,
             "seed": seed,
         }
         for scene in scenes
-        for ratio in (3, 8)
+        for ratio, rows in ((3, "fixed"), (8, "fixed"), (8, "rotating"))
     ]
 
     def computed(function: Function, points: list[Point], label: str) -> Pairs:
@@ -95,6 +109,7 @@ def run(out: Path, quick: bool, seed: int, executor: str, recordings: Path | Non
         out,
         restored=computed(restored, restoring, "scenes"),
         touched=computed(touched_lightly, touching, "touches"),
+        banded=computed(banded, banding, "bands"),
         recorded=computed(recorded, recording, "recordings"),
         ablated=computed(ablated, ablating, "ablation"),
     )

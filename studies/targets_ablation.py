@@ -10,6 +10,7 @@ import numpy as np
 
 from sparseskin.nodes.compressor.calls import Floats
 from sparseskin.nodes.compressor.phi import make_phi
+from sparseskin.nodes.compressor.rotation import phases_of
 from sparseskin.nodes.reconstructor.basis import make_basis
 from sparseskin.nodes.reconstructor.shifted_haar import SHIFTS
 from sparseskin.nodes.reconstructor.skin import SkinSolver
@@ -102,6 +103,14 @@ def _same_iterations(solver: Any) -> None:
     solver.max_iterations = solver.iterations
 
 
+def _no_rows_of_before(solver: Any) -> None:
+    solver._memory = None
+
+
+def _no_caution(solver: Any) -> None:
+    solver._watch_out = lambda unexplained, free: None
+
+
 WITHOUT: dict[str, Change | None] = {
     "all of it": None,
     "bias of clipped noise": _no_bias,
@@ -113,6 +122,8 @@ WITHOUT: dict[str, Change | None] = {
     "weight of the prediction (K = 1)": _no_weight,
     "doubt of a lagging filter": _no_doubt,
     "more iterations where surprised": _same_iterations,
+    "caution where too much is explained": _no_caution,
+    "rows of earlier phases": _no_rows_of_before,
     "last frame": _no_memory,
 }
 
@@ -123,7 +134,7 @@ def ablated(point: Point) -> dict[str, Any]:
     Parameters
     ----------
     point : dict
-        scene, ratio, n_frames, seed.
+        scene, ratio, rows ("fixed" or "rotating"), n_frames, seed.
 
     Returns
     -------
@@ -132,18 +143,21 @@ def ablated(point: Point) -> dict[str, Any]:
     """
     tallies = {name: Tally() for name in WITHOUT}
     solvers: dict[str, SkinSolver] = {}
-    for truth, taxels in frames_of(point["scene"], point["seed"], point["n_frames"]):
-        if not solvers:
-            n = truth.size
-            phi = make_phi("sbhe", n, n // point["ratio"], seed=point["seed"])
+    frames = frames_of(point["scene"], point["seed"], point["n_frames"])
+    for k, (truth, taxels) in enumerate(frames):
+        if not k:
+            phi = make_phi("sbhe", truth.size, -(-truth.size // point["ratio"]), seed=point["seed"])
+            phases = phases_of(phi, point["rows"])
             for name, change in WITHOUT.items():
                 # What a change takes out, compiled loops would still do.
                 solvers[name] = SkinSolver(phi, make_basis("haar", *truth.shape), fast="off")
                 if change is not None:
                     change(solvers[name])
+        phi = phases[k % len(phases)]
         y = phi.forward(taxels.reshape(-1))
         for name, solver in solvers.items():
             begin = time.perf_counter()
+            solver.use(phi)
             estimate = solver.solve(y)
             tallies[name].add(estimate, truth, time.perf_counter() - begin)
     return {name: tally.figures() for name, tally in tallies.items()}

@@ -25,19 +25,17 @@ def draw_gain(out: Path, method: str, gains_db: Mapping[str, Mapping[int, float]
 
 
 def draw_ablation(
-    out: Path, names: Sequence[str], changes_db: Mapping[int, Sequence[float]]
+    out: Path, names: Sequence[str], changes_db: Mapping[str, Sequence[float]]
 ) -> str:
-    """Draw what leaving out each ingredient changes, by ratio N / M; the Markdown that shows it."""
+    """Draw what leaving out each ingredient changes, by ratio and rows; the Markdown."""
     figure = new_figure(8.0, 0.35 * len(names) + 1.8)
     with chart_style():
         axes = figure.subplots()
         height = 0.8 / len(changes_db)
-        for k, (ratio, changes) in enumerate(changes_db.items()):
+        for k, (kind, changes) in enumerate(changes_db.items()):
             places = [-row - k * height for row in range(len(names))]
-            hatch = "" if k == 0 else "///"
-            axes.barh(
-                places, changes, height, color=PALETTE[k], label=f"M = N/{ratio}", hatch=hatch
-            )
+            hatch = ("", "///", "...")[k % 3]
+            axes.barh(places, changes, height, color=PALETTE[k], label=kind, hatch=hatch)
         axes.set_yticks([-row - height / 2 for row in range(len(names))], list(names))
         axes.axvline(0, color="black", linewidth=0.8)
         axes.set_xlabel("change of mean PSNR without it, dB")

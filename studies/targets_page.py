@@ -9,7 +9,9 @@ from statistics import mean
 from typing import Any
 
 from .report import markdown_table, write_csv, write_page
+from .targets_bands import bands_table
 from .targets_charts import draw_ablation, draw_gain
+from .targets_peer import ITERATIONS
 from .targets_points import DEAD_ZONES_N, LIGHT_TOUCH_N, RANDOM, TOLD_N
 
 Pairs = Sequence[tuple[dict[str, Any], dict[str, Any]]]
@@ -46,14 +48,16 @@ What is missed, and why:
   could know) and the denoised reading stand beside it, and the error over touched taxels alone."""
 
 
-def write(out: Path, restored: Pairs, touched: Pairs, recorded: Pairs, ablated: Pairs) -> None:
+def write(
+    out: Path, restored: Pairs, touched: Pairs, banded: Pairs, recorded: Pairs, ablated: Pairs
+) -> None:
     """Write tables, charts and the page into a folder.
 
     Parameters
     ----------
     out : Path
-    restored, touched, recorded, ablated : sequence of (point, figures)
-        As `targets_points` and `targets_ablation` give them.
+    restored, touched, banded, recorded, ablated : sequence of (point, figures)
+        As `targets_points`, `targets_bands` and `targets_ablation` give them.
     """
     by_scene = _by_scene(restored)
     parts = [
@@ -69,6 +73,8 @@ def write(out: Path, restored: Pairs, touched: Pairs, recorded: Pairs, ablated: 
         _touched_table(by_scene),
         "## Light touch",
         _light_table(touched),
+        "## Uncertainty",
+        bands_table(banded),
         "## Recordings of real skins",
         _recorded_table(recorded),
         "## What each ingredient earns",
@@ -192,10 +198,20 @@ def _touched_table(by_scene: dict[str, dict[int, dict[str, Any]]]) -> str:
             compared = [methods[name] for name in ("paper", *METHODS)]
             touched = [figures["touched_n"] * 1e3 for figures in (reading["raw"], *compared)]
             times = [f"{f['p50_ms']:.2f} / {f['p99_ms']:.2f}" for f in compared]
-            rows.append([scene, f"N/{ratio}", *(f"{value:.1f}" for value in touched), *times])
+            peer = ratios[ratio]["pylops_ms"]
+            than_peer = ["", "", ""]
+            if peer is not None:
+                than_peer = [f"{peer:.1f}", *(f"{peer / f['p50_ms']:.1f}" for f in compared[::2])]
+            cells = (*(f"{value:.1f}" for value in touched), *times, *than_peer)
+            rows.append([scene, f"N/{ratio}", *cells])
     header = ["scene", "M", "raw, mN"]
     header += [f"{name}, {unit}" for unit in ("mN", "ms") for name in ("paper", *METHODS)]
-    text = "RMS error over touched taxels in contact frames; solve time p50 / p99:\n\n"
+    header += ["PyLops, ms", "times paper", f"times {METHODS[-1]}"]
+    text = (
+        "RMS error over touched taxels in contact frames; solve time p50 / p99. Beside it the time "
+        f"of {ITERATIONS} iterations of FISTA in PyLops, p50, with our operators as its own linear "
+        "operator, on the same measurements, and how many times that is ours:\n\n"
+    )
     return text + markdown_table(header, rows)
 
 
@@ -244,23 +260,25 @@ def _ablation(out: Path, ablated: Pairs) -> Iterable[str]:
     names = list(ablated[0][1])
     whole = names[0]
     rows = []
-    losses: dict[int, list[float]] = {}
+    kinds = list(dict.fromkeys((point["ratio"], point["rows"]) for point, _ in ablated))
+    losses: dict[str, list[float]] = {f"N/{ratio}, {how}": [] for ratio, how in kinds}
     for name in names:
         cells = [name]
-        for ratio in sorted({point["ratio"] for point, _ in ablated}):
-            of_ratio = [figures for point, figures in ablated if point["ratio"] == ratio]
-            change = [f[name]["mean_db"] - f[whole]["mean_db"] for f in of_ratio]
-            worst = [f[name]["min_db"] - f[whole]["min_db"] for f in of_ratio]
-            time = mean(f[name]["p50_ms"] - f[whole]["p50_ms"] for f in of_ratio)
-            losses.setdefault(ratio, []).append(mean(change))
+        for (ratio, how), loss in zip(kinds, losses.values(), strict=True):
+            of_kind = [f for point, f in ablated if (point["ratio"], point["rows"]) == (ratio, how)]
+            change = [f[name]["mean_db"] - f[whole]["mean_db"] for f in of_kind]
+            worst = [f[name]["min_db"] - f[whole]["min_db"] for f in of_kind]
+            time = mean(f[name]["p50_ms"] - f[whole]["p50_ms"] for f in of_kind)
+            loss.append(mean(change))
             cells += [f"{mean(change):+.2f}", f"{mean(worst):+.2f}", f"{time * 1e3:+.0f}"]
         rows.append(cells)
     header = ["without"]
-    for ratio in losses:
-        header += [f"N/{ratio}: mean, dB", "worst frame, dB", "p50, µs"]
-    yield draw_ablation(out, names[1:], {ratio: loss[1:] for ratio, loss in losses.items()})
+    for kind in losses:
+        header += [f"{kind}: mean, dB", "worst frame, dB", "p50, µs"]
+    yield draw_ablation(out, names[1:], {kind: loss[1:] for kind, loss in losses.items()})
     yield markdown_table(header, rows[1:])
     yield (
         "The doubt of a lagging filter earns its place on recordings of few frames a second, "
-        "where it keeps the filter from taking motion for noise; at a kilohertz it does nothing."
+        "where it keeps the filter from taking motion for noise; at a kilohertz it does nothing. "
+        "Rows of earlier phases are those of rotating rows."
     )

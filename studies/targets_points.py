@@ -21,6 +21,7 @@ from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.recorded import open_file
 
 from .scene_frames import first_contact, in_contact, scene_frames
+from .targets_peer import PeerClock
 from .targets_scenes import F_MAX_N, random_scene
 
 Floats = npt.NDArray[np.float32]
@@ -145,13 +146,15 @@ def restored(point: Point) -> dict[str, Any]:
     Returns
     -------
     dict
-        "n", and by method the figures of `Tally`. Ratio 1 is the reading itself: raw, with
-        several dead zones, and through the solver "skin" with M = N.
+        "n", by method the figures of `Tally`, and "pylops_ms", the median time that FISTA of
+        PyLops takes for some of the frames; None where it is not installed. Ratio 1 is the
+        reading itself: raw, with several dead zones, and through the solver "skin" with M = N.
     """
     ratio: int = point["ratio"]
     frames = frames_of(point["scene"], point["seed"], point["n_frames"])
     tallies: dict[str, Tally] = {}
     made: dict[str, Method] = {}
+    peer: PeerClock | None = None
     n = 0
     for truth, taxels in frames:
         if not n:
@@ -161,6 +164,7 @@ def restored(point: Point) -> dict[str, Any]:
             made = {name: Method(name, ratio, everywhere, point["seed"]) for name in names}
             zones = [f"dead zone {zone:.2f} N" for zone in DEAD_ZONES_N] if ratio == 1 else []
             readings = ["raw", *zones] if ratio == 1 else []
+            peer = PeerClock(truth.shape, ratio, point["seed"]) if ratio > 1 else None
             tallies = {name: Tally() for name in (*readings, *names)}
         if ratio == 1:
             tallies["raw"].add(taxels, truth, 0.0)
@@ -170,7 +174,13 @@ def restored(point: Point) -> dict[str, Any]:
         for name, method in made.items():
             estimate, seconds = method.restore(taxels)
             tallies[name].add(estimate, truth, seconds)
-    return {"n": n, "methods": {name: tally.figures() for name, tally in tallies.items()}}
+        if peer is not None:
+            peer.restore(taxels)
+    return {
+        "n": n,
+        "methods": {name: tally.figures() for name, tally in tallies.items()},
+        "pylops_ms": None if peer is None else peer.p50_ms,
+    }
 
 
 def touched_lightly(point: Point) -> dict[str, Any]:

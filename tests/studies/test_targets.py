@@ -11,6 +11,7 @@ from sparseskin.launch.cli import main
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.targets import is_large, recordings_in
 from sparseskin.studies.targets_ablation import WITHOUT, ablated
+from sparseskin.studies.targets_bands import banded
 from sparseskin.studies.targets_page import write
 from sparseskin.studies.targets_points import recorded, restored, touched_lightly
 from sparseskin.studies.targets_scenes import F_MAX_N, KINDS, random_scene
@@ -50,6 +51,19 @@ def test_all_methods_of_a_point_have_the_same_frames() -> None:
     assert max(zones) > raw
 
 
+def test_the_time_of_pylops_is_that_of_the_same_run() -> None:
+    pytest.importorskip("pylops")
+    point = {"scene": "random 2", "ratio": 3, "n_frames": None, "seed": 0}
+    assert restored(point)["pylops_ms"] > 0
+
+
+def test_bands_hold_parts_of_the_truth() -> None:
+    point = {"scene": "random 2", "ratio": 4, "rows": "rotating", "n_frames": None, "seed": 0}
+    held = banded(point)
+    assert set(held) == {"touched", "untouched", "total", "row", "col"}
+    assert all(0.7 < part <= 1 for part in held.values())
+
+
 def test_a_light_touch_is_counted_and_false_ones_too() -> None:
     point = {"side": 40, "ratio": 3, "solver": "skin", "n_trials": 10, "seed": 1}
     figures = touched_lightly(point)
@@ -71,7 +85,9 @@ def test_a_recording_is_its_own_truth(tmp_path: Path) -> None:
 
 
 def test_each_ingredient_can_be_left_out_and_changes_the_result() -> None:
-    figures = ablated({"scene": "random 0", "ratio": 3, "n_frames": None, "seed": 0})
+    figures = ablated(
+        {"scene": "random 0", "ratio": 3, "rows": "rotating", "n_frames": None, "seed": 0}
+    )
     assert set(figures) == set(WITHOUT)
     whole = figures["all of it"]["mean_db"]
     assert all(f["mean_db"] != whole for name, f in figures.items() if name not in _INDIFFERENT)
@@ -79,7 +95,7 @@ def test_each_ingredient_can_be_left_out_and_changes_the_result() -> None:
         assert figures[name]["mean_db"] < whole - 0.5
 
 
-_INDIFFERENT = ("all of it", "doubt of a lagging filter")
+_INDIFFERENT = (*("all of it", "doubt of a lagging filter", "caution where too much is explained"),)
 
 
 def test_the_page_holds_every_scene_and_says_what_is_missing(tmp_path: Path) -> None:
@@ -89,11 +105,20 @@ def test_the_page_holds_every_scene_and_says_what_is_missing(tmp_path: Path) -> 
         point = {"scene": "random 2", "ratio": ratio, "n_frames": n_frames, "seed": seed}
         pairs.append((point, restored(point)))
     light = {"side": 40, "ratio": 4, "solver": "skin", "n_trials": 1, "seed": 0}
-    ablation = {"scene": "random 2", "ratio": 3, "n_frames": n_frames, "seed": seed}
+    ablation = {
+        "scene": "random 2",
+        "ratio": 3,
+        "rows": "fixed",
+        "n_frames": n_frames,
+        "seed": seed,
+    }
     pytest.importorskip("matplotlib")
-    write(tmp_path, pairs, [(light, touched_lightly(light))], [], [(ablation, ablated(ablation))])
+    told = (light, touched_lightly(light))
+    bands = (ablation, banded(ablation))
+    write(tmp_path, pairs, [told], [bands], [], [(ablation, ablated(ablation))])
     page = (tmp_path / "targets.md").read_text()
     assert page.count("| random 2 | N/3 |") == 2
+    assert page.count("| random 2 | fixed |") == page.count("| **mean** | fixed |") == 1
     assert page.count("| N/3 | skin, rotating |") == 1
     assert "--recordings" in page
     for name in ("gain_skin.png", "gain_skin_rotating.svg", "ablation.png", "scenes.csv"):
