@@ -39,7 +39,7 @@ def test_its_graph_is_sound_and_bounds_what_waits(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "load.toml"
-    path.write_text(LAUNCH.format(out="x.npy", rate_hz=1000.0, iterations=10, depth=DEPTH))
+    path.write_text(LAUNCH.format(out="x.npy", rate_hz=1000.0, depth=DEPTH))
     nodes = load(str(path)).nodes
     assert nodes["reconstructor"].settings.depth == DEPTH > 0
     assert nodes["sensor"].settings.rate_hz == 1000.0
