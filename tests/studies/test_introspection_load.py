@@ -32,7 +32,7 @@ def test_each_turn_with_onlookers_is_compared_with_the_one_before(
     assert of_alone.split()[1:] == ["200", "3.000", "4.000", "1000"]
     assert of_looked.split()[-4:] == ["200", "4.000", "5.000", "1750"]
     assert ratios.endswith(": 1.500 1.250")
-    assert last == "median 1.375; CPU x 1.750"
+    assert last == "median 1.375; p50 of all x 1.333, CPU x 1.750"
 
 
 def test_its_graph_is_sound_and_bounds_what_waits(
