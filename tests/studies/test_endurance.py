@@ -25,6 +25,8 @@ def test_over_jumps_and_losses_nothing_is_lost_for_good(rows: str) -> None:
     assert len(figures["losses_db"]) == n_losses
     behind = figures["jumps_db"] + figures["losses_db"]
     assert float(np.median(behind)) < 1
+    assert len(figures["apart_db"]) == len(behind)
+    assert np.any(figures["apart_db"])
     assert figures["rounds_db"][0] > 40
 
 
@@ -43,7 +45,12 @@ def test_a_line_says_how_many_are_within_a_decibel() -> None:
     point = {"side": 20, "ratio": 3, "rows": "fixed"}
     figures = {
         **{"n_frames": 1000, "not_finite": 0, "largest_n": 2.0, "frame_ms": 0.25},
-        **{"rounds_db": [50.0, 49.0, 49.5], "jumps_db": [0.5, 2.0], "losses_db": []},
+        **{
+            "rounds_db": [50.0, 49.0, 49.5],
+            "jumps_db": [0.5, 2.0],
+            "losses_db": [],
+            "apart_db": [0.1],
+        },
     }
     line = summary(point, figures)
     assert "50.0 % of 2 (median +1.2 dB, worst +2.0 dB)" in line.values()
