@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import mcap.reader
@@ -297,3 +298,25 @@ def test_a_topic_of_every_schema_can_be_recorded(tmp_path: Path) -> None:
     with BagReader(tmp_path / "a.mcap") as bag:
         assert {message.payload for message in bag.messages()} == {b"verbatim"}
         assert bag.topics.keys() == {f"/skin/{name}" for name in SCHEMAS}
+
+
+def test_each_chunk_has_its_line_in_the_index_and_takes_little_memory(tmp_path: Path) -> None:
+    n_chunks, messages = 2000, frames(2)
+    tracemalloc.start()
+    with BagWriter(tmp_path / "a.mcap", {}) as bag:
+        record(bag, messages[0])
+        bag.flush()
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(n_chunks - 1):
+            record(bag, messages[1])
+            bag.flush()
+        grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    with open(tmp_path / "a.mcap", "rb") as file:
+        summary = mcap.reader.make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert len(summary.chunk_indexes) == n_chunks
+    assert all(len(chunk.message_index_offsets) == 1 for chunk in summary.chunk_indexes)
+    starts = [chunk.chunk_start_offset for chunk in summary.chunk_indexes]
+    assert starts == sorted(set(starts))
+    assert grown < 200 * n_chunks
