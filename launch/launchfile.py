@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ from .checker import Checker, one_line_of
 from .launchspec import LaunchError, LaunchFile, NodeSpec
 
 BUNDLED = Path(__file__).parent
+_TOML_PLACE = re.compile(r" \(at line (\d+), column (\d+)\)$")
 
 __all__ = [
     "BUNDLED",
@@ -91,8 +93,16 @@ def load(name: str, overrides: Sequence[str] = (), record: str | None = None) ->
         text = path.read_text(encoding="utf-8")
         tree = tomllib.loads(text)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise LaunchError([f"{shown}: not a TOML file: {one_line_of(error)}"]) from error
+        raise LaunchError([_unreadable(shown, error)]) from error
     return Checker(shown, text, tree, path.stem, path.parent).check(overrides, record)
+
+
+def _unreadable(shown: str, error: Exception) -> str:
+    """The line for a file that is no TOML, with the place where it says one."""
+    text = one_line_of(error)
+    if place := _TOML_PLACE.search(text):
+        return f"{shown}:{place[1]}: not TOML: {text[: place.start()]}, column {place[2]}"
+    return f"{shown}: not a TOML file: {text}"
 
 
 def load_tables(

@@ -44,7 +44,9 @@ def join(nodes: NodeSpecs) -> list[Link]:
             matching = fnmatch.filter(writers, pattern) if "*" in pattern else [pattern]
             for topic in matching:
                 if topic not in writers:
-                    hint = did_you_mean(topic, writers)
+                    like = [t for t in writers if t.rpartition("/")[2] == topic.rpartition("/")[2]]
+                    known = ", ".join(sorted(writers))
+                    hint = did_you_mean(topic, like) if like else f" (written: {known})"
                     raise SettingsError(f"{name}: reads {topic}, which no node writes{hint}")
                 links.append(Link(topic, writers[topic], name))
             if not matching:

@@ -85,7 +85,7 @@ def read_key_pair(path: Path) -> KeyPair:
             if mode & ~SECRET_MODE:
                 raise KeyFileError(
                     f"{path}: mode {mode:04o} lets others at the secret key "
-                    f"(allowed: {SECRET_MODE:04o}; chmod 600 {path.name})"
+                    f"(allowed: {SECRET_MODE:04o}; chmod 600 {path})"
                 )
             data = file.read(MAX_KEY_FILE_BYTES)
     except OSError as error:

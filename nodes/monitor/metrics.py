@@ -32,6 +32,8 @@ CONTACT_FRACTION = 0.004
 """A frame is in contact where some taxel bears more than this part of f_max: 0.01 N of 2.5 N."""
 FLOAT_BITS = 32
 """Bits of a taxel's reading as it is published."""
+JOINING_NS = 1_000_000_000
+"""Who joins late hears one topic before the other: frames of so long a time are no loss then."""
 MAX_PENDING = 512
 """Frames that wait for their reconstruction; older ones are given up."""
 RECENT = 100
@@ -164,6 +166,7 @@ class PatchMetrics:
         self.solve = Quantiles()
         self._sensed, self._reconstructed = StreamCount(late), StreamCount(late)
         self._first_ns: int | None = None if late else 0
+        self._joining = late
         self.bytes_in = self.bytes_out = 0
         self.bits: int | None = None
         self.lost_so_far = 0
@@ -220,6 +223,8 @@ class PatchMetrics:
                 if self.latency_ns is not None:
                     self.latency.add(self.latency_ns)
                 self.solve.add(message.solve_ns)
+                if self._joining:
+                    self._join(message.stamp_ns)
                 frame = self._pair(message.stamp_ns)
                 frame.reconstruction = message
                 frame.latency_ns = self.latency_ns
@@ -233,6 +238,21 @@ class PatchMetrics:
             self._sensed.end(n_messages)
         elif schema == Reconstruction.schema:
             self._reconstructed.end(n_messages)
+
+    def _join(self, stamp_ns: int) -> None:
+        """Leave out frames whose taxels came before reconstructions could be heard at all."""
+        self._joining = False
+        first = self._pending.get(stamp_ns)
+        assert self._first_ns is not None
+        if first is None or not first.n_sensed or stamp_ns - self._first_ns > JOINING_NS:
+            return
+        n_before = first.n_sensed - 1
+        self._sensed.before -= n_before
+        for before_ns in [ns for ns in self._pending if ns < stamp_ns]:
+            del self._pending[before_ns]
+        for frame in self._pending.values():
+            frame.n_sensed = max(0, frame.n_sensed - n_before)
+        self._first_ns = stamp_ns
 
     def _absent_bytes(self, taxels: Taxels) -> int:
         """Bytes of masked cells: a real skin has no wires there, so they must not count."""

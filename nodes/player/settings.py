@@ -102,7 +102,10 @@ def _of_schemas(present: Iterable[str], settings: PlayerSettings) -> list[str]:
     chosen = [topic_of(patch, schema) for patch in patches for schema in settings.schemas]
     for topic in chosen:
         if topic not in present and split_topic(topic)[1] != Truth.schema:
-            raise SettingsError(f"schemas: {topic}: not in {settings.file}")
+            raise SettingsError(
+                f"schemas: {topic}: not in {settings.file}, which has {', '.join(sorted(present))}"
+                "; record it with them"
+            )
     return chosen
 
 

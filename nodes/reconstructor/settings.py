@@ -100,7 +100,8 @@ class ReconstructorSettings(PatchSettings):
     def check(self) -> None:
         if self.preset not in PRESETS:
             raise SettingsError(
-                f"preset: '{self.preset}' is not known{did_you_mean(self.preset, PRESETS)}"
+                f"preset: '{self.preset}' is not known{did_you_mean(self.preset, PRESETS)}; "
+                f"allowed: {', '.join(PRESETS)}"
             )
         check_fast(self.fast)
         chosen = self.chosen()

@@ -227,6 +227,25 @@ def test_who_joins_late_pairs_no_resultant_of_before() -> None:
     assert metrics.summary()["frames"]["unpaired"] == 0
 
 
+@pytest.mark.parametrize("heard_ms", [0, 900, 1100])
+def test_who_hears_taxels_first_counts_no_frame_of_before_as_lost(heard_ms: int) -> None:
+    metrics = PatchMetrics(late=True)
+    metrics.add(skin(has_truth=False))
+    frames = [frame(seq, None, 1.0, 1.0) for seq in range(40, 45)]
+    for messages in frames:
+        for k, message in enumerate(messages):
+            stamp_ns = 1_000_000 * (heard_ms if message.seq >= 42 else 0) + message.stamp_ns
+            messages[k] = dataclasses.replace(message, stamp_ns=stamp_ns)
+    for messages in frames[:2]:
+        metrics.add(messages[0])
+    for messages in (frames[2], frames[4]):
+        for message in messages:
+            metrics.add(message)
+    found = metrics.summary()["frames"]
+    assert metrics.reconstructed == 3  # by their numbers: frame 43 is lost for this reader alone
+    assert found["lost"] == metrics.lost_so_far == (2 if heard_ms > 1000 else 0)
+
+
 def test_a_monitor_reads_resultants_where_they_are_written() -> None:
     settings = Monitor.Settings()
     for told in (False, True):
