@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ import pytest
 # Numpy, the reference, in all processes, unless a test asks for compiled loops.
 os.environ.setdefault("SPARSESKIN_FAST", "off")
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 """When a wait is given up: far beyond what anything here takes, so it is no claim on speed."""
 
 
@@ -27,6 +28,13 @@ def wait_until(done: Callable[[], bool], what: str) -> None:
     while not done():
         assert time.monotonic() < deadline, f"gave up waiting for {what}"
         time.sleep(0.01)
+
+
+def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
+    """A port of the loopback interface that nothing listens to now."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 class Program:

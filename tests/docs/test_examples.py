@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import StartProgram
+from conftest import StartProgram, free_port
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable
@@ -45,17 +45,11 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[Open]:
         sys.modules.pop(name, None)
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 class UdpSkin:
     """A skin that sends packets from a thread, again and again, until it is told to stop."""
 
     def __init__(self, *packets: bytes, pause_s: float = 0.001) -> None:
-        self.port = free_port()
+        self.port = free_port(socket.SOCK_DGRAM)
         self._packets, self._pause_s = packets, pause_s
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._send, daemon=True)

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import re
 import signal
-import socket
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from conftest import Program, StartProgram, wait_until
+from conftest import Program, StartProgram, free_port, wait_until
 
 from sparseskin.launch.running import RunningGraph, announced, running_graphs
 from sparseskin.nodes.keys import make_key_files, read_public_key
@@ -73,9 +72,7 @@ class Secured:
             make_key_files(name, folder / "keys")
         for tool in COMMANDS:
             make_key_files(f"mallory_{tool}", folder / "elsewhere")
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = min(int(probe.getsockname()[1]), 65000)
+        self.port = min(free_port(), 65000)
         (folder / "graph.toml").write_text(GRAPH.format(edge_port=self.port))
         self.parts: list[Program] = []
         for host in ("edge", "desk"):

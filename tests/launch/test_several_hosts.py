@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import shutil
 import signal
-import socket
 from pathlib import Path
 
 import pytest
-from conftest import Program, StartProgram, wait_until
+from conftest import Program, StartProgram, free_port, wait_until
 
 from sparseskin.nodes.keys import make_key_files
 
@@ -36,12 +35,6 @@ out = "two.mcap"
 topics = ["/skin/*"]
 host = "desk"
 """
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def write(folder: Path, rate_hz: int = 500, allow: str = "", security: bool = True) -> None:

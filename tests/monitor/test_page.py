@@ -73,6 +73,16 @@ def answer(page: Any, field: str) -> str:
     return text(page, f'output[data-answer="{field}"]')
 
 
+def frames_shown(page: Any) -> int:
+    return int(text(page, '[data-tile="frames"] strong'))
+
+
+def frames_played(page: Any) -> int:
+    """Frames of a recording of 200 Hz before the player's position, which is the next frame's."""
+    position_s = page.find_element("css selector", "[data-seek]").get_property("value")
+    return round(200 * float(position_s))
+
+
 def test_the_page_asks_nothing_of_any_other_host(start: StartProgram, page: Any) -> None:
     open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
     entries = [json.loads(entry["message"])["message"] for entry in page.get_log("performance")]
@@ -111,7 +121,8 @@ def test_the_resultant_is_a_cross_in_its_ellipse_and_hosts_are_in_the_header(pag
         graph.frame()
         figures = '[data-panel="restored"] figcaption'
         wait_until(lambda: "resultant 3.2 ± 0.1 N" in text(page, figures), "the resultant")
-        assert text(page, "#hosts li") == "host edge: heard, clock +0.10 ± 0.30 ms"
+        clock = "host edge: heard, clock +0.10 ± 0.30 ms"
+        wait_until(lambda: text(page, "#hosts li") == clock, "the host in the header")
         # In pixels of the page: as the cells of the map beneath lie, of 5 rows and 7 columns.
         of_map, of_ellipse = (
             page.execute_script(
@@ -228,11 +239,16 @@ def test_a_replay_is_paused_stepped_and_sought(start: StartProgram, page: Any) -
     pause = '[data-pause="player"]'
     wait_until(lambda: "Pause" in text(page, pause), "the controls")
     page.find_element("css selector", pause).click()
+    wait_until(lambda: "Go on" in text(page, pause), "the button to change")
     wait_until(lambda: text(page, "#liveness") == "paused", "the pause")
-    before = int(drawn(page))
+    # Frames played before the pause may still be on their way to the page.
+    wait_until(lambda: frames_shown(page) == frames_played(page), "the frames before the pause")
+    played, before = frames_played(page), int(drawn(page))
     (step,) = (b for b in page.find_elements("css selector", "button") if b.text == "Step")
     step.click()
-    wait_until(lambda: int(drawn(page)) == before + 1, "one frame more")
+    wait_until(lambda: frames_played(page) == played + 1, "one frame more")
+    wait_until(lambda: frames_shown(page) == played + 1, "its place in the count")
+    wait_until(lambda: int(drawn(page)) > before, "its maps")
     page.execute_script(
         "const seek = document.querySelector('[data-seek=player]');"
         "seek.value = 1; seek.dispatchEvent(new Event('change'));"
