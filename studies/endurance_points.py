@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.compressor.phi import Phi, make_phi
-from sparseskin.nodes.compressor.rotation import phases_of
+from sparseskin.nodes.compressor.phi import Phi
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.basis import make_basis
 from sparseskin.nodes.reconstructor.skin import SkinSolver
 from sparseskin.nodes.sensor.noise import NoiseModel
 
+from .targets_points import Point, phases_at
 from .targets_scenes import F_MAX_N, random_scene
 
 Floats = npt.NDArray[np.float32]
-Point = dict[str, Any]
 
 #: A round is so many scenes, each cut into its middle, where its body is down: from one to the
 #: next everything changes between two frames. Every round has the same scenes, and other noise.
@@ -54,10 +53,7 @@ def endured(point: Point) -> dict[str, Any]:
         draws other shifts, is below the first; "frame_ms".
     """
     side: int = point["side"]
-    n = side * side
-    rotating = point["rows"] == "rotating"
-    m = -(-n // point["ratio"]) if rotating else n // point["ratio"]
-    phases = phases_of(make_phi("sbhe", n, m, seed=point["seed"]), point["rows"])
+    phases = phases_at(side * side, point["ratio"], point["rows"], point["seed"])
     scenes = [_frames(number, side) for number in range(SCENES)]
     noise, rng = NoiseModel.for_range(F_MAX_N), np.random.default_rng(point["seed"])
     solver, fresh, other = (

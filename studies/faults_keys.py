@@ -48,7 +48,7 @@ def turned_away(point: dict[str, Any], folder: Path) -> dict[str, Any]:
                 named_s[kind], got = _knock(graph, endpoint, own, server_key, _KINDS[kind])
                 n_got += got
             lost, n_sensed = probe.lost(began_ns)
-            stopped = [name for name, pid in others.items() if graph.nodes().get(name) != pid]
+            stopped = graph.stopped(others)
         graph.end()
         left = graph.left()
     times = ", ".join(f"{kind} {seconds:.2f} s" for kind, seconds in named_s.items())

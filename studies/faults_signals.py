@@ -91,13 +91,11 @@ def strike(
     since_ns, until_ns = began_ns - 100_000_000, max(probe.stamps("reconstruction"))
     lost, n_sensed = probe.lost(since_ns)
     expected = (until_ns - since_ns) / 1e9 * point["rate_hz"]
-    after = graph.nodes()
-    others = [name for name, pid in before.items() if name != node and after.get(name) != pid]
     return {
         "recover_s": recover_s,
         "lost": lost,
         "not_sensed": max(0, round(expected) - n_sensed) if node == "sensor" else 0,
-        "stopped": others,
+        "stopped": graph.stopped(before, node),
     }
 
 

@@ -16,7 +16,7 @@ from sparseskin.nodes.clock import SystemClock
 from sparseskin.nodes.keys import read_key_pair
 from sparseskin.nodes.sockets import Reader, make_context
 
-from .graph_run import PATIENCE_S, GraphRun, wait_until
+from .graph_run import GraphRun, wait_until
 
 POLL_MS = 20
 FRESH_NS = 500_000_000
@@ -114,9 +114,7 @@ class Probe:
             first = seen
         return first.came_ns
 
-    def wait_for_fresh(
-        self, after_ns: int, schema: str = "reconstruction", patience_s: float = PATIENCE_S
-    ) -> int:
+    def wait_for_fresh(self, after_ns: int, schema: str = "reconstruction") -> int:
         """As `wait_for_frame`, but for a frame that comes within `FRESH_NS` of its acquisition, so
         that no older ones are waiting any more.
         """
@@ -128,7 +126,7 @@ class Probe:
             return bool(found)
 
         what = f"a {schema} that is less than {FRESH_NS / 1e6:g} ms old"
-        wait_until(has_come, what, patience_s)
+        wait_until(has_come, what)
         return found[0].came_ns
 
     def _read(self) -> None:

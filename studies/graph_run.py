@@ -20,7 +20,7 @@ from sparseskin.launch.control_socket import ControlClient
 
 from .points import StudyError
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 """When a wait is given up: far beyond what anything takes that goes well."""
 LOOK_S = 0.005
 _MARK = "SPARSESKIN_GRAPH_RUN"
@@ -132,6 +132,11 @@ class GraphRun:
             for pid, line in self.processes().items()
             if (found := re.search(r"sparseskin\.nodes\.run_node (\S+)\s*$", line))
         }
+
+    def stopped(self, before: Mapping[str, int], *but: str) -> list[str]:
+        """Nodes that are gone, or run as another process than before; some may not count."""
+        now = self.nodes()
+        return [name for name, pid in before.items() if name not in but and now.get(name) != pid]
 
     def processes(self) -> dict[int, str]:
         """Command lines of all processes of this run, by process number."""

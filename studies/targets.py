@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,34 +74,23 @@ def run(out: Path, quick: bool, seed: int, executor: str, recordings: Path | Non
         for side in (40, 64)
         for solver in ("paper", "skin", "skin, rotating")
     ]
-    banding = [
-        {
-            "scene": scene,
-            "rows": rows,
-            "ratio": ratio,
-            "n_frames": QUICK_FRAMES if quick else BAND_FRAMES,
-            "seed": seed,
-        }
-        for scene in scenes
-        for rows in ("fixed", "rotating")
-        for ratio in (3, 4, 8)
-    ]
+    banding = of_skin(
+        scenes,
+        [(ratio, rows) for rows in ("fixed", "rotating") for ratio in (3, 4, 8)],
+        QUICK_FRAMES if quick else BAND_FRAMES,
+        seed,
+    )
     recording = [
         {"path": str(path), "ratio": ratio, "solver": solver, "seed": seed}
         for path in files
         for solver, ratio in RECORDED
     ]
-    ablating = [
-        {
-            "scene": scene,
-            "ratio": ratio,
-            "rows": rows,
-            "n_frames": QUICK_FRAMES if quick else ABLATION_FRAMES,
-            "seed": seed,
-        }
-        for scene in scenes
-        for ratio, rows in ((3, "fixed"), (8, "fixed"), (8, "rotating"))
-    ]
+    ablating = of_skin(
+        scenes,
+        [(3, "fixed"), (8, "fixed"), (8, "rotating")],
+        QUICK_FRAMES if quick else ABLATION_FRAMES,
+        seed,
+    )
 
     def computed(function: Function, points: list[Point], label: str) -> Pairs:
         return list(zip(points, compute(function, points, out, executor, label), strict=True))
@@ -113,6 +103,17 @@ def run(out: Path, quick: bool, seed: int, executor: str, recordings: Path | Non
         recorded=computed(recorded, recording, "recordings"),
         ablated=computed(ablated, ablating, "ablation"),
     )
+
+
+def of_skin(
+    scenes: Sequence[str], sampled: Sequence[tuple[int, str]], n_frames: int, seed: int
+) -> list[Point]:
+    """Points of the solver "skin" alone: each scene at each ratio N / M and kind of rows."""
+    return [
+        {"scene": scene, "ratio": ratio, "rows": rows, "n_frames": n_frames, "seed": seed}
+        for scene in scenes
+        for ratio, rows in sampled
+    ]
 
 
 def is_large(scene: str) -> bool:

@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 
 from sparseskin.nodes.compressor.calls import Floats
-from sparseskin.nodes.compressor.phi import make_phi
-from sparseskin.nodes.compressor.rotation import phases_of
 from sparseskin.nodes.reconstructor.basis import make_basis
 from sparseskin.nodes.reconstructor.shifted_haar import SHIFTS
 from sparseskin.nodes.reconstructor.skin import SkinSolver
 
-from .targets_points import Point, Tally, frames_of
+from .targets_points import Point, Tally, frames_of, phases_at
 
 #: The parts of a solver are its own; a study that takes them out has to reach into it.
 Change = Callable[[Any], None]
@@ -146,11 +144,10 @@ def ablated(point: Point) -> dict[str, Any]:
     frames = frames_of(point["scene"], point["seed"], point["n_frames"])
     for k, (truth, taxels) in enumerate(frames):
         if not k:
-            phi = make_phi("sbhe", truth.size, -(-truth.size // point["ratio"]), seed=point["seed"])
-            phases = phases_of(phi, point["rows"])
+            phases = phases_at(truth.size, point["ratio"], point["rows"], point["seed"])
             for name, change in WITHOUT.items():
                 # What a change takes out, compiled loops would still do.
-                solvers[name] = SkinSolver(phi, make_basis("haar", *truth.shape), fast="off")
+                solvers[name] = SkinSolver(phases[0], make_basis("haar", *truth.shape), fast="off")
                 if change is not None:
                     change(solvers[name])
         phi = phases[k % len(phases)]

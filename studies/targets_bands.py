@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi import make_phi
-from sparseskin.nodes.compressor.rotation import phases_of
 from sparseskin.nodes.reconstructor.basis import make_basis
 from sparseskin.nodes.reconstructor.presets import PRESETS
 from sparseskin.nodes.reconstructor.resultant import Estimate, ResultantEstimator
@@ -19,13 +17,11 @@ from sparseskin.nodes.reconstructor.uncertainty import Uncertainty
 
 from .report import markdown_table
 from .scene_frames import in_contact
-from .targets_points import Floats, Point, frames_of
+from .targets_points import TOUCHED, Floats, Point, frames_of, phases_at
 from .targets_scenes import F_MAX_N
 
 #: A band of so many standard deviations to each side is to hold 90 % of the truth.
 DEVIATIONS = 1.645
-#: Forces above this part of the range are those of touched taxels.
-TOUCHED = 0.004
 HELD = ("touched", "untouched", "total", "row", "col")
 
 
@@ -50,13 +46,11 @@ def banded(point: Point) -> dict[str, Any]:
     ):
         if not k:
             everywhere = np.ones(truth.shape, dtype=np.bool_)
-            m = -(-truth.size // point["ratio"])
-            phi = make_phi("sbhe", truth.size, m, seed=point["seed"])
-            phases = phases_of(phi, point["rows"])
+            phases = phases_at(truth.size, point["ratio"], point["rows"], point["seed"])
             basis = make_basis(chosen.pop("basis"), *truth.shape)
             solver = make_rotating_solver(chosen.pop("solver"), phases, basis, everywhere, **chosen)
-            uncertainty = Uncertainty(everywhere, phi.ratio, "skin")
-            resultant = ResultantEstimator(phi, solver.taxels, truth.shape)
+            uncertainty = Uncertainty(everywhere, phases[0].ratio, "skin")
+            resultant = ResultantEstimator(phases[0], solver.taxels, truth.shape)
         phi = phases[k % len(phases)]
         y = phi.forward(taxels.reshape(-1))
         told = resultant.estimate(phi, y)

@@ -11,7 +11,7 @@ from typing import Any
 from .report import markdown_table, write_csv, write_page
 from .targets_bands import bands_table
 from .targets_charts import draw_ablation, draw_gain
-from .targets_peer import ITERATIONS
+from .targets_peer import PAPER
 from .targets_points import DEAD_ZONES_N, LIGHT_TOUCH_N, RANDOM, TOLD_N
 
 Pairs = Sequence[tuple[dict[str, Any], dict[str, Any]]]
@@ -211,8 +211,8 @@ def _touched_table(by_scene: dict[str, dict[int, dict[str, Any]]]) -> str:
     header += ["PyLops, ms", "times paper", f"times {METHODS[-1]}"]
     text = (
         "RMS error over touched taxels in contact frames; solve time p50 / p99. Beside it the time "
-        f"of {ITERATIONS} iterations of FISTA in PyLops, p50, with our operators as its own linear "
-        "operator, on the same measurements, and how many times that is ours:\n\n"
+        f"of {PAPER['iterations']} iterations of FISTA in PyLops, p50, with our operators as its "
+        "own linear operator, on the same measurements, and how many times that is ours:\n\n"
     )
     return text + markdown_table(header, rows)
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import time
-from importlib.util import find_spec
 
 import numpy as np
 
+from sparseskin.nodes.reconstructor.presets import PRESETS
+
 from .scene_frames import Floats
-from .speed_peers import PyLopsFista
+from .speed_peers import PyLopsFista, missing_peers
 from .speed_problem import Bpdn
 
-#: The paper's method, as preset paper has it, on the project's own operators.
-ITERATIONS, LAMBDA_N = 30, 0.1 / 32
+#: The paper's method on the project's own operators.
+PAPER = PRESETS["paper"]
 #: It is timed in one frame of so many: it takes the time of many.
 EVERY = 25
 
@@ -33,8 +34,8 @@ class PeerClock:
         self._seconds: list[float] = []
         self._n_frames = 0
         self._peer: PyLopsFista | None = None
-        if find_spec("pylops") is not None:
-            problem = Bpdn(shape, ratio, seed, LAMBDA_N)
+        if "PyLops FISTA" not in missing_peers():
+            problem = Bpdn(shape, ratio, seed, PAPER["lambda_n"])
             self._peer = PyLopsFista(problem, np.zeros(problem.n, dtype=np.float32))
 
     def restore(self, taxels: Floats) -> None:
@@ -42,7 +43,7 @@ class PeerClock:
         if self._peer is not None and self._n_frames % EVERY == 0:
             y = self._peer.problem.phi.forward(taxels.reshape(-1))
             begin = time.perf_counter()
-            self._peer.solve(y, ITERATIONS)
+            self._peer.solve(y, PAPER["iterations"])
             self._seconds.append(time.perf_counter() - begin)
         self._n_frames += 1
 

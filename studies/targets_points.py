@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.compressor.phi import make_phi
+from sparseskin.nodes.compressor.phi import Phi, make_phi
 from sparseskin.nodes.compressor.rotation import FIXED, ROTATING, phases_of
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.basis import make_basis
@@ -30,6 +30,8 @@ Point = dict[str, Any]
 RANDOM = "random "
 #: Frames before the first contact: a solver has then seen some of an untouched skin.
 BEFORE = 20
+#: Forces above this part of the range are those of touched taxels.
+TOUCHED = 0.004
 DEAD_ZONES_N = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08)
 #: FISTA as in the paper, and with the lambda that serves it best at 30 iterations.
 SOLVERS: dict[str, dict[str, Any]] = {
@@ -57,7 +59,7 @@ class Tally:
         if in_contact(truth, F_MAX_N):
             error = estimate - truth
             self.psnr.append(psnr_db(error, F_MAX_N))
-            on_touched = error[truth > 0.004 * F_MAX_N]
+            on_touched = error[truth > TOUCHED * F_MAX_N]
             self.touched.append(float(np.mean(np.square(on_touched, dtype=np.float64))))
 
     def figures(self) -> dict[str, float]:
@@ -86,6 +88,14 @@ def frames_of(scene: str, seed: int, n_frames: int | None) -> Iterator[tuple[Flo
         yield truth, noise.apply(truth, rng)
 
 
+def phases_at(n: int, ratio: int, rows: str, seed: int) -> list[Phi]:
+    """Phi of N taxels at a ratio N / M, one of each phase: M is rounded down where rows are fixed,
+    and up where they rotate, so that all phases together hold every row.
+    """
+    m = n // ratio if rows == FIXED else -(-n // ratio)
+    return phases_of(make_phi("sbhe", n, m, seed=seed), rows)
+
+
 class Method:
     """One of `SOLVERS` with the measurements it asks for, frame after frame.
 
@@ -93,7 +103,7 @@ class Method:
     ----------
     name : str
     ratio : int
-        N / M; where rows rotate, M is rounded up, else down.
+        N / M, as `phases_at` takes it.
     exists : ndarray of bool, shape (n_rows, n_cols)
         Where there are taxels.
     seed : int
@@ -108,10 +118,8 @@ class Method:
         chosen = dict(SOLVERS[name])
         if "lambda_n" in chosen:
             chosen["lambda_n"] *= f_max_n / F_MAX_N
-        n = int(exists.sum())
-        rotating = name.endswith(ROTATING)
-        phi = make_phi("sbhe", n, -(-n // ratio) if rotating else n // ratio, seed=seed)
-        self._phases = phases_of(phi, ROTATING if rotating else FIXED)
+        rows = ROTATING if name.endswith(ROTATING) else FIXED
+        self._phases = phases_at(int(exists.sum()), ratio, rows, seed)
         basis = make_basis(chosen.pop("basis"), *exists.shape)
         self._solver = make_rotating_solver(
             chosen.pop("solver"), self._phases, basis, exists, **chosen
