@@ -88,6 +88,9 @@ class Reconstruction(Message):
     sd : ndarray of float32, shape (n_rows, n_cols), or None
         Standard deviation of each force, in the skin's unit, where it was asked for: 90 % of the
         true forces lie within 1.645 of it.
+    skipped : int
+        Frames since the last reconstruction that were left out on purpose, because newer ones
+        waited.
     """
 
     schema: ClassVar[str] = "reconstruction"
@@ -101,6 +104,7 @@ class Reconstruction(Message):
     solve_ns: int = wire(Integer())
     done_ns: int = wire(Integer())
     sd: Floats | None = wire(Array("<f4", 2, optional=True), default=None, omitted=True)
+    skipped: int = wire(Integer(), default=0, omitted=True)
 
     def validate(self) -> None:
         if self.sd is not None and self.sd.shape != self.forces.shape:

@@ -177,6 +177,7 @@ class NodeHost:
         elif count.admit(message):
             if overtaken:
                 count.skipped += 1
+                self.node.overtaken(message)
                 return
             yield from self._guarded(self.node.step, message)
 

@@ -127,6 +127,9 @@ class Node(Generic[S]):
         """
         raise NotImplementedError
 
+    def overtaken(self, message: Message) -> None:
+        """A message was skipped, as more newer ones than `depth` waited behind it."""
+
     def ended(self, topic: str, n_messages: int) -> Iterable[Message]:
         """One input topic has ended after `n_messages` were sent on it."""
         return ()

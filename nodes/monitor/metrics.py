@@ -112,7 +112,8 @@ class StreamCount:
 class Judged:
     """One frame with all that belongs to it, and its figures; unknown ones are nan.
 
-    `lost` counts the frames up to this one that were sensed and not reconstructed.
+    `lost` counts the frames up to this one that were sensed and neither reconstructed nor skipped
+    on purpose.
     """
 
     taxels: Taxels
@@ -134,7 +135,7 @@ class _Pending:
     resultant: Resultant | None = None
     latency_ns: int | None = None
     n_sensed: int = 0
-    n_reconstructed: int = 0
+    n_answered: int = 0
 
 
 class PatchMetrics:
@@ -169,7 +170,7 @@ class PatchMetrics:
         self._joining = late
         self.bytes_in = self.bytes_out = 0
         self.bits: int | None = None
-        self.lost_so_far = 0
+        self.lost_so_far = self.skipped = 0
         self.unpaired = 0
         self._pending: OrderedDict[int, _Pending] = OrderedDict()
 
@@ -187,6 +188,11 @@ class PatchMetrics:
     def reconstructed(self) -> int:
         """Frames that were reconstructed."""
         return self._reconstructed.total
+
+    @property
+    def lost(self) -> int:
+        """Frames that were sensed, and neither reconstructed nor skipped on purpose."""
+        return max(0, self.sensed - self.reconstructed - self.skipped)
 
     def add(self, message: Message) -> Judged | None:
         """Take in one message of the patch; return the frame that it completes, if any."""
@@ -225,10 +231,12 @@ class PatchMetrics:
                 self.solve.add(message.solve_ns)
                 if self._joining:
                     self._join(message.stamp_ns)
+                else:
+                    self.skipped += message.skipped
                 frame = self._pair(message.stamp_ns)
                 frame.reconstruction = message
                 frame.latency_ns = self.latency_ns
-                frame.n_reconstructed = self._reconstructed.add(message)
+                frame.n_answered = self._reconstructed.add(message) + self.skipped
                 return self._settle(message.stamp_ns)
         return None
 
@@ -277,7 +285,7 @@ class PatchMetrics:
             return None
         del self._pending[stamp_ns]
         # Both streams count the same frames, so a lag of numbers is what has been lost.
-        self.lost_so_far = max(0, frame.n_sensed - frame.n_reconstructed)
+        self.lost_so_far = max(0, frame.n_sensed - frame.n_answered)
         cells = self.skin.mask if self.skin.mask is not None else slice(None)
         taxels = frame.taxels.forces[cells]
         restored = frame.reconstruction.forces[cells]
@@ -331,7 +339,8 @@ class PatchMetrics:
             "frames": {
                 "sensed": self.sensed,
                 "reconstructed": self.reconstructed,
-                "lost": max(0, self.sensed - self.reconstructed),
+                "skipped": self.skipped,
+                "lost": self.lost,
                 "unpaired": self.unpaired + len(self._pending),
             },
             "reference": {True: "truth", False: "taxels", None: None}[has_truth],

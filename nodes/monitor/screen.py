@@ -84,7 +84,9 @@ def _patch_lines(name: str, patch: PatchFeed, now_s: float) -> list[str]:
         f"latency {shown(latency.get('p50'), '.1f')} / {shown(latency.get('p99'), '.1f')}"
         + (f" ± {within:.1f} ms, " if (within := summary["latency_uncertainty_ms"]) else " ms, ")
         + f"solve {shown(solve.get('p50'), '.1f')} ms",
-        f"{frames['reconstructed']} of {frames['sensed']} frames, {patch.lost} lost",
+        f"{frames['reconstructed']} of {frames['sensed']}"
+        + (f", {frames['skipped']} skipped, " if frames["skipped"] else " frames, ")
+        + f"{patch.lost} lost",
     ]
     lines = [title.center(WIDTH, "-")]
     lines += [f"{a:<42} {b}" for a, b in zip(left, right, strict=True)]

@@ -46,7 +46,8 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
     rows = [
         title.center(78, "="),
         f"frames      sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
-        f"lost {frames['lost']}",
+        + (f"skipped {frames['skipped']}, " if frames["skipped"] else "")
+        + f"lost {frames['lost']}",
         f"measured    {patch['phi']}{', rotating rows' if patch['rows'] == 'rotating' else ''}: "
         f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
         f"range 0..{shown(patch['f_max'], 'g')} {patch['unit']}"

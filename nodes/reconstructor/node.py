@@ -59,6 +59,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._solver: Solver | None = None
         self._last: Floats | None = None
         self._warm: Floats | None = None
+        self._skipped = 0
         self._watch = FaultWatch(settings.watch_rows, settings.watch_taxels, context.log)
         self._uncertainty: Uncertainty | None = None
         self._resultant: ResultantEstimator | None = None
@@ -91,6 +92,9 @@ class Reconstructor(Node[ReconstructorSettings]):
             self._phases, self._solver = {}, None
             stamp_ns = max(self._skin.stamp_ns, self._announced.stamp_ns)
             yield self._set_up(self._skin, self._announced, stamp_ns)
+
+    def overtaken(self, message: Message) -> None:
+        self._skipped += isinstance(message, Measurements)
 
     def change(self, settings: ReconstructorSettings) -> Iterable[Message]:
         before, self.settings = self.settings, settings
@@ -217,7 +221,9 @@ class Reconstructor(Node[ReconstructorSettings]):
             solve_ns=solve_ns,
             done_ns=done_ns,
             sd=None if self._uncertainty is None else self._uncertainty.update(forces, residual),
+            skipped=self._skipped,
         )
+        self._skipped = 0
         if watched and self._watch.update(phi, given, y, forces, fitted):
             # What the false rows have left in the estimate would stand for long.
             self._warm, self._last = np.zeros_like(forces), None

@@ -67,7 +67,13 @@ def test_not_one_of_the_first_thousand_frames_is_lost(start: StartProgram, tmp_p
     assert code == 0, stderr
     summary = json.loads((tmp_path / "out.json").read_text())
     patch = summary["patches"]["skin"]
-    assert patch["frames"] == {"sensed": 1000, "reconstructed": 1000, "lost": 0, "unpaired": 0}
+    assert patch["frames"] == {
+        "sensed": 1000,
+        "reconstructed": 1000,
+        "skipped": 0,
+        "lost": 0,
+        "unpaired": 0,
+    }
     for node in summary["nodes"].values():
         assert not any(node["lost"].values())
         assert not node["refused"]
@@ -86,7 +92,7 @@ def test_as_fast_as_it_is_read_nothing_is_lost_beyond_any_queue(
     ).finish()
     assert code == 0, stderr
     frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
-    assert frames == {"sensed": 6000, "reconstructed": 6000, "lost": 0, "unpaired": 0}
+    assert frames == {"sensed": 6000, "reconstructed": 6000, "skipped": 0, "lost": 0, "unpaired": 0}
 
 
 def test_the_summary_holds_what_it_promises(start: StartProgram, tmp_path: Path) -> None:
@@ -293,7 +299,8 @@ def test_one_that_takes_the_newest_alone_says_how_many_it_skipped(
     assert frames == {
         "sensed": 600,
         "reconstructed": 600 - n_skipped,
-        "lost": n_skipped,
+        "skipped": n_skipped,
+        "lost": 0,
         "unpaired": n_skipped,
     }
     for one in summary["nodes"].values():

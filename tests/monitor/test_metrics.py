@@ -145,9 +145,29 @@ def test_lost_frames_are_those_sensed_but_not_reconstructed() -> None:
     assert metrics.summary()["frames"] == {
         "sensed": 10,
         "reconstructed": 9,
+        "skipped": 0,
         "lost": 1,
         "unpaired": 1,
     }
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_frames_that_were_skipped_on_purpose_are_not_lost(late: bool) -> None:
+    metrics = PatchMetrics(late=late)
+    metrics.add(skin(has_truth=False))
+    n_restored = 0
+    for seq in range(10):
+        taxels, measurements, reconstruction = frame(seq, None, 1.0, 1.0)
+        metrics.add(taxels)
+        metrics.add(measurements)
+        if seq in (0, 3, 8):  # 1 and 2 are skipped; 4 to 6 are lost, 7 is skipped
+            assert isinstance(reconstruction, Reconstruction)
+            skipped = {0: 5, 3: 2, 8: 1}[seq] if late or seq else 0  # 5: before it could hear
+            told = dataclasses.replace(reconstruction, skipped=skipped, seq=n_restored)
+            metrics.add(told)
+            n_restored += 1
+            assert metrics.lost_so_far == (3 if seq == 8 else 0)
+    assert (metrics.skipped, metrics.lost) == (3, 4)  # frame 9 is under way
 
 
 def test_frames_that_are_never_reconstructed_do_not_pile_up() -> None:

@@ -77,6 +77,7 @@ class Tap(Node[Settings]):
     def __init__(self) -> None:
         super().__init__(Settings(), Context("tap", ManualClock()))
         self.given: list[int] = []
+        self.overtaken_by_newer: list[int] = []
 
     @classmethod
     def inputs(cls, settings: Settings) -> tuple[str, ...]:
@@ -85,6 +86,9 @@ class Tap(Node[Settings]):
     def step(self, message: Message) -> Iterable[Message]:
         self.given.append(message.seq)
         return ()
+
+    def overtaken(self, message: Message) -> None:
+        self.overtaken_by_newer.append(message.seq)
 
 
 def test_what_is_skipped_on_a_socket_is_counted_and_an_end_ends(
@@ -120,6 +124,7 @@ def test_what_is_skipped_on_a_socket_is_counted_and_an_end_ends(
     counts = host.counts.as_dict()
     # The end is one of the three that may wait.
     assert node.given == [6, 7]
+    assert node.overtaken_by_newer == [0, 1, 2, 4, 5]
     assert counts["received"] == {TAXELS: 7}
     assert counts["skipped"] == {TAXELS: 5}
     assert counts["lost"] == {TAXELS: 2}

@@ -40,7 +40,7 @@ def test_a_frame_passes_all_stations_with_one_stamp() -> None:
         assert len({m.stamp_ns for m in messages}) == 1
         clock.advance(5)
     frames = bus.reports()["monitor"]["patches"]["skin"]["frames"]
-    assert frames == {"sensed": 3, "reconstructed": 3, "lost": 0, "unpaired": 0}
+    assert frames == {"sensed": 3, "reconstructed": 3, "skipped": 0, "lost": 0, "unpaired": 0}
 
 
 def test_stamps_differ_even_on_a_clock_that_stands_still() -> None:

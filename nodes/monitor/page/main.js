@@ -133,7 +133,8 @@ function tiles(name) {
     ["rate", "Rate", `${rate ?? "–"} Hz`, skin?.rate_hz ? `asked ${brief(asked(name))} Hz`
       : "as fast as it goes"],
     ["frames", "Frames", `${s.frames?.reconstructed ?? "–"}`,
-      `of ${s.frames?.sensed ?? "–"}, ${model.state?.patches[name]?.lost ?? "–"} lost`],
+      `of ${s.frames?.sensed ?? "–"}, ${s.frames?.skipped ? `${s.frames.skipped} skipped, ` : ""}`
+      + `${model.state?.patches[name]?.lost ?? "–"} lost`],
   ];
 }
 
