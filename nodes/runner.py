@@ -22,7 +22,7 @@ from .control import Control
 from .errors import SparseskinError
 from .host import NodeHost
 from .lookup import one_line
-from .memory import give_back
+from .memory import FreeMemory
 from .network import Network
 from .node import Context, SourceNode, Tick
 from .peers import Peer
@@ -36,8 +36,6 @@ SPIN_NS = 1_500_000
 """Below this a wait is a sleep, because the poller counts whole milliseconds."""
 BATCH = 64
 """Messages taken in at one go, before commands and ticks are looked at again."""
-CROWDED = 8
-"""So many full batches one after the other are a queue whose memory is given back afterwards."""
 
 EXIT_CRASH = 1
 EXIT_USAGE = 2
@@ -87,8 +85,7 @@ class Runner:
         self.asks: deque[int] = deque()
         self.owed: deque[tuple[int, bytes]] = deque()
         self.all_taken = True
-        self.full_batches = 0
-        self.was_crowded = False
+        self.memory = FreeMemory()
         self.asked = False
         self.n_ticks = 0
         self.next_heartbeat_ns = 0
@@ -248,7 +245,6 @@ class Runner:
             waiting = self.backlog.take(self.host.node.depth)
             self.all_taken = waiting is None
             if waiting is None:
-                self.full_batches = 0
                 return
             if self.reader.is_ask(waiting.topic):
                 if self.network.take_time(waiting.payload):
@@ -257,8 +253,6 @@ class Runner:
                 self.owed.append((self.writer.ask(), waiting.payload))
             else:
                 self._publish(self.host.receive_bytes(*waiting))
-        self.full_batches += 1
-        self.was_crowded |= self.full_batches >= CROWDED
 
     def _answer(self) -> None:
         """Answer what was asked, as soon as those who read from this node have answered it."""
@@ -289,9 +283,8 @@ class Runner:
         now_ns = time.monotonic_ns()
         if now_ns >= self.next_heartbeat_ns:
             self.next_heartbeat_ns = now_ns + HEARTBEAT_NS
-            if self.was_crowded and self.all_taken:
-                give_back()
-                self.was_crowded = False
+            if self.all_taken:
+                self.memory.give_back()
             # Where readers are far behind, an end too can be dropped: it is said again.
             self._publish(self.host.ends)
             self.network.end_said_again()

@@ -110,7 +110,7 @@ def draw(out: Path, samples: dict[str, Any], names: list[str]) -> str:
         axes.set_xlabel("minutes")
         axes.set_ylabel("resident memory, MB")
         axes.set_ylim(bottom=0)
-        legend_outside(figure, 6)
+        legend_outside(figure, 3)
     return save_figure(figure, out, "soak", "Resident memory of each process over time")
 
 

@@ -1,4 +1,4 @@
-"""What a node's queue took while it was stopped is given back."""
+"""What a queue took while a node was stopped is given back, by the node and by who wrote to it."""
 
 from __future__ import annotations
 
@@ -59,5 +59,6 @@ def test_memory_of_a_queue_that_was_long_is_given_back(start: StartProgram, tmp_
     os.kill(monitor, signal.SIGCONT)
     wait_until(lambda: resident_kb(monitor) > before + 12 * MB, "the queue at the monitor")
     wait_until(lambda: resident_kb(monitor) < before + 8 * MB, "its memory to be given back")
+    wait_until(lambda: resident_kb(sensor) < waiting + 4 * MB, "that of the sensor, too")
     graph.process.send_signal(signal.SIGINT)
     assert graph.finish()[0] == 130

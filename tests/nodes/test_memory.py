@@ -1,0 +1,51 @@
+"""When memory is looked through for what is free."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from sparseskin.nodes import memory
+from sparseskin.nodes.memory import GROWN_BYTES, MOST_CALLS, FreeMemory
+
+LEAST = 50_000_000
+
+
+def looks(monkeypatch: pytest.MonkeyPatch, resident: Iterator[int]) -> Iterator[bool]:
+    """Whether each call looks through memory, as it is resident."""
+    n_looks: list[int] = []
+    monkeypatch.setattr(memory, "_trim", lambda: n_looks.append)
+    monkeypatch.setattr(memory, "_resident_bytes", lambda: next(resident))
+    free = FreeMemory()
+    while True:
+        before = len(n_looks)
+        try:
+            free.give_back()
+        except StopIteration:
+            return
+        yield len(n_looks) > before
+
+
+def test_memory_that_stays_in_use_is_looked_through_ever_more_seldom(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    resident = [LEAST, *[LEAST + 2 * GROWN_BYTES] * 1000]
+    found = [k for k, look in enumerate(looks(monkeypatch, iter(resident))) if look]
+    assert found[:7] == [1, 3, 7, 15, 31, 63, 127]
+    assert {b - a for a, b in zip(found[6:], found[7:], strict=False)} == {MOST_CALLS}
+
+
+def test_memory_that_is_back_at_its_least_is_looked_through_at_once_when_it_grows_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    grown = LEAST + 2 * GROWN_BYTES
+    resident = [LEAST, *[grown] * 5, LEAST - 9, LEAST + GROWN_BYTES // 2, grown, grown]
+    found = [k for k, look in enumerate(looks(monkeypatch, iter(resident))) if look]
+    assert found == [1, 3, 8]
+
+
+def test_a_library_without_malloc_trim_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "_trim", lambda: None)
+    monkeypatch.setattr(memory, "_resident_bytes", lambda: pytest.fail("nothing to look for"))
+    FreeMemory().give_back()
