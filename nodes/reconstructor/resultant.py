@@ -34,7 +34,16 @@ TOTAL_FLOOR, CENTRE_FLOOR = 1.0, 0.02
 TAXEL_ERROR = 3.0
 #: How fast means of total and centre follow, and by which part of the distance from them one
 #: that has moved away may still be on its way.
-DRIFT_RATE, DRIFT, TOTAL_DRIFT = 0.05, 1.0, 0.03
+DRIFT_RATE, DRIFT, TOTAL_DRIFT = 0.05, 0.5, 0.03
+#: A force that is too much or too little lies as far from the centre as so many times the others.
+LEAK = 1.4
+#: How many times the variance of a centre told after a jump is what its picture alone says, until
+#: jumps have shown it, and at most.
+JUMP_RATIO, LARGEST_RATIO = 4.0, 100.0
+#: Where rows are fixed, what no row measures is restored anew by none: the surprises of earlier
+#: frames add up there, so many times N / M of them, forgotten at this rate; and the largest part of
+#: the total that they are taken for.
+MISSED, KEPT, MOST_MISSED = 0.125, 0.98, 0.08
 TINY = 1e-30
 
 
@@ -94,7 +103,10 @@ class ResultantEstimator:
         self._prior = 0.0
         self._total_error2 = 0.0
         self._centre_error2 = np.zeros(2)
+        self._jumped_by: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None
+        self._jump_ratio = JUMP_RATIO
         self._doubt = np.zeros(phi.n)
+        self._missed2, self._missed_by = 0.0, ""
         self._slow_total = 0.0
         self._slow_centre: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None
 
@@ -127,6 +139,9 @@ class ResultantEstimator:
         weight = by_last2 / (by_last2 + by_sample2 + TINY)
         total = max(0.0, self._prior + weight * more)
         floor2 = (TOTAL_FLOOR**2) * self._noise2 * max(1, int(np.count_nonzero(self._terms[0])))
+        news = max(0.0, float(left.sum()) - energy * self._noise2)
+        self._add_missed(phi, unseen * self._n**2 * news / (energy + TINY) ** 2)
+        floor2 += min(self._missed2, (MOST_MISSED * total) ** 2)
         floor2 += (TOTAL_DRIFT * (total - self._slow_total)) ** 2
         total_sd = TOTAL_SCALE * math.sqrt(weight * by_sample2 + floor2)
         jumped = float(np.dot(e, e)) > JUMP * self._m * self._noise2
@@ -170,7 +185,11 @@ class ResultantEstimator:
             self._total_error2 += RATE * ((total - self._prior) ** 2 - self._total_error2)
             if self._said.centre is not None and total > 0:
                 off = self._sums[1:, 0] / total - np.array(self._said.centre)
-                self._centre_error2 += RATE * (off**2 - self._centre_error2)
+                if self._jumped_by is None:
+                    self._centre_error2 += RATE * (off**2 - self._centre_error2)
+                else:
+                    ratio = float(np.mean(off**2 / self._jumped_by))
+                    self._jump_ratio += RATE * (min(ratio, LARGEST_RATIO) - self._jump_ratio)
         self._slow_total += DRIFT_RATE * (total - self._slow_total)
         if total > 0:
             centre = self._sums[1:, 0] / total
@@ -190,6 +209,12 @@ class ResultantEstimator:
         if phi.fingerprint not in self._ones:
             self._ones[phi.fingerprint] = phi.forward(np.ones(phi.n, dtype=np.float32))
         return self._ones[phi.fingerprint]
+
+    def _add_missed(self, phi: Phi, news2: float) -> None:
+        """Add the variance of what a frame's rows have not seen; other rows would have by now."""
+        if phi.fingerprint != self._missed_by:
+            self._missed2, self._missed_by = 0.0, phi.fingerprint
+        self._missed2 = KEPT * self._missed2 + (MISSED * self._n / self._m) ** 2 * news2
 
     def _change(self, e: Floats) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
         """How much of each term the misfit asks for."""
@@ -214,15 +239,18 @@ class ResultantEstimator:
         total_sd: float,
         jumped: bool,
     ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+        self._jumped_by = None
         if not total > 2 * total_sd:
             return None, None
         if not jumped:
             if not sums[0] > 0:
                 return None, None
             centre = sums[1:] / sums[0]
-            own2 = np.square(self._weights[1:] - centre[:, None]) @ self._doubt / sums[0] ** 2
+            apart = np.square(self._weights[1:] - centre[:, None])
+            own2 = apart @ self._doubt / sums[0] ** 2
             slow = centre if self._slow_centre is None else self._slow_centre
             own2 += np.square(DRIFT * (centre - slow))
+            own2 += (LEAK * total_sd / total) ** 2 * (apart @ self._terms[0]) / sums[0]
             sd = CENTRE_SCALE * np.sqrt(self._centre_error2 + own2 + CENTRE_FLOOR**2)
         else:
             image = (self._terms[0] + change.astype(np.float32) @ self._terms).astype(np.float64)
@@ -235,5 +263,6 @@ class ResultantEstimator:
             centre = self._weights[1:] @ image / whole
             apart = np.square(self._weights[1:] - centre[:, None])
             doubt = np.square(image) + spread**2 * (image > 0)
-            sd = CENTRE_SCALE * np.sqrt(apart @ doubt) / whole
+            self._jumped_by = apart @ doubt / whole**2 + CENTRE_FLOOR**2
+            sd = CENTRE_SCALE * np.sqrt(self._jump_ratio * self._jumped_by)
         return (float(centre[0]), float(centre[1])), (float(sd[0]), float(sd[1]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import pytest
@@ -33,7 +34,7 @@ def test_memory_that_stays_in_use_is_looked_through_ever_more_seldom(
     resident = [LEAST, *[LEAST + 2 * GROWN_BYTES] * 1000]
     found = [k for k, look in enumerate(looks(monkeypatch, iter(resident))) if look]
     assert found[:7] == [1, 3, 7, 15, 31, 63, 127]
-    assert {b - a for a, b in zip(found[6:], found[7:], strict=False)} == {MOST_CALLS}
+    assert {b - a for a, b in itertools.pairwise(found[6:])} == {MOST_CALLS}
 
 
 def test_memory_that_is_back_at_its_least_is_looked_through_at_once_when_it_grows_again(

@@ -12,6 +12,7 @@ from sparseskin.messages import FieldError, Reconstruction, Resultant
 from sparseskin.nodes.compressor.phi import make_phi
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.reconstructor.node import ReconstructorSettings
+from sparseskin.studies.targets_bands import banded
 
 Floats = npt.NDArray[np.float32]
 
@@ -52,6 +53,19 @@ def test_the_first_frame_of_a_contact_is_told_at_once() -> None:
     assert one.total == pytest.approx(total, abs=3 * one.total_sd)
     assert one.total_sd < 0.3 * total
     assert one.row == pytest.approx(SHAPE[0] / 2, abs=3)
+
+
+@pytest.mark.parametrize(
+    ("scene", "rows", "told_of"),
+    [("random 5", "rotating", ("row", "col")), ("random 7", "fixed", ("total",))],
+)
+def test_bands_hold_in_taps_and_where_most_rows_are_never_read(
+    scene: str, rows: str, told_of: tuple[str, ...]
+) -> None:
+    # A tap's centre is told of its first frames, too; fixed rows leave parts of the sum unseen.
+    point = {"scene": scene, "ratio": 8, "rows": rows, "n_frames": 300, "seed": 1}
+    found = banded(point)
+    assert min(found[name] for name in told_of) > 0.85
 
 
 def test_an_untouched_skin_has_no_centre_and_next_to_no_force() -> None:
