@@ -49,7 +49,7 @@ def banded(point: Point) -> dict[str, Any]:
             phases = phases_at(truth.size, point["ratio"], point["rows"], point["seed"])
             basis = make_basis(chosen.pop("basis"), *truth.shape)
             solver = make_rotating_solver(chosen.pop("solver"), phases, basis, everywhere, **chosen)
-            uncertainty = Uncertainty(everywhere, phases[0].ratio, "skin")
+            uncertainty = Uncertainty(everywhere, phases[0].ratio, "skin", point["rows"])
             resultant = ResultantEstimator(phases[0], solver.taxels, truth.shape)
         phi = phases[k % len(phases)]
         y = phi.forward(taxels.reshape(-1))

@@ -146,7 +146,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._solver = solver
         self._phases = {one.fingerprint: one for one in phases}
         self._watch.set_up(self._phases, state, solver.mask)
-        self._uncertainty = self._make_uncertainty(solver, phi.ratio)
+        self._uncertainty = self._make_uncertainty(solver, phi.ratio, announced.rows)
         if self.settings.resultant:
             self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
         # Another Phi or solver in the middle of a stream starts from what the last one found.
@@ -164,12 +164,12 @@ class Reconstructor(Node[ReconstructorSettings]):
             max_iterations=getattr(solver, "max_iterations", 0),
         )
 
-    def _make_uncertainty(self, solver: Solver, ratio: float) -> Uncertainty | None:
+    def _make_uncertainty(self, solver: Solver, ratio: float, rows: str) -> Uncertainty | None:
         if not self.settings.uncertainty:
             return None
         name = self.settings.chosen()["solver"]
         if name in CALIBRATED:
-            return Uncertainty(solver.mask, ratio, name)
+            return Uncertainty(solver.mask, ratio, name, rows)
         self.context.log(
             f"uncertainty: how far solver {name} is off is not known, and none is published; "
             f"known: {', '.join(CALIBRATED)}"

@@ -7,16 +7,22 @@ import math
 import numpy as np
 
 from sparseskin.nodes.compressor.calls import Floats
+from sparseskin.nodes.compressor.rotation import FIXED, ROTATING
 from sparseskin.nodes.reconstructor.solver import Mask
 
-#: Part of the way to a frame's own change that the mean of squared changes goes.
-RATE = 0.2
+#: Part of the way to a frame that the mean of forces goes, and to a frame's own change that the
+#: mean of squared changes goes: what lags behind a slow slide changes little from frame to frame.
+MEAN_RATE, RATE = 0.25, 0.2
 #: What the root mean square of the residual adds to the change, squared, and to the force: a
 #: taxel that stands still and one that is untouched are not certain.
 CHANGE_FLOOR, FORCE_FLOOR = 0.03, 0.3
-#: By solver: a factor, and the power of N / M. Fitted on random scenes 20..47 at N/3, N/4 and N/8,
-#: fixed rows and rotating ones, so that bands of 1.645 deviations hold 90 % of the touched taxels.
-CALIBRATED = {"skin": (1.25, 0.35), "fista": (1.55, 0.8)}
+#: By solver: a factor, and the power of N / M with fixed rows and with rotating ones. Fitted on the
+#: six scenes and random ones at N/3 and N/8, so that bands of 1.645 deviations hold 90 % of the
+#: touched taxels.
+CALIBRATED = {
+    "skin": {FIXED: (0.82, 0.65), ROTATING: (1.13, 0.35)},
+    "fista": {FIXED: (1.55, 0.8), ROTATING: (1.55, 0.8)},
+}
 TINY = 1e-12
 
 
@@ -26,11 +32,12 @@ class Uncertainty:
     sd = a (N / M)^b sqrt(r sqrt(p q)),  p = (d + 0.03 r^2) / (x + 0.3 r),  q = sqrt(g^2 + r^2)
 
     with a and b of the solver. r is the root mean square of what the frame leaves of the
-    measurements, most of it noise. d is the running mean of the squared change of the taxel's
-    estimate x: one that the measurements do not hold wanders; a change of all forces by the same
-    factor is left out, for that is followed well. g is the sum of both differences to the next
-    taxels, the mean over 3 x 3: edges are uncertain, and inside of a flat contact the noise is
-    averaged. In a skin of another range the deviations scale with the forces.
+    measurements, most of it noise. d is the running mean of the squared distance of the taxel's
+    estimate x from its own mean: one that the measurements do not hold wanders, one that lags
+    moves on; a change of all forces by the same factor is left out, for that is followed well.
+    g is the sum of both differences to the next taxels, the mean over 3 x 3: edges are uncertain,
+    and inside of a flat contact the noise is averaged. In a skin of another range the deviations
+    scale with the forces.
 
     An untouched taxel that is restored as 0 has a small deviation, never 0.
 
@@ -42,15 +49,17 @@ class Uncertainty:
         N / M.
     solver : str
         One of `CALIBRATED`.
+    rows : str
+        "fixed" or "rotating": where rows are fixed, what none of them measures stays wrong.
     """
 
-    def __init__(self, mask: Mask, ratio: float, solver: str) -> None:
-        factor, power = CALIBRATED[solver]
+    def __init__(self, mask: Mask, ratio: float, solver: str, rows: str = FIXED) -> None:
+        factor, power = CALIBRATED[solver][rows]
         self._factor = factor * ratio**power
         self._nowhere = None if mask.all() else ~mask
         n_rows, n_cols = mask.shape
         vectors = np.zeros((4, n_rows, n_cols), dtype=np.float32)
-        self._last, self._changes, self._p, self._q = vectors
+        self._mean, self._changes, self._p, self._q = vectors
         self._edged, self._rough, self._spare = np.zeros(
             (3, n_rows + 2, n_cols + 2), dtype=np.float32
         )
@@ -89,15 +98,15 @@ class Uncertainty:
         return sd
 
     def _add_change(self, forces: Floats) -> None:
-        """Let the mean of squared changes follow, without what is more or less pressure of all."""
-        last, change, changes = self._last, self._p, self._changes
-        power = float(np.vdot(last, last))
-        gain = float(np.vdot(forces, last)) / power if power > 0 else 1.0
+        """Let both means follow, without what is more or less pressure of all."""
+        mean, change, changes = self._mean, self._p, self._changes
+        power = float(np.vdot(mean, mean))
+        gain = float(np.vdot(forces, mean)) / power if power > 0 else 1.0
         if not math.isfinite(gain):
             gain = 1.0
-        np.multiply(last, np.float32(-gain), out=change)
-        change += forces
-        np.copyto(last, forces)
+        mean *= np.float32(gain)
+        np.subtract(forces, mean, out=change)
+        mean += np.multiply(change, np.float32(MEAN_RATE), out=self._q)
         np.square(change, out=change)
         change -= changes
         change *= np.float32(RATE)
