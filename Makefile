@@ -28,7 +28,7 @@ introspection-load: .venv/installed
 
 # All nodes at 500 Hz for half an hour: memory, open files, lost frames.
 soak: .venv/installed-charts
-	$(BIN)/sparseskin study soak --minutes 30
+	$(BIN)/sparseskin study soak --minutes 30 --anew
 
 # Pictures of the live page in several states, in docs/ (needs chromium, chromium-driver).
 shots: .venv/installed-dev

@@ -98,6 +98,9 @@ def add_study_parser(commands: Any) -> None:
     parser.add_argument(
         "--minutes", metavar="T", type=_minutes, help="soak: how long the graph runs (default: 30)"
     )
+    parser.add_argument(
+        "--anew", action="store_true", help="forget what earlier runs have computed"
+    )
     parser.add_argument("--seed", type=_seed, default=0, help="seed of noise and Phi (default: 0)")
     parser.set_defaults(run=_study)
 
@@ -141,6 +144,10 @@ def _study(arguments: argparse.Namespace) -> int:
         if name != "soak":
             raise SettingsError(f"--minutes: study {name!r} takes none; allowed: soak")
         more["minutes"] = arguments.minutes
+    if arguments.anew:
+        from .points import forget
+
+        forget(out)
     run(out=out, quick=arguments.quick, seed=arguments.seed, executor=arguments.executor, **more)
     print(out / f"{name}.md")
     return 0

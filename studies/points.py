@@ -78,7 +78,7 @@ def compute(
         missing = {
             key: dict(point) for key, point in zip(keys, points, strict=True) if key not in known
         }
-        _tell_known(label, set(keys), [code_of[k] != code for k in set(keys) & set(known)], out)
+        _tell_known(label, set(keys), [code_of[k] != code for k in set(keys) & set(known)])
         with tqdm(total=len(missing), desc=label, unit="point", disable=not missing) as bar:
             for key, figures in _computed(function, missing, executor_name):
                 record = {"key": key, "code": code, "point": missing[key], "figures": figures}
@@ -107,14 +107,26 @@ def code_fingerprint() -> str:
     return digest.hexdigest()[:16]
 
 
-def _tell_known(label: str, keys: set[str], is_other_code: Sequence[bool], out: Path) -> None:
+def _tell_known(label: str, keys: set[str], is_other_code: Sequence[bool]) -> None:
     """Say how many points are not computed again, and whether they would be the same."""
     if not is_other_code:
         return
     text = f"{label}: {len(is_other_code)} of {len(keys)} points are known from an earlier run"
     if any(is_other_code):
         text += f", {sum(is_other_code)} of them by other code than today's"
-    print(f"{text} (remove {out / POINTS_FILE} to compute them anew)", file=sys.stderr)
+    print(f"{text} (--anew forgets them)", file=sys.stderr)
+
+
+def forget(out: Path) -> None:
+    """Drop the points that earlier runs have computed into a folder.
+
+    Raises
+    ------
+    StudyError
+        If its file cannot be opened, or another run is computing there.
+    """
+    with _opened(out) as file:
+        file.truncate(0)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from conftest import PATIENCE_S, wait_until
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.studies import points as points_module
-from sparseskin.studies.points import POINTS_FILE, StudyError, compute, key_of
+from sparseskin.studies.points import POINTS_FILE, StudyError, compute, forget, key_of
 
 #: A study of eight points, of which the last four wait for a file. It notes each computation.
 STUDY = """
@@ -138,6 +138,19 @@ def fail_on_two(point: dict[str, Any]) -> dict[str, Any]:
 
 def nothing_finite(point: dict[str, Any]) -> dict[str, Any]:
     return {"ratio": float("nan")}
+
+
+def test_points_are_computed_once_and_again_when_they_were_forgotten(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = []
+    for anew in (False, False, True):
+        if anew:
+            forget(tmp_path)
+            assert n_lines(tmp_path / POINTS_FILE) == 0
+        assert compute(double, [{"k": 4}], tmp_path, "serial", "doubles")[0]["double"] == 8
+        told.append("1 of 1 points are known from an earlier run" in capsys.readouterr().err)
+    assert told == [False, True, False]
 
 
 def test_figures_are_in_the_order_of_the_points_and_the_same_when_read(tmp_path: Path) -> None:
