@@ -54,6 +54,9 @@ WAYS: dict[str, tuple[tuple[str, ...], ...]] = {
     ),
 }
 SETTLE_S = 1.0
+WINDOW_NS = 250_000_000
+"""Some of these within a turn are disturbed by other work of the host, and some are not."""
+CALM = 0.25
 DEPTH = 16
 """Frames that may wait: on a host that cannot restore them all, what is measured is the latency of
 those that are restored, and not how long a queue has grown; and the run ends when it should.
@@ -185,13 +188,22 @@ def report(
     """
     inside = [latency_ms[(stamps >= t.began_ns) & (stamps < t.ended_ns)] for t in turns]
     print(f"{'40 x 40':<20}{'frames':>8}{'p50 ms':>10}{'p99 ms':>10}{'CPU us a frame':>16}")
-    p50s, overall, cpus = {}, {}, {}
+    p50s, overall, cpus, calm = {}, {}, {}, {}
     for way in WAYS:
         of_way = [found for turn, found in zip(turns, inside, strict=True) if turn.way == way]
         p50, p99 = np.quantile(np.concatenate(of_way), [0.5, 0.99])
         n = sum(map(len, of_way))
         overall[way] = p50
         p50s[way] = np.array([np.median(found) for found in of_way])
+        calm[way] = np.quantile(
+            [
+                p50
+                for turn in turns
+                if turn.way == way
+                for p50 in _windows(turn, stamps, latency_ms)
+            ],
+            CALM,
+        )
         cpus[way] = 1e6 * sum(turn.cpu_s for turn in turns if turn.way == way) / n
         print(f"{way:<20}{n:>8}{p50:>10.3f}{p99:>10.3f}{cpus[way]:>16.0f}")
     alone, looked = WAYS
@@ -201,6 +213,20 @@ def report(
         f"median {np.median(ratios):.3f}; p50 of all x {overall[looked] / overall[alone]:.3f}, "
         f"CPU x {cpus[looked] / cpus[alone]:.3f}"
     )
+    print(
+        f"where the host is calm (a quarter of all {WINDOW_NS / 1e6:g} ms is at or below): p50 "
+        f"{calm[alone]:.3f} and {calm[looked]:.3f} ms, x {calm[looked] / calm[alone]:.3f}"
+    )
+
+
+def _windows(
+    turn: Turn, stamps: npt.NDArray[np.int64], latency_ms: npt.NDArray[np.float64]
+) -> Iterator[float]:
+    """Median latency of each window of a turn that has frames."""
+    for began_ns in range(turn.began_ns, turn.ended_ns - WINDOW_NS + 1, WINDOW_NS):
+        inside = (stamps >= began_ns) & (stamps < began_ns + WINDOW_NS)
+        if inside.any():
+            yield float(np.median(latency_ms[inside]))
 
 
 def main() -> None:

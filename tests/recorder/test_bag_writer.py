@@ -319,4 +319,4 @@ def test_each_chunk_has_its_line_in_the_index_and_takes_little_memory(tmp_path: 
     assert all(len(chunk.message_index_offsets) == 1 for chunk in summary.chunk_indexes)
     starts = [chunk.chunk_start_offset for chunk in summary.chunk_indexes]
     assert starts == sorted(set(starts))
-    assert grown < 200 * n_chunks
+    assert grown < 80 * n_chunks

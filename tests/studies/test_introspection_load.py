@@ -28,11 +28,13 @@ def test_each_turn_with_onlookers_is_compared_with_the_one_before(
     stamps = np.append(stamps, 5 * S)
     latency_ms = np.append(np.repeat([2.0, 3.0, 4.0, 5.0], 100), 99.0)
     report(turns, stamps, latency_ms)
-    _, of_alone, of_looked, ratios, last = capsys.readouterr().out.splitlines()
+    _, of_alone, of_looked, ratios, medians, calm = capsys.readouterr().out.splitlines()
     assert of_alone.split()[1:] == ["200", "3.000", "4.000", "1000"]
     assert of_looked.split()[-4:] == ["200", "4.000", "5.000", "1750"]
     assert ratios.endswith(": 1.500 1.250")
-    assert last == "median 1.375; p50 of all x 1.333, CPU x 1.750"
+    assert medians == "median 1.375; p50 of all x 1.333, CPU x 1.750"
+    # Four windows a turn: a quarter of those of both turns is 2 ms alone, and 3 ms looked at.
+    assert calm.endswith("p50 2.000 and 3.000 ms, x 1.500")
 
 
 def test_its_graph_is_sound_and_bounds_what_waits(
