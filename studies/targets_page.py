@@ -26,7 +26,7 @@ _INTRODUCTION = """\
 # Targets
 
 The solver "skin" with its defaults, on the six scenes of the paper and on random ones (bodies of
-random shape, pressed, slid, tapped, rolled, several at once) that nothing was tuned on. All
+random shape, pressed, slid, tapped, rolled, several at once) that no solver was tuned on. All
 methods of a line have the same frames and noise, and the same measurements but for *skin,
 rotating*, whose rows rotate: M others in each frame until all of W have been read, M being N /
 ratio rounded up. PSNR is that of contact frames, peak 2.5 N; *paper* is preset paper (FISTA,
