@@ -42,6 +42,10 @@ SCHEMAS: dict[str, type[Message]] = {
 }
 
 
+_END = msgpack.packb("schema") + msgpack.packb(End.schema)
+"""What follows the first byte, the number of fields, in the payload of an End."""
+
+
 @dataclass(frozen=True)
 class _Form:
     """The map of a message class, made out once for all its messages."""
@@ -68,6 +72,11 @@ def _form(cls: type[Message]) -> _Form:
             for name, kind in fields.items()
         ),
     )
+
+
+def is_end(payload: bytes) -> bool:
+    """Whether a payload that `encode` made is that of an End, without decoding it."""
+    return payload[1 : 1 + len(_END)] == _END
 
 
 def encode(message: Message) -> tuple[bytes, bytes]:

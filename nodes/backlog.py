@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
+from sparseskin.messages.wire import is_end
+
 from .sockets import QUEUE_FRAMES, Reader
 
 
@@ -19,7 +21,8 @@ class Waiting(NamedTuple):
 class Backlog:
     """Takes messages from a reader, first come first; of a stream only the newest count.
 
-    An ask stands for a writer that waits for what it has sent: nothing before it is overtaken.
+    An ask stands for a writer that waits for what it has sent: nothing before it is overtaken. The
+    end of a stream overtakes nothing: its last messages are taken in.
 
     Parameters
     ----------
@@ -57,10 +60,10 @@ class Backlog:
         if topic not in self._streams:
             return False
         newer = 0
-        for waiting, _ in self._queue:
+        for waiting, payload in self._queue:
             if self._reader.is_ask(waiting):
                 return False
-            newer += waiting == topic
+            newer += waiting == topic and not is_end(payload)
             if newer == depth:
                 return True
         return False

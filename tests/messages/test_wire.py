@@ -37,7 +37,7 @@ from sparseskin.messages import (
     size_bytes,
 )
 from sparseskin.messages.fields import MAX_ELEMENTS
-from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS
+from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS, is_end
 
 names = st.from_regex(r"[a-z][a-z0-9_]{0,31}", fullmatch=True)
 numbers = st.integers(0, 2**63 - 1)
@@ -107,6 +107,7 @@ messages: st.SearchStrategy[Message] = st.one_of(
         residual=positive,
         solve_ns=numbers,
         done_ns=numbers,
+        skipped=numbers,
     ),
     reconstructions_with_sd(),
     st.builds(Resultant, **headers, total=positive, total_sd=positive, done_ns=numbers),
@@ -166,6 +167,11 @@ def test_decoding_undoes_encoding(message: Message) -> None:
     assert twin == message
     assert encode(twin) == (topic, payload)
     assert size_bytes(message) == len(topic) + len(payload)
+
+
+@given(messages)
+def test_an_end_is_told_from_its_payload(message: Message) -> None:
+    assert is_end(encode(message)[1]) is isinstance(message, End)
 
 
 def test_every_schema_is_in_the_property() -> None:

@@ -54,6 +54,8 @@ class Run:
         self._mark = f"SPARSESKIN_TEST_STUDY={folder}"
         (folder / "a_study.py").write_text(STUDY)
         key, value = self._mark.split("=")
+        # What a shell runs in the background ignores Ctrl-C, and so would what it starts.
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
         self.process = subprocess.Popen(
             [sys.executable, "a_study.py", "study", "squares", "--executor", executor],
             cwd=folder,
@@ -63,6 +65,7 @@ class Run:
             text=True,
             start_new_session=True,
         )
+        signal.signal(signal.SIGINT, before)
 
     def finish(self) -> tuple[int, str]:
         """Exit code and stderr."""
@@ -167,7 +170,7 @@ def test_points_of_other_code_are_told(
 ) -> None:
     compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
     compute(double, [{"k": 1}, {"k": 2}], tmp_path, "serial", "doubles")
-    assert "1 of 2 points are known from an earlier run (remove" in capsys.readouterr().err
+    assert "1 of 2 points are known from an earlier run (--anew" in capsys.readouterr().err
     monkeypatch.setattr(points_module, "code_fingerprint", lambda: "another")
     compute(double, [{"k": 1}, {"k": 2}, {"k": 3}], tmp_path, "serial", "doubles")
     assert "2 of 3 points are known from an earlier run, 2 of them by" in capsys.readouterr().err
