@@ -42,7 +42,7 @@ SCHEMAS: dict[str, type[Message]] = {
 }
 
 
-_END = msgpack.packb("schema") + msgpack.packb(End.schema)
+_END: bytes = msgpack.packb("schema") + msgpack.packb(End.schema)
 """What follows the first byte, the number of fields, in the payload of an End."""
 
 
