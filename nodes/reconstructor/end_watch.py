@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 
@@ -26,20 +28,25 @@ BELIEVED = 10
 FULL, BELOW_FULL, BESIDE_FULL, FULL_LOOKS = 0.97, 0.9, 0.25, 200
 
 
+#: How many pressed taxels there are before and behind one in its column, or row.
+Reach: TypeAlias = tuple[int, int]
+
+
 @dataclass
 class _Low:
     """Evidence against one taxel: looks, and where it stood in the contact."""
 
     looks: int = 0
-    places: list[tuple[float, float]] = field(default_factory=list)
+    places: list[tuple[Reach, Reach]] = field(default_factory=list)
 
 
 class EndWatch:
     """Looks at restored frames for taxels that stay at 0 or at f_max, whatever presses them.
 
     A dead taxel is a hole in every contact. A body may have a hole, too, but that moves with it:
-    a taxel is dead where the hole stays while the contact around moves, three taxels at least
-    and once more, or in as many contacts one after the other. One that is pressed meanwhile is
+    a taxel is dead where the hole stays while the contact around slides, three taxels at least
+    and once more, or in as many contacts one after the other. A body that rocks around its hole
+    does not slide. One that is pressed meanwhile is
     alive.
 
     A saturated taxel stands alone at the end of its range, in 200 looks and without ever going
@@ -115,9 +122,9 @@ class EndWatch:
         low = self._low.setdefault(place, _Low())
         low.looks += 1
         row, col = divmod(place, self._n_cols)
-        here = _off_middle(pressed[:, col], row), _off_middle(pressed[row], col)
+        here = _reach(pressed[:, col], row), _reach(pressed[row], col)
         if len(low.places) < PLACES and all(
-            np.hypot(here[0] - there[0], here[1] - there[1]) >= APART for there in low.places
+            math.hypot(*map(_shift, here, there)) >= APART for there in low.places
         ):
             low.places.append(here)
         return low.looks >= ENOUGH and len(low.places) == PLACES
@@ -155,9 +162,17 @@ def _around(counts: np.ndarray[tuple[int, int], np.dtype[np.int8]]) -> Floats:
     return sums
 
 
-def _off_middle(pressed: Mask, place: int) -> float:
-    """How far a place in a line of taxels is off the middle of what is pressed on both sides."""
+def _reach(pressed: Mask, place: int) -> Reach:
+    """How many taxels in a row are pressed on both sides of a place in a line of taxels."""
     before, behind = pressed[:place][::-1], pressed[place + 1 :]
     to_begin = before.size if before.all() else int(np.argmin(before))
     to_end = behind.size if behind.all() else int(np.argmin(behind))
-    return (to_begin - to_end) / 2
+    return to_begin, to_end
+
+
+def _shift(here: Reach, there: Reach) -> int:
+    """How far a contact has slid along a line: what one side gained, the other has lost. A body
+    that rocks or lies down gains or loses at one side alone.
+    """
+    begin, end = here[0] - there[0], there[1] - here[1]
+    return min(abs(begin), abs(end)) if begin * end > 0 else 0

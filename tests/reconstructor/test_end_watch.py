@@ -63,6 +63,15 @@ def test_a_hole_that_rests_or_rocks_by_less_than_three_taxels_is_none() -> None:
         assert one.look(holed(10, 13 + k % 2), {}) == ([], [], [])
 
 
+def test_the_hole_of_a_body_that_lies_down_around_it_is_none() -> None:
+    one = watch()
+    for end in (17, 23, 30):  # pressed from column 10 up to this one
+        frame = pad((slice(6, 15), slice(10, end)))
+        frame[10, 14] = 0
+        for _ in range(2 * ENOUGH):
+            assert one.look(frame, {}) == ([], [], [])
+
+
 def test_a_taxel_that_is_pressed_between_is_alive() -> None:
     one = watch()
     for frame in PASSED:
