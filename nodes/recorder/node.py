@@ -23,8 +23,10 @@ from .bag_writer import BagWriter
 
 FLUSH_EVERY_S = 0.1
 """Half of what may be lost when the recorder is killed: the other half is for a busy machine."""
-PATIENCE_MESSAGES = 64
-"""How many messages wait for all states to be known before the file is begun without."""
+PATIENCE_MESSAGES, PATIENCE_NS, MOST_WAITING = 64, 100_000_000, 1024
+"""So many messages, and for so long, but never more than the last, wait for all states to be known
+before the file is begun without.
+"""
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,9 @@ class Recorder(Node[RecorderSettings]):
             return ()
         self._waiting.append((now_ns, message))
         n_states = len({m.topic for _, m in self._waiting if m.latched})
-        if n_states == len(STATES) or len(self._waiting) >= PATIENCE_MESSAGES:
+        waited = len(self._waiting) >= PATIENCE_MESSAGES
+        waited &= now_ns - self._waiting[0][0] >= PATIENCE_NS
+        if n_states == len(STATES) or waited or len(self._waiting) >= MOST_WAITING:
             self._begin()
         return ()
 
