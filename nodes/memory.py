@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -33,7 +34,7 @@ class FreeMemory:
     """
 
     def __init__(self) -> None:
-        self._least = 0
+        self._least = math.inf
         self._pause = self._wait = 1
 
     def give_back(self) -> None:
@@ -45,8 +46,8 @@ class FreeMemory:
         if trim is None:
             return
         resident = _resident_bytes()
-        if not self._least or resident <= self._least + GROWN_BYTES:
-            self._least = min(self._least, resident) or resident
+        if resident <= self._least + GROWN_BYTES:
+            self._least = min(self._least, resident)
             self._pause = self._wait = 1
             return
         self._wait -= 1

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.compressor.phi import Phi
 from sparseskin.nodes.monitor.metrics import psnr_db
@@ -16,10 +15,8 @@ from sparseskin.nodes.reconstructor.basis import make_basis
 from sparseskin.nodes.reconstructor.skin import SkinSolver
 from sparseskin.nodes.sensor.noise import NoiseModel
 
-from .targets_points import Point, phases_at
+from .targets_points import Floats, Point, phases_at
 from .targets_scenes import F_MAX_N, random_scene
-
-Floats = npt.NDArray[np.float32]
 
 #: A round is so many scenes, each cut into its middle, where its body is down: from one to the
 #: next everything changes between two frames. Every round has the same scenes, and other noise.

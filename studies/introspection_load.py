@@ -195,15 +195,8 @@ def report(
         n = sum(map(len, of_way))
         overall[way] = p50
         p50s[way] = np.array([np.median(found) for found in of_way])
-        calm[way] = np.quantile(
-            [
-                p50
-                for turn in turns
-                if turn.way == way
-                for p50 in _windows(turn, stamps, latency_ms)
-            ],
-            CALM,
-        )
+        windows = _windows([turn for turn in turns if turn.way == way], stamps, latency_ms)
+        calm[way] = np.quantile(list(windows), CALM)
         cpus[way] = 1e6 * sum(turn.cpu_s for turn in turns if turn.way == way) / n
         print(f"{way:<20}{n:>8}{p50:>10.3f}{p99:>10.3f}{cpus[way]:>16.0f}")
     alone, looked = WAYS
@@ -220,13 +213,14 @@ def report(
 
 
 def _windows(
-    turn: Turn, stamps: npt.NDArray[np.int64], latency_ms: npt.NDArray[np.float64]
+    turns: Iterable[Turn], stamps: npt.NDArray[np.int64], latency_ms: npt.NDArray[np.float64]
 ) -> Iterator[float]:
-    """Median latency of each window of a turn that has frames."""
-    for began_ns in range(turn.began_ns, turn.ended_ns - WINDOW_NS + 1, WINDOW_NS):
-        inside = (stamps >= began_ns) & (stamps < began_ns + WINDOW_NS)
-        if inside.any():
-            yield float(np.median(latency_ms[inside]))
+    """Median latency of each window of some turns that has frames."""
+    for turn in turns:
+        for began_ns in range(turn.began_ns, turn.ended_ns - WINDOW_NS + 1, WINDOW_NS):
+            inside = (stamps >= began_ns) & (stamps < began_ns + WINDOW_NS)
+            if inside.any():
+                yield float(np.median(latency_ms[inside]))
 
 
 def main() -> None:

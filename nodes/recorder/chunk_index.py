@@ -17,7 +17,7 @@ class PackedChunkIndex:
     """Takes the place of a writer's list of `ChunkIndex` records.
 
     A recording of hours has some ten thousand chunks an hour: as objects they take 1 kB each, as
-    records of the file 90 bytes, and squeezed a third of that. It is filled with `append`; what it
+    records of the file 90 bytes, and squeezed a fifth of that. It is filled with `append`; what it
     gives, once, writes them all.
     """
 

@@ -93,10 +93,9 @@ class Recorder(Node[RecorderSettings]):
             self._write(now_ns, message)
             return ()
         self._waiting.append((now_ns, message))
-        n_states = len({m.topic for _, m in self._waiting if m.latched})
         waited = len(self._waiting) >= PATIENCE_MESSAGES
         waited &= now_ns - self._waiting[0][0] >= PATIENCE_NS
-        if n_states == len(STATES) or waited or len(self._waiting) >= MOST_WAITING:
+        if len(self._states) == len(STATES) or waited or len(self._waiting) >= MOST_WAITING:
             self._begin()
         return ()
 
