@@ -12,12 +12,13 @@ from sparseskin.messages.base import wire_fields
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
 
+from .give_way import give_way
 from .inspection import add_graph_option, find_topic
 from .message_text import INDENT, FieldPath, plain, text
 from .running import choose_graph
 from .text_table import wrapped
 from .topic_options import add_end_options, rate
-from .topic_stream import Losses, TopicStream, give_way, why_quiet
+from .topic_stream import Losses, TopicStream, why_quiet
 
 MAX_HZ = 10.0
 PATIENCE_S = 0.02

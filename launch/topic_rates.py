@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from .give_way import give_way
 from .inspection import add_graph_option, find_topic
 from .running import choose_graph
 from .topic_figures import (
@@ -23,7 +24,7 @@ from .topic_figures import (
     hz_text,
 )
 from .topic_options import add_end_options, at_least_two
-from .topic_stream import TopicStream, give_way, why_quiet
+from .topic_stream import TopicStream, why_quiet
 
 REPORT_S = 1.0
 WINDOW = 1000

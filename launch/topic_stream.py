@@ -4,7 +4,6 @@ take in time is dropped for it alone.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import time
@@ -31,8 +30,6 @@ from .running import RunningGraph, is_running
 POLL_MS = 100
 LOOK_S = 0.5
 """How often it is looked whether the graph is still there."""
-NICE = 10
-"""An onlooker gives way to the graph's own processes."""
 BATCH = 256
 
 
@@ -188,12 +185,6 @@ def why_quiet(graph: RunningGraph, topic: str) -> str:
         return f" ({publisher}: {condition})"
     schema = SCHEMAS.get(split_topic(topic)[1])
     return " (latched: sent when it changes)" if schema is not None and schema.latched else ""
-
-
-def give_way() -> None:
-    """Let this process run only where the graph leaves it room."""
-    with contextlib.suppress(OSError):
-        os.nice(NICE)
 
 
 def _arrival(topic: bytes, payload: bytes, at_ns: int) -> Arrival | None:
