@@ -73,30 +73,25 @@ def hz_figures(kept: dict[str, Longs]) -> dict[str, Any]:
     Returns
     -------
     dict
-        sent_hz, arrives_hz, and interval_ms between arrivals: mean, min, max, std; None each
-        where fewer than two messages came.
+        sent_hz; interval_ms between the stamps of messages with adjacent numbers: mean, min, max,
+        std; arrives_hz. None each where too few messages came.
     """
-    at_ns, stamp_ns, seq = kept["at_ns"], kept["stamp_ns"], kept["seq"]
-    if len(at_ns) < 2:
-        return {"sent_hz": None, "arrives_hz": None, "interval_ms": None}
-    span_ns = int(stamp_ns[-1] - stamp_ns[0])
-    intervals_ms = np.diff(at_ns) / 1e6
+    stamp_ns, seq = kept["stamp_ns"], kept["seq"]
+    span_ns = int(stamp_ns[-1] - stamp_ns[0]) if len(seq) else 0
+    intervals_ms = np.diff(stamp_ns)[np.diff(seq) == 1] / 1e6
     return {
         "sent_hz": int(seq[-1] - seq[0]) * 1e9 / span_ns if span_ns > 0 else None,
-        "arrives_hz": (len(at_ns) - 1) * 1e9 / max(1, int(at_ns[-1] - at_ns[0])),
-        "interval_ms": _extent(intervals_ms),
+        "interval_ms": _extent(intervals_ms) if len(intervals_ms) else None,
+        "arrives_hz": _a_second(kept["at_ns"], np.ones_like(seq)),
     }
 
 
 def bw_figures(kept: dict[str, Longs]) -> dict[str, Any]:
     """Bytes a second, and the size of a message, topic and payload."""
     sizes = kept["n_bytes"]
-    if len(sizes) < 2:
-        return {"bytes_per_s": None, "size_bytes": None}
-    span_s = max(1, int(kept["at_ns"][-1] - kept["at_ns"][0])) / 1e9
     return {
-        "bytes_per_s": float(sizes[1:].sum()) / span_s,
-        "size_bytes": _extent(sizes),
+        "bytes_per_s": _a_second(kept["at_ns"], sizes),
+        "size_bytes": _extent(sizes) if len(sizes) else None,
     }
 
 
@@ -111,20 +106,21 @@ def delay_figures(kept: dict[str, Longs]) -> dict[str, Any]:
 
 def hz_text(figures: dict[str, Any]) -> str:
     """`hz_figures` as part of a line; "" where there are none."""
-    between, sent = figures["interval_ms"], figures["sent_hz"]
-    if between is None:
+    if figures["sent_hz"] is None:
         return ""
-    return (
-        f"sent {'-' if sent is None else f'{sent:.2f}'} Hz, arrives {figures['arrives_hz']:.2f} Hz"
-        f" | interval {between['min']:.2f}..{between['max']:.2f}, std {between['std']:.2f} ms"
-    )
+    line = f"sent {figures['sent_hz']:.2f} Hz"
+    if (between := figures["interval_ms"]) is not None:
+        low, high, std = (between[key] for key in ("min", "max", "std"))
+        line += f", interval {low:.2f}..{high:.2f}, std {std:.2f} ms"
+    arrives_hz = figures["arrives_hz"]
+    return f"{line} | arrives {'-' if arrives_hz is None else f'{arrives_hz:.2f}'} Hz"
 
 
 def bw_text(figures: dict[str, Any]) -> str:
     """`bw_figures` as part of a line; "" where there are none."""
-    size = figures["size_bytes"]
-    if size is None:
+    if figures["bytes_per_s"] is None:
         return ""
+    size = figures["size_bytes"]
     each = f"{size['mean']:.0f}"
     if size["min"] != size["max"]:
         each += f" ({size['min']:.0f}..{size['max']:.0f})"
@@ -140,6 +136,13 @@ def delay_text(figures: dict[str, Any]) -> str:
         f"delay p50 {delay['p50']:.2f}, p99 {delay['p99']:.2f}, max {delay['max']:.2f} ms"
         f" | mean {delay['mean']:.2f}, std {delay['std']:.2f} ms"
     )
+
+
+def _a_second(at_ns: Longs, amounts: Longs) -> float | None:
+    """What comes a second: what came after the first batch, whose own beginning is not known."""
+    if not len(at_ns) or at_ns[-1] == at_ns[0]:
+        return None
+    return float(amounts[at_ns > at_ns[0]].sum()) * 1e9 / int(at_ns[-1] - at_ns[0])
 
 
 def _extent(values: npt.NDArray[Any]) -> dict[str, float]:

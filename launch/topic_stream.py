@@ -40,7 +40,7 @@ class Arrival:
     Attributes
     ----------
     at_ns : int
-        When it was taken in, on the graph's clock.
+        When it was taken in, together with those of its batch, on the graph's clock.
     ends : bool
         Whether it says that its topic sends no more; `seq` is then the number of messages sent.
     """
@@ -145,13 +145,13 @@ class TopicStream:
             yield self._take()
 
     def _take(self) -> list[Arrival]:
-        found: list[Arrival] = []
-        while len(found) < BATCH and (parts := self._reader.receive()) is not None:
-            arrival = _arrival(*parts, self._clock.now_ns())
-            if arrival is None:
-                self.unreadable += 1
-            else:
-                found.append(arrival)
+        waiting: list[tuple[bytes, bytes]] = []
+        while len(waiting) < BATCH and (parts := self._reader.receive()) is not None:
+            waiting.append(parts)
+        at_ns = self._clock.now_ns()
+        arrivals = [_arrival(*parts, at_ns) for parts in waiting]
+        found = [arrival for arrival in arrivals if arrival is not None]
+        self.unreadable += len(arrivals) - len(found)
         return found
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:

@@ -289,7 +289,8 @@ def test_hz_tells_what_is_sent_and_what_arrives(run_json: RunJson) -> None:
     assert last["final"]
     assert (last["messages"], last["over"], last["lost"]) == (60, 60, 0)
     assert last["sent_hz"] > 0
-    assert last["arrives_hz"] == pytest.approx(1e3 / last["interval_ms"]["mean"])
+    assert last["sent_hz"] == pytest.approx(1e3 / last["interval_ms"]["mean"])
+    assert last["arrives_hz"] > 0
 
 
 def test_bw_tells_the_bytes_of_the_wire(run_json: RunJson) -> None:

@@ -42,21 +42,41 @@ def samples(*arrivals: Arrival) -> Samples:
 
 
 def test_rates_are_those_of_the_numbers_and_of_the_arrivals() -> None:
-    # 100 Hz sent, every second message lost; the last one comes 10 ms late.
+    # 100 Hz sent, two of three messages lost; the last one comes 10 ms late.
     made = samples(
-        *(arrival(2 * k, 20 * k + (10 if k == 10 else 0), stamp_ms=20 * k) for k in range(11))
+        *(arrival(3 * k, 30 * k + (10 if k == 10 else 0), stamp_ms=30 * k) for k in range(11))
     )
     figures = hz_figures(made.last(1000))
     assert figures["sent_hz"] == pytest.approx(100)
-    assert figures["arrives_hz"] == pytest.approx(1000 * 10 / 210)
+    assert figures["arrives_hz"] == pytest.approx(1000 * 10 / 310)
+    assert figures["interval_ms"] is None
+    assert made.lost == 20
+    assert hz_text(figures) == "sent 100.00 Hz | arrives 32.26 Hz"
+
+
+def test_intervals_are_between_messages_with_none_lost_between() -> None:
+    stamps_ms = {0: 0, 1: 10, 2: 22, 5: 50, 6: 58}
+    made = samples(*(arrival(seq, 99 * seq, stamp_ms=ms) for seq, ms in stamps_ms.items()))
+    figures = hz_figures(made.last(1000))
     between = figures["interval_ms"]
-    assert (between["min"], between["max"]) == pytest.approx((20, 30))
-    assert between["mean"] == pytest.approx(21)
-    assert between["std"] == pytest.approx(3)
-    assert made.lost == 10
-    assert hz_text(figures) == (
-        "sent 100.00 Hz, arrives 47.62 Hz | interval 20.00..30.00, std 3.00 ms"
+    assert (between["min"], between["max"]) == pytest.approx((8, 12))
+    assert between["mean"] == pytest.approx(10)
+    assert between["std"] == pytest.approx(np.sqrt(8 / 3))
+    assert hz_text(figures).startswith("sent 103.45 Hz, interval 8.00..12.00, std 1.63 ms | ")
+
+
+def test_rates_of_messages_taken_in_together_are_those_of_whole_batches() -> None:
+    # 1 kHz, every 50 ms what has come since; the window cuts the first batch.
+    made = samples(*(arrival(k, 50 * (k // 50 + 1), stamp_ms=k, n=93) for k in range(1000)))
+    for window in (1000, 990, 960):
+        assert hz_figures(made.last(window))["arrives_hz"] == pytest.approx(1000)
+        assert bw_figures(made.last(window))["bytes_per_s"] == pytest.approx(100_000)
+    one = made.last(50)
+    assert (
+        hz_text(hz_figures(one))
+        == "sent 1000.00 Hz, interval 1.00..1.00, std 0.00 ms | arrives - Hz"
     )
+    assert bw_text(bw_figures(one)) == ""
 
 
 def test_bytes_a_second_leave_out_what_came_before_the_first_interval() -> None:
