@@ -21,7 +21,7 @@ from .topic_options import add_end_options, rate
 from .topic_stream import Losses, TopicStream, why_quiet
 
 MAX_HZ = 10.0
-PATIENCE_S = 0.02
+PATIENCE_S = 0.2
 EXIT_NOTHING = 1
 
 
@@ -59,6 +59,7 @@ class _Printer:
         if max_hz is None:
             max_hz = 0.0 if arguments.json else MAX_HZ
         self._period_ns = round(1e9 / max_hz) if max_hz else 0
+        self.patience_s = min(PATIENCE_S, self._period_ns / 1e9 or PATIENCE_S)
         self._arguments = arguments
         self._field = field
         self._due_ns = 0
@@ -112,7 +113,7 @@ def _echo(arguments: argparse.Namespace) -> int:
     give_way()
     done = ended = False
     refused = 0
-    with TopicStream(graph, topic, PATIENCE_S) as stream:
+    with TopicStream(graph, topic, printer.patience_s if wanted is None else 0.0) as stream:
         for arrivals in stream.batches(arguments.duration):
             for arrival in arrivals:
                 losses.take(arrival)

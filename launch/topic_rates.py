@@ -28,7 +28,7 @@ from .topic_stream import TopicStream, why_quiet
 
 REPORT_S = 1.0
 WINDOW = 1000
-PATIENCE_S = 0.05
+PATIENCE_S = 0.2
 EXIT_NOTHING = 1
 
 

@@ -4,6 +4,7 @@ take in time is dropped for it alone.
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import time
@@ -30,7 +31,12 @@ from .running import RunningGraph, is_running
 POLL_MS = 100
 LOOK_S = 0.5
 """How often it is looked whether the graph is still there."""
-BATCH = 256
+BATCH = 1024
+DRAIN_MS = 20
+READ_AHEAD = 8
+"""Messages of one that is patient that are taken in before they are wanted. The others wait with
+their writer, so that neither wakes the other for each of them.
+"""
 
 
 @dataclass(frozen=True)
@@ -92,7 +98,8 @@ class TopicStream:
     topic : str
         One of its topics.
     patience_s : float
-        How long messages may wait, so that those that come together are taken in together.
+        How long messages may wait, so that those that come together are taken in together. Not
+        longer than it takes to send `QUEUE_FRAMES` of them: those beyond are lost.
 
     Attributes
     ----------
@@ -107,7 +114,9 @@ class TopicStream:
         self._patience_s = patience_s
         self._clock = SystemClock(graph.offset_ns)
         self._context = make_context()
-        self._reader = onlooker(self._context, graph, topic)
+        self._reader = onlooker(self._context, graph, topic, READ_AHEAD if patience_s else None)
+        self._least_age_ns: float = math.inf
+        self._has_all = False  # the first that comes tells how old one is that has not waited
         self.unreadable = 0
         self.interrupted = False
 
@@ -137,29 +146,62 @@ class TopicStream:
                 if not is_running(self._graph):
                     yield self._take()
                     return
-            timeout_ms = POLL_MS
-            if duration_s is not None:
-                timeout_ms = min(POLL_MS, max(1, round(1e3 * (began_s + duration_s - now_s))))
-            if self._reader.socket.poll(timeout_ms) and self._patience_s:
-                time.sleep(self._patience_s)
+            left_s = math.inf if duration_s is None else began_s + duration_s - now_s
+            timeout_ms = max(1, round(min(POLL_MS, 1e3 * left_s)))
+            if self._reader.socket.poll(timeout_ms) and self._patience_s and self._has_all:
+                time.sleep(min(self._patience_s, left_s))
             yield self._take()
 
     def _take(self) -> list[Arrival]:
         waiting: list[tuple[bytes, bytes]] = []
-        while len(waiting) < BATCH and (parts := self._reader.receive()) is not None:
-            waiting.append(parts)
+        while len(waiting) < BATCH:
+            if (parts := self._reader.receive()) is not None:
+                waiting.append(parts)
+            elif not waiting or self._is_young(*waiting[-1]) or not self._comes_more():
+                break
+        if waiting:
+            self._has_all = len(waiting) < BATCH
         at_ns = self._clock.now_ns()
         arrivals = [_arrival(*parts, at_ns) for parts in waiting]
         found = [arrival for arrival in arrivals if arrival is not None]
         self.unreadable += len(arrivals) - len(found)
         return found
 
+    def _comes_more(self) -> bool:
+        """Whether more has waited with the writer than is read ahead."""
+        return bool(self._patience_s and self._reader.socket.poll(DRAIN_MS))
+
+    def _is_young(self, topic: bytes, payload: bytes) -> bool:
+        """Whether a message is about as new as any was when it came: what follows it has not
+        waited, and may. Stamps of a recording are old by the same time all along.
+        """
+        now_ns = self._clock.now_ns()
+        arrival = _arrival(topic, payload, now_ns)
+        if arrival is None:
+            return False
+        age_ns = now_ns - arrival.stamp_ns
+        self._least_age_ns = min(self._least_age_ns, age_ns)
+        return age_ns <= self._least_age_ns + self._patience_s * 1e9 / 4
+
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.interrupted = True
 
 
-def onlooker(context: zmq.Context[Any], graph: RunningGraph, topic: str) -> Reader:
+def onlooker(
+    context: zmq.Context[Any], graph: RunningGraph, topic: str, read_ahead: int | None = None
+) -> Reader:
     """A reader of one topic that its writer does not wait for.
+
+    Parameters
+    ----------
+    context : zmq.Context
+        From `make_context`.
+    graph : RunningGraph
+        The graph.
+    topic : str
+        One of its topics.
+    read_ahead : int, optional
+        How many messages wait here; as many as wait for a node by default.
 
     Raises
     ------
@@ -168,6 +210,8 @@ def onlooker(context: zmq.Context[Any], graph: RunningGraph, topic: str) -> Read
     """
     keys = read_key_pair(Path(graph.key_file)) if graph.key_file else None
     reader = Reader(context, f"onlooker_{os.getpid()}", (), [topic], present=False, keys=keys)
+    if read_ahead is not None:
+        reader.socket.setsockopt(zmq.RCVHWM, read_ahead)
     node = graph.nodes[graph.writers()[topic]]
     reader.connect(node.endpoint, node.key)
     return reader

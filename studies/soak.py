@@ -51,12 +51,13 @@ def run(out: Path, quick: bool, seed: int, executor: str, minutes: float | None 
     samples = found["samples"]
     names = [name for name in samples if name != "time_s"]
     verdicts = {name: verdict(samples, name) for name in names}
-    header = ("process", "memory, MB", "change", "MB an hour", "files", "cores", "lost")
+    header = ("process", "memory, MB", "change", "highest", "MB an hour", "files", "cores", "lost")
     rows = [
         [
             name,
             f"{v['before_mb']:.1f} to {v['after_mb']:.1f}",
             f"{100 * v['growth']:+.1f} %" + " (**not flat**)" * (abs(v["growth"]) > FLAT),
+            f"{v['highest_mb']:.1f}",
             f"{v['mb_per_hour']:+.1f}",
             f"{v['files_before']} to {v['files_after']}",
             f"{v['cpu']:.2f}",
@@ -116,6 +117,7 @@ def draw(out: Path, samples: dict[str, Any], names: list[str]) -> str:
 
 _INTRODUCTION = """\
 All nodes at {rate_hz} Hz with {side} x {side} taxels, preset `skin`, for {minutes} minutes; the
-recorder takes the measurements. Memory is what is resident, its change that from the first to the
-last fifth after {warm_up_s} s of warm-up; flat is within {flat}. `lost` are messages that never
-came to a node, by the numbers they carry."""
+recorder takes the measurements. Memory is what is resident, its change that of the median from the
+first to the last fifth after {warm_up_s} s of warm-up; flat is within {flat}. What is above it at
+the highest are messages that waited while other work of the host held a node up. `lost` are
+messages that never came to a node, by the numbers they carry."""

@@ -102,7 +102,8 @@ def verdict(samples: dict[str, Any], name: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        before_mb, after_mb: means over the first and the last fifth. growth: of the memory, as a
+        before_mb, after_mb: medians over the first and the last fifth, for a queue that is long for
+        some seconds is no growth. highest_mb: such a queue included. growth: of the memory, as a
         part. mb_per_hour: slope of a straight line. files_before, files_after: the most in those
         fifths. cpu: cores. warm_up_s: what was left out, a third of a short run.
     """
@@ -114,10 +115,11 @@ def verdict(samples: dict[str, Any], name: str) -> dict[str, Any]:
     files = np.array(samples[name]["files"])[after]
     cpu_s = np.array(samples[name]["cpu_s"])[after]
     fifth = max(1, len(time_s) // 5)
-    before_mb, after_mb = (float(np.mean(part)) for part in (memory_mb[:fifth], memory_mb[-fifth:]))
+    before_mb, after_mb = (float(np.median(p)) for p in (memory_mb[:fifth], memory_mb[-fifth:]))
     return {
         "before_mb": before_mb,
         "after_mb": after_mb,
+        "highest_mb": float(memory_mb.max()),
         "growth": after_mb / before_mb - 1,
         "mb_per_hour": float(np.polyfit(time_s, memory_mb, 1)[0]) * 3600,
         "files_before": int(files[:fifth].max()),

@@ -29,7 +29,7 @@ from .bag import (
 )
 from .bag_channels import Channels
 from .bag_file import BagFile, give_name
-from .chunk_index import pack_chunk_index
+from .chunk_index import store_chunk_index
 from .output import check_free
 
 CHUNK_BYTES = 1 << 20
@@ -85,7 +85,7 @@ class BagWriter:
             compression=CompressionType.LZ4,
             enable_data_crcs=True,
         )
-        pack_chunk_index(self._writer)
+        store_chunk_index(self._writer, self.path.parent)
         self._channels = Channels(self._writer, self.path)
         self._writer.start(profile="", library=LIBRARY_PREFIX + version_of("sparseskin"))
         self._writer.add_metadata(GRAPH_RECORD, dict(metadata))

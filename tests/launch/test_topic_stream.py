@@ -126,6 +126,16 @@ def test_one_that_does_not_read_holds_up_nobody_and_learns_what_it_lost(
     assert 0 < losses.n == n + 1 - len(found)
 
 
+def test_one_that_is_patient_takes_in_what_waits_with_the_writer(publisher: Publisher) -> None:
+    with TopicStream(publisher.graph, TOPIC, patience_s=0.01) as stream:
+        publisher.wait_for_subscription()
+        publisher.send(1)
+        found = take(stream, 1)
+        publisher.send(QUEUE_FRAMES, n_rows=64)  # far more than it reads ahead
+        found += take(stream, QUEUE_FRAMES)
+    assert [one.seq for one in found] == list(range(QUEUE_FRAMES + 1))
+
+
 @pytest.mark.parametrize("payload", [b"", b"nonsense", b"\x80", b"\x81\xa6schema\xa3end", b"\xc1"])
 def test_what_is_no_message_is_counted_and_left_out(publisher: Publisher, payload: bytes) -> None:
     with TopicStream(publisher.graph, TOPIC) as stream:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import random
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.recorder.bag import BagError
 from sparseskin.nodes.recorder.bag_reader import BagReader
 from sparseskin.nodes.recorder.bag_writer import BagWriter
+from sparseskin.nodes.recorder.chunk_index import BLOCK_BYTES
 
 MAX_LOST_NS = 250_000_000
 
@@ -300,8 +302,16 @@ def test_a_topic_of_every_schema_can_be_recorded(tmp_path: Path) -> None:
         assert bag.topics.keys() == {f"/skin/{name}" for name in SCHEMAS}
 
 
-def test_each_chunk_has_its_line_in_the_index_and_takes_little_memory(tmp_path: Path) -> None:
-    n_chunks, messages = 2000, frames(2)
+@pytest.mark.parametrize("stored", [True, False])
+def test_each_chunk_has_its_line_in_the_index_and_takes_no_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stored: bool
+) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "full")
+
+    if not stored:  # nothing is lost where there is no room for it, but memory
+        monkeypatch.setattr("os.pwrite", refuse)
+    n_chunks, messages = 3000, frames(2)
     tracemalloc.start()
     with BagWriter(tmp_path / "a.mcap", {}) as bag:
         record(bag, messages[0])
@@ -311,6 +321,7 @@ def test_each_chunk_has_its_line_in_the_index_and_takes_little_memory(tmp_path: 
             record(bag, messages[1])
             bag.flush()
         grown = tracemalloc.get_traced_memory()[0] - before
+        assert {path.name for path in tmp_path.iterdir()} == {"a.mcap.part"}
     tracemalloc.stop()
     with open(tmp_path / "a.mcap", "rb") as file:
         summary = mcap.reader.make_reader(file, validate_crcs=True).get_summary()
@@ -319,4 +330,4 @@ def test_each_chunk_has_its_line_in_the_index_and_takes_little_memory(tmp_path: 
     assert all(len(chunk.message_index_offsets) == 1 for chunk in summary.chunk_indexes)
     starts = [chunk.chunk_start_offset for chunk in summary.chunk_indexes]
     assert starts == sorted(set(starts))
-    assert grown < 80 * n_chunks
+    assert (grown < 1.5 * BLOCK_BYTES) == stored

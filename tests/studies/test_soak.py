@@ -48,6 +48,13 @@ def test_memory_is_judged_after_the_warm_up_by_its_first_and_last_fifth() -> Non
     assert (v["files_before"], v["files_after"]) == (9, 10)
 
 
+def test_a_queue_that_is_long_for_some_seconds_is_no_growth() -> None:
+    memory_mb = [100.0] * 600
+    memory_mb[560:590] = [180.0] * 30
+    v = verdict(samples(memory_mb, [9] * 600), "x")
+    assert (v["growth"], v["highest_mb"]) == (0.0, 180.0)
+
+
 def test_of_a_short_run_a_third_is_warm_up() -> None:
     assert verdict(samples([1.0] * 31, [1] * 31), "x")["warm_up_s"] == 10.0
 
