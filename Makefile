@@ -22,7 +22,7 @@ replay-timing: .venv/installed
 page-load: .venv/installed
 	$(BIN)/python -m sparseskin.studies.page_load
 
-# What looking at a graph from another terminal costs it, as a table (3 minutes).
+# What looking at a graph from another terminal costs it, as a table (5 minutes).
 introspection-load: .venv/installed
 	$(BIN)/python -m sparseskin.studies.introspection_load
 

@@ -9,10 +9,9 @@ import os
 import signal
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgpack
 import zmq
@@ -39,8 +38,7 @@ their writer, so that neither wakes the other for each of them.
 """
 
 
-@dataclass(frozen=True)
-class Arrival:
+class Arrival(NamedTuple):
     """One message as it came: its bytes, and what of them names it.
 
     Attributes

@@ -1,22 +1,24 @@
-"""What looking at a graph costs it: `make introspection-load` (3 minutes).
+"""What looking at a graph costs it: `make introspection-load` (5 minutes).
 
 A graph of 40 x 40 taxels at 1 kHz, with and without `topic echo`, `hz` and `bw` beside it, turn by
 turn in one run: the latency from sensor to reconstruction, as a node of the graph itself reads it,
-and the processor time that the graph's own processes take.
+and the processor time that the graph's own processes take. In the turns without, the three are
+suspended, so that turns can be short: a host that others use is not the same for long. Before they
+begin and after they end it is measured, too.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,18 +47,13 @@ depth = {depth}
 type = "sparseskin.studies.introspection_load:Latencies"
 out = "{out}"
 """
-WAYS: dict[str, tuple[tuple[str, ...], ...]] = {
-    "alone": (),
-    "echo, hz and bw": (
-        ("topic", "echo", "/skin/reconstruction"),
-        ("topic", "hz", "/skin/taxels"),
-        ("topic", "bw", "/skin/measurements"),
-    ),
-}
-SETTLE_S = 1.0
-WINDOW_NS = 250_000_000
-"""Some of these within a turn are disturbed by other work of the host, and some are not."""
-CALM = 0.25
+COMMANDS = (
+    ("topic", "echo", "/skin/reconstruction"),
+    ("topic", "hz", "/skin/taxels"),
+    ("topic", "bw", "/skin/measurements"),
+)
+NONE, SUSPENDED, LOOKED_AT = "nobody there", "suspended", "echo, hz and bw"
+SETTLE_S = 0.5
 DEPTH = 16
 """Frames that may wait: on a host that cannot restore them all, what is measured is the latency of
 those that are restored, and not how long a queue has grown; and the run ends when it should.
@@ -93,28 +90,37 @@ class Latencies(Node[LatenciesSettings]):
         np.save(self.settings.out, np.array(self._times, dtype=np.int64).reshape(-1, 2))
 
 
-@contextlib.contextmanager
-def looked_at(commands: Iterable[tuple[str, ...]]) -> Iterator[None]:
-    """Commands beside the graph, each from its first line on."""
-    processes = [
-        subprocess.Popen([*COMMAND, *command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-        for command in commands
-    ]
-    drains = []
-    try:
-        for process in processes:
+class Onlookers:
+    """Commands beside the graph, each from its first line on; they can be suspended."""
+
+    def __init__(self, commands: Iterable[tuple[str, ...]]) -> None:
+        self._commands = [
+            subprocess.Popen([*COMMAND, *one], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+            for one in commands
+        ]
+        self._drains = []
+        for process in self._commands:
             assert process.stdout is not None
             process.stdout.readline()
             # What they print is read on, as a terminal would; it costs the graph nothing.
-            drains.append(
+            self._drains.append(
                 subprocess.Popen(["cat"], stdin=process.stdout, stdout=subprocess.DEVNULL)
             )
-        time.sleep(SETTLE_S)
-        yield
-    finally:
-        for process in processes:
+
+    def suspend(self, suspended: bool) -> None:
+        """Stop them all, or let them go on."""
+        for process in self._commands:
+            for pid in (process.pid, *children_of(process.pid)):
+                os.kill(pid, signal.SIGSTOP if suspended else signal.SIGCONT)
+
+    def __enter__(self) -> Onlookers:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.suspend(False)
+        for process in self._commands:
             process.terminate()
-        for process in [*processes, *drains]:
+        for process in [*self._commands, *self._drains]:
             process.wait()
 
 
@@ -128,11 +134,15 @@ class Turn:
     cpu_s: float
 
 
+def children_of(pid: int) -> list[int]:
+    """Processes that a process has begun and that are still there."""
+    return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
 def cpu_of(pid: int) -> float:
     """Processor time in seconds that a launcher and its nodes have used."""
-    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     ticks = 0
-    for one in [str(pid), *children]:
+    for one in (pid, *children_of(pid)):
         fields = Path(f"/proc/{one}/stat").read_text().rpartition(")")[2].split()
         ticks += int(fields[11]) + int(fields[12])
     return ticks / os.sysconf("SC_CLK_TCK")
@@ -150,16 +160,23 @@ def measure(turns: int, turn_s: float, rate_hz: float) -> None:
             graph = subprocess.Popen(command, stderr=err, stdout=subprocess.DEVNULL)
         wait_until(lambda: "ready:" in said.read_text(), "the graph to be ready")
         spans: list[Turn] = []
+
+        def turn(way: str) -> None:
+            time.sleep(SETTLE_S)
+            began_ns, cpu_s = time.time_ns(), cpu_of(graph.pid)
+            time.sleep(turn_s)
+            spans.append(Turn(way, began_ns, time.time_ns(), cpu_of(graph.pid) - cpu_s))
+
         try:
-            time.sleep(2 * SETTLE_S)
-            for _ in range(turns):
-                for way, commands in WAYS.items():
-                    with looked_at(commands):
-                        began_ns, cpu_s = time.time_ns(), cpu_of(graph.pid)
-                        time.sleep(turn_s)
-                        used_s = cpu_of(graph.pid) - cpu_s
-                        spans.append(Turn(way, began_ns, time.time_ns(), used_s))
-                    time.sleep(SETTLE_S)
+            for _ in range(turns // 4):
+                turn(NONE)
+            with Onlookers(COMMANDS) as onlookers:
+                for _ in range(turns):
+                    for way in (LOOKED_AT, SUSPENDED):
+                        onlookers.suspend(way == SUSPENDED)
+                        turn(way)
+            for _ in range(turns // 4):
+                turn(NONE)
         finally:
             graph.terminate()
             graph.wait()
@@ -188,46 +205,33 @@ def report(
     """
     inside = [latency_ms[(stamps >= t.began_ns) & (stamps < t.ended_ns)] for t in turns]
     print(f"{'40 x 40':<20}{'frames':>8}{'p50 ms':>10}{'p99 ms':>10}{'CPU us a frame':>16}")
-    p50s, overall, cpus, calm = {}, {}, {}, {}
-    for way in WAYS:
+    p50s, overall, cpus = {}, {}, {}
+    for way in (NONE, SUSPENDED, LOOKED_AT):
         of_way = [found for turn, found in zip(turns, inside, strict=True) if turn.way == way]
         p50, p99 = np.quantile(np.concatenate(of_way), [0.5, 0.99])
         n = sum(map(len, of_way))
         overall[way] = p50
         p50s[way] = np.array([np.median(found) for found in of_way])
-        windows = _windows([turn for turn in turns if turn.way == way], stamps, latency_ms)
-        calm[way] = np.quantile(list(windows), CALM)
         cpus[way] = 1e6 * sum(turn.cpu_s for turn in turns if turn.way == way) / n
         print(f"{way:<20}{n:>8}{p50:>10.3f}{p99:>10.3f}{cpus[way]:>16.0f}")
-    alone, looked = WAYS
-    ratios = p50s[looked] / p50s[alone]
-    print(f"p50 with / without, turn by turn: {' '.join(f'{r:.3f}' for r in ratios)}")
+    with_ms, without_ms = p50s[LOOKED_AT], p50s[SUSPENDED]
+    # Each turn is compared with the one before it and the one after it.
+    ratios = np.log(np.concatenate([with_ms / without_ms, with_ms[1:] / without_ms[:-1]]))
+    error = np.std(ratios) / np.sqrt(len(with_ms))
     print(
-        f"median {np.median(ratios):.3f}; p50 of all x {overall[looked] / overall[alone]:.3f}, "
-        f"CPU x {cpus[looked] / cpus[alone]:.3f}"
+        f"p50 with / without, {len(with_ms)} turns: x {np.exp(np.mean(ratios)):.3f} "
+        f"+- {error:.1%} (mean of neighbours, standard error), median "
+        f"{np.exp(np.median(ratios)):.3f}; of all frames x "
+        f"{overall[LOOKED_AT] / overall[SUSPENDED]:.3f}; CPU x "
+        f"{cpus[LOOKED_AT] / cpus[SUSPENDED]:.3f}"
     )
-    print(
-        f"where the host is calm (a quarter of all {WINDOW_NS / 1e6:g} ms is at or below): p50 "
-        f"{calm[alone]:.3f} and {calm[looked]:.3f} ms, x {calm[looked] / calm[alone]:.3f}"
-    )
-
-
-def _windows(
-    turns: Iterable[Turn], stamps: npt.NDArray[np.int64], latency_ms: npt.NDArray[np.float64]
-) -> Iterator[float]:
-    """Median latency of each window of some turns that has frames."""
-    for turn in turns:
-        for began_ns in range(turn.began_ns, turn.ended_ns - WINDOW_NS + 1, WINDOW_NS):
-            inside = (stamps >= began_ns) & (stamps < began_ns + WINDOW_NS)
-            if inside.any():
-                yield float(np.median(latency_ms[inside]))
 
 
 def main() -> None:
     """Read the options, and measure."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--turns", type=int, default=10, help="turns of each way")
-    parser.add_argument("--seconds", type=float, default=3.0, help="length of a turn")
+    parser.add_argument("--turns", type=int, default=60, help="turns with, and as many without")
+    parser.add_argument("--seconds", type=float, default=1.0, help="length of a turn")
     parser.add_argument("--rate-hz", type=float, default=1000.0, help="frames a second")
     arguments = parser.parse_args()
     measure(arguments.turns, arguments.seconds, arguments.rate_hz)
