@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.host import is_latched
@@ -61,6 +62,23 @@ def late_at_end(nodes: Iterable[NodeProcess], links: Sequence[Link]) -> list[str
         why = f"waits for {', '.join(writers)}" if writers else "has not ended its stream"
         told.append(f"{name} ({why})")
     return told
+
+
+def taken_in(nodes: Iterable[NodeProcess]) -> Callable[[], bool]:
+    """Whether all that came to some nodes has been taken in: each has ended, or its counts stand
+    still over two heartbeats.
+    """
+    seen: dict[str, tuple[float, dict[str, Any], int]] = {}
+
+    def check() -> bool:
+        for node in nodes:
+            heard_s, counts, n_same = seen.get(node.name, (node.heard_s, node.counts, 0))
+            if node.heard_s != heard_s:
+                n_same = n_same + 1 if node.counts == counts else 0
+            seen[node.name] = (node.heard_s, node.counts, n_same)
+        return all(node.ended or node.failed or seen[node.name][2] > 1 for node in nodes)
+
+    return check
 
 
 def or_tell(

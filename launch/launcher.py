@@ -15,7 +15,7 @@ from sparseskin.nodes.errors import SparseskinError
 from .configs import note_of
 from .controls import Controls
 from .fleet import EXIT_FAILED, EXIT_USAGE, START_S, Fleet
-from .late import READER_S, lacks_readers, late_at_end, or_tell
+from .late import READER_S, lacks_readers, late_at_end, or_tell, taken_in
 from .launchfile import LaunchFile
 from .missing import Missing, hosts_state
 from .process import NodeProcess
@@ -232,8 +232,15 @@ class Launcher:
 
     def _drain(self) -> None:
         """Stop the sources, and let what is under way reach the end of the graph."""
-        if self._joined is not None:
-            return  # the sources are not ours
+        if self._joined is not None:  # the sources are not ours
+            if self._gone:  # what they sent last may still wait here
+                self._until(taken_in(self._fleet), DRAIN_S, draining=True)
+                if not self._all_ended():
+                    self._terminal.log(
+                        f"[launch] {self._joined.label} was gone before its streams had ended: "
+                        "what it sent last may be missing"
+                    )
+            return
         for node in self._fleet:
             # One that is still starting has no handler yet; it has nothing to drain either.
             node.send_signal(signal.SIGINT if node.endpoint else signal.SIGTERM)

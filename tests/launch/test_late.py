@@ -12,7 +12,7 @@ from bags import frame, make_bag, skin_state
 from conftest import StartProgram, wait_until
 
 from sparseskin.launch import late
-from sparseskin.launch.late import lacks_readers, late_at_end, late_at_start, or_tell
+from sparseskin.launch.late import lacks_readers, late_at_end, late_at_start, or_tell, taken_in
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.player.settings import PlayerSettings
 
@@ -33,6 +33,13 @@ class Node:
     spec: Any = None
     state: dict[str, Any] = field(default_factory=lambda: {"paused": False})
     counts: dict[str, Any] = field(default_factory=dict)
+    failed: bool = False
+    heard_s: float = 0.0
+
+    def says(self, received: int) -> None:
+        """A heartbeat comes."""
+        self.heard_s += 0.5
+        self.counts = {"received": received}
 
 
 def nodes(*made: Node) -> Any:
@@ -52,6 +59,20 @@ def test_each_node_that_is_not_ready_says_what_it_waits_for() -> None:
         "recorder has not answered yet",
         "",
     ]
+
+
+def test_all_is_taken_in_once_the_counts_of_all_stand_still_over_two_heartbeats() -> None:
+    recorder, monitor, ended = Node("recorder"), Node("monitor"), Node("late", ended=True)
+    done = taken_in(nodes(recorder, monitor, ended))
+    for received in (0, 64, 65):
+        for node in (recorder, monitor):
+            node.says(received)
+        assert not done()
+        assert not done()  # silence is no heartbeat
+    for received, both in ((65, False), (65, True), (70, False)):
+        monitor.says(65)
+        recorder.says(received)
+        assert done() == both
 
 
 def test_who_has_not_ended_waits_for_those_before_it() -> None:

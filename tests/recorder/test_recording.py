@@ -132,9 +132,10 @@ def test_a_recorder_notices_that_the_graph_is_gone(start: StartProgram, tmp_path
     part = tmp_path / "orphan.mcap.part"
     wait_until(lambda: part.exists() and part.stat().st_size > 20_000, "some messages")
     graph.process.kill()
-    code, stdout, _ = recorder.finish()
+    code, stdout, stderr = recorder.finish()
     assert code == 0
     assert stdout.startswith("orphan.mcap: ")
+    assert "was gone before its streams had ended: what it sent last may be missing" in stderr
     assert len(contents(tmp_path / "orphan.mcap")["/skin/taxels"]) > 1
 
 
