@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.monitor.node import Monitor
@@ -53,10 +53,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     return EXIT_USAGE
 
 
+class _Parser(argparse.ArgumentParser):
+    """One whose refusal is one line, as all others of the command are; so are its subparsers'."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(EXIT_USAGE, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="sparseskin", description="Compressed sensing for robot tactile skins."
-    )
+    parser = _Parser(prog="sparseskin", description="Compressed sensing for robot tactile skins.")
     parser.add_argument("--version", action="version", version=f"%(prog)s {version('sparseskin')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     launch = commands.add_parser(

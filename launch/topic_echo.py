@@ -44,7 +44,8 @@ def add_echo_parser(kinds: Any) -> None:
         "--max-hz",
         metavar="R",
         type=rate,
-        help=f"print R messages a second at most, 0: all (default: {MAX_HZ:g}; all with --json)",
+        help=f"print R messages a second at most, 0: all (default: {MAX_HZ:g}; all with --json "
+        "or -n)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object a line")
     add_graph_option(parser)
@@ -57,7 +58,7 @@ class _Printer:
     def __init__(self, arguments: argparse.Namespace, field: FieldPath | None) -> None:
         max_hz = arguments.max_hz
         if max_hz is None:
-            max_hz = 0.0 if arguments.json else MAX_HZ
+            max_hz = 0.0 if arguments.json or arguments.n is not None else MAX_HZ
         self._period_ns = round(1e9 / max_hz) if max_hz else 0
         self.patience_s = min(PATIENCE_S, self._period_ns / 1e9 or PATIENCE_S)
         self._arguments = arguments
@@ -66,10 +67,11 @@ class _Printer:
         self.shown = self.skipped = 0
         self._skipped_since = 0
 
-    def wants(self, at_ns: int) -> bool:
-        """Whether a message that came then is printed; it is counted otherwise."""
-        if at_ns >= self._due_ns:
-            self._due_ns = max(self._due_ns + self._period_ns, at_ns)
+    def wants(self, stamp_ns: int) -> bool:
+        """Whether a message of that stamp is printed; it is counted otherwise."""
+        # Stamps go back where a recording is played again.
+        if not self._due_ns - self._period_ns <= stamp_ns < self._due_ns:
+            self._due_ns = stamp_ns + self._period_ns
             return True
         self.skipped += 1
         self._skipped_since += 1
@@ -118,7 +120,7 @@ def _echo(arguments: argparse.Namespace) -> int:
             for arrival in arrivals:
                 losses.take(arrival)
                 ended = arrival.ends
-                if not ended and printer.wants(arrival.at_ns):
+                if not ended and printer.wants(arrival.stamp_ns):
                     try:
                         printer.print(decode(arrival.topic, arrival.payload))
                     except MessageError as error:

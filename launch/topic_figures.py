@@ -63,7 +63,7 @@ class Samples:
 
 
 def hz_figures(kept: dict[str, Longs]) -> dict[str, Any]:
-    """How often messages are sent, as their numbers and stamps tell, and how often they arrive.
+    """How often messages are sent, as their numbers and stamps tell, and how many of them arrive.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def hz_figures(kept: dict[str, Longs]) -> dict[str, Any]:
     -------
     dict
         sent_hz; interval_ms between the stamps of messages with adjacent numbers: mean, min, max,
-        std; arrives_hz. None each where too few messages came.
+        std; arrives_hz, of what is sent a second, what comes. None each where too few came.
     """
     stamp_ns, seq = kept["stamp_ns"], kept["seq"]
     span_ns = int(stamp_ns[-1] - stamp_ns[0]) if len(seq) else 0
@@ -82,7 +82,7 @@ def hz_figures(kept: dict[str, Longs]) -> dict[str, Any]:
     return {
         "sent_hz": int(seq[-1] - seq[0]) * 1e9 / span_ns if span_ns > 0 else None,
         "interval_ms": _extent(intervals_ms) if len(intervals_ms) else None,
-        "arrives_hz": _a_second(kept["at_ns"], np.ones_like(seq)),
+        "arrives_hz": _a_second(stamp_ns, np.ones_like(seq)),
     }
 
 
@@ -90,7 +90,7 @@ def bw_figures(kept: dict[str, Longs]) -> dict[str, Any]:
     """Bytes a second, and the size of a message, topic and payload."""
     sizes = kept["n_bytes"]
     return {
-        "bytes_per_s": _a_second(kept["at_ns"], sizes),
+        "bytes_per_s": _a_second(kept["stamp_ns"], sizes),
         "size_bytes": _extent(sizes) if len(sizes) else None,
     }
 
@@ -112,8 +112,7 @@ def hz_text(figures: dict[str, Any]) -> str:
     if (between := figures["interval_ms"]) is not None:
         low, high, std = (between[key] for key in ("min", "max", "std"))
         line += f", interval {low:.2f}..{high:.2f}, std {std:.2f} ms"
-    arrives_hz = figures["arrives_hz"]
-    return f"{line} | arrives {'-' if arrives_hz is None else f'{arrives_hz:.2f}'} Hz"
+    return f"{line} | arrives {figures['arrives_hz']:.2f} Hz"
 
 
 def bw_text(figures: dict[str, Any]) -> str:
@@ -138,11 +137,12 @@ def delay_text(figures: dict[str, Any]) -> str:
     )
 
 
-def _a_second(at_ns: Longs, amounts: Longs) -> float | None:
-    """What comes a second: what came after the first batch, whose own beginning is not known."""
-    if not len(at_ns) or at_ns[-1] == at_ns[0]:
-        return None
-    return float(amounts[at_ns > at_ns[0]].sum()) * 1e9 / int(at_ns[-1] - at_ns[0])
+def _a_second(stamp_ns: Longs, amounts: Longs) -> float | None:
+    """What comes of each second of the publisher's: by stamps, for messages are taken in together,
+    and later where this process had to give way.
+    """
+    span_ns = int(stamp_ns[-1] - stamp_ns[0]) if len(stamp_ns) else 0
+    return float(amounts[1:].sum()) * 1e9 / span_ns if span_ns > 0 else None
 
 
 def _extent(values: npt.NDArray[Any]) -> dict[str, float]:

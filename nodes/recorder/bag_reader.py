@@ -14,7 +14,15 @@ from mcap.opcode import Opcode
 
 from sparseskin.nodes.lookup import did_you_mean
 
-from .bag import COUNTS_RECORD, GRAPH_RECORD, JSON_KEY, BagError, BagMessage, TopicInfo
+from .bag import (
+    COUNTS_RECORD,
+    GRAPH_RECORD,
+    JSON_KEY,
+    PART_SUFFIX,
+    BagError,
+    BagMessage,
+    TopicInfo,
+)
 from .bag_index import BagChannel, BagIndex, ChunkSpan
 from .bag_records import (
     MAGIC,
@@ -182,7 +190,9 @@ def _open(path: Path) -> BinaryIO:
             raise BagError(f"{path}: {what}; expected a bag, NAME.mcap")
         return open(path, "rb")
     except FileNotFoundError as error:
-        raise BagError(f"{path}: no such file") from error
+        part = f"{path}{PART_SUFFIX}"
+        begun = f" ({part} is there: not complete, but can be read)" if os.path.exists(part) else ""
+        raise BagError(f"{path}: no such file{begun}") from error
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise BagError(f"{path}: {reason}") from error

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from conftest import Program, wait_until
 
@@ -282,6 +283,39 @@ def test_echo_for_a_person_shows_some_and_counts_the_others(
     assert int(counted[0]) == shown
     assert 2 <= shown < int(counted[2])
     assert "not shown)" in printed.out
+
+
+def test_what_echo_shows_of_many_is_evenly_spaced(run_json: RunJson) -> None:
+    command = ("topic", "echo", "skin/taxels", "--duration", "1.5", "--max-hz", "8")
+    stamps_ns = [shown["stamp_ns"] for shown in run_json(*command, lines=True)]
+    assert len(stamps_ns) > 2
+    assert min(np.diff(stamps_ns)) >= 125_000_000
+
+
+def test_echo_of_so_many_shows_them_one_after_the_other(run: Run) -> None:
+    out = run("topic", "echo", "skin/taxels", "--field", "seq", "-n", "20")
+    seqs = [int(line) for line in out.splitlines() if line.isdigit()]
+    assert seqs == list(range(seqs[0], seqs[0] + 20))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("topic", "hz", "/skin/taxels", "-n", "0"), "-n: '0': expected a whole number, 1 or more"),
+        (("topic", "echo"), "the following arguments are required: TOPIC"),
+        (("launch", "path_40", "--frames", "-4"), "argument --frames"),
+        (("tropic",), "argument COMMAND: invalid choice: 'tropic'"),
+    ],
+)
+def test_a_command_line_is_refused_in_one_line(
+    arguments: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as refusal:
+        main(arguments)
+    assert refusal.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("sparseskin")
+    assert says in line
 
 
 def test_hz_tells_what_is_sent_and_what_arrives(run_json: RunJson) -> None:

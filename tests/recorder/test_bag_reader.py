@@ -340,6 +340,10 @@ def no_channels(path: Path) -> None:
 
 BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     "missing": (lambda path: None, "no such file"),
+    "not complete": (
+        lambda path: path.with_name("a.mcap.part").touch(),
+        "a.mcap.part is there: not complete, but can be read",
+    ),
     "empty": (lambda path: path.touch(), "is empty"),
     "folder": (lambda path: path.mkdir(), "is a folder"),
     "pipe": (os.mkfifo, "is no regular file"),
