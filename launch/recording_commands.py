@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import fnmatch
 import os
+import sys
 import time
 from dataclasses import replace
 from typing import Any
@@ -64,6 +65,8 @@ def record(arguments: argparse.Namespace) -> int:
     lost = sum(launcher.summary()["nodes"][name].get("lost", {}).values())
     if recording and not recording["error"]:
         print(f"{out}: {recording['n_messages']} messages recorded, {lost} dropped")
+    elif not recording:
+        print(f"{out}: nothing was recorded: the recorder had not started yet", file=sys.stderr)
     return code
 
 
