@@ -65,7 +65,7 @@ def record(arguments: argparse.Namespace) -> int:
     lost = sum(launcher.summary()["nodes"][name].get("lost", {}).values())
     if recording and not recording["error"]:
         print(f"{out}: {recording['n_messages']} messages recorded, {lost} dropped")
-    elif not recording:
+    elif not recording and code > 128:
         print(f"{out}: nothing was recorded: the recorder had not started yet", file=sys.stderr)
     return code
 
