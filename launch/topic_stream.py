@@ -32,6 +32,7 @@ LOOK_S = 0.5
 """How often it is looked whether the graph is still there."""
 BATCH = 1024
 DRAIN_MS = 20
+"""What waits with the writer comes within it."""
 READ_AHEAD = 8
 """Messages of one that is patient that are taken in before they are wanted. The others wait with
 their writer, so that neither wakes the other for each of them.
@@ -131,8 +132,8 @@ class TopicStream:
         self._context.destroy(linger=0)
 
     def batches(self, duration_s: float | None) -> Iterator[list[Arrival]]:
-        """What has come since the last batch, every 100 ms or sooner; it ends after
-        `duration_s`, with an interrupt, or with the graph.
+        """What has come since the last batch, every 100 ms or sooner, later where it is patient;
+        it ends after `duration_s`, with an interrupt, or with the graph.
         """
         began_s = look_at_s = time.monotonic()
         while not self.interrupted:
@@ -155,7 +156,9 @@ class TopicStream:
         while len(waiting) < BATCH:
             if (parts := self._reader.receive()) is not None:
                 waiting.append(parts)
-            elif not waiting or self._is_young(*waiting[-1]) or not self._comes_more():
+            elif not (waiting and self._patience_s) or self._is_young(*waiting[-1]):
+                break
+            elif not self._reader.socket.poll(DRAIN_MS):  # nothing waits with the writer either
                 break
         if waiting:
             self._has_all = len(waiting) < BATCH
@@ -164,10 +167,6 @@ class TopicStream:
         found = [arrival for arrival in arrivals if arrival is not None]
         self.unreadable += len(arrivals) - len(found)
         return found
-
-    def _comes_more(self) -> bool:
-        """Whether more has waited with the writer than is read ahead."""
-        return bool(self._patience_s and self._reader.socket.poll(DRAIN_MS))
 
     def _is_young(self, topic: bytes, payload: bytes) -> bool:
         """Whether a message is about as new as any was when it came: what follows it has not
