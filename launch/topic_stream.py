@@ -156,9 +156,7 @@ class TopicStream:
         while len(waiting) < BATCH:
             if (parts := self._reader.receive()) is not None:
                 waiting.append(parts)
-            elif not (waiting and self._patience_s) or self._is_young(*waiting[-1]):
-                break
-            elif not self._reader.socket.poll(DRAIN_MS):  # nothing waits with the writer either
+            elif not (waiting and self._patience_s and self._more_waits(*waiting[-1])):
                 break
         if waiting:
             self._has_all = len(waiting) < BATCH
@@ -168,17 +166,18 @@ class TopicStream:
         self.unreadable += len(arrivals) - len(found)
         return found
 
-    def _is_young(self, topic: bytes, payload: bytes) -> bool:
-        """Whether a message is about as new as any was when it came: what follows it has not
-        waited, and may. Stamps of a recording are old by the same time all along.
+    def _more_waits(self, topic: bytes, payload: bytes) -> bool:
+        """Whether more waits with the writer behind the last message: not where that is about as
+        new as any was when it came. Stamps of a recording are old by the same time all along.
         """
         now_ns = self._clock.now_ns()
-        arrival = _arrival(topic, payload, now_ns)
-        if arrival is None:
-            return False
-        age_ns = now_ns - arrival.stamp_ns
-        self._least_age_ns = min(self._least_age_ns, age_ns)
-        return age_ns <= self._least_age_ns + self._patience_s * 1e9 / 4
+        last = _arrival(topic, payload, now_ns)
+        if last is not None:
+            age_ns = now_ns - last.stamp_ns
+            self._least_age_ns = min(self._least_age_ns, age_ns)
+            if age_ns <= self._least_age_ns + self._patience_s * 1e9 / 4:
+                return False
+        return bool(self._reader.socket.poll(DRAIN_MS))
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.interrupted = True
