@@ -11,6 +11,8 @@ from pathlib import Path
 
 GROWN_BYTES = 1_000_000
 """So much more resident memory than the least there was is worth looking through."""
+STARTED_CALLS = 20
+"""Calls after which what a start took is free: then it is looked through once."""
 MOST_CALLS = 64
 """Calls from one look at memory that stays in use to the next."""
 
@@ -36,6 +38,7 @@ class FreeMemory:
     def __init__(self) -> None:
         self._least = math.inf
         self._pause = self._wait = 1
+        self._n_calls = 0
 
     def give_back(self) -> None:
         """Give back what is free, where memory is above the least that it was: takes a millisecond.
@@ -45,6 +48,9 @@ class FreeMemory:
         trim = _trim()
         if trim is None:
             return
+        self._n_calls += 1
+        if self._n_calls == STARTED_CALLS:
+            trim(0)
         resident = _resident_bytes()
         if resident <= self._least + GROWN_BYTES:
             self._least = min(self._least, resident)

@@ -8,13 +8,14 @@ from collections.abc import Iterator
 import pytest
 
 from sparseskin.nodes import memory
-from sparseskin.nodes.memory import GROWN_BYTES, MOST_CALLS, FreeMemory
+from sparseskin.nodes.memory import GROWN_BYTES, MOST_CALLS, STARTED_CALLS, FreeMemory
 
 LEAST = 50_000_000
 
 
 def looks(monkeypatch: pytest.MonkeyPatch, resident: Iterator[int]) -> Iterator[bool]:
-    """Whether each call looks through memory, as it is resident."""
+    """Whether each call looks through memory, as it is resident, once all has started."""
+    monkeypatch.setattr(memory, "STARTED_CALLS", 0)
     n_looks: list[int] = []
     monkeypatch.setattr(memory, "_trim", lambda: n_looks.append)
     monkeypatch.setattr(memory, "_resident_bytes", lambda: next(resident))
@@ -44,6 +45,19 @@ def test_memory_that_is_back_at_its_least_is_looked_through_at_once_when_it_grow
     resident = [LEAST, *[grown] * 5, LEAST - 9, LEAST + GROWN_BYTES // 2, grown, grown]
     found = [k for k, look in enumerate(looks(monkeypatch, iter(resident))) if look]
     assert found == [1, 3, 8]
+
+
+def test_what_a_start_took_is_given_back_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    n_looks: list[int] = []
+    monkeypatch.setattr(memory, "_trim", lambda: n_looks.append)
+    monkeypatch.setattr(memory, "_resident_bytes", lambda: LEAST)
+    free = FreeMemory()
+    for _ in range(STARTED_CALLS - 1):
+        free.give_back()
+    assert not n_looks
+    for _ in range(100):
+        free.give_back()
+    assert len(n_looks) == 1
 
 
 def test_a_library_without_malloc_trim_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
