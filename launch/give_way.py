@@ -33,7 +33,8 @@ def give_way() -> None:
     stays what the terminal knows: it passes signals on, and ends as the child does. To be called
     before there are threads.
     """
-    os.nice(NICE)
+    with contextlib.suppress(OSError):
+        os.nice(NICE)
     if not _sessions_are_weighed():
         return
     sys.stdout.flush()
