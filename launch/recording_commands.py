@@ -61,8 +61,9 @@ def record(arguments: argparse.Namespace) -> int:
     links = [Link(topic, writers[topic], name) for topic in topics]
     launcher = Launcher(replace(launch, links=links), Terminal(), joined=graph)
     code = launcher.run()
-    recording = launcher.summary()["nodes"][name].get("recording", {})
-    lost = sum(launcher.summary()["nodes"][name].get("lost", {}).values())
+    found = launcher.summary()["nodes"][name]
+    recording = found.get("recording", {})
+    lost = sum(found.get("lost", {}).values())
     if recording and not recording["error"]:
         print(f"{out}: {recording['n_messages']} messages recorded, {lost} dropped")
     elif not recording and code > 128:

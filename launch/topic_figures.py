@@ -77,12 +77,11 @@ def hz_figures(kept: dict[str, Longs]) -> dict[str, Any]:
         std; arrives_hz, of what is sent a second, what comes. None each where too few came.
     """
     stamp_ns, seq = kept["stamp_ns"], kept["seq"]
-    span_ns = int(stamp_ns[-1] - stamp_ns[0]) if len(seq) else 0
     intervals_ms = np.diff(stamp_ns)[np.diff(seq) == 1] / 1e6
     return {
-        "sent_hz": int(seq[-1] - seq[0]) * 1e9 / span_ns if span_ns > 0 else None,
+        "sent_hz": _a_second(stamp_ns, np.diff(seq)),
         "interval_ms": _extent(intervals_ms) if len(intervals_ms) else None,
-        "arrives_hz": _a_second(stamp_ns, np.ones_like(seq)),
+        "arrives_hz": _a_second(stamp_ns, np.ones_like(seq[1:])),
     }
 
 
@@ -90,7 +89,7 @@ def bw_figures(kept: dict[str, Longs]) -> dict[str, Any]:
     """Bytes a second, and the size of a message, topic and payload."""
     sizes = kept["n_bytes"]
     return {
-        "bytes_per_s": _a_second(kept["stamp_ns"], sizes),
+        "bytes_per_s": _a_second(kept["stamp_ns"], sizes[1:]),
         "size_bytes": _extent(sizes) if len(sizes) else None,
     }
 
@@ -138,11 +137,11 @@ def delay_text(figures: dict[str, Any]) -> str:
 
 
 def _a_second(stamp_ns: Longs, amounts: Longs) -> float | None:
-    """What comes of each second of the publisher's: by stamps, for messages are taken in together,
-    and later where this process had to give way.
+    """What came after the first stamp, a second: of the publisher's, for messages are taken in
+    together, and later where this process had to give way.
     """
     span_ns = int(stamp_ns[-1] - stamp_ns[0]) if len(stamp_ns) else 0
-    return float(amounts[1:].sum()) * 1e9 / span_ns if span_ns > 0 else None
+    return float(amounts.sum()) * 1e9 / span_ns if span_ns > 0 else None
 
 
 def _extent(values: npt.NDArray[Any]) -> dict[str, float]:

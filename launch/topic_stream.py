@@ -22,7 +22,7 @@ from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.clock import SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.keys import read_key_pair
-from sparseskin.nodes.sockets import Reader, make_context
+from sparseskin.nodes.sockets import QUEUE_FRAMES, Reader, make_context
 
 from .inspection import describe, topics_of
 from .running import RunningGraph, is_running
@@ -45,7 +45,7 @@ class Arrival(NamedTuple):
     Attributes
     ----------
     at_ns : int
-        When it was taken in, together with those of its batch, on the graph's clock.
+        When it was taken in, on the graph's clock.
     ends : bool
         Whether it says that its topic sends no more; `seq` is then the number of messages sent.
     """
@@ -113,7 +113,9 @@ class TopicStream:
         self._patience_s = patience_s
         self._clock = SystemClock(graph.offset_ns)
         self._context = make_context()
-        self._reader = onlooker(self._context, graph, topic, READ_AHEAD if patience_s else None)
+        self._reader = onlooker(
+            self._context, graph, topic, READ_AHEAD if patience_s else QUEUE_FRAMES
+        )
         self._least_age_ns: float = math.inf
         self._has_all = False  # the first that comes tells how old one is that has not waited
         self.unreadable = 0
@@ -152,28 +154,24 @@ class TopicStream:
             yield self._take()
 
     def _take(self) -> list[Arrival]:
-        waiting: list[tuple[bytes, bytes]] = []
-        while len(waiting) < BATCH:
+        taken: list[Arrival | None] = []
+        while len(taken) < BATCH:
             if (parts := self._reader.receive()) is not None:
-                waiting.append(parts)
-            elif not (waiting and self._patience_s and self._more_waits(*waiting[-1])):
+                taken.append(_arrival(*parts, self._clock.now_ns()))
+            elif not (taken and self._patience_s and self._more_waits(taken[-1])):
                 break
-        if waiting:
-            self._has_all = len(waiting) < BATCH
-        at_ns = self._clock.now_ns()
-        arrivals = [_arrival(*parts, at_ns) for parts in waiting]
-        found = [arrival for arrival in arrivals if arrival is not None]
-        self.unreadable += len(arrivals) - len(found)
+        if taken:
+            self._has_all = len(taken) < BATCH
+        found = [arrival for arrival in taken if arrival is not None]
+        self.unreadable += len(taken) - len(found)
         return found
 
-    def _more_waits(self, topic: bytes, payload: bytes) -> bool:
+    def _more_waits(self, last: Arrival | None) -> bool:
         """Whether more waits with the writer behind the last message: not where that is about as
         new as any was when it came. Stamps of a recording are old by the same time all along.
         """
-        now_ns = self._clock.now_ns()
-        last = _arrival(topic, payload, now_ns)
         if last is not None:
-            age_ns = now_ns - last.stamp_ns
+            age_ns = last.at_ns - last.stamp_ns
             self._least_age_ns = min(self._least_age_ns, age_ns)
             if age_ns <= self._least_age_ns + self._patience_s * 1e9 / 4:
                 return False
@@ -184,7 +182,7 @@ class TopicStream:
 
 
 def onlooker(
-    context: zmq.Context[Any], graph: RunningGraph, topic: str, read_ahead: int | None = None
+    context: zmq.Context[Any], graph: RunningGraph, topic: str, read_ahead: int = QUEUE_FRAMES
 ) -> Reader:
     """A reader of one topic that its writer does not wait for.
 
@@ -196,7 +194,7 @@ def onlooker(
         The graph.
     topic : str
         One of its topics.
-    read_ahead : int, optional
+    read_ahead : int
         How many messages wait here; as many as wait for a node by default.
 
     Raises
@@ -205,9 +203,8 @@ def onlooker(
         If the graph asks for a key that this user may not read.
     """
     keys = read_key_pair(Path(graph.key_file)) if graph.key_file else None
-    reader = Reader(context, f"onlooker_{os.getpid()}", (), [topic], present=False, keys=keys)
-    if read_ahead is not None:
-        reader.socket.setsockopt(zmq.RCVHWM, read_ahead)
+    name = f"onlooker_{os.getpid()}"
+    reader = Reader(context, name, (), [topic], present=False, keys=keys, read_ahead=read_ahead)
     node = graph.nodes[graph.writers()[topic]]
     reader.connect(node.endpoint, node.key)
     return reader

@@ -205,6 +205,8 @@ class Reader:
         an onlooker is not waited for.
     keys : KeyPair, optional
         The keys of this host, for writers that ask for them.
+    read_ahead : int
+        How many messages of a writer wait here; those beyond wait with it.
     """
 
     def __init__(
@@ -215,9 +217,10 @@ class Reader:
         topics: Iterable[str],
         present: bool = True,
         keys: KeyPair | None = None,
+        read_ahead: int = QUEUE_FRAMES,
     ) -> None:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.SUB)
-        self.socket.setsockopt(zmq.RCVHWM, QUEUE_FRAMES)
+        self.socket.setsockopt(zmq.RCVHWM, read_ahead)
         self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE_BYTES)
         self._topics = {topic.encode() for topic in topics}
         self._tag = PRESENCE + name.encode()
