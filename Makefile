@@ -3,7 +3,7 @@ BIN := .venv/bin
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 .PHONY: demo scenes replay-timing page-load introspection-load soak shots charts charts-quick
-.PHONY: test check clean
+.PHONY: test test-all test-kernels check mutants docs hooks clean
 .DELETE_ON_ERROR:
 
 # The main job: a wrench dragged over 64 x 64 taxels, streamed through four processes.
@@ -12,19 +12,19 @@ demo: .venv/installed
 
 # All six scenes at 200 Hz, beside the paper's table III (4 minutes).
 scenes: .venv/installed
-	$(BIN)/python -m sparseskin.studies.scenes
+	$(BIN)/python -m sparseskin.studies.streaming.scenes
 
 # How well a replay keeps time, as a table (6 minutes).
 replay-timing: .venv/installed
-	$(BIN)/python -m sparseskin.studies.replay_timing
+	$(BIN)/python -m sparseskin.studies.streaming.replay_timing
 
 # What the live page costs, as a table (6 minutes).
 page-load: .venv/installed
-	$(BIN)/python -m sparseskin.studies.page_load
+	$(BIN)/python -m sparseskin.studies.streaming.page_load
 
 # What looking at a graph from another terminal costs it, as a table (5 minutes).
 introspection-load: .venv/installed
-	$(BIN)/python -m sparseskin.studies.introspection_load
+	$(BIN)/python -m sparseskin.studies.streaming.introspection_load
 
 # All nodes at 500 Hz for half an hour: memory, open files, lost frames.
 soak: .venv/installed-charts
@@ -34,14 +34,39 @@ soak: .venv/installed-charts
 shots: .venv/installed-dev
 	PYTHONPATH=tests $(BIN)/python tests/shots.py
 
-# The tables and charts of four studies, in out/ (an hour; the quick ones 8 minutes).
+# The tables and charts of four studies, in out/ (50 minutes; the quick ones 8).
 charts charts-quick: .venv/installed-charts
 	for study in paper-tables speed-accuracy stability scene-needs; do \
 	    $(BIN)/sparseskin study $$study $(if $(findstring quick,$@),--quick) || exit; \
 	done
 
+# The tests that take seconds at most.
 test: .venv/installed-dev
-	$(ONE_THREAD) $(BIN)/python -m pytest -q
+	$(ONE_THREAD) $(BIN)/python -m pytest -q -n auto --dist loadscope -m "not slow"
+
+# All tests, those that are slow by nature too (kills, soak, browser, network namespaces), with the
+# coverage of what runs in the test processes.
+test-all: .venv/installed-dev
+	$(ONE_THREAD) $(BIN)/python -m pytest -q -n auto --dist loadscope --durations=20 \
+	    --cov=messages --cov=nodes --cov=launch --cov=studies --cov=sparseskin --cov-report=term:skip-covered
+
+# Mutation testing: a sample of mutants of each core module, and the share that tests catch.
+mutants: .venv/installed-dev
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[mutants]'
+	$(ONE_THREAD) $(BIN)/python .ci/mutants.py
+
+# The tests of solvers and operators under each kernel of OpenBLAS that this host can run.
+test-kernels: .venv/installed-dev
+	$(ONE_THREAD) $(BIN)/python .ci/kernels.py
+
+# The documentation site in out/site, warnings being errors.
+docs: .venv/installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+
+# The checks before each commit (.pre-commit-config.yaml).
+hooks: .venv/installed-dev
+	$(BIN)/pip install --quiet --disable-pip-version-check pre-commit
+	$(BIN)/pre-commit install
 
 check: .venv/installed-dev
 	$(BIN)/ruff check .
@@ -62,6 +87,10 @@ check: .venv/installed-dev
 
 .venv/installed-dev: pyproject.toml .venv/python
 	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[dev]'
+	touch $@ .venv/installed
+
+.venv/installed-docs: pyproject.toml .venv/python
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[docs]'
 	touch $@ .venv/installed
 
 clean:

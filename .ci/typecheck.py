@@ -7,26 +7,18 @@ not see in an editable installation. So they are copied into a tree that is name
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
-import tomllib
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+from layout import ROOT, copy_package
 
 
 def main() -> int:
-    config = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    mapped = config["tool"]["setuptools"]["package-dir"].values()
     with tempfile.TemporaryDirectory() as folder:
-        package = Path(folder) / "sparseskin"
-        for name in mapped:
-            shutil.copytree(
-                ROOT / name, package / name, ignore=shutil.ignore_patterns("__pycache__")
-            )
-        n_files = sum(1 for _ in package.rglob("*.py"))
+        copy_package(Path(folder))
+        n_files = sum(1 for _ in Path(folder).rglob("*.py"))
         command = [sys.executable, "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml")]
         done = subprocess.run(
             [*command, "-p", "sparseskin"], cwd=folder, capture_output=True, text=True, check=False

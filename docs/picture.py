@@ -3,42 +3,37 @@
 from __future__ import annotations
 
 import sys
+from collections import deque
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 
+import sparseskin
+
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
-from sparseskin.launch.launchfile import load
-from sparseskin.messages import Measurements, Reconstruction, Taxels, Truth
-from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.monitor.metrics import psnr_db
-
-SCENE, FRAME, F_MAX = "drag_wrench_40", 2300, 2.5
+SCENE, FRAME = "drag_wrench_40", 2300
 STATIONS = [
     ("sensor", "N forces, noisy"),
     ("compressor", "M = N/3 sums, at the edge"),
-    ("reconstructor", "N forces restored, on the host"),
+    ("reconstructor", "N forces, on the host"),
     ("monitor", "accuracy, latency, losses"),
 ]
 
 
 def main(out: Path) -> None:
-    nodes = load(SCENE).nodes.values()
-    bus = Bus({node.name: (node.cls, node.settings) for node in nodes})
-    *_, messages = bus.frames(FRAME)
-    frame: dict[type, Any] = {type(message): message for message in messages}
-    truth = frame[Truth].forces
+    (frame,) = deque(sparseskin.run_launch(SCENE, FRAME), maxlen=1)
+    truth = frame.truth
     maps = [
-        ("what really acts", truth, ""),
-        ("what the taxels read", frame[Taxels].forces, _psnr(frame[Taxels].forces - truth)),
+        ("true forces", truth, ""),
+        ("readings of the taxels", frame.taxels, _psnr(frame.taxels, truth)),
         (
-            f"restored from {frame[Measurements].y.size} of {truth.size} numbers",
-            frame[Reconstruction].forces,
-            _psnr(frame[Reconstruction].forces - truth),
+            f"reconstructed from {frame.measurements.size} of {truth.size} numbers",
+            frame.forces,
+            _psnr(frame.forces, truth),
         ),
     ]
     figure = plt.figure(figsize=(11, 5.6), dpi=110, facecolor="white")
@@ -55,8 +50,8 @@ def main(out: Path) -> None:
     figure.savefig(out)
 
 
-def _psnr(error: Any) -> str:
-    return f"PSNR {psnr_db(error, F_MAX):.1f} dB"
+def _psnr(forces: Any, truth: Any) -> str:
+    return f"PSNR {sparseskin.psnr_db(forces, truth):.1f} dB"
 
 
 def _draw_stations(axes: Any) -> None:

@@ -1,4 +1,4 @@
-"""What travels between the nodes: typed, versioned messages and their one wire form."""
+"""Messages between the nodes: typed, versioned, with one wire form."""
 
 from .base import Message
 from .errors import (
@@ -19,29 +19,8 @@ from .topics import topic_of
 from .wire import MAX_MESSAGE_BYTES, decode, encode, size_bytes
 
 __all__ = [
-    "MAX_MESSAGE_BYTES",
-    "End",
-    "FieldError",
-    "MalformedError",
-    "Measurements",
-    "Message",
-    "MessageError",
-    "NotFiniteError",
-    "OversizedError",
-    "PhiState",
-    "Reconstruction",
-    "Resultant",
-    "ShapeError",
-    "Skin",
-    "SkinState",
-    "SolverState",
-    "Taxels",
-    "TruncatedError",
-    "Truth",
-    "UnknownSchemaError",
-    "VersionError",
-    "decode",
-    "encode",
-    "size_bytes",
-    "topic_of",
-]
+    "MAX_MESSAGE_BYTES", "End", "FieldError", "MalformedError", "Measurements", "Message",
+    "MessageError", "NotFiniteError", "OversizedError", "PhiState", "Reconstruction", "Resultant",
+    "ShapeError", "Skin", "SkinState", "SolverState", "Taxels", "TruncatedError", "Truth",
+    "UnknownSchemaError", "VersionError", "decode", "encode", "size_bytes", "topic_of",
+]  # fmt: skip

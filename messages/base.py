@@ -1,4 +1,4 @@
-"""What every message has: schema, version, publisher run, sequence number, stamp and patch."""
+"""Fields and methods that every message has."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ class Message:
     run_id : str
         16 hex digits, drawn when the publisher starts; "" until it is published.
     seq : int
-        0, 1, 2, ... a publisher run and topic; a gap is a loss.
+        0, 1, 2, ... of a publisher run and topic; a gap is a loss.
 
     Raises
     ------
     MessageError
-        One of its subclasses, if a field has the wrong type, shape or range.
+        If a field has the wrong type, shape or range; the subclass names the reason.
     """
 
     schema: ClassVar[str]
-    version: ClassVar[int]
+    version: ClassVar[int] = 1
     latched: ClassVar[bool] = False
-    """Whether who subscribes late is still sent the last one."""
+    """True if a late subscriber receives the last one: a state rather than a stream."""
     times: ClassVar[tuple[str, ...]] = ("stamp_ns",)
     """Fields that are times on the graph's clock."""
 
@@ -57,17 +57,11 @@ class Message:
         self.validate()
 
     def validate(self) -> None:
-        """Check what concerns several fields at once; each is sound by itself already.
-
-        Raises
-        ------
-        MessageError
-            If they do not go together.
-        """
+        """Check fields that depend on each other; MessageError if they contradict each other."""
 
     @classmethod
     def assembled(cls, values: dict[str, Any]) -> Self:
-        """A message of fields that have been checked one by one, as `decode` does."""
+        """Message of fields that were checked one by one, as by `decode`."""
         made = object.__new__(cls)
         made.__dict__.update(values)
         made.validate()
@@ -75,25 +69,22 @@ class Message:
 
     @property
     def topic(self) -> str:
-        """The topic on which the message travels."""
+        """Topic of the message."""
         return topic_of(self.patch, self.schema)
 
     def published(self, run_id: str, seq: int) -> Self:
-        """The same message as publisher run `run_id` sends it with number `seq`."""
-        return self._twin(run_id=run_id, seq=seq)
+        """Copy with the run id and sequence number of its publisher."""
+        return self._copy(run_id=run_id, seq=seq)
 
     def moved(self, by_ns: int) -> Self:
-        """The same message `by_ns` nanoseconds later: its stamp, and any other time on the
-        graph's clock that it holds.
-        """
-        times = {name: getattr(self, name) + by_ns for name in self.times}
-        return self._twin(**times)
+        """Copy `by_ns` nanoseconds later: its stamp and all other times on the graph's clock."""
+        return self._copy(**{name: getattr(self, name) + by_ns for name in self.times})
 
-    def _twin(self, **changes: Any) -> Self:
-        """A copy with changes that are known to be sound, so that arrays are not checked again."""
-        twin = object.__new__(type(self))
-        twin.__dict__.update(self.__dict__, **changes)
-        return twin
+    def _copy(self, **changes: Any) -> Self:
+        """Copy with valid changes: nothing is checked again."""
+        copy = object.__new__(type(self))
+        copy.__dict__.update(self.__dict__, **changes)
+        return copy
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
@@ -112,23 +103,23 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def once_a_class(make: Callable[[type[Message]], Made]) -> Callable[[type[Message]], Made]:
-    """As `functools.cache`: classes are hashable, also those whose messages are not."""
+    """`functools.cache` of a function of a class: the class is hashable, its messages are not."""
     return cast(Callable[[type[Message]], Made], functools.cache(make))
 
 
 @once_a_class
 def wire_fields(cls: type[Message]) -> dict[str, FieldKind]:
-    """Name and kind of every field of a message class, in order of declaration."""
+    """Name and kind of each field of a message class, in order of declaration."""
     return {f.name: cast(FieldKind, f.metadata["wire"]) for f in dataclasses.fields(cls)}
 
 
 @once_a_class
 def omitted_fields(cls: type[Message]) -> dict[str, Any]:
-    """Name and default of the fields that travel only where they are not their default."""
+    """Name and default of the fields that are sent only where they differ from the default."""
     return {f.name: f.default for f in dataclasses.fields(cls) if f.metadata["omitted"]}
 
 
 @once_a_class
 def checks_of(cls: type[Message]) -> tuple[tuple[str, Callable[[str, Any], Any]], ...]:
-    """What is called with the name and value of every field when a message is made."""
+    """Name and check of each field."""
     return tuple((name, kind.check) for name, kind in wire_fields(cls).items())

@@ -1,4 +1,4 @@
-"""Why a message is refused. Each class is one reason, so that counters can name it."""
+"""Reasons for which a message is refused; counters name them by `reason`."""
 
 from __future__ import annotations
 
@@ -6,54 +6,42 @@ from typing import ClassVar
 
 
 class MessageError(ValueError):
-    """A message that cannot be built, encoded or decoded; the text says what and why."""
+    """A message that cannot be built, encoded or decoded."""
 
     reason: ClassVar[str] = "refused"
 
+    def __init_subclass__(cls, reason: str | None = None) -> None:
+        super().__init_subclass__()
+        cls.reason = reason or cls.reason
 
-class MalformedError(MessageError):
+
+class MalformedError(MessageError, reason="malformed"):
     """The bytes are not one msgpack map with the fields its schema names."""
 
-    reason = "malformed"
 
-
-class TruncatedError(MalformedError):
+class TruncatedError(MalformedError, reason="truncated"):
     """The bytes end before the message does."""
 
-    reason = "truncated"
 
-
-class OversizedError(MessageError):
+class OversizedError(MessageError, reason="oversized"):
     """The message, a text or an array is larger than the wire form allows."""
 
-    reason = "oversized"
+
+class UnknownSchemaError(MessageError, reason="unknown schema"):
+    """No schema of that name is known."""
 
 
-class UnknownSchemaError(MessageError):
-    """No message of that schema name is known here."""
-
-    reason = "unknown schema"
+class VersionError(MessageError, reason="wrong version"):
+    """The schema is known in another version only."""
 
 
-class VersionError(MessageError):
-    """The schema is known, but not in that version."""
-
-    reason = "wrong version"
-
-
-class ShapeError(MessageError):
+class ShapeError(MessageError, reason="wrong shape"):
     """An array has the wrong dtype, number of dimensions, shape or number of bytes."""
 
-    reason = "wrong shape"
+
+class NotFiniteError(MessageError, reason="not finite"):
+    """An array or number holds NaN or infinity: a fault of its publisher."""
 
 
-class NotFiniteError(MessageError):
-    """An array or number holds NaN or infinity: a fault of whoever made it."""
-
-    reason = "not finite"
-
-
-class FieldError(MessageError):
+class FieldError(MessageError, reason="bad field"):
     """A field has the wrong type or a value out of its range."""
-
-    reason = "bad field"

@@ -1,4 +1,4 @@
-"""The kinds of field a message may hold: each checks a value, packs it and unpacks it."""
+"""Kinds of message fields: each checks a value, packs it and unpacks it."""
 
 from __future__ import annotations
 
@@ -14,35 +14,36 @@ import numpy.typing as npt
 
 from .errors import FieldError, MalformedError, NotFiniteError, OversizedError, ShapeError
 from .quantised import MAX_BITS, MIN_BITS, Quantised, largest_code, n_bytes, packed, unpacked
+from .ranges import INT64_MAX, is_real, is_whole
 
 MAX_SIDE = 4096
 """Largest number of rows, or of columns, of a grid of taxels."""
 MAX_ELEMENTS = 1 << 20
 """Largest number of elements of one array."""
-INT64_MAX = (1 << 63) - 1
 STEP_MAX = 1e30
+"""Upper bound of the step of quantised numbers."""
 REMEMBERED = 256
-"""So many sound texts of a field are known again without another look."""
+"""Number of valid texts of a field that are not checked a second time."""
 _ARRAY_KEYS = frozenset({"dtype", "shape", "order", "data"})
 _QUANTISED_KEYS = _ARRAY_KEYS | {"step"}
 
 
 class FieldKind:
-    """How one field travels. `check` is run when a message is made, also by `decode`."""
+    """Wire form of one field. `check` runs whenever a message is made, also by `decode`."""
 
     travels_as_it_is: ClassVar[bool] = True
-    """Whether a checked value is what msgpack carries: there is nothing to pack or unpack."""
+    """True if msgpack carries a checked value as it is: nothing to pack or unpack."""
 
     def check(self, name: str, value: Any) -> Any:
-        """Return the value in its canonical form or raise a MessageError."""
+        """Return the value in its canonical form, or raise MessageError."""
         raise NotImplementedError
 
     def pack(self, value: Any) -> Any:
-        """Turn a checked value into what msgpack can carry."""
+        """Convert a checked value to a msgpack type."""
         return value
 
     def unpack(self, name: str, raw: Any) -> Any:
-        """Undo `pack`, and check what comes out as `check` does."""
+        """Inverse of `pack`, with the checks of `check`."""
         return self.check(name, raw)
 
 
@@ -56,7 +57,7 @@ class Integer(FieldKind):
     def check(self, name: str, value: Any) -> int:
         if type(value) is int and self.low <= value <= self.high:
             return value
-        if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        if not is_whole(value):
             raise FieldError(f"{name}: expected a whole number, got {type(value).__name__}")
         if not self.low <= value <= self.high:
             raise FieldError(f"{name}: {value} is outside {self.low}..{self.high}")
@@ -76,11 +77,11 @@ class Real(FieldKind):
             return value
         if value is None and self.optional:
             return None
-        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        if isinstance(value, float | np.floating) and not math.isfinite(value):
+            raise NotFiniteError(f"{name}: {value} is not a finite number")
+        if not is_real(value):
             raise FieldError(f"{name}: expected a number, got {type(value).__name__}")
         number = float(value)
-        if not math.isfinite(number):
-            raise NotFiniteError(f"{name}: {number} is not a finite number")
         if not self.low <= number <= self.high:
             raise FieldError(f"{name}: {number} is outside {self.low}..{self.high}")
         return number
@@ -98,7 +99,7 @@ class Flag(FieldKind):
 
 @dataclass(frozen=True)
 class Text(FieldKind):
-    """A text of at most `longest` characters that matches `pattern` as a whole."""
+    """A text of at most `longest` characters that fully matches `pattern`."""
 
     longest: int = 256
     pattern: str = r"[^\x00-\x1f\x7f\ud800-\udfff]*"
@@ -118,7 +119,7 @@ class Text(FieldKind):
 
     @functools.cached_property
     def _sound(self) -> set[str]:
-        """Texts that were checked before: the same few come with every frame."""
+        """Texts that were checked before: the same few recur in every frame."""
         return set()
 
     @functools.cached_property
@@ -130,8 +131,8 @@ class Text(FieldKind):
 class Array(FieldKind):
     """An array of one dtype, `ndim` dimensions, no side empty; None where `optional`.
 
-    It travels as a map {dtype, shape, order, data}: `dtype` in numpy's array-interface
-    form with its byte order ("<f4"), `order` always "C", `data` a msgpack bin field.
+    Its wire form is a map {dtype, shape, order, data}: `dtype` in numpy's array-interface form
+    with the byte order ("<f4"), `order` always "C", `data` a msgpack bin field.
     """
 
     travels_as_it_is: ClassVar[bool] = False
@@ -190,7 +191,7 @@ class Array(FieldKind):
     def _check_finite(self, name: str, value: npt.NDArray[Any]) -> None:
         if value.dtype.kind != "f":
             return
-        # A value that is not finite makes the sum of squares so; huge ones may do it, too.
+        # The sum of squares is not finite if a value is not, or if values are huge.
         if not math.isfinite(np.vdot(value, value)) and not np.isfinite(value).all():
             cell = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
             raise NotFiniteError(f"{name}{list(cell)}: {value[cell]} is not a finite number")
@@ -209,10 +210,10 @@ class Array(FieldKind):
 
 @dataclass(frozen=True)
 class Samples(Array):
-    """A float32 array of one dimension; one that is `Quantised` travels in as many bits.
+    """A float32 array of one dimension, `Quantised` or not.
 
-    Its map has then dtype "intB", B the number of bits, `step`, and the codes as
-    `sparseskin.messages.quantised.packed` gives them.
+    The map of a quantised one has dtype "intB", B the number of bits, `step`, and the codes as
+    packed by `sparseskin.messages.quantised.packed`.
     """
 
     dtype: str = "<f4"
@@ -261,7 +262,7 @@ class Samples(Array):
 
 
 def _sides(name: str, shape: Any) -> tuple[int, ...]:
-    """The shape that an array's map states, if it is a list of whole numbers."""
+    """Shape in an array's map, if it is a list of whole numbers."""
     if not isinstance(shape, list) or not set(map(type, shape)) <= {int}:
         raise MalformedError(f"{name}: shape must be a list of whole numbers")
     return tuple(shape)
@@ -275,9 +276,9 @@ def _check_quantiser(name: str, bits: int, step: float) -> None:
 
 
 def wire(kind: FieldKind, *, omitted: bool = False, **options: Any) -> Any:
-    """Declare a dataclass field that travels as `kind`; options as dataclasses.field.
+    """Declare a dataclass field of a kind; options as of `dataclasses.field`.
 
-    One that is `omitted` travels only where it is not its default: messages from before there
-    was such a field are read as well, and those that do not use it are the same bytes.
+    An `omitted` one is sent only where it differs from its default, so that messages of programs
+    without that field can be read, and those that do not use it keep their bytes.
     """
     return dataclasses.field(metadata={"wire": kind, "omitted": omitted}, **options)

@@ -1,4 +1,4 @@
-"""The messages of one frame, in the order in which it passes through the stations."""
+"""The messages of one frame, in the order of the stations."""
 
 from __future__ import annotations
 
@@ -18,40 +18,37 @@ FINGERPRINT_PATTERN = r"[0-9a-f]{16}"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Taxels(Message):
-    """What the taxels read: forces of shape (n_rows, n_cols), float32, in [0, f_max] of the
-    skin's unit, noise included; 0 in masked cells.
+    """Readings of the taxels, noise included: forces of shape (n_rows, n_cols), float32, in
+    [0, f_max], in the skin's unit; 0 in masked cells.
     """
 
     schema: ClassVar[str] = "taxels"
-    version: ClassVar[int] = 1
 
     forces: Floats = wire(Array("<f4", 2))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Truth(Message):
-    """The forces that really act, where a simulation or a recording knows them: shape
-    (n_rows, n_cols), float32, in [0, f_max] of the skin's unit; 0 in masked cells.
+    """True forces, where a simulation or a recording knows them: shape (n_rows, n_cols),
+    float32, in [0, f_max], in the skin's unit; 0 in masked cells.
     """
 
     schema: ClassVar[str] = "truth"
-    version: ClassVar[int] = 1
 
     forces: Floats = wire(Array("<f4", 2))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measurements(Message):
-    """What the edge sends: y = Phi x, shape (M,), float32, in the skin's unit; `Quantised` where
-    the edge sends fewer bits than float32 has.
+    """Measurements y = Phi x, shape (M,), float32, in the skin's unit; `Quantised` where they
+    are sent in fewer bits.
 
-    `phi` is the fingerprint of the Phi that made them, 16 hex digits. `places` says, where the
-    edge chose anew for this frame which taxels it read, which these are: a bit for each existing
-    taxel, the highest bit first, set where it was read; uint8, shape (N / 8,), rounded up.
+    `phi` is the fingerprint of their Phi, 16 hex digits. `places` marks the taxels read, where
+    the edge chooses them anew each frame: one bit for each existing taxel, the highest bit first,
+    uint8, shape (N / 8,), rounded up.
     """
 
     schema: ClassVar[str] = "measurements"
-    version: ClassVar[int] = 1
 
     y: Floats = wire(Samples())
     phi: str = wire(Text(16, FINGERPRINT_PATTERN))
@@ -69,7 +66,7 @@ class Measurements(Message):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reconstruction(Message):
-    """The forces restored from the measurements.
+    """Forces reconstructed from the measurements.
 
     Attributes
     ----------
@@ -78,23 +75,21 @@ class Reconstruction(Message):
     phi : str
         Fingerprint of the Phi that was inverted.
     iterations : int
-        Iterations spent on the frame.
+        Number of iterations of the solver.
     residual : float
         ||Phi x - y|| / sqrt(M), in the skin's unit.
     solve_ns : int
-        Time spent in the solver, in nanoseconds.
+        Duration of the solver, nanoseconds.
     done_ns : int
-        Time on the graph's clock when the frame was restored.
+        Time of the reconstruction on the graph's clock, nanoseconds.
     sd : ndarray of float32, shape (n_rows, n_cols), or None
-        Standard deviation of each force, in the skin's unit, where it was asked for: 90 % of the
+        Standard deviation of each force, in the skin's unit, where it is computed: 90 % of the
         true forces lie within 1.645 of it.
     skipped : int
-        Frames since the last reconstruction that were left out on purpose, because newer ones
-        waited.
+        Number of frames skipped since the last reconstruction because newer ones waited.
     """
 
     schema: ClassVar[str] = "reconstruction"
-    version: ClassVar[int] = 1
     times: ClassVar[tuple[str, ...]] = ("stamp_ns", "done_ns")
 
     forces: Floats = wire(Array("<f4", 2))
@@ -113,25 +108,20 @@ class Reconstruction(Message):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Resultant(Message):
-    """Total force and centre of pressure, told from the measurements before the frame is restored.
+    """Total force and centre of pressure, estimated from the measurements alone.
 
     Attributes
     ----------
-    total : float
-        Sum of all forces, in the skin's unit, 0 or more.
-    total_sd : float
-        Its standard deviation.
-    row, col : float or None
-        Centre of pressure, in rows and columns from the middle of taxel (0, 0); None where
-        nothing is known to press.
-    row_sd, col_sd : float or None
-        Their standard deviations.
+    total, total_sd : float
+        Sum of all forces, in the skin's unit, 0 or more, and its standard deviation.
+    row, col, row_sd, col_sd : float or None
+        Centre of pressure, in rows and columns from the middle of taxel (0, 0), and standard
+        deviations; None where no contact is detected.
     done_ns : int
-        Time on the graph's clock when it was known.
+        Time of the estimate on the graph's clock, nanoseconds.
     """
 
     schema: ClassVar[str] = "resultant"
-    version: ClassVar[int] = 1
     times: ClassVar[tuple[str, ...]] = ("stamp_ns", "done_ns")
 
     total: float = wire(Real(0.0))

@@ -1,4 +1,4 @@
-"""JSON Schema of a message's msgpack map: what a recording says of itself to other programs."""
+"""JSON Schema of a message's msgpack map, with which recordings describe it to other programs."""
 
 from __future__ import annotations
 
@@ -15,13 +15,7 @@ def json_schema(cls: type[Message], version: int | None = None) -> dict[str, Any
     """Describe the msgpack map of a message class as a JSON Schema (draft 2020-12).
 
     JSON has no binary type: a msgpack bin field has no "type" there, and is described in words.
-
-    Parameters
-    ----------
-    cls : type
-        The message class.
-    version : int, optional
-        Version of the schema, by default the class's.
+    The version is by default the class's.
     """
     properties: dict[str, Any] = {
         "schema": {"const": cls.schema},
@@ -62,35 +56,37 @@ def _property(kind: FieldKind) -> dict[str, Any]:
 
 
 def _array(kind: Array) -> dict[str, Any]:
-    side = {"type": "integer", "minimum": 1, "maximum": MAX_SIDE if kind.ndim > 1 else MAX_ELEMENTS}
-    fields = {
-        "dtype": {"const": kind.dtype},
-        "shape": {"type": "array", "items": side, "minItems": kind.ndim, "maxItems": kind.ndim},
-        "order": {"const": "C"},
-        "data": {
-            "description": "msgpack bin: the elements in C order, "
-            f"each as numpy's dtype {kind.dtype} in that byte order, nothing between them"
-        },
-    }
-    return {
-        "type": ["object", "null"] if kind.optional else "object",
-        "properties": fields,
-        "required": list(fields),
-        "additionalProperties": False,
-    }
+    schema = _array_map(
+        {"const": kind.dtype},
+        kind.ndim,
+        MAX_SIDE if kind.ndim > 1 else MAX_ELEMENTS,
+        "msgpack bin: the elements in C order, "
+        f"each as numpy's dtype {kind.dtype} in that byte order, nothing between them",
+    )
+    return schema | {"type": ["object", "null"] if kind.optional else "object"}
 
 
 def _quantised() -> dict[str, Any]:
-    size = {"type": "integer", "minimum": 1, "maximum": MAX_ELEMENTS}
-    fields = {
-        "dtype": {"type": "string", "pattern": "^int[0-9]+$"},
-        "shape": {"type": "array", "items": size, "minItems": 1, "maxItems": 1},
+    return _array_map(
+        {"type": "string", "pattern": "^int[0-9]+$"},
+        1,
+        MAX_ELEMENTS,
+        "msgpack bin: for dtype intB, B bits each, the highest first and "
+        "nothing between them: k + 2^(B-1) - 1 of the values k * step",
+        step={"type": "number", "exclusiveMinimum": 0},
+    )
+
+
+def _array_map(
+    dtype: dict[str, str], ndim: int, side: int, data: str, **more: dict[str, Any]
+) -> dict[str, Any]:
+    sides = {"type": "integer", "minimum": 1, "maximum": side}
+    fields: dict[str, Any] = {
+        "dtype": dtype,
+        "shape": {"type": "array", "items": sides, "minItems": ndim, "maxItems": ndim},
         "order": {"const": "C"},
-        "step": {"type": "number", "exclusiveMinimum": 0},
-        "data": {
-            "description": "msgpack bin: for dtype intB, B bits each, the highest first and "
-            "nothing between them: k + 2^(B-1) - 1 of the values k * step"
-        },
+        **more,
+        "data": {"description": data},
     }
     return {
         "type": "object",

@@ -1,4 +1,4 @@
-"""Numbers of few bits: float32 values that are whole multiples of a step, and travel as such."""
+"""Quantised numbers: float32 values that are whole multiples of a step, sent in few bits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MIN_BITS, MAX_BITS = 2, 24
 class Quantised(np.ndarray[tuple[int], np.dtype[np.float32]]):
     """A float32 array whose values are k * step, each k a whole number of `bits` bits.
 
-    It is used like any array; what is computed from it is a plain one.
+    It is used like any array; results of computations are plain arrays.
 
     Attributes
     ----------
@@ -31,33 +31,31 @@ class Quantised(np.ndarray[tuple[int], np.dtype[np.float32]]):
 
     @classmethod
     def of(cls, codes: npt.NDArray[np.int32], bits: int, step: float) -> Quantised:
-        """The values of codes: int32, shape (m,), each of at most `bits` bits."""
+        """Values of codes: int32, shape (m,), each of at most `bits` bits."""
         made = (codes * np.float32(step)).astype(np.float32).view(cls)
         made.bits, made.step = int(bits), float(np.float32(step))
         return made
 
     def codes(self) -> npt.NDArray[np.int32]:
-        """The whole numbers k, int32, shape (m,)."""
-        codes: npt.NDArray[np.int32] = np.rint(np.asarray(self) / np.float32(self.step)).astype(
-            np.int32
-        )
-        return codes
+        """Whole numbers k, int32, shape (m,)."""
+        k = np.rint(np.asarray(self) / np.float32(self.step))
+        return np.asarray(k, dtype=np.int32)
 
 
 def largest_code(bits: int) -> int:
-    """The largest whole number that `bits` bits hold beside its negative."""
+    """Largest code of `bits` bits: 2^(bits-1) - 1."""
     return (1 << (bits - 1)) - 1
 
 
 def packed(codes: npt.NDArray[np.int32], bits: int) -> bytes:
-    """Codes as bytes, `bits` bits each and nothing between them, the highest bit first."""
+    """Codes as bytes: `bits` bits each without gaps, the highest bit first."""
     shifted = (codes + largest_code(bits)).astype(">u4")
     all_bits = np.unpackbits(shifted.view(np.uint8).reshape(-1, 4), axis=1)
     return np.packbits(all_bits[:, 32 - bits :]).tobytes()
 
 
 def unpacked(data: bytes, m: int, bits: int) -> npt.NDArray[np.int32]:
-    """Undo `packed`: m codes, int32; `data` must be of the length that `n_bytes` says."""
+    """Inverse of `packed`: m codes, int32, from `n_bytes(m, bits)` bytes."""
     rows = np.unpackbits(np.frombuffer(data, np.uint8), count=m * bits).reshape(m, bits)
     wide = np.zeros((m, 32), np.uint8)
     wide[:, 32 - bits :] = rows
@@ -66,5 +64,5 @@ def unpacked(data: bytes, m: int, bits: int) -> npt.NDArray[np.int32]:
 
 
 def n_bytes(m: int, bits: int) -> int:
-    """How many bytes `m` codes of `bits` bits take."""
+    """Number of bytes of `m` codes of `bits` bits."""
     return (m * bits + 7) // 8

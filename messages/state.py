@@ -1,4 +1,4 @@
-"""State messages: what a station is, latched so that who joins late is told too."""
+"""State messages: descriptions of the stations, latched so that late subscribers receive them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .topics import MAX_NAME, NAME_PATTERN, topic_of
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkinState(Message):
-    """The skin behind a patch's taxels, and where its frames come from.
+    """The skin of a patch, and the source of its frames.
 
     Attributes
     ----------
@@ -29,15 +29,14 @@ class SkinState(Message):
     seed : int
         Seed of the scene and of the noise.
     rate_hz : float
-        Frames a second that the sensor is asked for; 0 for as fast as possible.
+        Frame rate that the sensor is asked for; 0: as fast as possible.
     has_truth : bool
-        Whether /PATCH/truth is published.
+        True if /PATCH/truth is published.
     sigma_mid, sigma_end : float
         Noise model: standard deviation at mid-range and at both ends, in `unit`.
     """
 
     schema: ClassVar[str] = "skin"
-    version: ClassVar[int] = 1
     latched: ClassVar[bool] = True
 
     n_rows: int = wire(Integer(1, MAX_SIDE))
@@ -54,7 +53,7 @@ class SkinState(Message):
     sigma_end: float = wire(Real(0.0))
 
     def validate(self) -> None:
-        _ = self.skin  # refuses a mask that does not fit the grid
+        _ = self.skin  # raises where the mask does not fit the grid
 
     @property
     def skin(self) -> Skin:
@@ -64,14 +63,13 @@ class SkinState(Message):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhiState(Message):
-    """The measurement matrix in use: enough to make it again, and its fingerprint as proof.
+    """The measurement matrix Phi in use: its parameters, and its fingerprint to check them.
 
-    `rows` "rotating": frames take turns among several matrices, each `m` rows of the same W; the
-    fingerprint is that of the first, and each frame's measurements carry that of their own.
+    `rows` "rotating": frames cycle through several row subsets of the same W, `m` rows each. The
+    fingerprint is that of the first; each frame's measurements carry that of their own.
     """
 
     schema: ClassVar[str] = "phi"
-    version: ClassVar[int] = 1
     latched: ClassVar[bool] = True
 
     kind: str = wire(Text())
@@ -85,14 +83,13 @@ class PhiState(Message):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SolverState(Message):
-    """How the reconstructor restores forces.
+    """The solver in use.
 
-    `basis` is "" where the solver takes none from outside. `iterations` is the number of a frame,
-    at least; `max_iterations` the most, where the solver chooses by frame, else 0.
+    `basis` is "" where the solver has its own. `iterations` is the (least) number a frame;
+    `max_iterations` the largest, where the solver chooses it by frame, else 0.
     """
 
     schema: ClassVar[str] = "solver"
-    version: ClassVar[int] = 1
     latched: ClassVar[bool] = True
 
     solver: str = wire(Text())
@@ -105,14 +102,13 @@ class SolverState(Message):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class End(Message):
-    """The last message of a topic: its publisher will send no more.
+    """The last message of a topic.
 
-    `of` is the schema whose topic ends, `n_messages` how many were sent before this one:
-    a consumer that has fewer knows how many it lost, also at the very end.
+    `of` is the schema whose topic ends, `n_messages` the number of messages sent before this
+    one: a consumer that received fewer knows how many it lost.
     """
 
     schema: ClassVar[str] = "end"
-    version: ClassVar[int] = 1
 
     of: str = wire(Text(MAX_NAME, NAME_PATTERN))
     n_messages: int = wire(Integer())

@@ -7,18 +7,18 @@ import re
 from .errors import FieldError, OversizedError
 
 NAME_PATTERN = r"[a-z][a-z0-9_]*"
-"""Names of patches, nodes and schemas: lower case, digits and underscores."""
+"""Names of patches, nodes and schemas."""
 MAX_NAME = 32
 MAX_TOPIC_BYTES = 2 * MAX_NAME + 2
 
 
 def topic_of(patch: str, schema: str) -> str:
-    """Name of the topic that carries a patch's messages of one schema: "/PATCH/SCHEMA"."""
+    """Name "/PATCH/SCHEMA" of the topic of a patch's messages of one schema."""
     return f"/{patch}/{schema}"
 
 
 def check_name(place: str, name: object) -> str:
-    """Return the name of a patch or node, or raise FieldError that says what is allowed."""
+    """Return the name of a patch or node, or raise a MessageError that begins with `place`."""
     if not isinstance(name, str) or re.fullmatch(NAME_PATTERN, name) is None:
         raise FieldError(
             f"{place}: {name!r} is no name (allowed: a lower-case letter, "
@@ -30,13 +30,7 @@ def check_name(place: str, name: object) -> str:
 
 
 def split_topic(topic: str) -> tuple[str, str]:
-    """Split "/PATCH/SCHEMA" into (patch, schema).
-
-    Raises
-    ------
-    MessageError
-        If the topic is not of that form.
-    """
+    """Split "/PATCH/SCHEMA" into (patch, schema), or raise MessageError."""
     parts = topic.split("/")
     if len(parts) != 3 or parts[0]:
         raise FieldError(f"topic {topic[:MAX_TOPIC_BYTES]!r}: expected /PATCH/SCHEMA")

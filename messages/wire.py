@@ -24,31 +24,24 @@ from .state import End, PhiState, SkinState, SolverState
 from .topics import MAX_TOPIC_BYTES
 
 MAX_MESSAGE_BYTES = 8 * MAX_ELEMENTS + 65536
-"""Largest payload: two of the largest float32 arrays and room for the other fields."""
+"""Largest payload, bytes: two of the largest float32 arrays and room for the other fields."""
 
 SCHEMAS: dict[str, type[Message]] = {
     cls.schema: cls
     for cls in (
-        SkinState,
-        Truth,
-        Taxels,
-        PhiState,
-        Measurements,
-        SolverState,
-        Resultant,
-        Reconstruction,
-        End,
+        *(SkinState, Truth, Taxels, PhiState, Measurements),
+        *(SolverState, Resultant, Reconstruction, End),
     )
 }
-
+"""Message classes by schema name."""
 
 _END: bytes = msgpack.packb("schema") + msgpack.packb(End.schema)
-"""What follows the first byte, the number of fields, in the payload of an End."""
+"""Bytes after the first one, the number of fields, in the payload of an End."""
 
 
 @dataclass(frozen=True)
 class _Form:
-    """The map of a message class, made out once for all its messages."""
+    """Keys, packers and unpackers of a message class."""
 
     cls: type[Message]
     keys: frozenset[object]
@@ -75,17 +68,17 @@ def _form(cls: type[Message]) -> _Form:
 
 
 def is_end(payload: bytes) -> bool:
-    """Whether a payload that `encode` made is that of an End, without decoding it."""
+    """True if a payload made by `encode` is that of an End, without decoding it."""
     return payload[1 : 1 + len(_END)] == _END
 
 
 def encode(message: Message) -> tuple[bytes, bytes]:
     """Turn a message into its two wire parts, (topic, payload)."""
     form = _form(type(message))
-    # What a message holds is its fields, in order of declaration.
+    # The attributes of a message are its fields, in order of declaration.
     body = {"schema": message.schema, "version": message.version, **message.__dict__}
     for name, default in form.omitted.items():
-        # The default stands for itself: an array is never one.
+        # A default is never an array.
         if not isinstance(body[name], np.ndarray) and body[name] == default:
             del body[name]
     for name, pack in form.packs:
@@ -95,16 +88,14 @@ def encode(message: Message) -> tuple[bytes, bytes]:
 
 
 def decode(topic: bytes, payload: bytes) -> Message:
-    """Turn two wire parts back into the message they came from.
-
-    Arrays in it are read-only views of `payload`.
+    """Turn two wire parts back into the message; its arrays are read-only views of `payload`.
 
     Raises
     ------
     MessageError
         One of its subclasses for every input that `encode` cannot have made: malformed,
-        truncated, oversized, of an unknown schema or version, of a wrong shape, with a
-        value out of range, with NaN or infinity, or under another topic than its own.
+        truncated, oversized, an unknown schema or version, a wrong shape, a value out of range,
+        NaN or infinity, or another topic than the message's own.
     """
     if len(topic) > MAX_TOPIC_BYTES:
         raise OversizedError(f"topic of {len(topic)} bytes, at most {MAX_TOPIC_BYTES}")
@@ -124,24 +115,17 @@ def decode(topic: bytes, payload: bytes) -> Message:
 
 
 def size_bytes(message: Message) -> int:
-    """How many bytes the message takes on the wire, topic and payload."""
+    """Size on the wire in bytes, topic and payload."""
     return sum(map(len, encode(message)))
 
 
 def _unpack(payload: bytes) -> dict[object, object]:
     try:
-        body = msgpack.unpackb(
-            payload,
-            raw=False,
-            strict_map_key=True,
-            max_str_len=4096,
-            max_array_len=16,
-            max_map_len=64,
-            max_ext_len=0,
-        )
+        limits = {"max_str_len": 4096, "max_array_len": 16, "max_map_len": 64, "max_ext_len": 0}
+        body = msgpack.unpackb(payload, raw=False, strict_map_key=True, **limits)
     except msgpack.exceptions.ExtraData as error:
         raise MalformedError("more than one msgpack object in a message") from error
-    except Exception as error:  # msgpack promises no narrower family for hostile bytes
+    except Exception as error:  # msgpack documents no narrower class for malformed bytes
         if "incomplete" in str(error):
             raise TruncatedError(f"message cut off after {len(payload)} bytes") from error
         raise MalformedError(f"not a msgpack map: {str(error)[:120]}") from error

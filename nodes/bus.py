@@ -1,4 +1,4 @@
-"""A graph in one process: the same nodes, joined by a queue instead of sockets."""
+"""A graph in one process: the same nodes, connected by a queue instead of sockets."""
 
 from __future__ import annotations
 
@@ -17,21 +17,19 @@ LOCAL_RUN_ID = "0" * 16
 
 
 class Bus:
-    """Runs nodes in one process, as fast as they go, each message to all its readers in turn.
+    """Runs nodes in one process, as fast as possible.
 
     Parameters
     ----------
     nodes : mapping of str to (type, settings)
         Node classes with their settings, by node name.
-    clock : Clock, optional
-        The graph's clock; a `SystemClock` by default.
-    log : callable, optional
-        Takes one line of text; by default lines are kept in `lines`.
+    clock, log
+        A `SystemClock` by default; by default lines of text are appended to `lines`.
 
     Raises
     ------
     SettingsError
-        If a node reads a topic that none writes, or two nodes write one topic.
+        As in `join`.
 
     Examples
     --------
@@ -41,21 +39,17 @@ class Bus:
     """
 
     def __init__(
-        self,
-        nodes: NodeSpecs,
-        clock: Clock | None = None,
-        log: Log | None = None,
+        self, nodes: NodeSpecs, clock: Clock | None = None, log: Log | None = None
     ) -> None:
         self.clock: Clock = clock or SystemClock()
         self.lines: list[str] = []
-        say = log or self.lines.append
         self.hosts: dict[str, NodeHost] = {}
         links = join(nodes)
         for name, (cls, settings) in nodes.items():
-            log = _named(name, say)
-            node = cls(settings, Context(name, self.clock, log))
+            node_log = _named(name, log or self.lines.append)
+            node = cls(settings, Context(name, self.clock, node_log))
             inputs = [link.topic for link in links if link.reader == name]
-            self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, log, inputs)
+            self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, node_log, inputs)
         self._readers: dict[str, list[NodeHost]] = {}
         for link in links:
             self._readers.setdefault(link.topic, []).append(self.hosts[link.reader])
@@ -66,14 +60,12 @@ class Bus:
             self._deliver(host.start())
 
     def run(self, n_frames: int | None = None) -> None:
-        """Let the sources acquire `n_frames` frames each, or all they have, and end the stream
-        where a source is exhausted or `n_frames` have been acquired.
-        """
+        """Let the sources acquire `n_frames` frames each, or all they have; then end the stream."""
         for _ in self.frames(n_frames):
             pass
 
     def frames(self, n_frames: int | None = None) -> Iterator[list[Message]]:
-        """As `run`, one frame at a time: yields all messages that the frame gave rise to."""
+        """As `run`, one frame at a time: yields all messages that the frame led to."""
         sources = [host for host in self.hosts.values() if host.is_source]
         done = 0
         while n_frames is None or done < n_frames:
@@ -84,8 +76,7 @@ class Bus:
             # Stamps name frames, so they must differ even on a clock that stands still.
             self._last_stamp_ns = max(self.clock.now_ns(), self._last_stamp_ns + 1)
             for host in live:
-                tick = Tick(self._last_stamp_ns, self._n_ticks)
-                messages += self._deliver(host.tick(tick))
+                messages += self._deliver(host.tick(Tick(self._last_stamp_ns, self._n_ticks)))
             self._n_ticks += 1
             done += 1
             yield messages
@@ -93,27 +84,27 @@ class Bus:
             self._deliver(host.finish(self._last_stamp_ns))
 
     def close(self) -> None:
-        """Let the nodes finish their files; to be called once, when no frame is to come."""
+        """Let the nodes finish their files; call it once, after the last frame."""
         for host in self.hosts.values():
             host.close()
 
     def reports(self) -> dict[str, dict[str, Any]]:
-        """What each node has found, by node name; nodes that found nothing are left out."""
+        """Reports by node name, of the nodes that have one."""
         found = {name: host.node.report() for name, host in self.hosts.items()}
         return {name: report for name, report in found.items() if report}
 
     def _deliver(self, messages: Iterable[Message]) -> list[Message]:
-        """Take messages to their readers, then what these make of them, first come first."""
-        seen: list[Message] = []
+        """Deliver messages and all that follow from them, in order; return all of them."""
+        delivered: list[Message] = []
         for first in messages:
             self._queue.append(first)
             while self._queue:
                 message = self._queue.popleft()
-                seen.append(message)
+                delivered.append(message)
                 for reader in self._readers.get(message.topic, ()):
                     self._queue.extend(reader.receive(message))
-        return seen
+        return delivered
 
 
-def _named(name: str, say: Log) -> Log:
-    return lambda line: say(f"[{name}] {line}")
+def _named(name: str, log: Log) -> Log:
+    return lambda line: log(f"[{name}] {line}")

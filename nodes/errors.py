@@ -1,12 +1,12 @@
-"""The errors that nodes raise; each one's message is a sentence fit for a user."""
+"""Errors of nodes; the text of each is one sentence for the user."""
 
 
 class SparseskinError(Exception):
-    """Something a person can mend: the text names the place, what is wrong and what is allowed."""
+    """An error that a user can correct: the text names the place, the fault and what is allowed."""
 
 
 class SettingsError(SparseskinError):
-    """A node's setting is unknown, of the wrong type or out of its range."""
+    """A setting is unknown, of the wrong type or out of its range."""
 
 
 class SourceError(SparseskinError):
@@ -22,4 +22,4 @@ class SolverError(SparseskinError):
 
 
 class RefusedError(SparseskinError):
-    """A message that a node cannot use; it is counted and dropped, and the node goes on."""
+    """A message that a node cannot use: it is counted and dropped, and the node continues."""

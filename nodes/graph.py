@@ -1,4 +1,4 @@
-"""How nodes are joined: each topic has one writer, each reader needs a writer for its topics."""
+"""Links between nodes: each topic has one writer, and each reader needs a writer."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NodeSpecs = Mapping[str, tuple[type[Node[Any]], Any]]
 
 @dataclass(frozen=True)
 class Link:
-    """One topic from its writer to one of its readers."""
+    """One topic, its writer and one of its readers."""
 
     topic: str
     writer: str
@@ -25,12 +25,9 @@ class Link:
 
 
 def join(nodes: NodeSpecs) -> list[Link]:
-    """Find all links of a graph, in the order of its nodes.
+    """Return all links of a graph, in the order of its nodes.
 
-    Raises
-    ------
-    SettingsError
-        If two nodes write one topic, or a node reads a topic that none writes.
+    SettingsError if two nodes write one topic, or a node reads a topic that none writes.
     """
     writers: dict[str, str] = {}
     for name, (cls, settings) in nodes.items():
@@ -50,7 +47,7 @@ def join(nodes: NodeSpecs) -> list[Link]:
                     raise SettingsError(f"{name}: reads {topic}, which no node writes{hint}")
                 links.append(Link(topic, writers[topic], name))
             if not matching:
-                raise SettingsError(f"{name}: reads {pattern}, of which no node writes any")
+                raise SettingsError(f"{name}: reads {pattern}, which matches no written topic")
         optional = [topic for topic in cls.optional_inputs(settings) if topic in writers]
         links += [Link(topic, writers[topic], name) for topic in optional]
     return links

@@ -1,5 +1,7 @@
-"""A node together with the bookkeeping every node needs: numbers on what goes out, gaps,
-repeats and refusals counted on what comes in, and the end of a stream passed on.
+"""A node with the bookkeeping that every node needs.
+
+Published messages are numbered; gaps, repeats and refusals of received ones are counted; the end
+of a stream is passed on.
 """
 
 from __future__ import annotations
@@ -16,23 +18,19 @@ from sparseskin.messages.wire import SCHEMAS
 from .errors import RefusedError, SparseskinError
 from .lookup import one_line
 from .node import Node, SourceNode, Tick
+from .process.control import COUNTED
 
 Log = Callable[[str], None]
 
-COUNTED = ("received", "lost", "skipped")
-"""What is counted of each input: messages that were taken in, that never came, and those taken
-in of which nothing was made, since newer ones were waiting.
-"""
-
 
 def is_latched(topic: str) -> bool:
-    """Whether a topic carries state rather than a stream."""
+    """True if a topic carries state rather than a stream."""
     return SCHEMAS[split_topic(topic)[1]].latched
 
 
 @dataclass
 class InputCount:
-    """What happened on one input topic."""
+    """Counters of one input topic."""
 
     run_id: str = ""
     expected: int = 0
@@ -43,7 +41,7 @@ class InputCount:
     late: bool = False
 
     def admit(self, message: Message) -> bool:
-        """Count a message; False for one that was seen before (a latched topic repeats)."""
+        """Count a message; False for one received before (a latched topic repeats)."""
         if message.run_id != self.run_id:
             self.run_id, self.expected, self.ended = message.run_id, 0, False
         if message.seq < self.expected:
@@ -55,7 +53,7 @@ class InputCount:
         return True
 
     def end(self, end: End) -> None:
-        """Count what is missing at the very end."""
+        """Count the messages missing at the end of the stream."""
         if end.run_id != self.run_id:
             self.run_id, self.expected = end.run_id, 0
         if not (self.late and not self.received):
@@ -66,41 +64,35 @@ class InputCount:
 
 @dataclass
 class Counts:
-    """Everything a node counts; `refused` by reason."""
+    """All counters of a node; `refused` by reason."""
 
     inputs: dict[str, InputCount] = field(default_factory=dict)
     published: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, for status lines and summaries."""
-        return {
-            **{
-                what: {topic: getattr(count, what) for topic, count in self.inputs.items()}
-                for what in COUNTED
-            },
-            "published": dict(self.published),
-            "refused": dict(self.refused),
+        """Counters as plain data, for status lines and summaries."""
+        counts: dict[str, Any] = {
+            what: {topic: getattr(count, what) for topic, count in self.inputs.items()}
+            for what in COUNTED
         }
+        return counts | {"published": dict(self.published), "refused": dict(self.refused)}
 
 
 class NodeHost:
-    """Runs a node's logic for whoever owns the transport.
+    """Runs a node's logic, independent of the transport.
 
     Parameters
     ----------
-    node : Node
-        The node.
+    node, log
+        The node; receives one line of text.
     run_id : str
         16 hex digits, new for each run of the node.
-    log : callable
-        Takes one line of text.
     inputs : iterable of str, optional
-        The node's input topics; by default those that it names.
-    late : bool
-        Whether the node joins a graph that already runs: what it finds first is no gap then.
-    late_inputs : collection of str
-        Topics that may run already when the node joins them, as those of another host.
+        The node's input topics; by default those that it states.
+    late, late_inputs
+        True if the node joins a running graph: messages before the first are then not lost; topics
+        of which that is true by themselves, such as those of another host.
     """
 
     def __init__(
@@ -125,7 +117,6 @@ class NodeHost:
         self.failure = ""
         self.refusal = ""
         self._log = log
-        self._said: Counter[str] = Counter()
         self._last_stamp_ns = 0
         self._sent: dict[str, tuple[str, int]] = {}
 
@@ -134,7 +125,7 @@ class NodeHost:
         return isinstance(self.node, SourceNode)
 
     def start(self) -> Iterator[Message]:
-        """What the node says of itself before its first step."""
+        """Messages of the node before its first step."""
         yield from self._publish(self.node.start())
 
     def tick(self, tick: Tick) -> Iterator[Message]:
@@ -151,8 +142,9 @@ class NodeHost:
     def receive_bytes(
         self, topic: bytes, payload: bytes, overtaken: bool = False
     ) -> Iterator[Message]:
-        """Decode and take in one message; one that cannot be decoded is counted, and one that is
-        overtaken by newer ones is counted and skipped, unless it ends its stream.
+        """Decode and process one message; one that cannot be decoded is counted.
+
+        An overtaken one is counted and skipped, unless it ends its stream.
         """
         try:
             message = decode(topic, payload)
@@ -162,7 +154,7 @@ class NodeHost:
         yield from self.receive(message, overtaken)
 
     def receive(self, message: Message, overtaken: bool = False) -> Iterator[Message]:
-        """Take in one message; one that the node refuses is counted, and the node goes on."""
+        """Process one message; one that the node refuses is counted, and the node continues."""
         count = self.counts.inputs.get(message.topic)
         if count is None:
             self._refuse("unknown topic", f"{message.topic}: not an input of this node")
@@ -182,14 +174,7 @@ class NodeHost:
             yield from self._guarded(self.node.step, message)
 
     def change(self, changes: Mapping[str, Any]) -> list[Message]:
-        """Change settings between two frames; return what the node says of it.
-
-        Raises
-        ------
-        SparseskinError
-            If a setting is unknown, not allowed, or the node cannot work with it. Nothing is
-            changed then.
-        """
+        """Change settings between two frames, or raise SparseskinError; return what follows."""
         settings = self.node.settings.changed(changes)
         return list(self._publish(self.node.change(settings)))
 
@@ -203,21 +188,14 @@ class NodeHost:
 
     def _ends(self, stamp_ns: int) -> Iterator[End]:
         for topic in self.outputs:
-            patch, schema = split_topic(topic)
             if is_latched(topic):
-                continue  # state stays true after the stream has ended
-            run_id, n_messages = self._sent.get(topic, (self.run_id, 0))
-            yield End(
-                stamp_ns=stamp_ns,
-                patch=patch,
-                run_id=run_id,
-                seq=n_messages,
-                of=schema,
-                n_messages=n_messages,
-            )
+                continue  # a state remains valid after the end of the stream
+            patch, schema = split_topic(topic)
+            run_id, n = self._sent.get(topic, (self.run_id, 0))
+            yield End(stamp_ns=stamp_ns, patch=patch, run_id=run_id, seq=n, of=schema, n_messages=n)
 
     def idle(self) -> None:
-        """Let the node do what does not wait for a message."""
+        """Let the node do its periodic work."""
         self._do(self.node.idle)
 
     def close(self) -> None:
@@ -232,7 +210,7 @@ class NodeHost:
             self._refuse("failed", str(error))
 
     def _guarded(self, method: Callable[..., Iterable[Message]], *args: Any) -> Iterator[Message]:
-        """Pass on what a method gives; whatever it raises is counted and ends no node."""
+        """Publish what a method yields; an exception is counted and ends no node."""
         try:
             yield from self._publish(method(*args))
         except RefusedError as error:
@@ -240,7 +218,7 @@ class NodeHost:
         except MessageError as error:
             self._refuse(error.reason, f"not published: {error}")
         except SparseskinError as error:
-            # The node cannot do what its settings ask for; no later message mends that.
+            # The node cannot do what its settings ask for; no later message changes that.
             self.failure = self.failure or str(error)
             self._refuse("failed", str(error))
         except Exception as error:  # a user's own solver may raise anything
@@ -256,10 +234,13 @@ class NodeHost:
             yield message
 
     def _refuse(self, reason: str, text: str) -> None:
-        """Count a refusal; say it the 1st, 10th, 100th ... time, so a flood stays readable."""
+        """Count a refusal and log some of them."""
         self.counts.refused[reason] += 1
         self.refusal = f"{reason}: {text}"
-        self._said[reason] += 1
-        times = self._said[reason]
-        if times == 10 ** (len(str(times)) - 1):
-            self._log(f"{reason}: {text}" + (f" ({times} times)" if times > 1 else ""))
+        log_some(self._log, self.refusal, self.counts.refused[reason])
+
+
+def log_some(log: Log, line: str, times: int) -> None:
+    """Log a repeated line the 1st, 10th, 100th ... time, so that a flood stays readable."""
+    if times == 10 ** (len(str(times)) - 1):
+        log(line + (f" ({times} times)" if times > 1 else ""))

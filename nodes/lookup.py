@@ -1,4 +1,4 @@
-"""What a launch file names: something registered, or a user's own as "module:attribute"."""
+"""Names in launch files: registered ones, or a user's own as "module:attribute"."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .errors import SparseskinError
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """' (did you mean 'iterations'?)' for a near miss, else the list of what is known."""
+    """Hint for an unknown word: ' (did you mean 'iterations'?)', else the list of known ones."""
     names = sorted(known)
     near = difflib.get_close_matches(word, names, n=max(1, len(names)), cutoff=0.6)
     if near:
@@ -24,33 +24,25 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def _distance(word: str, name: str) -> tuple[float, int, int]:
-    """How far a name is from a word: by the letters they share in order; of names that are as near,
-    by the numbers in them, then by the letters that stand at the same place.
-    """
+    """Distance by the letters shared in order, then by numbers, then by letters in place."""
     apart = 1.0 - difflib.SequenceMatcher(None, name, word).ratio()
     numbers = zip(re.findall(r"\d+", word), re.findall(r"\d+", name), strict=False)
     other = sum(a != b for a, b in zip(word, name, strict=False))
-    # Beyond 9 digits they are no sizes; int() refuses thousands of them.
+    # Nine digits are enough for any size; int() refuses thousands of digits.
     return apart, sum(abs(int(a[:9]) - int(b[:9])) for a, b in numbers), other
 
 
 def one_line(error: BaseException) -> str:
-    """An exception's type and text, its line breaks made spaces."""
+    """Type and text of an exception in one line."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., Any]:
-    """Import "module:attribute" and return what can be called there.
+    """Import "module:attribute" and return that callable; raise `error` if that fails.
 
-    The current directory is looked in last, so that a file of the user's own is found and none
-    that is named like an installed module stands in its way.
-
-    Raises
-    ------
-    SparseskinError
-        (of the type `error`) if `target` is not of that form, there is no such module or
-        attribute, the import fails, or what is found cannot be called.
+    The current directory is searched last, so that the user's own files are found but hide no
+    installed module.
     """
     module_name, colon, attribute = target.partition(":")
     parts = [*module_name.split("."), *attribute.split(".")]
@@ -68,7 +60,7 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
                 f"{target}: there is no module {cause.name!r}, installed or in {here}"
             ) from cause
         raise error(f"{target}: importing it failed: {one_line(cause)}") from cause
-    # A module that calls sys.exit() as it is imported is of no use either.
+    # SystemExit: a module that calls sys.exit() when imported.
     except (Exception, SystemExit) as cause:
         raise error(f"{target}: importing it failed: {one_line(cause)}") from cause
     for part in attribute.split("."):
@@ -86,23 +78,9 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
 def find_class(
     what: str, name: str, registered: Mapping[str, str], error: type[SparseskinError]
 ) -> Callable[..., Any]:
-    """The class behind a registered name, or behind "module:Class".
+    """Return the class of a registered name, or of "module:Class"; raise `error` if there is none.
 
-    Parameters
-    ----------
-    what : str
-        What is looked for, as a user calls it: "phi", "basis", "solver".
-    name : str
-        Registered name, or "module:Class".
-    registered : mapping of str to str
-        Registered names and their "module:Class".
-    error : type
-        The error to raise.
-
-    Raises
-    ------
-    SparseskinError
-        (of the type `error`) if the name is neither registered nor can be imported.
+    `what` is its kind in the user's words; `registered` maps names to "module:Class".
     """
     if ":" in name:
         return find_callable(name, error)

@@ -1,13 +1,15 @@
-"""Node types by name. A type is imported when it is asked for, so the edge needs no solver."""
+"""Node types by name; a type is imported when it is used, so that the edge needs no solver."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .errors import SettingsError
 from .lookup import find_class
-from .node import Node
+
+if TYPE_CHECKING:
+    from .node import Node
 
 NODE_TYPES = {
     "sensor": "sparseskin.nodes.sensor.node:Sensor",
@@ -20,13 +22,9 @@ NODE_TYPES = {
 
 
 def node_class(type_name: str) -> type[Node[Any]]:
-    """The class of a registered node type, or of a user's own "module:Class".
+    """Return the class of a registered node type, or of "module:Class"; or raise SettingsError."""
+    from .node import Node  # with it numpy, which the names above do not need
 
-    Raises
-    ------
-    SettingsError
-        If there is no such type (with a did-you-mean), or it is not a Node.
-    """
     cls = find_class("type", type_name, NODE_TYPES, SettingsError)
     if not (isinstance(cls, type) and issubclass(cls, Node)):
         raise SettingsError(f'type "{type_name}": not a subclass of sparseskin.nodes.node.Node')
@@ -34,11 +32,5 @@ def node_class(type_name: str) -> type[Node[Any]]:
 
 
 def make_settings(cls: type[Node[Any]], values: Mapping[str, Any]) -> Any:
-    """Settings of a node class from names and values.
-
-    Raises
-    ------
-    SettingsError
-        If a key is unknown, or a value is not allowed.
-    """
+    """Make the settings of a node class from names and values, or raise SettingsError."""
     return cls.Settings.from_mapping(values)

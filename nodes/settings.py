@@ -1,4 +1,4 @@
-"""Settings: what a node can be told, declared once with type, range and meaning."""
+"""Settings of nodes: each declared once, with type, range and meaning."""
 
 from __future__ import annotations
 
@@ -12,21 +12,19 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from sparseskin.messages.errors import MessageError
+from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.messages.topics import check_name
 
 from .errors import SettingsError, SparseskinError
 from .lookup import did_you_mean
 
-HUGE = 1 << 256
-"""Whole numbers beyond this are beyond any range, and beyond float for all we care."""
-
 
 @dataclass(frozen=True)
 class Range:
-    """What a setting means and which values it may take; ends included.
+    """Meaning and allowed values of a setting, ends included.
 
-    `known` are values to offer where others are allowed too; `live` whether the setting can be
-    changed while the graph runs.
+    `known` are values to propose where others are allowed too; `live` is True if the setting can
+    be changed while the graph runs.
     """
 
     doc: str
@@ -47,22 +45,14 @@ def setting(
     known: Iterable[str] = (),
     live: bool = False,
 ) -> Any:
-    """Declare one setting: its default, what it means, the range [low, high] or choices, values
-    to offer, and whether it can be changed while the graph runs.
-    """
+    """Declare one setting: its default and its `Range`."""
     allowed = Range(doc, low, high, tuple(choices), tuple(known), live)
     return dataclasses.field(default=default, metadata={"range": allowed})
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Base of every node's settings; values are checked when it is made.
-
-    Raises
-    ------
-    SettingsError
-        If a value has the wrong type or lies outside its range.
-    """
+    """Base of all settings; SettingsError if a value has the wrong type or is out of its range."""
 
     def __post_init__(self) -> None:
         hints = typing.get_type_hints(type(self))
@@ -73,13 +63,7 @@ class Settings:
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> Self:
-        """Build settings from names and values, as read from a launch file.
-
-        Raises
-        ------
-        SettingsError
-            If a key is unknown (with a did-you-mean), or a value is not allowed.
-        """
+        """Make settings from names and values of a launch file, or raise SettingsError."""
         known = [field.name for field in dataclasses.fields(cls)]
         for key in values:
             if key not in known:
@@ -87,13 +71,7 @@ class Settings:
         return cls(**values)
 
     def changed(self, changes: Mapping[str, Any]) -> Self:
-        """The same settings with some changed while the graph runs.
-
-        Raises
-        ------
-        SettingsError
-            If a key is unknown or cannot be changed then, or a value is not allowed.
-        """
+        """Copy with some live settings changed; SettingsError if a key or value is not allowed."""
         fields = {field.name: field for field in dataclasses.fields(self)}
         live = [name for name, field in fields.items() if field.metadata["range"].live]
         for key in changes:
@@ -106,7 +84,7 @@ class Settings:
                 )
             known = fields[key].metadata["range"].known
             if known and changes[key] is not None and changes[key] not in known:
-                # A module of the user's own is imported on the word of a launch file alone.
+                # A module of the user's own is imported for a launch file only.
                 raise SettingsError(
                     f"{key}: {changes[key]!r} is not allowed while the graph runs"
                     f"{did_you_mean(str(changes[key]), known)}"
@@ -121,7 +99,7 @@ class Settings:
 
     @classmethod
     def described(cls) -> list[dict[str, Any]]:
-        """Each setting as plain data: key, type, doc, range or choices, and whether it is live."""
+        """Each setting as plain data: key, type, doc, range or choices, live or not."""
         return [
             {
                 "key": name,
@@ -137,13 +115,7 @@ class Settings:
         ]
 
     def check(self) -> None:
-        """Check what a value points to (files, names of scenes) before any process starts.
-
-        Raises
-        ------
-        SparseskinError
-            If something named is not there.
-        """
+        """Raise SparseskinError if what the values name (files, scenes) does not exist."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +131,7 @@ class PatchSettings(Settings):
 
 @contextmanager
 def naming(key: str) -> Iterator[None]:
-    """Whatever goes wrong inside is said to be wrong with the setting `key`."""
+    """Raise SettingsError of the setting `key` for any error within."""
     try:
         yield
     except SparseskinError as error:
@@ -167,7 +139,7 @@ def naming(key: str) -> Iterator[None]:
 
 
 def check_patch(place: str, name: str) -> None:
-    """Raise SettingsError where a text is no name of a patch."""
+    """Raise SettingsError if a text is not the name of a patch."""
     try:
         check_name(place, name)
     except MessageError as error:
@@ -181,9 +153,7 @@ def _declared(cls: Any) -> Iterator[tuple[str, str, Range]]:
 
 
 def _checked(name: str, value: Any, hint: Any) -> Any:
-    """Return the value as the declared type, or raise SettingsError; no silent conversion
-    but that of whole numbers to float and of lists to tuples.
-    """
+    """Return the value as the declared type: a whole number as float, a list as tuple; or raise."""
     options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
     for option in options:
         if option is type(None):
@@ -193,12 +163,13 @@ def _checked(name: str, value: Any, hint: Any) -> Any:
             if isinstance(value, list | tuple) and all(isinstance(v, str) for v in value):
                 return tuple(value)
         elif option is float:
-            if isinstance(value, int | float) and not isinstance(value, bool):
-                huge = isinstance(value, int) and abs(value) >= HUGE
-                return math.inf if huge else float(value)
-        elif option is int:
-            if isinstance(value, int) and not isinstance(value, bool):
+            if isinstance(value, float):
                 return value
+            if is_whole(value):
+                return float(value) if is_real(value) else math.inf
+        elif option is int:
+            if is_whole(value):
+                return int(value)
         elif isinstance(value, option):
             return value
     names = " or ".join(_TYPE_NAMES.get(option, str(option)) for option in options)
@@ -216,9 +187,8 @@ _TYPE_NAMES: dict[Any, str] = {
 
 
 def _check_range(name: str, value: Any, allowed: Range) -> None:
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        finite = abs(value) < HUGE if isinstance(value, int) else math.isfinite(value)
-        if not (finite and allowed.low <= value <= allowed.high):
+    if isinstance(value, float) or is_whole(value):
+        if not is_real(value, allowed.low, allowed.high):
             shown = f"{value!r}"[:40]
             raise SettingsError(f"{name}: {shown} is outside {allowed.low}..{allowed.high}")
     elif allowed.choices and isinstance(value, str) and value not in allowed.choices:

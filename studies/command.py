@@ -5,81 +5,93 @@ from __future__ import annotations
 import argparse
 import math
 import os
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
-from sparseskin.launch.executors import FORMS
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.fast import ENVIRONMENT
+from sparseskin.nodes.executors import FORMS
 from sparseskin.nodes.lookup import did_you_mean, find_callable
+from sparseskin.nodes.numerics.compiled import ENVIRONMENT
 
-#: By name: what it is, and its run(out, quick, seed, executor), imported when it is asked for.
+
+@dataclass(frozen=True)
+class Study:
+    """A study by name, imported when it is run.
+
+    Attributes
+    ----------
+    summary : str
+    options : tuple of str
+        Options that it takes beside those of all studies.
+    numpy_only : bool
+        True if its figures are of numpy alone where nothing else is said, with numba installed
+        or not.
+    target : str
+        "module:callable" of the study, run(out, quick, seed, executor, **options); by default
+        `run` in the module `study` of the folder of its name. It computes the points that are not
+        saved yet with an `executor` (as `points.compute` takes it) and writes page, tables and
+        charts into the existing folder `out`; `quick`: fewer frames and points; `seed`: of noise
+        and Phi. It raises StudyError if a point fails or a file cannot be written.
+    """
+
+    summary: str
+    options: tuple[str, ...] = ()
+    numpy_only: bool = False
+    target: str = ""
+
+
 STUDIES = {
-    "paper-tables": (
-        "tables I to IV and the figures of the paper, beside ours",
-        "sparseskin.studies.paper_tables:run",
+    "paper-tables": Study(
+        "tables I to IV and the figures of the paper, beside ours", numpy_only=True
     ),
-    "speed-accuracy": (
+    "speed-accuracy": Study(
         "solve time and bytes against PSNR: solvers, bases, Phi, and other libraries",
-        "sparseskin.studies.speed_accuracy:run",
+        numpy_only=True,
     ),
-    "stability": (
-        "where integrators of a contact hold and where they blow up",
-        "sparseskin.studies.stability:run",
+    "stability": Study(
+        "where integrators of a contact hold and where they blow up", numpy_only=True
     ),
-    "scene-needs": (
-        "what a scene has to model for its tables to come out",
-        "sparseskin.studies.scene_needs:run",
+    "scene-needs": Study("what a scene has to model for its tables to come out"),
+    "operators": Study(
+        "time of Phi, Psi and whole solvers beside the least there can be, and other libraries"
     ),
-    "operators": (
-        "time of Phi, Psi and whole solvers beside the least there can be, and other libraries",
-        "sparseskin.studies.operators:run",
-    ),
-    "targets": (
+    "targets": Study(
         "the default solver against the paper's and the full reading; what each part of it earns",
-        "sparseskin.studies.targets:run",
+        options=("recordings",),
+        numpy_only=True,
     ),
-    "bases": (
+    "bases": Study(
         "in which basis forces are sparse: D2, D4 and others, learned ones; adaptive sampling",
-        "sparseskin.studies.bases:run",
+        numpy_only=True,
     ),
-    "endurance": (
-        "the default solver over a million frames: nothing grows, drifts or locks in",
-        "sparseskin.studies.endurance:run",
+    "endurance": Study(
+        "the default solver over a million frames: nothing grows, drifts or locks in"
     ),
-    "latency": (
-        "from acquisition to reconstruction at 1 kHz, and where the time goes",
-        "sparseskin.studies.latency:run",
+    "latency": Study("from acquisition to reconstruction at 1 kHz, and where the time goes"),
+    "soak": Study(
+        "a graph that runs for long: memory, open files, lost frames", options=("minutes",)
     ),
-    "soak": (
-        "a graph that runs for long: memory, open files, lost frames",
-        "sparseskin.studies.soak:run",
-    ),
-    "fuzz": (
-        "hostile messages on the sockets of nodes that run, and mutated launch files",
-        "sparseskin.studies.fuzz:run",
-    ),
-    "faults": (
-        "what a graph does when something breaks: what is lost, how soon it recovers",
-        "sparseskin.studies.faults:run",
-    ),
+    "fuzz": Study("hostile messages on the sockets of nodes that run, and mutated launch files"),
+    "faults": Study("what a graph does when something breaks: what is lost, how soon it recovers"),
 }
-#: Those whose figures are of numpy alone where nothing else is said, with numba installed or not.
-OF_NUMPY = ("paper-tables", "speed-accuracy", "stability", "targets", "bases")
+#: Packages of the extra `charts`, which each study needs.
+EXTRA = ("matplotlib", "jinja2", "pandas")
 
 
-def add_study_parser(commands: Any) -> None:
-    """Add `study` to the commands."""
-    parser = commands.add_parser(
-        "study",
-        help="compute tables and charts anew",
-        description="Compute the tables and charts of a study. A run that was interrupted goes "
-        "on where it was.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="\n".join(f"{name:<15} {what}" for name, (what, _) in STUDIES.items()),
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `study`."""
+    parser.description = (
+        "Compute the tables and charts of a study. A run that was interrupted continues where it "
+        "was."
     )
-    parser.add_argument("name", metavar="STUDY", help=f"study: {', '.join(STUDIES)}")
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = "\n".join(f"{name:<15} {study.summary}" for name, study in STUDIES.items())
+    name = parser.add_argument("name", metavar="STUDY", help=f"study: {', '.join(STUDIES)}")
+    # Read by argcomplete: candidates for the word, and what each means.
+    name.completer = lambda **_: {  # type: ignore[attr-defined]
+        known: study.summary for known, study in STUDIES.items()
+    }
     parser.add_argument(
         "--quick", action="store_true", help="fewer frames and points: to see that it runs"
     )
@@ -99,10 +111,17 @@ def add_study_parser(commands: Any) -> None:
         "--minutes", metavar="T", type=_minutes, help="soak: how long the graph runs (default: 30)"
     )
     parser.add_argument(
-        "--anew", action="store_true", help="forget what earlier runs have computed"
+        "--anew",
+        action="store_true",
+        help="delete the points of earlier runs",
     )
     parser.add_argument("--seed", type=_seed, default=0, help="seed of noise and Phi (default: 0)")
     parser.set_defaults(run=_study)
+
+
+def target_of(name: str) -> str:
+    """Return what runs a study, as "module:callable"."""
+    return STUDIES[name].target or f"sparseskin.studies.{name.replace('-', '_')}.study:run"
 
 
 def _seed(text: str) -> int:
@@ -125,29 +144,33 @@ def _study(arguments: argparse.Namespace) -> int:
     name: str = arguments.name
     if name not in STUDIES:
         raise SettingsError(f"study {name!r} is not known{did_you_mean(name, STUDIES)}")
-    if find_spec("matplotlib") is None:
-        raise SettingsError("studies draw charts with matplotlib: pip install 'sparseskin[charts]'")
+    study = STUDIES[name]
+    absent = [package for package in EXTRA if find_spec(package) is None]
+    if absent:
+        raise SettingsError(
+            f"study {name}: {' and '.join(absent)} not installed: pip install 'sparseskin[charts]'"
+        )
+    options = {}
+    for option in ("recordings", "minutes"):
+        value = getattr(arguments, option)
+        if value is None:
+            continue
+        if option not in study.options:
+            takers = ", ".join(known for known in STUDIES if option in STUDIES[known].options)
+            raise SettingsError(f"--{option}: study {name!r} takes none; allowed: {takers}")
+        options[option] = value
     out: Path = arguments.out or Path("out") / (f"{name}-quick" if arguments.quick else name)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SettingsError(f"--out {out}: {error.strerror}") from error
-    if name in OF_NUMPY:
+    if study.numpy_only:
         os.environ.setdefault(ENVIRONMENT, "off")
-    run = find_callable(STUDIES[name][1], SettingsError)
-    more = {}
-    if arguments.recordings is not None:
-        if name != "targets":
-            raise SettingsError(f"--recordings: study {name!r} takes none; allowed: targets")
-        more["recordings"] = arguments.recordings
-    if arguments.minutes is not None:
-        if name != "soak":
-            raise SettingsError(f"--minutes: study {name!r} takes none; allowed: soak")
-        more["minutes"] = arguments.minutes
+    run = find_callable(target_of(name), SettingsError)
     if arguments.anew:
         from .points import forget
 
         forget(out)
-    run(out=out, quick=arguments.quick, seed=arguments.seed, executor=arguments.executor, **more)
+    run(out=out, quick=arguments.quick, seed=arguments.seed, executor=arguments.executor, **options)
     print(out / f"{name}.md")
     return 0

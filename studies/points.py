@@ -1,4 +1,4 @@
-"""The points of a study: computed by an executor, and each kept as soon as it is known."""
+"""Points of a study: computed by an executor, each saved as soon as it is finished."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, as_completed
+from concurrent.futures import as_completed
 from contextlib import contextmanager
+from functools import cache
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
@@ -20,12 +21,12 @@ from typing import Any, BinaryIO, TypeAlias
 from tqdm import tqdm
 
 from sparseskin import nodes
-from sparseskin.launch.executors import make_executor
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.executors import make_executor
 from sparseskin.nodes.lookup import one_line
 
-#: Raised when what a point computes changes its meaning: figures kept before are then not used.
-STUDY_VERSION = 1
+#: Raised when the figures of a point change their meaning: records of other versions are not used.
+STUDY_VERSION = 2
 POINTS_FILE = "points.jsonl"
 
 Point: TypeAlias = Mapping[str, Any]
@@ -43,21 +44,22 @@ def compute(
     """Compute the points that are not known yet, and return the figures of all.
 
     Each finished point is at once one line of `points.jsonl` in the folder: a run that was
-    interrupted or killed goes on where it was, and loses at most the points under way.
+    interrupted or killed continues where it was, and loses at most the points under way.
 
     Parameters
     ----------
     function : callable
-        Of a module, so that a worker finds it by name; takes one point, returns its figures.
-        Best for 50 ms of work or more.
+        At the top of a module, so that a worker finds it by name; takes one point, returns its
+        figures. Best for 50 ms of work or more.
     points : sequence of mapping
-        Parameters of each point, the seed included: what JSON can hold.
+        Parameters of each point, the seed included, as JSON holds them.
     out : Path
         Folder of the study, which exists.
     executor_name : str
-        As in `sparseskin.launch.executors.make_executor`.
+        As in `sparseskin.nodes.executors.make_executor`.
     label : str
-        What the progress bar calls the points.
+        Name of the points, unique in the study: shown by the progress bar, and part of the key
+        of each point, as is the name of the function (but not the module it stands in).
 
     Returns
     -------
@@ -67,22 +69,25 @@ def compute(
     Raises
     ------
     StudyError
-        If a point fails, the folder cannot be written to, or another run is at work in it.
+        If a point fails, the folder cannot be written to, or another run uses it.
     SettingsError
         If there is no such executor.
     """
-    keys = [key_of(function, point) for point in points]
+    keys = [key_of(function, label, point) for point in points]
     code = code_fingerprint()
     with _opened(out) as file:
-        known, code_of = _read(file)
+        records, n_former = _read(file, label, function)
+        _log_former(out / POINTS_FILE, n_former)
+        known = {key: record["figures"] for key, record in records.items()}
         missing = {
             key: dict(point) for key, point in zip(keys, points, strict=True) if key not in known
         }
-        _tell_known(label, set(keys), [code_of[k] != code for k in set(keys) & set(known)])
+        _log_known(label, set(keys), [records[k]["code"] != code for k in set(keys) & set(known)])
+        names = {"label": label, "function": f"{function.__module__}:{function.__qualname__}"}
         with tqdm(total=len(missing), desc=label, unit="point", disable=not missing) as bar:
             for key, figures in _computed(function, missing, executor_name):
-                record = {"key": key, "code": code, "point": missing[key], "figures": figures}
-                line = json.dumps(record)
+                kept = {"key": key, **names, "version": STUDY_VERSION, "code": code}
+                line = json.dumps({**kept, "point": missing[key], "figures": figures})
                 file.write(line.encode() + b"\n")
                 file.flush()
                 # As it would be read: lists for tuples, so that a resumed run has the same.
@@ -91,10 +96,18 @@ def compute(
     return [known[key] for key in keys]
 
 
-def key_of(function: Function, point: Point) -> str:
-    """What a point is found by: the SHA-256 of its function, its parameters and the version."""
-    name = f"{function.__module__}:{function.__qualname__}"
-    text = json.dumps([name, STUDY_VERSION, point], sort_keys=True, allow_nan=False)
+def compute_rows(
+    function: Function, points: Sequence[Point], out: Path, executor_name: str, label: str
+) -> list[Figures]:
+    """Return each point together with its figures as one dict; see `compute`."""
+    figures = compute(function, points, out, executor_name, label)
+    return [{**point, **found} for point, found in zip(points, figures, strict=True)]
+
+
+def key_of(function: Function, label: str, point: Point) -> str:
+    """Key of a point: SHA-256 of its label, function's name, parameters and the version."""
+    names = [label, function.__qualname__, STUDY_VERSION]
+    text = json.dumps([*names, point], sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -107,8 +120,8 @@ def code_fingerprint() -> str:
     return digest.hexdigest()[:16]
 
 
-def _tell_known(label: str, keys: set[str], is_other_code: Sequence[bool]) -> None:
-    """Say how many points are not computed again, and whether they would be the same."""
+def _log_known(label: str, keys: set[str], is_other_code: Sequence[bool]) -> None:
+    """Log how many points are not computed again, and how many of them other code computed."""
     if not is_other_code:
         return
     text = f"{label}: {len(is_other_code)} of {len(keys)} points are known from an earlier run"
@@ -117,13 +130,25 @@ def _tell_known(label: str, keys: set[str], is_other_code: Sequence[bool]) -> No
     print(f"{text} (--anew forgets them)", file=sys.stderr)
 
 
+@cache
+def _log_former(path: Path, n_former: int) -> None:
+    """Log, once a folder, how many records no point of this version can use."""
+    if n_former:
+        print(
+            f"{path}: {n_former} points were saved by an earlier version under other names; they "
+            "are computed anew (they stay in the file until --anew, for the version that saved "
+            "them)",
+            file=sys.stderr,
+        )
+
+
 def forget(out: Path) -> None:
-    """Drop the points that earlier runs have computed into a folder.
+    """Delete the points that earlier runs have saved in a folder.
 
     Raises
     ------
     StudyError
-        If its file cannot be opened, or another run is computing there.
+        If its file cannot be opened, or another run uses the folder.
     """
     with _opened(out) as file:
         file.truncate(0)
@@ -141,28 +166,33 @@ def _opened(out: Path) -> Iterator[BinaryIO]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise StudyError(f"{out}: another run of a study is at work in it") from error
+            raise StudyError(f"{out}: another run of a study uses it") from error
         yield file
 
 
-def _read(file: BinaryIO) -> tuple[dict[str, Figures], dict[str, str]]:
-    """Figures by key, and the code that found them; a line torn by the end of a run is cut off."""
+def _read(file: BinaryIO, label: str, function: Function) -> tuple[dict[str, dict[str, Any]], int]:
+    """Read records by key, and count those that no point can use any more: of other versions, or
+    of this label and a function of another name. An incomplete last line is cut off.
+    """
     file.seek(0)
-    known: dict[str, Figures] = {}
-    code_of: dict[str, str] = {}
-    whole = 0
+    records: dict[str, dict[str, Any]] = {}
+    n_former = whole = 0
     for line in file:
-        try:
-            record = json.loads(line)
-            key, figures = record["key"], record["figures"]
-        except (ValueError, TypeError, KeyError):
-            break
         if not line.endswith(b"\n"):
             break
-        known[key], code_of[key] = figures, record.get("code", "")
+        try:
+            record = json.loads(line)
+            if record.get("version") != STUDY_VERSION:
+                n_former += 1
+            else:
+                name = record["function"].partition(":")[2]
+                n_former += record["label"] == label and name != function.__qualname__
+                records[record["key"]] = {key: record[key] for key in ("figures", "code")}
+        except (ValueError, TypeError, KeyError, AttributeError):
+            break
         whole += len(line)
     file.truncate(whole)
-    return known, code_of
+    return records, n_former
 
 
 def _computed(
@@ -174,9 +204,9 @@ def _computed(
     before = set(multiprocessing.active_children())
     executor = make_executor(executor_name)
     try:
-        # Ctrl-C reaches the workers too; they inherit that it is none of their business.
+        # Ctrl-C reaches the workers too; they inherit that they ignore it.
         with _interrupts_ignored():
-            futures = _submitted(executor, function, missing)
+            futures = {executor.submit(_run, function, p): key for key, p in missing.items()}
         for future in as_completed(futures):
             key = futures[future]
             try:
@@ -195,12 +225,6 @@ def _computed(
     executor.shutdown()
 
 
-def _submitted(
-    executor: Executor, function: Function, missing: Mapping[str, dict[str, Any]]
-) -> dict[Future[Figures], str]:
-    return {executor.submit(_run, function, point): key for key, point in missing.items()}
-
-
 def _run(function: Function, point: dict[str, Any]) -> Figures:
     """Compute one point, in a worker or in this process."""
     _end_with_parent()
@@ -208,7 +232,7 @@ def _run(function: Function, point: dict[str, Any]) -> Figures:
 
 
 def _end_with_parent() -> None:
-    """In a worker: see to it that it does not outlive a study that is killed."""
+    """In a worker: end this process when the process of the study is gone."""
     parent = multiprocessing.parent_process()
     if parent is None or any(thread.name == _WATCH for thread in threading.enumerate()):
         return

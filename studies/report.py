@@ -1,21 +1,26 @@
-"""What a study leaves: CSV, Markdown and charts, all in one style."""
+"""Output of a study: CSV tables, charts and a Markdown page filled from a template."""
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import TracebackType
+from typing import Any, Self, TypeAlias
+
+import jinja2
+import matplotlib
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from .points import StudyError
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+Rows: TypeAlias = "pd.DataFrame | Sequence[Mapping[str, Any]]"
 
-#: Okabe and Ito's colours, which the colour-blind can tell apart; black last, for references.
+#: Okabe and Ito's colours, distinguishable for colour-blind readers; black last, for references.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
-#: In grey print and for every eye: markers and line styles differ where colours do.
+#: Markers and line styles differ where colours do: charts are readable in grey print.
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 LINES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
 PNG_DPI = 150
@@ -35,7 +40,7 @@ _STYLE: Any = {
 
 
 def series_style(k: int) -> dict[str, Any]:
-    """How the k-th series of a chart is drawn: 49 that differ in colour or mark, 7 in both."""
+    """Style of the k-th series of a chart: 49 that differ in colour or mark, 7 in both."""
     turn, place = divmod(k, 7)
     return {
         "color": PALETTE[place],
@@ -45,56 +50,173 @@ def series_style(k: int) -> dict[str, Any]:
     }
 
 
-def new_figure(width_in: float = 7.5, height_in: float = 4.5) -> Figure:
-    """An empty figure of a width and height in inches, to be filled within `chart_style`."""
-    # Imported here: the charts alone need it, not what the workers compute.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+class Chart:
+    """A figure of panels in the common style, saved as it is left: `with Chart(...) as chart:`.
 
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    Parameters
+    ----------
+    out : Path
+        Folder of the study.
+    name : str
+        Name of the files: `name.png` and `name.svg`.
+    caption : str
+    n_panels, n_columns : int
+        Panels, row by row.
+    size_in : (float, float)
+        Width and height of the figure in inches.
+    legend_columns : int
+        Columns of the legend below the panels; 0: no legend.
+    **subplots
+        As `Figure.subplots` takes them: sharex, sharey, ...
 
-
-@contextmanager
-def chart_style() -> Iterator[None]:
-    """All charts that are made within look alike."""
-    import matplotlib
-
-    with matplotlib.rc_context(_STYLE):
-        yield
-
-
-def legend_outside(figure: Figure, n_columns: int = 4) -> None:
-    """One legend for all axes of a figure, below them; the same label is shown once."""
-    entries: dict[str, Any] = {}
-    for axes in figure.axes:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            entries.setdefault(label, handle)
-    figure.legend(
-        list(entries.values()), list(entries), loc="outside lower center", ncols=n_columns
-    )
-
-
-def save_figure(figure: Figure, out: Path, name: str, caption: str) -> str:
-    """Save a figure as `name.png` and `name.svg`; the Markdown that shows it.
+    Attributes
+    ----------
+    figure : matplotlib.figure.Figure
+    panels : list of matplotlib.axes.Axes
+    markdown : str
+        Text that shows the chart on a page.
 
     Raises
     ------
     StudyError
-        If it cannot be written.
+        As it is left, if the files cannot be written.
     """
-    try:
-        with chart_style():
-            figure.savefig(out / f"{name}.png", dpi=PNG_DPI)
-            figure.savefig(out / f"{name}.svg", metadata={"Date": None})
-    except OSError as error:
-        raise StudyError(f"{out / name}: {error.strerror}") from error
-    return f"![{caption}]({name}.png)\n\n*{caption}* ([SVG]({name}.svg))"
+
+    def __init__(
+        self,
+        out: Path,
+        name: str,
+        caption: str,
+        n_panels: int = 1,
+        n_columns: int = 1,
+        *,
+        size_in: tuple[float, float] = (7.5, 4.5),
+        legend_columns: int = 4,
+        **subplots: Any,
+    ) -> None:
+        self._path, self._caption = out / name, caption
+        self._n_columns, self._legend_columns = n_columns, legend_columns
+        self.markdown = f"![{caption}]({name}.png)\n\n*{caption}* ([SVG]({name}.svg))"
+        self._style = matplotlib.rc_context(_STYLE)
+        with matplotlib.rc_context(_STYLE):
+            self.figure = Figure(figsize=size_in, layout="constrained")
+            FigureCanvasAgg(self.figure)
+            n_rows = -(-n_panels // n_columns)
+            grid = list(self.figure.subplots(n_rows, n_columns, squeeze=False, **subplots).flat)
+        self.panels: list[Axes] = grid[:n_panels]
+        for unused in grid[n_panels:]:
+            unused.set_axis_off()
+
+    def __enter__(self) -> Self:
+        self._style.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        try:
+            if error is None:
+                self._save()
+        finally:
+            self._style.__exit__(kind, error, traceback)
+
+    def label(self, x_label: str, y_label: str) -> None:
+        """Label the y axes of the left column and the x axes with no panel below them."""
+        for k, axes in enumerate(self.panels):
+            if k % self._n_columns == 0:
+                axes.set_ylabel(y_label)
+            if k + self._n_columns >= len(self.panels):
+                axes.set_xlabel(x_label)
+                axes.tick_params(labelbottom=True)
+
+    def _save(self) -> None:
+        if self._legend_columns:
+            entries: dict[str, Any] = {}
+            for axes in self.figure.axes:
+                for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+                    entries.setdefault(label, handle)
+            self.figure.legend(
+                list(entries.values()),
+                list(entries),
+                loc="outside lower center",
+                ncols=self._legend_columns,
+            )
+        try:
+            self.figure.savefig(f"{self._path}.png", dpi=PNG_DPI)
+            self.figure.savefig(f"{self._path}.svg", metadata={"Date": None})
+        except OSError as error:
+            raise StudyError(f"{self._path}: {error.strerror}") from error
 
 
-def write_csv(out: Path, name: str, rows: Sequence[Mapping[str, Any]]) -> str:
-    """Write rows, each with the same keys, to `name.csv`; the Markdown that links it.
+def draw_lines(
+    axes: Axes,
+    frame: pd.DataFrame,
+    x: str,
+    y: str,
+    by: str,
+    order: Sequence[Any] = (),
+    **style: Any,
+) -> None:
+    """Draw one line for each value of a column.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    frame : DataFrame
+    x, y, by : str
+        Columns: places, heights, and what the lines are labelled by.
+    order : sequence
+        All values of `by`, whose styles are those of their places in it; by default those of
+        this frame as they come.
+    **style
+        Changes of `series_style`.
+    """
+    labels = list(order) or list(frame[by].unique())
+    for label, along in frame.groupby(by, sort=False):
+        line = series_style(labels.index(label)) | style
+        axes.plot(along[x], along[y], label=str(label), **line)
+
+
+def markdown(frame: pd.DataFrame, formats: Mapping[str, str] | str = "") -> str:
+    """Format a data frame as a Markdown table.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Its columns are the table's; missing values are empty cells.
+    formats : mapping of str to str, or str
+        Format of the numbers of a column, as `format` takes it: {"mean dB": ".1f"}; or of all.
+    """
+
+    def cell(value: Any, spec: str) -> str:
+        if value is None or value is pd.NA or value != value:
+            return ""
+        return str(value) if isinstance(value, str) or not spec else format(value, spec)
+
+    spec_of = [formats if isinstance(formats, str) else formats.get(column, "") for column in frame]
+    # Of objects, so that whole numbers stay such in a row with others.
+    lines = [list(map(str, frame)), ["---"] * len(spec_of)]
+    for row in frame.astype(object).itertuples(index=False):
+        lines.append([cell(value, spec) for value, spec in zip(row, spec_of, strict=True)])
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def cells(frame: pd.DataFrame, text: str) -> list[str]:
+    """Format each row of a frame, as in `cells(frame, "{mean_db:.1f} ({min_db:.1f})")`."""
+    return [text.format(**row) for row in frame.to_dict("records")]
+
+
+def pivot(frame: pd.DataFrame, index: Sequence[str], columns: str, values: str) -> pd.DataFrame:
+    """Spread the values of one column over a column each of another's, in their given order."""
+    table = frame.pivot_table(values, list(index), columns, aggfunc="first", sort=False)
+    return table.reset_index()
+
+
+def write_csv(out: Path, name: str, rows: Rows) -> str:
+    """Write a data frame, or rows with the same keys, to `name.csv`; the Markdown that links it.
 
     Raises
     ------
@@ -103,32 +225,49 @@ def write_csv(out: Path, name: str, rows: Sequence[Mapping[str, Any]]) -> str:
     """
     path = out / f"{name}.csv"
     try:
+        # Of objects, so that whole numbers stay such in a column with others.
+        frame = pd.DataFrame(rows, dtype=object)
         with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, fieldnames=list(rows[0]) if rows else [])
-            writer.writeheader()
-            writer.writerows(rows)
+            frame.to_csv(file, index=False, lineterminator="\r\n")
     except OSError as error:
         raise StudyError(f"{path}: {error.strerror}") from error
     return f"[{path.name}]({path.name})"
 
 
-def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table; numbers are to be given as the text that is to be read."""
-    lines = [list(header), ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
+def fill_page(out: Path, name: str, template: Path, **values: Any) -> Path:
+    """Fill a template and write it as the study's page `name.md`.
 
-
-def write_page(out: Path, name: str, parts: Iterable[str]) -> Path:
-    """Write the study's page `name.md`, its parts set apart by blank lines.
+    Parameters
+    ----------
+    out : Path
+        Folder of the study.
+    name : str
+        Name of the page.
+    template : Path
+        Markdown with Jinja2 expressions; `x|f(".1f")` formats a number as Python does.
+    **values
+        What the expressions name; a data frame is shown as a table.
 
     Raises
     ------
     StudyError
-        If it cannot be written.
+        If the page cannot be written.
+    jinja2.UndefinedError
+        If the template names something that is not among the values.
     """
+    environment = jinja2.Environment(
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+        finalize=lambda value: markdown(value) if isinstance(value, pd.DataFrame) else value,
+    )
+    environment.filters["f"] = format
     path = out / f"{name}.md"
+    text = environment.from_string(template.read_text(encoding="utf-8")).render(values)
     try:
-        path.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise StudyError(f"{path}: {error.strerror}") from error
     return path

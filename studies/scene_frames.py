@@ -1,4 +1,4 @@
-"""Frames of a scene as a study needs them: what acts, and what the taxels read."""
+"""Frames of a scene by number: true forces and noisy readings."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ from functools import cache
 from itertools import islice
 
 import numpy as np
-import numpy.typing as npt
 
-from sparseskin.nodes.monitor.metrics import CONTACT_FRACTION
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.nodes.sensor.scenes import SCENES, open_scene
+from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
 
-Floats = npt.NDArray[np.float32]
+from .evaluate import in_contact
 
 
 def scene_frames(
@@ -31,7 +30,7 @@ def scene_frames(
     seed : int
         Of the scene and of the noise.
     first, stop, every : int
-        Which frames; `stop` None: to the end of the scene.
+        Frames to yield; `stop` None: to the end of the scene.
 
     Yields
     ------
@@ -45,11 +44,6 @@ def scene_frames(
         taxels = noise.apply(truth, rng)
         if k >= first and (k - first) % every == 0:
             yield truth, taxels
-
-
-def in_contact(truth: Floats, f_max_n: float) -> bool:
-    """Whether some taxel bears more than 0.4 % of the range, 0.01 N of 2.5 N."""
-    return bool(truth.max() > CONTACT_FRACTION * f_max_n)
 
 
 @cache

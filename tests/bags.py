@@ -16,7 +16,8 @@ from sparseskin.messages import (
     Truth,
     encode,
 )
-from sparseskin.nodes.recorder.bag_writer import BagWriter
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.recorder.bag.writer import BagWriter
 
 PERIOD_NS = 10_000_000
 LAG_NS = 700
@@ -75,16 +76,24 @@ def frames(n_frames: int, patch: str = "skin") -> list[Message]:
 
 def record(writer: BagWriter, message: Message) -> bytes:
     """Write a message as the recorder does; its payload."""
-    topic, payload = encode(message)
-    writer.write(
-        topic.decode(),
-        payload,
-        schema=message.schema,
-        version=message.version,
-        log_time_ns=message.stamp_ns + LAG_NS,
-        stamp_ns=message.stamp_ns,
-    )
-    return payload
+    writer.record(message, message.stamp_ns + LAG_NS)
+    return encode(message)[1]
+
+
+class FakeClock:
+    """A monotonic clock in seconds that stands still."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def on_disk(path: Path) -> list[bytes]:
+    """Payloads that a reader finds in a bag that is still being written."""
+    with BagReader(path.with_name(path.name + ".part")) as bag:
+        return [message.payload for message in bag.messages()]
 
 
 def make_bag(path: Path, messages: list[Message], flush_every: int = 40) -> list[bytes]:

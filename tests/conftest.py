@@ -13,8 +13,12 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import hypothesis
 import pytest
 
+# No test fails because the host is busy.
+hypothesis.settings.register_profile("busy host", deadline=None)
+hypothesis.settings.load_profile("busy host")
 # Numpy, the reference, in all processes, unless a test asks for compiled loops.
 os.environ.setdefault("SPARSESKIN_FAST", "off")
 
@@ -59,7 +63,7 @@ class Program:
             environment["PYTHONPATH"] = str(pythonpath)
         self._stderr = ""
         self.process = subprocess.Popen(
-            [*prefix, sys.executable, "-m", "sparseskin.launch.entry", *arguments],
+            [*prefix, sys.executable, "-m", "sparseskin.launch.commands.entry", *arguments],
             cwd=cwd,
             env=environment,
             stdout=subprocess.PIPE,
@@ -95,7 +99,7 @@ class Program:
 
     def pid_of(self, node: str) -> int:
         """Process number of a node."""
-        ending = f"sparseskin.nodes.run_node {node}"
+        ending = f"sparseskin.nodes.process.run_node {node}"
         (pid,) = (pid for pid, line in self.survivors().items() if line.strip().endswith(ending))
         return pid
 

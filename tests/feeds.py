@@ -12,10 +12,10 @@ import pytest
 from bags import frame, skin_state
 
 from sparseskin.messages import Message, SkinState
-from sparseskin.nodes.monitor import feed as feed_module
-from sparseskin.nodes.monitor import screen as screen_module
-from sparseskin.nodes.monitor import stream as stream_module
-from sparseskin.nodes.monitor.feed import Feed
+from sparseskin.nodes.monitor.live import feed as feed_module
+from sparseskin.nodes.monitor.live import screen as screen_module
+from sparseskin.nodes.monitor.live import stream as stream_module
+from sparseskin.nodes.monitor.live.feed import Feed
 from sparseskin.nodes.monitor.metrics import PatchMetrics
 
 BEGIN_S = 1000.0
@@ -67,13 +67,13 @@ class Graph:
 
     def summarise(self) -> None:
         summaries = {patch: metrics.summary() for patch, metrics in self.metrics.items()}
-        self.feed.tell(summaries=summaries)
+        self.feed.update(summaries=summaries)
 
     def answer(self, number: object = "") -> None:
-        self.feed.tell(answer={"id": number})
+        self.feed.update(answer={"id": number})
 
     def close(self) -> None:
-        self.feed.tell(closed=True)
+        self.feed.update(closed=True)
 
 
 def node_state(name: str, **changes: Any) -> dict[str, Any]:

@@ -1,40 +1,28 @@
-"""Settings of a compressor that work, and restore little: known from the study `stability`."""
+"""Settings of a compressor that are valid but reconstruct badly."""
 
 from __future__ import annotations
 
-#: Below N/16 a frame with more than one small pad is not restored, by any solver.
+# Measured on the six scenes by the study `stability`.
 MAX_RATIO = 16.0
-#: Smaller blocks lose more than 3 dB on the touched taxels, against blocks of 32.
+"""Largest ratio N / M: beyond it no solver reconstructs a frame with more than one small pad."""
 MIN_BLOCK = 8
-#: With fewer bits, the steps of a frame's largest measurement hide what its small ones say.
+"""Least block size: smaller ones lose more than 3 dB on the touched taxels against blocks of 32."""
 MIN_BITS = 5
+"""Least bits of a measurement: with fewer, the quantiser's step exceeds the small measurements."""
 
 
 def compression_warnings(
     kind: str, n: int, m: int, block: int, bits: int | None = None
 ) -> list[str]:
-    """What is known to fail with a measurement matrix that can be made.
+    """Return warnings about a valid measurement matrix that is known to reconstruct badly.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of the measurement matrix, as `make_phi` knows it.
-    n, m : int
-        Number of taxels and of measurements.
-    block : int
-        Size of the Hadamard blocks; only "sbhe" has them.
-    bits : int or None
-        Bits of a measurement; None: it is sent as float32.
-
-    Returns
-    -------
-    list of str
-        One line each: what is set, what fails, what is advised.
+    One line each: the setting, its effect, the advised value. `kind`, `n`, `m` and `block` are
+    those of `make_phi`; `bits` are those of a measurement, None for float32.
     """
     warnings = []
     if n > MAX_RATIO * m:
         warnings.append(
-            f"m = {m} of n = {n} taxels: more than one small contact is not restored; "
+            f"m = {m} of n = {n} taxels: more than one small contact is not reconstructed; "
             f"advised: m of {-(-n // int(MAX_RATIO))} or more (N/{MAX_RATIO:g})"
         )
     if kind == "subsample" and m < n:

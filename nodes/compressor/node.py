@@ -1,8 +1,7 @@
-"""The compressor, at the edge: N taxels in, M linear combinations of them out."""
+"""The compressor node, at the edge: N taxels in, M linear combinations of them out."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -10,26 +9,37 @@ from typing import Any, Self
 import numpy as np
 
 from sparseskin.messages import Measurements, Message, PhiState, SkinState, Taxels, topic_of
+from sparseskin.nodes.compressor.phi.acts import (
+    ActsPhi,
+    ActsSearch,
+    force_threshold,
+    packed_places,
+)
+from sparseskin.nodes.compressor.phi.base import KINDS, Phi, make_phi
+from sparseskin.nodes.compressor.phi.rotation import (
+    FIXED,
+    ROTATING,
+    ROWS,
+    check_rotates,
+    m_of,
+    row_subsets,
+)
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
 from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
-from .acts import ActsPhi, packed_places
-from .acts_search import ActsSearch, force_threshold
 from .limits import compression_warnings
-from .phi import KINDS, Phi, make_phi
 from .quantiser import quantised
-from .rotation import FIXED, ROTATING, ROWS, check_rotates, phases_of
 
 
 @dataclass(frozen=True)
 class CompressorSettings(PatchSettings):
-    """What a compressor can be told."""
+    """Settings of the compressor node."""
 
     phi: str = setting(
         "sbhe",
-        "measurement matrix: sbhe, full, subsample, gaussian, acts (taxels chosen anew each "
+        "measurement matrix: sbhe, full, subsample, gaussian, acts (taxels chosen anew in each "
         "frame, for the solver interpolation) or module:Class",
         known=KINDS,
     )
@@ -44,12 +54,12 @@ class CompressorSettings(PatchSettings):
         None, "number of measurements M, in place of ratio", low=1, high=2**20, live=True
     )
     bits: int | None = setting(
-        None, "bits of a measurement; float32 where not stated", low=4, high=16, live=True
+        None, "bits of a measurement; float32 if not stated", low=4, high=16, live=True
     )
     rows: str = setting(
         FIXED,
-        "rows of the measurement matrix: fixed, the same M in every frame; or rotating, other M "
-        "in each of N / M frames, rounded up, until all have been read",
+        "rows of the measurement matrix: fixed, the same M in every frame; or rotating, another "
+        "subset of M in each of N / M frames, rounded up, which together read all rows",
         choices=ROWS,
         live=True,
     )
@@ -65,19 +75,18 @@ class CompressorSettings(PatchSettings):
             raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
 
     def changed(self, changes: Mapping[str, Any]) -> Self:
-        """As in `Settings`; a ratio that is stated last counts, and no M from before."""
+        """As in `Settings`; a newly stated ratio replaces an earlier M."""
         return super().changed({"m": None, **changes} if "ratio" in changes else changes)
 
     def n_measurements(self, n: int) -> int:
-        """M for a skin of `n` taxels."""
+        """Return M for a skin of `n` taxels."""
         if self.phi == "full":
             return n
         if self.m is not None:
             return self.m
         if self.ratio > n:
             raise PhiError(f"ratio: {self.ratio:g} leaves no measurement of {n} taxels")
-        # One row more, where it divides no further, saves a turn that would read few new ones.
-        return math.ceil(n / self.ratio) if self.rows == ROTATING else int(n / self.ratio)
+        return m_of(n, self.ratio, self.rows)
 
 
 class Compressor(Node[CompressorSettings]):
@@ -89,8 +98,8 @@ class Compressor(Node[CompressorSettings]):
         super().__init__(settings, context)
         settings.check()
         self._state: SkinState | None = None
-        self._phases: list[Phi] = []
-        self._turn = 0
+        self._subsets: list[Phi] = []  # one matrix a row subset
+        self._subset = 0
         self._search: ActsSearch | None = None
         self._cells: np.ndarray[tuple[int], np.dtype[np.intp]] | None = None
 
@@ -112,8 +121,8 @@ class Compressor(Node[CompressorSettings]):
         before, self.settings = self.settings, settings
         if self._state is None:
             return ()
-        if replace(settings, bits=before.bits) == before and self._phases:
-            self._warn(self._phases[0])
+        if replace(settings, bits=before.bits) == before and self._subsets:
+            self._warn(self._subsets[0])
             return ()  # the same Phi
         try:
             return (self._learn_skin(self._state, self.context.clock.now_ns()),)
@@ -122,29 +131,28 @@ class Compressor(Node[CompressorSettings]):
             raise
 
     def state(self) -> dict[str, Any]:
-        known = {"m": self._phases[0].m, "n": self._phases[0].n} if self._phases else {}
+        known = {"m": self._subsets[0].m, "n": self._subsets[0].n} if self._subsets else {}
         return {**known, "bits": self.settings.bits, "rows": self.settings.rows}
 
     def status(self) -> str:
-        if not self._phases:
+        if not self._subsets:
             return ""
-        phi = self._phases[0]
-        rotating = ", rotating rows" if len(self._phases) > 1 else ""
+        phi = self._subsets[0]
+        rotating = ", rotating rows" if len(self._subsets) > 1 else ""
         return f"{phi.kind} {phi.m} x {phi.n}{rotating}"
 
     def _learn_skin(self, state: SkinState, stamp_ns: int) -> PhiState:
-        """Make Phi for a skin, and say which; it holds from `stamp_ns` on."""
+        """Make Phi for a skin; return its description, valid from `stamp_ns` on."""
         n = state.skin.n_taxels
         s = self.settings
         phi = make_phi(s.phi, n=n, m=s.n_measurements(n), seed=s.seed, block=s.block)
-        phases = phases_of(phi, s.rows)
+        subsets = row_subsets(phi, s.rows)
         self._warn(phi)
-        self._state, self._phases, self._turn = state, phases, 0
+        self._state, self._subsets, self._subset = state, subsets, 0
         self._cells = None if state.mask is None else np.flatnonzero(state.mask)
         if isinstance(phi, ActsPhi):
             exists = np.ones(state.skin.shape, np.bool_) if state.mask is None else state.mask
-            threshold = force_threshold(state.sigma_end, state.f_max)
-            self._search = ActsSearch(exists, phi.m, threshold)
+            self._search = ActsSearch(exists, phi.m, force_threshold(state.sigma_end, state.f_max))
         return PhiState(
             stamp_ns=stamp_ns,
             patch=s.patch,
@@ -158,7 +166,6 @@ class Compressor(Node[CompressorSettings]):
         )
 
     def _warn(self, phi: Phi) -> None:
-        """Say what is known to fail with the settings."""
         s = self.settings
         for warning in compression_warnings(s.phi, phi.n, phi.m, phi.block, s.bits):
             self.context.log(warning)
@@ -174,8 +181,8 @@ class Compressor(Node[CompressorSettings]):
         x = taxels.forces.reshape(-1)
         if self._cells is not None:
             x = x[self._cells]
-        phi = self._phases[self._turn]
-        self._turn = (self._turn + 1) % len(self._phases)
+        phi = self._subsets[self._subset]
+        self._subset = (self._subset + 1) % len(self._subsets)
         places = None
         if isinstance(phi, ActsPhi) and self._search is not None:
             found = self._search.places(x.take)

@@ -1,23 +1,22 @@
-"""The edge's quantiser: measurements in few bits."""
+"""The quantiser at the edge: measurements in few bits."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from sparseskin.messages.quantised import Quantised, largest_code
-
-from .calls import Floats
+from sparseskin.nodes.numerics.arrays import Floats
 
 SMALLEST = 1e-12
-"""A frame of zeros has no largest value; any step will do for it."""
+"""Least scale of a frame, newtons: a frame of zeros needs some step above 0. Chosen."""
 
 
 def quantised(y: Floats, bits: int) -> Quantised:
-    """Round a frame's measurements to `bits` bits; the step is a frame's own and goes with it.
+    """Round the measurements of a frame to `bits` bits.
 
-    The largest measurement of the frame sets the step, so that none is clipped: the steps are
-    small where the forces are. The error is at most half a step (and a float32's rounding), and
-    as good as uniform: its standard deviation is step / sqrt(12).
+    Codes are round(y / step), with step = max |y| / (2^(bits - 1) - 1) of this frame, which is
+    published with them: none is clipped. The error is at most half a step (and the rounding of
+    a float32), and nearly uniform: its standard deviation is step / sqrt(12).
 
     Parameters
     ----------
@@ -26,6 +25,8 @@ def quantised(y: Floats, bits: int) -> Quantised:
     bits : int
         2..24.
 
+    Notes
+    -----
     Source: uniform mid-tread quantiser; Widrow, Kollar, "Quantization Noise", Cambridge
     University Press, 2008, chapter 1.
     """

@@ -1,14 +1,14 @@
-"""How good and how fast one patch is, frame by frame, against the best reference there is."""
+"""Accuracy, latency and losses of one patch, frame by frame, against the truth where known."""
 
 from __future__ import annotations
 
 import math
 from collections import OrderedDict, deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages import (
     Measurements,
@@ -21,24 +21,26 @@ from sparseskin.messages import (
     Taxels,
     Truth,
     size_bytes,
+    topic_of,
 )
 from sparseskin.messages.quantised import Quantised
+from sparseskin.messages.skin import CONTACT_FRACTION
+from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate
+from sparseskin.nodes.numerics.arrays import Floats
 
-from .delay import ClockOf, Delay, same_clock
 from .statistics import Extent, Quantiles
 
 PSNR_CAP_DB = 100.0
-CONTACT_FRACTION = 0.004
-"""A frame is in contact where some taxel bears more than this part of f_max: 0.01 N of 2.5 N."""
 FLOAT_BITS = 32
-"""Bits of a taxel's reading as it is published."""
+"""Bits of a published taxel reading, float32."""
 JOINING_NS = 1_000_000_000
-"""Who joins late hears one topic before the other: frames of so long a time are no loss then."""
+"""A late subscriber receives one topic before another: frames missed for this long are not lost."""
 MAX_PENDING = 512
-"""Frames that wait for their reconstruction; older ones are given up."""
+"""Most frames that wait for their reconstruction; the oldest is dropped as unpaired."""
 RECENT = 100
+"""Frames of the recent mean PSNR."""
 
-Floats = npt.NDArray[np.float32]
+ClockOf = Callable[[str], ClockEstimate | None]
 
 
 def psnr_db(error: Floats, f_max: float) -> float:
@@ -47,7 +49,7 @@ def psnr_db(error: Floats, f_max: float) -> float:
     Parameters
     ----------
     error : ndarray of float32, any shape
-        Differences from the reference, in the unit of f_max.
+        Differences from the reference, in the unit of `f_max`.
     f_max : float
         Upper end of the range.
 
@@ -79,9 +81,9 @@ class Quality:
 
 @dataclass
 class StreamCount:
-    """How many messages a topic has had, over all runs of its publisher.
+    """Number of messages of a topic, over all runs of its publisher.
 
-    Who joins `late` counts from the first message it sees.
+    A `late` subscriber counts from the first message it receives.
     """
 
     late: bool = False
@@ -100,7 +102,7 @@ class StreamCount:
         return self.before + message.seq + 1
 
     def end(self, n_messages: int) -> None:
-        """The publisher says how many there were in its run."""
+        """Set the number of messages of the current run, as its publisher counted them."""
         self.in_run = max(self.in_run, n_messages)
 
     @property
@@ -108,50 +110,61 @@ class StreamCount:
         return self.before + self.in_run
 
 
-@dataclass(frozen=True)
-class Judged:
-    """One frame with all that belongs to it, and its figures; unknown ones are nan.
+def same_clock(topic: str) -> ClockEstimate:
+    """Clock of a topic's publisher in a graph on one host."""
+    return SAME_CLOCK
 
-    `lost` counts the frames up to this one that were sensed and neither reconstructed nor skipped
-    on purpose.
+
+class Delay:
+    """Latency of reconstructions on the clock of the monitor's host.
+
+    `clock_of` takes a topic and returns the clock estimate of its publisher, None while unknown.
+    `uncertainty_ns` is the largest uncertainty of a latency so far; 0 on one host.
     """
 
-    taxels: Taxels
-    truth: Truth | None
-    reconstruction: Reconstruction
-    resultant: Resultant | None
-    psnr_noisy_db: float
-    psnr_db: float
-    latency_ms: float
-    solve_ms: float
-    lost: int
+    def __init__(self, clock_of: ClockOf) -> None:
+        self._clock_of = clock_of
+        self.uncertainty_ns = 0
+
+    def of(self, message: Reconstruction) -> int | None:
+        """Time from acquisition to reconstruction in ns; None while a clock is unknown."""
+        acquired = self._clock_of(topic_of(message.patch, Taxels.schema))
+        reconstructed = self._clock_of(topic_of(message.patch, Reconstruction.schema))
+        if acquired is None or reconstructed is None:
+            return None
+        if acquired is not reconstructed:
+            uncertainty_ns = acquired.uncertainty_ns + reconstructed.uncertainty_ns
+            self.uncertainty_ns = max(self.uncertainty_ns, uncertainty_ns)
+        ahead_ns = reconstructed.offset_ns - acquired.offset_ns
+        return message.done_ns - message.stamp_ns - ahead_ns
 
 
 @dataclass
-class _Pending:
+class FrameMetrics:
+    """Messages of one frame, and its figures once it is complete; unknown ones are nan.
+
+    `lost` is the number of frames up to this one that were sensed and neither reconstructed nor
+    skipped on purpose.
+    """
+
     taxels: Taxels | None = None
     truth: Truth | None = None
     reconstruction: Reconstruction | None = None
     resultant: Resultant | None = None
-    latency_ns: int | None = None
+    psnr_noisy_db: float = math.nan
+    psnr_db: float = math.nan
+    latency_ms: float = math.nan
+    solve_ms: float = math.nan
+    lost: int = 0
     n_sensed: int = 0
     n_answered: int = 0
 
 
 class PatchMetrics:
-    """Pairs a patch's messages by stamp and keeps the figures of its summary.
+    """Pairs a patch's messages by stamp and accumulates the figures of its summary.
 
-    Parameters
-    ----------
-    late : bool
-        Whether the graph already ran when the first message came.
-    clock_of : callable
-        Tells how far the clock of a topic's writer is ahead.
-
-    Attributes
-    ----------
-    latency_ns : int or None
-        Of the last reconstruction; None while a clock is not known.
+    `late` is true if the graph already ran when the monitor joined it; `clock_of` as in `Delay`.
+    `latency_ns` is the latency of the last reconstruction; None while a clock is unknown.
     """
 
     def __init__(self, late: bool = False, clock_of: ClockOf = same_clock) -> None:
@@ -161,7 +174,7 @@ class PatchMetrics:
         self.phi: PhiState | None = None
         self.solver: SolverState | None = None
         self.noisy = Quality()
-        self.restored = Quality()
+        self.reconstruction = Quality()
         self.relative_error = Extent()
         self.latency = Quantiles()
         self.solve = Quantiles()
@@ -172,30 +185,30 @@ class PatchMetrics:
         self.bits: int | None = None
         self.lost_so_far = self.skipped = 0
         self.unpaired = 0
-        self._pending: OrderedDict[int, _Pending] = OrderedDict()
+        self._pending: OrderedDict[int, FrameMetrics] = OrderedDict()
 
     @property
     def latency_uncertainty_ms(self) -> float:
-        """By how much a latency may be wrong, because the clocks of two hosts are; 0 on one."""
+        """Uncertainty of a latency across the clocks of two hosts; 0 on one."""
         return self._delay.uncertainty_ns / 1e6
 
     @property
     def sensed(self) -> int:
-        """Frames that were sensed."""
+        """Number of sensed frames."""
         return self._sensed.total
 
     @property
     def reconstructed(self) -> int:
-        """Frames that were reconstructed."""
+        """Number of reconstructed frames."""
         return self._reconstructed.total
 
     @property
     def lost(self) -> int:
-        """Frames that were sensed, and neither reconstructed nor skipped on purpose."""
+        """Number of frames that were sensed, and neither reconstructed nor skipped on purpose."""
         return max(0, self.sensed - self.reconstructed - self.skipped)
 
-    def add(self, message: Message) -> Judged | None:
-        """Take in one message of the patch; return the frame that it completes, if any."""
+    def add(self, message: Message) -> FrameMetrics | None:
+        """Add one message of the patch; return the frame that it completes, if any."""
         match message:
             case SkinState():
                 self.skin = message
@@ -213,11 +226,11 @@ class PatchMetrics:
                     self._first_ns = message.stamp_ns
                 frame = self._pair(message.stamp_ns)
                 frame.taxels, frame.n_sensed = message, self._sensed.add(message)
-                return self._settle(message.stamp_ns)
+                return self._evaluate(message.stamp_ns)
             case Truth():
                 self._pair(message.stamp_ns).truth = message
-                return self._settle(message.stamp_ns)
-            # Who joins late leaves out frames of which it has not seen the taxels.
+                return self._evaluate(message.stamp_ns)
+            # A late subscriber ignores frames whose taxels it has not received.
             case Resultant() | Reconstruction() if (
                 self._first_ns is None or message.stamp_ns < self._first_ns
             ):
@@ -235,20 +248,22 @@ class PatchMetrics:
                     self.skipped += message.skipped
                 frame = self._pair(message.stamp_ns)
                 frame.reconstruction = message
-                frame.latency_ns = self.latency_ns
+                frame.solve_ms = message.solve_ns / 1e6
+                if self.latency_ns is not None:
+                    frame.latency_ms = self.latency_ns / 1e6
                 frame.n_answered = self._reconstructed.add(message) + self.skipped
-                return self._settle(message.stamp_ns)
+                return self._evaluate(message.stamp_ns)
         return None
 
     def end(self, schema: str, n_messages: int) -> None:
-        """A topic has ended after n_messages: the publisher's own count is the right one."""
+        """End a topic after n_messages: the publisher's own count is the right one."""
         if schema == Taxels.schema:
             self._sensed.end(n_messages)
         elif schema == Reconstruction.schema:
             self._reconstructed.end(n_messages)
 
     def _join(self, stamp_ns: int) -> None:
-        """Leave out frames whose taxels came before reconstructions could be heard at all."""
+        """Ignore frames whose taxels came before reconstructions were received."""
         self._joining = False
         first = self._pending.get(stamp_ns)
         assert self._first_ns is not None
@@ -263,79 +278,67 @@ class PatchMetrics:
         self._first_ns = stamp_ns
 
     def _absent_bytes(self, taxels: Taxels) -> int:
-        """Bytes of masked cells: a real skin has no wires there, so they must not count."""
+        """Bytes of masked cells: a real skin has no wires there."""
         if self.skin is None or self.skin.mask is None:
             return 0
         return (taxels.forces.size - self.skin.skin.n_taxels) * taxels.forces.itemsize
 
-    def _pair(self, stamp_ns: int) -> _Pending:
+    def _pair(self, stamp_ns: int) -> FrameMetrics:
         if stamp_ns not in self._pending:
-            self._pending[stamp_ns] = _Pending()
+            self._pending[stamp_ns] = FrameMetrics()
             if len(self._pending) > MAX_PENDING:
                 self._pending.popitem(last=False)
                 self.unpaired += 1
         return self._pending[stamp_ns]
 
-    def _settle(self, stamp_ns: int) -> Judged | None:
-        """Judge a frame once all that belongs to it has come."""
+    def _evaluate(self, stamp_ns: int) -> FrameMetrics | None:
+        """Evaluate a frame once all its messages have arrived."""
         frame = self._pending[stamp_ns]
         if self.skin is None or frame.taxels is None or frame.reconstruction is None:
             return None
         if self.skin.has_truth and frame.truth is None:
             return None
         del self._pending[stamp_ns]
-        # Both streams count the same frames, so a lag of numbers is what has been lost.
-        self.lost_so_far = max(0, frame.n_sensed - frame.n_answered)
+        # Both streams count the same frames: the difference of their counts is lost.
+        frame.lost = self.lost_so_far = max(0, frame.n_sensed - frame.n_answered)
         cells = self.skin.mask if self.skin.mask is not None else slice(None)
         taxels = frame.taxels.forces[cells]
-        restored = frame.reconstruction.forces[cells]
+        forces = frame.reconstruction.forces[cells]
         f_max = self.skin.f_max
         reference = taxels if frame.truth is None else frame.truth.forces[cells]
         in_contact = float(reference.max()) > CONTACT_FRACTION * f_max
-        noisy_db = math.nan
         if frame.truth is not None:
-            noisy_db = psnr_db(taxels - reference, f_max)
-            self.noisy.add(noisy_db, in_contact)
-        error = restored - reference
-        restored_db = psnr_db(error, f_max)
-        self.restored.add(restored_db, in_contact)
+            frame.psnr_noisy_db = psnr_db(taxels - reference, f_max)
+            self.noisy.add(frame.psnr_noisy_db, in_contact)
+        error = forces - reference
+        frame.psnr_db = psnr_db(error, f_max)
+        self.reconstruction.add(frame.psnr_db, in_contact)
         if in_contact:
             norm = float(np.linalg.norm(reference))
             self.relative_error.add(float(np.linalg.norm(error)) / norm)
-        reconstruction = frame.reconstruction
-        return Judged(
-            taxels=frame.taxels,
-            truth=frame.truth,
-            reconstruction=reconstruction,
-            resultant=frame.resultant,
-            psnr_noisy_db=noisy_db,
-            psnr_db=restored_db,
-            latency_ms=math.nan if frame.latency_ns is None else frame.latency_ns / 1e6,
-            solve_ms=reconstruction.solve_ns / 1e6,
-            lost=self.lost_so_far,
-        )
+        return frame
 
     def summary(self) -> dict[str, Any]:
-        """The patch's part of the summary; figures that are not known are None."""
-        n = self.phi.n if self.phi else None
-        m = self.phi.m if self.phi else None
-        has_truth = self.skin.has_truth if self.skin else None
+        """The patch's part of the summary; unknown figures are None."""
+        skin, phi, solver = self.skin, self.phi, self.solver
+        n = phi.n if phi else None
+        m = phi.m if phi else None
         return {
-            "scene": self.skin.source if self.skin else None,
-            "phi": self.phi.kind if self.phi else None,
-            "rows": self.phi.rows if self.phi else None,
-            "basis": self.solver.basis if self.solver else None,
-            "solver": self.solver.solver if self.solver else None,
-            "preset": self.solver.preset if self.solver else None,
-            "iterations": self.solver.iterations if self.solver else None,
-            "max_iterations": self.solver.max_iterations if self.solver else None,
+            "scene": skin.source if skin else None,
+            "phi": phi.kind if phi else None,
+            "rows": phi.rows if phi else None,
+            "basis": solver.basis if solver else None,
+            "solver": solver.solver if solver else None,
+            "preset": solver.preset if solver else None,
+            "iterations": solver.iterations if solver else None,
+            "max_iterations": solver.max_iterations if solver else None,
             "n": n,
             "m": m,
             "ratio": n / m if n and m else None,
             "bits": self.bits,
             "ratio_bits": FLOAT_BITS * n / (m * self.bits) if n and m and self.bits else None,
-            "f_max": self.skin.f_max if self.skin else None,
-            "unit": self.skin.unit if self.skin else None,
+            "f_max": skin.f_max if skin else None,
+            "unit": skin.unit if skin else None,
             "frames": {
                 "sensed": self.sensed,
                 "reconstructed": self.reconstructed,
@@ -343,10 +346,10 @@ class PatchMetrics:
                 "lost": self.lost,
                 "unpaired": self.unpaired + len(self._pending),
             },
-            "reference": {True: "truth", False: "taxels", None: None}[has_truth],
+            "reference": ("truth" if skin.has_truth else "taxels") if skin else None,
             "psnr_db": {
                 "noisy": self.noisy.summary(),
-                "reconstruction": self.restored.summary(),
+                "reconstruction": self.reconstruction.summary(),
             },
             "relative_error": self.relative_error.summary(),
             "latency_ms": self.latency.summary(),

@@ -1,12 +1,11 @@
-"""The monitor: watches patches and says how good, how fast and how complete they are."""
+"""The monitor: measures accuracy, latency and losses of patches, and shows them."""
 
 from __future__ import annotations
 
 import os
-import webbrowser
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sparseskin.messages import (
     Measurements,
@@ -25,21 +24,22 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import Settings, check_patch, setting
 
-from .feed import Feed
 from .metrics import PatchMetrics
-from .notices import Notices
-from .screen import screen
-from .server import PageServer
 from .table import status_line
 
+if TYPE_CHECKING:
+    from .live.feed import Feed
+    from .live.server import PageServer
+
 SUMMARY_EVERY_NS = 500_000_000
+"""Period in which the live page gets a new summary."""
 REQUIRED = (SkinState, Taxels, Truth, PhiState, Measurements, SolverState, Reconstruction)
 WATCHED = (*REQUIRED, Resultant)
 
 
 @dataclass(frozen=True)
 class MonitorSettings(Settings):
-    """What a monitor can be told."""
+    """Settings of the monitor node."""
 
     patches: tuple[str, ...] = setting(("skin",), "names of the patches to watch")
     page: bool = setting(True, "serve a live page on 127.0.0.1, where the graph has a launcher")
@@ -58,11 +58,14 @@ class MonitorSettings(Settings):
 
 
 class Monitor(Node[MonitorSettings]):
-    """Publishes nothing; its status is a line, its report the summary of every patch."""
+    """Publishes nothing; its status is a line, its report the summary of every patch.
+
+    The live page and its web server are imported when they are used.
+    """
 
     Settings = MonitorSettings
     watches = True
-    # Nobody sees 8 ms, and the messages of a frame cost half as much when they come at once.
+    # Not visible to a person, and a frame's messages cost half as much when read together.
     patience_s = 0.008
 
     def __init__(self, settings: MonitorSettings, context: Context) -> None:
@@ -73,8 +76,8 @@ class Monitor(Node[MonitorSettings]):
         self._feed: Feed | None = None
         self._page: PageServer | None = None
         self._next_summary_ns = 0
-        self._said_ns = context.clock.now_ns()
-        self._said_frames = dict.fromkeys(settings.patches, 0)
+        self._status_ns = context.clock.now_ns()
+        self._status_frames = dict.fromkeys(settings.patches, 0)
 
     @classmethod
     def inputs(cls, settings: MonitorSettings) -> tuple[str, ...]:
@@ -87,29 +90,34 @@ class Monitor(Node[MonitorSettings]):
     def start(self) -> Iterable[Message]:
         ask = self.context.ask
         if (self.settings.page and ask is not None) or self.settings.screen:
+            from .live.feed import Feed
+            from .live.notices import Notices
+
             self._feed = Feed(self.settings.patches)
             self._notices = Notices(self._feed)
         if self._feed is not None and self.settings.page and ask is not None:
+            from .live.server import PageServer
+
             self._page = PageServer(self._feed, self._notices, self.settings.port, ask)
             port = self.settings.port
-            taken = f" (port {port} is taken)" if port and not self._page.has(port) else ""
+            taken = f" (port {port} is taken)" if port not in (0, self._page.port) else ""
             self.context.log(f"live page: {self._page.url}{taken}")
             if self.settings.browser and not _open_browser(self._page.url):
-                self.context.log("no browser could be opened here; open the address by hand")
+                self.context.log("no browser could be opened here; open the address yourself")
         return ()
 
     def step(self, message: Message) -> Iterable[Message]:
         metrics = self._patches[message.patch]
-        judged = metrics.add(message)
+        complete = metrics.add(message)
         if self._feed is not None:
-            self._feed.frame(message.patch, message, judged, metrics.latency_ns)
+            self._feed.frame(message.patch, message, complete, metrics.latency_ns)
         return ()
 
     def ended(self, topic: str, n_messages: int) -> Iterable[Message]:
         patch, schema = split_topic(topic)
         self._patches[patch].end(schema, n_messages)
         if self._feed is not None and schema == Reconstruction.schema:
-            self._feed.tell(summaries=self.report()["patches"], ended=patch)
+            self._feed.update(summaries=self.report()["patches"], ended=patch)
         return ()
 
     def idle(self) -> None:
@@ -119,32 +127,34 @@ class Monitor(Node[MonitorSettings]):
         now_ns = self.context.clock.now_ns()
         if now_ns >= self._next_summary_ns:
             self._next_summary_ns = now_ns + SUMMARY_EVERY_NS
-            self._feed.tell(summaries=self.report()["patches"])
+            self._feed.update(summaries=self.report()["patches"])
 
     def command(self, name: str, value: Any) -> str:
-        """Take news of the graph, and answers to what pages asked for, from the launcher."""
+        """Accept the state of the graph, and answers to requests of pages, from the launcher."""
         if name not in ("graph", "answer"):
             return super().command(name, value)
         if self._feed is not None:
-            self._feed.tell(**{name: value})
+            self._feed.update(**{name: value})
         return ""
 
     def close(self, counts: dict[str, Any]) -> None:
         if self._feed is not None:
-            self._feed.tell(summaries=self.report()["patches"])
+            self._feed.update(summaries=self.report()["patches"])
         if self._page is not None:
             self._page.close()
 
     def status(self) -> str:
         if self._feed is not None and self.settings.screen:
+            from .live.screen import screen
+
             return screen(self._feed, self._notices)
         now_ns = self.context.clock.now_ns()
-        seconds = (now_ns - self._said_ns) / 1e9
-        self._said_ns = now_ns
+        seconds = (now_ns - self._status_ns) / 1e9
+        self._status_ns = now_ns
         lines = []
         for patch, metrics in self._patches.items():
-            new = metrics.reconstructed - self._said_frames[patch]
-            self._said_frames[patch] = metrics.reconstructed
+            new = metrics.reconstructed - self._status_frames[patch]
+            self._status_frames[patch] = metrics.reconstructed
             lines.append(status_line(patch, metrics, new / seconds if seconds > 0 else 0.0))
         return "  ||  ".join(lines)
 
@@ -153,6 +163,8 @@ class Monitor(Node[MonitorSettings]):
 
 
 def _open_browser(url: str) -> bool:
-    # Without a display a text browser would take the terminal of the graph.
+    import webbrowser
+
+    # Without a display a text browser would occupy the terminal of the graph.
     has_display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
     return has_display and webbrowser.open(url)

@@ -1,4 +1,4 @@
-"""The monitor on a terminal: one line while the graph runs, a table at its end."""
+"""Text of the monitor for a terminal: a line while the graph runs, a table at its end."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ NONE = "-"
 
 
 def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
-    """One line, meant for 80 columns, on how a patch is doing just now: PSNR of the taxels and
-    of the reconstruction over the last 100 frames, latency p50 and p99 since the start.
+    """State of a patch in one line of about 80 columns: PSNR of the taxels and of the
+    reconstruction over the last 100 frames, latency p50 and p99 since the start.
     """
     parts = [
         f"{patch}: {metrics.reconstructed} frames, {rate_hz:.0f} Hz, lost {metrics.lost_so_far}"
     ]
     if metrics.noisy.recent:
-        parts.append(f"PSNR {_recent(metrics.noisy)} -> {_recent(metrics.restored)} dB")
-    elif metrics.restored.recent:
-        parts.append(f"PSNR to taxels {_recent(metrics.restored)} dB")
+        parts.append(f"PSNR {_recent(metrics.noisy)} -> {_recent(metrics.reconstruction)} dB")
+    elif metrics.reconstruction.recent:
+        parts.append(f"PSNR to taxels {_recent(metrics.reconstruction)} dB")
     latency = metrics.latency.summary()
     if latency:
         parts.append(f"latency {latency['p50']:.1f}/{latency['p99']:.1f} ms")
@@ -52,7 +52,7 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
         f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
         f"range 0..{shown(patch['f_max'], 'g')} {patch['unit']}"
         + (f", {patch['bits']} bits" if patch["bits"] not in (NONE, FLOAT_BITS) else ""),
-        f"restored    {patch['solver']}"
+        f"solver      {patch['solver']}"
         + (f" in {patch['basis']}" if patch["basis"] else "")
         + f", {_iterations(patch)}"
         + (f" (preset {patch['preset']})" if patch["preset"] not in ("", NONE) else ""),
@@ -79,7 +79,7 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
 
 
 def _iterations(patch: Mapping[str, Any]) -> str:
-    """How many iterations a frame has: a number, or where the solver chooses, its range."""
+    """Iterations a frame: a number, or the range of an adaptive solver."""
     least, most = patch["iterations"], patch["max_iterations"]
     adaptive = most not in (NONE, 0) and most > least
     return f"adaptive, {least} to {most} iterations" if adaptive else f"{least} iterations"
@@ -90,7 +90,7 @@ def _extent(extent: Mapping[str, float], form: str) -> str:
 
 
 def shown(value: float | str | None, form: str) -> str:
-    """A number in a format; "-" where it is not known."""
+    """A number in a format; "-" if unknown."""
     if value is None:
         return NONE
     return value if isinstance(value, str) else format(value, form)

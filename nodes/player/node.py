@@ -1,4 +1,4 @@
-"""The player: publishes what was recorded, when it was recorded, at any rate."""
+"""The player: publishes recorded messages at their recorded times, at any rate."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ from typing import Any, ClassVar
 from tqdm import tqdm
 
 from sparseskin.messages import Message, MessageError, SkinState, Truth, decode, topic_of
+from sparseskin.messages.ranges import is_real
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import RefusedError, SparseskinError
 from sparseskin.nodes.node import Context, SourceNode, Tick
-from sparseskin.nodes.recorder.bag_reader import BagReader
+from sparseskin.nodes.recorder.bag.reader import BagReader
 
 from .schedule import Schedule
 from .settings import PlayerSettings, renamed_topics
 
 LOWEST_RATE, HIGHEST_RATE = 0.001, 1000.0
 MAX_STAMPS = 4096
-"""How many frames may be under way at once before a late message counts as a frame of its own."""
+"""Frames in flight whose new stamps are kept; a later message counts as a frame of its own."""
 
 
 class Player(SourceNode[PlayerSettings]):
     """Publishes recorded messages in the order in which they were recorded.
 
-    A message is due when its stamp is: at t0 + (stamp - first stamp) / rate, an absolute
-    target; a pause moves t0. States (skin, Phi, solver) are published at once.
+    A message is due at t0 + (stamp - first stamp) / rate; a pause moves t0. States (skin, Phi,
+    solver) are published at once.
     """
 
     Settings = PlayerSettings
@@ -39,7 +40,7 @@ class Player(SourceNode[PlayerSettings]):
         "faster": "10 % faster",
         "slower": "10 % slower",
         "rate": "times the recorded speed, 0.001..1000",
-        "seek": "go to a second of the part that is played",
+        "seek": "go to a time in seconds of the played part",
     }
 
     def __init__(self, settings: PlayerSettings, context: Context) -> None:
@@ -53,11 +54,11 @@ class Player(SourceNode[PlayerSettings]):
         self.min_readers = settings.wait or int(settings.lockstep)
         if settings.lockstep:
             self.window = 1
-        streams = [
-            info for t, info in self._bag.topics.items() if t in self._names and not _latched(t)
-        ]
-        first_ns = min((info.first_ns for info in streams if info.n_messages), default=0)
-        last_ns = max((info.last_ns for info in streams if info.n_messages), default=0)
+        self._states = [topic for topic in self._names if _latched(topic)]
+        self._streams = [topic for topic in self._names if not _latched(topic)]
+        infos = [self._bag.topics[topic] for topic in self._streams]
+        first_ns = min((info.first_ns for info in infos if info.n_messages), default=0)
+        last_ns = max((info.last_ns for info in infos if info.n_messages), default=0)
         self._start_ns = first_ns + round(settings.start_s * 1e9)
         self._stop_ns = last_ns + 1
         if settings.duration_s is not None:
@@ -67,7 +68,7 @@ class Player(SourceNode[PlayerSettings]):
         self._n_frames = 0
         self._started_ns = 0
         self._shift_ns = 0
-        # Where states change within the recording, they have to be said again after a jump.
+        # States that change within the recording are published again after a jump.
         self._has_changes = any(
             info.n_messages > 1 for t, info in self._bag.topics.items() if _latched(t)
         )
@@ -84,10 +85,9 @@ class Player(SourceNode[PlayerSettings]):
         return self._states_at(self._start_ns)
 
     def _states_at(self, at_ns: int) -> list[Message]:
-        """The states that hold at a stamp: the last ones by then, else the first ones."""
+        """The states at a stamp: the last ones before it, else the first ones."""
         found: dict[str, Message] = {}
-        states = [topic for topic in self._names if _latched(topic)]
-        for recorded in self._bag.messages(states) if states else ():
+        for recorded in self._bag.messages(self._states):
             if recorded.stamp_ns <= at_ns or recorded.topic not in found:
                 found[recorded.topic] = self._decoded(recorded.topic, recorded.payload)
         return list(found.values())
@@ -107,7 +107,7 @@ class Player(SourceNode[PlayerSettings]):
         return self._schedule.due_ns(self._next.stamp_ns)
 
     def tick(self, tick: Tick) -> Iterable[Message]:
-        """Publish all messages of the next frame that follow one another in the recording."""
+        """Publish the messages of the next frame, which are consecutive in the recording."""
         if self._next is None:
             return
         frame_ns = self._next.stamp_ns
@@ -145,7 +145,7 @@ class Player(SourceNode[PlayerSettings]):
         self._schedule.toggle_pause(self.context.clock.now_ns())
 
     def state(self) -> dict[str, Any]:
-        """Paused or not, the rate, and the position in recorded seconds."""
+        """Pause, rate, and position in recorded seconds."""
         at_ns = self._next.stamp_ns - self._shift_ns if self._next is not None else self._stop_ns
         return {
             "paused": self.paused,
@@ -161,7 +161,7 @@ class Player(SourceNode[PlayerSettings]):
         return f"rate {rate:.3g}"
 
     def _seek(self, stamp_ns: int, now_ns: int) -> None:
-        """Go on from another place of the recording."""
+        """Continue from another position of the recording."""
         if self.exhausted:
             raise RefusedError("seek: the recording has been played to its end")
         shift_ns = self._shift_ns
@@ -179,22 +179,21 @@ class Player(SourceNode[PlayerSettings]):
         self._schedule.seek(stamp_ns, now_ns)
 
     def status(self) -> str:
-        """A progress line: recorded seconds played, of all."""
+        """Progress line with the seconds played."""
         now_ns = self.context.clock.now_ns()
         state = self.state()
         note = "paused" if self.paused else f"rate {self._schedule.rate:.3g}"
-        return str(
-            tqdm.format_meter(
-                round(state["position_s"], 2),
-                round(state["length_s"], 2),
-                max(1e-9, (now_ns - self._started_ns) / 1e9),
-                ncols=78,
-                prefix=f"{self._n_frames} frames",
-                unit="s",
-                postfix=note,
-                bar_format="{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s{postfix}",
-            )
+        meter = tqdm.format_meter(
+            round(state["position_s"], 2),
+            round(state["length_s"], 2),
+            max(1e-9, (now_ns - self._started_ns) / 1e9),
+            ncols=78,
+            prefix=f"{self._n_frames} frames",
+            unit="s",
+            postfix=note,
+            bar_format="{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s{postfix}",
         )
+        return str(meter)
 
     def report(self) -> dict[str, Any]:
         return {"played": {"file": self.settings.file, "frames": self._n_frames}}
@@ -208,14 +207,13 @@ class Player(SourceNode[PlayerSettings]):
             self.exhausted = True
 
     def _read(self, from_ns: int) -> Iterator[Message]:
-        """All messages to play, in order; stamps move on with each round of a loop."""
+        """Yield all messages to play; each repetition of a loop shifts the stamps."""
         shift_ns = 0
-        topics = list(self._names)
-        while any(not _latched(topic) for topic in topics):
+        while self._streams:
             self._shift_ns = shift_ns
             n_read = 0
-            for recorded in self._bag.messages(topics, from_ns, self._stop_ns):
-                latched = _latched(recorded.topic)
+            for recorded in self._bag.messages(self._names, from_ns, self._stop_ns):
+                latched = recorded.topic in self._states
                 if latched and recorded.stamp_ns <= from_ns:
                     continue  # published before
                 message = self._decoded(recorded.topic, recorded.payload)
@@ -241,7 +239,7 @@ class Player(SourceNode[PlayerSettings]):
         return message if patch == message.patch else replace(message, patch=patch)
 
     def _as_played(self, message: Message, now_ns: int) -> Message:
-        """The message with the time of playing as its stamp, one and the same for a frame."""
+        """The message with the time of playing as its stamp, the same for all of a frame."""
         if self.settings.verbatim and self._renumbering is not None:
             return self._renumbering.apply(message)
         if self.settings.verbatim or self.settings.keep_stamps:
@@ -254,8 +252,8 @@ class Player(SourceNode[PlayerSettings]):
 
 
 class _Renumbering:
-    """New run ids and numbers from 0: after a seek the recorded ones would be gaps, or repeats
-    that a reader leaves out.
+    """New run ids and numbers from 0: after a seek, readers would take the recorded numbers for
+    losses or repetitions.
     """
 
     def __init__(self) -> None:
@@ -263,14 +261,14 @@ class _Renumbering:
         self._first: dict[tuple[str, str], int] = {}
 
     def apply(self, message: Message) -> Message:
-        # A publisher that was started again while it was recorded stays another run.
+        # A publisher that was restarted during the recording keeps separate runs.
         run_id = self._run_ids.setdefault(message.run_id, secrets.token_hex(8))
         first = self._first.setdefault((message.topic, message.run_id), message.seq)
         return message.published(run_id, max(0, message.seq - first))
 
 
 def _number(name: str, value: Any, low: float, high: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+    if not is_real(value, low, high):
         raise RefusedError(f"{name}: {value!r} is not allowed (allowed: {low:g}..{high:g})")
     return float(value)
 

@@ -1,4 +1,4 @@
-"""What a player can be told, and which topics it plays under which names."""
+"""Settings of the player node, and the names under which it plays topics."""
 
 from __future__ import annotations
 
@@ -11,34 +11,32 @@ from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.recorder.bag import TopicInfo
-from sparseskin.nodes.recorder.bag_reader import BagReader
+from sparseskin.nodes.recorder.bag.format import TopicInfo
+from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.settings import Settings, setting
 
 
 @dataclass(frozen=True)
 class PlayerSettings(Settings):
-    """What a player can be told."""
+    """Settings of the player node."""
 
     file: str = setting("", "recording to play, NAME.mcap")
     rate: float = setting(
-        1.0, "times the recorded speed; 0: as fast as the readers are done", low=0.0, high=1000.0
+        1.0, "times the recorded speed; 0: as fast as the readers allow", low=0.0, high=1000.0
     )
-    loop: bool = setting(False, "begin again at the end")
-    start_s: float = setting(0.0, "seconds of the recording to leave out", low=0.0, high=1e9)
+    loop: bool = setting(False, "restart at the end")
+    start_s: float = setting(0.0, "seconds of the recording to skip", low=0.0, high=1e9)
     duration_s: float | None = setting(None, "seconds to play", low=0.0, high=1e9)
     paused: bool = setting(False, "wait for a command before the first frame")
     topics: tuple[str, ...] = setting((), "topics to play; all by default")
     schemas: tuple[str, ...] = setting(
-        (), "schemas to play (skin, taxels, truth ...), in place of whole topics"
+        (), "schemas to play (skin, taxels, truth ...), instead of topics"
     )
     remap: tuple[str, ...] = setting((), "FROM:=TO each: /PATCH:=/PATCH or whole topics")
-    lockstep: bool = setting(False, "send no frame before all readers are done with the last")
-    verbatim: bool = setting(
-        False, "keep stamps, run ids and numbers as recorded, in place of new ones"
-    )
+    lockstep: bool = setting(False, "send no frame before all readers have processed the last")
+    verbatim: bool = setting(False, "keep stamps, run ids and numbers as recorded")
     keep_stamps: bool = setting(
-        False, "keep stamps as recorded, and give new run ids and numbers: for offline runs"
+        False, "keep stamps as recorded, with new run ids and numbers: for offline runs"
     )
     wait: int = setting(0, "readers to wait for before the first frame", low=0, high=1000)
 
@@ -51,11 +49,11 @@ class PlayerSettings(Settings):
             if schema not in SCHEMAS:
                 raise SettingsError(f"schemas: {schema}: no schema{did_you_mean(schema, SCHEMAS)}")
         if self.schemas and self.topics:
-            raise SettingsError("schemas: goes not with topics")
+            raise SettingsError("schemas: cannot be combined with topics")
         if self.keep_stamps and self.loop:
-            raise SettingsError("keep_stamps: goes not with loop")
+            raise SettingsError("keep_stamps: cannot be combined with loop")
         if self.verbatim and (self.loop or self.remap):
-            raise SettingsError("verbatim: goes neither with loop nor with remap")
+            raise SettingsError("verbatim: cannot be combined with loop or remap")
 
     def check(self) -> None:
         renamed_topics(self)
@@ -68,16 +66,13 @@ def _topics_of(file: str) -> dict[str, TopicInfo]:
 
 
 def renamed_topics(settings: PlayerSettings) -> dict[str, str]:
-    """Name under which each chosen topic of the recording is played.
+    """Names under which the chosen topics of the recording are played.
 
-    Raises
-    ------
-    SparseskinError
-        If the file cannot be opened, a topic is not in it, or a new name is no topic of the
-        same schema.
+    Raises SparseskinError if the file cannot be opened, lacks a topic, or a new name is no topic
+    of the same schema.
     """
     if not settings.file:
-        raise SettingsError("file: name the recording to play")
+        raise SettingsError("file: state the recording to play")
     present = _topics_of(settings.file)
     for topic in settings.topics:
         if topic not in present:
@@ -97,7 +92,7 @@ def renamed_topics(settings: PlayerSettings) -> dict[str, str]:
 
 
 def _of_schemas(present: Iterable[str], settings: PlayerSettings) -> list[str]:
-    """Topics of the chosen schemas; the truth may be missing, it is not known of every skin."""
+    """Topics of the chosen schemas; the truth may be missing, as for real skins."""
     patches = dict.fromkeys(split_topic(topic)[0] for topic in present)
     chosen = [topic_of(patch, schema) for patch in patches for schema in settings.schemas]
     for topic in chosen:

@@ -1,4 +1,4 @@
-"""Settings of a reconstructor that fail: what is refused, and what is known to restore little.
+"""Settings of a reconstructor that fail: refused ones, and warnings.
 
 The numbers come from the study `stability`.
 """
@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi import Phi
+from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.reconstructor.solver import Mask
+from sparseskin.nodes.numerics.arrays import TINY, Mask
 
-#: For each solver with a lambda, between which, in newtons for a range of 2.5 N, at M = N/3 it
-#: stays within 3 dB of its best.
+#: Range of lambda, newtons for a range of 2.5 N, in which a solver stays within 3 dB of its best
+#: at M = N/3.
 LAMBDAS_N = {
     "fista": (0.0006, 0.015),
     "fista_nonneg": (0.0015, 0.015),
@@ -24,11 +24,11 @@ LAMBDAS_N = {
     "reweighted": (0.002, 0.03),
     "tv": (0.002, 0.03),
 }
-#: Those that restore 0 from measurements below their lambda, and need a sparse basis.
+#: Solvers that return 0 for measurements below their lambda, and need a sparse basis.
 L1_SOLVERS = ("fista", "fista_nonneg", "ista")
-#: Those that take no basis from outside.
+#: Solvers that do not use the basis they are given.
 OWN_BASIS = ("skin", "tv", "oamp", "interpolation")
-#: With fewer, a sudden contact takes several frames, which are worse by 3 dB and more.
+#: Least iterations with which the first frames of a sudden contact lose less than 3 dB.
 MIN_ITERATIONS = {
     **{"fista": 15, "fista_nonneg": 10, "reweighted": 10, "tv": 10},
     **{"ista": 50, "oamp": 10, "omp": 50},
@@ -38,27 +38,15 @@ MAX_STEP = 4.0 / 3.0
 N_POWER_STEPS = 30
 PAD_SIDE, N_PADS = 8, 256
 MAX_PAD_SPREAD = 1.75
-TINY = 1e-30
 
 
 def reconstruction_warnings(
     solver: str, basis: str, n: int, m: int, options: Mapping[str, Any]
 ) -> list[str]:
-    """What is known to fail with settings that are possible.
+    """Return warnings of settings that are allowed and known to fail, one line each.
 
-    Parameters
-    ----------
-    solver, basis : str
-        Registered names, or "module:Class"; of these nothing is known.
-    n, m : int
-        Number of taxels and of measurements.
-    options : mapping
-        Settings of the solver that are stated, lambda_n for a range of 2.5 N.
-
-    Returns
-    -------
-    list of str
-        One line each: what is set, what fails, what is advised.
+    Solver and basis are registered names, or "module:Class", of which nothing is known; `options`
+    are the stated settings of the solver, lambda_n for a range of 2.5 N.
     """
     warnings = []
     lambda_n = options.get("lambda_n")
@@ -83,25 +71,17 @@ def reconstruction_warnings(
         warnings.append(f"basis = {basis}: {solver} does not use it; advised: haar, or fista")
     if solver in L1_SOLVERS and basis == "identity" and m < n:
         warnings.append(
-            f"basis = identity with m = {m} of n = {n}: restores no more than {m // 4} pressed "
+            f"basis = identity with m = {m} of n = {n}: reconstructs no more than {m // 4} pressed "
             "taxels or so; advised: haar"
         )
     return warnings
 
 
 def check_lambda(solver: str, lambda_n: float, f_max: float, phi: Phi) -> None:
-    """Refuse a lambda that leaves nothing of any frame.
+    """Refuse a lambda with which every frame is reconstructed as 0; lambda and f_max in one unit.
 
-    A frame is restored as 0 where no coefficient of Phi^T y is above lambda; none is above
-    L f_max sqrt(N), which a skin pressed all over may have.
-
-    Parameters
-    ----------
-    solver : str
-        As in `reconstruction_warnings`.
-    lambda_n, f_max : float
-        Both in the skin's unit.
-    phi : Phi
+    That is so if no coefficient of Phi^T y is above lambda; the largest possible one, of a skin
+    pressed all over, is L f_max sqrt(N).
 
     Raises
     ------
@@ -111,30 +91,18 @@ def check_lambda(solver: str, lambda_n: float, f_max: float, phi: Phi) -> None:
     largest = phi.lipschitz * f_max * math.sqrt(phi.n)
     if solver in L1_SOLVERS and lambda_n >= largest:
         raise SolverError(
-            f"lambda_n = {lambda_n:g}: restores 0 whatever presses; allowed: below {largest:g}"
+            f"lambda_n = {lambda_n:g}: every frame would be 0; allowed: below {largest:g}"
         )
 
 
 def check_phi(phi: Phi, mask: Mask) -> list[str]:
-    """Check what a measurement matrix of the user's own says of itself.
-
-    Parameters
-    ----------
-    phi : Phi
-        Not one of the registered kinds, which keep what they promise.
-    mask : ndarray of bool, shape (n_rows, n_cols)
-        True where a taxel exists.
-
-    Returns
-    -------
-    list of str
-        Warnings, one line each.
+    """Check operators and Lipschitz constant of a user's own phi; return warnings, one line each.
 
     Raises
     ------
     SolverError
         If `adjoint` is not the transpose of `forward`, or the largest eigenvalue of Phi Phi^T is
-        more than 4/3 of what `lipschitz` says: a solver would diverge, or end at wrong forces.
+        more than 4/3 `lipschitz`: a solver would diverge, or end at wrong forces.
     """
     rng = np.random.default_rng(0)
     x = rng.standard_normal(phi.n).astype(np.float32)
@@ -167,18 +135,11 @@ def check_phi(phi: Phi, mask: Mask) -> list[str]:
 
 
 def pad_spread(phi: Phi, mask: Mask, rng: np.random.Generator) -> float:
-    """How unevenly pads of 8 x 8 taxels are measured.
+    """Return how unevenly pads of 8 x 8 taxels are measured.
 
-    The standard deviation of ||Phi x||^2 / ||x||^2 over pads at random places, relative to its
-    mean, over sqrt(2 / m), which it is for a matrix of normal random numbers: about 1 where the
-    taxels are dealt out at random, more where neighbours share a measurement.
-
-    Parameters
-    ----------
-    phi, mask
-        As in `check_phi`.
-    rng : numpy.random.Generator
-        Where the places come from.
+    Standard deviation of ||Phi x||^2 / ||x||^2 over pads at random places, relative to its mean,
+    divided by sqrt(2 / m), its value for a matrix of normal random numbers: about 1 if taxels are
+    permuted at random, more if neighbours share a measurement.
     """
     sides = np.minimum(PAD_SIDE, mask.shape)
     taxels = np.flatnonzero(mask)

@@ -1,4 +1,4 @@
-"""The reconstructor, on the host: M measurements in, N restored forces out."""
+"""The reconstructor node, on the host: M measurements in, N reconstructed forces out."""
 
 from __future__ import annotations
 
@@ -19,32 +19,29 @@ from sparseskin.messages import (
     SolverState,
     topic_of,
 )
-from sparseskin.nodes.compressor.acts import follow
-from sparseskin.nodes.compressor.calls import Floats
-from sparseskin.nodes.compressor.phi import Phi
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.nodes.compressor.phi.acts import follow
+from sparseskin.nodes.compressor.phi.base import KINDS, Phi, make_phi
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import PhiError, RefusedError, SolverError
-from sparseskin.nodes.fast import compile_loops
 from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.warm_up import compile_loops
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
+from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED, Uncertainty
+from sparseskin.nodes.reconstructor.faults.watch import FaultWatch
+from sparseskin.nodes.reconstructor.solvers.base import Solver
+from sparseskin.nodes.reconstructor.solvers.row_subsets import make_rotating_solver
 
-from .basis import make_basis
-from .fault_watch import FaultWatch
 from .limits import OWN_BASIS, check_lambda, check_phi, reconstruction_warnings
-from .phases import make_phases
-from .presets import PRESETS
-from .resultant import Estimate, ResultantEstimator
-from .rotating import make_rotating_solver
-from .settings import ReconstructorSettings
-from .solver import Solver
-from .uncertainty import CALIBRATED, Uncertainty
-
-PAPER_F_MAX_N = 2.5
+from .settings import ANNOUNCED, PRESETS, ReconstructorSettings
 
 
 class Reconstructor(Node[ReconstructorSettings]):
     """Publishes /PATCH/solver once it knows skin and Phi, then /PATCH/reconstruction.
 
-    Measurements made by another Phi than its own are refused: to invert the wrong matrix would
-    invent forces.
+    Measurements made by another Phi are refused: inverting the wrong matrix would invent forces.
     """
 
     Settings = ReconstructorSettings
@@ -55,7 +52,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         compile_loops(settings.chosen()["solver"], settings.fast, context.log)
         self._skin: SkinState | None = None
         self._announced: PhiState | None = None
-        self._phases: dict[str, Phi] = {}
+        self._subsets: dict[str, Phi] = {}
         self._solver: Solver | None = None
         self._last: Floats | None = None
         self._warm: Floats | None = None
@@ -72,8 +69,7 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     @classmethod
     def outputs(cls, settings: ReconstructorSettings) -> tuple[str, ...]:
-        told = (Resultant,) if settings.resultant else ()
-        written = (SolverState, *told, Reconstruction)
+        written = (SolverState, *((Resultant,) if settings.resultant else ()), Reconstruction)
         return tuple(topic_of(settings.patch, cls.schema) for cls in written)
 
     @property
@@ -89,7 +85,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         elif isinstance(message, PhiState):
             self._announced = message
         if self._skin is not None and self._announced is not None:
-            self._phases, self._solver = {}, None
+            self._subsets, self._solver = {}, None
             stamp_ns = max(self._skin.stamp_ns, self._announced.stamp_ns)
             yield self._set_up(self._skin, self._announced, stamp_ns)
 
@@ -108,13 +104,10 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     def state(self) -> dict[str, Any]:
         chosen, preset = self.settings.chosen(), self.settings.preset
-        told: dict[str, Any] = {
-            "left_out": self._watch.text,
-            "swamped": self._watch.swamped,
-        }
+        state: dict[str, Any] = {"left_out": self._watch.text, "swamped": self._watch.swamped}
         if chosen["solver"] in OWN_BASIS:
-            told["basis"] = None
-        return {**chosen, "preset": preset if chosen == PRESETS[preset] else "", **told}
+            state["basis"] = None
+        return {**chosen, "preset": preset if chosen == PRESETS[preset] else "", **state}
 
     def status(self) -> str:
         chosen = self.settings.chosen()
@@ -124,10 +117,10 @@ class Reconstructor(Node[ReconstructorSettings]):
         return "; ".join(filter(None, (f"solver {chosen['solver']}{basis}", self._watch.text)))
 
     def _set_up(self, state: SkinState, announced: PhiState, stamp_ns: int) -> SolverState:
-        """Make Phi and solver for a skin, and say which; they hold from `stamp_ns` on."""
+        """Make Phi and solver for a skin; return the message that announces them."""
         skin = state.skin
-        phases = make_phases(self.settings, skin.n_taxels, announced)
-        phi = phases[0]
+        subsets = phis_to_invert(self.settings, skin.n_taxels, announced)
+        phi = subsets[0]
         chosen = dict(self.settings.chosen())
         options = {k: v for k, v in chosen.items() if k not in ("solver", "basis")}
         warnings = reconstruction_warnings(chosen["solver"], chosen["basis"], phi.n, phi.m, options)
@@ -136,20 +129,20 @@ class Reconstructor(Node[ReconstructorSettings]):
             check_lambda(chosen["solver"], options["lambda_n"], skin.f_max, phi)
         basis = make_basis(chosen["basis"], skin.n_rows, skin.n_cols)
         solver = make_rotating_solver(
-            chosen["solver"], phases, basis, skin.mask, fast=self.settings.fast, **options
+            chosen["solver"], subsets, basis, skin.mask, fast=self.settings.fast, **options
         )
         if ":" in self.settings.phi:
-            for one in phases:
+            for one in subsets:
                 warnings += check_phi(one, solver.mask)
         for warning in dict.fromkeys(warnings):
             self.context.log(warning)
         self._solver = solver
-        self._phases = {one.fingerprint: one for one in phases}
-        self._watch.set_up(self._phases, state, solver.mask)
+        self._subsets = {one.fingerprint: one for one in subsets}
+        self._watch.set_up(self._subsets, state, solver.mask)
         self._uncertainty = self._make_uncertainty(solver, phi.ratio, announced.rows)
         if self.settings.resultant:
             self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
-        # Another Phi or solver in the middle of a stream starts from what the last one found.
+        # Another Phi or solver in the middle of a stream starts from the last estimate.
         if self._last is not None and self._last.shape != skin.shape:
             self._last = None
         self._warm = self._last
@@ -171,7 +164,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         if name in CALIBRATED:
             return Uncertainty(solver.mask, ratio, name, rows)
         self.context.log(
-            f"uncertainty: how far solver {name} is off is not known, and none is published; "
+            f"uncertainty: the error of solver {name} is not known, and none is published; "
             f"known: {', '.join(CALIBRATED)}"
         )
         return None
@@ -179,27 +172,27 @@ class Reconstructor(Node[ReconstructorSettings]):
     def _reconstruct(self, measurements: Measurements) -> Iterator[Message]:
         if self._solver is None:
             raise RefusedError(f"{measurements.topic}: skin or Phi is not known yet")
-        phi = self._phases.get(measurements.phi)
+        phi = self._subsets.get(measurements.phi)
         if phi is None:
-            first, *others = self._phases
-            rotating = f" and {len(others)} others in turn" if others else ""
+            first, *others = self._subsets
+            rotating = f" and {len(others)} other row subsets" if others else ""
             raise RefusedError(
                 f"{measurements.topic}: Phi mismatch: made by Phi {measurements.phi}, "
                 f"this reconstructor inverts Phi {first}{rotating}"
             )
         try:
             follow(phi, measurements.places)
-            if len(self._phases) > 1:
+            if len(self._subsets) > 1:
                 self._solver.use(phi)
             given = y = measurements.y
-            # Where each frame chooses anew what it reads, there are no rows to watch.
+            # If each frame chooses its taxels anew, there are no rows to watch.
             watched = measurements.places is None
             if watched:
                 given, y = self._watch.cleaned(phi, given, self._last)
         except (PhiError, SolverError) as error:
             raise RefusedError(f"{measurements.topic}: {error}") from error
         if self._resultant is not None:
-            yield self._told(self._resultant.estimate(phi, y), measurements.stamp_ns)
+            yield self._resultant_of(self._resultant.estimate(phi, y), measurements.stamp_ns)
         begin_ns = time.perf_counter_ns()
         try:
             forces, n_steps = self._solve(self._solver, y)
@@ -225,15 +218,15 @@ class Reconstructor(Node[ReconstructorSettings]):
         )
         self._skipped = 0
         if watched and self._watch.update(phi, given, y, forces, fitted):
-            # What the false rows have left in the estimate would stand for long.
+            # The effect of faulty measurements on the estimate would last for long.
             self._warm, self._last = np.zeros_like(forces), None
         if self._resultant is not None:
-            fingerprints = list(self._phases)
+            fingerprints = list(self._subsets)
             following = fingerprints[(fingerprints.index(phi.fingerprint) + 1) % len(fingerprints)]
             self._resultant.learn(phi, y, forces.reshape(-1)[self._solver.taxels], fitted)
-            self._resultant.prepare(self._phases[following])
+            self._resultant.prepare(self._subsets[following])
 
-    def _told(self, found: Estimate, stamp_ns: int) -> Resultant:
+    def _resultant_of(self, found: Estimate, stamp_ns: int) -> Resultant:
         row, col = found.centre or (None, None)
         row_sd, col_sd = found.centre_sd or (None, None)
         return Resultant(
@@ -249,18 +242,59 @@ class Reconstructor(Node[ReconstructorSettings]):
         )
 
     def _solve(self, solver: Solver, y: Floats) -> tuple[Floats, int]:
-        """Restore one frame within the budget; the forces and how many steps they took."""
+        """Reconstruct one frame within the budget; return the forces and the number of steps."""
         budget_ms = self.settings.budget_ms
         if budget_ms is None:
             return solver.solve(y, self._warm), solver.n_steps
         deadline_ns = time.perf_counter_ns() + round(1e6 * budget_ms)
         solver.setup(y, self._warm)
         done, longest_ns, before_ns = 0, 0, time.perf_counter_ns()
-        # A step is begun only where one like the longest so far would end in time; the first is
-        # always done, for without it there is no estimate of this frame.
+        # A step is begun only if one like the longest so far would end in time; the first is always
+        # done, as without it there is no estimate of this frame.
         while done < solver.n_steps and (not done or before_ns + longest_ns <= deadline_ns):
             solver.step()
             now_ns = time.perf_counter_ns()
             longest_ns, before_ns = max(longest_ns, now_ns - before_ns), now_ns
             done += 1
         return solver.finish(), done
+
+
+def phis_to_invert(settings: ReconstructorSettings, n: int, announced: PhiState) -> list[Phi]:
+    """Return the matrices of the measurements: one Phi of n taxels, or one for each row subset.
+
+    A Phi that is stated in the settings replaces the announced one.
+
+    Raises
+    ------
+    RefusedError
+        If the announced Phi is not built in, is of another skin, cannot be made, or comes out as
+        another matrix here.
+    PhiError
+        If a stated Phi cannot be made.
+    """
+    s = settings
+    if s.phi != ANNOUNCED:
+        m = s.phi_m or max(1, n // 3)
+        stated = make_phi(s.phi, n=n, m=m, seed=s.phi_seed, block=s.phi_block)
+        return row_subsets(stated, s.phi_rows)
+    # Nothing named over the wire is ever imported: a Phi of the user's own has to be stated.
+    if announced.kind not in KINDS:
+        raise RefusedError(
+            f"{announced.topic}: phi '{announced.kind}' is not built in; "
+            "state it as the reconstructor's phi"
+        )
+    if announced.n != n:
+        raise RefusedError(f"{announced.topic}: for {announced.n} taxels; the skin has {n}")
+    try:
+        phi = make_phi(
+            announced.kind, n=n, m=announced.m, seed=announced.seed, block=announced.block
+        )
+        subsets = row_subsets(phi, announced.rows)
+    except PhiError as error:
+        raise RefusedError(f"{announced.topic}: {error}") from error
+    if phi.fingerprint != announced.fingerprint:
+        raise RefusedError(
+            f"{announced.topic}: seed {announced.seed} gives Phi {phi.fingerprint} here, "
+            f"not {announced.fingerprint}: the random generators differ"
+        )
+    return subsets

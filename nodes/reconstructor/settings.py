@@ -1,4 +1,4 @@
-"""What a reconstructor can be told."""
+"""Settings of the reconstructor node, and its presets."""
 
 from __future__ import annotations
 
@@ -7,30 +7,32 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from sparseskin.nodes.compressor.phi import KINDS
-from sparseskin.nodes.compressor.rotation import FIXED, ROWS
+from sparseskin.nodes.compressor.phi.base import KINDS
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROWS
 from sparseskin.nodes.errors import PhiError, SettingsError, SolverError
-from sparseskin.nodes.fast import FAST, check_fast
 from sparseskin.nodes.lookup import did_you_mean, find_class
+from sparseskin.nodes.numerics.compiled import FAST, check_fast
+from sparseskin.nodes.reconstructor.bases.base import BASES, find_basis
+from sparseskin.nodes.reconstructor.estimates.resultant import RESULTANT_SOLVERS
+from sparseskin.nodes.reconstructor.solvers.base import SOLVERS
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
-from .basis import BASES, find_basis
-from .presets import PRESETS
-from .resultant import RESULTANT_SOLVERS
-from .solver import SOLVERS
-
 ANNOUNCED = "announced"
+#: Named sets of settings. "paper": exactly the method of the paper, sections IV and V-A, for a
+#: "sbhe" phi with orthonormal rows of block 32; lambda_n is its 0.1 on rows of +1 and -1. "skin":
+#: the most accurate one; it estimates noise and threshold from the measurements.
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper": {"solver": "fista", "basis": "haar", "iterations": 30, "lambda_n": 0.003125},
+    "skin": {"solver": "skin", "basis": "haar"},
+}
 
 
 @dataclass(frozen=True)
 class ReconstructorSettings(PatchSettings):
-    """What a reconstructor can be told."""
+    """Settings of the reconstructor node."""
 
     preset: str = setting(
-        "skin",
-        f"named set of the settings below: {', '.join(PRESETS)}",
-        known=PRESETS,
-        live=True,
+        "skin", f"named set of the settings below: {', '.join(PRESETS)}", known=PRESETS, live=True
     )
     solver: str | None = setting(
         None, "solver, in place of the preset's; or module:Class", known=SOLVERS, live=True
@@ -62,9 +64,9 @@ class ReconstructorSettings(PatchSettings):
     )
     depth: int = setting(
         0,
-        "how many measurements may wait, the newest: older ones are skipped and counted, so that "
-        "what is restored is never old; 0: every frame is restored. Nothing is skipped where the "
-        "source waits for its readers",
+        "most measurements that may wait: older ones are skipped and counted, so that no old frame "
+        "is reconstructed; 0: every frame is reconstructed. Nothing is skipped where the source "
+        "waits for its readers",
         low=0,
         high=1000,
         live=True,
@@ -73,24 +75,22 @@ class ReconstructorSettings(PatchSettings):
         False, "publish a standard deviation with each force; twice as many bytes"
     )
     resultant: bool = setting(
-        False, "publish total force and centre of pressure before the frame is restored"
+        False, "publish total force and centre of pressure before the frame is reconstructed"
     )
     watch_rows: bool = setting(
         True,
-        "leave out measurements that read 0, a constant or garbage, on a skin that states its "
-        "noise",
+        "exclude measurements that read 0, a constant or garbage, on a skin that states its noise",
     )
     fast: str = setting(
         "auto",
-        "compiled loops: auto (where numba is installed), on or off; but for rounding the same",
+        "compiled loops: auto (where numba is installed), on or off; the same but for rounding",
         choices=FAST,
     )
     watch_taxels: bool = setting(
-        True, "leave out taxels that are stuck, on a skin that states its noise"
+        True, "exclude taxels that are stuck, dead or saturated, on a skin that states its noise"
     )
     phi: str = setting(
-        ANNOUNCED,
-        "measurement matrix: announced (what the compressor says), a kind or module:Class",
+        ANNOUNCED, "measurement matrix: announced (by the compressor), a kind or module:Class"
     )
     phi_m: int | None = setting(None, "M of a stated phi; N // 3 by default", low=1, high=2**20)
     phi_block: int = setting(32, "block size of a stated phi", low=1, high=2**20)
@@ -112,8 +112,8 @@ class ReconstructorSettings(PatchSettings):
             find_basis(chosen["basis"])
         if self.resultant and chosen["solver"] not in RESULTANT_SOLVERS:
             raise SettingsError(
-                f"resultant: is not told with solver {chosen['solver']}, whose frames are biased; "
-                f"allowed: {', '.join(RESULTANT_SOLVERS)}"
+                f"resultant: is not available with solver {chosen['solver']}, whose frames are "
+                f"biased; allowed: {', '.join(RESULTANT_SOLVERS)}"
             )
         if self.phi != ANNOUNCED:
             with naming("phi"):
@@ -131,7 +131,7 @@ class ReconstructorSettings(PatchSettings):
                 )
 
     def chosen(self) -> dict[str, Any]:
-        """The preset with what is stated beside it."""
+        """Return the preset with the settings that are stated in place of its own."""
         stated = {
             "solver": self.solver,
             "basis": self.basis,
@@ -140,6 +140,6 @@ class ReconstructorSettings(PatchSettings):
         }
         preset = PRESETS[self.preset]
         if self.solver not in (None, preset["solver"]):
-            # A preset's numbers belong to its solver; another one has settings of its own.
+            # The numbers of a preset belong to its solver.
             preset = {"basis": preset["basis"]}
         return preset | {k: v for k, v in stated.items() if v is not None}

@@ -1,10 +1,10 @@
-"""The recorder: writes any topics into a bag, and never slows who publishes them."""
+"""The recorder: writes any topics into a bag, without slowing their publishers."""
 
 from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -12,26 +12,25 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.messages import Message, PhiState, SkinState, encode
+from sparseskin.messages import Message, PhiState, SkinState
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, BagError, check_new_bag
+from sparseskin.nodes.recorder.bag.writer import BagWriter
 from sparseskin.nodes.settings import Settings, setting
 
-from .bag import FILE_SUFFIX, BagError
-from .bag_writer import BagWriter
-
 FLUSH_EVERY_S = 0.1
-"""Half of what may be lost when the recorder is killed: the other half is for a busy machine."""
+"""Half of the time that may be lost when the recorder is killed: the rest is for a busy machine."""
 PATIENCE_MESSAGES, PATIENCE_NS, MOST_WAITING = 64, 100_000_000, 1024
-"""So many messages, and for so long, but never more than the last, wait for all states to be known
-before the file is begun without.
+"""The file begins without all states once `PATIENCE_MESSAGES` messages wait for them, the first for
+`PATIENCE_NS`; or once `MOST_WAITING` messages wait.
 """
 
 
 @dataclass(frozen=True)
 class RecorderSettings(Settings):
-    """What a recorder can be told."""
+    """Settings of the recorder node."""
 
     out: str = setting("recording.mcap", "file to write, NAME.mcap")
     topics: tuple[str, ...] = setting(("*",), "topics to record; * stands for any text")
@@ -44,21 +43,17 @@ class RecorderSettings(Settings):
             raise SettingsError("topics: expected at least one topic")
 
     def check(self) -> None:
-        path = Path(self.out)
-        if path.suffix != FILE_SUFFIX:
-            raise SettingsError(f"out: {self.out}: expected a name that ends in {FILE_SUFFIX}")
-        for taken in (path, path.with_name(path.name + ".part")):
-            if taken.exists():
-                raise SettingsError(f"out: {taken}: exists already, and is not written over")
-        if not path.resolve().parent.is_dir():
-            raise SettingsError(f"out: {self.out}: its folder does not exist")
+        try:
+            check_new_bag(Path(self.out))
+        except BagError as error:
+            raise SettingsError(f"out: {error}") from error
 
 
 class Recorder(Node[RecorderSettings]):
-    """Writes every message as it came; what it had to drop is counted in the file.
+    """Writes every message unchanged, and the number of dropped ones.
 
-    The file is begun once the states (skin, Phi, solver) of the recorded topics are known, so
-    that its metadata can name scene, seed and Phi.
+    The file begins once the states (skin, Phi, solver) of the recorded topics are known, so that
+    its metadata can name scene, seed and Phi.
     """
 
     Settings = RecorderSettings
@@ -78,7 +73,7 @@ class Recorder(Node[RecorderSettings]):
 
     @classmethod
     def values_again(cls, settings: RecorderSettings, n_restarts: int) -> dict[str, Any]:
-        # What the one before could write stands in its file, and nothing is written over it.
+        # The file of the previous run is kept.
         out = Path(settings.out)
         stem = out.stem.removesuffix(f".restart{n_restarts - 1}")
         return {"out": str(out.with_name(f"{stem}.restart{n_restarts}{FILE_SUFFIX}"))}
@@ -116,26 +111,22 @@ class Recorder(Node[RecorderSettings]):
             self._guard(lambda: writer.close(counts))
 
     def status(self) -> str:
-        n_messages = self._writer.n_messages if self._writer is not None else 0
-        return f"recorded {n_messages} messages in {self.settings.out}" + (
-            f" ({self._error})" if self._error else ""
-        )
+        error = f" ({self._error})" if self._error else ""
+        return f"recorded {self._n_messages} messages in {self.settings.out}{error}"
 
     def report(self) -> dict[str, Any]:
-        n_messages = self._writer.n_messages if self._writer is not None else 0
-        return {
-            "recording": {
-                "out": self.settings.out,
-                "n_messages": n_messages,
-                "error": self._error or None,
-            }
-        }
+        report = {"out": self.settings.out, "n_messages": self._n_messages}
+        return {"recording": {**report, "error": self._error or None}}
+
+    @property
+    def _n_messages(self) -> int:
+        return self._writer.n_messages if self._writer is not None else 0
 
     def _begin(self) -> None:
         def begin() -> None:
-            self._writer = BagWriter(
-                Path(self.settings.out), self._metadata(), flush_every_s=FLUSH_EVERY_S
-            )
+            settings, states = self.settings, self._states.values()
+            metadata = metadata_of(states, settings.launch, settings.source)
+            self._writer = BagWriter(Path(settings.out), metadata, flush_every_s=FLUSH_EVERY_S)
 
         self._guard(begin)
         waiting, self._waiting = self._waiting, []
@@ -144,49 +135,28 @@ class Recorder(Node[RecorderSettings]):
 
     def _write(self, log_time_ns: int, message: Message) -> None:
         writer = self._writer
-        if writer is None or self._error:
-            return
-        _, payload = encode(message)
-        self._guard(
-            lambda: writer.write(
-                message.topic,
-                payload,
-                schema=message.schema,
-                version=message.version,
-                log_time_ns=log_time_ns,
-                stamp_ns=message.stamp_ns,
-            )
-        )
+        if writer is not None and not self._error:
+            self._guard(lambda: writer.record(message, log_time_ns))
 
-    def _guard(self, action: Any) -> None:
-        """Do something with the file; its first error is the last, and is told once."""
+    def _guard(self, action: Callable[[], None]) -> None:
+        """Act on the file; its first error is kept and raised, and ends the recording."""
         try:
             action()
         except BagError as error:
             self._error = str(error)
             raise
 
-    def _metadata(self) -> dict[str, str]:
-        return metadata_of(self._states.values(), self.settings.launch, self.settings.source)
-
 
 STATES = tuple(schema for schema, cls in SCHEMAS.items() if cls.latched)
 
 
 def metadata_of(states: Iterable[Message], launch: str, graph: str) -> dict[str, str]:
-    """The metadata of a recording, from the state messages of its patches."""
+    """Metadata of a recording, from the state messages of its patches."""
     states = list(states)
     skins = [state for state in states if isinstance(state, SkinState)]
+    fields = ("kind", "n", "m", "block", "seed", "fingerprint", "rows")
     phis = {
-        state.patch: {
-            "kind": state.kind,
-            "n": state.n,
-            "m": state.m,
-            "block": state.block,
-            "seed": state.seed,
-            "fingerprint": state.fingerprint,
-            "rows": state.rows,
-        }
+        state.patch: {name: getattr(state, name) for name in fields}
         for state in states
         if isinstance(state, PhiState)
     }

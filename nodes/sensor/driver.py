@@ -1,4 +1,4 @@
-"""A user's own sensor: `module:callable`, each frame checked before it is passed on."""
+"""A user's own sensor driver, named `module:callable`; each frame is checked before it is used."""
 
 from __future__ import annotations
 
@@ -8,33 +8,132 @@ from typing import Any, Literal
 
 import numpy as np
 
+from sparseskin.messages.ranges import INT64_MAX, is_whole
+from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable, one_line
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.files.parsed import (
+    check_grid,
+    check_number,
+    check_unit,
+    shown,
+)
 
-from .frame_check import FrameCheck
-from .parsed import MAX_READING, check_grid, shown
-from .source import Forces, Skin
 
-DEFAULT_F_MAX = 2.5
-
-
-class DriverSource:
-    """The frames of a user's driver, checked one by one as they come.
-
-    Readings outside [0, f_max] are clipped, as a sensor saturates at the ends of its range.
+class FrameCheck:
+    """Converts what a driver yields into a stamp and forces, or refuses it.
 
     Attributes
     ----------
-    name : str
-        The driver's own `name`, or `module:callable`.
-    skin : Skin
-        The driver's own `skin`, or one of the first frame's shape.
-    delivers : "truth" or "taxels"
-        The driver's own `delivers`, or "taxels".
-    rate_hz : float or None
-        The rate that was stated, or the driver's own.
-    n_frames : int or None
-        The driver's own, or None.
+    f_max : float
+        Upper end of the range. Readings outside [0, f_max] are clipped, as a sensor saturates.
+    skin : Skin or None
+        Once set, gives the shape that each frame must have, and the mask.
+    n_clipped : int
+        Number of readings clipped so far; 1 a taxel and frame.
+    """
+
+    def __init__(self, target: str, f_max: float) -> None:
+        self.f_max = f_max
+        self.skin: Skin | None = None
+        self.n_clipped = 0
+        self._target = target
+        self.restart()
+
+    def restart(self) -> None:
+        """Count frames and time from 0 again."""
+        self._n_frames = 0
+        self._first_stamp_ns = 0
+        self._last_stamp_ns: int | None = None
+
+    def __call__(self, item: object) -> tuple[int, Floats]:
+        """Return nanoseconds since the first frame, and the forces of an item: a new float32 array
+        of shape (n_rows, n_cols) in [0, f_max], 0 in masked cells.
+
+        Raises
+        ------
+        SourceError
+            If it is not a pair (stamp_ns, forces), the stamp is no int or not after the one
+            before it, or the forces are not 2-D, of another shape than the skin, of no real
+            numeric dtype or not finite.
+        """
+        where = f"{self._target}, frame {self._n_frames}"
+        if not isinstance(item, tuple | list) or len(item) != 2:
+            raise SourceError(
+                f"{where}: delivered {type(item).__name__}; expected a pair (stamp_ns, forces)"
+            )
+        stamp_ns = self._checked_stamp(item[0], where)
+        forces = self._checked_forces(item[1], where)
+        self._n_frames += 1
+        return stamp_ns, forces
+
+    def _checked_stamp(self, stamp: object, where: str) -> int:
+        if not is_whole(stamp):
+            raise SourceError(
+                f"{where}: stamp_ns is {type(stamp).__name__}; expected whole nanoseconds"
+            )
+        stamp = int(stamp)
+        if self._last_stamp_ns is None:
+            self._first_stamp_ns = stamp
+        elif stamp <= self._last_stamp_ns:
+            raise SourceError(
+                f"{where}: stamp_ns {stamp} is not after the one before it, {self._last_stamp_ns}"
+            )
+        if stamp - self._first_stamp_ns > INT64_MAX:
+            raise SourceError(f"{where}: stamp_ns is more than 2**63 ns after the first")
+        self._last_stamp_ns = stamp
+        return stamp - self._first_stamp_ns
+
+    def _checked_forces(self, forces: object, where: str) -> Floats:
+        try:
+            array = np.asarray(forces)
+        except Exception as error:
+            raise SourceError(
+                f"{where}: forces are no array of numbers ({shown(error, 120)})"
+            ) from error
+        if array.dtype.kind not in "iuf":
+            raise SourceError(
+                f"{where}: forces have dtype {shown(array.dtype)}; allowed are integers and "
+                "floating point"
+            )
+        if array.ndim != 2:
+            raise SourceError(
+                f"{where}: forces have shape {array.shape}; expected two dimensions: (rows, cols)"
+            )
+        check_grid(array.shape[0], array.shape[1], where)
+        mask = None
+        if self.skin is not None:
+            mask = self.skin.mask
+            if array.shape != self.skin.shape:
+                raise SourceError(
+                    f"{where}: forces have shape {array.shape}, but the skin has {self.skin.shape}"
+                )
+        is_float = array.dtype in (np.float32, np.float64)
+        # The common case; the comparison is false for a NaN.
+        if mask is None and is_float and 0 <= array.min() <= array.max() <= self.f_max:
+            return array.astype(np.float32)
+        with np.errstate(all="ignore"):
+            values = array.astype(np.float64)
+        if mask is not None:
+            values[~mask] = 0
+        bad = ~np.isfinite(values)
+        if bad.any():
+            row, col = np.argwhere(bad)[0]
+            raise SourceError(
+                f"{where}, row {row}, column {col}: {values[row, col]} is no force; "
+                "a fault of the sensor or its driver"
+            )
+        self.n_clipped += int(np.count_nonzero((values < 0) | (values > self.f_max)))
+        return np.clip(values, 0, self.f_max).astype(np.float32)
+
+
+class DriverSource:
+    """The frames of a user's driver, each checked as it is yielded.
+
+    Readings outside [0, f_max] are clipped, as a sensor saturates at the ends of its range. Its
+    attributes are those of a `Source`: the driver's own where it has them, or else the name
+    `module:callable`, a skin of the first frame's shape, and "taxels" to deliver.
     """
 
     def __init__(
@@ -48,8 +147,8 @@ class DriverSource:
     ) -> None:
         self._target = target
         self._driver = driver
-        self._check = FrameCheck(target, DEFAULT_F_MAX if f_max is None else float(f_max))
-        self._pending: tuple[int, Forces] | None = None
+        self._check = FrameCheck(target, PAPER_F_MAX_N if f_max is None else float(f_max))
+        self._pending: tuple[int, Floats] | None = None
         self._is_one_shot = False
         self._iterator: Iterator[object] | None = None
         try:
@@ -59,7 +158,7 @@ class DriverSource:
             own_rate = getattr(driver, "rate_hz", None)
             own_length = getattr(driver, "n_frames", None)
         except Exception as error:
-            raise self._fault(error) from error
+            raise _failure(target, error) from error
         self.name: str = own_name if isinstance(own_name, str) and own_name else target
         self.delivers: Literal["truth", "taxels"] = _delivers(own_delivers, target)
         self.rate_hz: float | None = rate_hz if rate_hz is not None else _rate(own_rate, target)
@@ -67,39 +166,39 @@ class DriverSource:
         if own_skin is not None:
             self.skin: Skin = self._own_skin(own_skin, f_max, unit)
         else:
-            self._pending = self._take_first()
+            self._pending = self._pull_first()
             n_rows, n_cols = self._pending[1].shape
             self.skin = Skin(n_rows, n_cols, self._check.f_max, "N" if unit is None else unit)
         self._check.skin = self.skin
 
-    def __iter__(self) -> Iterator[tuple[int, Forces]]:
+    def __iter__(self) -> Iterator[tuple[int, Floats]]:
         """Yield (stamp_ns, forces): nanoseconds since the first frame, and float32 forces of
         shape (n_rows, n_cols) in [0, f_max], 0 in masked cells. The driver is closed at the end.
 
         Raises
         ------
         SourceError
-            If the driver raises, delivers a bad frame, or is a generator and was read before.
+            If the driver raises, yields a bad frame, or is a generator that was read before.
         """
         try:
             if self._pending is None:
                 self._start()
             while True:
-                taken = self._pending or self._take()
+                frame = self._pending or self._pull()
                 self._pending = None
-                if taken is None:
+                if frame is None:
                     return
-                yield taken
+                yield frame
         finally:
             self.close()
 
     @property
     def n_clipped(self) -> int:
-        """How many readings have been clipped to [0, f_max] so far; 1 a taxel and frame."""
+        """Number of readings clipped to [0, f_max] so far; 1 a taxel and frame."""
         return self._check.n_clipped
 
     def close(self) -> None:
-        """Close the driver, so that its `finally` blocks run; more than once does no harm.
+        """Close the driver, so that its `finally` blocks run; may be called more than once.
 
         Raises
         ------
@@ -113,7 +212,7 @@ class DriverSource:
             try:
                 close()
             except Exception as error:
-                raise self._fault(error) from error
+                raise _failure(self._target, error) from error
 
     def _start(self) -> None:
         if self._is_one_shot:
@@ -121,32 +220,32 @@ class DriverSource:
         try:
             self._iterator = iter(self._driver)
         except Exception as error:
-            raise self._fault(error) from error
+            raise _failure(self._target, error) from error
         self._is_one_shot = self._iterator is self._driver
         self._check.restart()
 
-    def _take_first(self) -> tuple[int, Forces]:
-        """The first frame, pulled to learn the shape; the driver is closed where there is none."""
+    def _pull_first(self) -> tuple[int, Floats]:
+        """Return the first frame, pulled to learn the shape; close the driver if there is none."""
         try:
             self._start()
-            taken = self._take()
-            if taken is None:
+            frame = self._pull()
+            if frame is None:
                 raise SourceError(f"{self._target}: ended before its first frame")
         except SourceError:
             with contextlib.suppress(SourceError):
                 self.close()
             raise
-        return taken
+        return frame
 
-    def _take(self) -> tuple[int, Forces] | None:
-        """The next frame, checked; None at the end."""
+    def _pull(self) -> tuple[int, Floats] | None:
+        """Return the next frame, checked; None at the end."""
         assert self._iterator is not None
         try:
             item = next(self._iterator)
         except StopIteration:
             return None
         except Exception as error:
-            raise self._fault(error) from error
+            raise _failure(self._target, error) from error
         return self._check(item)
 
     def _own_skin(self, skin: object, f_max: float | None, unit: str | None) -> Skin:
@@ -164,9 +263,6 @@ class DriverSource:
         self._check.f_max = float(skin.f_max)
         return skin
 
-    def _fault(self, error: Exception) -> SourceError:
-        return SourceError(f"{self._target}: the driver failed: {one_line(error)}")
-
 
 def open_callable(
     target: str,
@@ -180,39 +276,30 @@ def open_callable(
     Parameters
     ----------
     target : str
-        "module:callable"; the module is looked for in the current directory too. It is called
+        "module:callable"; the module is searched in the current directory too. It is called
         without arguments and returns an iterable (a generator, mostly) of pairs (stamp_ns,
         forces): an int that rises from frame to frame, and an array of shape (n_rows, n_cols),
-        integer or float. It may have the attributes of a `Source`; one with a `skin` is asked
-        for no frame before iteration starts, any other for its first one, to learn its shape.
-    f_max : float, optional
-        Upper end of the range, in `unit`; 2.5 by default, or what the driver's skin states.
-    unit : str, optional
-        Unit of the readings; "N" by default, or what the driver's skin states.
+        integer or float. It may have the attributes of a `Source`. Without a `skin`, its first
+        frame is pulled at once, to learn the shape.
+    f_max, unit : float, str, optional
+        Upper end of the range and its unit; by default those of the driver's skin, or 2.5 N.
     rate_hz : float, optional
-        Frame rate, where the driver does not state its own.
-
-    Returns
-    -------
-    DriverSource
-        Frames float32 of shape (n_rows, n_cols) in [0, f_max], stamps since the first frame.
+        Frame rate, in place of the driver's own.
 
     Raises
     ------
     SourceError
-        If the module or callable is not there or fails, its first frame is bad, or a setting is
+        If the module or callable is missing or fails, its first frame is bad, or a setting is
         out of range or contradicts the driver's skin. Iteration raises it for later frames.
     """
-    for what, value in (("f_max", f_max), ("rate_hz", rate_hz)):
-        if value is not None and not _is_positive(value):
-            raise SourceError(f"{target}: {what} = {shown(value)}; expected a number in 0..1e30")
-    if unit is not None and not (isinstance(unit, str) and unit.strip()):
-        raise SourceError(f"{target}: unit = {shown(unit)}; expected a text such as N")
+    check_number(target, "f_max", f_max)
+    check_number(target, "rate_hz", rate_hz)
+    check_unit(target, unit)
     make = find_callable(target, SourceError)
     try:
         driver = make()
     except Exception as error:
-        raise SourceError(f"{target}: the driver failed: {one_line(error)}") from error
+        raise _failure(target, error) from error
     if not hasattr(type(driver), "__iter__"):
         raise SourceError(
             f"{target}: returned {type(driver).__name__}; expected a generator or an iterable of "
@@ -221,31 +308,25 @@ def open_callable(
     return DriverSource(target, driver, f_max=f_max, unit=unit, rate_hz=rate_hz)
 
 
-def _is_positive(value: Any) -> bool:
-    is_number = isinstance(value, int | float | np.integer | np.floating)
-    return is_number and not isinstance(value, bool) and bool(0 < value <= MAX_READING)
+def _failure(target: str, error: Exception) -> SourceError:
+    return SourceError(f"{target}: the driver failed: {one_line(error)}")
 
 
 def _delivers(value: object, target: str) -> Literal["truth", "taxels"]:
-    if value == "truth":
-        return "truth"
-    if value == "taxels":
-        return "taxels"
-    raise SourceError(f"{target}: delivers = {shown(value)}; allowed are truth, taxels")
+    if value not in ("truth", "taxels"):
+        raise SourceError(f"{target}: delivers = {shown(value)}; allowed are truth, taxels")
+    return "truth" if value == "truth" else "taxels"
 
 
 def _rate(value: Any, target: str) -> float | None:
-    if value is None:
-        return None
-    if not _is_positive(value):
-        raise SourceError(f"{target}: rate_hz = {shown(value)}; expected a number above 0 or None")
-    return float(value)
+    check_number(target, "rate_hz", value)
+    return None if value is None else float(value)
 
 
 def _length(value: Any, target: str) -> int | None:
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+    if not is_whole(value, 0):
         raise SourceError(
             f"{target}: n_frames = {shown(value)}; expected a whole number, or None if endless"
         )

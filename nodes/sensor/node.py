@@ -1,4 +1,4 @@
-"""The sensor: acquires frames from a source and publishes what the taxels read."""
+"""The sensor node: acquires frames from a source and publishes the readings of the taxels."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from typing import Any
 from sparseskin.messages import Message, SkinState, Taxels, Truth, topic_of
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context, SourceNode, Tick
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .driver import DriverSource
 from .noise import NoiseModel
-from .source import Forces
 from .sources import SCENE, check_source, open_source
 
 DEFAULT_RATE_HZ = 100.0
-_Frame = tuple[Forces, Forces | None]
+"""Frame rate of scenes and of recordings without a rate of their own."""
+_Frame = tuple[Floats, Floats | None]  # taxels, and truth where it is known
 
 
 @dataclass(frozen=True)
 class SensorSettings(PatchSettings):
-    """What a sensor can be told."""
+    """Settings of the sensor node."""
 
     source: str = setting(
         "scene:drag_wrench_64", "where frames come from: scene:NAME, file:PATH or module:callable"
@@ -30,7 +31,7 @@ class SensorSettings(PatchSettings):
     rate_hz: float | None = setting(
         None,
         "frames a second; not stated: a recording's own rate, a driver's own pace, "
-        "100 for a scene; 0: as fast as its readers are done with them",
+        "100 for a scene; 0: as fast as its subscribers process them",
         low=0.0,
         high=100_000.0,
         live=True,
@@ -38,7 +39,7 @@ class SensorSettings(PatchSettings):
     seed: int = setting(0, "seed of the scene and of the noise", low=0, high=2**32 - 1)
     noise: float = setting(
         1.0,
-        "times the paper's noise that is added to a known truth",
+        "noise added to a known truth, in multiples of the paper's",
         low=0.0,
         high=100.0,
         live=True,
@@ -62,8 +63,8 @@ class SensorSettings(PatchSettings):
 class Sensor(SourceNode[SensorSettings]):
     """Publishes /PATCH/skin once, then /PATCH/taxels, and /PATCH/truth where it is known.
 
-    Frames of a scene or a recording are made ready before their tick, so that their stamp is
-    the time of acquisition and not the time it took to simulate them.
+    Frames of a scene or a recording are computed before their tick, so that their stamp is the
+    time of acquisition without the time of simulation.
     """
 
     Settings = SensorSettings
@@ -83,9 +84,9 @@ class Sensor(SourceNode[SensorSettings]):
         self._rng = context.rng(settings.seed)
         self._live = isinstance(self._source, DriverSource)
         self.rate_hz = self._chosen_rate()
-        self._frames: Iterator[tuple[int, Forces]] = iter(self._source)
+        self._frames: Iterator[tuple[int, Floats]] = iter(self._source)
         self._next: _Frame | None = None
-        self._n_frames = self._n_clipped = self._said_clipped = 0
+        self._n_frames = self._n_clipped = self._n_logged = 0
         if not self._live:
             self._prepare()
 
@@ -103,13 +104,13 @@ class Sensor(SourceNode[SensorSettings]):
     def change(self, settings: SensorSettings) -> Iterable[Message]:
         if settings.noise != self.settings.noise and self._source.delivers != "truth":
             raise SettingsError(
-                "noise: these taxels bring their own; no truth is known to add it to"
+                "noise: this source delivers noisy taxels; there is no truth to add noise to"
             )
         new_pace = settings.rate_hz != self.settings.rate_hz
         self.settings = settings
         self._noise = self._chosen_noise()
         if self._next is not None and self._next[1] is not None:
-            self._next = self._measured(self._next[1])  # made ready with the noise from before
+            self._next = self._measured(self._next[1])  # it was computed with the noise before
         if new_pace:
             self.rate_hz = self._chosen_rate()
             self.begin(self.context.clock.now_ns())
@@ -138,7 +139,7 @@ class Sensor(SourceNode[SensorSettings]):
         stamp_ns = tick.stamp_ns
         if self._live:
             self._prepare()
-            # A driver waits for its hardware, so its frame is younger than the tick.
+            # A driver waits for its hardware: its frame is younger than the tick.
             stamp_ns = max(stamp_ns, self.context.clock.now_ns())
         if self._next is None:
             return
@@ -152,7 +153,7 @@ class Sensor(SourceNode[SensorSettings]):
             self._prepare()
 
     def state(self) -> dict[str, Any]:
-        # A driver that is asked for no rate has its own pace, whatever that is.
+        # Without a stated rate, the pace of a driver is its own and not known.
         paced = self._live and self.settings.rate_hz is None
         return {**super().state(), **({} if paced else {"rate_hz": self.rate_hz})}
 
@@ -168,30 +169,29 @@ class Sensor(SourceNode[SensorSettings]):
         return {"clipped": self._n_clipped}
 
     def _watch_range(self) -> None:
-        """Say so when readings leave the range: a wrong sign, unit or range shows there first."""
+        """Log clipped readings, each time their number has doubled: a wrong sign, unit or range."""
         n_clipped = self._source.n_clipped if isinstance(self._source, DriverSource) else 0
-        if n_clipped > 2 * self._said_clipped:
-            self._said_clipped = n_clipped
+        if n_clipped > 2 * self._n_logged:
+            self._n_logged = n_clipped
             self.context.log(
                 f"{n_clipped} readings outside 0..{self.skin.f_max:g} {self.skin.unit} were clipped"
             )
         self._n_clipped = n_clipped
 
     def _chosen_noise(self) -> NoiseModel:
-        paper, times = NoiseModel.for_range(self.skin.f_max), self.settings.noise
-        return NoiseModel(paper.f_max, times * paper.sigma_mid, times * paper.sigma_end)
+        return NoiseModel.for_range(self.skin.f_max, self.settings.noise)
 
     def _chosen_rate(self) -> float:
         if self.settings.rate_hz is not None:
             return self.settings.rate_hz
-        if self._source.name and self.settings.source.startswith("scene:"):
+        if self.settings.source.startswith(SCENE):
             return DEFAULT_RATE_HZ
         if self._source.rate_hz is not None:
             return self._source.rate_hz
         return 0.0 if self._live else DEFAULT_RATE_HZ
 
     def _prepare(self) -> None:
-        """Make the next frame ready, or find that there is none."""
+        """Compute the next frame, or note that there is none."""
         try:
             _, forces = next(self._frames)
         except StopIteration:
@@ -203,8 +203,8 @@ class Sensor(SourceNode[SensorSettings]):
             return
         self._next = self._measured(forces)
 
-    def _measured(self, truth: Forces) -> _Frame:
-        """What the taxels read of true forces."""
+    def _measured(self, truth: Floats) -> _Frame:
+        """Return the readings of true forces, and these."""
         taxels = self._noise.apply(truth, self._rng)
         if self.skin.mask is not None:
             taxels[~self.skin.mask] = 0.0

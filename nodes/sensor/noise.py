@@ -1,28 +1,37 @@
-"""The noise of a taxel: normal, largest at mid-range, clipped to the range."""
+"""The noise of a taxel: normal, largest at mid-range, clipped to the range.
+
+A taxel under the force f in [0, f_max] reads clip(f + sigma(f) z, 0, f_max) with z ~ N(0, 1) and
+
+    sigma(f) = sigma_mid + (sigma_end - sigma_mid) |f - f_max / 2| / (f_max / 2).
+
+Source: paper, section V-B: zero-mean normal noise of sigma 0.0628 N at mid-range, smaller towards
+both ends, then clipped. The shape of the taper and its end value are not in the paper: see
+`PAPER_SIGMA_END_N`.
+"""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from sparseskin.messages.ranges import is_real
+from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.sensor.source import Forces
+from sparseskin.nodes.numerics.arrays import Floats
 
-PAPER_F_MAX_N = 2.5
 PAPER_SIGMA_MID_N = 0.0628
-# How far sigma tapers the paper does not say. This value makes the noisy PSNR of an untouched
-# skin top out near 49 dB, as its tables report.
+"""Standard deviation at f_max / 2, newtons. Source: paper, section V-B."""
 PAPER_SIGMA_END_N = 0.0141
+"""Standard deviation at 0 and at f_max, newtons. Fitted: the noisy PSNR of an untouched skin then
+reaches at most 48.5 to 49.1 dB, as the paper's tables report."""
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Zero-mean normal noise whose sigma depends on the force; readings stay in [0, f_max].
+    """Zero-mean normal noise whose sigma depends on the force, clipped to [0, f_max].
 
-    Sigma falls linearly from `sigma_mid` at f_max / 2 to `sigma_end` at 0 and at f_max. Clipping
-    at 0 makes untouched taxels read 0.4 `sigma_end` too high on average.
+    Clipping makes untouched taxels read sigma_end / sqrt(2 pi) = 0.4 sigma_end too high on average.
 
     Attributes
     ----------
@@ -34,11 +43,7 @@ class NoiseModel:
     Raises
     ------
     SettingsError
-        A parameter is not finite or outside its range.
-
-    Notes
-    -----
-    Source: paper, section V-B.
+        If a parameter is not finite or outside its range.
     """
 
     f_max: float = PAPER_F_MAX_N
@@ -46,64 +51,45 @@ class NoiseModel:
     sigma_end: float = PAPER_SIGMA_END_N
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.f_max) and self.f_max > 0.0):
+        if not (is_real(self.f_max, 0.0) and self.f_max > 0.0):
             raise SettingsError(
                 f"noise model: f_max is {self.f_max!r}; allowed is a finite number above 0"
             )
         for name in ("sigma_mid", "sigma_end"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and 0.0 <= value <= self.f_max):
+            if not is_real(value, 0.0, self.f_max):
                 raise SettingsError(
                     f"noise model: {name} is {value!r}; "
                     f"allowed is 0 to f_max = {self.f_max!r}, both included"
                 )
 
     @classmethod
-    def for_range(cls, f_max: float) -> NoiseModel:
-        """The paper's noise, scaled to a sensor of another range.
-
-        Parameters
-        ----------
-        f_max : float
-            Upper end of the range, in the unit of the forces, finite and above 0.
-
-        Raises
-        ------
-        SettingsError
-            `f_max` is not finite or not above 0.
-        """
+    def for_range(cls, f_max: float, times: float = 1.0) -> NoiseModel:
+        """Return `times` the paper's noise, scaled to another range; raises as the class does."""
         scale = f_max / PAPER_F_MAX_N
-        return cls(f_max, scale * PAPER_SIGMA_MID_N, scale * PAPER_SIGMA_END_N)
+        return cls(f_max, times * (scale * PAPER_SIGMA_MID_N), times * (scale * PAPER_SIGMA_END_N))
 
-    def sigma(self, forces: Forces) -> Forces:
-        """Standard deviation of the noise on each force, before clipping.
+    def sigma(self, forces: Floats) -> Floats:
+        """Return the standard deviation of the noise before clipping, in the unit of the forces.
 
-        Parameters
-        ----------
-        forces : ndarray of float32, any shape
-            True forces in [0, f_max].
-
-        Returns
-        -------
-        ndarray of float32, same shape
-            Sigma in the unit of the forces.
+        `forces` are true forces in [0, f_max], float32, any shape; the result has that shape.
         """
         half = np.float32(self.f_max / 2)
         slope = np.float32((self.sigma_end - self.sigma_mid) / (self.f_max / 2))
-        sigma: Forces = np.abs(forces - half, dtype=np.float32)
+        sigma: Floats = np.abs(forces - half, dtype=np.float32)
         sigma *= slope
         sigma += np.float32(self.sigma_mid)
         return sigma
 
-    def apply(self, truth: Forces, rng: np.random.Generator) -> Forces:
-        """Readings of a noisy skin.
+    def apply(self, truth: Floats, rng: np.random.Generator) -> Floats:
+        """Return the readings of a noisy skin.
 
         Parameters
         ----------
         truth : ndarray of float32, any shape
             True forces in [0, f_max]; not modified.
         rng : numpy.random.Generator
-            Where the noise comes from; the same state gives the same readings.
+            The same state gives the same readings.
 
         Returns
         -------

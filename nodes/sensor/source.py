@@ -1,22 +1,18 @@
-"""What a sensor source is: a skin, and the frames it delivers one after the other."""
+"""The interface of a sensor source: a skin, and its frames one after the other."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Literal, Protocol
 
-import numpy as np
-import numpy.typing as npt
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.numerics.arrays import Floats
 
-from sparseskin.messages.skin import Mask, Skin
-
-__all__ = ["Forces", "Mask", "Skin", "Source"]
-
-Forces = npt.NDArray[np.float32]
+__all__ = ["Skin", "Source"]
 
 
 class Source(Protocol):
-    """Where frames come from: a simulated scene, a recording, or a driver.
+    """A source of frames: a simulated scene, a recording, or a driver.
 
     Attributes
     ----------
@@ -25,12 +21,12 @@ class Source(Protocol):
     skin : Skin
         The patch the frames belong to.
     delivers : "truth" or "taxels"
-        "truth": noise-free forces, to which the sensor adds its noise model.
-        "taxels": readings as a real skin gave them; the truth is not known.
+        "truth": noise-free forces, to which the sensor adds noise. "taxels": readings of a real
+        skin, whose truth is not known.
     rate_hz : float or None
-        Native frame rate; None where the source has none of its own.
+        Native frame rate; None if the source has none of its own.
     n_frames : int or None
-        Length; None for an endless source.
+        Number of frames; None for an endless source.
     """
 
     name: str
@@ -39,7 +35,7 @@ class Source(Protocol):
     rate_hz: float | None
     n_frames: int | None
 
-    def __iter__(self) -> Iterator[tuple[int, Forces]]:
+    def __iter__(self) -> Iterator[tuple[int, Floats]]:
         """Yield (stamp_ns, forces): time since the first frame in nanoseconds, and
         float32 forces of shape (n_rows, n_cols) in [0, f_max]; 0 in masked cells.
         """

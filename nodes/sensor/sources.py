@@ -9,11 +9,10 @@ from pathlib import Path
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.sensor.files.recorded import SUFFIXES, open_file
+from sparseskin.nodes.sensor.scenes.scenes import SCENES, check_scene, open_scene
 
 from .driver import open_callable
-from .formats import SUFFIXES
-from .recorded import open_file
-from .scenes import SCENES, open_scene
 from .source import Source
 
 SCENE = "scene:"
@@ -22,20 +21,20 @@ FORMS = "scene:NAME, file:PATH or module:callable"
 
 
 def check_source(source: str) -> None:
-    """Check that what a source names is there, without opening it.
+    """Check that a source exists, without opening it.
 
     Raises
     ------
     SourceError
-        If it has none of the three forms, the scene is unknown, the file is missing or of no
-        known format, or the driver cannot be found.
+        If it has none of the three forms, the scene is unknown, the file is missing or of an
+        unknown format, or the module of the driver is missing.
     """
     kind, colon, rest = source.partition(":")
     if not (kind and colon and rest):
         hint = f' (did you mean "{SCENE}{source}"?)' if source in SCENES else ""
         raise SourceError(f'source "{source}": expected {FORMS}{hint}')
     if source.startswith(SCENE):
-        open_scene(rest, seed=0)
+        check_scene(rest)
     elif not source.startswith(FILE):
         check_module(source)
     else:
@@ -50,12 +49,12 @@ def check_source(source: str) -> None:
 
 
 def check_module(target: str) -> None:
-    """Check that the module of a driver is there, without importing it.
+    """Check that the module of a driver exists, without importing it.
 
     Raises
     ------
     SourceError
-        If it is not.
+        If it does not.
     """
     module = target.partition(":")[0]
     here = os.getcwd()
@@ -79,7 +78,6 @@ def open_source(
     n_cols: int | None = None,
     unit: str | None = None,
     f_max: float | None = None,
-    rate_hz: float | None = None,
 ) -> Source:
     """Open a source.
 
@@ -88,32 +86,26 @@ def open_source(
     source : str
         "scene:NAME", "file:PATH" or "module:callable".
     seed : int
-        Seed of a scene; others have no use for it.
-    n_rows, n_cols, unit, f_max, rate_hz
-        What a file or driver does not say of itself, as in `open_file` and `open_callable`.
+        Seed of a scene; not used by files and drivers.
+    n_rows, n_cols, unit, f_max
+        Properties that a file or driver does not state, as in `open_file` and `open_callable`.
 
     Raises
     ------
     SourceError
-        If the source is not there or malformed, or a setting contradicts it.
+        If the source is missing or malformed, or a setting contradicts it.
     """
     check_source(source)
-    stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": unit, "f_max": f_max}
     if source.startswith(SCENE):
+        stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": unit, "f_max": f_max}
         for name, value in stated.items():
             if value is not None:
                 raise SourceError(f"{source}: {name} = {value} is stated, but a scene has its own")
         return open_scene(source.removeprefix(SCENE), seed=seed)
     if source.startswith(FILE):
-        return open_file(
-            source.removeprefix(FILE),
-            n_rows=n_rows,
-            n_cols=n_cols,
-            unit=unit,
-            f_max=f_max,
-            rate_hz=rate_hz,
-        )
-    for name in ("n_rows", "n_cols"):
-        if stated[name] is not None:
+        path = source.removeprefix(FILE)
+        return open_file(path, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
+    for name, side in (("n_rows", n_rows), ("n_cols", n_cols)):
+        if side is not None:
             raise SourceError(f"{source}: {name} is stated, but a driver has its own shape")
-    return open_callable(source, f_max=f_max, unit=unit, rate_hz=rate_hz)
+    return open_callable(source, f_max=f_max, unit=unit)

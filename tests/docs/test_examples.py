@@ -1,217 +1,67 @@
-"""The drivers in docs/examples against skins that are played: they work, hang, flood, babble."""
+"""Every file in examples/ runs as it stands."""
 
 from __future__ import annotations
 
-import os
-import pty
-import socket
+import runpy
 import sys
-import threading
-import tty
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
-from conftest import StartProgram, free_port
 
-from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.lookup import find_callable
-from sparseskin.nodes.sensor.driver import DriverSource, open_callable
+EXAMPLES = Path(__file__).parents[2] / "examples"
+#: Drivers of hardware: test_drivers.py runs them against simulated skins.
+DRIVERS = {"serial_skin", "udp_skin"}
+WITH_PICTURE = {"first_contact", "your_own_skin", "choosing_m"}
+#: A word of what an example prints last, so that one that prints nothing is noticed.
+LAST_LINE = {
+    "choosing_m": "contact frames",
+    "compress_and_reconstruct": "533 measurements",
+    "first_contact": "preset skin",
+    "missing_taxels": "of 576 cells",
+    "noisy_scene": "skin",
+    "own_basis": "BlockCosine",
+    "own_node": "330 frames",
+    "own_phi": "RandomSums",
+    "own_solver": "fista",
+    "own_source": "128 of 384",
+    "read_recording": "rate_hz",
+    "run_graph": "N/8",
+    "your_own_skin": "N/8",
+}
 
-EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
-UDP_SHAPE, SERIAL_SHAPE = (40, 40), (12, 32)
-Open = Callable[..., DriverSource]
+
+def names() -> list[object]:
+    slow = [pytest.mark.slow]
+    found = sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem not in DRIVERS)
+    return [pytest.param(name, marks=slow if name in WITH_PICTURE else []) for name in found]
 
 
-@pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[Open]:
-    """Open one of the examples, with some of its constants changed."""
+def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
+    """Run an example as a program, in an empty folder."""
+    path = EXAMPLES / f"{name}.py"
+    before = set(sys.modules)
+    monkeypatch.chdir(folder)
     monkeypatch.syspath_prepend(str(EXAMPLES))
-    made: list[DriverSource] = []
-
-    def make(name: str, **constants: Any) -> DriverSource:
-        find_callable(f"{name}:frames", SourceError)
-        for key, value in constants.items():
-            monkeypatch.setattr(sys.modules[name], key, value)
-        made.append(open_callable(f"{name}:frames"))
-        return made[-1]
-
-    yield make
-    for source in made:
-        source.close()
-    for name in ("udp_skin", "serial_skin"):
-        sys.modules.pop(name, None)
+    monkeypatch.setattr(sys, "argv", [str(path), *arguments])
+    try:
+        runpy.run_path(str(path), run_name="__main__")
+    finally:
+        for module in (set(sys.modules) - before) & {p.stem for p in EXAMPLES.glob("*.py")}:
+            del sys.modules[module]
 
 
-class UdpSkin:
-    """A skin that sends packets from a thread, again and again, until it is told to stop."""
-
-    def __init__(self, *packets: bytes, pause_s: float = 0.001) -> None:
-        self.port = free_port(socket.SOCK_DGRAM)
-        self._packets, self._pause_s = packets, pause_s
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._send, daemon=True)
-        self._thread.start()
-
-    def _send(self) -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as skin:
-            while not self._stop.wait(self._pause_s):
-                for packet in self._packets:
-                    skin.sendto(packet, ("127.0.0.1", self.port))
-
-    def stop(self) -> None:
-        self._stop.set()
-        self._thread.join()
-
-
-def udp_frame(value: int) -> bytes:
-    return np.full(UDP_SHAPE, value, "<u2").tobytes()
-
-
-def serial_frame(value: int) -> bytes:
-    taxels = np.full(SERIAL_SHAPE, value, "u1").tobytes()
-    return b"\xaa\x55" + taxels + bytes([sum(taxels) % 256])
-
-
-def taken(source: DriverSource, n: int) -> list[np.ndarray[Any, Any]]:
-    return [forces for _, (_, forces) in zip(range(n), source, strict=False)]
-
-
-def test_packets_become_frames_in_newtons(opened: Open) -> None:
-    skin = UdpSkin(udp_frame(0), udp_frame(65535))
-    source = opened("udp_skin", PORT=skin.port)
-    assert (source.skin.shape, source.skin.f_max) == (UDP_SHAPE, 2.5)
-    frames = taken(source, 20)
-    skin.stop()
-    assert {float(frame.max()) for frame in frames} == {0.0, 2.5}
-    assert all(np.ptp(frame) == 0 for frame in frames)
-
-
-def test_a_udp_skin_that_falls_silent_is_named(opened: Open) -> None:
-    skin = UdpSkin(udp_frame(1))
-    source = opened("udp_skin", PORT=skin.port, SILENT_S=0.2)
-    skin.stop()
-    with pytest.raises(SourceError, match=r"udp_skin:frames: the driver failed: .* no packet for"):
-        taken(source, 10**9)
-
-
-def test_packets_of_a_wrong_size_are_counted_and_left_out(
-    opened: Open, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("name", names())
+def test_an_example_runs_and_prints_its_result(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    garbage = [os.urandom(n) for n in (0, 1, 3199, 3201, 60_000)]
-    skin = UdpSkin(*garbage, udp_frame(7))
-    frames = taken(opened("udp_skin", PORT=skin.port), 5)
-    skin.stop()
-    assert all(np.all(frame == np.float32(7 * 2.5 / 65535)) for frame in frames)
-    assert "packets of a wrong size, 0 dropped by the kernel" in capsys.readouterr().out
+    arguments = ["out.png"] if name in WITH_PICTURE else []
+    run(name, tmp_path, monkeypatch, *arguments)
+    assert LAST_LINE[name] in capsys.readouterr().out.splitlines()[-1]
+    if name in WITH_PICTURE:
+        assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_flood_of_packets_is_dropped_by_the_kernel_and_counted(
-    opened: Open, capsys: pytest.CaptureFixture[str]
-) -> None:
-    skin = UdpSkin(udp_frame(5))
-    source = opened("udp_skin", PORT=skin.port)  # it is bound, and reads no more for now
-    skin.stop()
-    flood = [udp_frame(9)] * 2000
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        for packet in flood:
-            sender.sendto(packet, ("127.0.0.1", skin.port))
-        reader = iter(source)
-        n_read = 0
-        said = ""
-        while "dropped" not in said:  # the kernel tells it with the first packet after the gap
-            sender.sendto(udp_frame(11), ("127.0.0.1", skin.port))
-            next(reader)
-            n_read += 1
-            assert n_read < len(flood)
-            said += capsys.readouterr().out
-    assert "0 packets of a wrong size" in said
-
-
-@pytest.fixture
-def line() -> Iterator[tuple[int, str]]:
-    """The skin's end of a serial line, and the name of the other."""
-    skin, host = pty.openpty()
-    tty.setraw(host)  # as the driver will: nothing is changed that came before
-    yield skin, os.ttyname(host)
-    os.close(skin)
-    os.close(host)
-
-
-def test_a_serial_line_becomes_frames_in_newtons(opened: Open, line: tuple[int, str]) -> None:
-    skin, device = line
-    writer = threading.Thread(
-        target=lambda: [os.write(skin, serial_frame(k)) for k in (51, 102, 255)], daemon=True
-    )
-    writer.start()
-    source = opened("serial_skin", DEVICE=device)
-    assert source.skin.shape == SERIAL_SHAPE
-    frames = taken(source, 3)
-    writer.join()
-    assert [round(float(frame[0, 0]), 6) for frame in frames] == [0.5, 1.0, 2.5]
-
-
-def test_garbage_between_the_frames_of_a_serial_line_is_passed_over_and_counted(
-    opened: Open, line: tuple[int, str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    skin, device = line
-    cut = serial_frame(9)[:200]  # as after an overrun: the rest never came
-    wrong = serial_frame(9)[:-1] + b"\0"
-    parts = [b"\xaa", b"\x55\xaa" * 9, cut, serial_frame(51), wrong, b"\x01\x02", serial_frame(102)]
-    parts += [serial_frame(255)] * 2
-    writer = threading.Thread(target=lambda: [os.write(skin, p) for p in parts], daemon=True)
-    writer.start()
-    frames = taken(opened("serial_skin", DEVICE=device), 4)
-    writer.join()
-    assert [round(float(frame[0, 0]), 6) for frame in frames] == [0.5, 1.0, 2.5, 2.5]
-    assert all(np.ptp(frame) == 0 for frame in frames)
-    assert f"{device}: 1 frames with a wrong sum" in capsys.readouterr().out
-
-
-def test_a_serial_skin_that_falls_silent_is_named(opened: Open, line: tuple[int, str]) -> None:
-    skin, device = line
-    os.write(skin, serial_frame(1))
-    source = opened("serial_skin", DEVICE=device, SILENT_S=0.2)
-    with pytest.raises(SourceError, match=f"{device}: nothing came for 0.2 s"):
-        taken(source, 10**9)
-
-
-def test_a_serial_flood_is_taken_as_fast_as_it_comes(opened: Open, line: tuple[int, str]) -> None:
-    # A line holds the writer up; what a real device's buffer loses shows as wrong sums.
-    skin, device = line
-    data = serial_frame(51) * 300
-    writer = threading.Thread(target=lambda: _write_all(skin, data), daemon=True)
-    writer.start()
-    frames = taken(opened("serial_skin", DEVICE=device), 300)
-    writer.join()
-    assert len(frames) == 300
-
-
-def _write_all(fd: int, data: bytes) -> None:
-    while data:
-        data = data[os.write(fd, data) :]
-
-
-def test_a_device_that_is_not_there_is_named(opened: Open) -> None:
-    with pytest.raises(SourceError, match="No such file or directory: '/dev/no-skin'"):
-        opened("serial_skin", DEVICE="/dev/no-skin")
-
-
-def test_a_graph_runs_on_the_example_and_says_when_the_skin_falls_silent(
-    start: StartProgram, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    skin = UdpSkin(udp_frame(300), pause_s=0.01)
-    monkeypatch.setenv("SKIN_PORT", str(skin.port))
-    program = start(
-        *("launch", "replay", "--set", "sensor.source=udp_skin:frames"),
-        *("--set", "monitor.page=false"),
-        pythonpath=EXAMPLES,
-    )
-    program.wait_for("[launch] ready")
-    skin.stop()
-    code, _, stderr = program.finish()
-    assert code == 2
-    assert "udp_skin:frames: the driver failed: TimeoutError: no packet for 2 s" in stderr
-    assert "Traceback" not in stderr
+def test_examples_of_the_documentation_are_those_there_are() -> None:
+    page = (EXAMPLES.parent / "docs" / "examples.md").read_text(encoding="utf-8")
+    for path in EXAMPLES.glob("*.py"):
+        assert f"[{path.name}](../examples/{path.name})" in page

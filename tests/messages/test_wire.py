@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+from typing import Any
 
 import msgpack
 import numpy as np
@@ -36,7 +37,7 @@ from sparseskin.messages import (
     encode,
     size_bytes,
 )
-from sparseskin.messages.fields import MAX_ELEMENTS
+from sparseskin.messages.fields import MAX_ELEMENTS, Real
 from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS, is_end
 
 names = st.from_regex(r"[a-z][a-z0-9_]{0,31}", fullmatch=True)
@@ -330,6 +331,40 @@ def test_a_field_that_an_older_message_has_not_is_its_default_and_costs_no_bytes
     assert decode(*encode(rotating)) == rotating
     with pytest.raises(FieldError, match="rows"):
         decode_body(body_of(rotating) | {"rows": "spinning"}, b"/skin/phi")
+
+
+def test_whole_numbers_are_allowed_up_to_the_largest_of_64_bits_with_a_sign() -> None:
+    largest = taxels(stamp_ns=2**63 - 1, seq=0)
+    assert decode(*encode(largest)).stamp_ns == 2**63 - 1
+    assert taxels(stamp_ns=np.int64(2**63 - 1)) == largest
+    for beyond in (2**63, -1, np.uint64(2**63)):
+        with pytest.raises(FieldError, match=r"is outside 0\.\.9223372036854775807"):
+            taxels(stamp_ns=beyond)
+    with pytest.raises(FieldError, match="stamp_ns"):
+        decode_body(body_of(largest) | {"stamp_ns": 2**63})
+
+
+@pytest.mark.parametrize(
+    ("value", "error"),
+    [
+        (1e30, None),
+        (10, None),
+        (np.float32(0.5), None),
+        (-1e-9, FieldError),
+        (True, FieldError),
+        ("1", FieldError),
+        (float("inf"), NotFiniteError),
+        (np.float32("nan"), NotFiniteError),
+        (10**400, FieldError),
+    ],
+)
+def test_numbers_are_finite_and_in_range(value: Any, error: type[MessageError] | None) -> None:
+    field = Real(0.0, 1e30)
+    if error is None:
+        assert field.check("f", value) == float(value)
+        return
+    with pytest.raises(error, match=r"^f: "):
+        field.check("f", value)
 
 
 @pytest.mark.parametrize("body", [None, 3, "text", [1, 2], {}, {1: 2}])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sparseskin.launch.launchfile import load
+from sparseskin.launch.launchfile.load import load
 from sparseskin.messages import (
     Measurements,
     Message,
@@ -206,7 +206,7 @@ def test_noise_cannot_be_added_to_what_brings_its_own(tmp_path: Path) -> None:
     np.save(tmp_path / "skin.npy", np.full((30, 4, 5), 0.5, np.float32))
     settings = Sensor.Settings(source=f"file:{tmp_path / 'skin.npy'}")
     host = NodeHost(Sensor(settings, Context("sensor", ManualClock())), "0" * 16, print)
-    with pytest.raises(SettingsError, match="noise: these taxels bring their own"):
+    with pytest.raises(SettingsError, match="noise: this source delivers noisy taxels"):
         host.change({"noise": 2.0})
     assert host.node.settings == settings
     (state,) = host.change({"rate_hz": 50})

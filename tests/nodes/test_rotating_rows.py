@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sparseskin.launch.cli import main
-from sparseskin.launch.launchfile import load
-from sparseskin.launch.scenes_command import make_scenario
+from sparseskin.launch.commands.cli import main
+from sparseskin.launch.commands.scenes import make_scenario
+from sparseskin.launch.launchfile.load import load
 from sparseskin.messages import (
     Measurements,
     Message,
@@ -22,13 +22,13 @@ from sparseskin.messages import (
 )
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.compressor.phi import make_phi
-from sparseskin.nodes.compressor.rotation import phases_of
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.player.node import Player
 from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
-from sparseskin.nodes.recorder.bag_reader import BagReader
+from sparseskin.nodes.recorder.bag.reader import BagReader
 
 ROTATING = "compressor.rows=rotating"
 SOLVERS = ["reconstructor.preset=skin", "reconstructor.iterations=10"]
@@ -58,7 +58,7 @@ def only(messages: Iterable[Message], kind: type[Any]) -> Any:
 def test_frames_take_turns_and_each_is_inverted_by_its_own_matrix(solver: str) -> None:
     bus = graph(ROTATING, "compressor.ratio=4", solver)
     frames = frames_of(bus, 10)
-    prints = [phi.fingerprint for phi in phases_of(make_phi("sbhe", 1600, 400, 0), "rotating")]
+    prints = [phi.fingerprint for phi in row_subsets(make_phi("sbhe", 1600, 400, 0), "rotating")]
     assert [state.rows for state in states_of(bus)[1:]] == ["rotating"]
     for k, messages in enumerate(frames):
         assert only(messages, Measurements).phi == prints[k % 4]
@@ -94,7 +94,7 @@ def test_a_matrix_of_none_of_the_turns_is_refused_by_name() -> None:
     stranger = Measurements(
         stamp_ns=9, patch="skin", y=only(messages, Measurements).y, phi="0123456789abcdef"
     )
-    with pytest.raises(SparseskinError, match=r"made by Phi 0123456789abcdef, .* and 2 others"):
+    with pytest.raises(SparseskinError, match=r"made by Phi 0123456789abcdef, .* and 2 other row"):
         list(node.step(stranger))
 
 

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from sparseskin.launch.cli import main
-from sparseskin.nodes.reconstructor.haar import HaarBasis
-from sparseskin.nodes.reconstructor.learned import check_atoms
-from sparseskin.studies import bases_points
-from sparseskin.studies.bases import BODIES, LEARNED_BASES, REGISTERED, training_of
-from sparseskin.studies.bases_page import write
-from sparseskin.studies.bases_points import coefficients, learned, restored, sampled
+from sparseskin.launch.commands.cli import main
+from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
+from sparseskin.nodes.reconstructor.bases.learned import check_atoms
+from sparseskin.studies.bases.page import write
+from sparseskin.studies.bases.study import (
+    BODIES,
+    LEARNED_BASES,
+    REGISTERED,
+    coefficients,
+    learned,
+    reconstructed,
+    sampled,
+    spread_frames,
+    training_of,
+)
 
 SCENE = "lift_box_40"
 BASES = {"haar": "haar", "identity": "identity"}
@@ -32,7 +41,7 @@ def test_no_basis_is_tried_on_frames_that_it_was_learned_from() -> None:
 def test_coefficients_are_those_above_rounding_and_energy_adds_up() -> None:
     point = {"scene": SCENE, "bases": BASES, "n_frames": 4, "seed": 0}
     found = coefficients(point)
-    truths = [t for t, _ in bases_points.spread_frames(SCENE, 0, 4) if t.max() > 0.01]
+    truths = [t for t, _ in spread_frames(SCENE, 0, 4) if t.max() > 0.01]
     assert found["identity"]["n_frames"] == len(truths) >= 2
     expected = np.mean([np.count_nonzero(t > 1e-6) for t in truths])
     assert found["identity"]["n_nonzero"] == pytest.approx(expected)
@@ -43,13 +52,13 @@ def test_coefficients_are_those_above_rounding_and_energy_adds_up() -> None:
         assert 0 <= figures["missing"][-1] < figures["missing"][0] < 1
 
 
-def test_haar_restores_a_compressed_skin_and_the_taxels_themselves_do_not() -> None:
+def test_haar_reconstructs_a_compressed_skin_and_the_taxels_themselves_do_not() -> None:
     point = {"scene": SCENE, "bases": BASES, "n_frames": 12, "seed": 0, "ratio": 4}
-    found = restored(point)
+    found = reconstructed(point)
     assert max(found["haar"]["mean_db"]) > max(found["identity"]["mean_db"]) + 2
     for figures in found.values():
         assert (np.array(figures["min_db"]) <= figures["mean_db"]).all()
-    assert restored(point) == found
+    assert reconstructed(point) == found
 
 
 def test_adaptive_sampling_is_beside_the_others_on_the_same_frames() -> None:
@@ -63,29 +72,34 @@ def test_a_learned_basis_is_orthonormal() -> None:
     assert check_atoms(atoms) == 8
 
 
-def invented() -> dict[str, Any]:
+def made_up() -> dict[str, pd.DataFrame]:
     names = (*REGISTERED, "haar, tiles", *LEARNED_BASES)
     scenes = ("lift_box_40", "path_40", "drag_wrench_64")
-    counted = {
-        (scene, name): {"n_nonzero": 10.0 * k, "missing": [0.1 / k] * 6 + [0.0], "n_frames": 9}
-        for scene in scenes
-        for k, name in enumerate(names, start=1)
-    }
-    by_lambda = [40.0, 41.5, 42.5, 41.0, 40.0]
-    found = {
-        (*key, ratio): {"mean_db": by_lambda, "min_db": [31.0] * 5}
-        for key in counted
-        for ratio in (3, 4)
-    }
-    of_kind = {"mean_db": 40.0, "min_db": 30.0}
+    of_basis = [
+        {"n_nonzero": 10.0 * k, "missing": [0.1 / k] * 6 + [0.0], "n_frames": 9}
+        for k in range(1, len(names) + 1)
+    ]
+    by_lambda = {"mean_db": [40.0, 41.5, 42.5, 41.0, 40.0], "min_db": [31.0] * 5}
     kinds = ("reading", "paper", "skin", "subsample", "acts")
-    ratios = [(scene, ratio) for scene in scenes for ratio in (4, 16)]
-    sampling = {key: dict.fromkeys(kinds, of_kind) for key in ratios}
-    return {"counted": counted, "restored": found, "sampled": sampling}
+    return {
+        "counted": pd.DataFrame(
+            {"scene": scene, "basis": name, **figures}
+            for scene in scenes
+            for name, figures in zip(names, of_basis, strict=True)
+        ),
+        "reconstructed": pd.DataFrame(
+            {"scene": scene, "ratio": ratio, "basis": name, **by_lambda}
+            for scene, ratio, name in product(scenes, (3, 4), names)
+        ),
+        "sampled": pd.DataFrame(
+            {"scene": scene, "ratio": ratio, "sampling": kind, "mean_db": 40.0, "min_db": 30.0}
+            for scene, ratio, kind in product(scenes, (4, 16), kinds)
+        ),
+    }
 
 
 def test_the_page_answers_in_words_and_leaves_tables_and_charts(tmp_path: Path) -> None:
-    write(tmp_path, **invented())
+    write(tmp_path, **made_up())
     page = (tmp_path / "bases.md").read_text()
     assert "Haar (D2) needs fewer coefficients than D4 in 3 of 3 scenes; D4 needs 2.00" in page
     assert "42.5 (41.5)" in page

@@ -7,9 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sparseskin.launch.cli import main
-from sparseskin.studies.endurance import STREAMS, summary
-from sparseskin.studies.endurance_points import LOST, LOST_EVERY, PER_SCENE, endured
+from sparseskin.launch.commands.cli import main
+from sparseskin.studies.endurance.study import (
+    LOST,
+    LOST_EVERY,
+    PER_SCENE,
+    STREAMS,
+    endured,
+    summary,
+)
 
 
 @pytest.mark.parametrize("rows", ["fixed", "rotating"])
@@ -30,9 +36,10 @@ def test_over_jumps_and_losses_nothing_is_lost_for_good(rows: str) -> None:
     assert figures["rounds_db"][0] > 40
 
 
+@pytest.mark.slow
 def test_the_page_has_a_line_a_stream(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib")
-    monkeypatch.setattr("sparseskin.studies.endurance.QUICK_FRAMES", 2 * PER_SCENE)
+    monkeypatch.setattr("sparseskin.studies.endurance.study.QUICK_FRAMES", 2 * PER_SCENE)
     arguments = ["--quick", "--out", str(tmp_path), "--executor", "process:1"]
     assert main(["study", "endurance", *arguments]) == 0
     page = (tmp_path / "endurance.md").read_text()

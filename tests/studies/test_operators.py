@@ -1,4 +1,4 @@
-"""The study `operators`: what is timed is the same operator, and every figure is there."""
+"""Study `operators`: the timed calls are the same operator, and every figure is there."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sparseskin.nodes.compressor.sbhe import SbhePhi
-from sparseskin.nodes.reconstructor.haar import HaarBasis
-from sparseskin.studies import operators
-from sparseskin.studies.operators_c import CFloor, c_compiler
-from sparseskin.studies.operators_peers import (
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
+from sparseskin.studies.operators import study as operators
+from sparseskin.studies.operators.c import CFloor, c_compiler
+from sparseskin.studies.operators.peers import (
     ADJOINT,
     ANALYSIS,
     FORWARD,
@@ -21,13 +21,13 @@ from sparseskin.studies.operators_peers import (
     missing_peers,
     peer_calls,
 )
-from sparseskin.studies.operators_points import OPERATORS, time_operators, time_solvers
-from sparseskin.studies.operators_timing import median_us
+from sparseskin.studies.operators.study import OPERATORS, median_us, time_operators, time_solvers
+from sparseskin.studies.points import StudyError
 
 
 @pytest.mark.parametrize("peer", PEERS)
 @pytest.mark.parametrize("side", [8, 12])
-def test_a_peer_is_timed_at_the_same_operator(peer: str, side: int) -> None:
+def test_the_timed_calls_of_a_peer_are_the_same_operator(peer: str, side: int) -> None:
     if peer in missing_peers():
         pytest.skip(f"{peer} is not installed")
     n = side * side
@@ -78,7 +78,7 @@ def test_c_iterates_without_growing() -> None:
     for _ in range(50):
         floor.fista()
         floor.skin()
-    assert all(np.isfinite(vector).all() for vector in floor._kept)
+    assert all(np.isfinite(vector).all() for vector in floor.vectors)
 
 
 def test_the_median_is_of_a_call() -> None:
@@ -87,6 +87,24 @@ def test_the_median_is_of_a_call() -> None:
     assert len(calls) >= 5
 
 
+def test_what_is_not_installed_is_logged_before_anything_is_timed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def compute(*_: object) -> None:
+        raise StudyError("nothing is to be timed here")
+
+    monkeypatch.setattr(operators, "missing_peers", lambda: list(PEERS))
+    monkeypatch.setattr(operators, "c_compiler", lambda: None)
+    monkeypatch.setattr(operators, "compute", compute)
+    with pytest.raises(StudyError):
+        operators.run(tmp_path, True, 0, "serial")
+    logged = capsys.readouterr().err
+    for peer in PEERS:
+        assert f"left out: {peer} is not installed (pip install 'sparseskin[peers]')" in logged
+    assert "left out: no C compiler is installed" in logged
+
+
+@pytest.mark.slow  # a whole small study, with its charts
 def test_what_is_not_installed_is_left_out_with_a_notice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -96,9 +114,9 @@ def test_what_is_not_installed_is_left_out_with_a_notice(
     monkeypatch.setattr(operators, "c_compiler", lambda: None)
     pytest.importorskip("matplotlib")
     operators.run(tmp_path, True, 0, "serial")
-    said = capsys.readouterr().err
-    assert "left out: PyLops is not installed (pip install 'sparseskin[peers]')" in said
-    assert "left out: no C compiler is installed" in said
+    errors = capsys.readouterr().err
+    assert "left out: PyLops is not installed (pip install 'sparseskin[peers]')" in errors
+    assert "left out: no C compiler is installed" in errors
     page = (tmp_path / "operators.md").read_text()
     assert "**Left out:** PyLops" in page
     assert "PyLops |" not in page

@@ -23,7 +23,7 @@ STUDY = """
 import sys, time
 from pathlib import Path
 
-from sparseskin.launch.entry import main
+from sparseskin.launch.commands.entry import main
 from sparseskin.studies import command
 from sparseskin.studies.points import compute
 
@@ -42,7 +42,7 @@ def run(out, quick, seed, executor):
 
 
 if __name__ == "__main__":
-    command.STUDIES["squares"] = ("squares", "__main__:run")
+    command.STUDIES["squares"] = command.Study("squares", target="__main__:run")
     sys.exit(main())
 """
 
@@ -92,6 +92,7 @@ def calls(folder: Path) -> Counter[int]:
     return Counter(map(int, (folder / "calls").read_text().split()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", ["process:2", "serial"])
 def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path, executor: str) -> None:
     points = tmp_path / "out" / "squares" / POINTS_FILE
@@ -117,6 +118,7 @@ def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path, executor: str
     assert len([json.loads(line) for line in points.read_text().splitlines()]) == 8
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_it_without_a_traceback_and_without_workers(tmp_path: Path) -> None:
     points = tmp_path / "out" / "squares" / POINTS_FILE
     run = Run(tmp_path, "process:2")
@@ -146,14 +148,14 @@ def nothing_finite(point: dict[str, Any]) -> dict[str, Any]:
 def test_points_are_computed_once_and_again_when_they_were_forgotten(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = []
+    known = []
     for anew in (False, False, True):
         if anew:
             forget(tmp_path)
             assert n_lines(tmp_path / POINTS_FILE) == 0
         assert compute(double, [{"k": 4}], tmp_path, "serial", "doubles")[0]["double"] == 8
-        told.append("1 of 1 points are known from an earlier run" in capsys.readouterr().err)
-    assert told == [False, True, False]
+        known.append("1 of 1 points are known from an earlier run" in capsys.readouterr().err)
+    assert known == [False, True, False]
 
 
 def test_figures_are_in_the_order_of_the_points_and_the_same_when_read(tmp_path: Path) -> None:
@@ -165,7 +167,7 @@ def test_figures_are_in_the_order_of_the_points_and_the_same_when_read(tmp_path:
     assert n_lines(tmp_path / POINTS_FILE) == 3
 
 
-def test_points_of_other_code_are_told(
+def test_points_of_other_code_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
@@ -176,10 +178,53 @@ def test_points_of_other_code_are_told(
     assert "2 of 3 points are known from an earlier run, 2 of them by" in capsys.readouterr().err
 
 
-def test_the_key_is_of_function_and_parameters_whatever_their_order() -> None:
-    assert key_of(double, {"a": 1, "b": 2}) == key_of(double, {"b": 2, "a": 1})
-    assert key_of(double, {"a": 1}) != key_of(double, {"a": 2})
-    assert key_of(double, {"a": 1}) != key_of(fail_on_two, {"a": 1})
+def test_the_key_is_of_names_and_parameters_whatever_their_order() -> None:
+    key = key_of(double, "doubles", {"a": 1, "b": 2})
+    assert key == key_of(double, "doubles", {"b": 2, "a": 1})
+    others = [
+        key_of(double, "doubles", {"a": 2, "b": 2}),
+        key_of(fail_on_two, "doubles", {"a": 1, "b": 2}),
+        key_of(double, "others", {"a": 1, "b": 2}),
+    ]
+    assert len({key, *others}) == 4
+
+
+def test_a_point_is_known_where_its_function_has_moved_to_another_module(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
+    (record,) = map(json.loads, (tmp_path / POINTS_FILE).read_text().splitlines())
+    assert record["function"] == f"{__name__}:double"
+    monkeypatch.setattr(double, "__module__", "moved.elsewhere")
+    compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
+    assert "1 of 1 points are known" in capsys.readouterr().err
+
+
+def test_points_saved_under_former_names_are_counted_and_computed_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    former = {"key": "0" * 64, "code": "c", "point": {"k": 1}, "figures": {"double": 5}}
+    (tmp_path / POINTS_FILE).write_text(f"{json.dumps(former)}\n" * 3)
+    for _ in range(2):
+        assert compute(double, [{"k": 1}], tmp_path, "serial", "doubles")[0]["double"] == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if "computed anew" in line]
+    assert lines == [
+        f"{tmp_path / POINTS_FILE}: 3 points were saved by an earlier version under other names; "
+        "they are computed anew (they stay in the file until --anew, for the version that saved "
+        "them)"
+    ]
+    assert n_lines(tmp_path / POINTS_FILE) == 4
+    monkeypatch.setattr(double, "__qualname__", "twice")
+    compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
+    assert "4 points were saved" in capsys.readouterr().err
+
+
+def test_a_line_without_its_end_is_cut_off(tmp_path: Path) -> None:
+    compute(double, [{"k": k} for k in range(2)], tmp_path, "serial", "doubles")
+    path = tmp_path / POINTS_FILE
+    path.write_bytes(path.read_bytes()[:-1])
+    assert compute(double, [{"k": 1}], tmp_path, "serial", "doubles")[0]["double"] == 2
+    assert len([json.loads(line) for line in path.read_text().splitlines()]) == 2
 
 
 def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path: Path) -> None:
@@ -195,13 +240,12 @@ def test_figures_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_second_run_in_the_same_folder_is_refused(tmp_path: Path) -> None:
-    run = Run(tmp_path, "serial")
-    out = tmp_path / "out" / "squares"
-    wait_until(lambda: n_lines(out / POINTS_FILE) == 4, "four points")
-    with pytest.raises(StudyError, match="another run of a study is at work"):
-        compute(double, [{"k": 0}], out, "serial", "doubles")
-    (tmp_path / "go").touch()
-    assert run.finish()[0] == 0
+    def compute_again(point: dict[str, Any]) -> dict[str, Any]:
+        with pytest.raises(StudyError, match="another run of a study uses it"):
+            compute(double, [{"k": 0}], tmp_path, "serial", "doubles")
+        return {}
+
+    assert compute(compute_again, [{"k": 0}], tmp_path, "serial", "outer") == [{}]
 
 
 def test_an_executor_that_does_not_exist_is_named(tmp_path: Path) -> None:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sparseskin.nodes.sensor.scenes import SCENES, open_scene
-from sparseskin.studies import scene_needs
-from sparseskin.studies.scene_needs import points, run, summary, verdict
-from sparseskin.studies.scene_needs_variants import Variant, decibels, measure, variants
+from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
+from sparseskin.studies.scene_needs import study as scene_needs
+from sparseskin.studies.scene_needs.study import points, run, summary, verdict
+from sparseskin.studies.scene_needs.variants import Variant, decibels, measure, variants
 
 
 def compared(scene: str, variant: str, n_steps: int = 420) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The study `soak`: a graph that runs for a minute in small, and its figures by hand."""
+"""The study `soak`: a short run of its graph, and its figures by hand."""
 
 from __future__ import annotations
 
@@ -8,21 +8,39 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sparseskin.launch.cli import main
-from sparseskin.studies.soak_driver import LOOP, frames_40
-from sparseskin.studies.soak_points import LAUNCHER, measure, verdict
+from sparseskin.launch.commands.cli import main
+from sparseskin.studies.looped import Looped
+from sparseskin.studies.scene_frames import scene_frames
+from sparseskin.studies.soak.study import LAUNCHER, measure, verdict
 
 FLAT_MB = 3.0
 """Of 50 to 180 MB; a leak of 1 kB a frame would be 5 MB in the time that is looked at."""
 
 
+NAMES = {LAUNCHER, "sensor", "compressor", "reconstructor", "monitor", "recorder"}
+
+
+def test_every_process_of_a_graph_is_sampled_and_nothing_is_lost() -> None:
+    found = measure({"seconds": 3.5, "rate_hz": 50, "side": 40})
+    samples = found["samples"]
+    assert samples.keys() == {"time_s", *NAMES}
+    assert len(samples["time_s"]) >= 2
+    for name in NAMES:
+        for values in samples[name].values():
+            assert len(values) == len(samples["time_s"])
+            assert min(values) > 0
+    assert found["frames"]["sensed"] == found["frames"]["reconstructed"] > 0
+    assert (found["frames"]["lost"], found["restarts"], found["exit_code"]) == (0, 0, 130)
+    assert found["lost"].keys() == NAMES - {LAUNCHER}
+    assert set(found["lost"].values()) == {0}
+
+
+@pytest.mark.slow
 def test_a_graph_that_runs_for_a_minute_leaks_nothing_and_loses_nothing() -> None:
     found = measure({"seconds": 60.0, "rate_hz": 100, "side": 40})
-    names = {LAUNCHER, "sensor", "compressor", "reconstructor", "monitor", "recorder"}
-    assert found["samples"].keys() == {"time_s", *names}
     assert found["frames"]["lost"] == found["restarts"] == 0
     assert set(found["lost"].values()) == {0}
-    for name in names:
+    for name in NAMES:
         v = verdict(found["samples"], name)
         assert v["after_mb"] - v["before_mb"] < FLAT_MB, name
         assert v["files_after"] <= v["files_before"], name
@@ -59,15 +77,15 @@ def test_of_a_short_run_a_third_is_warm_up() -> None:
     assert verdict(samples([1.0] * 31, [1] * 31), "x")["warm_up_s"] == 10.0
 
 
-def test_the_endless_sensor_goes_on_where_its_scene_ends() -> None:
-    source = frames_40()
-    forces, stamps = [], []
-    for _, (stamp_ns, frame) in zip(range(2 * LOOP), source, strict=False):
-        forces.append(frame)
-        stamps.append(stamp_ns)
-    assert all(np.diff(stamps) > 0)
-    np.testing.assert_array_equal(forces[0], forces[LOOP])
-    assert any(np.any(a != b) for a, b in itertools.pairwise(forces))
+def test_a_looped_source_repeats_its_frames_with_stamps_that_go_on() -> None:
+    first, n = 60, 5
+    pairs = list(scene_frames("lift_box_40", 0, first, first + n))
+    for delivers in ("truth", "taxels"):
+        source = Looped("lift_box_40", first, n, delivers)
+        stamps, forces = zip(*itertools.islice(source, 2 * n), strict=True)
+        assert all(np.diff(stamps) > 0)
+        expected = [pair[delivers == "taxels"] for pair in pairs]
+        np.testing.assert_array_equal(forces, 2 * expected)
 
 
 @pytest.mark.parametrize("minutes", ["0", "-1", "nan", "ten", "1e9"])

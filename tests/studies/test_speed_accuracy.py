@@ -9,21 +9,31 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sparseskin.nodes.compressor.phi import KINDS
-from sparseskin.nodes.reconstructor.basis import BASES
-from sparseskin.nodes.reconstructor.presets import PRESETS
-from sparseskin.nodes.reconstructor.solver import SOLVERS
-from sparseskin.studies import speed_design
-from sparseskin.studies.solvers import SUM_SOLVERS
-from sparseskin.studies.speed_accuracy import TIMED_ON
-from sparseskin.studies.speed_charts import draw_bytes, draw_parts, draw_race, draw_speed
-from sparseskin.studies.speed_design import CENTRE_RATIO, PAPER_LABEL, SCENES, design, variants
-from sparseskin.studies.speed_page import write_speed_page
-from sparseskin.studies.speed_peers import OURS, PEERS
-from sparseskin.studies.speed_points import DEAD_ZONES_N, full_reading, timed
-from sparseskin.studies.speed_problem import Bpdn
-from sparseskin.studies.speed_race import WITHIN, race
-from sparseskin.studies.speed_rows import Row, front, gather
+from sparseskin.nodes.compressor.phi.base import KINDS
+from sparseskin.nodes.reconstructor.bases.base import BASES
+from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.studies.evaluate import SUM_SOLVERS
+from sparseskin.studies.speed_accuracy import study as speed_study
+from sparseskin.studies.speed_accuracy.page import write
+from sparseskin.studies.speed_accuracy.peers import OURS, PEERS, Bpdn
+from sparseskin.studies.speed_accuracy.rows import (
+    CENTRE_RATIO,
+    DEAD_ZONES_N,
+    PAPER_LABEL,
+    Row,
+    front,
+    gather,
+    variants,
+)
+from sparseskin.studies.speed_accuracy.study import (
+    SCENES,
+    TIMED_ON,
+    WITHIN,
+    design,
+    full_reading,
+    race,
+    timed,
+)
 
 SHORT = {"scene": "lift_box_40", "seed": 0, "short": True}
 PAPER_POINT = {**SHORT, "label": PAPER_LABEL, "phi": "sbhe", "ratio": 3, **PRESETS["paper"]}
@@ -40,15 +50,14 @@ def test_the_design_covers_every_solver_basis_and_phi_and_repeats_no_point(quick
         assert {point["scene"] for point in points} == set(SCENES)
 
 
-def test_all_solvers_but_those_that_choose_taxels_anew_are_solvers_of_sums() -> None:
-    assert set(SOLVERS) - set(SUM_SOLVERS) == {"interpolation"}
+def test_the_variants_cover_every_solver_of_sums() -> None:
     assert {chosen["solver"] for chosen in variants().values()} == set(SUM_SOLVERS)
 
 
 def test_the_iterations_of_each_variant_that_takes_them_are_swept() -> None:
     for label in ("ista", "skin, rotating rows"):
         swept = [p for p in design(True, 0) if p["label"] == label and "iterations" in p]
-        assert {p["iterations"] for p in swept} == set(speed_design.QUICK_ITERATIONS)
+        assert {p["iterations"] for p in swept} == set(speed_study.QUICK_ITERATIONS)
 
 
 def test_the_problem_has_an_adjoint_and_its_minimum_is_lowest() -> None:
@@ -96,7 +105,7 @@ def test_all_taxels_denoised_are_better_than_as_they_are_read() -> None:
     assert reading["bytes"] > 3 * 4 * 533
 
 
-def test_what_does_not_go_together_is_told_and_not_left_out() -> None:
+def test_what_does_not_go_together_is_listed_and_not_left_out() -> None:
     refused = timed(PAPER_POINT | {"iterations": 0})
     assert "iterations = 0" in refused["refused"]
     results = gather([PAPER_POINT], [refused], True, {}, {}, [])
@@ -146,19 +155,9 @@ def made_up(quick: bool) -> Any:
     return gather(points, figures, quick, full, full, raced)
 
 
-@pytest.mark.parametrize("quick", [True, False])
+@pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_the_page_shows_every_solver_and_says_what_is_absent(quick: bool, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    results = made_up(quick)
-    charts = [
-        *(
-            draw(tmp_path, results, pooled)
-            for draw in (draw_speed, draw_bytes)
-            for pooled in (1, 0)
-        ),
-        *(draw_race(tmp_path, results), draw_parts(tmp_path, results)),
-    ]
-    write_speed_page(tmp_path, results, charts, ["SigPy FISTA"], quick)
+    write(tmp_path, made_up(quick), ["SigPy FISTA"], quick)
     page = (tmp_path / "speed-accuracy.md").read_text()
     for label in variants():
         assert f"| {label} |" in page

@@ -10,15 +10,18 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from sparseskin.nodes.sensor.scenes import SCENES
-from sparseskin.studies.stability_contact import measure, place_of_scene, rebound, swing
-from sparseskin.studies.stability_integrators import (
+from sparseskin.nodes.sensor.scenes.scenes import SCENES
+from sparseskin.studies.stability.contact import (
     INTEGRATORS,
     Mass,
     amplification,
     growth,
+    measure,
+    place_of_scene,
     propagator,
+    rebound,
     stability_margin,
+    swing,
 )
 
 DT_S = 1e-3

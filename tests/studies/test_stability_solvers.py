@@ -5,24 +5,25 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
-from sparseskin.nodes.reconstructor.basis import make_basis
+from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
-from sparseskin.studies import stability_faults, stability_settings
-from sparseskin.studies.solvers import SUM_SOLVERS
-from sparseskin.studies.stability_change import (
+from sparseskin.studies.evaluate import SUM_SOLVERS
+from sparseskin.studies.stability import faults as stability_faults
+from sparseskin.studies.stability import settings as stability_settings
+from sparseskin.studies.stability.change import (
     EVENTS,
     N_BEFORE,
     N_EACH,
     frames_until_settled,
     sequence,
 )
-from sparseskin.studies.stability_curves import Sweep, failing
-from sparseskin.studies.stability_faults import bits_of_the_noise, converted, converter_step_n
-from sparseskin.studies.stability_frames import (
+from sparseskin.studies.stability.faults import bits_of_the_noise, converted, converter_step_n
+from sparseskin.studies.stability.frames import (
     BLOWN_UP_DB,
     SHAPE,
     contacts,
@@ -31,9 +32,9 @@ from sparseskin.studies.stability_frames import (
     psnr_of,
     touched_snr,
 )
-from sparseskin.studies.stability_phase import measure_l1, weak_threshold
-from sparseskin.studies.stability_phase_maps import crossing
-from sparseskin.studies.stability_phis import LongRows, Unscrambled
+from sparseskin.studies.stability.phase import crossing, measure_l1, weak_threshold
+from sparseskin.studies.stability.settings import LongRows, Unscrambled
+from sparseskin.studies.stability.sweeps import Sweep, failing
 
 
 @pytest.mark.parametrize("delta", [0.1, 0.3, 0.5, 0.9])
@@ -153,13 +154,13 @@ def test_a_solver_that_diverges_is_a_figure_and_no_error() -> None:
 
 def test_failing_is_said_on_both_sides_of_the_best_value() -> None:
     heights = {1: 40.0, 2: 44.0, 3: 45.0, 4: 43.0, 5: 41.9, 6: 30.0}
-    rows = [
+    rows = pd.DataFrame(
         {"value": v, "psnr_db": h, "touched_db": 10.0, "noisy_psnr_db": 40.0, "noisy_touched_db": 9}
         for v, h in heights.items()
-    ]
-    sweep = Sweep("", "", "")
-    assert failing(rows, sweep) == "≤ 1 and ≥ 5"
-    assert failing(rows[1:4], sweep) == "nowhere"
+    )
+    assert failing(rows, Sweep("")) == "≤ 1 and ≥ 5"
+    assert failing(rows[1:4], Sweep("")) == "nowhere"
+    assert failing(rows, Sweep("", against_readings=True)) == "≥ 6"
 
 
 def test_crossing_is_interpolated_and_the_first() -> None:

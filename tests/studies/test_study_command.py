@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sparseskin.launch.cli import main
+from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.studies import command
 from sparseskin.studies.points import StudyError
@@ -21,12 +21,14 @@ def test_an_unknown_study_is_refused_with_the_one_that_was_meant(
     assert error.count("\n") == 1
 
 
-def test_without_matplotlib_it_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("package", command.EXTRA)
+def test_without_a_package_of_the_extra_one_line_names_it_and_the_extra(
+    package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(command, "find_spec", lambda name: None)
+    monkeypatch.setattr(command, "find_spec", lambda name: None if name == package else name)
     assert main(["study", "paper-tables"]) == 2
     error = capsys.readouterr().err
+    assert f"{package} not installed" in error
     assert "pip install 'sparseskin[charts]'" in error
     assert error.count("\n") == 1
 
@@ -48,7 +50,7 @@ def test_a_seed_that_no_generator_takes_is_refused(seed: str) -> None:
 
 @pytest.mark.parametrize("name", command.STUDIES)
 def test_every_study_that_is_listed_can_be_run(name: str) -> None:
-    assert find_callable(command.STUDIES[name][1], StudyError).__name__ == "run"
+    assert find_callable(command.target_of(name), StudyError).__name__ == "run"
 
 
 def test_the_help_lists_every_study(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sparseskin.launch.cli import main
+from sparseskin.launch.commands.cli import main
+from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.studies.points import StudyError
-from sparseskin.studies.targets import is_large, recordings_in
-from sparseskin.studies.targets_ablation import WITHOUT, ablated
-from sparseskin.studies.targets_bands import banded
-from sparseskin.studies.targets_page import write
-from sparseskin.studies.targets_points import recorded, restored, touched_lightly
-from sparseskin.studies.targets_scenes import F_MAX_N, KINDS, random_scene
+from sparseskin.studies.targets.ablation import WITHOUT
+from sparseskin.studies.targets.page import HELD, METHODS, write
+from sparseskin.studies.targets.scenes import KINDS, random_scene, side_of
+from sparseskin.studies.targets.study import (
+    DEAD_ZONES_N,
+    SOLVERS,
+    ablated,
+    banded,
+    frame_of,
+    reconstructed,
+    recorded,
+    recordings_in,
+    touched_lightly,
+)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -27,7 +37,7 @@ def test_random_scenes_are_drawn_by_their_seed_and_touch_the_skin(seed: int) -> 
     assert once.shape == (80, *(((40, 40), (64, 64))[seed % 2]))
     assert once.dtype == np.float32
     assert once.min() == 0
-    assert 0.02 < once.max() <= F_MAX_N
+    assert 0.02 < once.max() <= PAPER_F_MAX_N
     np.testing.assert_array_equal(once[0], 0)
     assert (once > 0).any(axis=0).mean() < 0.6
 
@@ -39,7 +49,7 @@ def test_other_seeds_are_other_scenes() -> None:
 
 def test_all_methods_of_a_point_have_the_same_frames() -> None:
     point = {"scene": "random 2", "ratio": 3, "n_frames": None, "seed": 0}
-    compressed, reading = restored(point), restored({**point, "ratio": 1})
+    compressed, reading = reconstructed(point), reconstructed({**point, "ratio": 1})
     assert compressed["n"] == reading["n"] == 1600
     assert set(compressed["methods"]) == {"paper", "fista, tuned", "skin", "skin, rotating"}
     skin, paper = (compressed["methods"][name]["mean_db"] for name in ("skin", "paper"))
@@ -49,12 +59,9 @@ def test_all_methods_of_a_point_have_the_same_frames() -> None:
     assert reading["methods"]["skin"]["mean_db"] > raw + 5
     zones = [value["mean_db"] for name, value in reading["methods"].items() if "zone" in name]
     assert max(zones) > raw
-
-
-def test_the_time_of_pylops_is_that_of_the_same_run() -> None:
-    pytest.importorskip("pylops")
-    point = {"scene": "random 2", "ratio": 3, "n_frames": None, "seed": 0}
-    assert restored(point)["pylops_ms"] > 0
+    # The time of PyLops is that of the same run.
+    assert (compressed["pylops_ms"] is None) == (find_spec("pylops") is None)
+    assert reading["pylops_ms"] is None
 
 
 def test_bands_hold_parts_of_the_truth() -> None:
@@ -99,38 +106,48 @@ _INDIFFERENT = (*("all of it", "doubt of a lagging filter", "caution where too m
 
 
 def test_the_page_holds_every_scene_and_says_what_is_missing(tmp_path: Path) -> None:
-    n_frames, seed = None, 0
-    pairs = []
+    times = {"p50_ms": 1.0, "p99_ms": 2.0}
+
+    def figures(mean_db: float) -> dict[str, float]:
+        return {"mean_db": mean_db, "min_db": mean_db - 10, "touched_n": 0.02, **times}
+
+    solved, n = [], {"n": 1600, "pylops_ms": 20.0}
     for ratio in (1, 3, 4, 8):
-        point = {"scene": "random 2", "ratio": ratio, "n_frames": n_frames, "seed": seed}
-        pairs.append((point, restored(point)))
+        point = {"scene": "random 2", "ratio": ratio, "n_frames": None, "seed": 0}
+        zones = [f"dead zone {zone:.2f} N" for zone in DEAD_ZONES_N]
+        names = ["raw", *zones, "skin"] if ratio == 1 else list(SOLVERS)
+        psnr = {name: 40.0 + 2 * k for k, name in enumerate(names)}
+        solved.append((point, {**n, "methods": {k: figures(db) for k, db in psnr.items()}}))
     light = {"side": 40, "ratio": 4, "solver": "skin", "n_trials": 1, "seed": 0}
-    ablation = {
-        "scene": "random 2",
-        "ratio": 3,
-        "rows": "fixed",
-        "n_frames": n_frames,
-        "seed": seed,
-    }
-    pytest.importorskip("matplotlib")
-    told = (light, touched_lightly(light))
-    bands = (ablation, banded(ablation))
-    write(tmp_path, pairs, [told], [bands], [], [(ablation, ablated(ablation))])
+    bands = {"scene": "random 2", "ratio": 3, "rows": "fixed", "n_frames": None, "seed": 0}
+    left_out = {name: figures(50.0 - k) for k, name in enumerate(WITHOUT)}
+    write(
+        tmp_path,
+        reconstructed=frame_of(*zip(*solved, strict=True), "method"),
+        touched=frame_of([light], [{"found": 0.95, "false": 0.001}]),
+        banded=frame_of([bands], [dict.fromkeys(HELD, 0.9) | {"col": float("nan")}]),
+        recorded=frame_of([], []),
+        ablated=frame_of([bands], [left_out], "without"),
+    )
     page = (tmp_path / "targets.md").read_text()
     assert page.count("| random 2 | N/3 |") == 2
-    assert page.count("| random 2 | fixed |") == page.count("| **mean** | fixed |") == 1
-    assert page.count("| N/3 | skin, rotating |") == 1
+    assert "| random 2 | N/3 | 40.0 / 30.0 | 42.0 / 32.0 | 44.0 / 34.0 | 46.0 / 36.0 |" in page
+    assert "40.0 / 30.0 | 54.0 (0.08 N) | 56.0 / 46.0 |" in page
+    assert "| 1600, random | N/3 | skin, rotating | +6.0 (+6.0) | +12 | +6.0 | +13 | +6.0" in page
+    assert "| random 2 | fixed | 90 / 90 / 90 / 90 / - |" in page
+    assert "| **mean** | fixed | 90 / 90 / 90 / 90 / - |" in page
+    assert "| 40 x 40 | skin | 95 % | 0.1 % |" in page
     assert "--recordings" in page
     for name in ("gain_skin.png", "gain_skin_rotating.svg", "ablation.png", "scenes.csv"):
         assert (tmp_path / name).stat().st_size > 100
         assert name in page
-    assert all(f"| {name} |" in page for name in list(WITHOUT)[1:])
+    assert all(f"| {name} | -{k}.00 |" in page for k, name in enumerate(WITHOUT) if k)
+    assert all(f"Gain of {method} over preset paper" in page for method in METHODS)
 
 
-def test_which_scenes_are_large() -> None:
-    assert [is_large(name) for name in ("lift_box_64", "path_40", "random 3", "random 10")] == [
-        *(True, False, True, False)
-    ]
+def test_sides_of_scenes_and_of_random_ones() -> None:
+    scenes = ("lift_box_64", "path_40", "random 3", "random 10")
+    assert [side_of(name) for name in scenes] == [64, 40, 64, 40]
 
 
 def test_recordings_are_found_by_suffix_and_a_missing_folder_is_named(
@@ -148,7 +165,6 @@ def test_recordings_are_found_by_suffix_and_a_missing_folder_is_named(
 def test_recordings_are_refused_by_other_studies(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("matplotlib")
     options = ["--out", str(tmp_path), "--recordings", str(tmp_path)]
     assert main(["study", "scene-needs", *options]) == 2
     assert "--recordings: study 'scene-needs' takes none" in capsys.readouterr().err

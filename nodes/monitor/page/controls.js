@@ -1,20 +1,20 @@
-// Controls of a patch's nodes. A request goes to the node that owns the matter; the page shows its
-// answer: done, or why not.
+// Controls of a patch's nodes. A request goes to the node that owns the setting; the page shows its
+// answer: done, or the reason of the refusal.
 
 import { byId, element, fixed, setText } from "./dom.js";
 
-// What is offered at the bench, in this order: [node type, setting, label].
-const OFFERED = [
+// The settings shown, in this order: [node type, setting, label].
+const SETTINGS = [
   ["reconstructor", "preset", "Preset"],
   ["reconstructor", "solver", "Solver"],
   ["reconstructor", "basis", "Basis"],
   ["reconstructor", "iterations", "Iterations"],
   ["reconstructor", "lambda_n", "λ (N)"],
-  ["reconstructor", "budget_ms", "Budget (ms a frame)"],
+  ["reconstructor", "budget_ms", "Time budget (ms/frame)"],
   ["compressor", "m", "Measurements M"],
   ["compressor", "rows", "Rows of Φ"],
-  ["compressor", "bits", "Bits a measurement"],
-  ["sensor", "noise", "Noise (× the paper's)"],
+  ["compressor", "bits", "Bits per measurement"],
+  ["sensor", "noise", "Noise (× paper)"],
   ["sensor", "rate_hz", "Rate (Hz)"],
 ];
 const PATIENCE_MS = 8000;
@@ -26,7 +26,7 @@ export class Controls {
     this.shape = "";
   }
 
-  // Take news of the graph; build the controls anew where it has other nodes.
+  // Show the state of the graph; rebuild the controls if its nodes differ.
   show(graph, patch) {
     const nodes = graph.nodes.filter((node) => node.patch === patch || "seek" in node.commands);
     const shape = JSON.stringify([patch, nodes.map((node) => [node.name, node.type])]);
@@ -53,7 +53,7 @@ export class Controls {
     }
     buttons.append(this.button("launch", "record", "● Record", { id: "record" }));
     this.root.append(buttons, this.answerLine("launch"));
-    for (const [type, key, label] of OFFERED) {
+    for (const [type, key, label] of SETTINGS) {
       for (const node of nodes.filter((found) => found.type === type)) {
         const entry = node.controls.find((found) => found.key === key);
         if (entry) this.root.append(this.field(node.name, entry, label));
@@ -96,26 +96,26 @@ export class Controls {
     const id = `${node}.${entry.key}`;
     const input = options.length
       ? element("select", { id }, ...options.map((name) => element("option", {}, name)))
-      : element("input", { id, type: "number", step: entry.type.startsWith("int") ? 1 : "any",
+      : element("input", { id, type: "number", placeholder: "default", step: entry.type.startsWith("int") ? 1 : "any",
         ...(entry.low === null ? {} : { min: entry.low }),
         ...(entry.high === null ? {} : { max: entry.high }) });
     const send = (event) => {
       event.preventDefault();
       if (input.validity.badInput) {
-        this.say(id, "refused", "✗ that is no number");
+        this.say(id, "refused", "✗ not a number");
         return;
       }
       const value = options.length ? input.value : input.value === "" ? null : Number(input.value);
       this.ask(node, "set", { [entry.key]: value }, id);
     };
-    // A list is sent when chosen; a number when it is meant, by Enter or the button.
+    // A choice is sent at once; a number by Enter or the button.
     if (options.length) input.addEventListener("change", send);
     return element("form", { class: "line", title: entry.doc, onsubmit: send, novalidate: true },
       element("label", {}, label, input),
       ...(options.length ? [] : [element("button", {}, "Set")]), this.answerLine(id));
   }
 
-  // Show what is in force, but not over what somebody is typing.
+  // Show the current values, but not over a field that is being edited.
   refresh(node) {
     for (const entry of node.controls) {
       const input = byId(`${node.name}.${entry.key}`);
@@ -129,7 +129,7 @@ export class Controls {
     }
     for (const button of this.root.querySelectorAll(`[data-pause="${node.name}"]`)) {
       button.dataset.value = JSON.stringify(!node.state.paused);
-      setText(button, node.state.paused ? `▶ Go on` : `❚❚ Pause`);
+      setText(button, node.state.paused ? `▶ Resume` : `❚❚ Pause`);
     }
     const seek = this.root.querySelector(`[data-seek="${node.name}"]`);
     if (seek) this.refreshPlayer(node, seek);
@@ -148,7 +148,7 @@ export class Controls {
 
   async ask(node, command, value, line) {
     const id = Array.from(crypto.getRandomValues(new Uint32Array(3)), (n) => n.toString(16)).join("");
-    const timer = setTimeout(() => this.answer({ id, done: false, text: "no answer came" }),
+    const timer = setTimeout(() => this.answer({ id, done: false, text: "no answer within 8 s" }),
       PATIENCE_MS);
     this.waiting.set(id, { line, timer });
     this.say(line, "asking", "…");
@@ -165,11 +165,11 @@ export class Controls {
 
   answer({ id, done, text }) {
     const waiting = this.waiting.get(id);
-    if (!waiting) return; // somebody else's
+    if (!waiting) return; // of another page
     this.waiting.delete(id);
     clearTimeout(waiting.timer);
     const input = byId(waiting.line);
-    if (input) delete input.dataset.shown; // what is in force is shown again, also after a refusal
+    if (input) delete input.dataset.shown; // the current value is shown again, also after a refusal
     this.say(waiting.line, done ? "done" : "refused", done ? `✓ ${text}` : `✗ ${text}`);
   }
 

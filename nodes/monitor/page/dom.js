@@ -31,13 +31,13 @@ export function brief(value, unit = "") {
   return value.toFixed(Math.min(Math.max(digits, 0), 4)) + (unit && ` ${unit}`);
 }
 
-// A value with its standard deviation, to one digit of that.
+// A value with its standard deviation, rounded to one digit of the latter.
 export function within(value, deviation, unit) {
   const digits = Math.min(Math.max(-Math.floor(Math.log10(deviation)), 0), 4);
   return `${value.toFixed(digits)} ± ${deviation.toFixed(digits)} ${unit}`;
 }
 
-// The same without zeros at the end, for the ticks of an axis.
+// Three significant digits without trailing zeros, for the ticks of an axis.
 export function tick(value) {
   return String(+value.toPrecision(3));
 }

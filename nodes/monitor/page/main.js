@@ -1,4 +1,4 @@
-// The page: takes records of the monitor's stream and draws them.
+// The page: reads records of the monitor's stream and draws them.
 
 import { Controls } from "./controls.js";
 import { ago, brief, byId, bytes, element, fixed, setText } from "./dom.js";
@@ -43,7 +43,7 @@ function onState(record) {
   const before = model.state;
   clock = record.now_s - seconds();
   if (model.run !== null && record.run !== model.run) {
-    location.reload(); // another graph, or another monitor: nothing shown here is of it
+    location.reload(); // another graph or monitor: nothing shown here belongs to it
     return;
   }
   model.run = record.run;
@@ -91,9 +91,9 @@ function drawMaps() {
 
 function drawCard(name) {
   const canvas = document.querySelector(`#card-${name} canvas`);
-  const { restored } = model.maps[name].data;
-  if (!canvas || !restored) return;
-  setText(canvas.nextElementSibling, thumbnail(canvas, restored, model.skins[name]));
+  const { reconstruction } = model.maps[name].data;
+  if (!canvas || !reconstruction) return;
+  setText(canvas.nextElementSibling, thumbnail(canvas, reconstruction, model.skins[name]));
 }
 
 function tile(title, value, note, id) {
@@ -119,19 +119,19 @@ function tiles(name) {
   const rate = strips?.rate(seconds() + clock);
   return [
     ["compression", "Compression", s.ratio ? `${s.ratio.toFixed(2)} : 1` : "–",
-      !s.n ? "Phi is not known yet" : s.bits && s.bits < 32
+      !s.n ? "Φ is not known yet" : s.bits && s.bits < 32
         ? `N/M ${s.n}/${s.m}, ${s.bits} bits: ${s.ratio_bits.toFixed(1)} : 1`
         : `N = ${s.n}, M = ${s.m}`],
-    ["traffic", "Sent by the edge", `${bytes(after)}`, `in place of ${bytes(before)}`],
+    ["traffic", "Data rate of the edge", `${bytes(after)}`, `instead of ${bytes(before)}`],
     ["gain", "PSNR gain, all frames", Number.isFinite(gain) ? `${gain >= 0 ? "+" : "−"}${Math.abs(gain).toFixed(1)} dB`
       : fixed(mean(s, "reconstruction"), 1, "dB"),
       Number.isFinite(gain) ? `mean ${fixed(mean(s, "noisy"), 1)} → ${fixed(
-        mean(s, "reconstruction"), 1, "dB")}` : "to the taxels; no truth is known"],
+        mean(s, "reconstruction"), 1, "dB")}` : "against the taxels; the truth is not known"],
     ["latency", "Latency, all frames", `${fixed(s.latency_ms?.p50, 1, "ms")}`
       + (s.latency_uncertainty_ms ? ` ± ${fixed(s.latency_uncertainty_ms, 1)}` : ""),
       `p99 ${fixed(s.latency_ms?.p99, 1, "ms")}, solve ${fixed(s.solve_ms?.p50, 1, "ms")}`],
-    ["rate", "Rate", `${rate ?? "–"} Hz`, skin?.rate_hz ? `asked ${brief(asked(name))} Hz`
-      : "as fast as it goes"],
+    ["rate", "Rate", `${rate ?? "–"} Hz`, skin?.rate_hz ? `requested ${brief(asked(name))} Hz`
+      : "as fast as possible"],
     ["frames", "Frames", `${s.frames?.reconstructed ?? "–"}`,
       `of ${s.frames?.sensed ?? "–"}, ${s.frames?.skipped ? `${s.frames.skipped} skipped, ` : ""}`
       + `${model.state?.patches[name]?.lost ?? "–"} lost`],
@@ -189,7 +189,7 @@ function drawNotices() {
   const stale = found.some(([, text]) => text.includes("stale"));
   const waits = model.connection !== "open" && !model.over;
   setText(pill, model.over ? "ended" : waits ? "no connection" : stale ? "stale"
-    : model.quiet ? "paused" : bad ? "look here" : "live");
+    : model.quiet ? "paused" : bad ? "fault" : "live");
 }
 
 function drawOverview() {
@@ -202,12 +202,12 @@ function drawOverview() {
   for (const name of names) {
     const s = model.summaries[name] ?? {}, state = model.state.patches[name];
     const card = byId(`card-${name}`);
-    const age = state.age_s.restored;
+    const age = state.age_s.reconstruction;
     card.classList.toggle("stale", !state.ended && !(age <= state.stale_s));
     setText(card.querySelector("p"), [
       s.ratio ? `${s.ratio.toFixed(2)} : 1` : "–",
       `PSNR ${fixed(mean(s, "noisy"), 1)} → ${fixed(mean(s, "reconstruction"), 1, "dB")}`,
-      `latency ${fixed(s.latency_ms?.p50, 1)} / ${fixed(s.latency_ms?.p99, 1, "ms")}`,
+      `latency p50 ${fixed(s.latency_ms?.p50, 1)}, p99 ${fixed(s.latency_ms?.p99, 1, "ms")}`,
       `${state.lost} lost`,
       state.ended ? "ended" : age === undefined ? "no frame yet"
         : age > state.stale_s ? `stale for ${ago(age)}` : "live",
@@ -231,7 +231,7 @@ function drawText() {
   if (model.graph && model.state) controls.show(model.graph, patch);
   const state = model.state?.patches[patch];
   const reachable = model.connection === "open";
-  // What was not heard of since is as much older.
+  // Data that arrived before the last record are older by the time since.
   const behind = Math.max(0, seconds() - model.heard);
   const ages = Object.fromEntries(
     Object.entries(state?.age_s ?? {}).map(([name, age]) => [name, age + behind]));

@@ -5,13 +5,13 @@ import { brief, byId, element, setText, tick, within } from "./dom.js";
 
 const TITLES = {
   truth: "Truth",
-  taxels: "Taxels read",
-  restored: "Reconstructed",
+  taxels: "Taxels (measured)",
+  reconstruction: "Reconstruction",
   error: "Absolute error",
 };
-const HOLD_MS = 4000; // how long the range of colours stays wide after a peak
-const CONTACT = 0.004; // of f_max: below this no centre of pressure is stated
-const ELLIPSE = 2.146; // standard deviations that hold 90 % of a normal distribution in a plane
+const HOLD_MS = 4000; // the colour range stays wide this long after a peak
+const CONTACT = 0.004; // fraction of f_max below which no centre of pressure is shown
+const ELLIPSE = 2.146; // standard deviations that contain 90 % of a normal distribution in a plane
 
 export class Maps {
   constructor(root, skin) {
@@ -22,7 +22,7 @@ export class Maps {
     this.maps = {};
     this.mask = skin.data.mask ?? null;
     root.replaceChildren();
-    const names = skin.has_truth ? Object.keys(TITLES) : ["taxels", "restored", "error"];
+    const names = skin.has_truth ? Object.keys(TITLES) : ["taxels", "reconstruction", "error"];
     for (const name of names) root.append(this.panel(name));
     root.style.setProperty("--n-maps", names.length);
     root.addEventListener("pointermove", (event) => this.point(event));
@@ -45,7 +45,7 @@ export class Maps {
     };
     const title = name === "error" && !this.skin.has_truth ? "Difference from the taxels"
       : TITLES[name];
-    // Laid over the canvas in taxels, (0, 0) at the middle of the first.
+    // An overlay in units of taxels, (0, 0) at the centre of the first.
     const { n_rows: nRows, n_cols: nCols } = this.skin;
     const over = element("svg", { class: "over", viewBox: `-0.5 -0.5 ${nCols} ${nRows}` });
     this.panels[name].over = over;
@@ -55,20 +55,20 @@ export class Maps {
       figures);
   }
 
-  // Take new maps, each float32 (n_rows * n_cols,), row after row, and the frame's resultant.
+  // Show new maps, each float32 (n_rows * n_cols,), row after row, and the frame's resultant.
   show({ data: maps, resultant }, now) {
     this.maps = { ...maps };
     this.resultant = resultant;
     this.mark();
     const reference = maps.truth ?? maps.taxels;
-    if (maps.restored && reference) {
-      this.maps.error = maps.restored.map((v, k) => Math.abs(v - reference[k]));
+    if (maps.reconstruction && reference) {
+      this.maps.error = maps.reconstruction.map((v, k) => Math.abs(v - reference[k]));
     }
     this.draw(now);
   }
 
   draw(now) {
-    const peak = Math.max(...["truth", "taxels", "restored"].map((m) => highest(this.maps[m])));
+    const peak = Math.max(...["truth", "taxels", "reconstruction"].map((m) => highest(this.maps[m])));
     this.peaks = this.peaks.filter(([at]) => now - at < HOLD_MS);
     this.peaks.push([now, peak]);
     const held = Math.max(...this.peaks.map(([, value]) => value), 0.02 * this.skin.f_max);
@@ -81,20 +81,21 @@ export class Maps {
       const top = own ? Math.min(rounded(highest(map)), this.skin.f_max) : range;
       paint(panel, map, this.mask, top);
       setText(panel.top, `${tick(top)} ${this.skin.unit}`);
-      const told = name === "restored" && this.resultant;
+      const resultant = name === "reconstruction" && this.resultant;
       setText(panel.figures, name === "error" ? this.errorText(map) : this.forceText(map)
-        + (told ? `\nresultant ${within(told.total, told.total_sd, this.skin.unit)}` : ""));
+        + (resultant
+          ? `\nresultant ${within(resultant.total, resultant.total_sd, this.skin.unit)}` : ""));
     }
     this.read();
   }
 
-  // The centre of pressure that was told before the frame was restored: a cross, and the ellipse
-  // that holds it in 90 % of the frames.
+  // The centre of pressure estimated from the measurements alone: a cross, and the ellipse that
+  // contains it in 90 % of the frames.
   mark() {
     const { row, col, row_sd: rowSd, col_sd: colSd } = this.resultant ?? {};
     const arm = 0.04 * Math.max(this.skin.n_rows, this.skin.n_cols);
     const cross = `M${col - arm} ${row}h${2 * arm}M${col} ${row - arm}v${2 * arm}`;
-    this.panels.restored.over.replaceChildren(...(Number.isFinite(row) ? [
+    this.panels.reconstruction.over.replaceChildren(...(Number.isFinite(row) ? [
       element("ellipse", { cx: col, cy: row, rx: ELLIPSE * colSd, ry: ELLIPSE * rowSd }),
       element("path", { d: cross })] : []));
   }
@@ -139,7 +140,7 @@ export class Maps {
 
   unpoint() {
     this.pointed = null;
-    setText(byId("under-pointer"), "Point at a taxel to read it.");
+    setText(byId("under-pointer"), "Point at a taxel to see its values.");
   }
 
   // The values under the pointer, in all maps.
@@ -156,10 +157,10 @@ export class Maps {
     setText(byId("under-pointer"), `${place}${values.join(", ")} ${this.skin.unit}`);
   }
 
-  // Grey what is older than it may be, and say so on it.
+  // Grey out stale maps, and show their age.
   markStale(ages, limit, quiet) {
     for (const [name, panel] of Object.entries(this.panels)) {
-      const age = ages[name === "error" ? "restored" : name];
+      const age = ages[name === "error" ? "reconstruction" : name];
       const stale = age === undefined || age > limit;
       const figure = panel.canvas.closest("figure");
       figure.classList.toggle("stale", stale && !quiet);

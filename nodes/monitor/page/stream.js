@@ -20,7 +20,7 @@ function parsed(bytes, offset, nHead, nData) {
 class Records {
   #bytes = new Uint8Array(0);
 
-  // Complete records, once these bytes are added to what is left from before.
+  // Complete records, once these bytes are appended to the incomplete rest.
   *add(chunk) {
     const bytes = new Uint8Array(this.#bytes.length + chunk.length);
     bytes.set(this.#bytes);
@@ -38,7 +38,7 @@ class Records {
 }
 
 export class Stream {
-  // onRecord takes a record; onConnection takes "connecting", "open" or why there is none.
+  // onRecord takes a record; onConnection takes "connecting", "open" or the reason of a failure.
   constructor(patch, onRecord, onConnection) {
     this.aborter = new AbortController();
     this.run(patch, onRecord, onConnection);
@@ -65,7 +65,7 @@ export class Stream {
           }
         } else {
           why = (await answer.text()).trim();
-          if (answer.status === 404) location.hash = "#/"; // no such patch: show those there are
+          if (answer.status === 404) location.hash = "#/"; // no such patch: show the overview
         }
       } catch (error) {
         why = "";

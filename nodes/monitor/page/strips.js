@@ -1,5 +1,5 @@
-// Strip charts of the last 60 s. Every frame is counted: frames fall into buckets of a second or
-// a quarter of one, and a bucket keeps extremes, mean and quantiles of all its frames.
+// Strip charts of the last 60 s. Every frame counts: frames are grouped into buckets of 1 s or
+// 0.25 s, each with the extremes, mean and quantiles of its frames.
 
 import { brief, element, tick } from "./dom.js";
 
@@ -51,8 +51,8 @@ const CHARTS = [
     ["good", "latency_ms", (f) => f.p50, "p50"], ["noisy", "latency_ms", (f) => f.p99, "p99"]] },
   { id: "solve", title: "Solve time", unit: "ms", lines: [
     ["good", "solve_ms", (f) => f.p50, "p50"], ["noisy", "solve_ms", (f) => f.p99, "p99"]] },
-  { id: "rate", title: "Rate achieved", unit: "Hz", lines: [
-    ["good", "rate", (f) => f.n, "frames restored a second"]], asked: true },
+  { id: "rate", title: "Frame rate", unit: "Hz", lines: [
+    ["good", "rate", (f) => f.n, "frames reconstructed a second"]], asked: true },
   { id: "lost", title: "Frames lost", unit: "", lines: [
     ["bad", "lost", (f) => f.last, "lost since the start"]] },
 ];
@@ -68,7 +68,7 @@ export class Strips {
     root.replaceChildren(...this.canvases.map((canvas) => element("figure", {}, canvas)));
   }
 
-  // Take the figures of frames: a record of kind "rows".
+  // Add the figures of frames: a record of kind "rows".
   add({ columns, now_s: now, data: { rows } }) {
     for (let at = 0; at < rows.length; at += columns.length) {
       const time = now + rows[at];
@@ -201,7 +201,7 @@ function legend(g, chart, lines, asked, colour, width) {
     const last = line.points.findLast(([, v]) => v !== null);
     return [line.tone, lines.length > 1 ? `${line.label} ${brief(last[1])}` : brief(last[1])];
   });
-  if (chart.asked && asked) entries.push(["text", `asked ${brief(asked)}`]);
+  if (chart.asked && asked) entries.push(["text", `requested ${brief(asked)}`]);
   for (const [tone, text] of entries) {
     if (at + g.measureText(text).width > width) break;
     g.fillStyle = colour(tone);

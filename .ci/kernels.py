@@ -1,0 +1,54 @@
+"""Run the tests of solvers and operators once for each kernel of OpenBLAS that this host can run.
+
+OpenBLAS chooses its kernel by the processor; OPENBLAS_CORETYPE makes it take another. A name that
+it does not know, or whose instructions the processor lacks, makes it fall back, so the kernel is
+read from what OpenBLAS reports. The kernel that it takes by itself is left to the whole test run.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+
+CANDIDATES = ("Prescott", "Nehalem", "Sandybridge", "Haswell", "Zen", "SkylakeX", "Cooperlake")
+TESTS = (
+    "tests/nodes/compressor/phi",
+    "tests/nodes/reconstructor/bases",
+    "tests/nodes/reconstructor/skin",
+    "tests/nodes/reconstructor/solvers",
+)
+
+
+def kernel_of(name: str | None) -> str | None:
+    """Kernel that OpenBLAS takes when asked for `name`; None if it does not run here."""
+    environment = {**os.environ, "OPENBLAS_VERBOSE": "2"}
+    environment.pop("OPENBLAS_CORETYPE", None)
+    if name is not None:
+        environment["OPENBLAS_CORETYPE"] = name
+    code = "import numpy as np; a = np.ones((40, 40), np.float32); assert (a @ a == 40).all()"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+    found = re.findall(r"^Core: (\w+)", done.stdout + done.stderr, flags=re.MULTILINE)
+    return found[-1] if done.returncode == 0 and found else None
+
+
+def main() -> int:
+    tested = {kernel_of(None)}
+    for name in CANDIDATES:
+        kernel = kernel_of(name)
+        if kernel is None or kernel in tested:
+            continue
+        tested.add(kernel)
+        print(f"OpenBLAS kernel {kernel} (OPENBLAS_CORETYPE={name})", flush=True)
+        pytest = [sys.executable, "-m", "pytest", "-q", "-n", "auto", "-m", "not slow", *TESTS]
+        done = subprocess.run(pytest, env={**os.environ, "OPENBLAS_CORETYPE": name}, check=False)
+        if done.returncode:
+            return done.returncode
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,96 @@
+"""Hooks of the site builder: pages from outside docs/, and mathematics as MathML.
+
+Formulas stand in the pages as `$...$` in a line and as blocks fenced by ```math, as GitHub shows
+them. The site has them as MathML, which browsers draw themselves: no script, no font and no other
+host is needed.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import tempfile
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+from mkdocs.plugins import event_priority
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).resolve().parent.parent
+#: Pages of the site that stand at the top of the repository.
+TOP_PAGES = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+}
+_BLOCK = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+# Code comes first: a dollar sign in it begins no formula.
+_INLINE = re.compile(
+    r"(?P<code>^```.*?^```$|^    [^\n]*$|`[^`\n]+`)|\$(?P<tex>[^$\n]+)\$", re.M | re.S
+)
+
+
+_tree = tempfile.TemporaryDirectory()
+
+
+@event_priority(100)  # before mkdocstrings reads its settings
+def on_config(config: Any, **_: Any) -> Any:
+    """Let the docstrings be read from a tree that is named as the package is imported."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    for name, folder in sorted(project["tool"]["setuptools"]["package-dir"].items()):
+        made = Path(_tree.name, *name.split("."))
+        made.mkdir(parents=True, exist_ok=True)
+        for inner in (ROOT / folder).iterdir():
+            (made / inner.name).symlink_to(inner)
+        if not (made / "__init__.py").exists():  # launch/ has none, and would not be searched
+            (made / "__init__.py").touch()
+    config.plugins["mkdocstrings"].config.handlers["python"]["paths"] = [_tree.name]
+    return config
+
+
+def on_shutdown(**_: Any) -> None:
+    """Remove the tree."""
+    _tree.cleanup()
+
+
+def on_files(files: Files, config: Any, **_: Any) -> Files:
+    """Add the pages from the top of the repository, and a page for each example."""
+    for source, page in TOP_PAGES.items():
+        text = (ROOT / source).read_text(encoding="utf-8")
+        files.append(File.generated(config, page, content=_moved(text)))
+    for path in sorted((ROOT / "examples").glob("*.py")):
+        page = f"examples/{path.stem}.md"
+        files.append(File.generated(config, page, content=_example_page(path)))
+    return files
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Replace each formula of a page by its MathML, and links to examples by links to pages."""
+    markdown = re.sub(r"\]\(\.\./examples/(\w+)\.py\)", r"](examples/\1.md)", markdown)
+    markdown = _BLOCK.sub(lambda m: f"\n{_mathml(m[1], 'block')}\n", markdown)
+    return _INLINE.sub(lambda m: m["code"] or _mathml(m["tex"], "inline"), markdown)
+
+
+def _mathml(tex: str, display: str) -> str:
+    made = convert(" ".join(tex.split()), display=display)
+    # Capital Greek letters are upright, as LaTeX has them.
+    made = re.sub(r"<mi>(&#x003[9A][0-9A-F];)</mi>", r'<mi mathvariant="normal">\1</mi>', made)
+    kind = "div" if display == "block" else "span"
+    return f'<{kind} class="math">{made}</{kind}>'
+
+
+def _moved(text: str) -> str:
+    """A page of the top folder, its links as seen from docs/."""
+    text = text.replace("](docs/", "](").replace("](examples/", "](../examples/")
+    for source, page in TOP_PAGES.items():
+        text = text.replace(f"]({source}", f"]({page}")
+    return re.sub(r"\[([^\]]+)\]\((LICENSE|CITATION\.cff)\)", r"\1 (`\2`)", text)
+
+
+def _example_page(path: Path) -> str:
+    source = path.read_text(encoding="utf-8")
+    module = ast.parse(source)
+    title = (ast.get_docstring(module) or path.stem).splitlines()[0]
+    return f"# {path.name}\n\n{title}\n\n```python\n{source}```\n"

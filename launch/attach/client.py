@@ -1,0 +1,143 @@
+"""Questions to a running graph, by its control socket: its nodes, topics and settings."""
+
+from __future__ import annotations
+
+import argparse
+import select
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from sparseskin.launch.run.running import GraphError, RunningGraph
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.process.control import COUNTED
+
+PATIENCE_S = 8.0
+"""The launcher answers after 5 s in place of a node that does not."""
+
+ELSEWHERE = "(another host)"
+"""Shown for a publisher whose name is not known here."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer to a request: True if it was done, and a line."""
+
+    done: bool
+    text: str
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a running graph: its name "/PATCH/SCHEMA", the publishing node ("" where that is
+    on another host) and its number of sent messages, and the `COUNTED` messages of each reader.
+    """
+
+    name: str
+    latched: bool
+    publisher: str = ""
+    sent: int = 0
+    readers: dict[str, dict[str, int]] = field(default_factory=dict)
+
+    @property
+    def schema(self) -> str:
+        """Name of the schema of its messages."""
+        return self.name.rpartition("/")[2]
+
+
+def add_command(
+    kinds: Any, name: str, run: Callable[..., int], about: str, description: str
+) -> argparse.ArgumentParser:
+    """Add one command of several, with its line of help and its description."""
+    parser: argparse.ArgumentParser
+    parser = kinds.add_parser(name, help=about, description=description)
+    parser.set_defaults(run=run)
+    return parser
+
+
+def add_graph_option(parser: argparse.ArgumentParser) -> None:
+    """Add --graph, as all commands beside a running graph have it."""
+    parser.add_argument(
+        "--graph", metavar="NAME|PID", help="which graph, where several run on this host"
+    )
+
+
+def describe(graph: RunningGraph, node: str | None = None) -> dict[str, Any]:
+    """The description of a graph: `sparseskin.launch.run.state.graph_description`.
+    Raises GraphError if the graph does not answer.
+    """
+    described = _exchange(graph, {"describe": node}, "description")
+    assert isinstance(described, dict)
+    return described
+
+
+def describe_node(graph: RunningGraph, name: str) -> dict[str, Any]:
+    """One node of a graph, with its settings.
+    Raises GraphError if the graph has no such node (with a did-you-mean), or does not answer.
+    """
+    nodes = {node["name"]: node for node in describe(graph, name)["nodes"]}
+    if name not in nodes:
+        raise GraphError(f"{name}: {graph.label} has no such node{did_you_mean(name, nodes)}")
+    found: dict[str, Any] = nodes[name]
+    return found
+
+
+def topics_of(described: Mapping[str, Any]) -> dict[str, Topic]:
+    """The topics of a described graph, by name, in the order of their publishers."""
+    topics = {
+        out["topic"]: Topic(out["topic"], out["latched"], node["name"], out["sent"])
+        for node in described["nodes"]
+        for out in node["outputs"]
+    }
+    for node in described["nodes"]:
+        for entry in node["inputs"]:
+            topic = topics.setdefault(entry["topic"], Topic(entry["topic"], entry["latched"]))
+            topic.readers[node["name"]] = {what: entry[what] for what in COUNTED}
+    return topics
+
+
+def find_topic(graph: RunningGraph, name: str) -> str:
+    """The topic of that name; its first slash may be left out.
+    Raises GraphError if the graph has no such topic (with a did-you-mean), or publishes it on
+    another host.
+    """
+    writers = graph.writers()
+    for topic in (name, f"/{name}"):
+        if topic in writers:
+            return topic
+    read = topics_of(describe(graph))
+    if name in read or f"/{name}" in read:
+        raise GraphError(f"{name}: is published on another host; look at it there")
+    raise GraphError(f"{name}: {graph.label} has no such topic{did_you_mean(name, writers)}")
+
+
+def ask_node(graph: RunningGraph, node: str, command: str, value: Any) -> Answer:
+    """Send a command to a node, and wait for its answer.
+    Raises GraphError if the graph does not answer.
+    """
+    request = {"id": "1", "node": node, "command": command, "value": value}
+    answer = _exchange(graph, request, "answer")
+    return Answer(answer["done"], answer["text"])
+
+
+def _exchange(graph: RunningGraph, request: Mapping[str, Any], key: str) -> Any:
+    """Send one request, and wait for the object that answers it."""
+    from sparseskin.launch.run.control_socket import ControlClient
+
+    client = ControlClient(graph.control)
+    try:
+        client.send(request)
+        deadline = time.monotonic() + PATIENCE_S
+        while (left_s := deadline - time.monotonic()) > 0:
+            select.select([client.fd], [], [], left_s)
+            news = client.receive()
+            if news is None:
+                raise GraphError(f"{graph.label}: has ended, or is asked by too many at once")
+            for fields in news:
+                if key in fields:
+                    return fields[key]
+                raise GraphError(f"{graph.label}: runs a version that cannot be asked this")
+    finally:
+        client.close()
+    raise GraphError(f"{graph.label}: has not answered within {PATIENCE_S:g} s")

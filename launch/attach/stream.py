@@ -1,0 +1,223 @@
+"""One topic of a running graph, read by an observer: no node waits for it, and what it does not
+read in time is dropped for it alone.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any, NamedTuple
+
+import msgpack
+import zmq
+
+from sparseskin.launch.run.running import RunningGraph, is_running
+from sparseskin.messages import End
+from sparseskin.messages.topics import split_topic
+from sparseskin.messages.wire import SCHEMAS
+from sparseskin.nodes.clock import SystemClock
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.network.keys import read_key_pair
+from sparseskin.nodes.network.sockets import QUEUE_FRAMES, Reader, make_context
+
+from .client import describe, topics_of
+
+POLL_MS = 100
+LOOK_S = 0.5
+"""Time between two checks that the graph still runs, seconds."""
+PATIENCE_S = 0.2
+"""Time that messages wait to be read together, seconds."""
+EXIT_NOTHING = 1
+"""Exit code of a command that read no message."""
+BATCH = 1024
+DRAIN_MS = 20
+"""Messages that are queued at the writer arrive within it."""
+READ_AHEAD = 8
+"""Messages that a patient observer receives before it reads them. The others stay in the queue of
+their writer, so that neither process wakes the other for each of them.
+"""
+
+
+class Arrival(NamedTuple):
+    """One message as it came: its bytes, the time `at_ns` of reading on the graph's clock, and the
+    fields that identify it. At the end of a stream `seq` is the number of messages sent.
+    """
+
+    topic: bytes
+    payload: bytes
+    at_ns: int
+    run_id: str
+    seq: int
+    stamp_ns: int
+    ends: bool
+
+    @property
+    def n_bytes(self) -> int:
+        """Its size on the wire, topic and payload."""
+        return len(self.topic) + len(self.payload)
+
+
+class Losses:
+    """Number of messages of a topic that did not arrive after the first that did: gaps in their
+    sequence numbers.
+    """
+
+    def __init__(self) -> None:
+        self.n = 0
+        self._run_id = ""
+        self._expected = 0
+
+    def add(self, arrival: Arrival) -> bool:
+        """Count the gap before a message; False where a new run begins."""
+        same = arrival.run_id == self._run_id and arrival.seq >= self._expected
+        if same:
+            self.n += arrival.seq - self._expected
+        self._run_id, self._expected = arrival.run_id, arrival.seq + (not arrival.ends)
+        return same
+
+
+class TopicStream:
+    """The messages of one topic, as they come.
+
+    Parameters
+    ----------
+    graph : RunningGraph
+        The graph.
+    topic : str
+        One of its topics.
+    patience_s : float
+        How long messages may wait to be read together, seconds. Longer than it takes to send
+        `QUEUE_FRAMES` of them, and those beyond are lost.
+
+    Attributes
+    ----------
+    unreadable : int
+        Number of messages that were not of the wire form; they are left out.
+    interrupted : bool
+        True once SIGINT or SIGTERM came.
+    """
+
+    def __init__(self, graph: RunningGraph, topic: str, patience_s: float = 0.0) -> None:
+        self._graph = graph
+        self._patience_s = patience_s
+        self._clock = SystemClock(graph.offset_ns)
+        self._context = make_context()
+        self._reader = observer(
+            self._context, graph, topic, READ_AHEAD if patience_s else QUEUE_FRAMES
+        )
+        self._least_age_ns: float = math.inf
+        self._has_all = False  # the age of the first is that of one that has not waited
+        self.unreadable = 0
+        self.interrupted = False
+
+    def __enter__(self) -> TopicStream:
+        self._handlers = {
+            number: signal.signal(number, self._on_signal)
+            for number in (signal.SIGINT, signal.SIGTERM)
+        }
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+        self._context.destroy(linger=0)
+
+    def batches(self, duration_s: float | None) -> Iterator[list[Arrival]]:
+        """Yield the messages since the last batch, every 100 ms or sooner, later where it is
+        patient, until `duration_s` is over, an interrupt comes or the graph ends.
+        """
+        began_s = look_at_s = time.monotonic()
+        while not self.interrupted:
+            now_s = time.monotonic()
+            if duration_s is not None and now_s - began_s >= duration_s:
+                return
+            if now_s >= look_at_s:
+                look_at_s = now_s + LOOK_S
+                if not is_running(self._graph):
+                    yield self._read()
+                    return
+            left_s = math.inf if duration_s is None else began_s + duration_s - now_s
+            timeout_ms = max(1, round(min(POLL_MS, 1e3 * left_s)))
+            if self._reader.socket.poll(timeout_ms) and self._patience_s and self._has_all:
+                time.sleep(min(self._patience_s, left_s))
+            yield self._read()
+
+    def arrivals(self, duration_s: float | None) -> Iterator[Arrival]:
+        """The messages of `batches`, one by one."""
+        for batch in self.batches(duration_s):
+            yield from batch
+
+    def _read(self) -> list[Arrival]:
+        read: list[Arrival | None] = []
+        while len(read) < BATCH:
+            if (parts := self._reader.receive()) is not None:
+                read.append(_arrival(*parts, self._clock.now_ns()))
+            elif not (read and self._patience_s and self._more_waits(read[-1])):
+                break
+        if read:
+            self._has_all = len(read) < BATCH
+        found = [arrival for arrival in read if arrival is not None]
+        self.unreadable += len(read) - len(found)
+        return found
+
+    def _more_waits(self, last: Arrival | None) -> bool:
+        """True if more is queued at the writer behind the last message: not where that is about as
+        new as the newest one was on arrival. The stamps of a recording share one offset.
+        """
+        if last is not None:
+            age_ns = last.at_ns - last.stamp_ns
+            self._least_age_ns = min(self._least_age_ns, age_ns)
+            if age_ns <= self._least_age_ns + self._patience_s * 1e9 / 4:
+                return False
+        return bool(self._reader.socket.poll(DRAIN_MS))
+
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        self.interrupted = True
+
+
+def observer(
+    context: zmq.Context[Any], graph: RunningGraph, topic: str, read_ahead: int = QUEUE_FRAMES
+) -> Reader:
+    """A reader of one topic of a graph that its writer does not wait for, with a queue of
+    `read_ahead` messages. Raises KeyFileError if the graph asks for a key that this user may not
+    read.
+    """
+    keys = read_key_pair(Path(graph.key_file)) if graph.key_file else None
+    name = f"observer_{os.getpid()}"
+    reader = Reader(context, name, (), [topic], present=False, keys=keys, read_ahead=read_ahead)
+    node = graph.nodes[graph.writers()[topic]]
+    reader.connect(node.endpoint, node.key)
+    return reader
+
+
+def quiet_reason(graph: RunningGraph, topic: str) -> str:
+    """Why nothing comes on a topic, as " (REASON)"; "" where it is not known."""
+    try:
+        described = describe(graph)
+    except SparseskinError:
+        return " (the graph has ended)"
+    publisher = topics_of(described)[topic].publisher
+    (condition,) = (n["condition"] for n in described["nodes"] if n["name"] == publisher)
+    if condition != "running":
+        return f" ({publisher}: {condition})"
+    schema = SCHEMAS.get(split_topic(topic)[1])
+    return " (latched: sent when it changes)" if schema is not None and schema.latched else ""
+
+
+def _arrival(topic: bytes, payload: bytes, at_ns: int) -> Arrival | None:
+    """A message with its head read, its fields unchecked; None where it has none."""
+    try:
+        body: Any = msgpack.unpackb(payload, raw=False, max_map_len=64, max_ext_len=0)
+        ends = body["schema"] == End.schema
+        seq = body["n_messages"] if ends else body["seq"]
+        head = (str(body["run_id"]), seq, body["stamp_ns"])
+    except Exception:  # msgpack promises no narrower family for hostile bytes
+        return None
+    if type(head[1]) is not int or type(head[2]) is not int:
+        return None
+    return Arrival(topic, payload, at_ns, *head, ends)

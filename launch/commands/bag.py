@@ -1,0 +1,271 @@
+"""The commands `sparseskin bag ...`: look into recordings, repair and convert them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sparseskin.launch.attach.client import add_command
+from sparseskin.launch.attach.text_table import printable
+from sparseskin.nodes.lookup import find_callable
+from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX, BagError, TopicInfo
+from sparseskin.nodes.sensor.files.recorded import SUFFIXES
+
+if TYPE_CHECKING:
+    from sparseskin.nodes.recorder.bag.reader import BagReader
+
+_CONVERT = "sparseskin.nodes.recorder.convert"
+EXPORTS = {
+    "npz": (".npz", f"{_CONVERT}.npz:export_npz"),
+    "csv": ("_csv", f"{_CONVERT}.csv:export_csv"),
+    "ros2": ("_ros2", f"{_CONVERT}.ros2:export_ros2"),
+}
+"""Of each kind of export the ending of the default name of its output, and its function."""
+READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz")
+"""Options of `import` on how a file is read."""
+WIDTH = 80
+_MAX_TOPIC = 40
+_OF_TOPIC = ("schema", "version", "n_messages", "first_ns", "last_ns", "rate_hz")
+_FLAT_JSON = ("phi", "versions")
+_NOT_SHOWN = ("lost", "received", "published")
+"""Counts that the table of topics shows already."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `bag`."""
+    parser.description = "Work with bags, the recordings that a recorder node writes (.mcap)."
+    kinds = parser.add_subparsers(required=True, metavar="COMMAND")
+    info = add_command(
+        kinds,
+        "info",
+        _info,
+        "print the contents of a bag",
+        "Print the contents of a bag; check all of it.",
+    )
+    info.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}")
+    info.add_argument("--json", action="store_true", help="print JSON in place of a table")
+    recover = add_command(
+        kinds,
+        "recover",
+        _recover,
+        "save the readable part of a broken bag",
+        "Write every message before the break of a bag into a new, whole bag.",
+    )
+    recover.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}[{PART_SUFFIX}]")
+    recover.add_argument(
+        "--out", metavar="NEW", type=Path, help=f"default: NAME_recovered{FILE_SUFFIX}"
+    )
+    formats = "; ".join(f"{suffix}: {what}" for suffix, what in SUFFIXES.items())
+    about = f"Make a bag of a recording in another format, as if a sensor had played it: {formats}."
+    _configure_import(
+        add_command(kinds, "import", _import, "make a bag of a file of frames", about)
+    )
+    export = add_command(
+        kinds,
+        "export",
+        _export,
+        "convert a bag to NumPy, CSV or ROS 2",
+        "Convert the frames of a bag: npz (one file a patch, which `file:` sources read again), "
+        "csv (a folder, one file a topic, one frame a line), or ros2 (a folder with CDR messages "
+        "and metadata.yaml).",
+    )
+    export.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}")
+    export.add_argument("--to", choices=tuple(EXPORTS), required=True, help="the format")
+    export.add_argument(
+        "--out", metavar="PATH", type=Path, help="default: NAME.npz, NAME_csv or NAME_ros2"
+    )
+    export.add_argument(
+        "--topics", metavar="TOPIC", nargs="+", help="only these topics; default: all with frames"
+    )
+
+
+def _configure_import(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="the recording")
+    parser.add_argument(
+        "--out",
+        metavar="PATH",
+        type=Path,
+        required=True,
+        help=f"the bag, NAME{FILE_SUFFIX}; or a folder, for one bag a FILE",
+    )
+    parser.add_argument("--n-rows", metavar="N", type=int, help="rows of a plain .csv's frame")
+    parser.add_argument("--n-cols", metavar="N", type=int, help="columns of a plain .csv's frame")
+    parser.add_argument("--unit", help="unit of the readings, where the file does not state it")
+    parser.add_argument("--f-max", metavar="X", type=float, help="upper end of the range")
+    parser.add_argument("--rate-hz", metavar="X", type=float, help="frames a second")
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    from sparseskin.nodes.recorder.bag.reader import BagReader
+
+    with BagReader(arguments.bag) as bag:
+        print(info_json(bag) if arguments.json else info_table(bag))
+    return 0
+
+
+def _recover(arguments: argparse.Namespace) -> int:
+    from sparseskin.nodes.recorder.bag.reader import BagReader
+    from sparseskin.nodes.recorder.convert.to_bag import recover_bag
+
+    with BagReader(arguments.bag) as bag:
+        out = arguments.out or arguments.bag.with_name(f"{_stem(bag.path)}_recovered{FILE_SUFFIX}")
+        n_messages = recover_bag(bag, out)
+        print(f"{bag.path}: {bag.recovered or 'is whole'}")
+    print(f"{out}: {_count(n_messages, 'message')}")
+    return 0
+
+
+def _import(arguments: argparse.Namespace) -> int:
+    from sparseskin.nodes.recorder.convert.to_bag import import_file
+
+    out: Path = arguments.out
+    pairs = [(file, out) for file in arguments.files]
+    if len(pairs) > 1 or out.is_dir():
+        pairs = [(file, out / f"{file.stem}{FILE_SUFFIX}") for file in arguments.files]
+        twice = [bag for _, bag in pairs if [other for _, other in pairs].count(bag) > 1]
+        if twice:
+            raise BagError(f"{twice[0]}: two of the files would become this bag")
+        if not out.is_dir():
+            if out.suffix == FILE_SUFFIX:
+                raise BagError(f"{out}: several files need a folder, one bag each")
+            _make_folder(out)
+    for file, bag in pairs:
+        options = {key: getattr(arguments, key) for key in READ_AS}
+        n_frames = import_file(file, bag, **options)
+        print(f"{bag}: {_count(n_frames, 'frame')}")
+    return 0
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    from sparseskin.nodes.recorder.bag.reader import BagReader
+
+    ending, target = EXPORTS[arguments.to]
+    export = find_callable(target, BagError)
+    with BagReader(arguments.bag) as bag:
+        out = arguments.out or bag.path.with_name(_stem(bag.path) + ending)
+        if bag.recovered:
+            print(f"{bag.path}: {bag.recovered}", file=sys.stderr)
+        for path in export(bag, out, arguments.topics):
+            print(path)
+    return 0
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir()
+    except OSError as error:
+        raise BagError(f"{path}: {error.strerror}") from error
+
+
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(PART_SUFFIX).removesuffix(FILE_SUFFIX)
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}" if n == 1 else f"{n} {what}s"
+
+
+def info_json(bag: BagReader) -> str:
+    """All facts of the table, and the metadata in full, as JSON."""
+    topics = {
+        topic: {key: getattr(info, key) for key in _OF_TOPIC} for topic, info in bag.topics.items()
+    }
+    first_ns, last_ns = _span(bag)
+    return json.dumps(
+        {
+            "bag": str(bag.path),
+            "size_bytes": bag.path.stat().st_size,
+            "recovered": bag.recovered,
+            "duration_s": (last_ns - first_ns) / 1e9,
+            "topics": topics,
+            "counts": bag.counts,
+            "metadata": bag.metadata,
+        },
+        indent=2,
+    )
+
+
+def info_table(bag: BagReader) -> str:
+    """A table of at most 80 columns: the file, its topics, its metadata."""
+    first_ns, last_ns = _span(bag)
+    n_messages = sum(info.n_messages for info in bag.topics.values())
+    lines = _entry("bag", str(bag.path))
+    lines += _entry("size", f"{bag.path.stat().st_size / 1e6:.3f} MB, {n_messages} messages")
+    lines += _entry("duration", f"{(last_ns - first_ns) / 1e9:.3f} s")
+    lines += _entry("state", bag.recovered or "whole")
+    lines += ["", *_topic_lines(bag)]
+    for name, counted in (bag.counts or {}).items():
+        if name not in _NOT_SHOWN and (text := _flat(_without_zeros(counted))) != "none":
+            lines += _entry(name, text)
+    if bag.counts is None:
+        lines.append("lost messages are not known: the recorder did not get to write them")
+    lines.append("")
+    for key, value in bag.metadata.items():
+        if value:
+            lines += _entry(key, _shown(key, value))
+    return "\n".join(lines).rstrip()
+
+
+def _topic_lines(bag: BagReader) -> list[str]:
+    width = max([5, *(len(topic) for topic in bag.topics if len(topic) <= _MAX_TOPIC)])
+    lost = (bag.counts or {}).get("lost")
+    lines = [f"{'topic':<{width}} {'messages':>9} {'rate Hz':>9} {'seconds':>9} {'lost':>7}"]
+    for topic, info in bag.topics.items():
+        if len(topic) > width:
+            lines.append(topic)
+        n_lost = _flat(lost.get(topic, 0)) if isinstance(lost, dict) else "-"
+        lines.append(f"{topic if len(topic) <= width else '':<{width}} {_row(info)} {n_lost:>7}")
+    return lines
+
+
+def _row(info: TopicInfo) -> str:
+    seconds = (info.last_ns - info.first_ns) / 1e9
+    rate = f"{info.rate_hz:.2f}" if info.rate_hz else "-"
+    return f"{info.n_messages:>9} {rate:>9} {seconds:>9.3f}"
+
+
+def _span(bag: BagReader) -> tuple[int, int]:
+    infos = [info for info in bag.topics.values() if info.n_messages]
+    if not infos:
+        return 0, 0
+    return min(info.first_ns for info in infos), max(info.last_ns for info in infos)
+
+
+def _entry(key: str, value: str) -> list[str]:
+    """`key  value`, wrapped; texts of a file cannot move the cursor."""
+    return textwrap.wrap(
+        printable(value),
+        WIDTH,
+        initial_indent=f"{key[:16]:<10} ",
+        subsequent_indent=" " * 11,
+        break_on_hyphens=False,
+    ) or [key[:16]]
+
+
+def _shown(key: str, value: str) -> str:
+    if key in _FLAT_JSON:
+        try:
+            return _flat(json.loads(value))
+        except (ValueError, RecursionError):
+            return value
+    n_lines = len(value.splitlines())
+    return f"{n_lines} lines (--json shows them)" if n_lines > 1 else value
+
+
+def _without_zeros(value: Any) -> Any:
+    if isinstance(value, dict):
+        left = {key: _without_zeros(inner) for key, inner in value.items()}
+        return {key: inner for key, inner in left.items() if inner not in (0, {}, None)}
+    return value
+
+
+def _flat(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_flat(inner)}" for key, inner in value.items()) or "none"
+    if isinstance(value, list):
+        return " ".join(_flat(inner) for inner in value) or "none"
+    return "none" if value is None else str(value)

@@ -1,0 +1,175 @@
+"""The commands `sparseskin monitor` and `record`, nodes beside a running graph, and `play`."""
+
+from __future__ import annotations
+
+import argparse
+import fnmatch
+import os
+import sys
+import time
+from dataclasses import replace
+from typing import Any
+
+from sparseskin.launch.attach.client import add_graph_option
+from sparseskin.launch.run.running import RunningGraph, choose_graph
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import did_you_mean
+
+from .scenes import SCENARIOS, resolve_recording
+
+PLAY_KEYS = {
+    " ": ("player", "pause"),
+    "right": ("player", "step"),
+    "up": ("player", "faster"),
+    "down": ("player", "slower"),
+}
+STEP_KEYS = PLAY_KEYS | {" ": ("player", "step"), "\n": ("player", "step")}
+
+
+def configure_monitor(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `monitor`."""
+    parser.description = (
+        "Watch a running graph on a live page, or in this terminal, until it ends or Ctrl-C."
+    )
+    parser.add_argument("--text", action="store_true", help="in this terminal, without a page")
+    parser.add_argument("--open", action="store_true", help="open the page in a browser")
+    parser.add_argument("--port", type=int, help="port of the page on 127.0.0.1; 8470 by default")
+    add_graph_option(parser)
+    parser.set_defaults(run=_monitor)
+
+
+def configure_record(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `record`."""
+    parser.description = (
+        "Record topics of a running graph into an MCAP file, until it ends or Ctrl-C."
+    )
+    parser.add_argument(
+        "topics", metavar="TOPIC", nargs="*", help="topics, all by default; * matches any text"
+    )
+    parser.add_argument("--out", metavar="F.mcap", help="file to write; named by graph and time")
+    add_graph_option(parser)
+    parser.set_defaults(run=_record)
+
+
+def _run_beside(
+    graph: RunningGraph, type_name: str, name: str, values: dict[str, Any], topics: list[str]
+) -> tuple[int, dict[str, Any]]:
+    """Run one node that reads topics of a running graph; return its exit code and its summary."""
+    from sparseskin.launch.launchfile.load import single_node
+    from sparseskin.launch.run.launcher import Launcher
+    from sparseskin.launch.run.terminal import Terminal
+    from sparseskin.nodes.graph import Link
+
+    writers = graph.writers()
+    links = [Link(topic, writers[topic], name) for topic in topics]
+    launch = replace(single_node(name, type_name, values), links=links)
+    launcher = Launcher(launch, Terminal(), joined=graph)
+    return launcher.run(), launcher.summary()
+
+
+def _monitor(arguments: argparse.Namespace) -> int:
+    from sparseskin.messages.topics import split_topic
+    from sparseskin.nodes.monitor.node import WATCHED
+    from sparseskin.nodes.monitor.table import summary_table
+
+    if arguments.text and (arguments.open or arguments.port is not None):
+        raise SettingsError("--text: goes with neither --open nor --port: it has no page")
+    graph = choose_graph(arguments.graph)
+    watched = {schema.schema for schema in WATCHED}
+    topics = [topic for topic in graph.writers() if split_topic(topic)[1] in watched]
+    patches = list(dict.fromkeys(split_topic(topic)[0] for topic in topics))
+    if not patches:
+        raise SettingsError(f"{graph.label}: has no topic that a monitor reads")
+    values = {
+        "patches": patches,
+        "page": not arguments.text,
+        "screen": arguments.text,
+        "browser": arguments.open,
+    }
+    if arguments.port is not None:
+        values["port"] = arguments.port
+    code, summary = _run_beside(graph, "monitor", f"monitor_{os.getpid()}", values, topics)
+    if summary["patches"]:
+        print(summary_table(summary["patches"]))
+    return code
+
+
+def _record(arguments: argparse.Namespace) -> int:
+    graph = choose_graph(arguments.graph)
+    writers = graph.writers()
+    patterns = arguments.topics or ["*"]
+    for pattern in patterns:
+        if not fnmatch.filter(writers, pattern):
+            hint = did_you_mean(pattern, writers)
+            raise SettingsError(f"{pattern}: {graph.label} has no such topic{hint}")
+    topics = [t for t in writers if any(fnmatch.fnmatchcase(t, p) for p in patterns)]
+    out = arguments.out or f"{graph.name}-{time.strftime('%Y%m%d-%H%M%S')}.mcap"
+    name = f"record_{os.getpid()}"
+    values = {"out": out, "topics": topics, "launch": graph.launch, "source": graph.name}
+    code, summary = _run_beside(graph, "recorder", name, values, topics)
+    found = summary["nodes"][name]
+    recording = found.get("recording", {})
+    lost = sum(found.get("lost", {}).values())
+    if recording and not recording["error"]:
+        print(f"{out}: {recording['n_messages']} messages recorded, {lost} dropped")
+    elif not recording and code > 128:
+        print(f"{out}: nothing was recorded: the recorder had not started yet", file=sys.stderr)
+    return code
+
+
+def configure_play(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `play`."""
+    parser.description = (
+        "Publish what was recorded, as it was recorded. Keys: space pauses, right plays one frame, "
+        "up and down change the rate, q ends."
+    )
+    parser.add_argument("file", metavar="F.mcap|NAME", help=f"recording; or {', '.join(SCENARIOS)}")
+    parser.add_argument(
+        "--rate",
+        type=float,
+        default=1.0,
+        metavar="R",
+        help="times the recorded speed; 0: as fast as it is read",
+    )
+    parser.add_argument("--loop", action="store_true", help="start again at the end")
+    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="seconds to skip")
+    parser.add_argument("--duration", type=float, metavar="S", help="seconds to play")
+    parser.add_argument("--pause", action="store_true", help="start paused")
+    parser.add_argument("--step", action="store_true", help="play one frame a key")
+    parser.add_argument("--topics", nargs="+", default=[], metavar="T", help="topics to play")
+    parser.add_argument(
+        "--remap", nargs="+", default=[], metavar="A:=B", help="other names for topics or patches"
+    )
+    parser.add_argument(
+        "--lockstep",
+        action="store_true",
+        help="send no frame before all readers have handled the last",
+    )
+    parser.add_argument("--wait", type=int, default=0, metavar="K", help="wait for K readers first")
+    parser.set_defaults(run=_play)
+
+
+def _play(arguments: argparse.Namespace) -> int:
+    """Run a player as a graph of its own, which others may join."""
+    from sparseskin.launch.launchfile.load import single_node
+    from sparseskin.launch.run.launcher import Launcher
+    from sparseskin.launch.run.terminal import Terminal
+
+    path = resolve_recording(arguments.file)
+    values: dict[str, Any] = {
+        "file": str(path),
+        "rate": arguments.rate,
+        "loop": arguments.loop,
+        "start_s": arguments.start,
+        "paused": arguments.pause or arguments.step,
+        "topics": arguments.topics,
+        "remap": arguments.remap,
+        "lockstep": arguments.lockstep,
+        "wait": arguments.wait,
+        "verbatim": not (arguments.loop or arguments.remap),
+    }
+    if arguments.duration is not None:
+        values["duration_s"] = arguments.duration
+    launch = replace(single_node("player", "player", values), name=path.stem)
+    keys = STEP_KEYS if arguments.step else PLAY_KEYS
+    return Launcher(launch, Terminal(), keys=keys).run()

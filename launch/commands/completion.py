@@ -1,0 +1,276 @@
+"""The command `sparseskin completion`, and what the words of a command line can become.
+
+Shells, quoting and options are those of argcomplete; here are the values: launch files, settings,
+recordings, and nodes, topics and parameters of the graph that runs as the key is pressed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import functools
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sparseskin.nodes.errors import SparseskinError
+
+if TYPE_CHECKING:
+    from sparseskin.launch.run.running import RunningGraph
+
+# Imports of one kind of value stand where it is offered: a key is pressed, and a person waits.
+LAUNCH_FILES = Path(__file__).parent.parent
+FILES = ("FILE", "BAG", "NEW", "PATH", "OUT.json", "F.mcap", "G.mcap", "REC.mcap", "B.npz")
+FOLDERS = ("DIR", "D")
+"""Metavars of arguments that are files, and folders."""
+REPROCESSED = {"compressor": "compressor", "reconstructor": "reconstructor"}
+"""Nodes, and their types, that `reprocess` runs."""
+
+Words = Mapping[str, str]
+"""Candidates, and what each means; "" where the word says it."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `completion`."""
+    parser.description = (
+        "Print a script with which a shell completes commands, options, launch files and the\n"
+        "settings of their nodes, studies, and the nodes, topics and settings of the running graph."
+    )
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = (
+        "bash: add to ~/.bashrc       source <(sparseskin completion bash)\n"
+        "zsh:  add to ~/.zshrc        source <(sparseskin completion zsh)\n"
+        "fish: add to config.fish     sparseskin completion fish | source"
+    )
+    parser.add_argument("shell", choices=("bash", "zsh", "fish"), help="which shell")
+    parser.set_defaults(run=_print)
+
+
+def _print(arguments: argparse.Namespace) -> int:
+    from argcomplete.shell_integration import shellcode
+
+    # No fallback to file names: where a file is expected, `candidates` offers them.
+    options = ["-o", "nospace"]
+    print(shellcode(["sparseskin"], False, arguments.shell, options))
+    return 0
+
+
+def candidates(
+    *, prefix: str, action: argparse.Action, parsed_args: argparse.Namespace, **_: Any
+) -> Words:
+    """Values of an argument that begin with what has been typed; its metavar names their kind."""
+    try:
+        found = _values(prefix, str(action.metavar), parsed_args)
+    except SparseskinError:
+        return {}  # no graph runs, or it is not clear which is meant
+    return {word: about for word, about in found.items() if word.startswith(prefix)}
+
+
+def _values(prefix: str, metavar: str, typed: argparse.Namespace) -> Words:
+    match metavar:
+        case "NODE":
+            return {name: node.type_name for name, node in _graph(typed).nodes.items()}
+        case "TOPIC":
+            return _graph(typed).writers()
+        case "NAME|PID":
+            from sparseskin.launch.run.running import running_graphs
+
+            graphs = running_graphs()
+            names = [one.name for one in graphs]
+            return _bare(one.name if names.count(one.name) == 1 else one.label for one in graphs)
+        case "KEY" | "VALUE" | "KEY VALUE":
+            return _parameters(metavar, typed)
+        case "FIELD":
+            from sparseskin.messages.base import wire_fields
+            from sparseskin.messages.wire import SCHEMAS
+
+            cls = SCHEMAS.get((typed.topic or "").rpartition("/")[2])
+            return _bare(wire_fields(cls) if cls is not None else ())
+        case "NODE.KEY=VALUE":
+            types = node_types(typed.name or "") if "name" in typed else REPROCESSED
+            return _overrides(prefix, types)
+        case "NAME|FILE.toml":
+            bundled = sorted(path.stem for path in LAUNCH_FILES.glob("*.toml"))
+            return _bare(bundled) | _paths(prefix, folders_only=False)
+        case "F.mcap|NAME":
+            from .scenes import SCENARIOS
+
+            about = {name: scenario.about for name, scenario in SCENARIOS.items()}
+            return about | _paths(prefix, folders_only=False)
+    if metavar in FILES or metavar in FOLDERS:
+        return _paths(prefix, folders_only=metavar in FOLDERS)
+    return {}
+
+
+def _bare(words: Any) -> dict[str, str]:
+    return dict.fromkeys(words, "")
+
+
+def _graph(typed: argparse.Namespace) -> RunningGraph:
+    from sparseskin.launch.run.running import choose_graph
+
+    return choose_graph(getattr(typed, "graph", None))
+
+
+def _parameters(metavar: str, typed: argparse.Namespace) -> Words:
+    """Parameters of a node of the running graph, those that can be set for `param set`; values."""
+    from sparseskin.launch.attach.client import describe_node
+
+    entries = describe_node(_graph(typed), typed.node)["settings"]
+    sets = "value" in typed
+    more = list(getattr(typed, "more", None) or ())
+    if metavar == "KEY" or (metavar == "KEY VALUE" and len(more) % 2 == 0):
+        return {e["key"]: e["doc"] for e in entries if e["live"] or not sets}
+    key = more[-1] if metavar == "KEY VALUE" else typed.key
+    return _bare(word for e in entries if e["key"] == key for word in offered_values(e))
+
+
+def offered_values(entry: Mapping[str, Any]) -> list[str]:
+    """Values of a described setting, as far as they can be listed."""
+    words = [*entry["choices"], *entry["known"]]
+    if entry["type"] == "bool":
+        words += ["true", "false"]
+    return words + ["none"] * ("None" in entry["type"])
+
+
+def _overrides(prefix: str, types: Mapping[str, str]) -> Words:
+    """Of NODE.KEY=VALUE the nodes, or the keys of the only node that fits, or the values."""
+    node, dot, rest = prefix.partition(".")
+    fitting = [name for name in types if (name == node if dot else name.startswith(node))]
+    if len(fitting) != 1:
+        return {f"{name}.": types[name] for name in fitting}
+    name = fitting[0]
+    entries = declared_settings(types[name])
+    key, equals, _ = rest.partition("=")
+    if not equals:
+        return {f"{name}.{e['key']}=": e["doc"] for e in entries}
+    values = (value for e in entries if e["key"] == key for value in offered_values(e))
+    return _bare(f"{name}.{key}={value}" for value in values)
+
+
+def declared_settings(type_name: str) -> list[dict[str, Any]]:
+    """Key, type, doc, choices and known values of the settings of a type of node, read from its
+    source: importing it takes longer than a person waits for a word. None of a user's own type.
+    """
+    from sparseskin.nodes.registry import NODE_TYPES
+
+    if type_name not in NODE_TYPES:
+        return []
+    module, _, name = NODE_TYPES[type_name].partition(":")
+    source, node = _source(module)[name]
+    (settings,) = (
+        line.value.id
+        for line in node.body
+        if isinstance(line, ast.Assign) and isinstance(line.value, ast.Name)
+        if "Settings" in _assigned(line)
+    )
+    return _declared(*source[settings])
+
+
+def _declared(source: _Source, cls: ast.ClassDef) -> list[dict[str, Any]]:
+    entries = [entry for base in cls.bases for entry in _declared(*source[ast.unparse(base)])]
+    for line in cls.body:
+        if isinstance(line, ast.AnnAssign) and isinstance(line.value, ast.Call):
+            given = {one.arg: one.value for one in line.value.keywords}
+            entry: dict[str, Any] = {
+                "key": ast.unparse(line.target),
+                "type": ast.unparse(line.annotation),
+            }
+            entry["doc"] = source.value(line.value.args[1])
+            for key in ("choices", "known"):
+                entry[key] = list(source.value(given[key])) if key in given else []
+            entries.append(entry)
+    return entries
+
+
+class _Source(dict[str, Any]):
+    """Names of a module of this package, found in its source when they are asked for: the value of
+    an assigned or imported name; of a class its module and its statement.
+    """
+
+    def __init__(self, module: str) -> None:
+        self._package, *_ = module.rpartition(".")
+        path = Path(__file__).parents[2].joinpath(*module.split(".")[1:])
+        self._lines = ast.parse(path.with_suffix(".py").read_text(encoding="utf-8")).body
+
+    def __missing__(self, name: str) -> Any:
+        for line in self._lines:
+            match line:
+                case ast.ImportFrom(module=str(module)) if name in (n.name for n in line.names):
+                    self[name] = _source(f"{self._package}.{module}" if line.level else module)[
+                        name
+                    ]
+                case ast.ClassDef() if line.name == name:
+                    self[name] = (self, line)
+                case ast.Assign() | ast.AnnAssign() if name in _assigned(line):
+                    assert line.value is not None
+                    names, value = _assigned(line), line.value
+                    parts = value.elts if isinstance(value, ast.Tuple) and names[1:] else [value]
+                    self[name] = self.value(parts[names.index(name)])
+                case _:
+                    continue
+            return self[name]
+        raise KeyError(name)
+
+    def value(self, node: ast.expr) -> Any:
+        """Value of an expression as settings are declared with; of a dict its keys."""
+        match node:
+            case ast.Constant():
+                return node.value
+            case ast.Name():
+                return self[node.id]
+            case ast.Tuple():
+                return [self.value(one) for one in node.elts]
+            case ast.Dict():
+                return [self.value(key) for key in node.keys if key is not None]
+            case ast.JoinedStr():
+                return "".join(self.value(part) for part in node.values)
+            case ast.FormattedValue():
+                return self.value(node.value)
+            case ast.Call(ast.Attribute(between, "join"), [words]):
+                return self.value(between).join(self.value(words))
+        raise ValueError(f"{ast.unparse(node)}: not read from the source")
+
+
+_source = functools.cache(_Source)
+
+
+def _assigned(line: ast.stmt) -> list[str]:
+    return [
+        n.id for n in ast.walk(line) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
+    ]
+
+
+def node_types(name: str) -> dict[str, str]:
+    """Type of each node of a launch file, by its name; none where it cannot be read."""
+    import tomllib
+
+    path = Path(name).expanduser()
+    if path.suffix != ".toml" and len(path.parts) < 2:
+        path = LAUNCH_FILES / f"{name}.toml"
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8")).get("nodes", {})
+        return {name: str(table.get("type", "")) for name, table in tables.items()}
+    except (OSError, ValueError, RecursionError, AttributeError):
+        return {}  # the command names the fault when it is run
+
+
+def _paths(prefix: str, folders_only: bool) -> dict[str, str]:
+    """Files and folders that begin with a path as it was typed; a folder ends in "/"."""
+    folder, slash, begun = prefix.rpartition("/")
+    return _bare(sorted(_entries(folder + slash, begun, folders_only)))
+
+
+def _entries(folder: str, begun: str, folders_only: bool) -> Iterator[str]:
+    try:
+        with os.scandir(os.path.expanduser(folder) or ".") as entries:
+            for entry in entries:
+                hidden = entry.name.startswith(".") and not begun.startswith(".")
+                if entry.name.startswith(begun) and not hidden:
+                    if entry.is_dir():
+                        yield f"{folder}{entry.name}/"
+                    elif not folders_only:
+                        yield folder + entry.name
+    except OSError:
+        return

@@ -1,0 +1,234 @@
+"""The commands `sparseskin node ...` and `param ...`: nodes of a running graph, their settings."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import socket
+from typing import Any
+
+from sparseskin.launch.attach.client import (
+    ELSEWHERE,
+    add_command,
+    add_graph_option,
+    ask_node,
+    describe,
+    describe_node,
+    topics_of,
+)
+from sparseskin.launch.attach.setting_text import (
+    allowed_text,
+    in_force_text,
+    preset_of,
+    shown_value,
+    typed_value,
+)
+from sparseskin.launch.attach.text_table import printable, table, wrapped
+from sparseskin.launch.run.running import GraphError, choose_graph
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.process.control import COUNTED
+from sparseskin.nodes.process.proc import age_s, cpu_s, resident_bytes
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `node`."""
+    parser.description = "The nodes of a graph that runs on this host."
+    kinds = parser.add_subparsers(required=True, metavar="COMMAND")
+    listing = add_command(
+        kinds,
+        "list",
+        _list,
+        "list the nodes",
+        "List the nodes of a running graph: type, condition, process, restarts.",
+    )
+    info = add_command(
+        kinds,
+        "info",
+        _info,
+        "describe one node",
+        "Describe one node: its process, its topics and what it counted on each, its commands, "
+        "its settings.",
+    )
+    info.add_argument("node", metavar="NODE", help="name of the node")
+    for parser in (listing, info):
+        parser.add_argument("--json", action="store_true", help="print one JSON document")
+        add_graph_option(parser)
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    graph = choose_graph(arguments.graph)
+    described = describe(graph)
+    keys = ("name", "type", "condition", "pid", "restarts")
+    nodes = [{key: node[key] for key in keys} for node in described["nodes"]]
+    if arguments.json:
+        print(json.dumps({"graph": graph.label, "nodes": nodes}, indent=2))
+        return 0
+    rows = [list(node.values()) for node in nodes]
+    print("\n".join(table(["NODE", "TYPE", "CONDITION", "PID", "RESTARTS"], rows)))
+    return 0
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    graph = choose_graph(arguments.graph)
+    node = describe_node(graph, arguments.node)
+    described = describe(graph)
+    node["host"] = described["host"]
+    node |= _resources(node["pid"]) if node["host"] == socket.gethostname() else {}
+    topics = topics_of(described)
+    for entry in node["inputs"]:
+        entry["publisher"] = topics[entry["topic"]].publisher
+    for entry in node["outputs"]:
+        entry["subscribers"] = list(topics[entry["topic"]].readers)
+    print(json.dumps(node, indent=2) if arguments.json else "\n".join(_text(node)))
+    return 0
+
+
+def _resources(pid: int) -> dict[str, float]:
+    """Processor time that a process has used, its share of a core since it started, and its
+    resident memory; nothing where the process is gone.
+    """
+    with contextlib.suppress(OSError):
+        used_s = cpu_s(pid)
+        return {
+            "cpu_s": used_s,
+            "cpu_percent": round(100 * used_s / age_s(pid), 1),
+            "memory_mb": round(resident_bytes(pid) / 1e6, 1),
+        }
+    return {}
+
+
+def _text(node: dict[str, Any]) -> list[str]:
+    restarts = f", restarted {node['restarts']} times" if node["restarts"] else ""
+    lines = [
+        node["name"],
+        *_entry("type", node["type"]),
+        *_entry("condition", node["condition"] + restarts),
+        *_entry("process", f"{node['pid']} on {node['host']}"),
+    ]
+    if "cpu_s" in node:
+        shares = f"{node['cpu_percent']:.1f} % of a core since it started"
+        lines += _entry("uses", f"{shares}, {node['memory_mb']:.0f} MB of memory")
+    if node["line"]:
+        lines += _entry("reports", node["line"])
+    if node["refused"]:
+        counts = ", ".join(f"{reason} {n}" for reason, n in node["refused"].items())
+        lines += _entry("refused", f"{counts}; the last: {node['refusal']}")
+    if node["inputs"]:
+        rows = [
+            [e["topic"], e["publisher"] or ELSEWHERE, *(e[what] for what in COUNTED)]
+            for e in node["inputs"]
+        ]
+        lines += ["", *table(["INPUT", "FROM", *(what.upper() for what in COUNTED)], rows, "  ")]
+    if node["outputs"]:
+        rows = [[e["topic"], e["sent"], ", ".join(e["subscribers"])] for e in node["outputs"]]
+        lines += ["", *table(["OUTPUT", "SENT", "READ BY"], rows, "  ")]
+    if node["commands"]:
+        lines += ["", *table(["COMMAND", "ACTION"], list(node["commands"].items()), "  ")]
+    preset = preset_of(node["settings"])
+    rows = [
+        [
+            entry["key"],
+            "live" if entry["live"] else "",
+            shown_value(entry["value"]) + in_force_text(entry, preset),
+        ]
+        for entry in node["settings"]
+    ]
+    lines += ["", *table(["SETTING", "", "VALUE"], rows, "  ")]
+    return lines
+
+
+def _entry(key: str, text: str) -> list[str]:
+    return wrapped(f"  {key:<10} ", printable(text))
+
+
+def configure_param(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `param`."""
+    parser.description = "The settings of the nodes of a graph that runs on this host."
+    kinds = parser.add_subparsers(required=True, metavar="COMMAND")
+    listing = add_command(
+        kinds,
+        "list",
+        _list_settings,
+        "list settings, and what each may be",
+        "List the settings of one node or of all, what each may be and what it means. Those "
+        "marked live can be set while the graph runs.",
+    )
+    listing.add_argument("node", metavar="NODE", nargs="?", help="name of a node; all by default")
+    get = add_command(kinds, "get", _get, "print one setting", "Print the value of one setting.")
+    change = add_command(
+        kinds,
+        "set",
+        _set,
+        "set one setting, or several at once",
+        "Set live settings of a node, all or none of them, between two frames. The node checks "
+        "them; a refusal is one line, with exit code 2.",
+    )
+    for one in (get, change):
+        one.add_argument("node", metavar="NODE", help="name of the node")
+        one.add_argument("key", metavar="KEY", help="name of the setting")
+    change.add_argument("value", metavar="VALUE", help="as in a launch file; none: not stated")
+    change.add_argument("more", metavar="KEY VALUE", nargs="*", help="further settings")
+    for parser in (listing, get, change):
+        parser.add_argument("--json", action="store_true", help="print one JSON document")
+        add_graph_option(parser)
+
+
+def _list_settings(arguments: argparse.Namespace) -> int:
+    graph = choose_graph(arguments.graph)
+    if arguments.node is not None:
+        names = [arguments.node]
+    else:
+        names = [node["name"] for node in describe(graph)["nodes"]]
+    settings = {name: describe_node(graph, name)["settings"] for name in names}
+    if arguments.json:
+        print(json.dumps({"graph": graph.label, "nodes": settings}, indent=2))
+        return 0
+    print("\n\n".join("\n".join(_node_lines(name, settings[name])) for name in names))
+    return 0
+
+
+def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
+    """Two lines a setting at the least: its value and what it may be, then what it means."""
+    widest = max((len(entry["key"]) for entry in entries), default=0)
+    preset = preset_of(entries)
+    lines = [f"{name} (* can be set while the graph runs)"]
+    for entry in entries:
+        start = f"{'* ' if entry['live'] else '  '}{entry['key']:<{widest}} = "
+        value = printable(shown_value(entry["value"]) + in_force_text(entry, preset))
+        lines += wrapped(start, f"{value}   ({allowed_text(entry)})")
+        lines += wrapped(" " * len(start), printable(entry["doc"]))
+    return lines
+
+
+def _get(arguments: argparse.Namespace) -> int:
+    node, key = arguments.node, arguments.key
+    settings = describe_node(choose_graph(arguments.graph), node)["settings"]
+    entries = {entry["key"]: entry for entry in settings}
+    if key not in entries:
+        raise GraphError(f"{node}: {key}: no such setting{did_you_mean(key, entries)}")
+    value = entries[key]["value"]
+    if arguments.json:
+        print(json.dumps({"node": node, **entries[key]}, indent=2))
+    else:
+        print(value if isinstance(value, str) else shown_value(value))
+    return 0
+
+
+def _set(arguments: argparse.Namespace) -> int:
+    if len(arguments.more) % 2:
+        raise SettingsError(f"{arguments.more[-1]}: a setting without a value")
+    typed = dict(zip(arguments.more[::2], arguments.more[1::2], strict=True))
+    typed = {arguments.key: arguments.value} | typed
+    graph = choose_graph(arguments.graph)
+    entries = {entry["key"]: entry for entry in describe_node(graph, arguments.node)["settings"]}
+    values = {key: typed_value(text, entries.get(key)) for key, text in typed.items()}
+    answer = ask_node(graph, arguments.node, "set", values)
+    if not answer.done:
+        raise GraphError(f"{arguments.node}: {printable(answer.text)}")
+    if arguments.json:
+        print(json.dumps({"node": arguments.node, "set": values, "answer": answer.text}, indent=2))
+    else:
+        print(f"{arguments.node}: {printable(answer.text)}")
+    return 0

@@ -1,0 +1,218 @@
+"""The command `sparseskin scenes`, and short recordings that are made when they are first used."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.lookup import did_you_mean
+
+if TYPE_CHECKING:
+    from sparseskin.messages import Message
+    from sparseskin.nodes.sensor.node import Sensor
+    from sparseskin.nodes.sensor.scenes.simulation import Scene
+
+FILE_SUFFIX = ".mcap"
+PERIOD_NS = 10_000_000
+"""Time between two frames of a scenario, nanoseconds: the sensor's default rate, 100 Hz."""
+
+
+class ScenarioError(SparseskinError):
+    """There is no scenario or recording of that name, or it cannot be made."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A part of a scene, recorded with all its topics: `n_frames` from step `first` on, `every`
+    steps apart. Played at 100 Hz, that is slower than the scene itself.
+    """
+
+    scene: str
+    first: int
+    n_frames: int
+    every: int
+    about: str
+
+
+SCENARIOS = {
+    "press_box": Scenario("lift_box_40", 310, 195, 2, "a cube lands, 5 x slower"),
+    "drag_wrench": Scenario("drag_wrench_40", 2000, 250, 5, "a wrench dragged, 2 x slower"),
+    "tap_peg": Scenario("path_40", 310, 250, 2, "a peg is dropped, 5 x slower"),
+    "big_wrench": Scenario("drag_wrench_64", 4000, 100, 10, "a wrench lands, 10 x slower"),
+}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `scenes`."""
+    parser.description = "The scenes that can be launched, and short recordings that can be played."
+    kinds = parser.add_subparsers(required=True, metavar="COMMAND")
+    listing = kinds.add_parser("list", help="list scenes and recordings, one line each")
+    listing.set_defaults(run=_list)
+    make = kinds.add_parser(
+        "make",
+        help="make short recordings of scenes",
+        description=f"Make short recordings of scenes: {', '.join(SCENARIOS)}.",
+    )
+    make.add_argument("names", metavar="NAME", nargs="*", help="which; all by default")
+    make.add_argument(
+        "--out", metavar="DIR", type=Path, help=f"folder to write to (default: {_DATA_FOLDER})"
+    )
+    make.set_defaults(run=_make)
+
+
+_DATA_FOLDER = "$XDG_DATA_HOME/sparseskin or ~/.local/share/sparseskin"
+
+
+def data_folder() -> Path:
+    """Folder of the recordings that are made on first use: in
+    $XDG_DATA_HOME, ~/.local/share where that is not an absolute path.
+    """
+    stated = Path(os.environ.get("XDG_DATA_HOME", ""))
+    try:
+        home = stated if stated.is_absolute() else Path.home() / ".local" / "share"
+    except RuntimeError as error:
+        raise ScenarioError("no home directory is known; set XDG_DATA_HOME") from error
+    return home / "sparseskin"
+
+
+def resolve_recording(name_or_path: str) -> Path:
+    """The recording that a person means: a file, or a scenario, made if it is not there yet.
+    Raises SparseskinError if it is neither a path that exists or has a suffix nor a scenario, or
+    the scenario cannot be written.
+    """
+    path = Path(name_or_path)
+    if name_or_path in SCENARIOS and not path.is_file():
+        path = data_folder() / f"{name_or_path}{FILE_SUFFIX}"
+        if not path.exists():
+            print(f"{name_or_path}: made on first use, in {path.parent}", file=sys.stderr)
+            make_scenario(name_or_path, path.parent)
+        return path
+    if path.suffix or (name_or_path and path.exists()):
+        return path
+    raise _unknown(name_or_path)
+
+
+def make_scenario(name: str, folder: Path) -> Path:
+    """Record a scenario into FOLDER/NAME.mcap, whole or not at all; one that is there is kept.
+    Raises SparseskinError if there is no such scenario, or it cannot be written.
+
+    The same bytes in every message each time: the clock is moved by hand, and solver times, which
+    no two runs share, are left at 0.
+    """
+    from sparseskin.nodes.files import OutputError, whole_file
+
+    if name not in SCENARIOS:
+        raise _unknown(name)
+    path = folder / f"{name}{FILE_SUFFIX}"
+    if path.exists():
+        return path
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScenarioError(f"{folder}: {error.strerror}") from error
+    try:
+        with whole_file(path) as draft:
+            _record(name, SCENARIOS[name], draft)
+    except OutputError:
+        # Another process that made the same was done first.
+        if not path.is_file():
+            raise
+    return path
+
+
+def _record(name: str, scenario: Scenario, out: Path) -> None:
+    from sparseskin.messages import Reconstruction
+    from sparseskin.nodes.bus import Bus
+    from sparseskin.nodes.clock import ManualClock
+    from sparseskin.nodes.compressor.node import Compressor
+    from sparseskin.nodes.reconstructor.node import Reconstructor
+    from sparseskin.nodes.recorder.node import Recorder
+    from sparseskin.nodes.sensor.node import Sensor
+
+    class UntimedReconstructor(Reconstructor):
+        """A reconstructor that publishes no solver time."""
+
+        def step(self, message: Message) -> Iterable[Message]:
+            for made in super().step(message):
+                yield replace(made, solve_ns=0) if isinstance(made, Reconstruction) else made
+
+    text = f"# sparseskin scenes make {name}\n# {scenario.scene}, "
+    text += f"from step {scenario.first} on, one frame every {scenario.every} steps\n"
+    clock = ManualClock(PERIOD_NS)
+    bus = Bus(
+        {
+            "sensor": (Sensor, Sensor.Settings(source=f"scene:{scenario.scene}")),
+            "compressor": (Compressor, Compressor.Settings()),
+            "reconstructor": (UntimedReconstructor, Reconstructor.Settings()),
+            "recorder": (Recorder, Recorder.Settings(out=str(out), launch=text, source=name)),
+        },
+        clock,
+    )
+    sensor = bus.hosts["sensor"].node
+    assert isinstance(sensor, Sensor)
+    _skip(sensor, scenario.first)
+    try:
+        for _ in bus.frames(scenario.n_frames):
+            clock.advance(PERIOD_NS)
+            _skip(sensor, scenario.every - 1)
+    finally:
+        bus.close()
+    for node, host in bus.hosts.items():
+        if host.failure:
+            raise ScenarioError(f"{name}: {node}: {host.failure}")
+
+
+def _skip(sensor: Sensor, n_steps: int) -> None:
+    from sparseskin.nodes.node import Tick
+
+    for step in range(n_steps):
+        deque(sensor.acquire(Tick(0, step)), maxlen=0)
+
+
+def _unknown(name: str) -> ScenarioError:
+    known = ", ".join(SCENARIOS)
+    # Where one is near, it is named first; the list is there in any case.
+    hint = did_you_mean(name, SCENARIOS)
+    listed = "" if "known:" in hint else f"; there are {known}"
+    return ScenarioError(f"{name!r}: no file and no recorded scenario of that name{hint}{listed}")
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    from sparseskin.nodes.sensor.scenes.scenes import SCENES
+
+    def line(name: str, scene: Scene, n_frames: int, period_ns: int, about: str) -> str:
+        shape, period = "{} x {}".format(*scene.shape), f"{period_ns / 1e6:g} ms"
+        return f"  {name:<15} {shape:<8} {n_frames:>6} frames  {period:<7} {about}"
+
+    print("scenes: sparseskin launch NAME")
+    for name, make in SCENES.items():
+        scene = make()
+        about = (make.__doc__ or "").partition("\n")[0].rstrip(".").partition(":")[0]
+        about = about.removeprefix("Return ")
+        print(line(name, scene, scene.n_steps, scene.dt_ns, about))
+    print("recordings: sparseskin play NAME")
+    for name, scenario in SCENARIOS.items():
+        scene = SCENES[scenario.scene]()
+        print(line(name, scene, scenario.n_frames, PERIOD_NS, scenario.about))
+    return 0
+
+
+def _make(arguments: argparse.Namespace) -> int:
+    names = list(dict.fromkeys(arguments.names or SCENARIOS))
+    for name in names:
+        if name not in SCENARIOS:
+            raise _unknown(name)
+    folder = arguments.out if arguments.out is not None else data_folder()
+    for name in names:
+        there = (folder / f"{name}{FILE_SUFFIX}").exists()
+        path = make_scenario(name, folder)
+        note = "is there already" if there else f"{SCENARIOS[name].n_frames} frames"
+        print(f"{path}: {note}, {path.stat().st_size / 1e6:.1f} MB")
+    return 0

@@ -1,0 +1,241 @@
+"""Checks a launch file whole: all its faults at once, each with its place."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from sparseskin.launch.run.restarts import RESTART_KEYS, RestartPolicy
+from sparseskin.messages.errors import MessageError
+from sparseskin.messages.topics import check_name
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.graph import Link, join
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.registry import make_settings, node_class
+
+from .hosts import check_exposure, give_ports, read_hosts, read_place, read_security
+from .spec import LaunchError, LaunchFile, NodeSpec
+
+TRANSPORTS = ("ipc", "tcp")
+RECORDER = "recorder"
+INSECURE = "insecure"
+TO_NAME = "RECORDING"
+"""Placeholder in a launch file for a recording that the user has to name."""
+TABLES = ("graph", "nodes", "hosts", "security")
+_GRAPH_KEYS = ("description", "transport", "log_dir", INSECURE, *RESTART_KEYS)
+
+
+class Checker:
+    """Turns a TOML tree into a LaunchFile, or all its errors into a LaunchError."""
+
+    def __init__(
+        self, shown: str, text: str, tree: dict[str, Any], name: str, folder: Path | None = None
+    ) -> None:
+        self.folder = folder or Path()
+        self.shown = shown
+        self.text = text
+        self.tree = tree
+        self.name = name
+        self.errors: list[str] = []
+        self.overridden: dict[tuple[str, str], str] = {}
+        self.launched = text
+        self.restart = RestartPolicy()
+
+    def check(self, overrides: Sequence[str], record: str | None) -> LaunchFile:
+        for key in self.tree:
+            if key not in TABLES:
+                self.fault((key,), f"unknown table{did_you_mean(key, TABLES)}")
+        graph = self.graph_table()
+        hosts = read_hosts(self.tree, self.fault)
+        security = read_security(self.tree, hosts, self.folder, self.fault)
+        insecure = graph.get(INSECURE) is True
+        check_exposure(hosts.values(), security, insecure, self.fault)
+        self.restart = self.restart_policy(("graph",), graph, RestartPolicy())
+        tables = self.node_tables()
+        for override in overrides:
+            self.override(override, tables)
+        changes = "".join(f"# --set {override}\n" for override in overrides)
+        self.launched = changes + self.text
+        if record is not None:
+            tables[RECORDER] = {"type": "recorder", "out": record}
+            self.overridden[RECORDER, "out"] = f"{RECORDER}.out={record}"
+        places = {}
+        for node_name, table in tables.items():
+            if hosts and not (node_name == RECORDER and record is not None):
+                places[node_name] = read_place(node_name, table, hosts, self.fault)
+        nodes: dict[str, NodeSpec] = {}
+        for node_name, table in tables.items():
+            spec = self.node(node_name, table)
+            if spec is not None:
+                nodes[node_name] = spec
+        links: list[Link] = []
+        if not self.errors:
+            try:
+                links = join({spec.name: (spec.cls, spec.settings) for spec in nodes.values()})
+            except SparseskinError as error:
+                self.errors.append(f"{self.shown}: {error}")
+            # All that publish, read or not: a recorder more on one host moves no port of another.
+            publish = {
+                name: place
+                for name, place in places.items()
+                if nodes[name].cls.outputs(nodes[name].settings)
+            }
+            endpoints = give_ports(publish, hosts, self.fault)
+            for node_name, (host, _) in places.items():
+                public = endpoints.get(node_name, "")
+                nodes[node_name] = replace(nodes[node_name], host=host, public=public)
+        if self.errors:
+            raise LaunchError(self.errors)
+        return LaunchFile(
+            self.name,
+            graph.get("description", ""),
+            graph.get("transport", "ipc"),
+            nodes,
+            links,
+            self.launched,
+            hosts,
+            security,
+            insecure,
+            log_dir=graph.get("log_dir", ""),
+        )
+
+    def graph_table(self) -> dict[str, Any]:
+        graph = self.tree.get("graph", {})
+        if not isinstance(graph, dict):
+            self.fault(("graph",), "expected a table [graph]")
+            return {}
+        for key, value in graph.items():
+            if key not in _GRAPH_KEYS:
+                self.fault(("graph", key), f"unknown key{did_you_mean(key, _GRAPH_KEYS)}")
+            elif key in RESTART_KEYS:
+                continue
+            elif key == INSECURE:
+                if not isinstance(value, bool):
+                    self.fault(("graph", key), f"expected true or false, got {value!r}")
+            elif not isinstance(value, str):
+                self.fault(("graph", key), f"expected a text, got {value!r}")
+            elif key == "transport" and value not in TRANSPORTS:
+                hint = did_you_mean(value, TRANSPORTS)
+                self.fault(("graph", key), f"{value!r} is not allowed{hint}")
+        return graph
+
+    def restart_policy(
+        self, place: tuple[str, ...], table: dict[str, Any], policy: RestartPolicy
+    ) -> RestartPolicy:
+        """The policy with the keys that a table states."""
+        for key in RESTART_KEYS:
+            if key in table:
+                try:
+                    policy = policy.stated(key, table[key])
+                except SparseskinError as error:
+                    self.fault((*place, key), str(error))
+        return policy
+
+    def node_tables(self) -> dict[str, dict[str, Any]]:
+        tables = self.tree.get("nodes")
+        if not isinstance(tables, dict) or not tables:
+            self.errors.append(f"{self.shown}: nodes: expected at least one table [nodes.NAME]")
+            return {}
+        good: dict[str, dict[str, Any]] = {}
+        for name, table in tables.items():
+            try:
+                check_name(f"nodes.{name}", name)
+            except MessageError as error:
+                self.errors.append(f"{self.shown}: {error}")
+                continue
+            if not isinstance(table, dict):
+                self.fault(("nodes", name), f"expected a table [nodes.{name}]")
+                continue
+            good[name] = dict(table)
+        return good
+
+    def override(self, text: str, tables: dict[str, dict[str, Any]]) -> None:
+        match = re.fullmatch(r"([^.=]+)\.([^.=]+)=(.*)", text, re.DOTALL)
+        if match is None:
+            self.errors.append(f"--set {text}: expected NODE.KEY=VALUE")
+            return
+        node, key, raw = match.groups()
+        if node not in tables:
+            self.errors.append(f"--set {text}: unknown node '{node}'{did_you_mean(node, tables)}")
+            return
+        try:
+            value = tomllib.loads(f"value = {raw}")["value"]
+        except tomllib.TOMLDecodeError:
+            value = raw
+        tables[node][key] = value
+        self.overridden[node, key] = text
+
+    def node(self, name: str, table: dict[str, Any]) -> NodeSpec | None:
+        values = dict(table)
+        type_name = values.pop("type", None)
+        if not isinstance(type_name, str):
+            self.fault(("nodes", name), "the key 'type' is missing or not a text")
+            return None
+        try:
+            cls = node_class(type_name)
+        except SparseskinError as error:
+            self.fault(("nodes", name, "type"), str(error))
+            return None
+        restart = self.restart_policy(("nodes", name), values, self.restart)
+        values = {key: value for key, value in values.items() if key not in RESTART_KEYS}
+        # A recorder, recognised by its settings: importing its class loads the writers of files.
+        if {"launch", "source", "out"} <= {f.name for f in dataclasses.fields(cls.Settings)}:
+            values = {"launch": self.launched, "source": self.name} | values
+        try:
+            settings = make_settings(cls, values)
+            settings.check()
+        except SparseskinError as error:
+            key, _, rest = str(error).partition(":")
+            what = rest.strip() if key in values else str(error)
+            if key not in values:  # the line may begin with a value, as the name of a file
+                key = next((k for k, value in values.items() if value and value == key), "")
+            place = ("nodes", name, key) if key else ("nodes", name)
+            self.fault(place, what + (_to_name(name, values) if TO_NAME in what else ""))
+            return None
+        return NodeSpec(name, type_name, cls, values, settings, restart)
+
+    def fault(self, place: tuple[str, ...], what: str) -> None:
+        """Note an error at a place, with the line of the file or the --set it comes from."""
+        if len(place) == 3 and place[1:] in self.overridden:
+            self.errors.append(f"--set {self.overridden[place[1], place[2]]}: {what}")
+            return
+        line = _line_of(self.text, place)
+        where = f"{self.shown}:{line}" if line else self.shown
+        self.errors.append(f"{where}: {'.'.join(place)}: {one_line_of(what)}")
+
+
+def _to_name(node: str, values: dict[str, Any]) -> str:
+    """The --set that names a recording in place of a placeholder; "" where there is none."""
+    for key, value in values.items():
+        if isinstance(value, str) and TO_NAME in value:
+            return f"; name yours: --set {node}.{key}={value.replace(TO_NAME, 'PATH')}"
+    return ""
+
+
+def _line_of(text: str, place: tuple[str, ...]) -> int:
+    """Number of the line that holds a key of a table, or the table's header; 0 if not found."""
+    header = re.compile(r"\s*\[\s*([^\]]+?)\s*\]")
+    table: tuple[str, ...] = ()
+    found = 0
+    for number, line in enumerate(text.splitlines(), start=1):
+        match = header.match(line)
+        if match:
+            table = tuple(part.strip(" \"'") for part in match[1].split("."))
+            if table == place:
+                return number
+            if table == place[:-1]:
+                found = found or number
+        else:
+            key = line.partition("=")[0].strip(" \"'\t")
+            if key and "=" in line and (*table, *key.split(".")) == place:
+                return number
+    return found
+
+
+def one_line_of(what: object) -> str:
+    return " ".join(str(what).split())

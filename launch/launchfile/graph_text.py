@@ -1,0 +1,112 @@
+"""A graph as text for a terminal, as DOT text, and as a picture that Graphviz draws of that."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+from sparseskin.messages.topics import split_topic
+from sparseskin.nodes.errors import SettingsError
+
+from .spec import LaunchFile, NodeSpec
+
+_TELLING = {"sensor": "source", "reconstructor": "preset", "player": "file", "recorder": "out"}
+"""Of a type of node the setting whose value stands in its box."""
+_MAX_VALUE = 40
+
+
+def graph_text(launch: LaunchFile) -> str:
+    """Nodes with their settings, then hosts, then links."""
+    lines = [f"{launch.name}: {launch.description}", f"transport {launch.transport}", "", "nodes"]
+    name_width = max(len(node.name) for node in launch.nodes.values())
+    type_width = max(len(node.type_name) for node in launch.nodes.values())
+    for node in launch.nodes.values():
+        shown = {k: v for k, v in node.values.items() if k != "launch"}
+        if node.host:
+            shown = {"host": node.host, **shown}
+        settings = ", ".join(f"{key} = {value!r}" for key, value in shown.items())
+        lines.append(
+            f"  {node.name:<{name_width}} {node.type_name:<{type_width}} {settings}".rstrip()
+        )
+    for host in launch.hosts.values():
+        here = [node for node in launch.nodes.values() if node.host == host.name]
+        lines += ["", f"host {host.name}", f"  {host.address}"]
+        lines += [f"  {node.name} at {node.public}" for node in here if node.public]
+    lines += ["", "links"]
+    width = max((len(link.writer) + len(link.topic) for link in launch.links), default=0) + 9
+    for link in launch.links:
+        lines.append(f"  {f'{link.writer} -- {link.topic} ':-<{width}}> {link.reader}")
+    return "\n".join(lines)
+
+
+def dot_of(launch: LaunchFile) -> str:
+    """The nodes of all hosts and their links as DOT, the language of Graphviz; a box a host."""
+    nodes = {**launch.nodes, **launch.elsewhere}
+    title = f"{launch.name}: {launch.description}".rstrip(": ")
+    lines = [
+        "digraph {",
+        "rankdir=LR; labelloc=t; ranksep=1; fontname=Helvetica; fontsize=11",
+        f"label={_quoted(title)}",
+        'node [shape=box, style="rounded,filled", fillcolor="#dbe9f6", fontname=Helvetica, '
+        "fontsize=11]",
+        'edge [color="#4a6f95", fontcolor="#4a6f95", fontname=Helvetica, fontsize=10]',
+    ]
+    for host in dict.fromkeys(spec.host for spec in nodes.values()):
+        boxes = [_box(spec) for spec in nodes.values() if spec.host == host]
+        if host:
+            name = _quoted(f"cluster_{host}")
+            boxes = [f"subgraph {name} {{", f"label={_quoted(host)}", *boxes, "}"]
+        lines += boxes
+    topics: dict[tuple[str, str], list[str]] = {}
+    for link in launch.links:
+        topics.setdefault((link.writer, link.reader), []).append(link.topic)
+    for (writer, reader), names in topics.items():
+        ends = f"{_quoted(writer)} -> {_quoted(reader)}"
+        lines.append(f"{ends} [label={_quoted(_label(names))}]")
+    return "\n".join([*lines, "}"]) + "\n"
+
+
+def write_graph(launch: LaunchFile, form: str, path: Path) -> None:
+    """Write a graph as "dot" text, or as a picture, "svg" or "png".
+    Raises SettingsError if the file cannot be written, or a picture is wanted and Graphviz is not
+    installed.
+    """
+    data = dot_of(launch).encode()
+    if form != "dot":
+        program = shutil.which("dot")
+        if program is None:
+            raise SettingsError(
+                f"--{form}: drawn by the program dot, which is not installed "
+                "(apt install graphviz; --dot needs nothing)"
+            )
+        drawn = subprocess.run([program, f"-T{form}"], input=data, capture_output=True, check=False)
+        if drawn.returncode:
+            raise SettingsError(f"--{form}: dot: {drawn.stderr.decode(errors='replace').strip()}")
+        data = drawn.stdout
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise SettingsError(f"--{form} {path}: {error.strerror}") from error
+
+
+def _box(spec: NodeSpec) -> str:
+    """A node: its name, its type where that differs, and the setting that tells it from others."""
+    about = str(spec.values.get(_TELLING.get(spec.type_name, ""), ""))[:_MAX_VALUE]
+    kind = "" if spec.type_name == spec.name else spec.type_name
+    text = "\n".join(filter(None, (spec.name, kind, about)))
+    return f"{_quoted(spec.name)} [label={_quoted(text)}]"
+
+
+def _label(topics: list[str]) -> str:
+    """Topics, a line each patch: "/skin/ taxels, truth"."""
+    schemas: dict[str, list[str]] = {}
+    for topic in topics:
+        patch, schema = split_topic(topic)
+        schemas.setdefault(patch, []).append(schema)
+    return "\n".join(f"/{patch}/ {', '.join(names)}" for patch, names in schemas.items())
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)

@@ -1,0 +1,113 @@
+"""Launch files: TOML, read and checked whole before any process starts."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.registry import make_settings, node_class
+
+from .check import Checker, one_line_of
+from .spec import LaunchError, LaunchFile, NodeSpec
+
+BUNDLED = Path(__file__).parent.parent
+_TOML_PLACE = re.compile(r" \(at line (\d+), column (\d+)\)$")
+
+__all__ = [
+    "BUNDLED",
+    "LaunchError",
+    "LaunchFile",
+    "bundled_names",
+    "find_launch_file",
+    "load",
+    "load_tables",
+    "single_node",
+]
+
+
+def single_node(name: str, type_name: str, values: dict[str, Any]) -> LaunchFile:
+    """A graph of one node, as commands make it; its inputs are joined to another graph.
+    Raises SparseskinError if a setting is not allowed.
+    """
+    cls = node_class(type_name)
+    settings = make_settings(cls, values)
+    settings.check()
+    spec = NodeSpec(name, type_name, cls, values, settings)
+    return LaunchFile(name, "", "ipc", {name: spec}, [])
+
+
+def bundled_names() -> list[str]:
+    """Names of the launch files that come with the package."""
+    return sorted(path.stem for path in BUNDLED.glob("*.toml"))
+
+
+def find_launch_file(name: str) -> Path:
+    """The file behind NAME or FILE.toml.
+    Raises LaunchError if there is none.
+    """
+    path = Path(name)
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        if not path.is_file():
+            raise LaunchError([f"{name}: no such launch file"])
+        return path
+    if name not in bundled_names():
+        hint = did_you_mean(name, bundled_names())
+        raise LaunchError([f"{name}: no launch file of that name{hint}"])
+    return BUNDLED / f"{name}.toml"
+
+
+def load(name: str, overrides: Sequence[str] = (), record: str | None = None) -> LaunchFile:
+    """Read and check a launch file.
+
+    Parameters
+    ----------
+    name : str
+        Name of a bundled launch file, or a path that ends in .toml.
+    overrides : sequence of str
+        "NODE.KEY=VALUE" each; VALUE is TOML, or else a text as it stands.
+    record : str, optional
+        File into which a recorder, added to the nodes, writes all topics.
+
+    Raises
+    ------
+    LaunchError
+        With every error that was found, one line each.
+    """
+    path = find_launch_file(name)
+    shown = path.name if path.parent == BUNDLED else str(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        tree = tomllib.loads(text)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise LaunchError([_unreadable(shown, error)]) from error
+    return Checker(shown, text, tree, path.stem, path.parent).check(overrides, record)
+
+
+def _unreadable(shown: str, error: Exception) -> str:
+    """The line for a file that is no TOML, with the place where the parser names one."""
+    text = one_line_of(error)
+    if place := _TOML_PLACE.search(text):
+        return f"{shown}:{place[1]}: not TOML: {text[: place.start()]}, column {place[2]}"
+    return f"{shown}: not a TOML file: {text}"
+
+
+def load_tables(
+    name: str, tables: dict[str, dict[str, Any]], overrides: Sequence[str] = ()
+) -> LaunchFile:
+    """Check a launch file that a program made: its tables [nodes.NAME].
+    Raises SparseskinError with the first error that was found.
+    """
+    text = "".join(
+        f"[nodes.{node}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in t.items())
+        for node, t in tables.items()
+    )
+    try:
+        return Checker(name, text, {"nodes": tables}, name).check(overrides, None)
+    except LaunchError as error:
+        raise SparseskinError(error.lines[0]) from error

@@ -1,0 +1,109 @@
+"""A launch file that has been checked: its nodes, links, hosts and keys."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from sparseskin.launch.run.restarts import RestartPolicy
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.graph import Link
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.network.keys import KeyFileError
+from sparseskin.nodes.node import Node
+
+from .hosts import Credentials, Host, Security, read_credentials
+
+
+class LaunchError(SparseskinError):
+    """A launch file that cannot be used; `lines` holds one line an error, each with its place."""
+
+    def __init__(self, lines: Sequence[str]) -> None:
+        # What a file holds is named in its errors, and must not move the cursor.
+        self.lines = [
+            "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+            for line in lines
+        ]
+        super().__init__("\n".join(self.lines))
+
+
+@dataclass(frozen=True)
+class NodeSpec:
+    """One node of a launch file; `public` is where other hosts find what it publishes."""
+
+    name: str
+    type_name: str
+    cls: type[Node[Any]]
+    values: dict[str, Any]
+    settings: Any
+    restart: RestartPolicy = RestartPolicy()
+    host: str = ""
+    public: str = ""
+
+    def with_live(self, values: dict[str, Any]) -> NodeSpec:
+        """The same node with what was changed while it ran."""
+        before = self.settings.live_values()
+        changed = {key: v for key, v in values.items() if v != before[key]}
+        return replace(
+            self,
+            values={key: v for key, v in (self.values | changed).items() if v is not None},
+            settings=replace(self.settings, **changed),
+        )
+
+    def again(self, n_restarts: int) -> NodeSpec:
+        """The same node as it is started again after its n-th failure."""
+        values = self.cls.values_again(self.settings, n_restarts)
+        settings = replace(self.settings, **values)
+        return replace(self, values=self.values | values, settings=settings)
+
+
+@dataclass(frozen=True)
+class LaunchFile:
+    """A checked launch file; `text` is the file as it stands, with the changes of --set.
+
+    Of a graph of several hosts, `host` is the one whose part this is, `nodes` are those that run
+    there and `elsewhere` the others; "" and none as long as no host was chosen.
+    """
+
+    name: str
+    description: str
+    transport: str
+    nodes: dict[str, NodeSpec]
+    links: list[Link]
+    text: str = ""
+    hosts: dict[str, Host] = field(default_factory=dict)
+    security: Security | None = None
+    insecure: bool = False
+    host: str = ""
+    elsewhere: dict[str, NodeSpec] = field(default_factory=dict)
+    credentials: Credentials | None = None
+    log_dir: str = ""
+
+    def part(self, host: str | None) -> LaunchFile:
+        """The part of a graph that runs on one host, with the keys that it needs there; `host` is
+        None where the graph has but one.
+        Raises LaunchError if the host is missing, unknown or one too many, or its keys cannot be
+        used.
+        """
+        names = ", ".join(self.hosts)
+        if self.hosts and host is None:
+            raise LaunchError([f"{self.name}: several hosts: choose one with --host ({names})"])
+        if host is not None and not self.hosts:
+            raise LaunchError([f"--host {host}: {self.name} has no tables [hosts.NAME]"])
+        if host is not None and host not in self.hosts:
+            hint = did_you_mean(host, self.hosts)
+            raise LaunchError([f"--host {host}: {self.name} has no such host{hint}"])
+        here = host or ""
+        key = self.hosts[here].key if here else self.security.key if self.security else ""
+        try:
+            found = read_credentials(self.security, key, self.hosts) if self.security else None
+        except KeyFileError as error:
+            raise LaunchError([str(error)]) from error
+        # A recorder that was asked for on the command line is of this host, too.
+        nodes = {n: spec for n, spec in self.nodes.items() if spec.host in ("", here)}
+        links = [link for link in self.links if link.reader in nodes or link.writer in nodes]
+        elsewhere = {n: spec for n, spec in self.nodes.items() if n not in nodes}
+        return replace(
+            self, nodes=nodes, links=links, elsewhere=elsewhere, host=here, credentials=found
+        )

@@ -1,0 +1,232 @@
+"""The controls of a running graph: requests to its nodes, from nodes that watch it and from
+programs at its control socket, their answers, and the state of the graph for both.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sparseskin.launch.launchfile.spec import LaunchFile
+from sparseskin.nodes.errors import RefusedError
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.process.control import MAX_DEPTH, is_shallow
+
+from .control_server import ControlServer
+from .control_socket import ControlClient
+from .fleet import Fleet
+from .live_recording import LiveRecording
+from .process import NodeProcess
+from .state import graph_description, graph_state, hosts_state
+
+NEWS_S = 0.5
+"""Longest time between two published states of the graph; a change is published at once."""
+
+Reply = Callable[[dict[str, Any]], None]
+"""Called with the answer: {id, node, done, text}."""
+
+LAUNCHER = "launch"
+"""Name of the launcher itself as the receiver of a request."""
+PATIENCE_S = 5.0
+"""Longest time that a node may take to answer, seconds."""
+MAX_OPEN = 256
+"""Most requests without an answer."""
+
+
+@dataclass
+class _Open:
+    """A request that a node has not answered yet."""
+
+    id: str
+    node: str
+    command: str
+    reply: Reply
+    deadline_s: float
+
+
+class Requests:
+    """Passes requests on to nodes, and returns each answer once. For requests to the launcher
+    itself `own` is called with (command, value, answer); it calls answer(done, text).
+    """
+
+    def __init__(
+        self,
+        nodes: Mapping[str, NodeProcess],
+        own: Callable[[str, Any, Callable[[bool, str], None]], None],
+    ) -> None:
+        self._nodes = nodes
+        self._own = own
+        self._open: dict[str, _Open] = {}
+
+    def take(self, request: Mapping[str, Any], reply: Reply) -> None:
+        """Pass on one request {id, node, command, value}; the reply is called once."""
+        number, node, command = (request.get(key) for key in ("id", "node", "command"))
+        asked = _Open(str(number)[:64], str(node)[:64], str(command)[:64], reply, 0.0)
+        if not (isinstance(number, str) and isinstance(node, str) and isinstance(command, str)):
+            _answer(asked, False, "expected the texts id, node and command")
+        elif not is_shallow(request.get("value")):
+            _answer(asked, False, f"value: nested more than {MAX_DEPTH} deep")
+        elif node == LAUNCHER:
+            try:
+                self._own(command, request.get("value"), lambda *what: _answer(asked, *what))
+            except RefusedError as error:
+                _answer(asked, False, str(error))
+        elif fault := self._fault(node, command, request.get("value")):
+            _answer(asked, False, fault)
+        else:
+            asked.deadline_s = time.monotonic() + PATIENCE_S
+            key = secrets.token_hex(8)
+            self._open[key] = asked
+            self._nodes[node].command(command, id=key, value=request.get("value"))
+
+    def answered(self, event: Mapping[str, Any]) -> None:
+        """Return the answer of a node."""
+        asked = self._open.pop(event["id"], None)
+        if asked is not None:
+            _answer(asked, event["done"], event["text"])
+
+    def expire(self) -> None:
+        """Answer in place of nodes that are late or gone."""
+        now_s = time.monotonic()
+        for key, asked in list(self._open.items()):
+            node = self._nodes.get(asked.node)
+            gone = node is None or node.exit_code() is not None
+            if gone or asked.deadline_s < now_s:
+                del self._open[key]
+                why = "has ended" if gone else f"has not answered within {PATIENCE_S:g} s"
+                _answer(asked, False, f"{asked.node} {why}")
+
+    def _fault(self, node: str, command: str, value: Any) -> str:
+        """Why a request cannot be passed on; "" where it can."""
+        if node not in self._nodes:
+            return f"{node[:64]}: no such node{did_you_mean(node, [*self._nodes, LAUNCHER])}"
+        process = self._nodes[node]
+        known = ("set", *process.spec.cls.commands)
+        if command not in known:
+            return f"{node}: has no command '{command[:64]}'{did_you_mean(command, known)}"
+        if command == "set" and not (isinstance(value, dict) and value):
+            return f"{node}: set: expected settings and their values"
+        if not process.ready or process.ended or process.exit_code() is not None:
+            return f"{node} does not run just now"
+        if len(self._open) >= MAX_OPEN:
+            return f"{MAX_OPEN} requests wait for an answer already"
+        return ""
+
+
+def _answer(asked: _Open, done: bool, text: str) -> None:
+    asked.reply({"id": asked.id, "node": asked.node, "done": done, "text": text})
+
+
+class Controls:
+    """Requests to the nodes of a graph of this launcher, and news of it.
+
+    Parameters
+    ----------
+    path : str or None
+        Path of the control socket; None: no socket.
+    """
+
+    def __init__(self, launch: LaunchFile, fleet: Fleet, path: str | None) -> None:
+        self._launch = launch
+        self._fleet = fleet
+        self._recording = LiveRecording(launch, fleet)
+        self._requests = Requests(fleet.nodes, self._recording.command)
+        self._server = (
+            ControlServer(path, fleet, self._requests.take, self._describe) if path else None
+        )
+        self._next_s = 0.0
+        self._conditions: list[str] = []
+        fleet.hear = self._hear
+
+    def serve(self) -> None:
+        """Publish the state of the graph; answer in place of nodes that are late."""
+        self._requests.expire()
+        if self._server is not None:
+            self._server.flush()
+        conditions = [self._fleet.condition(node) for node in self._fleet]
+        if conditions == self._conditions and time.monotonic() < self._next_s:
+            return
+        self._conditions = conditions
+        self._next_s = time.monotonic() + NEWS_S
+        watching = [node for node in self._fleet if node.spec.cls.watches and node.ready]
+        if not watching and not (self._server and self._server.watched):
+            return
+        state = graph_state(self._launch.name, self._fleet, self._recording.out)
+        state["hosts"] = hosts_state(self._launch, self._fleet)
+        for node in watching:
+            node.news("graph", state)
+        if self._server is not None:
+            self._server.publish({"graph": state})
+
+    def close(self) -> None:
+        """Accept no more requests."""
+        if self._server is not None:
+            self._server.close()
+
+    def _describe(self, node: str | None) -> dict[str, Any]:
+        return graph_description(self._launch.name, self._fleet, self._recording.out, node)
+
+    def _hear(self, node: NodeProcess, event: dict[str, Any]) -> None:
+        self._recording.hear(node, event["event"])
+        match event["event"]:
+            case "request":
+                self._requests.take(event, lambda answer: node.command("answer", value=answer))
+            case "answer":
+                self._requests.answered(event)
+                self._next_s = 0.0
+
+
+class RemoteControls:
+    """Passes requests of the nodes here on to the graph that they joined, and its news back.
+
+    Raises SparseskinError if no graph listens at the path of its control socket.
+    """
+
+    def __init__(self, fleet: Fleet, path: str) -> None:
+        self._fleet = fleet
+        self._client: ControlClient | None = ControlClient(path)
+        self._askers: dict[str, NodeProcess] = {}
+        self._client.send({"watch": True})
+        fleet.watch(self._client.fd, self._listen)
+        fleet.hear = self._hear
+
+    def serve(self) -> None:
+        """Send what is queued."""
+        if self._client is not None:
+            self._client.flush()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        if self._client is not None:
+            self._fleet.unwatch(self._client.fd)
+            self._client.close()
+            self._client = None
+
+    def _listen(self) -> None:
+        assert self._client is not None
+        news = self._client.receive()
+        if news is None:
+            self.close()
+            return
+        for fields in news:
+            if "graph" in fields:
+                for node in self._fleet:
+                    if node.spec.cls.watches and node.ready:
+                        node.news("graph", fields["graph"])
+            elif "answer" in fields:
+                asker = self._askers.pop(fields["answer"]["id"], None)
+                if asker is not None:
+                    asker.command("answer", value=fields["answer"])
+
+    def _hear(self, node: NodeProcess, event: dict[str, Any]) -> None:
+        if event["event"] != "request":
+            return
+        request = {key: event.get(key) for key in ("id", "node", "command", "value")}
+        if self._client is None or not self._client.send(request):
+            gone = {"id": request["id"], "node": request["node"], "done": False}
+            node.command("answer", value={**gone, "text": "the graph is gone"})
+            return
+        self._askers[str(request["id"])] = node

@@ -1,0 +1,269 @@
+"""The processes of one graph: started, joined, listened to, started again, ended."""
+
+from __future__ import annotations
+
+import selectors
+import signal
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from sparseskin.launch.launchfile.spec import LaunchFile, NodeSpec
+from sparseskin.nodes.graph import Link
+
+from .configs import node_config, peer_of
+from .process import NodeProcess, exit_text
+from .restarts import Restarts
+from .running import RunningGraph
+
+START_S = 30.0
+"""Longest start of all nodes together, seconds."""
+GRACE_S = 2.0
+"""Time from one request to end to the next, more forceful one, seconds."""
+POLL_S = 0.1
+
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+
+Hear = Callable[[NodeProcess, dict[str, Any]], None]
+
+
+class Fleet:
+    """The node processes of a graph; parameters as of `Launcher`.
+
+    Attributes
+    ----------
+    exit_code : int
+        Not 0 once a node has failed that the graph needs.
+    late_code : int
+        Not 0 once a node has failed that it can do without.
+    supervised : bool
+        True while a node that fails is restarted as its policy states.
+    hear : callable
+        Called with (node, event) for events that concern others than the fleet.
+    """
+
+    def __init__(
+        self,
+        launch: LaunchFile,
+        offset_ns: int,
+        log: Callable[[str], None],
+        max_frames: int | None = None,
+        joined: RunningGraph | None = None,
+    ) -> None:
+        self._launch = launch
+        self._offset_ns = offset_ns
+        self._log = log
+        self._max_frames = max_frames
+        self._joined = joined
+        self._selector = selectors.DefaultSelector()
+        self._restarts = {name: Restarts(spec.restart) for name, spec in launch.nodes.items()}
+        self._due_s: dict[str, float] = {}
+        self._endpoints: dict[str, str] = {}
+        self._to_pause: set[str] = set()
+        self._links = list(launch.links)
+        self.nodes: dict[str, NodeProcess] = {}
+        self.exit_code = self.late_code = 0
+        self.supervised = False
+        self.hear: Hear = lambda node, event: None
+
+    def __iter__(self) -> Iterator[NodeProcess]:
+        return iter(list(self.nodes.values()))
+
+    def spawn(self) -> None:
+        """Start all processes of the launch file."""
+        for spec in self._launch.nodes.values():
+            self._start_process(spec)
+
+    def add(self, spec: NodeSpec, topics: list[str]) -> None:
+        """Start one process more in a graph that runs; it reads the topics."""
+        writers = {
+            topic: node.name for node in self for topic in node.spec.cls.outputs(node.spec.settings)
+        }
+        self._links += [Link(topic, writers[topic], spec.name) for topic in topics]
+        self._restarts[spec.name] = Restarts(spec.restart)
+        self._start_process(spec, late=True)
+
+    def connect(self, node: NodeProcess, distant: bool = False) -> None:
+        """Send a node the endpoints of its writers on this host, or of those on other hosts."""
+        writers = {link.writer for link in self._links if link.reader == node.name}
+        here = {writer for writer in writers if writer not in self._launch.elsewhere}
+        names = sorted(writers - here if distant else here)
+        peers = [peer_of(self._launch, self._joined, name, self._endpoints) for name in names]
+        if peers or not distant:
+            node.command("connect", peers=peers)
+
+    def command_all(self, command: str) -> None:
+        for node in self:
+            node.command(command)
+
+    def condition(self, node: NodeProcess) -> str:
+        """Condition of a node, in a word or two."""
+        return "restarting" if node.name in self._due_s else node.condition
+
+    def n_restarts(self, name: str) -> int:
+        return self._restarts[name].total
+
+    def watch(self, fd: Any, on_ready: Callable[[], None]) -> None:
+        """Wait for another file descriptor than a pipe, too."""
+        self._selector.register(fd, selectors.EVENT_READ, on_ready)
+
+    def unwatch(self, fd: Any) -> None:
+        self._selector.unregister(fd)
+
+    def serve(self) -> None:
+        """Wait for events of the nodes, at most `POLL_S`, and handle them."""
+        for data in {id(key.data): key.data for key, _ in self._selector.select(POLL_S)}.values():
+            if isinstance(data, NodeProcess):
+                self._listen(data)
+            else:
+                data()
+        now_s = time.monotonic()
+        for node in self:
+            self._check(node, now_s)
+        for name in [name for name, due_s in self._due_s.items() if due_s <= now_s]:
+            self._start_again(name)
+
+    def end_all(self) -> None:
+        """End every process: command, then SIGTERM, then SIGKILL; log the use of signals."""
+        self.supervised = False
+        self._due_s.clear()
+        self.command_all("stop")
+        for node in self:
+            if not node.endpoint:  # still starting: it does not listen yet
+                node.send_signal(signal.SIGTERM)
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            deadline = time.monotonic() + GRACE_S
+            while self._alive() and time.monotonic() < deadline:
+                self._selector.select(POLL_S)
+                for node in self:
+                    self._listen(node)
+            for node in self._alive():
+                self._log(f"[launch] {node.name} does not end: {number.name}")
+                node.send_signal(number)
+        for node in self:
+            self._listen(node)
+            node.close()
+        self._selector.close()
+
+    def _start_process(self, spec: NodeSpec, late: bool = False, endpoint: str = "") -> None:
+        config = node_config(
+            self._launch,
+            spec,
+            self._links,
+            joined=self._joined,
+            offset_ns=self._offset_ns,
+            max_frames=self._max_frames,
+            late=late or self._joined is not None,
+        )
+        if endpoint:
+            config["endpoint"] = endpoint
+        node = NodeProcess(spec, config)
+        self.nodes[spec.name] = node
+        for pipe in node.pipes:
+            self._selector.register(pipe, selectors.EVENT_READ, node)
+
+    def _start_again(self, name: str) -> None:
+        """Start a node that died, at the endpoint where its readers look for it."""
+        del self._due_s[name]
+        dead = self.nodes[name]
+        for pipe in dead.pipes:  # a child of the node's may still hold the other end
+            if pipe in self._selector.get_map():
+                self._selector.unregister(pipe)
+        dead.close()
+        self._log(f"[launch] {name} is started again (restart {self.n_restarts(name)})")
+        if dead.state.get("paused"):
+            self._to_pause.add(name)
+        endpoint = self._endpoints.get(name, "")
+        spec = dead.spec.with_live(dead.settings).again(self.n_restarts(name))
+        self._start_process(spec, late=True, endpoint=endpoint)
+
+    def _alive(self) -> list[NodeProcess]:
+        return [node for node in self if node.exit_code() is None]
+
+    def _check(self, node: NodeProcess, now_s: float) -> None:
+        """Check whether a node has died or hangs."""
+        code = node.exit_code()
+        if code is None:
+            hang_s = node.spec.restart.hang_s
+            if hang_s and not node.ready:
+                hang_s = max(hang_s, START_S)  # to import and to open a device takes its time
+            hung = bool(hang_s) and now_s - node.heard_s > hang_s
+            if self.supervised and hung and not node.ended and node.spec.restart.restarts:
+                self._log(f"[launch] {node.name} has been silent for {hang_s:g} s: SIGKILL")
+                node.send_signal(signal.SIGKILL)
+                node.heard_s = now_s
+        elif not node.ended and node.name not in self._due_s:
+            self._listen(node)
+            if not node.ended:
+                self._died(node, EXIT_FAILED, f"{node.name} ended too early: {exit_text(code)}")
+
+    def _listen(self, node: NodeProcess) -> None:
+        events, log = node.read()
+        for pipe in node.closed_pipes:
+            if pipe in self._selector.get_map():
+                self._selector.unregister(pipe)
+        for line in log:
+            self._log(f"[{node.name}] {line}")
+        for event in events:
+            self._take(node, event)
+
+    def _take(self, node: NodeProcess, event: dict[str, Any]) -> None:
+        match event["event"]:
+            case "bound":
+                node.endpoint = self._endpoints[node.name] = event["endpoint"]
+                if self.supervised:
+                    self.connect(node)
+            case "ready":
+                node.ready = True
+                # Not before: what comes from other hosts can be passed on from now on.
+                self.connect(node, distant=True)
+                if self.supervised:
+                    node.command("start")
+                if node.name in self._to_pause:
+                    self._to_pause.discard(node.name)
+                    node.command("pause", value=True)
+            case "heartbeat":
+                node.lacks, node.line, node.counts = event["lacks"], event["line"], event["counts"]
+                node.state, node.refusal = event["state"], event["refusal"]
+                node.heard, node.clocks = event["heard"], event["clocks"]
+            case "ended":
+                node.ended = True
+                node.counts, node.report = event["counts"], event["report"]
+                node.clocks = event["clocks"]
+            case "failed":  # the node has logged the reason
+                self._fail(node, EXIT_USAGE)
+            case "error":
+                self._died(node, event["code"], f"[{node.name}] error: {event['text']}")
+                return
+            case "answer":
+                node.settings, node.state = event["settings"], event["state"]
+            case "request":
+                pass
+            case _:
+                self._log(f"[{node.name}] {event}")
+        self.hear(node, event)
+
+    def _died(self, node: NodeProcess, code: int, text: str) -> None:
+        """A process has ended before its time: start it again, or end the graph with it."""
+        line = text if text.startswith("[") else f"[launch] {text}"
+        restarts = self._restarts[node.name]
+        if self.supervised and code != EXIT_USAGE:
+            due_s = restarts.next_s(time.monotonic())
+            if due_s is not None:
+                self._due_s[node.name] = due_s
+                self._log(line)
+                return
+            line += restarts.spent
+        node.ended = True
+        self._log(line)
+        self._fail(node, code)
+        self.hear(node, {"event": "died"})
+
+    def _fail(self, node: NodeProcess, code: int) -> None:
+        """A node cannot go on. The graph ends with it, if it is one that it needs."""
+        node.failed = True
+        if node.spec.cls.required:
+            self.exit_code = self.exit_code or code
+        else:
+            self.late_code = self.late_code or code

@@ -1,0 +1,249 @@
+"""Runs a graph from start to end: starts its nodes, joins them, watches them, ends them all."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import time
+from collections.abc import Callable, Mapping
+from types import FrameType
+from typing import Any
+
+from sparseskin.launch.launchfile.load import LaunchFile
+from sparseskin.nodes.clock import wall_offset_ns
+from sparseskin.nodes.errors import SparseskinError
+
+from .configs import note_of
+from .controls import Controls, RemoteControls
+from .fleet import EXIT_FAILED, EXIT_USAGE, START_S, Fleet
+from .process import NodeProcess
+from .running import GraphError, RunningGraph, announced, control_path, is_running
+from .state import hosts_state
+from .terminal import Terminal
+from .waiting import READER_S, Missing, all_read, lacks_readers, late_at_end, or_log
+
+DRAIN_S = 5.0
+"""Longest time for frames under way to reach the end of the graph after its sources, seconds."""
+LOOK_S = 0.5
+QUIT_KEYS = ("q", "\x03")
+
+__all__ = ["EXIT_FAILED", "EXIT_USAGE", "Launcher"]
+
+
+class Launcher:
+    """Runs one graph from start to end.
+
+    Parameters
+    ----------
+    launch : LaunchFile
+        The checked launch file.
+    terminal : Terminal
+        Output of log lines and the status line.
+    max_frames : int, optional
+        Frames after which each source ends its stream.
+    joined : RunningGraph, optional
+        A graph that already runs, whose topics the nodes of this one read.
+    keys : mapping of str to (node, command), optional
+        Keys of the terminal, and the commands they are to nodes.
+    """
+
+    def __init__(
+        self,
+        launch: LaunchFile,
+        terminal: Terminal,
+        max_frames: int | None = None,
+        joined: RunningGraph | None = None,
+        keys: Mapping[str, tuple[str, str]] | None = None,
+    ) -> None:
+        self._launch = launch
+        self._terminal = terminal
+        self._joined = joined
+        self._keys = dict(keys or {})
+        self._look_at_s = 0.0
+        self._offset_ns = joined.offset_ns if joined else wall_offset_ns()
+        self._fleet = Fleet(launch, self._offset_ns, terminal.log, max_frames, joined)
+        self._controls: Controls | RemoteControls | None = None
+        self._missing = Missing(launch, terminal.log, time.monotonic())
+        writers = {link.writer for link in launch.links}
+        self._sinks = [name for name in launch.nodes if name not in writers]
+        self._interrupts = 0
+        self._gone = False
+        self._signal_code = 0
+
+    def run(self) -> int:
+        """Run the graph until its streams end; return the exit code: 0, 1 for a node that
+        failed, 2 for one that refused its settings, 128 + the signal for an interrupt.
+        """
+        old = {
+            number: signal.signal(number, self._on_signal)
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        }
+        try:
+            if self._launch.insecure and self._launch.hosts and not self._launch.security:
+                self._terminal.log(
+                    "[launch] warning: insecure = true and no keys: whoever reaches this network "
+                    "can read all topics and pretend to be any node"
+                )
+            self._fleet.spawn()
+            if self._handshake():
+                self._serve_controls()
+                endpoints = {node.name: node.endpoint for node in self._fleet}
+                note = note_of(self._launch, endpoints, self._offset_ns)
+                # What only joins another graph is no graph that could be joined itself.
+                note_of_it = announced(note) if self._joined is None else contextlib.nullcontext()
+                with note_of_it, self._terminal.keyboard(bool(self._keys)):
+                    self._fleet.supervised = self._joined is None
+                    self._fleet.command_all("start")
+                    self._until(self._ended_or_logged(), None)
+                    self._fleet.supervised = False
+                    if not self._all_ended():
+                        self._drain()
+        finally:
+            if self._controls is not None:
+                self._controls.close()
+            self._fleet.end_all()
+            for number, handler in old.items():
+                signal.signal(number, handler)
+            self._terminal.status("")
+        return self._exit_code or self._fleet.late_code
+
+    def summary(self) -> dict[str, Any]:
+        """Reports and counts of the nodes."""
+        merged: dict[str, Any] = {"launch": self._launch.name, "patches": {}, "nodes": {}}
+        if self._launch.host:
+            merged["host"] = self._launch.host
+            merged["hosts"] = hosts_state(self._launch, self._fleet)
+        for node in self._fleet:
+            found = dict(node.report)
+            merged["patches"].update(found.pop("patches", {}))
+            merged["nodes"][node.name] = {
+                "type": node.spec.type_name,
+                "restarts": self._fleet.n_restarts(node.name),
+                **node.counts,
+                **found,
+            }
+        return merged
+
+    @property
+    def _exit_code(self) -> int:
+        return self._signal_code or self._fleet.exit_code
+
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        self._interrupts += 1
+        if not self._fleet.exit_code:
+            self._signal_code = self._signal_code or 128 + number
+
+    def _serve_controls(self) -> None:
+        if self._joined is None:
+            self._controls = Controls(self._launch, self._fleet, control_path())
+            return
+        try:
+            self._controls = RemoteControls(self._fleet, self._joined.control)
+        except SparseskinError as error:
+            raise GraphError(f"{self._joined.label}: has just ended") from error
+
+    def _handshake(self) -> bool:
+        """Join the nodes; False if one of them failed or was late."""
+        log = self._terminal.log
+        started = or_log(lambda: all(node.endpoint for node in self._fleet), self._fleet, log)
+        if not self._until(started, START_S):
+            return self._name_late("has not started", lambda node: not node.endpoint)
+        for node in self._fleet:
+            self._fleet.connect(node)
+        # Parts start in any order: however long another host takes, it is waited for.
+        limit_s = None if self._launch.elsewhere else START_S
+        ready = or_log(lambda: all(node.ready for node in self._fleet), self._fleet, log)
+        if not self._until(ready, limit_s):
+            return self._name_late("is not ready", lambda node: not node.ready)
+        where = f" on {self._launch.host}" if self._launch.host else ""
+        self._terminal.log(f"[launch] ready{where}: {', '.join(self._fleet.nodes)}")
+        return True
+
+    def _look_around(self) -> None:
+        """Pass on keys, and end where the graph that was joined is gone."""
+        for key in self._terminal.pressed():
+            if key in self._keys:
+                node, command = self._keys[key]
+                self._fleet.nodes[node].command(command)
+            elif key in QUIT_KEYS:
+                self._interrupts += 1
+        if self._joined is not None and time.monotonic() >= self._look_at_s:
+            self._look_at_s = time.monotonic() + LOOK_S
+            if not is_running(self._joined) and not self._gone:
+                self._gone = True
+                self._interrupts += 1
+
+    def _name_late(self, what: str, is_late: Callable[[NodeProcess], bool]) -> bool:
+        if not self._exit_code:
+            self._fleet.exit_code = EXIT_FAILED
+            for node in filter(is_late, self._fleet):
+                lack = f": no subscription from {', '.join(node.lacks)}" if node.lacks else ""
+                self._terminal.log(f"[launch] {node.name} {what} after {START_S:g} s{lack}")
+        return False
+
+    def _all_ended(self) -> bool:
+        return all(node.ended or node.failed for node in self._fleet)
+
+    def _ended_or_logged(self) -> Callable[[], bool]:
+        """A check that is True once all have ended; it logs a player that waits for readers."""
+        return or_log(
+            self._all_ended,
+            self._fleet,
+            self._terminal.log,
+            late=lambda node: lacks_readers(node, self._launch.name),
+            slow_s=READER_S,
+        )
+
+    def _all_drained(self) -> bool:
+        """True if all have ended but those that wait for a node that is dead."""
+        cut_off = {node.name for node in self._fleet if node.exit_code() is not None}
+        # The sources of another host are not stopped from here.
+        cut_off |= {ln.reader for ln in self._launch.links if ln.writer in self._launch.elsewhere}
+        for _ in self._fleet:
+            cut_off |= {link.reader for link in self._launch.links if link.writer in cut_off}
+        return all(node.ended or node.failed or node.name in cut_off for node in self._fleet)
+
+    def _until(
+        self, done: Callable[[], bool], limit_s: float | None, draining: bool = False
+    ) -> bool:
+        """Serve the nodes until `done`; False if the time is over first, or an interrupt or a
+        failure comes; while draining, a second interrupt.
+        """
+        deadline = None if limit_s is None else time.monotonic() + limit_s
+        while not done():
+            if self._interrupts > draining or (self._exit_code and not draining):
+                return False
+            if deadline is not None and time.monotonic() >= deadline:
+                return False
+            self._serve()
+        return True
+
+    def _serve(self) -> None:
+        self._look_around()
+        self._fleet.serve()
+        if self._launch.elsewhere:
+            self._missing.report(self._fleet, time.monotonic())
+        if self._controls is not None:
+            self._controls.serve()
+        nodes = self._fleet.nodes
+        lines = [nodes[name].line for name in self._sinks if name in nodes]
+        self._terminal.status("  ||  ".join(filter(None, lines)))
+
+    def _drain(self) -> None:
+        """Stop the sources, and let frames under way reach the end of the graph."""
+        if self._joined is not None:  # the sources are not ours
+            if self._gone:  # what they sent last may still wait here
+                self._until(all_read(self._fleet), DRAIN_S, draining=True)
+                if not self._all_ended():
+                    self._terminal.log(
+                        f"[launch] {self._joined.label} was gone before its streams had ended: "
+                        "its last messages may be missing"
+                    )
+            return
+        for node in self._fleet:
+            # One that is still starting has no handler yet; it has nothing to drain either.
+            node.send_signal(signal.SIGINT if node.endpoint else signal.SIGTERM)
+        if not self._until(self._all_drained, DRAIN_S, draining=True):
+            late = late_at_end(self._fleet, self._launch.links)
+            if late and self._interrupts <= 1:
+                self._terminal.log(f"[launch] not drained after {DRAIN_S:g} s: {', '.join(late)}")

@@ -1,0 +1,97 @@
+"""Log files of a run: a folder a run, a file a node, bounded in size."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import shutil
+import time
+from logging.handlers import RotatingFileHandler
+from pathlib import Path
+
+from sparseskin.launch.launchfile.spec import LaunchError
+
+MAX_FILE_BYTES = 2_000_000
+"""Size at which a file becomes NAME.log.1, in place of the one before it, bytes."""
+MAX_RUNS = 20
+"""Most folders of runs that are kept beside each other; the oldest are removed."""
+LAUNCHER = "launch"
+_RUN = re.compile(r".+-\d{8}-\d{6}-\d+")
+_NAMED = re.compile(r"\[([A-Za-z0-9_.-]+)\] (.*)", re.DOTALL)
+
+
+def default_log_dir() -> Path:
+    """Folder of the runs where none is stated."""
+    state = os.environ.get("XDG_STATE_HOME")
+    return (Path(state) if state else Path.home() / ".local" / "state") / "sparseskin" / "log"
+
+
+def time_text(now_s: float) -> str:
+    """Time of day with milliseconds, which stands before each line."""
+    return f"{time.strftime('%H:%M:%S', time.localtime(now_s))}.{int(now_s * 1000) % 1000:03d}"
+
+
+class _NodeFile(RotatingFileHandler):
+    """The file of one node; unlike its base it raises what goes wrong."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
+        raise
+
+
+class RunLog:
+    """The files of one run of the graph `name`, in a new folder in `parent`, which is made where it
+    is missing; `now_s`, seconds since the epoch, names it.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder of the run: NAME-DATE-TIME-PROCESS.
+    error : str
+        Reason why nothing more is written; "" before that.
+
+    Raises
+    ------
+    LaunchError
+        If the folder cannot be made.
+    """
+
+    def __init__(self, parent: Path, name: str, now_s: float) -> None:
+        date = time.strftime("%Y%m%d-%H%M%S", time.localtime(now_s))
+        self.folder = parent / f"{name}-{date}-{os.getpid()}"
+        self.error = ""
+        self._files: dict[str, _NodeFile] = {}
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise LaunchError([f"log_dir: {self.folder}: {error.strerror}"]) from error
+        _clear(parent)
+
+    def write(self, line: str, now_s: float) -> None:
+        """Write one line "[NAME] TEXT" into the file of that node, with date and time."""
+        found = _NAMED.fullmatch(line)
+        name, text = found.groups() if found else (LAUNCHER, line)
+        date = time.strftime("%Y-%m-%d", time.localtime(now_s))
+        text = f"{date} {time_text(now_s)} {text}"
+        try:
+            if name not in self._files:
+                path = self.folder / f"{name}.log"
+                self._files[name] = _NodeFile(
+                    path, maxBytes=MAX_FILE_BYTES, backupCount=1, encoding="utf-8", errors="replace"
+                )
+            self._files[name].emit(logging.makeLogRecord({"msg": text}))
+        except OSError as error:
+            self.error = f"{self.folder}: {error.strerror}"
+
+    def close(self) -> None:
+        """Close all files."""
+        for file in self._files.values():
+            file.close()
+        self._files.clear()
+
+
+def _clear(parent: Path) -> None:
+    """Remove the oldest folders of runs; other folders stay."""
+    runs = [path for path in parent.iterdir() if path.is_dir() and _RUN.fullmatch(path.name)]
+    for path in sorted(runs, key=lambda run: run.stat().st_mtime)[:-MAX_RUNS]:
+        shutil.rmtree(path, ignore_errors=True)

@@ -1,0 +1,140 @@
+"""A running graph as plain data, for observers and for its controls."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import socket
+from collections.abc import Iterable
+from typing import Any
+
+from sparseskin.launch.launchfile.spec import LaunchFile
+from sparseskin.nodes.host import is_latched
+from sparseskin.nodes.process.control import COUNTED
+
+from .fleet import Fleet
+from .live_recording import LIVE_RECORDER
+from .process import NodeProcess
+
+
+def graph_state(name: str, fleet: Fleet, recording: str | None) -> dict[str, Any]:
+    """The state of a graph, as it is published to all that watch it; `recording` is the file that
+    is recorded on request, if any.
+    """
+    return {
+        "name": name,
+        "recording": recording,
+        "nodes": [_node_state(fleet, node) for node in _present(fleet)],
+    }
+
+
+def graph_description(
+    name: str, fleet: Fleet, recording: str | None, node: str | None
+) -> dict[str, Any]:
+    """The description of a graph, for a program that asks once: with the settings of `node`, each
+    with its type, range and meaning.
+    """
+    return {
+        "name": name,
+        "pid": os.getpid(),
+        "host": socket.gethostname(),
+        "recording": recording,
+        "nodes": [_node_description(fleet, one, one.name == node) for one in _present(fleet)],
+    }
+
+
+def _present(fleet: Fleet) -> list[NodeProcess]:
+    """The nodes, without live recorders that have ended."""
+    return [node for node in fleet if not (node.ended and node.name.startswith(LIVE_RECORDER))]
+
+
+def _node_description(fleet: Fleet, node: NodeProcess, in_full: bool) -> dict[str, Any]:
+    published = node.counts.get("published", {})
+    outputs = node.spec.cls.outputs(node.spec.settings)
+    described = {
+        "name": node.name,
+        "type": node.spec.type_name,
+        "condition": fleet.condition(node),
+        "pid": node.pid,
+        "restarts": fleet.n_restarts(node.name),
+        "line": node.line,
+        "state": node.state,
+        "refused": node.counts.get("refused", {}),
+        "refusal": node.refusal,
+        "inputs": [
+            {"topic": topic, "latched": is_latched(topic)}
+            | {what: node.counts.get(what, {}).get(topic, 0) for what in COUNTED}
+            for topic in node.config["inputs"]
+        ],
+        "outputs": [
+            {"topic": topic, "latched": is_latched(topic), "sent": published.get(topic, 0)}
+            for topic in outputs
+        ],
+        "commands": dict(node.spec.cls.commands),
+    }
+    if in_full:
+        settings = node.spec.settings
+        values = {f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)}
+        values |= node.settings
+        described["settings"] = [
+            {
+                **entry,
+                "value": value,
+                "in_force": node.state.get(entry["key"]) if value is None else value,
+            }
+            for entry in node.spec.cls.Settings.described()
+            for value in (values[entry["key"]],)
+        ]
+    return described
+
+
+def _node_state(fleet: Fleet, node: NodeProcess) -> dict[str, Any]:
+    cls, settings = node.spec.cls, node.spec.settings
+    counts = node.counts
+    return {
+        "name": node.name,
+        "type": node.spec.type_name,
+        "patch": getattr(settings, "patch", None),
+        "condition": fleet.condition(node),
+        "restarts": fleet.n_restarts(node.name),
+        "line": node.line,
+        "refused": sum(counts.get("refused", {}).values()),
+        "refusal": node.refusal,
+        "said": node.said if not cls.watches else "",
+        "lost": sum(counts.get("lost", {}).values()),
+        "state": node.state,
+        "settings": node.settings,
+        "controls": [entry for entry in cls.Settings.described() if entry["live"]],
+        "commands": dict(cls.commands),
+    }
+
+
+def hosts_state(launch: LaunchFile, nodes: Iterable[NodeProcess]) -> dict[str, dict[str, Any]]:
+    """State of the other hosts of a graph, as far as the nodes of this one know.
+
+    Returns
+    -------
+    dict of str to dict
+        heard (bool, None where no node here reads from one there), silent (names of the nodes that
+        should send and do not), clock_offset_ms and clock_uncertainty_ms (None while unknown; the
+        clock there is ahead by the offset, within the uncertainty).
+    """
+    found: dict[str, dict[str, Any]] = {
+        name: {"heard": None, "silent": [], "clock_offset_ms": None, "clock_uncertainty_ms": None}
+        for name in launch.hosts
+        if name != launch.host
+    }
+    if not launch.host:
+        return {}
+    for node in nodes:
+        for writer, heard in node.heard.items():
+            state = found[launch.elsewhere[writer].host]
+            if not heard and writer not in state["silent"]:
+                state["silent"].append(writer)
+            state["heard"] = not state["silent"]
+        for host, (offset_ns, uncertainty_ns) in node.clocks.items():
+            known = found[host]["clock_uncertainty_ms"]
+            if known is None or uncertainty_ns / 1e6 < known:
+                found[host]["clock_offset_ms"] = offset_ns / 1e6
+                found[host]["clock_uncertainty_ms"] = uncertainty_ns / 1e6
+    return found

@@ -1,0 +1,109 @@
+"""The launcher's terminal: log lines of all nodes, and a status that renews itself."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import shutil
+import sys
+import termios
+import time
+import tty
+from collections.abc import Callable, Iterator
+
+from .run_log import RunLog, time_text
+
+QUIET_STATUS_S = 10.0
+"""Period of the status where the output is no terminal, seconds."""
+
+# Arrow keys come as three characters; each becomes one of the private-use area.
+ARROWS = {"\x1b[A": "\ue000", "\x1b[B": "\ue001", "\x1b[C": "\ue002", "\x1b[D": "\ue003"}
+NAMES = {"\ue000": "up", "\ue001": "down", "\ue002": "right", "\ue003": "left"}
+
+
+class Terminal:
+    """Writes to stderr, so that stdout holds results alone; each line of the log into the files of
+    `run_log` too. `now_s` returns the time of day, seconds since the epoch.
+    """
+
+    def __init__(
+        self, run_log: RunLog | None = None, now_s: Callable[[], float] = time.time
+    ) -> None:
+        self._run_log = run_log
+        self._now_s = now_s
+        # Started with stderr closed, or closed while it runs: the graph continues without output.
+        self._open = sys.stderr is not None
+        self._live = self._open and sys.stderr.isatty()
+        self._status = ""
+        self._n_drawn = 0
+        self._keys_fd: int | None = None
+        self._next_s = time.monotonic() + QUIET_STATUS_S
+
+    def log(self, line: str) -> None:
+        """Print one line, with its time, above the status line."""
+        now_s = self._now_s()
+        self._erase()
+        self._write(f"{time_text(now_s)} {line}\n")
+        if self._run_log is not None and not self._run_log.error:
+            self._run_log.write(line, now_s)
+            if self._run_log.error:
+                self._write(f"{time_text(now_s)} [launch] no more logs: {self._run_log.error}\n")
+        self._draw()
+
+    def status(self, line: str) -> None:
+        """Renew the status line, or lines."""
+        if self._live:
+            self._erase()
+            self._status = line
+            self._draw()
+        elif line and time.monotonic() >= self._next_s:
+            self._next_s = time.monotonic() + QUIET_STATUS_S
+            self._write(line + "\n")
+
+    @contextlib.contextmanager
+    def keyboard(self, wanted: bool) -> Iterator[None]:
+        """Read single keys from the terminal, and restore its mode at the end."""
+        if not wanted or not sys.stdin.isatty():
+            yield
+            return
+        fd = sys.stdin.fileno()
+        before = termios.tcgetattr(fd)
+        tty.setcbreak(fd)
+        self._keys_fd = fd
+        try:
+            yield
+        finally:
+            self._keys_fd = None
+            termios.tcsetattr(fd, termios.TCSADRAIN, before)
+
+    def pressed(self) -> list[str]:
+        """Keys that were pressed since the last call: characters, or "right", "up", "down"."""
+        if self._keys_fd is None or not select.select([self._keys_fd], [], [], 0)[0]:
+            return []
+        text = os.read(self._keys_fd, 64).decode(errors="replace")
+        for code, name in ARROWS.items():
+            text = text.replace(code, name)
+        return [NAMES.get(key, key) for key in text]
+
+    def _erase(self) -> None:
+        if self._live and self._status:
+            up = f"\x1b[{self._n_drawn - 1}A" if self._n_drawn > 1 else ""
+            self._write(f"\r{up}\x1b[J")
+
+    def _draw(self) -> None:
+        if self._live and self._status:
+            size = shutil.get_terminal_size()
+            lines = [line[: size.columns - 1] for line in self._status.split("\n")]
+            lines = lines[: size.lines - 1]
+            self._n_drawn = len(lines)
+            self._write("\n".join(lines))
+
+    def _write(self, text: str) -> None:
+        if not self._open:
+            return
+        try:
+            sys.stderr.write(text)
+            sys.stderr.flush()
+        except OSError:
+            self._open = False

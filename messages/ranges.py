@@ -1,0 +1,27 @@
+"""Checks of numbers that come from outside: messages, launch files, drivers, users' own code."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, TypeGuard
+
+import numpy as np
+
+INT64_MAX = (1 << 63) - 1
+"""Largest whole number that a message may hold."""
+HUGE = 1 << 256
+"""Whole numbers of this size count as infinite: beyond any range in use, and near that of float."""
+
+
+def is_whole(value: Any, low: float = -math.inf, high: float = math.inf) -> TypeGuard[int]:
+    """True for an integer in [low, high], NumPy's too; True and False are none."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return whole and bool(low <= value <= high)
+
+
+def is_real(value: Any, low: float = -math.inf, high: float = math.inf) -> TypeGuard[float]:
+    """True for a finite number in [low, high], NumPy's too; True and False are none."""
+    if isinstance(value, int):
+        return is_whole(value, low, high) and abs(value) < HUGE
+    real = isinstance(value, float | np.integer | np.floating) and math.isfinite(value)
+    return real and bool(low <= value <= high)

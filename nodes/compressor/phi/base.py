@@ -1,0 +1,206 @@
+"""The measurement matrix Phi: the interface of all kinds, and `make_phi` by name."""
+
+from __future__ import annotations
+
+import hashlib
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.ranges import is_whole
+from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.lookup import find_class
+from sparseskin.nodes.numerics.arrays import Floats
+
+KINDS = {
+    "sbhe": "sparseskin.nodes.compressor.phi.sbhe:SbhePhi",
+    "full": "sparseskin.nodes.compressor.phi.identity:FullPhi",
+    "subsample": "sparseskin.nodes.compressor.phi.identity:SubsamplePhi",
+    "gaussian": "sparseskin.nodes.compressor.phi.gaussian:GaussianPhi",
+    "acts": "sparseskin.nodes.compressor.phi.acts:ActsPhi",
+}
+_INTERFACE = (
+    *("kind", "n", "m", "ratio", "lipschitz", "fingerprint"),
+    *("forward", "adjoint", "dense", "describe"),
+)
+
+
+class Phi(ABC):
+    """A measurement matrix: y = Phi x, m numbers for the n forces of a patch.
+
+    An instance owns its work arrays: use one per thread.
+
+    Parameters
+    ----------
+    n : int
+        Number of taxels, at least 1.
+    m : int
+        Number of measurements, 1..n.
+    seed : int
+        Seed of the random choices, at least 0.
+    block : int
+        Size of the Hadamard blocks, a power of two; kinds without blocks only keep it.
+
+    Attributes
+    ----------
+    kind : str
+        The name that `make_phi` knows it by.
+    fingerprint : str
+        16 hexadecimal characters that identify the matrix: a hash of its entries, not of the
+        seed, so that two machines with different generators notice.
+    lipschitz : float
+        Largest eigenvalue of Phi Phi^T; 1 for orthonormal rows.
+
+    Raises
+    ------
+    PhiError
+        If a parameter is of the wrong type or out of its range.
+    """
+
+    kind: str
+
+    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+        check_parameters(n, m, seed, block)
+        self.n = int(n)
+        self.m = int(m)
+        self.seed = int(seed)
+        self.block = int(block)
+        self.fingerprint = ""
+
+    @property
+    def ratio(self) -> float:
+        """Compression ratio n / m."""
+        return self.n / self.m
+
+    @property
+    def lipschitz(self) -> float:
+        """Largest eigenvalue of Phi Phi^T: 1, the rows being orthonormal."""
+        return 1.0
+
+    def forward(self, x: Floats, out: Floats | None = None) -> Floats:
+        """Return y = Phi x.
+
+        Parameters
+        ----------
+        x : ndarray of float32, shape (n,) or (k, n)
+            Forces of the existing taxels in row-major order, newtons; or k such frames.
+        out : ndarray of float32, shape (m,) or (k, m), optional
+            Array for the result.
+
+        Returns
+        -------
+        ndarray of float32, shape (m,) or (k, m)
+            Measurements, newtons. A frame gives the same bits alone and in a batch.
+
+        Raises
+        ------
+        PhiError
+            If x or out has another shape, or out another type than float32.
+        """
+        return self._each(self._forward, "x", x, self.n, self.m, out)
+
+    def adjoint(self, y: Floats, out: Floats | None = None) -> Floats:
+        """Return x = Phi^T y, as `forward`, with y and x of m and n numbers a frame."""
+        return self._each(self._adjoint, "y", y, self.m, self.n, out)
+
+    @abstractmethod
+    def dense(self) -> npt.NDArray[np.float64]:
+        """Return the explicit matrix, float64, shape (m, n), built from its definition."""
+
+    def describe(self) -> dict[str, Any]:
+        """Return the arguments of `make_phi` that make it again: kind, n, m, seed, block."""
+        return {name: getattr(self, name) for name in ("kind", "n", "m", "seed", "block")}
+
+    @abstractmethod
+    def _forward(self, x: Floats, out: Floats) -> None:
+        """Write Phi x to out, one frame; both contiguous float32 of the right length."""
+
+    @abstractmethod
+    def _adjoint(self, y: Floats, out: Floats) -> None:
+        """Write Phi^T y to out, one frame; both contiguous float32 of the right length."""
+
+    def _each(
+        self, apply: Any, name: str, given: Floats, n_in: int, n_out: int, out: Floats | None
+    ) -> Floats:
+        given = np.ascontiguousarray(given, dtype=np.float32)
+        if given.ndim not in (1, 2) or given.shape[-1] != n_in:
+            raise PhiError(
+                f"{self.kind}: {name} has shape {given.shape}; expected ({n_in},) or (k, {n_in})"
+            )
+        shape = (*given.shape[:-1], n_out)
+        if out is None:
+            out = np.empty(shape, dtype=np.float32)
+        elif out.shape != shape or out.dtype != np.float32 or not out.flags.c_contiguous:
+            raise PhiError(
+                f"{self.kind}: out is {out.dtype} of shape {out.shape}; "
+                f"expected contiguous float32 of shape {shape}"
+            )
+        if given.ndim == 1:
+            apply(given, out)
+        else:
+            for one, result in zip(given, out, strict=True):
+                apply(one, result)
+        return out
+
+
+def check_parameters(n: int, m: int, seed: int, block: int) -> None:
+    """Raise PhiError, naming the parameter, its value and what is allowed."""
+    for name, value in (("n", n), ("m", m), ("seed", seed), ("block", block)):
+        if not is_whole(value):
+            raise PhiError(f"phi: {name} = {value!r} is not allowed; allowed: an integer")
+    if n < 1:
+        raise PhiError(f"phi: n = {n} is not allowed; allowed: at least 1 taxel")
+    if not 1 <= m <= n:
+        raise PhiError(f"phi: m = {m} is not allowed; allowed: 1..{n} (n = {n} taxels)")
+    if seed < 0:
+        raise PhiError(f"phi: seed = {seed} is not allowed; allowed: 0 or more")
+    if block < 1 or block & (block - 1):
+        raise PhiError(f"phi: block = {block} is not allowed; allowed: a power of two (1, 2, 4 ..)")
+
+
+def fingerprint_of(kind: str, n: int, m: int, block: int, *arrays: npt.NDArray[np.generic]) -> str:
+    """Return the first 16 hexadecimal characters of the SHA-256 over the parts of a matrix.
+
+    Integers are hashed as little-endian int32, floats as little-endian float32, to be the same
+    on every machine.
+    """
+    digest = hashlib.sha256(f"{kind} {n} {m} {block}".encode())
+    for array in arrays:
+        wire = "<f4" if array.dtype.kind == "f" else "<i4"
+        digest.update(f" {wire} {array.shape} ".encode())
+        digest.update(np.ascontiguousarray(array, dtype=wire).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def make_phi(kind: str, n: int, m: int, seed: int, block: int = 32) -> Phi:
+    """Make a measurement matrix by name.
+
+    Parameters
+    ----------
+    kind : str
+        "sbhe" (scrambled block Hadamard, the paper's), "full" (every taxel), "subsample"
+        (single taxels), "gaussian" (dense), "acts" (single taxels, chosen anew in each frame), or
+        "module:Class" for your own, with the constructor and the interface of `Phi`.
+    n, m, seed, block : int
+        As in `Phi`.
+
+    Raises
+    ------
+    PhiError
+        If the kind is unknown, a parameter is not allowed, or a class of your own is not a Phi.
+    """
+    cls = find_class("phi", kind, KINDS, PhiError)
+    check_parameters(n, m, seed, block)
+    try:
+        made = cls(n=n, m=m, seed=seed, block=block)
+    except TypeError as cause:
+        raise PhiError(f'phi "{kind}" does not take n, m, seed, block: {cause}') from cause
+    missing = [name for name in _INTERFACE if not hasattr(made, name)]
+    if missing:
+        raise PhiError(f'phi "{kind}" is no measurement matrix: it lacks {", ".join(missing)}')
+    if (made.n, made.m) != (n, m):
+        raise PhiError(f'phi "{kind}" has n = {made.n}, m = {made.m}; expected n = {n}, m = {m}')
+    phi: Phi = made
+    return phi

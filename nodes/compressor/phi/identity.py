@@ -1,0 +1,80 @@
+"""Rows of the identity: taxels measured one by one, all of them or a random choice."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.numerics.arrays import Floats, Indices
+
+from .base import Phi, fingerprint_of
+from .rotation import RotatingPhi
+
+
+class FullPhi(Phi):
+    """Phi = I, m = n: a skin without compression, as a yardstick.
+
+    Raises
+    ------
+    PhiError
+        If m is not n; and as in `Phi`.
+    """
+
+    kind = "full"
+
+    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+        super().__init__(n, m, seed, block)
+        if m != n:
+            raise PhiError(f'phi "full": m = {m} is not allowed; allowed: {n} (every taxel)')
+        self.fingerprint = fingerprint_of(self.kind, n, m, 1)
+
+    def dense(self) -> npt.NDArray[np.float64]:
+        """Return the explicit matrix, float64, shape (n, n)."""
+        return np.eye(self.n)
+
+    def _forward(self, x: Floats, out: Floats) -> None:
+        np.copyto(out, x)
+
+    def _adjoint(self, y: Floats, out: Floats) -> None:
+        np.copyto(out, y)
+
+
+class SubsamplePhi(RotatingPhi):
+    """Phi = Q_M: m single taxels, chosen at random; needs no wiring between taxels.
+
+    Attributes
+    ----------
+    rows : ndarray of intp, shape (m,)
+        The taxels that are read, ascending. With one seed, a smaller m keeps a subset of them.
+
+    Raises
+    ------
+    PhiError
+        As in `Phi`.
+    """
+
+    kind = "subsample"
+
+    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+        super().__init__(n, m, seed, block)
+        self._order: Indices = np.random.default_rng(seed).permutation(n).astype(np.intp)
+        self._keep(np.sort(self._order[:m]))
+
+    def _keep(self, rows: Indices) -> None:
+        rows.setflags(write=False)
+        self.rows: Indices = rows
+        self.fingerprint = fingerprint_of(self.kind, self.n, self.m, 1, rows)
+
+    def dense(self) -> npt.NDArray[np.float64]:
+        """Return the explicit matrix, float64, shape (m, n)."""
+        matrix = np.zeros((self.m, self.n))
+        matrix[np.arange(self.m), self.rows] = 1
+        return matrix
+
+    def _forward(self, x: Floats, out: Floats) -> None:
+        x.take(self.rows, None, out, "clip")
+
+    def _adjoint(self, y: Floats, out: Floats) -> None:
+        out.fill(0)
+        out[self.rows] = y

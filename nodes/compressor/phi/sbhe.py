@@ -1,0 +1,144 @@
+"""The scrambled block Hadamard ensemble, the paper's measurement matrix: in numpy, and compiled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.numerics.compiled import ready
+from sparseskin.nodes.numerics.programs import run
+
+from .base import fingerprint_of
+from .hadamard import BlockHadamard, hadamard_matrix, side_by_side
+from .rotation import RotatingPhi
+
+
+class SbhePhi(RotatingPhi):
+    """Phi = Q_M W P_N with orthonormal rows.
+
+    P_N is a random permutation of the taxels, W is block-diagonal with Hadamard blocks of size B
+    divided by sqrt(B), Q_M keeps m of its rows, chosen at random. Where B does not divide n, the
+    remainder gets smaller blocks (16 + 8 + 4 + 2 + 1). With one seed, a smaller m keeps a subset
+    of the rows of a larger one.
+
+    Attributes
+    ----------
+    permutation : ndarray of intp, shape (n,)
+        P_N: column j of W sees taxel permutation[j].
+    rows : ndarray of intp, shape (m,)
+        Q_M: measurement i is row rows[i] of W; ascending.
+
+    Raises
+    ------
+    PhiError
+        As in `Phi`.
+
+    Notes
+    -----
+    Source: the paper, section IV-B; Gan, Do, Tran, "Fast compressive imaging using scrambled
+    block Hadamard ensemble", EUSIPCO 2008. The paper's rows hold plain +1 and -1: they are
+    sqrt(B) times as long.
+    """
+
+    kind = "sbhe"
+
+    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+        super().__init__(n, m, seed, block)
+        rng = np.random.default_rng(seed)
+        self.permutation: Indices = rng.permutation(n).astype(np.intp)
+        self.permutation.setflags(write=False)
+        self._order: Indices = rng.permutation(n).astype(np.intp)
+
+        self.hadamard = BlockHadamard(n, block)
+        #: Taxel that belongs to each place of the transform's input, shape (n,).
+        self.scramble: Indices = self.permutation[self.hadamard.order_in]
+        self._unscramble: Indices = np.argsort(self.scramble)
+        self._y_and_zero = np.zeros(m + 1, dtype=np.float32)
+        self._keep(np.sort(self._order[:m]))
+
+        self._a = np.zeros(n, dtype=np.float32)
+        b = np.zeros(n, dtype=np.float32)
+        self._transform, self._result = self.hadamard.program(self._a, b)
+        self._transposed = self.hadamard.transposed(self._a, b)
+
+    def _keep(self, rows: Indices) -> None:
+        rows.setflags(write=False)
+        self.rows: Indices = rows
+        self.fingerprint = fingerprint_of(
+            self.kind, self.n, self.m, self.block, self.permutation, rows
+        )
+        place_of_row = np.argsort(self.hadamard.order_out)
+        #: Place of the transform's output where each measurement appears, shape (m,).
+        self.row_places: Indices = place_of_row[rows]
+        #: 1 / sqrt(B) of each measurement's block, shape (m,).
+        self.scale: Floats = np.reciprocal(np.sqrt(self.hadamard.size_at[self.row_places]))
+        # Places of rows that are not kept take the zero behind the last measurement.
+        self._spread: Indices = np.full(self.n, self.m, dtype=np.intp)
+        self._spread[self.row_places] = np.arange(self.m)
+
+    def dense(self) -> npt.NDArray[np.float64]:
+        """Return the explicit matrix, float64, shape (m, n), built from its definition."""
+        matrix = np.zeros((self.m, self.n))
+        start = 0
+        for size in self.hadamard.sizes:
+            taxels = self.permutation[start : start + size]
+            mine = (self.rows >= start) & (self.rows < start + size)
+            block = hadamard_matrix(size) / np.sqrt(size)
+            matrix[np.ix_(mine, taxels)] = block[self.rows[mine] - start]
+            start += size
+        return matrix
+
+    def _forward(self, x: Floats, out: Floats) -> None:
+        x.take(self.scramble, None, self._a, "clip")
+        run(self._transform)
+        self._result.take(self.row_places, None, out, "clip")
+        np.multiply(out, self.scale, out)
+
+    def _adjoint(self, y: Floats, out: Floats) -> None:
+        np.multiply(y, self.scale, self._y_and_zero[:-1])
+        self._y_and_zero.take(self._spread, None, self._result, "clip")
+        run(self._transposed)
+        self._a.take(self._unscramble, None, out, "clip")
+
+
+class CompiledSbhe:
+    """Phi and its transpose of an `SbhePhi` in compiled loops; neither allocates anything.
+
+    It needs numba, and owns its work array: use one per thread. Both methods raise PhiError if
+    an array has another shape or type, or is not contiguous.
+    """
+
+    def __init__(self, phi: SbhePhi) -> None:
+        from sparseskin.nodes.numerics import kernels  # needs numba, which the edge may lack
+
+        self._loops = (kernels.sbhe_forward, kernels.sbhe_adjoint)
+        ready(*self._loops)
+        self.n, self.m = phi.n, phi.m
+        columns, groups = side_by_side(phi.hadamard.sizes)
+        taxel_of_place = phi.permutation[columns].astype(np.uint32)
+        place_of_row = np.argsort(columns)[phi.rows].astype(np.uint32)
+        work = np.zeros(phi.n, dtype=np.float32)
+        self._arguments = (taxel_of_place, phi.scale.copy(), place_of_row, groups, work)
+
+    def forward(self, x: Floats, out: Floats) -> Floats:
+        """Write Phi x of k frames, float32 (k, n), to out, float32 (k, m); return out."""
+        return self._run(self._loops[0], x, self.n, out, self.m)
+
+    def adjoint(self, y: Floats, out: Floats) -> Floats:
+        """Write Phi^T y of k frames, float32 (k, m), to out, float32 (k, n); return out."""
+        return self._run(self._loops[1], y, self.m, out, self.n)
+
+    def _run(self, loop: Any, given: Floats, n_in: int, out: Floats, n_out: int) -> Floats:
+        k = len(given)
+        for array, shape in ((given, (k, n_in)), (out, (k, n_out))):
+            if array.shape != shape or array.dtype != np.float32 or not array.flags.carray:
+                raise PhiError(
+                    f"sbhe: an array is {array.dtype} of shape {array.shape}; "
+                    f"expected contiguous, writable float32 of shape {shape}"
+                )
+        loop(given, *self._arguments, out)
+        return out

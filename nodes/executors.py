@@ -1,0 +1,49 @@
+"""Executors of independent tasks: any concurrent.futures.Executor, stated as a text."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+
+from .errors import SettingsError
+from .lookup import did_you_mean, find_callable
+
+KINDS = ("process", "thread")
+FORMS = "serial, process:N, thread:N or module:factory"
+MAX_WORKERS = 1024
+
+
+def make_executor(spec: str) -> Executor:
+    """Make an executor, or raise SettingsError.
+
+    `spec` is "serial", one task after the other; "process:N" or "thread:N", N workers on this host;
+    or "module:factory", a user's callable that returns a `concurrent.futures.Executor`.
+    """
+    if spec == "serial":
+        return ThreadPoolExecutor(1)
+    kind, colon, rest = spec.partition(":")
+    if not (kind and colon and rest):
+        raise SettingsError(f"--executor {spec}: expected {FORMS}{did_you_mean(kind, KINDS)}")
+    if kind in KINDS:
+        if not rest.isdecimal() or not 1 <= int(rest) <= MAX_WORKERS:
+            raise SettingsError(f"--executor {spec}: expected 1..{MAX_WORKERS} workers")
+        if kind == "thread":
+            return ThreadPoolExecutor(int(rest))
+        # Read by the numeric libraries when a worker starts: one core each.
+        for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+            os.environ.setdefault(threads, "1")
+        # Spawned: a forked worker would inherit locks held by threads of this process.
+        return ProcessPoolExecutor(int(rest), mp_context=get_context("spawn"))
+    if rest.isdecimal():
+        raise SettingsError(f"--executor {spec}: expected {FORMS}{did_you_mean(kind, KINDS)}")
+    factory = find_callable(spec, SettingsError)
+    try:
+        made = factory()
+    except Exception as error:
+        raise SettingsError(f"--executor {spec}: {type(error).__name__}: {error}") from error
+    if not isinstance(made, Executor):
+        raise SettingsError(
+            f"--executor {spec}: made {type(made).__name__}, expected a concurrent.futures.Executor"
+        )
+    return made

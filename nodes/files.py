@@ -1,0 +1,93 @@
+"""Files and folders that appear under their name complete or not at all, and replace no others."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from .errors import SparseskinError
+
+TAKEN = "exists already, and is not written over"
+NO_FOLDER = "its folder does not exist"
+
+
+class OutputError(SparseskinError):
+    """A file that cannot be written where it was asked for."""
+
+
+def check_writable(path: Path) -> None:
+    """Check before a run that its summary can be written, or raise OutputError."""
+    folder = path.resolve().parent
+    if path.is_dir():
+        raise OutputError(f"--summary {path}: is a folder")
+    if not folder.is_dir():
+        raise OutputError(f"--summary {path}: {NO_FOLDER}")
+    if not os.access(path if path.exists() else folder, os.W_OK):
+        raise OutputError(f"--summary {path}: cannot be written to")
+
+
+def place(part: Path, path: Path) -> None:
+    """Rename a complete file, but never over another one: FileExistsError if `path` exists."""
+    try:
+        # Unlike a rename, a link does not replace a file that was created meanwhile.
+        os.link(part, path)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        if os.path.lexists(path):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
+        part.rename(path)
+    else:
+        part.unlink()
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield a path of the same name in a new folder beside `path`.
+
+    The file written there is moved to `path` unless an exception is raised; the folder is removed.
+    OutputError if `path` exists, or its folder does not or cannot be written to.
+    """
+    if os.path.lexists(path):
+        raise OutputError(f"{path}: {TAKEN}")
+    with os_errors(path):
+        folder = tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent)
+    with folder as name:
+        draft = Path(name) / path.name
+        yield draft
+        if draft.exists():
+            with os_errors(path):
+                place(draft, path)
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """Yield a new folder to write into; it is removed if an exception is raised.
+
+    OutputError if it exists, or it or a file in it cannot be written.
+    """
+    with os_errors(path):
+        path.mkdir()
+        try:
+            yield path
+        except BaseException:
+            shutil.rmtree(path, ignore_errors=True)
+            raise
+
+
+@contextmanager
+def os_errors(path: Path) -> Iterator[None]:
+    """Turn an OSError into an OutputError that names the file."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise OutputError(f"{path}: {NO_FOLDER}") from error
+    except FileExistsError as error:
+        raise OutputError(f"{path}: {TAKEN}") from error
+    except OSError as error:
+        raise OutputError(f"{path}: {error.strerror or error}") from error

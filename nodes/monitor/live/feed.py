@@ -1,0 +1,154 @@
+"""Newest state of the monitor for pages and screen: one thread writes, many read."""
+
+from __future__ import annotations
+
+import math
+import secrets
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from sparseskin.messages import Message, Reconstruction, Resultant, SkinState, Taxels, Truth
+from sparseskin.nodes.monitor.metrics import FrameMetrics
+from sparseskin.nodes.monitor.statistics import COLUMNS, History
+from sparseskin.nodes.numerics.arrays import Floats
+
+MAX_ANSWERS = 64
+"""Answers to requests that are kept for pages."""
+STALE_S = 0.2
+"""Age in seconds beyond which maps are stale."""
+
+
+@dataclass
+class PatchFeed:
+    """One patch: its newest maps, each with its time of arrival, and its history.
+
+    While frames are reconstructed, `maps` and `resultant` are of one frame; otherwise `maps` are
+    the newest of each kind. Their names are those of the schemas.
+    """
+
+    skin: SkinState | None = None
+    maps: dict[str, Floats] = field(default_factory=dict)
+    resultant: Resultant | None = None
+    came_s: dict[str, float] = field(default_factory=dict)
+    n_maps: int = 0
+    history: History = field(default_factory=History)
+    summary: dict[str, Any] = field(default_factory=dict)
+    lost: int = 0
+    latency_s: float = 0.0
+    ended: bool = False
+
+    @property
+    def stale_s(self) -> float:
+        """Age in seconds beyond which maps are stale: at least 2.5 periods of the skin."""
+        rate_hz = self.skin.rate_hz if self.skin is not None else 0.0
+        return max(STALE_S, 2.5 / rate_hz) if rate_hz else STALE_S
+
+
+class Feed:
+    """Newest state of all patches, of the graph, and answers to requests.
+
+    Readers hold the condition `changed`. It is notified of answers and of the end, and of frames
+    only while a reader waits for one (`n_waiting`): at 1 kHz, each of many readers would be woken
+    a thousand times a second for nothing.
+    """
+
+    def __init__(self, patches: tuple[str, ...]) -> None:
+        self.changed = threading.Condition()
+        self.patches = {patch: PatchFeed() for patch in patches}
+        self.graph: dict[str, Any] | None = None
+        self.graph_came_s = self.pulse_s = time.monotonic()
+        self.answers: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MAX_ANSWERS)
+        self.n_answers = 0
+        self.closed = False
+        self.run = secrets.token_hex(4)
+        self.n_waiting = 0
+
+    def frame(
+        self,
+        patch: str,
+        message: Message,
+        complete: FrameMetrics | None,
+        latency_ns: int | None = None,
+    ) -> None:
+        """Add a message of a patch, the frame that it completes, and the newest latency."""
+        now_s = time.monotonic()
+        feed = self.patches[patch]
+        with self.changed:
+            if isinstance(message, SkinState):
+                feed.skin = message
+                feed.maps.clear()
+                feed.resultant = None
+            elif latency_ns is not None:
+                feed.latency_s = latency_ns / 1e9
+            if complete is None:
+                self._add_unpaired(feed, message, now_s)
+                return
+            maps = (complete.taxels, complete.reconstruction, complete.truth)
+            feed.maps = {each.schema: each.forces for each in maps if each is not None}
+            feed.resultant = complete.resultant
+            feed.came_s.update(dict.fromkeys(feed.maps, now_s))
+            feed.n_maps += 1
+            feed.lost = complete.lost
+            feed.ended = False
+            feed.history.add(now_s, *(getattr(complete, name) for name in COLUMNS[1:]))
+            self._wake_readers()
+
+    @property
+    def paused(self) -> bool:
+        """True if all sources are paused."""
+        nodes = (self.graph or {}).get("nodes", [])
+        sources = [node["state"].get("paused") for node in nodes if "pause" in node["commands"]]
+        return bool(sources) and all(sources)
+
+    def pulse(self) -> None:
+        """Note that the monitor's own loop is alive."""
+        self.pulse_s = time.monotonic()
+
+    def _add_unpaired(self, feed: PatchFeed, message: Message, now_s: float) -> None:
+        """Show a map without the rest of its frame, if no frame was complete for a while: taxels
+        that are not reconstructed, or a reconstruction so late that its taxels are dropped.
+        """
+        if not isinstance(message, Taxels | Truth | Reconstruction):
+            return
+        if now_s - feed.came_s.get(Reconstruction.schema, -math.inf) > feed.stale_s:
+            feed.maps = {**feed.maps, message.schema: message.forces}
+            feed.resultant = None
+            feed.came_s[message.schema] = now_s
+            feed.n_maps += 1
+            self._wake_readers()
+
+    def update(
+        self,
+        *,
+        summaries: dict[str, dict[str, Any]] | None = None,
+        graph: dict[str, Any] | None = None,
+        answer: dict[str, Any] | None = None,
+        ended: str | None = None,
+        closed: bool = False,
+    ) -> None:
+        """Add summaries by patch, the graph's state, an answer, the end of a patch or of all."""
+        with self.changed:
+            for patch, summary in (summaries or {}).items():
+                self.patches[patch].summary = summary
+            if graph is not None:
+                was_paused, now_s = self.paused, time.monotonic()
+                self.graph, self.graph_came_s = graph, now_s
+                if was_paused and not self.paused:
+                    for feed in self.patches.values():  # no frame could have come until now
+                        feed.came_s = dict.fromkeys(feed.came_s, now_s)
+            if answer is not None:
+                self.n_answers += 1
+                self.answers.append((self.n_answers, answer))
+            if ended is not None:
+                self.patches[ended].ended = True
+                self.patches[ended].lost = self.patches[ended].summary["frames"]["lost"]
+            self.closed = self.closed or closed
+            if answer is not None or closed:
+                self.changed.notify_all()
+
+    def _wake_readers(self) -> None:
+        if self.n_waiting:
+            self.changed.notify_all()

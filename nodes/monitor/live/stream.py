@@ -1,0 +1,186 @@
+"""Stream of the live page: records of a JSON header and the bytes of its arrays.
+
+A record is two little-endian 32-bit counts, of header bytes and of data bytes, then both. The
+header's "arrays" lists [name, dtype, shape] of the arrays that follow one another in the data.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from sparseskin.messages import Reconstruction
+from sparseskin.nodes.monitor.statistics import COLUMNS
+
+from .feed import Feed, PatchFeed
+from .notices import Notices, host_lines
+
+FRAME_S = 1 / 30
+"""Pages are drawn 30 times a second."""
+OVERVIEW_S = 0.1
+STATE_S = 0.1
+SLACK_S = 0.005
+"""A frame that is early by at most this time is sent, not delayed by another period."""
+
+Part = tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]
+
+
+def record(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray[Any, Any]]) -> bytes:
+    """One record as bytes; numbers that are not finite become null in the header."""
+    listed = [[name, array.dtype.str, list(array.shape)] for name, array in arrays.items()]
+    head = json.dumps(finite({**header, "arrays": listed}), separators=(",", ":")).encode()
+    data = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays.values())
+    return struct.pack("<II", len(head), len(data)) + head + data
+
+
+def finite(value: Any) -> Any:
+    """The value with None in place of numbers that are not finite."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: finite(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(part) for part in value]
+    return value
+
+
+class StreamReader:
+    """Reader of a feed for one page: sends each record once, and only the newest maps.
+
+    `patch` is shown with all its maps and figures; None: an overview of all patches.
+    """
+
+    def __init__(self, feed: Feed, notices: Notices, patch: str | None) -> None:
+        self._feed = feed
+        self._notices = notices
+        self._patch = patch
+        self._period_s = FRAME_S if patch is not None else OVERVIEW_S
+        self._n_maps = dict.fromkeys(feed.patches, -1)
+        self._shown = list(feed.patches) if patch is None else [patch]
+        self._n_rows = 0
+        self._n_answers = feed.n_answers
+        self._sent: dict[str, Any] = {}
+        self._frame_due_s = self._state_at_s = -math.inf
+
+    def records(self) -> Iterator[bytes]:
+        """Yield records until the feed is closed; waits for new data between them."""
+        closed = False
+        while not closed:
+            with self._feed.changed:
+                self._wait()
+                closed = self._feed.closed
+                parts = list(self._collect(time.monotonic(), closed))
+            # Encoding and sending are done without the lock, so that no other page waits.
+            yield b"".join(record(header, arrays) for header, arrays in parts)
+
+    def _wait(self) -> None:
+        """Wait until there is something to send."""
+        feed = self._feed
+        while not feed.closed and self._n_answers == feed.n_answers:
+            now_s = time.monotonic()
+            frame_s, state_s = self._frame_due_s - now_s, self._state_at_s + STATE_S - now_s
+            if state_s <= 0:
+                return
+            if frame_s > 0:
+                feed.changed.wait(min(frame_s, state_s))
+            elif any(feed.patches[name].n_maps != self._n_maps[name] for name in self._shown):
+                return
+            else:
+                feed.n_waiting += 1
+                feed.changed.wait(state_s)
+                feed.n_waiting -= 1
+
+    def _collect(self, now_s: float, closed: bool) -> Iterator[Part]:
+        feed = self._feed
+        for number, answer in feed.answers:
+            if number > self._n_answers:
+                yield {"kind": "answer", **answer}, {}
+        self._n_answers = feed.n_answers
+        if closed or now_s >= self._state_at_s + STATE_S - SLACK_S:
+            self._state_at_s = now_s
+            yield self._state(now_s, closed), {}
+        if not closed and now_s < self._frame_due_s:
+            return
+        # The next is due one period after this one was due: delays do not add up.
+        self._frame_due_s = max(self._frame_due_s, now_s - SLACK_S) + self._period_s - SLACK_S
+        for name in self._shown:
+            patch = feed.patches[name]
+            if patch.skin is None:
+                continue
+            if self._is_new(f"skin {name}", patch.skin):
+                yield _skin(name, patch)
+            if self._n_maps[name] != patch.n_maps and patch.maps:
+                self._n_maps[name] = patch.n_maps
+                names = set(patch.maps) if self._patch else {Reconstruction.schema}
+                maps = {key: array for key, array in patch.maps.items() if key in names}
+                yield {"kind": "maps", "patch": name, **_resultant(patch)}, dict(maps)
+        if self._patch is not None:
+            first, rows = feed.patches[self._patch].history.since(self._n_rows)
+            if len(rows):
+                self._n_rows = first + len(rows)
+                # As ages: float32 holds a minute to 4 us.
+                rows[:, 0] -= now_s
+                header = {"kind": "rows", "columns": COLUMNS, "now_s": now_s}
+                yield header, {"rows": rows.astype(np.float32)}
+
+    def _state(self, now_s: float, closed: bool) -> dict[str, Any]:
+        """The current state: a small record, which also shows that the monitor is alive."""
+        feed = self._feed
+        header: dict[str, Any] = {
+            "kind": "state",
+            "now_s": now_s,
+            "closed": closed,
+            "run": feed.run,
+            "paused": feed.paused,
+            "notices": self._notices.all(now_s),
+            "patches": {name: self._patch_state(name, now_s) for name in feed.patches},
+        }
+        if self._is_new("graph", feed.graph):
+            header["graph"] = feed.graph
+            header["hosts"] = host_lines(feed.graph or {})
+        return header
+
+    def _patch_state(self, name: str, now_s: float) -> dict[str, Any]:
+        patch = self._feed.patches[name]
+        state: dict[str, Any] = {
+            "age_s": {key: now_s - came_s for key, came_s in patch.came_s.items()},
+            "stale_s": patch.stale_s,
+            "lost": self._lost(patch),
+            "ended": patch.ended,
+        }
+        if self._is_new(f"summary {name}", patch.summary):
+            state["summary"] = patch.summary
+        return state
+
+    def _lost(self, patch: PatchFeed) -> int:
+        """Number of frames lost up to the newest one; at the end, of all."""
+        at_the_end = self._feed.closed and "frames" in patch.summary
+        return int(patch.summary["frames"]["lost"]) if at_the_end else patch.lost
+
+    def _is_new(self, key: str, value: Any) -> bool:
+        """True if this object has not been sent yet."""
+        is_new = self._sent.get(key) is not value
+        self._sent[key] = value
+        return is_new
+
+
+def _resultant(patch: PatchFeed) -> dict[str, Any]:
+    """Total force and centre of pressure of the frame shown, if they are published."""
+    if patch.resultant is None:
+        return {}
+    fields = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
+    return {"resultant": {name: getattr(patch.resultant, name) for name in fields}}
+
+
+def _skin(name: str, patch: PatchFeed) -> Part:
+    skin = patch.skin
+    assert skin is not None
+    fields = ("n_rows", "n_cols", "f_max", "unit", "pitch_m", "source", "rate_hz", "has_truth")
+    header = {"kind": "skin", "patch": name, **{key: getattr(skin, key) for key in fields}}
+    return header, {} if skin.mask is None else {"mask": skin.mask.view(np.uint8)}

@@ -1,0 +1,134 @@
+"""Key files: the key pair of a host, and the public keys of its peers.
+
+A key pair is two text files. NAME.pub is public; NAME.key is the secret of one host and is
+refused if any other user can read or write it.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import zmq
+
+from sparseskin.messages.errors import MessageError
+from sparseskin.messages.topics import check_name
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.files import TAKEN
+
+SECRET_SUFFIX, PUBLIC_SUFFIX = ".key", ".pub"
+SECRET_MODE = 0o600
+KEY_CHARACTERS = 40
+"""Length of a CURVE key as text (Z85)."""
+MAX_KEY_FILE_BYTES = 4096
+
+
+class KeyFileError(SparseskinError):
+    """A key file is missing, malformed or not private."""
+
+
+@dataclass(frozen=True)
+class KeyPair:
+    """A CURVE key pair, both keys as 40 characters of Z85."""
+
+    public: str
+    secret: str
+
+    def __repr__(self) -> str:
+        return f"KeyPair(public={self.public!r})"  # no secret in logs
+
+
+def make_key_files(name: str, folder: Path) -> tuple[Path, Path]:
+    """Make a key pair; return its secret file (mode 0600) and its public file.
+
+    KeyFileError if the name is not valid, a file exists, or the folder cannot be written to.
+    """
+    try:
+        check_name("NAME", name)
+    except MessageError as error:
+        raise KeyFileError(str(error)) from error
+    secret_file, public_file = (folder / f"{name}{end}" for end in (SECRET_SUFFIX, PUBLIC_SUFFIX))
+    for path in (secret_file, public_file):
+        if os.path.lexists(path):
+            raise KeyFileError(f"{path}: {TAKEN}")
+    public, secret = (key.decode() for key in zmq.curve_keypair())
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _write(secret_file, SECRET_MODE, f"# the secret key of {name}: for this host alone", secret)
+        _write(public_file, 0o644, f"# the public key of {name}: for its peers", public)
+    except OSError as error:
+        raise KeyFileError(f"{error.filename or folder}: {error.strerror}") from error
+    return secret_file, public_file
+
+
+def read_key_pair(path: Path) -> KeyPair:
+    """Read the key pair of a secret file.
+
+    KeyFileError if it cannot be read, belongs to another user, can be read or written by others
+    (allowed: mode 0600 or less), or holds no secret key.
+    """
+    try:
+        with path.open("rb") as file:
+            found = os.fstat(file.fileno())
+            if found.st_uid != os.geteuid():
+                raise KeyFileError(f"{path}: belongs to user {found.st_uid}, not to you")
+            mode = stat.S_IMODE(found.st_mode)
+            if mode & ~SECRET_MODE:
+                raise KeyFileError(
+                    f"{path}: mode {mode:04o} lets other users read the secret key "
+                    f"(allowed: {SECRET_MODE:04o}; chmod 600 {path})"
+                )
+            data = file.read(MAX_KEY_FILE_BYTES)
+    except OSError as error:
+        raise KeyFileError(f"{path}: {error.strerror}{_hint(path)}") from error
+    secret = _key_in(path, data)
+    try:
+        return KeyPair(zmq.curve_public(secret.encode()).decode(), secret)
+    except (zmq.ZMQError, ValueError) as error:
+        raise KeyFileError(f"{path}: holds no secret key") from error
+
+
+def read_public_key(path: Path) -> str:
+    """Read the key of a public file, 40 characters, or raise KeyFileError."""
+    try:
+        with path.open("rb") as file:
+            return _key_in(path, file.read(MAX_KEY_FILE_BYTES))
+    except OSError as error:
+        raise KeyFileError(f"{path}: {error.strerror}{_hint(path)}") from error
+
+
+def known_names(folder: Path) -> Mapping[str, str]:
+    """Name of each public key in a folder; other files are ignored."""
+    names = {}
+    for path in sorted(folder.glob(f"*{PUBLIC_SUFFIX}")):
+        try:
+            names[read_public_key(path)] = path.stem
+        except KeyFileError:
+            continue  # where it is needed it is read by name, with the error
+    return names
+
+
+def _write(path: Path, mode: int, comment: str, key: str) -> None:
+    # Created with its mode, so that others can at no moment read it.
+    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    with os.fdopen(fd, "w") as file:
+        file.write(f"{comment}\n{key}\n")
+
+
+def _key_in(path: Path, data: bytes) -> str:
+    lines = [line.strip() for line in data.decode(errors="replace").splitlines()]
+    keys = [line for line in lines if line and not line.startswith("# ")]
+    if len(keys) != 1 or len(keys[0]) != KEY_CHARACTERS or not _is_z85(keys[0]):
+        raise KeyFileError(f"{path}: expected one key of {KEY_CHARACTERS} characters in it")
+    return keys[0]
+
+
+def _is_z85(key: str) -> bool:
+    return all(c.isascii() and (c.isalnum() or c in ".-:+=^!/*?&<>()[]{}@%$#") for c in key)
+
+
+def _hint(path: Path) -> str:
+    return "" if path.exists() else f" (make one: sparseskin keys make {path.stem})"

@@ -1,0 +1,148 @@
+"""Network side of a node: its writer and reader and, in graphs of several hosts or with keys,
+access control, connections to other hosts, and the delivery of the end of its streams.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import zmq
+
+from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate
+
+from .keys import KeyPair
+from .sockets import Peer, Reader, Writer
+
+if TYPE_CHECKING:
+    from .gate import Gate
+    from .peers import Peers
+
+END_RECEIVED_NS = 30_000_000_000
+"""Time for which a node waits until readers on other hosts have the end of its streams."""
+
+
+class Network:
+    """Sockets of one node; without other hosts and keys it adds nothing to them.
+
+    Parameters
+    ----------
+    context, now_ns, log
+        The node's context; the graph's clock; receives one line of text.
+    config : mapping
+        name, endpoint; public (endpoint for other hosts, "" for none), distant_readers (their
+        names), distant_inputs (host of each topic of another host), security (own keys, allowed
+        and known public ones; None for none).
+
+    Raises
+    ------
+    zmq.ZMQError
+        If an endpoint is in use or malformed.
+    """
+
+    def __init__(
+        self,
+        context: zmq.Context[Any],
+        config: Mapping[str, Any],
+        now_ns: Callable[[], int],
+        log: Callable[[str], None],
+    ) -> None:
+        self._context = context
+        self._name: str = config["name"]
+        self._now_ns = now_ns
+        self._log = log
+        self._distant_inputs: dict[str, str] = config.get("distant_inputs", {})
+        self._distant_readers = set(config.get("distant_readers", ()))
+        self._end_ask: int | None = None
+        self._end_due_ns = 0
+        security = config.get("security")
+        self._keys = KeyPair(*security["own"]) if security else None
+        public: str = config.get("public", "")
+        self._gate: Gate | None = None
+        if security or public or config["endpoint"].startswith("tcp:"):
+            from .gate import Gate  # with zmq.utils.monitor, and so asyncio
+
+            allowed, known = (security["allowed"], security["known"]) if security else ({}, {})
+            self._gate = Gate(context, self._keys, allowed, known, log)
+        self._peers: Peers | None = None
+        self.writer = Writer(
+            context,
+            config["endpoint"],
+            self._name,
+            public=public,
+            gate=self._gate,
+            now_ns=now_ns if public else None,
+            log=log,
+        )
+        self.sockets = [self.writer.socket, *(self._gate.sockets if self._gate else ())]
+
+    def make_reader(self, topics: Sequence[str]) -> Reader:
+        """Make the reader of the node's input topics; `connect` connects it."""
+        reader = Reader(self._context, self._name, (), topics, keys=self._keys)
+        self.sockets.append(reader.socket)
+        if self._keys is not None or self._distant_inputs:
+            from .peers import Peers  # with zmq.utils.monitor, and so asyncio
+
+            self._peers = Peers(reader, self._log)
+            self.sockets.append(self._peers.monitor)
+        return reader
+
+    def connect(self, reader: Reader, peers: Sequence[Peer]) -> None:
+        """Connect a reader to writers."""
+        if self._peers is not None:
+            self._peers.connect(peers)
+        else:
+            for peer in peers:
+                reader.connect(peer.endpoint)
+
+    def serve(self) -> None:
+        """Process events of the gate and of connections to other hosts."""
+        if self._gate is not None:
+            self._gate.serve(self._now_ns())
+        if self._peers is not None:
+            self._peers.serve(self._now_ns())
+
+    def take_time(self, note: bytes) -> bool:
+        """Process a note under the reader's tag; True if it is the time of another host."""
+        return self._peers is not None and self._peers.take_time(note, self._now_ns())
+
+    @property
+    def awaits_time(self) -> bool:
+        """True if the next note must be processed at once."""
+        return self._peers is not None and self._peers.awaits_time
+
+    def clock_of(self, topic: str) -> ClockEstimate | None:
+        """Estimate of the clock of a topic's writer; None while there is none."""
+        host = self._distant_inputs.get(topic)
+        if host is None:
+            return SAME_CLOCK
+        return self._peers.clock_of(host) if self._peers is not None else None
+
+    def state(self) -> dict[str, Any]:
+        """Connections to writers on other hosts and their clocks, for a heartbeat."""
+        if self._peers is None:
+            return {"heard": {}, "clocks": {}}
+        return {"heard": self._peers.heard, "clocks": self._peers.clocks()}
+
+    def end_repeated(self) -> None:
+        """Ask which readers have the end of the streams, after it was published once more."""
+        if self._end_ask is not None:
+            self.writer.ask()
+
+    def end_received(self) -> bool:
+        """True if the readers on other hosts have the end of the streams: after the end of this
+        process, a link that is broken now would never deliver it.
+        """
+        if not self._distant_readers:
+            return True
+        now_ns = self._now_ns()
+        if self._end_ask is None:
+            self._end_due_ns = now_ns + END_RECEIVED_NS
+            self._end_ask = self.writer.ask()
+        done = {r for r in self._distant_readers if self.writer.has_answered(r, self._end_ask)}
+        self._distant_readers -= done
+        if self._distant_readers and now_ns >= self._end_due_ns:
+            names = ", ".join(sorted(self._distant_readers))
+            self._log(f"the end was not received within {END_RECEIVED_NS // 10**9} s by {names}")
+            self._distant_readers.clear()
+        return not self._distant_readers

@@ -1,0 +1,343 @@
+"""ZeroMQ sockets of the nodes: one XPUB for each writer, one SUB for each reader.
+
+A reader subscribes to its topics and last to its own presence tag, "@NAME". Subscriptions of one
+connection arrive in order, so a writer that has received the tag knows that all topics of that
+reader are subscribed and that no later message is lost for want of a subscription.
+
+The tag also serves flow control, for writers that publish as fast as they are read. A writer
+publishes an ask, a number, on the tag of each present reader; it arrives after all messages sent
+before it. Once the reader and all its own readers have processed those, it answers by subscribing
+to "@NAME#WRITER:NUMBER". So frames travel one way only: an answer is a subscription without data.
+
+A reader on another host asks a writer for its time in the same way: it subscribes to "@NAME!T1",
+and each writer publishes "WRITER!T1:T2:T3" on the tag of that reader.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import zmq
+
+from sparseskin.messages import MAX_MESSAGE_BYTES, Message, encode
+
+from .keys import KeyPair
+
+PRESENCE = b"@"
+FAREWELL_MS = 500
+"""Time for which a node that ends still sends what its readers have not yet received."""
+MAX_NOTE_BYTES = 1024
+"""Largest subscription; a handshake with keys needs messages of 300 bytes."""
+MAX_ASK_BYTES = 64
+MAX_TIMES_BYTES = 160
+MAX_TIME_DIGITS = 20
+MAX_WRITERS = 256
+MAX_READERS = 128
+MAX_SUBSCRIPTIONS = 4096
+"""Readers and subscriptions beyond these are not counted, and one line is logged."""
+QUEUE_FRAMES = 1000
+"""High-water mark of each queue: one second at 1 kHz before messages are dropped and counted."""
+
+HANDSHAKE_MS = 2000
+"""Longest handshake; ZeroMQ's default of 30 s would hide a wrong key."""
+HEARTBEAT_MS, DEAD_MS = 500, 1500
+"""Over a network: period of heartbeats, and silence after which a peer counts as disconnected."""
+CONNECT_MS = 800
+"""Time after which a pending connection is tried again; TCP by itself waits ever longer."""
+RECONNECT_MS, MAX_RECONNECT_MS = 100, 500
+
+
+class Guard(Protocol):
+    """Access control of a writer's socket, e.g. a `gate.Gate`."""
+
+    def guard(self, writer: zmq.Socket[bytes]) -> None:
+        """Admit allowed readers only; called before the socket is bound."""
+
+
+def make_context() -> zmq.Context[zmq.Socket[bytes]]:
+    """Return a context whose sockets never delay the end of a process."""
+    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+    context.linger = 0
+    return context
+
+
+def monitor_event(monitor: zmq.Socket[bytes]) -> tuple[int, int, str]:
+    """The next event of a socket monitor, its value, and the endpoint: zmq_socket_monitor(3).
+
+    `zmq.utils.monitor` does the same and imports asyncio, which every node would wait for.
+    """
+    head, endpoint = monitor.recv_multipart()
+    event, value = struct.unpack("=Hi", head)
+    return event, value, endpoint.decode(errors="replace")
+
+
+def watch_for_death(socket: zmq.Socket[bytes]) -> None:
+    """Let a socket detect links that break silently, for all later binds and connections."""
+    for option, value_ms in (
+        (zmq.HEARTBEAT_IVL, HEARTBEAT_MS),
+        (zmq.HEARTBEAT_TIMEOUT, DEAD_MS),
+        (zmq.HEARTBEAT_TTL, DEAD_MS),
+        (zmq.CONNECT_TIMEOUT, CONNECT_MS),
+        (zmq.RECONNECT_IVL, RECONNECT_MS),
+        (zmq.RECONNECT_IVL_MAX, MAX_RECONNECT_MS),
+    ):
+        socket.setsockopt(option, value_ms)
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A writer as its readers know it: name of the node, and where it is bound.
+
+    `host` is "" for this one, `key`, its public key, "" where it needs none.
+    """
+
+    writer: str
+    endpoint: str
+    host: str = ""
+    key: str = ""
+
+
+class Writer:
+    """Publishing side of a node: an XPUB socket, and the latched messages it repeats.
+
+    Parameters
+    ----------
+    context, name
+        From `make_context`; the node's name, for its asks.
+    endpoint, public : str
+        Where to bind: "ipc://@NAME", "tcp://127.0.0.1:*" or a stated port; and for readers on other
+        hosts, "tcp://ADDRESS:PORT", or "" for none.
+    gate, now_ns, log
+        Guard of the socket; the graph's clock, for readers on other hosts; receives one line.
+
+    Attributes
+    ----------
+    present : set of str
+        Names of the connected readers.
+
+    Raises
+    ------
+    zmq.ZMQError
+        If an endpoint is in use or malformed.
+    """
+
+    def __init__(
+        self,
+        context: zmq.Context[Any],
+        endpoint: str,
+        name: str = "writer",
+        *,
+        public: str = "",
+        gate: Guard | None = None,
+        now_ns: Callable[[], int] | None = None,
+        log: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        self.socket: zmq.Socket[bytes] = context.socket(zmq.XPUB)
+        self.socket.setsockopt(zmq.XPUB_VERBOSE, 1)
+        self.socket.setsockopt(zmq.SNDHWM, QUEUE_FRAMES)
+        self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_NOTE_BYTES)
+        if gate is not None:
+            gate.guard(self.socket)
+        self.socket.bind(endpoint)
+        self.endpoint = self.socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()
+        if public:
+            watch_for_death(self.socket)
+            self.socket.bind(public)
+        self.present: set[str] = set()
+        self._name = name
+        self._now_ns = now_ns
+        self._log = log
+        self._n_subscriptions = 0
+        self._logged: set[str] = set()
+        self._asks = 0
+        self._answered: dict[str, int] = {}
+        self._processed: dict[str, int] = {}
+        self._latched: dict[bytes, bytes] = {}
+
+    def send(self, message: Message) -> None:
+        """Publish a message to the subscribers of its topic."""
+        topic, payload = encode(message)
+        if message.latched:
+            self._latched[topic] = payload
+        self.socket.send_multipart((topic, payload))
+
+    def serve_subscriptions(self) -> None:
+        """Process waiting subscriptions: note present readers, repeat latched messages."""
+        while self.socket.poll(0):
+            note = self.socket.recv()
+            joins, topic = note[:1] == b"\x01", note[1:]
+            self._count(joins)
+            if topic.startswith(PRESENCE):
+                self._note_presence(topic[1:].decode(errors="replace"), joins)
+            elif joins and topic in self._latched:
+                self.socket.send_multipart((topic, self._latched[topic]))
+
+    def ask(self) -> int:
+        """Ask all present readers to answer when they have processed all messages sent so far."""
+        self._asks += 1
+        for reader in self.present:
+            self._answered.setdefault(reader, self._asks - 1)
+            note = f"{self._name}:{self._asks}".encode()
+            self.socket.send_multipart((PRESENCE + reader.encode(), note))
+        return self._asks
+
+    def awaits(self, ask: int) -> bool:
+        """True if a present reader that was asked has not answered yet."""
+        return any(
+            self._answered[reader] < ask for reader in self.present if reader in self._answered
+        )
+
+    def has_answered(self, reader: str, ask: int) -> bool:
+        """True if a reader, present or not, has processed all messages sent before an ask."""
+        return self._processed.get(reader, 0) >= ask
+
+    def _count(self, joins: bool) -> None:
+        self._n_subscriptions = max(0, self._n_subscriptions + (1 if joins else -1))
+        if self._n_subscriptions > MAX_SUBSCRIPTIONS:
+            self._log_once(f"more than {MAX_SUBSCRIPTIONS} subscriptions: some reader misbehaves")
+
+    def _log_once(self, line: str) -> None:
+        if line not in self._logged:
+            self._logged.add(line)
+            self._log(line)
+
+    def _send_time(self, reader: str, t1_ns: str) -> None:
+        if self._now_ns is None or reader not in self.present:
+            return
+        if t1_ns.isdecimal() and len(t1_ns) <= MAX_TIME_DIGITS:
+            note = f"{self._name}!{t1_ns}:{self._now_ns()}:{self._now_ns()}".encode()
+            self.socket.send_multipart((PRESENCE + reader.encode(), note))
+
+    def _note_presence(self, tag: str, joins: bool) -> None:
+        asking, is_time, t1_ns = tag.partition("!")
+        if is_time:
+            if joins:
+                self._send_time(asking, t1_ns)
+            return
+        reader, is_answer, answer = tag.partition("#")
+        if not is_answer:
+            if joins and len(self.present) >= MAX_READERS:
+                self._log_once(f"more than {MAX_READERS} readers: frames wait for these only")
+                return
+            (self.present.add if joins else self.present.discard)(reader)
+            if not joins:
+                self._answered.pop(reader, None)
+            return
+        writer, _, number = answer.partition(":")
+        if joins and writer == self._name and reader in self._answered and number.isdecimal():
+            self._answered[reader] = max(self._answered[reader], int(number[:18]))
+            self._processed[reader] = self._answered[reader]
+
+
+class Reader:
+    """Subscribing side of a node: a SUB socket connected to all its writers.
+
+    Parameters
+    ----------
+    context, name
+        From `make_context`; the node's name, for its presence tag.
+    endpoints, topics
+        Endpoints of the writers; topics to subscribe to.
+    present : bool
+        True if writers that follow their readers wait for this one; False for an observer.
+    keys, read_ahead
+        Keys of this host, for writers that need them; number of messages of a writer that wait
+        here, further ones wait at the writer.
+    """
+
+    def __init__(
+        self,
+        context: zmq.Context[Any],
+        name: str,
+        endpoints: Iterable[str],
+        topics: Iterable[str],
+        present: bool = True,
+        keys: KeyPair | None = None,
+        read_ahead: int = QUEUE_FRAMES,
+    ) -> None:
+        self.socket: zmq.Socket[bytes] = context.socket(zmq.SUB)
+        self.socket.setsockopt(zmq.RCVHWM, read_ahead)
+        self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE_BYTES)
+        self._topics = {topic.encode() for topic in topics}
+        self._tag = PRESENCE + name.encode()
+        self._answers: dict[bytes, bytes] = {}
+        self._time_tag = b""
+        if keys is not None:
+            self.socket.setsockopt(zmq.CURVE_PUBLICKEY, keys.public.encode())
+            self.socket.setsockopt(zmq.CURVE_SECRETKEY, keys.secret.encode())
+            self.socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
+        for topic in sorted(self._topics):
+            self.socket.subscribe(topic)
+        if present:
+            self.socket.subscribe(self._tag)
+        for endpoint in endpoints:
+            self.connect(endpoint)
+
+    def connect(self, endpoint: str, server_key: str = "", distant: bool = False) -> None:
+        """Connect to one more writer, with its public key if it needs keys.
+
+        The link to a distant one, on another host, can break.
+        """
+        if server_key:
+            self.socket.setsockopt(zmq.CURVE_SERVERKEY, server_key.encode())
+        if distant:
+            watch_for_death(self.socket)
+        self.socket.connect(endpoint)
+
+    def reconnect(self, endpoint: str, server_key: str = "", distant: bool = False) -> None:
+        """Connect again after a refused handshake, which ZeroMQ does not do by itself."""
+        self.socket.disconnect(endpoint)
+        self.connect(endpoint, server_key, distant)
+
+    def receive(self) -> tuple[bytes, bytes] | None:
+        """Next waiting (topic, payload), or None.
+
+        ZeroMQ subscribes by prefix: a longer topic that begins like one of ours is dropped. A
+        message of other than two parts is returned as a topic without a payload, for the decoder
+        to refuse and count. An ask is a payload under the reader's own tag.
+        """
+        while True:
+            try:
+                parts = self.socket.recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                return None
+            if parts[0] in self._topics or parts[0] == self._tag:
+                return (parts[0], parts[1] if len(parts) == 2 else b"")
+
+    def is_ask(self, topic: bytes) -> bool:
+        """True if a topic is that of asks, to be answered by `answer`."""
+        return topic == self._tag
+
+    def ask_time(self, now_ns: int) -> None:
+        """Ask all writers for the time on their clocks; the answers arrive like asks."""
+        tag = self._tag + b"!%d" % now_ns
+        self.socket.subscribe(tag)
+        if self._time_tag:
+            self.socket.unsubscribe(self._time_tag)
+        self._time_tag = tag
+
+    def answer(self, note: bytes) -> None:
+        """Answer the writer of an ask that all messages before it are processed."""
+        writer = note.partition(b":")[0]
+        if len(note) > MAX_ASK_BYTES or len(self._answers) >= MAX_WRITERS:
+            return  # not one of the writers
+        tag = self._tag + b"#" + note
+        self.socket.subscribe(tag)
+        if writer in self._answers:
+            self.socket.unsubscribe(self._answers[writer])
+        self._answers[writer] = tag
+
+
+def read_times(note: bytes) -> tuple[str, int, int, int] | None:
+    """Writer, t1, t2 and t3 (ns) in an answer to `Reader.ask_time`; None for anything else."""
+    writer, is_time, times = note[:MAX_TIMES_BYTES].decode(errors="replace").partition("!")
+    parts = times.split(":")
+    if not is_time or len(parts) != 3:
+        return None
+    if not all(part.isdecimal() and len(part) <= MAX_TIME_DIGITS for part in parts):
+        return None
+    t1_ns, t2_ns, t3_ns = map(int, parts)
+    return writer, t1_ns, t2_ns, t3_ns

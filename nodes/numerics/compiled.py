@@ -1,0 +1,145 @@
+"""Compiled loops, where numba is installed: when they are used, and how they are compiled.
+
+A class that is made of compiled loops imports `kernels`, and with it numba, at its top. The
+module that chooses between it and its numpy twin imports it only where `use_compiled` is true.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, TypeVar
+
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import did_you_mean, one_line
+
+FAST = ("auto", "on", "off")
+ENVIRONMENT = "SPARSESKIN_FAST"
+"""Environment variable that replaces "auto": "off" for numpy alone."""
+
+SOLVERS = ("skin", "fista")
+"""Solvers that have compiled loops."""
+MAX_PLACES = 2**16
+"""Their tables hold places in 16 bits, half the room in the cache; larger skins use numpy."""
+
+COMPILING = "compiled loops: compiling, once on this machine; some 10 s"
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def check_fast(fast: str) -> str:
+    """Return "on" (always), "off" (never), or "auto" where numba is to be used if it can be.
+
+    "auto" means: where numba is installed, unless the environment has SPARSESKIN_FAST=off.
+
+    Raises
+    ------
+    SettingsError
+        If it is another word, in the environment too, or "on" without numba.
+    """
+    name = "fast"
+    if fast == "auto" and ENVIRONMENT in os.environ:
+        name, fast = ENVIRONMENT, os.environ[ENVIRONMENT]
+    if fast not in FAST:
+        raise SettingsError(
+            f"{name}: {fast!r} is not known{did_you_mean(fast, FAST)}; allowed: {', '.join(FAST)}"
+        )
+    installed = fast == "off" or find_spec("numba") is not None
+    if fast == "on" and not installed:
+        raise SettingsError(f"{name}: 'on' needs numba: pip install 'sparseskin[fast]'")
+    return fast if installed else "off"
+
+
+def use_compiled(fast: str) -> bool:
+    """Return True if compiled loops are to be used; numba is then imported.
+
+    Parameters and Raises as in `check_fast`; also if it is "on" and importing numba fails: each
+    numba needs certain versions of numpy.
+    """
+    checked = check_fast(fast)
+    if checked == "off":
+        return False
+    try:
+        import_module("numba")
+    except ImportError as error:
+        if checked == "on":
+            raise SettingsError(f"fast: importing numba failed: {one_line(error)}") from error
+        return False
+    return True
+
+
+def ready(
+    *loops: Callable[..., Any],
+    log: Callable[[str], None] | None = None,
+    begin_s: float | None = None,
+) -> None:
+    """Compile loops for their types, or read them from disk; they then accept no other types.
+
+    The loops are made by `compiled` with signatures; `log` is as in `compile_loops`; `begin_s` is
+    the time (`time.perf_counter`) at which its first line was logged, None: not yet.
+    """
+    with _progress(log, begin_s) if log is not None else nullcontext():
+        for loop in loops:
+            if not loop.signatures:  # type: ignore[attr-defined]
+                for signature in _SIGNATURES[loop]:
+                    loop.compile(signature)  # type: ignore[attr-defined]
+                loop.disable_compile()  # type: ignore[attr-defined]
+
+
+@contextmanager
+def _progress(log: Callable[[str], None], begin_s: float | None) -> Iterator[None]:
+    """Log when compiling begins and ends; loops that are read from disk are not compiled."""
+    event = import_module("numba.core.event")
+    begins_s = [] if begin_s is None else [begin_s]
+
+    class Listener(event.Listener):  # type: ignore[name-defined, misc]
+        def on_start(self, _: Any) -> None:
+            if not begins_s:
+                log(COMPILING)
+                begins_s.append(time.perf_counter())
+
+        def on_end(self, _: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Listener()):
+        yield
+    if begins_s:
+        log(f"compiled loops: ready after {time.perf_counter() - begins_s[0]:.0f} s")
+
+
+_SIGNATURES: dict[Callable[..., Any], tuple[str, ...]] = {}
+
+
+def compiled(*signatures: str, sums_in_any_order: bool = False) -> Callable[[Function], Function]:
+    """Return the decorator of a loop that `ready` compiles for these signatures.
+
+    The compiled code is stored beside the module, in the user's cache folder where that folder
+    is read-only, or in NUMBA_CACHE_DIR where it is set. With none of these it is compiled anew in
+    each process.
+
+    Signatures are as numba writes them, "void(float32[::1], int64)"; none: for use within compiled
+    functions of the same file. With `sums_in_any_order` a sum over a vector may be computed in the
+    fastest order: the same bits on one machine. Everything else is rounded as it is written.
+    """
+    numba = import_module("numba")
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    if sums_in_any_order:
+        options["fastmath"] = {"reassoc"}
+
+    def decorate(function: Function) -> Function:
+        made: Function
+        try:
+            made = numba.njit(cache=bool(signatures), **options)(function)
+        except RuntimeError as error:
+            if "cannot cache" not in str(error):
+                raise
+            made = numba.njit(**options)(function)
+        if signatures:
+            _SIGNATURES[made] = signatures
+        return made
+
+    return decorate

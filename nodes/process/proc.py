@@ -1,0 +1,71 @@
+"""Figures of a process from /proc: processor time, memory, age, open files, children."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+_TICK_HZ = os.sysconf("SC_CLK_TCK")
+_PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+
+_UTIME, _STIME, _STARTTIME = 11, 12, 19
+"""Places in /proc/PID/stat after the name of the program (proc(5))."""
+
+
+def _stat(pid: int) -> list[str]:
+    # The name of the program, in parentheses, may hold spaces and parentheses itself.
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+
+
+def cpu_s(pid: int) -> float:
+    """Processor time that a process has used, user and system, in seconds.
+
+    As all functions here, it raises OSError if there is no such process.
+    """
+    fields = _stat(pid)
+    return (int(fields[_UTIME]) + int(fields[_STIME])) / _TICK_HZ
+
+
+def age_s(pid: int) -> float:
+    """Seconds since a process was started, one tick of the kernel's clock at least."""
+    up_s = float(Path("/proc/uptime").read_text().split()[0])
+    return max(1 / _TICK_HZ, up_s - int(_stat(pid)[_STARTTIME]) / _TICK_HZ)
+
+
+def state(pid: int) -> str:
+    """State of a process, one letter: R, S, D, Z, T ..."""
+    return _stat(pid)[0]
+
+
+def resident_bytes(pid: int) -> int:
+    """Resident memory of a process, shared pages included."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_BYTES
+
+
+def own_bytes(pid: int) -> int:
+    """Resident memory of a process, each shared page divided by the number of its users (PSS)."""
+    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
+
+
+def n_files(pid: int) -> int:
+    """Number of open file descriptors of a process."""
+    return len(list(Path(f"/proc/{pid}/fd").iterdir()))
+
+
+def children(pid: int) -> list[int]:
+    """Process numbers of the children that the main thread of a process has started."""
+    return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def command(pid: int) -> list[str]:
+    """Words of the command line of a process; none for a zombie."""
+    text = Path(f"/proc/{pid}/cmdline").read_bytes().rstrip(b"\0")
+    return [word.decode(errors="replace") for word in text.split(b"\0")] if text else []
+
+
+def host_busy_s() -> float:
+    """Processor time that all processes of this host have used since it was started, in seconds."""
+    ticks = [int(field) for field in Path("/proc/stat").read_text().split("\n")[0].split()[1:]]
+    idle, waits_for_disk = ticks[3:5]
+    return (sum(ticks[:8]) - idle - waits_for_disk) / _TICK_HZ

@@ -1,0 +1,303 @@
+"""A node as a process: its sockets, the handshake with the launcher, ticks and signals."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import signal
+import sys
+import time
+from collections import deque
+from collections.abc import Iterable
+from typing import Any
+
+import zmq
+
+from sparseskin.messages import Message
+from sparseskin.nodes.clock import ClockEstimate, SystemClock
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.host import NodeHost
+from sparseskin.nodes.lookup import one_line
+from sparseskin.nodes.network.network import Network
+from sparseskin.nodes.network.sockets import FAREWELL_MS, Peer, Reader, make_context
+from sparseskin.nodes.node import Context, SourceNode, Tick
+from sparseskin.nodes.registry import make_settings, node_class
+
+from .backlog import Backlog
+from .control import Control
+from .memory import FreeMemory
+
+POLL_MS = 100
+"""Longest wait, so that signals are noticed."""
+HEARTBEAT_NS = 500_000_000
+SPIN_NS = 1_500_000
+"""Shorter waits are sleeps, because the poller counts whole milliseconds."""
+BATCH = 64
+"""Largest number of messages or ticks between two checks for commands."""
+
+EXIT_CRASH = 1
+EXIT_USAGE = 2
+
+
+class Runner:
+    """One node in this process.
+
+    Parameters
+    ----------
+    control, config
+        Control channel to the launcher; dict of name, type, settings, endpoint, inputs (topics),
+        readers (names of the nodes that read this one), offset_ns (of the graph's clock); optional
+        max_frames (of a source), late (the node joins a running graph), and the keys of `Network`.
+    """
+
+    def __init__(self, control: Control, config: dict[str, Any]) -> None:
+        self.control = control
+        self.name: str = config["name"]
+        self.clock = SystemClock(config["offset_ns"])
+        cls = node_class(config["type"])
+        settings = make_settings(cls, config["settings"])
+        late = bool(config.get("late"))
+        node = cls(
+            settings, Context(self.name, self.clock, self.log, self._ask, late, self._clock_of)
+        )
+        run_id = secrets.token_hex(8)
+        self.host = NodeHost(
+            node, run_id, self.log, config["inputs"], late, config.get("distant_inputs", ())
+        )
+        self.expected = set(config["readers"])
+        self.max_frames: int | None = config.get("max_frames")
+        self.context = make_context()
+        self.network = Network(self.context, config, self.clock.now_ns, self.log)
+        self.writer = self.network.writer
+        self.reader: Reader | None = None
+        self.backlog: Backlog | None = None
+        self.poller = zmq.Poller()
+        self.poller.register(control.fd, zmq.POLLIN)
+        self._poll_all()
+        self.connected = self.ready = self.started = self.stopping = self.end_reported = False
+        self.draining = self.failed = self.terminated = False
+        self.asks: deque[int] = deque()
+        self.unanswered: deque[tuple[int, bytes]] = deque()
+        self.caught_up = True
+        self.memory = FreeMemory()
+        self.asked = False
+        self.n_ticks = 0
+        self.next_heartbeat_ns = 0
+        self.last_stamp_ns = -1
+
+    def log(self, line: str) -> None:
+        """Print one line for the launcher's terminal."""
+        print(line, file=sys.stderr, flush=True)
+
+    def _ask(self, request: dict[str, Any]) -> None:
+        self.control.emit("request", **request)
+
+    def run(self) -> None:
+        """Serve until the launcher sends "stop" or ends."""
+        signal.signal(signal.SIGINT, self._on_interrupt)
+        signal.signal(signal.SIGTERM, self._on_terminate)
+        self.control.emit("bound", endpoint=self.writer.endpoint)
+        self._publish(self.host.start())
+        while not (self.stopping or self.control.closed):
+            self._wait()
+            self._execute_commands()
+            self.network.serve()
+            self.writer.serve_subscriptions()
+            self._receive()
+            self._answer()
+            for _ in range(BATCH):
+                if not self._tick_due():
+                    break
+                self._tick()
+            self.host.idle()
+            self._report()
+        if self.terminated:
+            self.control.emit("error", text="terminated (SIGTERM)", code=EXIT_CRASH)
+        if not self.end_reported:
+            self._report_end()
+        for _, note in self.unanswered:  # no writer is to wait for this node
+            assert self.reader is not None
+            self.reader.answer(note)
+        # Pending messages are still sent, for a bounded time.
+        self.context.destroy(linger=FAREWELL_MS)
+
+    def _on_interrupt(self, *_: object) -> None:
+        self.draining = True
+
+    def _on_terminate(self, *_: object) -> None:
+        self.terminated = not self.stopping
+        self.stopping = True
+
+    @property
+    def _source(self) -> SourceNode[Any] | None:
+        """The node, if it is a source that may tick."""
+        node = self.host.node
+        ticks = self.started and isinstance(node, SourceNode) and not self.host.finished
+        return node if ticks and isinstance(node, SourceNode) else None
+
+    def _left_ns(self) -> int | None:
+        """Time until the next tick; None if an event must come first."""
+        source = self._source
+        if source is None or len(self.writer.present) < source.min_readers:
+            return None
+        while self.asks and not self.writer.awaits(self.asks[0]):
+            self.asks.popleft()
+        if len(self.asks) >= source.window:
+            return None
+        due_ns = source.next_tick_ns()
+        return None if due_ns is None else due_ns - self.clock.now_ns()
+
+    def _tick_due(self) -> bool:
+        left_ns = self._left_ns()
+        return left_ns is not None and left_ns <= 0
+
+    def _wait(self) -> None:
+        timeout_ms = POLL_MS if self.caught_up else 0
+        left_ns = self._left_ns()
+        if left_ns is not None:
+            if 0 < left_ns < SPIN_NS:
+                time.sleep(left_ns / 1e9)
+            timeout_ms = max(0, min(timeout_ms, (left_ns - SPIN_NS) // 1_000_000))
+        ready = self.poller.poll(timeout_ms)
+        patience_s = self.host.node.patience_s
+        # Not while messages wait, and not if a source waits for answers.
+        urgent = self.asked or self.network.awaits_time
+        if patience_s and self.caught_up and not urgent and ready:
+            time.sleep(patience_s)
+
+    def _execute_commands(self) -> None:
+        for command in self.control.commands():
+            match command["command"]:
+                case "connect":
+                    self._connect([Peer(**peer) for peer in command["peers"]])
+                case "start":
+                    self._start()
+                case "drain":
+                    self.draining = True
+                case "stop":
+                    self.stopping = True
+                case name:
+                    self._command(name, command.get("value"), command.get("id"))
+        if self.draining and self._source is not None:
+            self._publish(self.host.finish(max(0, self.last_stamp_ns)))
+
+    def _command(self, name: str, value: Any, number: str | None) -> None:
+        """Execute a command of an operator and answer it."""
+        node = self.host.node
+        try:
+            if name == "set":
+                self._publish(self.host.change(value))
+                text = ", ".join(
+                    f"{key} = {json.dumps(v)}" if v is not None else f"{key} is no longer stated"
+                    for key, v in value.items()
+                )
+            else:
+                text = node.command(name, value)
+            done = True
+        except SparseskinError as error:
+            done, text = False, str(error)
+        except Exception as error:  # a user's own solver may raise anything
+            done, text = False, one_line(error)
+        if number is not None:
+            now = {"settings": node.settings.live_values(), "state": node.state()}
+            self.control.emit("answer", id=number, done=done, text=text, **now)
+        elif not done:
+            self.log(text)
+
+    def _connect(self, peers: list[Peer]) -> None:
+        """Connect to writers; those on other hosts are named once this node is ready."""
+        if peers and self.reader is None:
+            self.reader = self.network.make_reader(self.host.inputs)
+            self.backlog = Backlog(self.reader, frozenset(t.encode() for t in self.host.streams))
+            self._poll_all()
+        if self.reader is not None:
+            self.network.connect(self.reader, peers)
+        self.connected = True
+
+    def _poll_all(self) -> None:
+        for socket in self.network.sockets:
+            self.poller.register(socket, zmq.POLLIN)
+
+    def _clock_of(self, topic: str) -> ClockEstimate | None:
+        return self.network.clock_of(topic)
+
+    def _start(self) -> None:
+        if isinstance(self.host.node, SourceNode):
+            self.host.node.begin(self.clock.now_ns())
+        self.started = True
+
+    def _receive(self) -> None:
+        if self.reader is None or self.backlog is None:
+            return
+        for _ in range(BATCH):
+            waiting = self.backlog.take(self.host.node.depth)
+            self.caught_up = waiting is None
+            if waiting is None:
+                return
+            if self.reader.is_ask(waiting.topic):
+                if self.network.take_time(waiting.payload):
+                    continue
+                self.asked = True
+                self.unanswered.append((self.writer.ask(), waiting.payload))
+            else:
+                self._publish(self.host.receive_bytes(*waiting))
+
+    def _answer(self) -> None:
+        """Answer asks as soon as the readers of this node have answered them."""
+        while self.unanswered and not self.writer.awaits(self.unanswered[0][0]):
+            assert self.reader is not None
+            self.reader.answer(self.unanswered.popleft()[1])
+
+    def _tick(self) -> None:
+        stamp_ns = max(self.clock.now_ns(), self.last_stamp_ns + 1)
+        self.last_stamp_ns = stamp_ns
+        self._publish(self.host.tick(Tick(stamp_ns, self.n_ticks)))
+        self.n_ticks += 1
+        source = self._source
+        if source is not None and source.follows_readers:
+            self.asks.append(self.writer.ask())
+        if self.max_frames is not None and self.n_ticks >= self.max_frames:
+            self._publish(self.host.finish(stamp_ns))
+
+    def _publish(self, messages: Iterable[Message]) -> None:
+        for message in messages:
+            self.writer.send(message)
+
+    def _report(self) -> None:
+        """Send events to the launcher: ready, heartbeat, failure, end."""
+        if self.connected and not self.ready and self.expected <= self.writer.present:
+            self.ready = True
+            self.control.emit("ready")
+        now_ns = time.monotonic_ns()
+        if now_ns >= self.next_heartbeat_ns:
+            self.next_heartbeat_ns = now_ns + HEARTBEAT_NS
+            if self.caught_up:
+                self.memory.trim()
+            # Where readers are far behind, an end can be dropped too: it is repeated.
+            self._publish(self.host.ends)
+            self.network.end_repeated()
+            self.control.emit(
+                "heartbeat",
+                lacks=sorted(self.expected - self.writer.present) if not self.ready else [],
+                line=self.host.node.status(),
+                state=self.host.node.state(),
+                refusal=self.host.refusal,
+                counts=self.host.counts.as_dict(),
+                **self.network.state(),
+            )
+        if self.host.failure and not self.failed:
+            self.failed = True
+            self.control.emit("failed")
+        if self.host.finished and not self.end_reported and self.network.end_received():
+            self._report_end()
+
+    def _report_end(self) -> None:
+        self.end_reported = True
+        self.host.close()
+        self.control.emit(
+            "ended",
+            report=self.host.node.report(),
+            counts=self.host.counts.as_dict(),
+            failure=self.host.failure,
+            clocks=self.network.state()["clocks"],
+        )

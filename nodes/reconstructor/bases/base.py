@@ -1,0 +1,163 @@
+"""The interface of bases Psi, their registry, and `make_basis`."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.lookup import find_callable, find_class
+from sparseskin.nodes.numerics.arrays import Floats
+
+BASES = {
+    "haar": "sparseskin.nodes.reconstructor.bases.haar:HaarBasis",
+    "db2": "sparseskin.nodes.reconstructor.bases.separable:db2",
+    "db4": "sparseskin.nodes.reconstructor.bases.separable:db4",
+    "sym4": "sparseskin.nodes.reconstructor.bases.separable:sym4",
+    "coif1": "sparseskin.nodes.reconstructor.bases.separable:coif1",
+    "dct": "sparseskin.nodes.reconstructor.bases.separable:DctBasis",
+    "identity": "sparseskin.nodes.reconstructor.bases.base:IdentityBasis",
+}
+#: Prefix of the name of a basis from a file of `sparseskin learn-basis`; the path follows.
+LEARNED = "learned:"
+_LEARNED_MODULE = "sparseskin.nodes.reconstructor.bases.learned"
+_INTERFACE = ("n_rows", "n_cols", "analysis", "synthesis")
+
+
+class Basis(ABC):
+    """An orthonormal basis Psi on a grid: image = Psi theta, theta = Psi^T image.
+
+    An instance owns its work arrays: use one per thread.
+
+    Parameters
+    ----------
+    n_rows, n_cols : int
+        Size of the grid of taxels, each at least 1.
+
+    Raises
+    ------
+    SolverError
+        If the grid is empty.
+    """
+
+    def __init__(self, n_rows: int, n_cols: int) -> None:
+        if n_rows < 1 or n_cols < 1:
+            raise SolverError(f"basis: a grid of {n_rows} x {n_cols} has no taxels")
+        self.n_rows = int(n_rows)
+        self.n_cols = int(n_cols)
+
+    def analysis(self, image: Floats, out: Floats | None = None) -> Floats:
+        """Return the coefficients theta = Psi^T image.
+
+        Parameters
+        ----------
+        image : ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
+            Forces, newtons; or k such frames.
+        out : ndarray of float32, of the same shape, contiguous, optional
+            Receives the result; not the image itself.
+
+        Returns
+        -------
+        ndarray of float32, of the same shape
+            Coefficients, newtons. A frame gives the same bits alone and in a batch.
+
+        Raises
+        ------
+        SolverError
+            If image or out has another shape, or out is not contiguous float32.
+        """
+        return self._each(self._analysis, "image", image, out)
+
+    def synthesis(self, coefficients: Floats, out: Floats | None = None) -> Floats:
+        """Return the image Psi theta, forces in newtons.
+
+        Shapes, `out` and Raises as in `analysis`; coefficients are laid out as it returns them.
+        """
+        return self._each(self._synthesis, "coefficients", coefficients, out)
+
+    @abstractmethod
+    def _analysis(self, image: Floats, out: Floats) -> None:
+        """Write Psi^T image to out; both flat, contiguous, float32."""
+
+    @abstractmethod
+    def _synthesis(self, coefficients: Floats, out: Floats) -> None:
+        """Write Psi theta to out; both flat, contiguous, float32."""
+
+    def _each(
+        self, apply: Callable[[Floats, Floats], None], name: str, given: Floats, out: Floats | None
+    ) -> Floats:
+        given = np.ascontiguousarray(given, dtype=np.float32)
+        shape = (self.n_rows, self.n_cols)
+        if given.ndim not in (2, 3) or given.shape[-2:] != shape:
+            raise SolverError(
+                f"basis: {name} has shape {given.shape}; expected {shape}, or several of them"
+            )
+        if out is None:
+            out = np.empty(given.shape, dtype=np.float32)
+        elif out.shape != given.shape or out.dtype != np.float32 or not out.flags.c_contiguous:
+            raise SolverError(
+                f"basis: out is {out.dtype} of shape {out.shape}; "
+                f"expected contiguous float32 of shape {given.shape}"
+            )
+        if given.ndim == 2:
+            apply(given.reshape(-1), out.reshape(-1))
+        else:
+            for one, result in zip(given, out, strict=True):
+                apply(one.reshape(-1), result.reshape(-1))
+        return out
+
+
+class IdentityBasis(Basis):
+    """Psi = I: the forces themselves are taken to be sparse."""
+
+    def _analysis(self, image: Floats, out: Floats) -> None:
+        np.copyto(out, image)
+
+    def _synthesis(self, coefficients: Floats, out: Floats) -> None:
+        np.copyto(out, coefficients)
+
+
+def find_basis(name: str) -> Callable[..., Any]:
+    """Return the callable that makes a basis of n_rows, n_cols; Raises as in `make_basis`."""
+    if not name.startswith(LEARNED):
+        return find_class("basis", name, BASES, SolverError)
+    path = name.removeprefix(LEARNED)
+    # By name: that module imports this one.
+    read_atoms = find_callable(f"{_LEARNED_MODULE}:read_atoms", SolverError)
+    made = find_callable(f"{_LEARNED_MODULE}:LearnedBasis", SolverError)
+    return partial(made, atoms=read_atoms(path), name=Path(path).stem)
+
+
+def make_basis(name: str, n_rows: int, n_cols: int) -> Basis:
+    """Make a basis by name.
+
+    Parameters
+    ----------
+    name : str
+        "haar"; "db2", "db4", "sym4", "coif1" (PyWavelets' names); "dct"; "identity";
+        "learned:B.npz", the file of `sparseskin learn-basis`; or "module:Class" for your own:
+        called with the keywords n_rows, n_cols, it must offer what `Basis` does.
+    n_rows, n_cols : int
+        Size of the grid of taxels.
+
+    Raises
+    ------
+    SolverError
+        If the name is unknown, the grid is empty, a class of your own is not a basis, or the
+        file of a learned one is refused.
+    """
+    cls = find_basis(name)
+    try:
+        made = cls(n_rows=n_rows, n_cols=n_cols)
+    except TypeError as cause:
+        raise SolverError(f'basis "{name}" does not take n_rows, n_cols: {cause}') from cause
+    missing = [attribute for attribute in _INTERFACE if not hasattr(made, attribute)]
+    if missing:
+        raise SolverError(f'basis "{name}" is no basis: it lacks {", ".join(missing)}')
+    basis: Basis = made
+    return basis

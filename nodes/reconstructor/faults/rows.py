@@ -1,0 +1,258 @@
+"""Detection of faulty measurements: rows of Phi that read 0, a constant or garbage."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sparseskin.messages.quantised import Quantised
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
+
+#: Least participation ratio of rows that can be compared, and rows that are probed for it.
+LEAST_MIXED, N_PROBED = 8.0, 8
+#: CUSUM of the squared residual of a row in units of its peers: a frame adds at most `LARGEST`,
+#: less `ALLOWED`; it starts at `ODD`; a row is faulty from `ENOUGH` on.
+LARGEST, ALLOWED, ENOUGH, ODD = 36.0, 9.0, 150.0, 16.0
+#: Frames between two full comparisons, unless a row asks for one.
+EVERY = 10
+#: Frames without change after which a row is constant, on a skin whose noise changes at least
+#: `LIVELY` of the rows from frame to frame; rate of that mean.
+CONSTANT, LIVELY, LIVELY_RATE = 20, 0.75, 0.05
+#: Frames in which a faulty row must agree with its peers to be used again; doubled after each
+#: relapse, up to a limit.
+HEALED, MOST_HEALED = 100, 100_000
+#: Largest mean squared residual of a healed row, in that of its peers; rate of the mean.
+AGREES, AGREES_RATE = 4.0, 0.05
+#: Largest part of the rows that may be faulty; with more, something else is wrong.
+MOST = 0.25
+#: Step of the quantiser, in deviations of a frame's noise, beyond which rows may be constant.
+FINE = 0.25
+#: Peers that a block needs for a judgement by a single frame.
+ENOUGH_PEERS = 6
+#: Median of the square of a standard normal number.
+MEDIAN_SQUARE = 0.455
+
+
+class RowWatch:
+    """Finds rows of one Phi whose measurements are 0, constant or garbage, and those healed.
+
+    Each reconstructed frame leaves a residual y - Phi x. A row is judged by its squared residual
+    relative to that of its peers, the rows that sum the same taxels with other signs: where a
+    contact is reconstructed badly, all of them are off alike. A ratio above 16, which a working row
+    has in one frame of ten thousand, starts a CUSUM: each frame adds the ratio, at most 36, less 9;
+    it is never below 0. A row that reads garbage reaches 150 within 8 frames.
+
+    The full comparison is made in every tenth frame, wherever a residual exceeds the bound of the
+    last one, and in each frame while there is evidence against a row.
+
+    On a skin with noise a row whose value stays the same for 20 frames is faulty, too, also where
+    nothing touches the skin and a row that reads 0 does not show. An error of all rows along Phi 1,
+    the bias of readings clipped at 0, is no fault.
+
+    Attributes
+    ----------
+    watches : bool
+        True if rows can be compared: not if each reads a single taxel.
+    left_out : ndarray of bool, shape (m,)
+        Rows that are faulty now.
+    swamped : bool
+        True if so many rows disagree that no more of them are excluded.
+
+    Notes
+    -----
+    Source: Page, "Continuous inspection schemes", Biometrika 41, 1954, for the CUSUM.
+    """
+
+    def __init__(self, phi: Phi) -> None:
+        m = phi.m
+        self._phi = phi
+        self.watches = mixed_taxels(phi) >= LEAST_MIXED
+        ones = phi.forward(np.ones(phi.n, dtype=np.float32))
+        self._ones = ones
+        # The rows that a bias shows in.
+        self._heavy: Indices = np.flatnonzero(np.abs(ones) > 0.5 * np.abs(ones).max())
+        self._heavy_ones = ones[self._heavy]
+        _, self._starts, self._block = np.unique(
+            _blocks(phi), return_index=True, return_inverse=True
+        )
+        self._last, self._before, self._evidence, self._oddity = np.zeros((4, m), dtype=np.float32)
+        self._residual, self._left = np.zeros((2, m), dtype=np.float32)
+        self._squared, self._bound = np.zeros((2, m), dtype=np.float32)
+        self._last_but_one = np.zeros(m, dtype=np.float32)
+        self._changed_at, self._agreed = np.zeros((2, m), dtype=np.int32)
+        self._loud = np.zeros(m, dtype=np.bool_)
+        self._coarse = self._suspects = False
+        self._to_heal = np.full(m, HEALED, dtype=np.int32)
+        self._n_frames = 0
+        self._lively = 0.0
+        self.left_out: Mask = np.zeros(m, dtype=np.bool_)
+        self.swamped = False
+        self._count_peers()
+
+    def cleaned(self, y: Floats, last: Floats | None) -> Floats:
+        """Return measurements, float32 (m,), with Phi `last` in place of faulty ones.
+
+        `last` holds the forces of the last frame, float32 (n,); None: 0. y is not modified.
+        """
+        if not self.left_out.any():
+            return y
+        expected = np.zeros_like(y) if last is None else self._phi.forward(last)
+        cleaned: Floats = np.where(self.left_out, expected, y).astype(np.float32)
+        return cleaned
+
+    def update(self, y: Floats, fitted: Floats) -> bool:
+        """Process measurements as received, and Phi times the frame, `fitted`; float32 (m,).
+
+        Return True if `left_out` has changed.
+        """
+        if not self.watches:
+            return False
+        self._n_frames += 1
+        self._residual, self._before = self._before, self._residual
+        np.subtract(y, fitted, out=self._residual)
+        np.square(self._residual, out=self._squared)
+        np.greater(self._squared, self._bound, out=self._loud)
+        self._note_changes(y)
+        if self._n_frames == 1:
+            return False  # no change from frame to frame is known yet
+        due = self._n_frames % EVERY == 0 or self._suspects or self._loud.any()
+        return bool(due or self._constant().any()) and self._look(y)
+
+    def _look(self, y: Floats) -> bool:
+        """Compare all rows with their peers; return True if `left_out` has changed."""
+        # A solver that fits the noise leaves less than that, and small errors would seem large.
+        noise2 = _typical(self._last - self._last_but_one) / 2
+        step = y.step if isinstance(y, Quantised) else 0.0
+        self._coarse = step > FINE * math.sqrt(noise2)
+        # A force below a step is read as 0 or as a step, in turn.
+        noise2 += step * step / 4
+        odd = self._oddness(noise2)
+        evidence = self._evidence
+        odd_enough = (evidence > 0) | (odd > ODD)
+        evidence += odd
+        evidence -= ALLOWED
+        evidence *= odd_enough
+        np.clip(evidence, 0, 2 * ENOUGH, out=evidence)
+        faulty = (evidence >= ENOUGH) | self._constant()
+        changed = self._leave_out(faulty) | self._heal(odd, faulty)
+        self._suspects = bool(evidence.any() or self.left_out.any())
+        return changed
+
+    def _oddness(self, noise2: float) -> Floats:
+        """Return squared residuals in units of the peers, or of the noise; at most 36."""
+        heavy, few = self._heavy, self._few
+        bias = np.float32(_middle(self._residual[heavy] / self._heavy_ones))
+        self._left = self._residual - bias * self._ones
+        squared = np.square(self._left)
+        typical = np.float32(max(_middle(squared) / MEDIAN_SQUARE, noise2) + TINY)
+        # One huge row must not hide another in its own block.
+        peers = np.minimum(squared, LARGEST * typical)
+        peers *= self._kept
+        peers = np.add.reduceat(peers, self._starts)[self._block] - peers
+        peers *= self._per_peer
+        np.maximum(peers, typical, out=peers)
+        # The bias differs from block to block.
+        peers[heavy] = np.maximum(peers[heavy], _middle(squared[heavy]) / MEDIAN_SQUARE)
+        np.multiply(peers, ODD, out=self._bound)
+        # The quick check of `update` does not subtract the bias of its frame.
+        shown = abs(bias) * np.abs(self._heavy_ones)
+        self._bound[heavy] = np.square(np.sqrt(self._bound[heavy]) + shown)
+        # With few peers, a row may be the only one that measures a contact at all. That lasts: in
+        # such blocks only the change from frame to frame counts.
+        change = self._residual[few] - self._before[few]
+        squared[few] = np.minimum(squared[few], np.square(change, out=change))
+        squared /= peers
+        return np.minimum(squared, LARGEST, out=squared)
+
+    def _note_changes(self, y: Floats) -> None:
+        """Note the rows that read another value than in the last frame."""
+        changed = y != self._last
+        self._last, self._last_but_one = self._last_but_one, self._last
+        np.copyto(self._last, y)
+        rate = max(LIVELY_RATE, 1 / self._n_frames)
+        self._lively += rate * (np.count_nonzero(changed) / changed.size - self._lively)
+        if self._coarse:
+            self._changed_at.fill(self._n_frames)
+        else:
+            np.copyto(self._changed_at, self._n_frames, where=changed)
+
+    def _constant(self) -> Mask:
+        """Return the rows that are constant, on a skin whose rows are not."""
+        return (self._changed_at <= self._n_frames - CONSTANT) & (self._lively >= LIVELY)
+
+    def _leave_out(self, faulty: Mask) -> bool:
+        """Exclude faulty rows; return True if there are new ones."""
+        new = faulty & ~self.left_out
+        self.swamped = False
+        if not new.any():
+            return False
+        if np.count_nonzero(faulty | self.left_out) > MOST * faulty.size:
+            self.swamped = True
+            return False
+        # A faulty row makes its peers look odd: the oddest of a block is excluded first.
+        amounts = np.where(new, np.abs(self._left), 0)
+        new &= amounts >= 0.5 * np.maximum.reduceat(amounts, self._starts)[self._block]
+        self.left_out |= new
+        self._oddity[new] = LARGEST
+        self._agreed[new] = 0
+        beside = np.isin(self._block, self._block[new])
+        self._evidence[beside & ~new] = 0
+        self._count_peers()
+        return True
+
+    def _count_peers(self) -> None:
+        self._kept = (~self.left_out).astype(np.float32)
+        n_peers = np.add.reduceat(self._kept, self._starts)[self._block] - self._kept
+        self._per_peer = 1 / np.maximum(n_peers, 1)
+        self._few = np.flatnonzero(n_peers < ENOUGH_PEERS)
+
+    def _heal(self, odd: Floats, faulty: Mask) -> bool:
+        """Use rows again that have agreed with their peers for long enough."""
+        out = self.left_out
+        if not out.any():
+            return False
+        self._oddity[out] += AGREES_RATE * (odd[out] - self._oddity[out])
+        agrees = out & ~faulty & (self._oddity < AGREES)
+        self._agreed = np.where(agrees, self._agreed + 1, 0)
+        healed = agrees & (self._agreed >= self._to_heal)
+        if not healed.any():
+            return False
+        self._to_heal[healed] = np.minimum(2 * self._to_heal[healed], MOST_HEALED)
+        self._evidence[healed] = 0
+        self.left_out = out & ~healed
+        self._count_peers()
+        return True
+
+
+def _middle(x: Floats) -> float:
+    """Return the median, or the upper one of an even number."""
+    middle = x.size // 2
+    return float(np.partition(x, middle)[middle])
+
+
+def _typical(x: Floats) -> float:
+    """Return the variance of normal numbers with outliers, from the median of their squares."""
+    return _middle(np.square(x)) / MEDIAN_SQUARE
+
+
+def mixed_taxels(phi: Phi) -> float:
+    """Return the smallest participation ratio of some rows: how many taxels each sums, at least."""
+    probes = np.linspace(0, phi.m - 1, min(N_PROBED, phi.m)).astype(np.intp)
+    least = math.inf
+    for row in probes:
+        unit = np.zeros(phi.m, dtype=np.float32)
+        unit[row] = 1
+        weights = np.square(phi.adjoint(unit), dtype=np.float64)
+        least = min(least, float(weights.sum() ** 2 / max(np.square(weights).sum(), TINY)))
+    return least
+
+
+def _blocks(phi: Phi) -> Indices:
+    """Return the number of the block of taxels that each row sums; 0 if there are no blocks."""
+    if not isinstance(phi, SbhePhi):
+        return np.zeros(phi.m, dtype=np.intp)
+    ends = np.cumsum(phi.hadamard.sizes)
+    return np.searchsorted(ends, phi.rows, side="right")

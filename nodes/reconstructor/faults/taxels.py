@@ -1,0 +1,368 @@
+"""Detection of faulty taxels: stuck ones, dead ones (always 0), saturated ones (always f_max)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Container, Iterable
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.numerics.arrays import Floats, Mask
+
+#: Frames between two searches for taxels that stand alone: with at least this part of the range,
+#: next to neighbours of at most this part of their own force.
+EVERY, LEAST_FORCE, ALONE = 10, 0.08, 0.25
+#: Frames in which a taxel's noise is measured; a stuck one has less than this part of the stated
+#: variance; the force may change by this part meanwhile.
+MEASURED, QUIET, CHANGE = 200, 0.2, 0.1
+#: Least part of the stated noise variance that the measurements must have: a skin quieter than
+#: stated has no stuck taxels. Part of the variance that is left of noise clipped at 0.
+REAL, CUT_OFF = 0.5, 0.34
+#: Median of the square of a standard normal number.
+MEDIAN_SQUARE = 0.455
+#: With fewer measurements than this part of the taxels, reconstructions have holes of their own.
+LEAST_SEEN = 0.2
+#: Most taxels whose noise is measured at a time, and that a line names.
+MOST, MOST_NAMED = 64, 8
+#: Mean residual, in its value, beyond which a stuck taxel is used again; rate of the mean.
+MOVED, MOVED_RATE = 0.3, 0.02
+
+#: Least force of a pressed taxel, in f_max; pressed ones among the eight neighbours of a taxel
+#: inside a contact.
+PRESSED, INSIDE = 0.04, 6
+#: Force in the mean of its neighbours: of a dead taxel at most, of a working one at least.
+LOW, ALIVE = 0.25, 0.5
+#: Searches in which a dead taxel must be low; what one in which it works subtracts.
+ENOUGH, SUBTRACTED = 10, 5
+#: Positions in the surrounding contact in which it must be low; their distance, taxels.
+PLACES, APART = 3, 3.0
+#: Consecutive searches in which a dead taxel must work to be used again.
+BELIEVED = 10
+#: A saturated taxel: least force, force below which it is none, most force of neighbours, all in
+#: f_max; number of searches.
+FULL, BELOW_FULL, BESIDE_FULL, FULL_LOOKS = 0.97, 0.9, 0.25, 200
+
+#: Number of pressed taxels before and behind one in its column, or row.
+Reach: TypeAlias = tuple[int, int]
+
+
+@dataclass
+class _Low:
+    """Evidence against one taxel: searches, and its positions in the contact."""
+
+    looks: int = 0
+    places: list[tuple[Reach, Reach]] = field(default_factory=list)
+
+
+class EndWatch:
+    """Searches reconstructed frames for taxels that stay at 0 or at f_max.
+
+    A dead taxel is a hole in every contact. A body may have a hole, too, but that moves with it:
+    a taxel is dead if the hole stays while the contact around it slides by three taxels, twice,
+    or in as many successive contacts. A body that rocks around its hole does not slide. A taxel
+    that is pressed meanwhile works.
+
+    A saturated taxel stands alone at the end of its range, in 200 searches without ever going
+    below. So does one that a peg of its size overloads for as long, which is no measurement
+    either.
+    """
+
+    def __init__(self, mask: Mask, f_max: float) -> None:
+        self._mask = mask
+        self._n_cols = mask.shape[1]
+        self._pressed = PRESSED * f_max
+        self._f_max = f_max
+        self._low: dict[int, _Low] = {}
+        self._full: dict[int, int] = {}
+        self._alive: dict[int, int] = {}
+
+    def look(self, forces: Floats, dead: Container[int]) -> tuple[list[int], list[int], list[int]]:
+        """Search a reconstructed frame, float32 (n_rows, n_cols), newtons.
+
+        `dead` and the results are places in the flat grid: of taxels excluded already; of dead and
+        saturated ones newly found, and of excluded ones that work again.
+        """
+        found, believed = self._look_for_holes(forces, dead)
+        return found, self._look_for_full(forces), believed
+
+    def _look_for_holes(self, forces: Floats, dead: Container[int]) -> tuple[list[int], list[int]]:
+        pressed = forces > np.float32(self._pressed)
+        if np.count_nonzero(pressed) < INSIDE:
+            return [], []
+        inside = self._mask & (_around(pressed.astype(np.int8)) >= INSIDE)
+        # Most frames have neither holes nor watched taxels.
+        watched = [place for place in self._low if inside.flat[place]]
+        watched += [place for place in self._alive if inside.flat[place]]
+        holes = np.flatnonzero(inside & ~pressed).tolist()
+        found, believed = [], []
+        for place in dict.fromkeys([*holes, *watched]):
+            force, beside = float(forces.flat[place]), self._beside(forces, pressed, place)
+            if place in dead:
+                self._alive[place] = self._alive.get(place, 0) + 1 if force > ALIVE * beside else 0
+                if self._alive[place] >= BELIEVED:
+                    del self._alive[place]
+                    believed.append(place)
+            elif force < LOW * beside:
+                if self._is_dead(pressed, place):
+                    del self._low[place]
+                    self._alive[place] = 0
+                    found.append(place)
+            elif force > ALIVE * beside and place in self._low:
+                low = self._low[place]
+                low.looks -= SUBTRACTED
+                if low.looks <= 0:
+                    del self._low[place]
+        return found, believed
+
+    def _is_dead(self, pressed: Mask, place: int) -> bool:
+        """Add to the evidence against a taxel; return True if it is enough."""
+        low = self._low.setdefault(place, _Low())
+        low.looks += 1
+        row, col = divmod(place, self._n_cols)
+        here = _reach(pressed[:, col], row), _reach(pressed[row], col)
+        if len(low.places) < PLACES and all(
+            math.hypot(*map(_shift, here, there)) >= APART for there in low.places
+        ):
+            low.places.append(here)
+        return low.looks >= ENOUGH and len(low.places) == PLACES
+
+    def _beside(self, forces: Floats, pressed: Mask, place: int) -> float:
+        """Return the mean of the pressed neighbours."""
+        row, col = divmod(place, self._n_cols)
+        around = slice(max(0, row - 1), row + 2), slice(max(0, col - 1), col + 2)
+        among = pressed[around].copy()
+        among[row - around[0].start, col - around[1].start] = False
+        return float(forces[around][among].mean())
+
+    def _look_for_full(self, forces: Floats) -> list[int]:
+        full = np.flatnonzero(self._mask & (forces >= np.float32(FULL * self._f_max))).tolist()
+        for place in [one for one in self._full if forces.flat[one] < BELOW_FULL * self._f_max]:
+            del self._full[place]
+        found = []
+        for place in full:
+            row, col = divmod(place, self._n_cols)
+            around = forces[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2]
+            # The taxel itself is one of them.
+            if np.count_nonzero(around > BESIDE_FULL * self._f_max) == 1:
+                self._full[place] = self._full.get(place, 0) + 1
+                if self._full[place] >= FULL_LOOKS:
+                    del self._full[place]
+                    found.append(place)
+        return found
+
+
+def _around(counts: np.ndarray[tuple[int, int], np.dtype[np.int8]]) -> Floats:
+    """Return the sum of the eight neighbours of each taxel; 0 beyond the edge."""
+    edged = np.pad(counts, 1)
+    three = edged[:-2] + edged[1:-1] + edged[2:]
+    sums: Floats = three[:, :-2] + three[:, 1:-1] + three[:, 2:] - counts
+    return sums
+
+
+def _reach(pressed: Mask, place: int) -> Reach:
+    """Return how many successive taxels are pressed on both sides of a place in a line."""
+    before, behind = pressed[:place][::-1], pressed[place + 1 :]
+    to_begin = before.size if before.all() else int(np.argmin(before))
+    to_end = behind.size if behind.all() else int(np.argmin(behind))
+    return to_begin, to_end
+
+
+def _shift(here: Reach, there: Reach) -> int:
+    """Return the slide of a contact along a line, taxels: one side gains what the other loses."""
+    begin, end = here[0] - there[0], there[1] - here[1]
+    return min(abs(begin), abs(end)) if begin * end > 0 else 0
+
+
+@dataclass
+class _Suspect:
+    """A taxel that stands alone: its force, and its squared noise in each frame so far."""
+
+    force: float
+    noise: list[float] = field(default_factory=list)
+
+
+class TaxelWatch:
+    """Finds faulty taxels, excludes them from the frames, and logs them.
+
+    A stuck taxel stands alone, as one under a peg does; but a working taxel is noisy, and the more
+    so the harder it is pressed. The noise of one taxel shows along its column of Phi, in the change
+    of the residual from frame to frame. With less than a fifth of the stated variance over 200
+    frames it is stuck: its reading is subtracted from the measurements, and its force is the mean
+    of its neighbours. It is used again once the measurements contradict it.
+
+    Dead and saturated taxels are found by `EndWatch`. A dead one subtracts nothing from the
+    measurements; with M < N / 5 none is searched for.
+
+    Parameters
+    ----------
+    mask, f_max, sigma_mid, sigma_end
+        As in `SkinState`.
+    log : callable
+        Receives one line of text.
+
+    Attributes
+    ----------
+    stuck : dict of int to float
+        Readings of faulty taxels, newtons, by place in the flat grid; 0 for dead ones.
+    """
+
+    def __init__(
+        self,
+        mask: Mask,
+        f_max: float,
+        sigma_mid: float,
+        sigma_end: float,
+        log: Callable[[str], None],
+    ) -> None:
+        self._mask, self._log = mask, log
+        self._middle = f_max / 2
+        self._sigma_mid, self._sigma_end = sigma_mid, sigma_end
+        self._taxels = np.flatnonzero(mask)
+        self._number = np.cumsum(mask.reshape(-1)) - 1
+        self._least = LEAST_FORCE * f_max
+        self._suspects: dict[int, _Suspect] = {}
+        self._last: dict[str, Floats] = {}
+        self._columns: dict[tuple[str, int], Floats] = {}
+        self._n_frames = 0
+        self.stuck: dict[int, float] = {}
+        self._off: dict[int, float] = {}
+        self._subtracted: dict[str, Floats] = {}
+        self._ends = EndWatch(mask, f_max)
+
+    @property
+    def text(self) -> str:
+        """The taxels excluded now, by row and column; "" if there are none."""
+        stuck = [place for place, value in self.stuck.items() if value]
+        named = (("stuck", stuck), ("dead", self.stuck.keys() - stuck))
+        return "; ".join(f"{kind} taxels left out: {self._names(of)}" for kind, of in named if of)
+
+    def cleaned(self, phi: Phi, y: Floats) -> Floats:
+        """Return y, float32 (m,), without the readings of stuck taxels; y is not modified."""
+        if not self.stuck:
+            return y
+        if phi.fingerprint not in self._subtracted:
+            x = np.zeros(self._mask.size, dtype=np.float32)
+            x[list(self.stuck)] = list(self.stuck.values())
+            self._subtracted[phi.fingerprint] = phi.forward(x[self._taxels])
+        return np.subtract(y, self._subtracted[phi.fingerprint])
+
+    def filled(self, forces: Floats) -> Floats:
+        """Return forces, float32 (n_rows, n_cols), with faulty taxels as the mean of neighbours."""
+        if not self.stuck:
+            return forces
+        filled = forces.copy()
+        good = self._mask.copy()
+        good.reshape(-1)[list(self.stuck)] = False
+        for place in self.stuck:
+            row, col = divmod(place, forces.shape[1])
+            around = (slice(max(0, row - 1), row + 2), slice(max(0, col - 1), col + 2))
+            beside = forces[around][good[around]]
+            filled[row, col] = beside.mean() if beside.size else 0
+        return filled
+
+    def update(self, phi: Phi, forces: Floats, residual: Floats) -> None:
+        """Process a frame as reconstructed by phi, not filled: float32 (n_rows, n_cols), newtons.
+
+        `residual`, float32 (m,), is the `cleaned` measurements less Phi times the forces.
+        """
+        last = self._last.get(phi.fingerprint)
+        self._last[phi.fingerprint] = residual
+        if last is not None:
+            self._measure(phi, forces, residual, residual - last)
+        if self._n_frames % EVERY == 0:
+            self._look(forces)
+            self._look_at_ends(forces, phi.m >= LEAST_SEEN * phi.n)
+        self._n_frames += 1
+
+    def _measure(self, phi: Phi, forces: Floats, residual: Floats, change: Floats) -> None:
+        """Collect the noise of suspects; use stuck taxels again that the residual contradicts."""
+        seen = phi.m / phi.n
+        for place, suspect in list(self._suspects.items()):
+            column = self._column(phi, place)
+            suspect.noise.append(float(np.dot(column, change)) ** 2 / 2)
+            if len(suspect.noise) < MEASURED:
+                continue
+            # The median: a contact that moves elsewhere is no noise.
+            variance = float(np.median(suspect.noise)) / MEDIAN_SQUARE
+            expected = seen * float(self._sigma(np.array(suspect.force, np.float32)))
+            suspect.noise.clear()
+            if variance < QUIET * expected**2 and self._as_noisy_as_stated(forces, change):
+                self._exclude(place, suspect.force)
+        for place, value in list(self.stuck.items()):
+            if not value:
+                continue
+            off = float(np.dot(self._column(phi, place), residual)) / seen
+            self._off[place] += MOVED_RATE * (off - self._off[place])
+            if abs(self._off[place]) > MOVED * value:
+                self._use_again(place)
+
+    def _as_noisy_as_stated(self, forces: Floats, change: Floats) -> bool:
+        """Return True if the measurements have the noise that the skin states."""
+        variances = np.square(self._sigma(forces))
+        # Half of the noise of an untouched taxel is clipped at 0.
+        variances[forces < self._sigma_end] *= CUT_OFF
+        stated = float(variances[self._mask].mean())
+        return float(np.median(np.square(change))) / MEDIAN_SQUARE / 2 > REAL * stated
+
+    def _sigma(self, forces: Floats) -> Floats:
+        """Return the standard deviation of the noise on forces, as the skin states."""
+        apart = np.minimum(np.abs(forces - self._middle) / self._middle, 1)
+        sigma: Floats = self._sigma_mid + (self._sigma_end - self._sigma_mid) * apart
+        return sigma
+
+    def _exclude(self, place: int, value: float) -> None:
+        self._suspects.pop(place, None)
+        self.stuck[place], self._off[place] = value, 0.0
+        self._subtracted.clear()
+        fault = f"is stuck at {value:.3g}" if value else "reads 0 in every contact"
+        self._log(f"taxel {self._names([place])} {fault}: left out")
+
+    def _use_again(self, place: int) -> None:
+        del self.stuck[place]
+        self._subtracted.clear()
+        self._log(f"taxel {self._names([place])} works again: used")
+
+    def _look_at_ends(self, forces: Floats, search_dead: bool) -> None:
+        """Exclude taxels that stay at an end of the range; use dead ones again that do not."""
+        dead, saturated, alive = self._ends.look(forces, self.stuck)
+        for place in dead if search_dead else ():
+            self._exclude(place, 0.0)
+        for place in saturated:
+            self._exclude(place, float(forces.flat[place]))
+        for place in alive:
+            if not self.stuck[place]:
+                self._use_again(place)
+
+    def _look(self, forces: Floats) -> None:
+        """Suspect the taxels that stand alone; drop those that do not any more, or have changed."""
+        edged = np.pad(forces, 1)
+        beside = np.maximum(edged[:-2], edged[2:])
+        three = np.maximum(beside, edged[1:-1])
+        most = np.maximum(np.maximum(three[:, :-2], three[:, 2:]), beside[:, 1:-1])
+        alone = self._mask & (forces > self._least) & (most < ALONE * forces)
+        places = set(np.flatnonzero(alone).tolist()) - self.stuck.keys()
+        flat = forces.reshape(-1)
+        if not places and not self._suspects and not self.stuck:
+            self._columns.clear()
+        for place, suspect in list(self._suspects.items()):
+            if place not in places or abs(flat[place] - suspect.force) > CHANGE * suspect.force:
+                del self._suspects[place]
+        for place in sorted(places - self._suspects.keys())[: MOST - len(self._suspects)]:
+            self._suspects[place] = _Suspect(float(flat[place]))
+
+    def _column(self, phi: Phi, place: int) -> Floats:
+        key = phi.fingerprint, place
+        if key not in self._columns:
+            unit = np.zeros(phi.n, dtype=np.float32)
+            unit[self._number[place]] = 1
+            self._columns[key] = phi.forward(unit)
+        return self._columns[key]
+
+    def _names(self, places: Iterable[int]) -> str:
+        n_cols = self._mask.shape[1]
+        named = [f"({place // n_cols}, {place % n_cols})" for place in sorted(places)]
+        more = f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
+        return ", ".join(named[:MOST_NAMED]) + more

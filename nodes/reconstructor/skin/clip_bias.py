@@ -1,0 +1,95 @@
+"""The bias of readings clipped at 0: estimated from the measurements, and corrected."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.solvers.projection import Projection
+
+#: Largest bias, in standard deviations of the noise. Derived: normal noise of deviation sigma,
+#: clipped at 0, has mean 0.399 sigma and deviation 0.584 sigma, a ratio of 0.68; the rest is room
+#: for the error of the estimate.
+LARGEST = 0.75
+#: Growth per frame of the least noise variance so far, which bounds the bias: it is that of an
+#: untouched skin. With the noise of a contact, a badly reconstructed scene could pass for bias.
+FORGOTTEN = 1.002
+#: Least rate of the estimate.
+SLOWEST = 0.05
+#: First frames in which the median of the taxels is used, and every how many frames later.
+FIRST, EVERY = 8, 32
+
+
+class ClipBias:
+    """The mean reading of an untouched taxel, whose noise is clipped at 0.
+
+    The bias is one number b for the whole skin. b Phi 1 is subtracted from the measurements, so
+    that an untouched taxel is reconstructed as 0. A touched taxel has no bias: a force whose
+    readings have the mean b + u is u + b (1 - exp(-u / b)), to within 0.03 b (`add_back`).
+
+    The estimate follows the residual along Phi 1 and, as a bias looks like a force on most taxels,
+    the median of the taxels. On a skin without bias it ends at b = 0.
+
+    Attributes
+    ----------
+    b : float
+        The estimate, newtons, at least 0.
+    ones : ndarray of float32, shape (n_rows,)
+        Phi 1 as a vector of rows, of the current row subset.
+    """
+
+    def __init__(self, projection: Projection, n: int) -> None:
+        self._projection = projection
+        self._n = n
+        self._known: dict[int, tuple[Floats, float]] = {}
+        self.use(0)
+        self._b = np.zeros((), dtype=np.float32)
+        self._scaled = np.zeros_like(self.ones)
+        self.reset()
+
+    def use(self, subset: int) -> None:
+        """Expect measurements of the row subset of this number, which the projection now is of."""
+        if subset not in self._known:
+            rows = np.zeros((1, self._projection.n_rows), dtype=np.float32)
+            self._projection.forward(np.ones((1, self._n), dtype=np.float32), rows)
+            self._known[subset] = rows[0], float(np.dot(rows[0], rows[0]))
+        self.ones, self._energy = self._known[subset]
+
+    def reset(self) -> None:
+        """Forget all frames."""
+        self.b = 0.0
+        self._n_frames = 0
+        self._least_s2 = math.inf
+
+    def subtract(self, y_rows: Floats) -> None:
+        """Subtract the bias from measurements in place, a vector of rows."""
+        if self.b:
+            self._b[()] = self.b
+            np.multiply(self.ones, self._b, self._scaled)
+            np.subtract(y_rows, self._scaled, y_rows)
+
+    def update(self, left: float, x: Floats, s2: float) -> None:
+        """Process a reconstructed frame x without the bias, float32 (n,), newtons.
+
+        `left` is the product of Phi 1 with the residual, s2 the variance of a measurement's noise.
+        """
+        self._n_frames += 1
+        more = left / self._energy if self._energy else 0.0
+        if self._n_frames <= FIRST or self._n_frames % EVERY == 0:
+            more += float(np.median(x))
+        self._least_s2 = min(FORGOTTEN * self._least_s2, s2)
+        noise = math.sqrt(self._least_s2)
+        more = min(max(more, -noise / 2), noise / 2)
+        rate = max(SLOWEST, 1 / (self._n_frames + 1))
+        self.b = min(max(self.b + rate * more, 0.0), LARGEST * noise)
+
+    def add_back(self, forces: Floats) -> None:
+        """Convert means above b to forces, in place, float32 of any shape."""
+        if self.b:
+            share = forces * np.float32(-1 / self.b)
+            np.exp(share, share)
+            np.subtract(np.float32(1), share, share)
+            np.multiply(share, np.float32(self.b), share)
+            np.add(forces, share, forces)

@@ -1,0 +1,109 @@
+"""The noise level of the measurements, estimated from the measurements themselves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import Floats
+
+#: Rate of the estimate: it follows a contact, whose taxels are noisier, within some frames.
+RATE = 0.4
+#: Largest growth in a frame: the begin of a touch looks like noise in the first differences.
+FASTEST = 1.4
+#: The same under rotating rows, unless the estimate is below this part of the squared innovation:
+#: else apparent noise may be an error of the reconstruction.
+FASTEST_ROTATING, CLEARLY = 1.05, 0.7
+#: Frames after a jump in which a lower level is adopted at once: it is that of another contact.
+RELEARNED = 3
+#: Mean squared innovation, in noise variances, beyond which the scene has jumped.
+JUMP = 5.0
+
+
+class NoiseLevel:
+    """Variance of the noise on a measurement, from differences between frames.
+
+    At a kilohertz the rate of change of the forces is nearly constant from frame to frame, so the
+    second differences of measurements are noise of 6 times the variance. If nothing moves, the
+    first differences, of 2 times the variance, are more accurate. Motion adds to either, so the
+    least is used, and at most the mean squared innovation.
+
+    With rotating rows, comparable frames are far apart, and at few frames a second their
+    differences are all motion. The residual of the last frame is then the better bound (`limit`).
+
+    Attributes
+    ----------
+    s2 : float
+        The estimate, squared newtons; 0 before the first frame.
+    jumped : bool
+        True if the last frame was the first one, or its mean squared innovation was more than 5
+        times the level. Its differences to other frames are not used.
+    since_jump : int
+        Frames since the last jump; 0 for a frame that jumped.
+    """
+
+    def __init__(self, m: int) -> None:
+        self._difference = np.zeros(m, dtype=np.float32)
+        self._m = m
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames."""
+        self.s2 = 0.0
+        self.jumped = True
+        self.since_jump = 0
+        self._settled = self._begun = False
+        self._limit = math.inf
+        self._subsets: dict[int, _Past] = {}
+        self.use(0)
+
+    def use(self, subset: int) -> None:
+        """Expect measurements of this row subset; only frames of the same one are compared."""
+        self._past = self._subsets.setdefault(subset, _Past(self._m))
+
+    def limit(self, s2: float) -> None:
+        """Bound the level of the next frame, squared newtons."""
+        self._limit = s2
+
+    def update(self, y: Floats, e2: float, jumped: bool = False) -> None:
+        """Process the measurements of a frame, float32 (m,), newtons.
+
+        e2 is the mean squared innovation; `jumped` if the scene is known to have jumped.
+        """
+        seen, past = min(e2, self._limit), self._past
+        self._limit = math.inf
+        if past.n_differences >= 0:
+            difference = np.subtract(y, past.y, self._difference)
+            seen = min(seen, float(np.dot(difference, difference)) / (2 * self._m))
+            if past.n_differences > 0:
+                second = np.subtract(difference, past.step, past.step)
+                seen = min(seen, float(np.dot(second, second)) / (6 * self._m))
+            past.step, self._difference = self._difference, past.step
+        np.copyto(past.y, y)
+        self.jumped = jumped or not self._begun or e2 > JUMP * self.s2
+        self.since_jump = 0 if self.jumped else self.since_jump + 1
+        self._begun = True
+        past.n_differences += 1
+        if not self._settled:
+            # The first frames have only the innovation, which a contact makes far too large.
+            self.s2 = seen
+            self._settled = past.n_differences == 1
+            return
+        doubtful = len(self._subsets) > 1 and seen >= CLEARLY * e2
+        learning = 0 < self.since_jump <= RELEARNED and seen < self.s2
+        nearer = seen if learning else self.s2 + RATE * (seen - self.s2)
+        self.s2 = min(nearer, (FASTEST_ROTATING if doubtful else FASTEST) * self.s2)
+        if self.jumped:
+            for other in self._subsets.values():
+                other.n_differences = -1
+            past.n_differences = 0
+
+
+class _Past:
+    """The last measurements of one row subset, and their difference to those before."""
+
+    def __init__(self, m: int) -> None:
+        self.y = np.zeros(m, dtype=np.float32)
+        self.step = np.zeros(m, dtype=np.float32)
+        self.n_differences = -1

@@ -1,0 +1,176 @@
+"""Prediction of a frame from the last: the same contact, moved a little, pressed differently."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.reconstructor.solvers.projection import Projection
+
+#: Least reduction of the squared innovation by three free parameters, in noise variances. Noise
+#: alone gives 3 on average, and 12 in less than one frame of a hundred (chi-square).
+SIGNIFICANT = 12.0
+#: Mean squared innovation, in noise variances, up to which no motion is estimated.
+STILL = 0.95
+#: A prediction has failed if the innovation has this part of the measurements' energy, and this
+#: many noise variances.
+HARDLY, DOUBTFUL = 0.5, 2.0
+
+
+class Prediction:
+    """Predicts a frame from the last by least squares on the measurements.
+
+    x + a x + b dx/drow + c dx/dcol: a force that grows or fades, a contact that slides. It is used
+    only if it explains the measurements significantly better than x, so that noise does not blur
+    a still scene.
+
+    Attributes
+    ----------
+    failed : bool
+        True if the last frame predicted worse than 0, which was used instead.
+    moved : bool
+        True if the prediction differs from the last frame.
+    whole : ndarray of float32, shape (n_rows,)
+        W x of the last frame, if the projection `has_whole`.
+    """
+
+    def __init__(self, projection: Projection, neighbours: Neighbours, n: int, m: int) -> None:
+        self._m = m
+        self.failed = self.moved = False
+        self._projection = projection
+        self._neighbours = neighbours
+        self._terms = np.zeros((3, n), dtype=np.float32)
+        self._rows = np.zeros((3, projection.n_rows), dtype=np.float32)
+        self._moved = np.zeros(n, dtype=np.float32)
+        self.whole = np.zeros(projection.n_rows, dtype=np.float32)
+        self._moved_innovation = np.zeros(projection.n_rows, dtype=np.float32)
+
+    def predict(self, x: Floats, y: Floats, innovation: Floats, s2: float) -> float:
+        """Predict a frame; return the squared length of the innovation.
+
+        Parameters
+        ----------
+        x : ndarray of float32, shape (n,)
+            The last frame; becomes the prediction.
+        y, innovation : ndarray of float32, shape (n_rows,)
+            Measurements as a vector of rows; becomes y - Phi x of the prediction.
+        s2 : float
+            Variance of the noise on a measurement.
+        """
+        y2 = float(np.dot(y, y))
+        self.failed = self.moved = False
+        if not float(np.dot(x, x)) > 0:
+            self.whole.fill(0)
+            np.copyto(innovation, y)
+            return y2
+        e2 = self._stay(x, y, innovation)
+        if e2 > STILL * self._m * s2:
+            still_e2, e2 = e2, self._move(x, y, innovation, e2, s2)
+            self.moved = e2 < still_e2
+        # A vanished contact still fits a little, scaled down to next to nothing.
+        self.failed = e2 > HARDLY * y2 and e2 > DOUBTFUL * self._m * s2
+        if self.failed:
+            self.moved = True
+            x.fill(0)
+            np.copyto(innovation, y)
+            return y2
+        return e2
+
+    def _stay(self, x: Floats, y: Floats, innovation: Floats) -> float:
+        """Compute the innovation of x itself; return its squared length."""
+        if self._projection.has_whole:
+            self._projection.whole(x, self.whole)
+            np.multiply(self.whole, self._projection.measured, self._rows[0])
+        else:
+            self._projection.forward(x[None], self._rows[:1])
+        np.subtract(y, self._rows[0], innovation)
+        return float(np.dot(innovation, innovation))
+
+    def _fill_terms(self, x: Floats) -> None:
+        """Set `_terms` to x and its differences along rows and columns."""
+        terms, neighbours = self._terms, self._neighbours
+        neighbours.gather(x)
+        np.copyto(terms[0], x)
+        np.subtract(neighbours.after, neighbours.before, terms[1:])
+
+    def _move(self, x: Floats, y: Floats, innovation: Floats, e2: float, s2: float) -> float:
+        """Fit and add the terms to x; return the squared length of the innovation then."""
+        rows = self._rows
+        self._fill_terms(x)
+        self._projection.forward(self._terms[1:], rows[1:])
+        gram = [[float(np.dot(a, b)) for b in rows[: k + 1]] for k, a in enumerate(rows)]
+        right = [float(np.dot(row, innovation)) for row in rows]
+        largest = max(gram[k][k] for k in range(3))
+        if not 0 < largest < math.inf:
+            return e2
+        found = _solve(gram, right, 1e-6 * largest)
+        if not sum(c * r for c, r in zip(found, right, strict=True)) > SIGNIFICANT * s2:
+            return e2
+        moved = np.dot(np.array(found, dtype=np.float32), self._terms, self._moved)
+        np.add(x, moved, moved)
+        # The unobserved part must not grow without bound, frame after frame.
+        np.clip(moved, 0, float(x.max()) * max(1.0, 1 + found[0]), out=moved)
+        moved_innovation = self._moved_innovation
+        self._projection.forward(moved[None], moved_innovation[None])
+        np.subtract(y, moved_innovation, moved_innovation)
+        moved_e2 = float(np.dot(moved_innovation, moved_innovation))
+        if not moved_e2 < e2:
+            return e2
+        np.copyto(x, moved)
+        np.copyto(innovation, moved_innovation)
+        return moved_e2
+
+
+def _solve(gram: list[list[float]], right: list[float], ridge: float) -> list[float]:
+    """Solve three normal equations, their lower triangle given, by cofactors."""
+    a, b, c = gram[0][0] + ridge, gram[1][0], gram[2][0]
+    d, e, f = gram[1][1] + ridge, gram[2][1], gram[2][2] + ridge
+    first = (d * f - e * e, c * e - b * f, b * e - c * d)
+    determinant = a * first[0] + b * first[1] + c * first[2]
+    second = (first[1], a * f - c * c, b * c - a * e)
+    third = (first[2], b * c - a * e, a * d - b * b)
+    return [
+        sum(k * r for k, r in zip(row, right, strict=True)) / determinant
+        for row in (first, second, third)
+    ]
+
+
+class Neighbours:
+    """Gathers the four neighbours of each taxel; a missing neighbour is the taxel itself.
+
+    place_of_cell and n are as in `ShiftedHaar`.
+
+    Attributes
+    ----------
+    after, before : ndarray of float32, shape (2, n)
+        Values of the next and of the last neighbour along rows, and columns, as of `gather`.
+    places : tuple of ndarray of intp, shape (2, n)
+        Places of these neighbours, for `after` and `before`.
+    """
+
+    def __init__(self, place_of_cell: Indices, n: int) -> None:
+        self.places = _places(place_of_cell, n, -1), _places(place_of_cell, n, 1)
+        self.after = np.zeros((2, n), dtype=np.float32)
+        self.before = np.zeros((2, n), dtype=np.float32)
+
+    def gather(self, x: Floats) -> None:
+        """Fill `after` and `before` from a vector of taxels, float32 (n,)."""
+        after, before = self.places
+        x.take(after, None, self.after, "clip")
+        x.take(before, None, self.before, "clip")
+
+
+def _places(place_of_cell: Indices, n: int, shift: int) -> Indices:
+    """Return the place of the neighbour of each place along rows and columns, (2, n)."""
+    found = np.empty((2, n), dtype=np.intp)
+    exists = place_of_cell < n
+    for axis in (0, 1):
+        other = np.roll(place_of_cell, shift, axis=axis)
+        edge = [slice(None), slice(None)]
+        edge[axis] = slice(-1, None) if shift < 0 else slice(0, 1)
+        other[tuple(edge)] = n
+        other = np.where(other < n, other, place_of_cell)
+        found[axis, place_of_cell[exists]] = other[exists]
+    return found

@@ -1,0 +1,124 @@
+"""Measurements of the other row subsets of rotating rows, as far as they still hold."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import TINY, Floats
+from sparseskin.nodes.reconstructor.solvers.projection import Projection
+
+#: Largest weight of a row of earlier frames; a row of this frame has weight 1. With more, the noise
+#: of earlier frames, which the estimate has averaged out, returns.
+MOST = 0.3
+#: Change since a row was read, in noise variances, that may be noise; decay of the weight beyond.
+NOISE_CHANGE, DECAY = 1.05, 10.0
+
+
+class RowMemory:
+    """Measurements of earlier frames, used in a frame with less weight while they still hold.
+
+    The residual of a row, noise or a touch too weak for one frame, is lost with its frame. Here
+    each row of W keeps its last measurement, moved along with the prediction. In a frame such a
+    row has the weight
+
+        w = 0.3 / sqrt(1 + 10 D)
+
+    D being the change of this frame's rows since they were read last, in noise variances. So a
+    still skin is reconstructed from all of W, one that moves from the frame alone.
+
+    Parameters
+    ----------
+    projection, m
+        One that has `whole`; number of measurements.
+    whole : ndarray of float32, shape (n_rows,)
+        W x of the last estimate when `recall` is called; becomes that of the prediction.
+
+    Attributes
+    ----------
+    read : ndarray of float32, shape (n_rows,)
+        1 for the rows of this frame, 0 for others.
+    m_counted : float
+        Sum of the squared weights: the equivalent number of measurements.
+    """
+
+    def __init__(self, projection: Projection, m: int, whole: Floats) -> None:
+        self._projection = projection
+        self._m = m
+        self.m_counted = float(m)
+        self._read_by: dict[int, Floats] = {}
+        floats = [np.zeros(projection.n_rows, dtype=np.float32) for _ in range(5)]
+        self.read, self._known, self._values, self._rows, self._weights = floats
+        self._whole = whole
+        self._factors = np.zeros(3, dtype=np.float32)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the measurements of all earlier frames."""
+        self._subsets: set[int] = set()
+        self._known.fill(0)
+        self._values.fill(0)
+
+    def recall(
+        self,
+        subset: int,
+        x: Floats | None,
+        y: Floats,
+        target: Floats,
+        gain: float,
+        s2: float,
+        nis: float,
+    ) -> None:
+        """Set the weights of the projection, and the target of the iterations.
+
+        Parameters
+        ----------
+        subset : int
+            Number of the row subset of y.
+        x : ndarray of float32, shape (n,), or None
+            Prediction of the frame; None where it is the last estimate.
+        y, target : ndarray of float32, shape (n_rows,)
+            Measurements as a vector of rows; becomes w (W x + K (measured - W x)).
+        gain, s2, nis : float
+            K, noise variance, and normalised innovation squared: the change D of a row subset that
+            is read for the first time.
+        """
+        if subset not in self._read_by:
+            self._read_by[subset] = (self._projection.measured > 0).astype(np.float32)
+        self.read = self._read_by[subset]
+        change2 = self._compare(x, y)
+        change = nis - NOISE_CHANGE
+        if subset in self._subsets:
+            change = change2 / (self._m * s2 + TINY) - 2 * NOISE_CHANGE
+        counted = MOST / math.sqrt(1 + DECAY * max(0.0, change))
+        self._subsets.add(subset)
+        self.m_counted = self._m * (1 + counted**2 * (len(self._subsets) - 1))
+        self._follow(gain, counted, target)
+
+    def _compare(self, x: Floats | None, y: Floats) -> float:
+        """Move the known rows along, replace those of y; return their squared change."""
+        whole, rows, values = self._whole, self._rows, self._values
+        if x is not None:
+            self._projection.whole(x, rows)
+            np.subtract(rows, whole, whole)
+            np.add(values, whole, values)
+            np.copyto(whole, rows)
+        np.subtract(y, values, rows)
+        np.multiply(rows, self.read, rows)
+        np.add(values, rows, values)
+        return float(np.dot(rows, rows))
+
+    def _follow(self, gain: float, counted: float, target: Floats) -> None:
+        """Set the target and the weights of rows, `counted` for those of earlier frames."""
+        self._factors[:] = gain, counted, 1 - counted
+        k, w, rest = self._factors[:, None]
+        np.maximum(self._known, self.read, out=self._known)
+        np.multiply(self._known, w, self._weights)
+        np.multiply(self.read, rest, self._rows)
+        np.add(self._weights, self._rows, self._weights)
+        np.subtract(self._values, self._whole, target)
+        np.multiply(target, k, target)
+        np.add(target, self._whole, target)
+        np.multiply(target, self._weights, target)
+        self._projection.weigh(self._weights)

@@ -1,0 +1,378 @@
+"""The default solver: randomly shifted Haar, and a prediction from the last frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Mask
+from sparseskin.nodes.numerics.compiled import MAX_PLACES, use_compiled
+from sparseskin.nodes.numerics.programs import run
+from sparseskin.nodes.reconstructor.bases.base import Basis
+from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, TILE, ShiftedHaar
+from sparseskin.nodes.reconstructor.solvers.backends import make_projection
+from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
+
+from .clip_bias import ClipBias
+from .gain import AdaptiveGain
+from .noise_level import NoiseLevel
+from .prediction import Neighbours, Prediction
+from .row_memory import RowMemory
+
+N_DRAWN = 4093
+"""Number of shifts drawn in advance; a prime, so that their sequence is in step with nothing."""
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Constants of `SkinSolver`, without unit unless stated; chosen on simulated scenes."""
+
+    #: Threshold, in RMS residuals.
+    threshold: float = 1.4
+    #: Least threshold, in standard deviations of the noise of a filtered frame.
+    least_threshold: float = 0.5
+    #: Least threshold, in RMS innovations, with fixed rows and with rotating ones. A threshold that
+    #: falls with the residual would not hold against a wrong estimate that fits the measurements;
+    #: rotating rows contradict such an estimate in the next frame.
+    held_threshold: float = 0.8
+    held_rotating: float = 0.3
+    #: Threshold of a frame that starts from 0, in standard deviations of the interference of the
+    #: other taxels in its first gradient step. With few measurements `threshold` would be far
+    #: above that and suppress a contact.
+    cold_threshold: float = 2.4
+    #: Frames after a jump that have all iterations, too: errors that no measurement observes would
+    #: be kept otherwise.
+    settling: int = 2
+    #: Part of the noise energy that an estimate should leave in the residual: at most, and times
+    #: M / N. With less, noise was reconstructed as force, and the threshold is raised by the factor
+    #: (part / actual)^exponent, up to a limit, which decays by a factor a frame.
+    left: float = 0.65
+    left_by_ratio: float = 2.0
+    caution_exponent: float = 0.3
+    most_caution: float = 1.5
+    caution_decay: float = 0.9
+    #: Part of the noise energy below which the noise level is wrong: motion at few frames a second.
+    doubted: float = 0.1
+    momentum: float = 0.7
+    #: The estimate is the mean of this many last iterates, each with its own shift.
+    averaged: int = 3
+    #: Normalised innovation squared beyond which iterations are added, and how many per unit.
+    expected_nis: float = 1.05
+    iterations_per_nis: float = 20.0
+
+
+TUNING = Tuning()
+
+
+class SkinSolver(Solver):
+    """Reconstructs frames from measurements, the last frame, and noise statistics of its own.
+
+    1. Noise clipped at 0 biases untouched taxels: the bias is estimated and subtracted
+       (`ClipBias`).
+    2. The last frame, moved affinely, predicts this one: x_p (`Prediction`).
+    3. The innovation e = y - Phi x_p and the noise level (`NoiseLevel`) give the gain K
+       (`AdaptiveGain`) of the target y' = Phi x_p + K e, K = 1 if the scene has jumped.
+    4. Iterations from x_p: r = y' - Phi z, u = z + Phi^T r, x = max(0, Psi_s g(Psi_s^T u)),
+       z = x + 0.7 (x - x_before). Psi_s is three levels of Haar under a random shift s
+       (`ShiftedHaar`), g(c) = c max(0, 1 - lambda^2 / c^2) the nonnegative garrote, lambda 1.4
+       RMS of r, bounded from below by noise and innovation. The number of iterations grows with
+       the normalised innovation squared.
+    5. The mean of the last iterates, and the bias added back to touched taxels.
+
+    A residual far below the noise shows that noise was reconstructed as force: the thresholds of
+    the next frame are then raised, up to 1.5 times.
+
+    With rotating rows, one solver serves all row subsets (`use`): the prediction carries over, and
+    noise, bias and gain are kept for each. A wrong estimate that fits the rows of one frame is
+    contradicted by the next; on a still skin, earlier measurements of other rows are part of the
+    target (`RowMemory`).
+
+    Step length, noise and threshold come from the measurements: relative errors are the same on a
+    skin of another range. The same measurements give the same bits on one machine: shifts are drawn
+    from a generator that `reset` restarts.
+
+    Parameters
+    ----------
+    phi, mask
+        As in `Solver`. "sbhe" with blocks of at most 64 is several times faster than others.
+    basis : Basis
+        Gives the size of the grid; the solver has its own Haar.
+    iterations : int, optional
+        Least iterations of a frame, 1..1000. None: 3 at M = N/3 and N/4, 4 at N/8, more with fewer
+        measurements.
+    max_iterations : int
+        Most iterations of a frame, 1..1000; never fewer than `iterations`.
+    seed : int
+        Seed of the shifts, at least 0.
+    fast : str
+        Use of compiled loops, for "sbhe": "auto" (where numba is installed), "on" or "off". The
+        forces are the same to within some 1e-5 N at M = N/3. With far fewer measurements the method
+        amplifies rounding: measurements that differ by 1e-7 N make as large a difference.
+
+    Raises
+    ------
+    SolverError
+        If a parameter is not allowed; and as in `Solver`.
+
+    Notes
+    -----
+    Source: a denoiser within the iteration: Metzler, Maleki, Baraniuk, "From denoising to
+    compressed sensing", IEEE Trans. Information Theory 62(9), 2016. Those of the parts: there.
+    """
+
+    name = "skin"
+    rotates = True
+    #: The sum of squares of larger ones could overflow float32.
+    y_max = 1e14
+
+    def __init__(
+        self,
+        phi: Phi,
+        basis: Basis,
+        mask: Mask | None = None,
+        *,
+        iterations: int | None = None,
+        max_iterations: int = 16,
+        seed: int = 0,
+        fast: str = "auto",
+    ) -> None:
+        super().__init__(phi, basis, mask)
+        if iterations is None:
+            iterations = min(2 + round(phi.ratio / 4), MAX_ITERATIONS)
+        self.iterations = whole_number("skin", "iterations", iterations, 1, MAX_ITERATIONS)
+        most = whole_number("skin", "max_iterations", max_iterations, 1, MAX_ITERATIONS)
+        self.max_iterations = max(most, self.iterations)
+        whole_number("skin", "seed", seed, 0, 2**32 - 1)
+
+        n = phi.n
+        self._subsets = {phi.fingerprint: 0}
+        n_tiles = math.prod(-(-side // TILE) for side in self.mask.shape)
+        compiled = use_compiled(fast) and type(phi) is SbhePhi and n_tiles * TILE**2 < MAX_PLACES
+        self._projection = make_projection(phi, compiled)
+        self._place_of_cell = np.full(self.mask.size, n, dtype=np.intp)
+        self._place_of_cell[self.taxels[self._projection.order]] = np.arange(n)
+        places = self._place_of_cell.reshape(self.mask.shape)
+        self._haar = ShiftedHaar(self.mask.shape, places, n)
+        neighbours = Neighbours(places, n)
+        self._prediction = Prediction(self._projection, neighbours, n, phi.m)
+        self._noise = NoiseLevel(phi.m)
+        self._bias = ClipBias(self._projection, n)
+        self._gain = AdaptiveGain(self._projection.n_rows)
+        self._memory: RowMemory | None = None
+        if self._projection.has_whole:
+            self._memory = RowMemory(self._projection, phi.m, self._prediction.whole)
+        rng = np.random.default_rng(seed)
+        self._shifts: list[int] = rng.integers(len(SHIFTS), size=N_DRAWN).tolist()
+
+        def floats(size: int) -> Floats:
+            return np.zeros(size, dtype=np.float32)
+
+        # Vectors of taxels end with a 0, which cells without a taxel read.
+        self._x_and_zero, self._u_and_zero = floats(n + 1), floats(n + 1)
+        self._x, self._u = self._x_and_zero[:n], self._u_and_zero[:n]
+        self._before, self._z, self._sum = floats(n), floats(n), floats(n)
+        rows = (floats(self._projection.n_rows) for _ in range(4))
+        self._y, self._innovation, self._target, self._r = rows
+        self._canvas = floats(self._haar.size)
+        # An array of them: numpy compares with a single number three times as slowly.
+        self._zeros = floats(n)
+        self._lambda2 = np.zeros((), dtype=np.float32)
+        self._momentum = np.array(TUNING.momentum, dtype=np.float32)
+        self._factor = np.zeros((), dtype=np.float32)
+        self._shrink = self._haar.shrinking(self._canvas, self._lambda2)
+        #: The work of `step` and `finish`: with numpy, or in compiled loops.
+        self._iterate: Callable[[int, float, float, bool], None] = self._numpy_iteration
+        self._forces_of: Callable[[Floats, float], Floats] = self._numpy_forces
+        if compiled:
+            self._compile(neighbours)
+        self.n_steps = self.iterations
+        self.reset()
+
+    def _compile(self, neighbours: Neighbours) -> None:
+        """Replace the parts that take most of the time by compiled loops."""
+        # Imported here: they need numba.
+        from sparseskin.nodes.reconstructor.solvers.fast import CompiledProjection
+
+        from . import fast
+
+        projection, m = self._projection, self.phi.m
+        assert isinstance(projection, CompiledProjection)
+        vectors = (self._x, self._z, self._r, self._target, self._sum, self._canvas)
+        self._prediction = fast.CompiledPrediction(projection, neighbours, self.phi.n, m)
+        self._memory = fast.CompiledRowMemory(projection, m, self._prediction.whole)
+        self._iterate = fast.CompiledIteration(
+            projection, self._haar, (*vectors, self._u_and_zero), m, TUNING.momentum
+        )
+        self._forces_of = fast.compiled_forces(self._place_of_cell)
+
+    def reset(self) -> None:
+        self._x.fill(0)
+        self._noise.reset()
+        self._bias.reset()
+        self._gain.reset()
+        if self._memory is not None:
+            self._memory.forget()
+        self._caution = 1.0
+        self._last_phi = self.phi
+        self._rotating = self._begun = False
+        subset = self._subsets[self.phi.fingerprint]
+        self._noise.use(subset)
+        self._gain.use(subset)
+        self._next_shift = 0
+        self._steps_left = 0
+
+    def use(self, phi: Phi) -> None:
+        """Expect measurements of other rows of the same W, or raise SolverError by their number."""
+        if (phi.n, phi.m) != (self.phi.n, self.phi.m):
+            raise SolverError(
+                f"skin: phi {phi.fingerprint} is {phi.m} x {phi.n}; "
+                f"allowed: {self.phi.m} x {self.phi.n}"
+            )
+        subset = self._subsets.setdefault(phi.fingerprint, len(self._subsets))
+        self.phi = phi
+        self._projection.use(phi)
+        self._noise.use(subset)
+        self._bias.use(subset)
+        self._gain.use(subset)
+
+    def setup(self, y: Floats, warm: Floats | None = None) -> None:
+        y = self._checked_y(y)
+        if self._begun and self.phi is not self._last_phi:
+            self._rotating = True
+        self._begun, self._last_phi = True, self.phi
+        if warm is not None:
+            cells = self.taxels[self._projection.order]
+            self._checked_warm(warm).reshape(-1).take(cells, None, self._x, "clip")
+            np.maximum(self._x, 0, out=self._x)
+        self._projection.rows_of(y, self._y)
+        self._bias.subtract(self._y)
+        if self._projection.has_whole:
+            self._projection.weigh(None)
+        e2 = self._prediction.predict(self._x, self._y, self._innovation, self._noise.s2)
+        e2 /= self.phi.m
+        self._noise.update(y, e2, self._prediction.failed)
+        jumped, settling = self._noise.jumped, self._noise.since_jump <= TUNING.settling
+        self._gain.update(self._innovation, self.phi.m, self._noise.s2, settling)
+        gain = self._gain.gain
+
+        noise = 0.0 if jumped else TUNING.least_threshold * math.sqrt(self._gain.noise * gain)
+        held = TUNING.held_rotating if self._rotating else TUNING.held_threshold
+        self._least = max(noise, held * math.sqrt(e2) * gain) * self._projection.step_size
+        cold = TUNING.cold_threshold / math.sqrt(self.phi.ratio)
+        if jumped:
+            self._caution = 1.0
+        threshold = min(TUNING.threshold, cold) if jumped else TUNING.threshold * self._caution
+        self._threshold = threshold * self._projection.step_size
+        more = TUNING.iterations_per_nis * max(0.0, self._gain.nis - TUNING.expected_nis)
+        more = self.max_iterations if settling else min(more, self.max_iterations)
+        self.n_steps = min(self.max_iterations, self.iterations + int(more))
+        if self._memory is not None and self._rotating:
+            self._recall(self._memory)
+        else:
+            # y' = Phi x_p + K e
+            self._factor[()] = 1 - gain
+            np.multiply(self._innovation, self._factor, self._target)
+            np.subtract(self._y, self._target, self._target)
+        np.copyto(self._z, self._x)
+        self._sum.fill(0)
+        self._steps_left, self._n_summed = self.n_steps, 0
+
+    def step(self) -> None:
+        summed = self._steps_left <= TUNING.averaged
+        self._count_step()
+        shift = self._shifts[self._next_shift]
+        self._iterate(shift, self._threshold, self._least, summed)
+        self._next_shift = (self._next_shift + 1) % N_DRAWN
+        self._n_summed += summed
+
+    def _numpy_iteration(self, shift: int, threshold: float, least: float, summed: bool) -> None:
+        """Do one iteration under a shift; `threshold` in RMS of r, `least` in newtons."""
+        x, u, z, r = self._x, self._u, self._z, self._r
+        self._projection.forward(z[None], r[None])
+        np.subtract(self._target, r, r)
+        threshold *= math.sqrt(float(np.dot(r, r)) / self.phi.m)
+        self._lambda2[()] = max(threshold, least) ** 2 + TINY
+        self._projection.adjoint(r, u)
+        np.add(u, z, u)
+
+        to_canvas, from_canvas = self._haar.tables(shift)
+        self._u_and_zero.take(to_canvas, None, self._canvas, "clip")
+        run(self._shrink)
+        np.copyto(self._before, x)
+        self._canvas.take(from_canvas, None, x, "clip")
+        np.maximum(x, self._zeros, out=x)
+
+        np.subtract(x, self._before, z)
+        np.multiply(z, self._momentum, z)
+        np.add(z, x, z)
+        if summed:
+            np.add(self._sum, x, self._sum)
+
+    def finish(self) -> Floats:
+        if self._n_summed:
+            self._factor[()] = 1 / self._n_summed
+            np.multiply(self._sum, self._factor, self._x)
+        if not math.isfinite(float(np.dot(self._x, self._x))):
+            self.reset()
+            raise SolverError("skin: the iteration diverged: is phi.lipschitz too small?")
+        if self._steps_left < self.n_steps:
+            # y - Phi x = r of the last iteration + (1 - K) innovation.
+            ones, kept = self._bias.ones, 1 - self._gain.gain
+            left = float(np.dot(ones, self._r)) + kept * float(np.dot(ones, self._innovation))
+            self._bias.update(left, self._x, self._noise.s2)
+            unexplained, free = self._unexplained(), int(np.count_nonzero(self._x))
+            self._adapt_caution(unexplained, free)
+            if self._rotating:
+                self._noise.limit(self._noise_of(unexplained, free))
+        self._steps_left = 0
+        return self._forces_of(self._x_and_zero, self._bias.b).reshape(self.mask.shape)
+
+    def _recall(self, memory: RowMemory) -> None:
+        """Use the rows of earlier frames as well, as far as they still hold."""
+        # While the estimate settles after a jump, earlier rows would preserve its errors.
+        if self._noise.since_jump <= TUNING.settling:
+            memory.forget()
+        memory.recall(
+            self._subsets[self.phi.fingerprint],
+            self._x if self._prediction.moved else None,
+            *(self._y, self._target, self._gain.gain, self._noise.s2, self._gain.nis),
+        )
+        # Thresholds are in RMS of r over the weighted rows.
+        self._threshold *= math.sqrt(self.phi.m / memory.m_counted)
+
+    def _unexplained(self) -> float:
+        """Return the energy of the frame's residual, as it would be with K = 1."""
+        r = self._r
+        if self._memory is not None and self._rotating:
+            r = np.multiply(r, self._memory.read, self._target)
+        return float(np.dot(r, r)) / self._gain.gain**2
+
+    def _adapt_caution(self, unexplained: float, free: int) -> None:
+        """Raise the threshold of the next frame if this one explains too much."""
+        noise = self.phi.m * self._noise.s2
+        if free > self.phi.m or unexplained < TUNING.doubted * noise:
+            # So many free parameters explain everything, right or wrong.
+            self._caution = max(1.0, TUNING.caution_decay * self._caution)
+        elif unexplained > 0 and noise > 0:
+            left = min(TUNING.left, TUNING.left_by_ratio / self.phi.ratio)
+            caution = self._caution * (left * noise / unexplained) ** TUNING.caution_exponent
+            self._caution = min(max(caution, 1.0), TUNING.most_caution)
+
+    def _noise_of(self, unexplained: float, free: int) -> float:
+        """Return the variance of the noise by the residual of the frame.
+
+        The free parameters, one a pressed taxel, absorb a part of it; infinite if too many.
+        """
+        return unexplained / (self.phi.m - free) if free <= self.phi.m / 2 else math.inf
+
+    def _numpy_forces(self, x_and_zero: Floats, bias: float) -> Floats:
+        """Return forces of all cells, from a vector of means above the bias with a 0 behind it."""
+        forces = x_and_zero.take(self._place_of_cell, None, None, "clip")
+        self._bias.add_back(forces)
+        return forces

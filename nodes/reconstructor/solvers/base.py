@@ -1,0 +1,281 @@
+"""The interface of solvers, their registry, and `make_solver`."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+
+from sparseskin.messages.ranges import is_real, is_whole
+from sparseskin.nodes.compressor.phi.acts import ActsPhi
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.lookup import did_you_mean, find_class
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.numerics.compiled import check_fast
+from sparseskin.nodes.reconstructor.bases.base import Basis
+
+SOLVERS = {
+    "skin": "sparseskin.nodes.reconstructor.skin.solver:SkinSolver",
+    "fista": "sparseskin.nodes.reconstructor.solvers.fista:FistaSolver",
+    "fista_nonneg": "sparseskin.nodes.reconstructor.solvers.proximal:FistaNonnegSolver",
+    "reweighted": "sparseskin.nodes.reconstructor.solvers.proximal:ReweightedSolver",
+    "tv": "sparseskin.nodes.reconstructor.solvers.proximal:TvSolver",
+    "oamp": "sparseskin.nodes.reconstructor.solvers.oamp:OampSolver",
+    "ista": "sparseskin.nodes.reconstructor.solvers.proximal:IstaSolver",
+    "omp": "sparseskin.nodes.reconstructor.solvers.omp:OmpSolver",
+    "interpolation": "sparseskin.nodes.reconstructor.solvers.interpolation:InterpolationSolver",
+}
+MAX_ITERATIONS = 1000
+_INTERFACE = ("setup", "step", "finish", "solve", "reset", "n_steps", "taxels")
+
+
+class Solver(ABC):
+    """Reconstructs the forces of a patch from measurements, frame after frame.
+
+    `solve` does a frame at once. `setup`, then `step` up to `n_steps` times, then `finish` do the
+    same in pieces, so that a caller can stop when a frame's time is over. A solver carries its
+    state from frame to frame until `reset`. It owns its work arrays and those of its phi and
+    basis: use one solver per thread, each with its own.
+
+    Parameters
+    ----------
+    phi : Phi
+        Measurement matrix; acts on the existing taxels in row-major order.
+    basis : Basis
+        Basis on the whole grid.
+    mask : ndarray of bool, shape (n_rows, n_cols), optional
+        True where a taxel exists. None: everywhere.
+
+    Attributes
+    ----------
+    n_steps : int
+        Number of steps of the current frame.
+    taxels : ndarray of intp, shape (n,)
+        Place in the flat grid of each existing taxel, ascending.
+
+    Raises
+    ------
+    SolverError
+        If the mask does not fit the grid, or phi not the number of taxels.
+    """
+
+    #: Its registered name, for messages.
+    name: str = "solver"
+    n_steps: int = 1
+    #: Measurements beyond this could overflow float32 inside the solver, newtons.
+    y_max: float = 1e30
+    #: True if `use` lets one solver serve all row subsets of rotating rows.
+    rotates: bool = False
+    #: True if it follows a phi that chooses its taxels anew each frame.
+    follows_choice: bool = False
+
+    def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:
+        shape = (basis.n_rows, basis.n_cols)
+        if mask is None:
+            mask = np.ones(shape, dtype=np.bool_)
+        mask = np.asarray(mask)
+        if mask.shape != shape or mask.dtype != np.bool_:
+            raise SolverError(
+                f"solver: the mask is {mask.dtype} of shape {mask.shape}; "
+                f"expected bool of shape {shape}"
+            )
+        self.phi = phi
+        self.basis = basis
+        self.mask: Mask = mask.copy()
+        self.taxels: Indices = np.flatnonzero(mask)
+        self._inside: Floats = mask.astype(np.float32)
+        #: Steps left in the current frame; `setup` sets it, `finish` clears it.
+        self._steps_left = 0
+        if phi.n != self.taxels.size:
+            raise SolverError(
+                f"solver: phi is for n = {phi.n} taxels; "
+                f"the grid of {shape[0]} x {shape[1]} has {self.taxels.size}"
+            )
+
+    def solve(self, y: Floats, warm: Floats | None = None) -> Floats:
+        """Reconstruct one frame.
+
+        Parameters
+        ----------
+        y : ndarray of float32, shape (m,)
+            Measurements, newtons.
+        warm : ndarray of float32, shape (n_rows, n_cols), optional
+            Estimate to start from, newtons; None: the state that the last frame left.
+
+        Returns
+        -------
+        ndarray of float32, shape (n_rows, n_cols)
+            Forces, newtons, at least 0; 0 where no taxel exists. The caller's own.
+
+        Raises
+        ------
+        SolverError
+            If y or warm is of another shape or not finite, or y so large that float32 does
+            not hold the result.
+        """
+        self.setup(y, warm)
+        for _ in range(self.n_steps):
+            self.step()
+        return self.finish()
+
+    @abstractmethod
+    def setup(self, y: Floats, warm: Floats | None = None) -> None:
+        """Begin a frame; parameters and Raises as in `solve`."""
+
+    @abstractmethod
+    def step(self) -> None:
+        """Do one step of the current frame.
+
+        Raises
+        ------
+        SolverError
+            If the frame has had all its steps, or none was begun.
+        """
+
+    @abstractmethod
+    def finish(self) -> Floats:
+        """End the frame and return its estimate, as `solve` does."""
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget all earlier frames."""
+
+    def use(self, phi: Phi) -> None:
+        """Expect measurements of this row subset of rotating rows from the next frame on.
+
+        Raises
+        ------
+        SolverError
+            If the solver was made for another matrix, and can use no other.
+        """
+        if phi.fingerprint != self.phi.fingerprint:
+            raise SolverError(f"solver: was not made for phi {phi.fingerprint}")
+
+    def _count_step(self) -> None:
+        """Count a step of the current frame; Raises as in `step`."""
+        if not self._steps_left:
+            raise SolverError(f"{self.name}: no step is left of the frame's {self.n_steps}")
+        self._steps_left -= 1
+
+    def _final_forces(self, image: Floats) -> Floats:
+        """End the frame; return the forces of its last image, in place, or raise SolverError."""
+        self._steps_left = 0
+        np.maximum(image, 0, out=image)
+        np.multiply(image, self._inside, out=image)
+        if not np.isfinite(image).all():
+            self.reset()
+            raise SolverError(f"{self.name}: the iteration diverged: is phi.lipschitz too small?")
+        return image
+
+    def _checked_y(self, y: Floats) -> Floats:
+        """Return y as contiguous float32, or raise SolverError."""
+        y = np.ascontiguousarray(y, dtype=np.float32)
+        if y.shape != (self.phi.m,):
+            raise SolverError(
+                f"solver: y has shape {y.shape}; expected ({self.phi.m},): m = {self.phi.m}"
+            )
+        # The sum of squares is found far sooner than the extremes, and is hardly ever as large.
+        with np.errstate(over="ignore", invalid="ignore"):
+            power = float(np.dot(y, y))
+        if power < min(self.y_max**2, math.inf):
+            return y
+        if not np.isfinite(y).all():
+            bad = int(np.flatnonzero(~np.isfinite(y))[0])
+            raise SolverError(f"solver: measurement {bad} is {y[bad]}; allowed: finite numbers")
+        if max(float(y.max()), -float(y.min())) > self.y_max:
+            raise SolverError(
+                f"solver: a measurement is beyond +-{self.y_max:g}: too large for float32"
+            )
+        return y
+
+    def _checked_warm(self, warm: Floats) -> Floats:
+        """Return a warm start as contiguous float32, or raise SolverError."""
+        warm = np.ascontiguousarray(warm, dtype=np.float32)
+        if warm.shape != self.mask.shape:
+            raise SolverError(
+                f"solver: the warm start has shape {warm.shape}; expected {self.mask.shape}"
+            )
+        if not np.isfinite(warm).all():
+            raise SolverError("solver: the warm start has values that are not finite")
+        return warm
+
+
+def make_solver(
+    name: str,
+    phi: Phi,
+    basis: Basis,
+    mask: Mask | None = None,
+    *,
+    fast: str = "auto",
+    **settings: Any,
+) -> Solver:
+    """Make a solver by name.
+
+    Parameters
+    ----------
+    name : str
+        One of `SOLVERS`, or "module:Class" for your own: called with phi, basis, mask and the
+        settings as keywords, it must offer what `Solver` does.
+    phi, basis, mask
+        As in `Solver`.
+    fast : str
+        Use of compiled loops: "auto", "on" or "off", as in `compiled.check_fast`.
+    **settings
+        The solver's own, e.g. iterations=20 for "fista".
+
+    Raises
+    ------
+    SolverError
+        If the name or a setting is unknown, a setting is not allowed, phi, basis and mask do
+        not fit, or a class of your own is not a solver.
+    SettingsError
+        If fast is none of these, or "on" without numba.
+    """
+    cls = find_class("solver", name, SOLVERS, SolverError)
+    if isinstance(phi, ActsPhi) and not getattr(cls, "follows_choice", False):
+        raise SolverError(
+            f'solver "{name}": phi "acts" reads other taxels each frame; allowed: interpolation'
+        )
+    parameters = inspect.signature(cls).parameters
+    known = [p for p in parameters if p not in ("phi", "basis", "mask", "fast")]
+    takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+    for setting in settings:
+        if setting not in known and not takes_any:
+            raise SolverError(
+                f'solver "{name}": setting "{setting}" is not known{did_you_mean(setting, known)}'
+            )
+    check_fast(fast)  # also for a solver without compiled loops
+    if "fast" in parameters:
+        settings["fast"] = fast
+    try:
+        made = cls(phi=phi, basis=basis, mask=mask, **settings)
+    except TypeError as cause:
+        raise SolverError(f'solver "{name}" cannot be made: {cause}') from cause
+    missing = [attribute for attribute in _INTERFACE if not hasattr(made, attribute)]
+    if missing:
+        raise SolverError(f'solver "{name}" is no solver: it lacks {", ".join(missing)}')
+    solver: Solver = made
+    return solver
+
+
+def whole_number(solver: str, name: str, value: Any, low: int, high: int) -> int:
+    """Return an integer in low..high, or raise SolverError."""
+    if not is_whole(value, low, high):
+        raise SolverError(
+            f"{solver}: {name} = {value!r} is not allowed; allowed: an integer {low}..{high}"
+        )
+    return int(value)
+
+
+def newtons(solver: str, name: str, value: Any) -> float:
+    """Return a finite number of newtons, 0 or more, or raise SolverError."""
+    if not is_real(value, 0.0):
+        raise SolverError(
+            f"{solver}: {name} = {value!r} is not allowed; allowed: a finite number of newtons, "
+            "0 or more"
+        )
+    return float(value)

@@ -1,0 +1,122 @@
+"""Names and types common to the writer and the reader of bags, the recordings of a graph's topics.
+
+A bag is one MCAP file: unchanged wire payloads in LZ4 chunks that each carry a checksum, and an
+index at the end, which is missing if the recorder was killed.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from sparseskin.messages import End
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.files import NO_FOLDER
+
+FILE_SUFFIX = ".mcap"
+PART_SUFFIX = ".part"
+"""Suffix of an incomplete bag, after FILE_SUFFIX."""
+ENCODING = "msgpack"
+SCHEMA_PREFIX = "sparseskin/"
+VERSION_KEY = "schema_version"
+LIBRARY_PREFIX = "sparseskin "
+
+GRAPH_RECORD = "sparseskin"
+"""Name of the metadata record with the scene, seed, launch file, Phi and versions."""
+COUNTS_RECORD = "counts"
+TOPICS_RECORD = "topics"
+JSON_KEY = "json"
+"""The one key of the metadata records `counts` and `topics`; its value is JSON."""
+
+
+class BagError(SparseskinError):
+    """A bag that cannot be written or read: one line with the file, the fault and the remedy."""
+
+
+def check_new_bag(path: Path) -> Path:
+    """Path of a new bag while it is incomplete.
+
+    Raises BagError if the name does not end in .mcap, the bag exists, complete or not, or its
+    folder does not.
+    """
+    if path.suffix != FILE_SUFFIX:
+        raise BagError(f"{path}: expected a name that ends in {FILE_SUFFIX}")
+    part = path.with_name(path.name + PART_SUFFIX)
+    for taken in (path, part):
+        if os.path.lexists(taken):
+            raise BagError(f"{taken}: exists already, and is not written over")
+    if not path.parent.is_dir():
+        raise BagError(f"{path}: {NO_FOLDER}")
+    return part
+
+
+@dataclass(frozen=True)
+class BagMessage:
+    """One recorded message: its topic "/PATCH/SCHEMA", the time of recording, the stamp of the
+    acquisition as in the message itself, and the wire payload, byte for byte.
+    """
+
+    topic: str
+    log_time_ns: int
+    stamp_ns: int
+    payload: bytes
+
+
+@dataclass
+class TopicInfo:
+    """Content of one topic of a bag; the message that ends its stream is not counted.
+
+    Attributes
+    ----------
+    schema : str
+        Name of the schema, e.g. "taxels".
+    version : int
+        Version of the schema.
+    n_messages : int
+        Number of messages.
+    first_ns, last_ns : int
+        Smallest and largest stamp; 0 without a message.
+    min_lag_ns, max_lag_ns : int or None
+        Range of log time - stamp: with it, an index of log times finds a range of stamps.
+    """
+
+    schema: str
+    version: int
+    n_messages: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    min_lag_ns: int | None = None
+    max_lag_ns: int | None = None
+
+    @property
+    def rate_hz(self) -> float:
+        """Messages a second by their stamps; 0 if all have the same stamp."""
+        span_ns = self.last_ns - self.first_ns
+        return (self.n_messages - 1) * 1e9 / span_ns if span_ns > 0 else 0.0
+
+    def add(self, schema: str, version: int, stamp_ns: int, log_time_ns: int) -> None:
+        """Count one message."""
+        lag_ns = log_time_ns - stamp_ns
+        self.min_lag_ns = lag_ns if self.min_lag_ns is None else min(self.min_lag_ns, lag_ns)
+        self.max_lag_ns = lag_ns if self.max_lag_ns is None else max(self.max_lag_ns, lag_ns)
+        if schema == End.schema:
+            return
+        self.schema, self.version = schema, version
+        self.first_ns = min(self.first_ns, stamp_ns) if self.n_messages else stamp_ns
+        self.last_ns = max(self.last_ns, stamp_ns) if self.n_messages else stamp_ns
+        self.n_messages += 1
+
+
+class Closing:
+    """Context manager that calls `close` at its end."""
+
+    def close(self) -> None:
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,115 @@
+"""Decoded frames of a bag, and the skins they belong to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from tqdm import tqdm
+
+from sparseskin.messages import (
+    Measurements,
+    Message,
+    MessageError,
+    Reconstruction,
+    SkinState,
+    Taxels,
+    Truth,
+    decode,
+)
+from sparseskin.messages.skin import Skin
+from sparseskin.messages.topics import split_topic, topic_of
+
+from .format import BagError, BagMessage
+from .reader import BagReader
+
+FRAMES = (Taxels, Truth, Measurements, Reconstruction)
+FRAME_SCHEMAS = tuple(cls.schema for cls in FRAMES)
+
+
+def array_names(schema: str) -> tuple[str, str]:
+    """Names of the array that holds a schema's frames, and of that of their stamps."""
+    if schema == Taxels.schema:
+        return "forces", "stamp_ns"
+    return schema, f"{schema}_stamp_ns"
+
+
+def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
+    """`f_max` and `unit` of a skin; `mask`, `pitch_m` and `rate_hz` where known."""
+    optional = {"mask": skin.mask, "pitch_m": skin.pitch_m or None, "rate_hz": rate_hz or None}
+    known = {name: value for name, value in optional.items() if value is not None}
+    return {"f_max": skin.f_max, "unit": skin.unit, **known}
+
+
+class Frame(NamedTuple):
+    """A message of taxels, truth, measurements or reconstruction, with its time of recording.
+
+    `array` are its values in the skin's unit, float32 of shape (n_rows, n_cols), or (M,).
+    """
+
+    message: Message
+    log_time_ns: int
+    array: npt.NDArray[np.float32]
+
+
+def frame_topics(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
+    """Names of the topics with frames: all of them, or those requested.
+
+    Raises BagError if there is none, or if a requested topic is missing or holds no frames.
+    """
+    wanted = list(bag.topics) if topics is None else list(dict.fromkeys(topics))
+    bag.messages(wanted)  # refuses a topic that the bag does not hold
+    found = [topic for topic in wanted if bag.topics[topic].schema in FRAME_SCHEMAS]
+    if topics is not None and found != wanted:
+        other = next(topic for topic in wanted if topic not in found)
+        raise BagError(
+            f"{bag.path}: topic {other} holds no frames; allowed are topics of "
+            f"{', '.join(FRAME_SCHEMAS)}"
+        )
+    found = [topic for topic in found if bag.topics[topic].n_messages]
+    if not found:
+        raise BagError(f"{bag.path}: holds no frames to export")
+    return found
+
+
+def frames(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[Frame]:
+    """The frames on some topics in recorded order, with a progress bar; raises as `decoded`."""
+    wanted = list(topics)
+    total = sum(bag.topics[topic].n_messages for topic in wanted)
+    for recorded in progress(bag.messages(wanted), total, doing):
+        message = decoded(bag, recorded)
+        if isinstance(message, Measurements):
+            yield Frame(message, recorded.log_time_ns, message.y)
+        elif isinstance(message, Taxels | Truth | Reconstruction):
+            yield Frame(message, recorded.log_time_ns, message.forces)
+
+
+def decoded(bag: BagReader, recorded: BagMessage) -> Message:
+    """Decode a recorded message; raises BagError if that fails."""
+    try:
+        return decode(recorded.topic.encode(), recorded.payload)
+    except MessageError as error:
+        raise BagError(
+            f"{bag.path}: {recorded.topic}, stamp {recorded.stamp_ns}: {error}"
+        ) from error
+
+
+def skin_of(bag: BagReader, patch: str) -> SkinState | None:
+    """The last recorded state of a patch's skin, None if there is none; raises as `decoded`."""
+    topic = topic_of(patch, SkinState.schema)
+    recorded = bag.messages([topic]) if topic in bag.topics else ()
+    states = [message for each in recorded if isinstance(message := decoded(bag, each), SkinState)]
+    return states[-1] if states else None
+
+
+def patch_of(topic: str) -> str:
+    """The patch of a topic."""
+    return split_topic(topic)[0]
+
+
+def progress(items: Iterable[Any], total: int, doing: str) -> Iterator[Any]:
+    """Yield the items, with a progress bar on stderr if that is a terminal."""
+    # disable=None: no bar unless stderr is a terminal.
+    yield from tqdm(items, total=total, desc=doing, unit="msg", disable=None, leave=False)

@@ -1,0 +1,169 @@
+"""Reader of bags: complete ones, and those that a killed recorder or a damaged disk left."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from mcap.opcode import Opcode
+
+from sparseskin.nodes.lookup import did_you_mean
+
+from .format import (
+    COUNTS_RECORD,
+    GRAPH_RECORD,
+    JSON_KEY,
+    PART_SUFFIX,
+    BagError,
+    BagMessage,
+    Closing,
+    TopicInfo,
+)
+from .index import BagChannel, ChunkSpan, load_index
+from .records import (
+    MESSAGE_HEAD_BYTES,
+    Break,
+    content,
+    message_times,
+    open_chunk,
+    size_of,
+    walk,
+    walk_chunk,
+)
+
+
+class BagReader(Closing):
+    """An open bag.
+
+    Opening it checks the whole file: by its one checksum, at the speed of the disk, or chunk by
+    chunk where the file has no index. Memory holds one chunk at a time.
+
+    Attributes
+    ----------
+    path : Path
+        The bag, NAME.mcap or NAME.mcap.part.
+    metadata : dict of str to str
+        Scene, seed, launch file, Phi, versions, as recorded.
+    counts : dict or None
+        Counters of the recorder, e.g. lost messages; None if it was killed before it wrote them.
+    topics : dict of str to TopicInfo
+        Readable topics, by name.
+    recovered : str
+        "" for a whole file; else one line with the number of readable messages and the place of
+        the break.
+
+    Raises
+    ------
+    BagError
+        If the file is missing, no bag, of a newer version, or broken before the first record.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self._file = _open(self.path)
+        try:
+            self._index, self.recovered = load_index(self._file, str(self.path))
+        except OSError as error:
+            self._file.close()
+            raise BagError(f"{self.path}: {error.strerror}") from error
+        except BaseException:
+            self._file.close()
+            raise
+        self.metadata = self._index.metadata.get(GRAPH_RECORD, {})
+        self.counts = _counts(self._index.metadata.get(COUNTS_RECORD, {}))
+        self.topics: dict[str, TopicInfo] = dict(sorted(self._index.topics.items()))
+
+    def messages(
+        self,
+        topics: Iterable[str] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[BagMessage]:
+        """The messages of some topics, with stamps in [start_ns, stop_ns), in recorded order.
+
+        Raises BagError at once if the bag has no such topic; later if the file is changed.
+        """
+        return (message for _, message in self.records(topics, start_ns, stop_ns))
+
+    def records(
+        self,
+        topics: Iterable[str] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[tuple[BagChannel, BagMessage]]:
+        """As `messages`, each with its channel: the end of a stream has a schema of its own."""
+        wanted = frozenset(self.topics) if topics is None else frozenset(topics)
+        for topic in sorted(wanted - self.topics.keys()):
+            hint = did_you_mean(topic, self.topics)
+            raise BagError(f"{self.path}: holds no topic {topic[:80]!r}{hint}")
+        return self._records(wanted, start_ns, stop_ns)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _records(
+        self, wanted: frozenset[str], start_ns: int | None, stop_ns: int | None
+    ) -> Iterator[tuple[BagChannel, BagMessage]]:
+        channels = {
+            id: channel for id, channel in self._index.channels.items() if channel.topic in wanted
+        }
+        for chunk in self._index.chunks_with(wanted, start_ns, stop_ns):
+            plain = self._chunk(chunk)
+            for opcode, start, stop in walk_chunk(plain, chunk.record.offset):
+                if opcode != Opcode.MESSAGE:
+                    continue
+                id, log_ns, stamp_ns = message_times(plain, start, stop, chunk.record.offset)
+                channel = channels.get(id)
+                if channel is None:
+                    continue
+                early = start_ns is not None and stamp_ns < start_ns
+                if early or (stop_ns is not None and stamp_ns >= stop_ns):
+                    continue
+                payload = plain[start + MESSAGE_HEAD_BYTES : stop]
+                yield channel, BagMessage(channel.topic, log_ns, stamp_ns, payload)
+
+    def _chunk(self, chunk: ChunkSpan) -> bytes:
+        """A chunk, checked once more: time has passed since the file was opened."""
+        if self._file.closed:
+            raise BagError(f"{self.path}: the bag is closed")
+        offset = chunk.record.offset
+        try:
+            if next(walk(self._file, offset, size_of(self._file)), None) != chunk.record:
+                raise Break(offset, "another record stands there")
+            return open_chunk(content(self._file, chunk.record), offset)
+        except Break as broken:
+            raise BagError(
+                f"{self.path}: was changed while it was read, at byte {offset}: {broken.why}"
+            ) from broken
+        except OSError as error:
+            raise BagError(f"{self.path}: {error.strerror}") from error
+
+
+def _open(path: Path) -> BinaryIO:
+    try:
+        mode = os.stat(path).st_mode
+        # Opening a pipe would wait for its writer.
+        if not stat.S_ISREG(mode):
+            what = "is a folder" if stat.S_ISDIR(mode) else "is no regular file"
+            raise BagError(f"{path}: {what}; expected a bag, NAME.mcap")
+        return open(path, "rb")
+    except FileNotFoundError as error:
+        part = f"{path}{PART_SUFFIX}"
+        begun = f" ({part} is there: not complete, but can be read)" if os.path.exists(part) else ""
+        raise BagError(f"{path}: no such file{begun}") from error
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise BagError(f"{path}: {reason}") from error
+
+
+def _counts(record: dict[str, str]) -> dict[str, Any] | None:
+    try:
+        found = json.loads(record.get(JSON_KEY, ""))
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None

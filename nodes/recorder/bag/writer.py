@@ -1,0 +1,270 @@
+"""Writer of bags: NAME.mcap.part while it grows, NAME.mcap once it is complete."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import version as version_of
+from pathlib import Path
+from typing import Any
+
+from sparseskin.messages import Message, MessageError, encode
+from sparseskin.messages.jsonschema import json_schema
+from sparseskin.messages.ranges import INT64_MAX
+from sparseskin.messages.topics import split_topic
+from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS
+from sparseskin.nodes.files import place
+from sparseskin.nodes.lookup import did_you_mean
+
+from .format import (
+    COUNTS_RECORD,
+    ENCODING,
+    GRAPH_RECORD,
+    JSON_KEY,
+    LIBRARY_PREFIX,
+    SCHEMA_PREFIX,
+    TOPICS_RECORD,
+    VERSION_KEY,
+    BagError,
+    Closing,
+    TopicInfo,
+    check_new_bag,
+)
+from .mcap_writer import McapWriter
+
+
+class BagWriter(Closing):
+    """Writes messages into a bag; not for several threads at once.
+
+    Parameters
+    ----------
+    path : Path
+        Path of the complete bag, NAME.mcap; neither it nor NAME.mcap.part may exist.
+    metadata : mapping of str to str
+        Origin of the recording: scene, seed, launch file, Phi, versions.
+    flush_every_s : float
+        Longest time that a message stays in memory while `write` or `tick` is called.
+    monotonic : callable
+        The clock of `flush_every_s`, in seconds.
+
+    Attributes
+    ----------
+    n_messages : int
+        Number of messages written.
+
+    Raises
+    ------
+    BagError
+        If the file exists, cannot be created, or the metadata are not texts.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        metadata: Mapping[str, str],
+        *,
+        flush_every_s: float = 0.2,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.path = Path(path)
+        self.part = check_new_bag(self.path)
+        self.n_messages = 0
+        self._flush_every_s = flush_every_s
+        self._monotonic = monotonic
+        self._oldest_s: float | None = None
+        self._topics: dict[str, TopicInfo] = {}
+        self._failure = ""
+        self._closed = False
+        self._channels: dict[tuple[str, str, int], int] = {}
+        self._schemas: dict[tuple[str, int], int] = {}
+        self._check_metadata(metadata)
+        try:
+            self._file = McapWriter(self.part, LIBRARY_PREFIX + version_of("sparseskin"))
+        except (OSError, ValueError) as error:
+            reason = error.strerror if isinstance(error, OSError) else error
+            raise BagError(f"{self.part}: {reason}") from error
+        self._file.add_metadata(GRAPH_RECORD, dict(metadata))
+        try:
+            self._file.flush()
+        except OSError as error:
+            self.discard()
+            raise BagError(f"{self.part}: {error.strerror}") from error
+
+    def write(
+        self,
+        topic: str,
+        payload: bytes,
+        *,
+        schema: str,
+        version: int,
+        log_time_ns: int,
+        stamp_ns: int,
+    ) -> None:
+        """Record the wire payload of one message, byte for byte.
+
+        `log_time_ns` is the time of recording; it and the stamp are in 0 .. 2**63 - 1.
+
+        Raises
+        ------
+        BagError
+            If the topic is not /PATCH/SCHEMA, the schema is unknown, the payload is too large or
+            a time out of range; if the disk refuses (each later call then raises the same line,
+            and the file is not changed any more); or if the bag is closed.
+        """
+        self._check_open()
+        channel = self._channel(topic, schema, version)
+        if len(payload) > MAX_MESSAGE_BYTES:
+            raise BagError(
+                f"{self.path}: a message of {len(payload)} bytes on {topic}, "
+                f"at most {MAX_MESSAGE_BYTES}"
+            )
+        for what, time_ns in (("log time", log_time_ns), ("stamp", stamp_ns)):
+            if not 0 <= time_ns <= INT64_MAX:
+                raise BagError(f"{self.path}: {topic}: {what} {time_ns} is outside 0..2**63 - 1")
+        info = self._topics.setdefault(topic, TopicInfo(schema, version))
+        sequence = info.n_messages & 0xFFFFFFFF
+        self._file.add_message(channel, sequence, log_time_ns, stamp_ns, payload)
+        info.add(schema, version, stamp_ns, log_time_ns)
+        self.n_messages += 1
+        if self._file.pending:  # the chunk was full
+            self.flush()
+            return
+        if self._oldest_s is None:
+            self._oldest_s = self._monotonic()
+        self.tick()
+
+    def record(self, message: Message, log_time_ns: int) -> None:
+        """Encode and record a message; raises as `write`."""
+        topic, payload = encode(message)
+        self.write(
+            topic.decode(),
+            payload,
+            schema=message.schema,
+            version=message.version,
+            log_time_ns=log_time_ns,
+            stamp_ns=message.stamp_ns,
+        )
+
+    def tick(self) -> None:
+        """Flush if a message has waited for `flush_every_s`; raises as `flush`."""
+        oldest_s = self._oldest_s
+        if oldest_s is not None and self._monotonic() - oldest_s >= self._flush_every_s:
+            self.flush()
+
+    def flush(self) -> None:
+        """Pass every message to the operating system: it survives this process.
+
+        Raises BagError if the disk refuses, or the bag is closed.
+        """
+        self._check_open()
+        with self._disk():
+            self._file.end_chunk()
+            self._file.flush()
+        self._oldest_s = None
+
+    def close(self, counts: Mapping[str, Any] | None = None) -> None:
+        """Complete the bag and rename it to NAME.mcap; a second call does nothing.
+
+        After a failed write it only closes the file, which stays NAME.mcap.part. `counts` are
+        counters of the recording for JSON, e.g. lost and dropped messages a topic.
+
+        Raises
+        ------
+        BagError
+            If the disk refuses, or another file has taken the name meanwhile; the recorded
+            messages are then in NAME.mcap.part.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            if self._failure:
+                return
+            with self._disk():
+                self._file.end_chunk()
+                self._file.flush()
+                self._finish(counts)
+        finally:
+            self._file.close()
+        self._rename()
+
+    def discard(self) -> None:
+        """Close an incomplete bag, and remove its file."""
+        if not self._closed:
+            self._closed = True
+            self._file.close()
+        self.part.unlink(missing_ok=True)
+
+    def _channel(self, topic: str, schema: str, version: int) -> int:
+        """Number of the channel of a topic and schema, which is registered at its first use."""
+        channel = self._channels.get((topic, schema, version))
+        if channel is not None:
+            return channel
+        try:
+            split_topic(topic)
+        except MessageError as error:
+            raise BagError(f"{self.path}: {error}") from error
+        if schema not in SCHEMAS:
+            hint = did_you_mean(schema, SCHEMAS)
+            raise BagError(f"{self.path}: {topic}: schema {schema!r} is not known{hint}")
+        if (schema, version) not in self._schemas:
+            text = json.dumps(json_schema(SCHEMAS[schema], version))
+            self._schemas[schema, version] = self._file.add_schema(
+                SCHEMA_PREFIX + schema, "jsonschema", text.encode()
+            )
+        channel = self._file.add_channel(
+            topic, ENCODING, self._schemas[schema, version], {VERSION_KEY: str(version)}
+        )
+        self._channels[topic, schema, version] = channel
+        return channel
+
+    def _check_metadata(self, metadata: Mapping[str, str]) -> None:
+        for key, value in metadata.items():
+            if not isinstance(key, str) or not isinstance(value, str):
+                raise BagError(f"{self.path}: metadata {key!r}: expected texts")
+            try:
+                (key + value).encode()
+            except UnicodeEncodeError as error:
+                raise BagError(f"{self.path}: metadata {key!r}: no valid Unicode") from error
+
+    def _check_open(self) -> None:
+        if self._failure:
+            raise BagError(self._failure)
+        if self._closed:
+            raise BagError(f"{self.path}: the bag is closed")
+
+    @contextlib.contextmanager
+    def _disk(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self._failure = (
+                f"{self.part}: {error.strerror}; recording ended, what it holds can be read"
+            )
+            raise BagError(self._failure) from error
+
+    def _finish(self, counts: Mapping[str, Any] | None) -> None:
+        topics = {topic: dataclasses.asdict(info) for topic, info in self._topics.items()}
+        self._file.add_metadata(TOPICS_RECORD, {JSON_KEY: json.dumps(topics)})
+        if counts is not None:
+            text = json.dumps(dict(counts), default=str)
+            self._file.add_metadata(COUNTS_RECORD, {JSON_KEY: text})
+        self._file.finish()
+
+    def _rename(self) -> None:
+        try:
+            place(self.part, self.path)
+        except OSError as error:
+            raise BagError(
+                f"{self.path}: {error.strerror}; the recording is complete in {self.part.name}"
+            ) from error
+        with contextlib.suppress(OSError):
+            folder = os.open(self.path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)

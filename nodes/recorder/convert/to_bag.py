@@ -1,0 +1,113 @@
+"""Bags made of other files: recordings in other formats, and broken bags."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from sparseskin.messages import MessageError, SkinState, Taxels
+from sparseskin.nodes.recorder.bag.format import BagError
+from sparseskin.nodes.recorder.bag.frames import progress
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.recorder.bag.writer import BagWriter
+from sparseskin.nodes.recorder.node import metadata_of
+from sparseskin.nodes.sensor.files.recorded import open_file
+from sparseskin.nodes.sensor.node import DEFAULT_RATE_HZ
+
+_RUN_ID_BYTES = 8
+
+
+def import_file(
+    source: Path,
+    out: Path,
+    *,
+    patch: str = "skin",
+    n_rows: int | None = None,
+    n_cols: int | None = None,
+    unit: str | None = None,
+    f_max: float | None = None,
+    rate_hz: float | None = None,
+) -> int:
+    """Write a recording, in any format that the sensor reads, as a bag.
+
+    The bag holds what a sensor would have published from the file: /PATCH/skin, then
+    /PATCH/taxels, with stamps from 0. The run id is a hash of the file, so the same file gives
+    the same bag.
+
+    `n_rows`, `n_cols`, `unit`, `f_max` and `rate_hz` are properties that the file does not state,
+    as in `open_file`. Returns the number of frames.
+
+    Raises SourceError if the recording is missing or malformed or a setting contradicts it,
+    BagError if the bag exists or cannot be written.
+    """
+    frames = open_file(
+        source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max, rate_hz=rate_hz
+    )
+    skin = frames.skin
+    run_id = hashlib.blake2b(source.read_bytes(), digest_size=_RUN_ID_BYTES).hexdigest()
+    try:
+        state = SkinState(
+            stamp_ns=0,
+            patch=patch,
+            n_rows=skin.n_rows,
+            n_cols=skin.n_cols,
+            f_max=skin.f_max,
+            unit=skin.unit,
+            pitch_m=skin.pitch_m,
+            mask=skin.mask,
+            source=frames.name,
+            seed=0,
+            rate_hz=frames.rate_hz if frames.rate_hz is not None else DEFAULT_RATE_HZ,
+            has_truth=False,
+            sigma_mid=0.0,
+            sigma_end=0.0,
+        )
+    except MessageError as error:
+        raise BagError(f"{str(source)!r}: {error}") from error
+    metadata = metadata_of([state], launch="", graph="") | {"imported_from": source.name}
+    with _whole_bag(out, metadata, {"lost": {}}) as bag:
+        bag.record(state.published(run_id, 0), 0)
+        for seq, (stamp_ns, forces) in enumerate(progress(frames, frames.n_frames or 0, "import")):
+            taxels = Taxels(stamp_ns=stamp_ns, patch=patch, forces=forces)
+            bag.record(taxels.published(run_id, seq), stamp_ns)
+    return bag.n_messages - 1
+
+
+def recover_bag(bag: BagReader, out: Path) -> int:
+    """Copy every readable message and the metadata of a broken bag into a new bag.
+
+    The new metadata have the entry "recovered", a line on the damage. Returns the number of
+    messages. Raises BagError if the new bag exists or cannot be written.
+    """
+    metadata = dict(bag.metadata)
+    if bag.recovered:
+        metadata["recovered"] = bag.recovered
+    total = sum(info.n_messages for info in bag.topics.values())
+    with _whole_bag(out, metadata, bag.counts) as new:
+        for channel, message in progress(bag.records(), total, "recover"):
+            new.write(
+                message.topic,
+                message.payload,
+                schema=channel.schema,
+                version=channel.version,
+                log_time_ns=message.log_time_ns,
+                stamp_ns=message.stamp_ns,
+            )
+    return new.n_messages
+
+
+@contextmanager
+def _whole_bag(
+    out: Path, metadata: Mapping[str, str], counts: Mapping[str, Any] | None
+) -> Iterator[BagWriter]:
+    """Yield a bag to write into; if an exception is raised it is removed, as its source remains."""
+    writer = BagWriter(out, metadata)
+    try:
+        yield writer
+        writer.close(counts)
+    except BaseException:
+        writer.discard()
+        raise

@@ -1,0 +1,228 @@
+"""Plain arrays: .npy, .npz, and .csv with one frame a line."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Mask
+
+from .parsed import (
+    Parsed,
+    check_grid,
+    parse_number,
+    parse_reading,
+    shown,
+    stack_frames,
+    text_lines,
+)
+
+NPZ_NAMES = ("forces", "stamp_ns", "rate_hz", "mask", "f_max", "unit", "pitch_m")
+"""Names of the arrays that are read from an .npz; all others are ignored."""
+
+
+def parse_npy(raw: bytes, name: str) -> Parsed:
+    """Read one array of shape (n_frames, n_rows, n_cols), any integer or float dtype.
+
+    Raises
+    ------
+    SourceError
+        If the bytes are no .npy file or hold anything else.
+    """
+    loaded = _load(raw, name)
+    if isinstance(loaded, np.lib.npyio.NpzFile):
+        raise SourceError(f"{name}: holds an archive of arrays; name it .npz")
+    return Parsed(forces=_as_frames(loaded, name))
+
+
+def parse_npz(raw: bytes, name: str) -> Parsed:
+    """Read an archive of arrays.
+
+    It holds `forces`, shape (n_frames, n_rows, n_cols), or one 3-D array of any name, and
+    optionally `stamp_ns`, shape (n_frames,), rising integers; `rate_hz`, `f_max` and `pitch_m`,
+    one number each; `unit`, a text; `mask`, shape (n_rows, n_cols), True or 1 where a taxel
+    exists. Values of cells without a taxel are ignored, and become 0.
+
+    Raises
+    ------
+    SourceError
+        If the bytes are no .npz file, or one of these arrays is not as described.
+    """
+    loaded = _load(raw, name)
+    if not isinstance(loaded, np.lib.npyio.NpzFile):
+        raise SourceError(f"{name}: holds a single array; name it .npy")
+    wanted = [key for key in loaded.files if "forces" not in loaded.files or key in NPZ_NAMES]
+    arrays = {key: _member(loaded, key, name) for key in wanted}
+    forces_name = _forces_name(arrays, name)
+    forces = _as_frames(arrays[forces_name], f"{name}, array {shown(forces_name)}")
+    mask = _mask(arrays["mask"], forces.shape[1:], name) if "mask" in arrays else None
+    if mask is not None:
+        forces = np.where(mask, forces, forces.dtype.type(0))
+    unit = None
+    if "unit" in arrays:
+        if arrays["unit"].shape != () or arrays["unit"].dtype.kind != "U":
+            raise SourceError(f"{name}, array 'unit': expected one text, e.g. np.array('N')")
+        unit = str(arrays["unit"])
+    stamp_ns = None
+    if "stamp_ns" in arrays:
+        stamp_ns = _stamps(arrays["stamp_ns"], len(forces), f"{name}, array 'stamp_ns'")
+    return Parsed(
+        forces=forces,
+        unit=unit,
+        rate_hz=_scalar(arrays, "rate_hz", name),
+        stamp_ns=stamp_ns,
+        pitch_m=_scalar(arrays, "pitch_m", name),
+        mask=mask,
+        f_max=_scalar(arrays, "f_max", name),
+    )
+
+
+def parse_plain_csv(raw: bytes, name: str, n_rows: int | None, n_cols: int | None) -> Parsed:
+    """Read numbers separated by commas, one frame a line, row after row of the skin.
+
+    Blank lines and lines that begin with `#` are skipped. If only one of `n_rows` and `n_cols`
+    is stated, the other follows from the length of a line.
+
+    Raises
+    ------
+    SourceError
+        If no shape is stated, a line has not n_rows x n_cols numbers, or one is not a finite
+        number >= 0.
+    """
+    frames: list[npt.NDArray[np.float64]] = []
+    for index, line in enumerate(text_lines(raw)):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        where = f"{name}, line {index + 1}"
+        tokens = [token.strip() for token in line.split(",")]
+        if n_rows is None or n_cols is None:
+            n_rows, n_cols = _stated_shape(len(tokens), n_rows, n_cols, where)
+        if not frames:
+            check_grid(n_rows, n_cols, name)
+        if len(tokens) != n_rows * n_cols:
+            raise SourceError(
+                f"{where}: holds {len(tokens)} cells, but n_rows x n_cols = "
+                f"{n_rows} x {n_cols} needs {n_rows * n_cols}"
+            )
+        readings = [
+            parse_reading(token, where, *divmod(k, n_cols)) for k, token in enumerate(tokens)
+        ]
+        frames.append(np.array(readings).reshape(n_rows, n_cols))
+    return Parsed(forces=stack_frames(frames, name))
+
+
+def _stated_shape(
+    n_cells: int, n_rows: int | None, n_cols: int | None, where: str
+) -> tuple[int, int]:
+    stated = n_rows or n_cols
+    if stated is None:
+        raise SourceError(
+            f"{where}: a .csv of numbers does not state its shape; set n_rows and n_cols "
+            f"(this line holds {n_cells} cells)"
+        )
+    what = "n_rows" if n_rows else "n_cols"
+    if n_cells % stated:
+        raise SourceError(f"{where}: {n_cells} cells cannot be divided by {what} = {stated}")
+    other = n_cells // stated
+    return (stated, other) if n_rows else (other, stated)
+
+
+def _load(raw: bytes, name: str) -> Any:
+    """Read .npy or .npz bytes; pickled objects, which could run code, are not read."""
+    with _refusing(f"{name}: not a readable NumPy file"):
+        return np.load(io.BytesIO(raw), allow_pickle=False)
+
+
+def _member(archive: Any, key: str, name: str) -> npt.NDArray[Any]:
+    where = f"{name}, array {shown(key)}"
+    with _refusing(f"{where}: cannot be read"):
+        member = archive[key]
+    if not isinstance(member, np.ndarray):
+        raise SourceError(f"{where}: is no NumPy array")
+    return member
+
+
+@contextmanager
+def _refusing(what: str) -> Iterator[None]:
+    """Turn any error of NumPy into a SourceError, and silence its warnings."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    # NumPy, zipfile and zlib raise ten kinds of error at malformed bytes, MemoryError among them.
+    except Exception as error:
+        text = str(error)
+        if "allow_pickle" in text or "Object arrays" in text or "pickled" in text:
+            reason = "it holds Python objects; allowed are arrays of numbers"
+        else:
+            reason = shown(f"{type(error).__name__}: {text}", limit=120).strip("'\"")
+        raise SourceError(f"{what} ({reason})") from error
+
+
+def _forces_name(arrays: dict[str, npt.NDArray[Any]], name: str) -> str:
+    if "forces" in arrays:
+        return "forces"
+    candidates = [key for key, array in arrays.items() if array.ndim == 3]
+    if len(candidates) == 1:
+        return candidates[0]
+    held = ", ".join(f"{shown(key)} {array.ndim}-D" for key, array in list(arrays.items())[:8])
+    raise SourceError(
+        f"{name}: expected an array 'forces' or exactly one 3-D array; it holds {held or 'nothing'}"
+    )
+
+
+def _as_frames(array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
+    if array.dtype.kind not in "iuf":
+        raise SourceError(
+            f"{where}: dtype {shown(array.dtype)}; allowed are integers and floating point"
+        )
+    if array.ndim != 3:
+        raise SourceError(
+            f"{where}: has {array.ndim} dimensions, shape {array.shape}; "
+            "expected three: (frames, rows, columns)"
+        )
+    return array
+
+
+def _mask(array: npt.NDArray[Any], shape: tuple[int, ...], name: str) -> Mask:
+    where = f"{name}, array 'mask'"
+    if array.dtype.kind not in "biu" or not np.isin(array, (0, 1)).all():
+        raise SourceError(f"{where}: expected bool (True where a taxel exists), or 0 and 1")
+    if array.shape != shape:
+        raise SourceError(f"{where}: shape {array.shape}, but the frames have {shape}")
+    return array.astype(np.bool_)
+
+
+def _stamps(array: npt.NDArray[Any], n_frames: int, where: str) -> tuple[int, ...]:
+    if array.dtype.kind not in "iu":
+        raise SourceError(f"{where}: dtype {shown(array.dtype)}; expected whole nanoseconds")
+    if array.shape != (n_frames,):
+        raise SourceError(f"{where}: shape {array.shape}, expected one a frame: ({n_frames},)")
+    # Python integers: a difference of unsigned or of far-apart int64 stamps could wrap round.
+    stamps = [int(stamp) for stamp in array]
+    for k, (before, stamp) in enumerate(pairwise(stamps), start=1):
+        if stamp <= before:
+            raise SourceError(
+                f"{where}: stamp {k} is {stamp}, not after the one before it, {before}"
+            )
+    return tuple(stamp - stamps[0] for stamp in stamps)
+
+
+def _scalar(arrays: dict[str, npt.NDArray[Any]], key: str, name: str) -> float | None:
+    if key not in arrays:
+        return None
+    array = arrays[key]
+    if array.size != 1 or array.dtype.kind not in "iuf":
+        raise SourceError(f"{name}, array '{key}': expected one number")
+    value = parse_number(str(array.reshape(())[()]), f"{name}, array '{key}'")
+    if value <= 0:
+        raise SourceError(f"{name}, array '{key}': {value:g} must be above 0")
+    return value

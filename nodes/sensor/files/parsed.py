@@ -1,0 +1,188 @@
+"""The result of parsing a recording, and the checks that file formats and drivers share."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
+from sparseskin.messages.ranges import is_real
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Doubles, Mask
+
+MAX_READING = 1e30
+"""Largest reading, chosen: float32 holds it, and the sum of a frame of such readings."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parsed:
+    """A recording as its file states it; None where the file does not state a property.
+
+    Attributes
+    ----------
+    forces : ndarray of a real number, shape (n_frames, n_rows, n_cols)
+        Readings in `unit`, each >= 0 and finite wherever a taxel exists.
+    unit : str or None
+        Unit of the readings.
+    rate_hz : float or None
+        Frame rate.
+    stamp_ns : tuple of int or None
+        Time of each frame since the first, in nanoseconds, strictly increasing.
+    pitch_m : float or None
+        Distance between neighbouring taxels in metres.
+    mask : ndarray of bool, shape (n_rows, n_cols), or None
+        True where a taxel exists.
+    f_max : float or None
+        Upper end of the range, in `unit`.
+    """
+
+    forces: npt.NDArray[Any]
+    unit: str | None = None
+    rate_hz: float | None = None
+    stamp_ns: tuple[int, ...] | None = None
+    pitch_m: float | None = None
+    mask: Mask | None = None
+    f_max: float | None = None
+
+
+def shown(text: object, limit: int = 40) -> str:
+    """Quote any content of a file so that it fits in one line of an error."""
+    quoted = ascii(str(text))
+    return quoted if len(quoted) <= limit else quoted[: limit - 4] + "...'"
+
+
+def read_bytes(name: str) -> bytes:
+    """Read a whole file.
+
+    Raises
+    ------
+    SourceError
+        If it is missing, no regular file, not readable, larger than memory or empty.
+    """
+    path = Path(name)
+    try:
+        if path.is_dir():
+            raise SourceError(f"{name}: is a directory; name one file in it")
+        if not path.exists():
+            raise SourceError(f"{name}: there is no such file")
+        if not path.is_file():
+            raise SourceError(f"{name}: is no regular file")
+        raw = path.read_bytes()
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise SourceError(f"{shown(name, 200)}: cannot be read ({reason or error})") from error
+    except MemoryError:
+        raise SourceError(f"{name}: does not fit in memory") from None
+    if not raw:
+        raise SourceError(f"{name}: the file is empty")
+    return raw
+
+
+def text_lines(raw: bytes) -> list[str]:
+    """Split a text file into lines, numbered as in an editor.
+
+    Latin-1 decodes every byte; the formats here are ASCII except for a superscript two.
+    `str.splitlines` would also split at form feeds.
+    """
+    lines = raw.removeprefix(b"\xef\xbb\xbf").decode("latin-1").split("\n")
+    return [line.removesuffix("\r") for line in lines]
+
+
+# In all that follows `where` names the place in an error, e.g. "foot.lst, line 12".
+
+
+def parse_number(token: str, where: str, low: float = -math.inf, high: float = math.inf) -> float:
+    """Read a decimal number; SourceError if it is none, not finite or outside [low, high]."""
+    try:
+        # float() would read the Python literal 1_0 as ten.
+        value = math.nan if "_" in token else float(token)
+    except ValueError:
+        raise SourceError(f"{where}: {shown(token)} is not a number") from None
+    if not math.isfinite(value):
+        raise SourceError(f"{where}: {shown(token)} is not a finite number")
+    if not low <= value <= high:
+        raise SourceError(f"{where}: {shown(token)} is outside {low:g}..{high:g}")
+    return value
+
+
+def parse_reading(token: str, where: str, row: int, col: int) -> float:
+    """Read the reading of a cell (row, col), from 0; SourceError if it is not in [0, 1e30]."""
+    where = f"{where}, row {row}, column {col}"
+    value = parse_number(token, where)
+    if value < 0:
+        raise SourceError(f"{where}: {shown(token)} is below 0; a range starts at 0")
+    if value > MAX_READING:
+        raise SourceError(f"{where}: {shown(token)} is above {MAX_READING:g}")
+    return value
+
+
+def parse_whole(token: str, where: str, low: int, high: int) -> int:
+    """Read a whole number; SourceError if it is none, or outside [low, high]."""
+    # Nine digits hold every count of rows or frames; int() of a million digits would not end.
+    if not (token.isascii() and token.isdigit() and len(token) <= 9):
+        raise SourceError(f"{where}: {shown(token)} is not a whole number in {low}..{high}")
+    value = int(token)
+    if not low <= value <= high:
+        raise SourceError(f"{where}: {value} is outside {low}..{high}")
+    return value
+
+
+def check_number(
+    where: str, what: str, value: Any, high: float = MAX_READING, low: float = 1e-9
+) -> None:
+    """Raise SourceError unless a stated value is None or a number in [low, high]."""
+    if value is not None and not is_real(value, low, high):
+        raise SourceError(
+            f"{where}: {what} = {shown(value)}; expected a number in {low:g}..{high:g}"
+        )
+
+
+def check_unit(where: str, unit: object) -> None:
+    """Raise SourceError unless a stated unit is None or a text that is not blank."""
+    if unit is not None and not (isinstance(unit, str) and unit.strip()):
+        raise SourceError(f"{where}: unit = {shown(unit)}; expected a text such as N")
+
+
+def check_grid(n_rows: int, n_cols: int, where: str) -> None:
+    """Raise SourceError unless both sides are in 1..4096 and the cells at most 2**20."""
+    if not (1 <= n_rows <= MAX_SIDE and 1 <= n_cols <= MAX_SIDE):
+        raise SourceError(
+            f"{where}: {n_rows} rows x {n_cols} columns; allowed are 1..{MAX_SIDE} of each"
+        )
+    if n_rows * n_cols > MAX_ELEMENTS:
+        raise SourceError(
+            f"{where}: {n_rows} x {n_cols} = {n_rows * n_cols} cells; at most {MAX_ELEMENTS}"
+        )
+
+
+def check_readings(forces: npt.NDArray[Any], where: str) -> None:
+    """Raise SourceError unless all readings are finite and in [0, 1e30]; 0 in masked cells.
+
+    `forces` has the shape (n_frames, n_rows, n_cols). The error names frame and cell, from 0.
+    """
+    with np.errstate(all="ignore"):
+        values = forces.astype(np.float64)
+    for what, bad in (
+        ("is not finite", ~np.isfinite(values)),
+        ("is below 0; a range starts at 0", values < 0),
+        (f"is above {MAX_READING:g}", values > MAX_READING),
+    ):
+        if bad.any():
+            frame, row, col = np.argwhere(bad)[0]
+            value = values[frame, row, col]
+            raise SourceError(f"{where}: frame {frame}, row {row}, column {col}: {value:g} {what}")
+
+
+def stack_frames(frames: list[npt.NDArray[Any]], where: str) -> Doubles:
+    """Stack frames into float64 (n_frames, n_rows, n_cols); SourceError if none, or too many."""
+    if not frames:
+        raise SourceError(f"{where}: the recording holds no frame")
+    try:
+        return np.stack(frames).astype(np.float64, copy=False)
+    except MemoryError:
+        raise SourceError(f"{where}: {len(frames)} frames do not fit in memory") from None

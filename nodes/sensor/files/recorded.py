@@ -1,0 +1,238 @@
+"""Recordings as a sensor source: a file is read whole and checked, then yields its frames."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from sparseskin.messages.fields import MAX_SIDE
+from sparseskin.messages.ranges import INT64_MAX, is_whole
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Floats
+
+from .arrays import parse_npy, parse_npz, parse_plain_csv
+from .emed import parse_emed
+from .parsed import (
+    Parsed,
+    check_grid,
+    check_number,
+    check_readings,
+    check_unit,
+    read_bytes,
+    shown,
+)
+from .tekscan import is_tekscan, parse_tekscan
+
+SUFFIXES = {
+    ".lst": "Novel emed text export",
+    ".asf": "Tekscan ASCII movie export",
+    ".csv": "Tekscan ASCII movie export, or numbers with one frame a line",
+    ".npy": "array (frames, rows, columns)",
+    ".npz": "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted",
+}
+"""The file formats that can be read, by suffix."""
+UNTIMED_PERIOD_NS = 10_000_000
+"""Time between frames where neither file nor caller states one, chosen: stamps must rise."""
+_MAX_RATE_HZ = 1e9
+
+
+class RecordedSource:
+    """The frames of a recording, in memory and checked; may be iterated any number of times.
+
+    Its attributes are those of a `Source`; its name is that of the file without suffix, its skin
+    the patch after the crop.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        skin: Skin,
+        frames: Floats,
+        stamp_ns: Sequence[int],
+        *,
+        rate_hz: float | None = None,
+        delivers: Literal["truth", "taxels"] = "taxels",
+    ) -> None:
+        self.name = name
+        self.skin = skin
+        self.delivers: Literal["truth", "taxels"] = delivers
+        self.rate_hz: float | None = rate_hz
+        self.n_frames: int | None = len(frames)
+        self._frames = frames
+        self._stamp_ns = tuple(stamp_ns)
+
+    def __iter__(self) -> Iterator[tuple[int, Floats]]:
+        """Yield (stamp_ns, forces): nanoseconds since the first frame, and a new float32 array
+        of shape (n_rows, n_cols) in [0, f_max], 0 in masked cells.
+        """
+        for stamp, frame in zip(self._stamp_ns, self._frames, strict=True):
+            yield stamp, frame.copy()
+
+
+def open_file(
+    path: str | os.PathLike[str],
+    *,
+    n_rows: int | None = None,
+    n_cols: int | None = None,
+    unit: str | None = None,
+    f_max: float | None = None,
+    rate_hz: float | None = None,
+    crop: Sequence[int] | None = None,
+    delivers: Literal["truth", "taxels"] = "taxels",
+) -> RecordedSource:
+    """Open a recording; its format follows from the suffix, and for .csv from the content.
+
+    Parameters
+    ----------
+    path : str or path
+        A file with one of the suffixes in `SUFFIXES`.
+    n_rows, n_cols : int, optional
+        Shape of a frame. Required for a plain .csv (one of them is enough); any other file
+        states its shape, which must agree.
+    unit : str, optional
+        Unit of the readings. Required for a plain .csv; "N" where an array states none; must
+        agree with a unit that the file states.
+    f_max : float, optional
+        Upper end of the range, in `unit`; by default that of the file, or else the largest
+        reading of the (cropped) recording.
+    rate_hz : float, optional
+        Frame rate, 1e-9..1e9, in place of the file's own rate and stamps.
+    crop : sequence of four int, optional
+        (row_start, row_stop, col_start, col_stop), from 0, stops excluded: the part of each
+        frame that is kept.
+    delivers : "truth" or "taxels"
+        "truth" for noise-free frames, e.g. of a simulation.
+
+    Returns
+    -------
+    RecordedSource
+        Frames float32 of shape (n_rows, n_cols) in [0, f_max]; 0 in masked cells. Stamps are
+        the file's, or follow from the rate, or are 10 ms apart where there is neither.
+
+    Raises
+    ------
+    SourceError
+        If the file is missing, empty or of no known format, anything in it is malformed, a
+        reading is negative or not finite, a setting contradicts the file, `f_max` is below the
+        largest reading, or all readings are 0 and no `f_max` is stated.
+    """
+    name = str(path)
+    for what, side in (("n_rows", n_rows), ("n_cols", n_cols)):
+        if side is not None and not is_whole(side, 1, MAX_SIDE):
+            raise SourceError(
+                f"{name}: {what} = {shown(side)}; expected a whole number in 1..{MAX_SIDE}"
+            )
+    check_number(name, "f_max", f_max)
+    check_number(name, "rate_hz", rate_hz, high=_MAX_RATE_HZ)
+    check_unit(name, unit)
+    if delivers not in ("truth", "taxels"):
+        raise SourceError(f"{name}: delivers = {shown(delivers)}; allowed are truth, taxels")
+    parsed = _parse(name, n_rows, n_cols)
+    n_frames, rows, cols = parsed.forces.shape
+    if n_frames == 0:
+        raise SourceError(f"{name}: the recording holds no frame")
+    check_grid(rows, cols, name)
+    for what, stated, actual in (("n_rows", n_rows, rows), ("n_cols", n_cols, cols)):
+        if stated is not None and stated != actual:
+            raise SourceError(f"{name}: {what} = {stated} is stated, but the file has {actual}")
+    check_readings(parsed.forces, name)
+    forces, mask = parsed.forces, parsed.mask
+    if crop is not None:
+        window = _window(crop, rows, cols, name)
+        forces = forces[:, *window]
+        mask = None if mask is None else mask[window].copy()
+    if mask is not None and not mask.any():
+        raise SourceError(f"{name}: no cell of the skin is a taxel, all are masked")
+    frames = forces.astype(np.float32)
+    if mask is not None and mask.all():
+        mask = None
+    skin = Skin(
+        n_rows=frames.shape[1],
+        n_cols=frames.shape[2],
+        f_max=_range(frames, f_max if f_max is not None else parsed.f_max, name),
+        unit=_unit(unit, parsed, name),
+        pitch_m=parsed.pitch_m,
+        mask=mask,
+    )
+    return RecordedSource(
+        Path(name).stem,
+        skin,
+        frames,
+        _stamps(parsed, n_frames, rate_hz, name),
+        rate_hz=rate_hz if rate_hz is not None else parsed.rate_hz,
+        delivers=delivers,
+    )
+
+
+def _parse(name: str, n_rows: int | None, n_cols: int | None) -> Parsed:
+    suffix = Path(name).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise SourceError(
+            f"{name}: suffix {shown(suffix)} is not known; allowed are {', '.join(SUFFIXES)}"
+        )
+    raw = read_bytes(name)
+    if suffix == ".csv" and not is_tekscan(raw):
+        return parse_plain_csv(raw, name, n_rows, n_cols)
+    parsers = {".lst": parse_emed, ".npy": parse_npy, ".npz": parse_npz}
+    return parsers.get(suffix, parse_tekscan)(raw, name)
+
+
+def _window(crop: Sequence[int], rows: int, cols: int, name: str) -> tuple[slice, slice]:
+    wanted = "expected (row_start, row_stop, col_start, col_stop)"
+    whole = not isinstance(crop, str) and all(type(edge) is int for edge in crop)
+    if not whole or len(crop) != 4:
+        raise SourceError(f"{name}: crop = {shown(crop)}; {wanted}, four whole numbers")
+    row_start, row_stop, col_start, col_stop = crop
+    if not (0 <= row_start < row_stop <= rows and 0 <= col_start < col_stop <= cols):
+        raise SourceError(
+            f"{name}: crop = {list(crop)}; {wanted} within {rows} rows x {cols} columns"
+        )
+    return slice(row_start, row_stop), slice(col_start, col_stop)
+
+
+def _range(frames: Floats, stated: float | None, name: str) -> float:
+    peak = float(frames.max())
+    if stated is None:
+        if peak == 0:
+            raise SourceError(f"{name}: all readings are 0, so its range is unknown; state f_max")
+        return peak
+    # In float32 as the frames are: 0.1 in a float32 recording is above 0.1 in float64.
+    if np.float32(peak) > np.float32(stated):
+        raise SourceError(f"{name}: f_max = {stated:g} is below the largest reading, {peak:g}")
+    return float(stated)
+
+
+def _unit(stated: str | None, parsed: Parsed, name: str) -> str:
+    found = parsed.unit
+    if found is not None and not (found.strip() and found.isprintable() and len(found) <= 32):
+        raise SourceError(f"{name}: unit {shown(found)}; expected 1 to 32 printable characters")
+    if stated is not None and found is not None and stated != found:
+        raise SourceError(
+            f"{name}: unit = {shown(stated)} is stated, but the file states {shown(found)}"
+        )
+    unit = stated or found
+    if unit is None and Path(name).suffix.lower() == ".csv":
+        raise SourceError(f"{name}: a .csv of numbers does not state its unit; set unit, e.g. N")
+    return unit or "N"
+
+
+def _stamps(
+    parsed: Parsed, n_frames: int, stated_rate_hz: float | None, name: str
+) -> tuple[int, ...]:
+    rate_hz = stated_rate_hz if stated_rate_hz is not None else parsed.rate_hz
+    if stated_rate_hz is None and parsed.stamp_ns is not None:
+        stamps = parsed.stamp_ns
+    elif rate_hz is None:
+        stamps = tuple(k * UNTIMED_PERIOD_NS for k in range(n_frames))
+    elif not 1e-9 <= rate_hz <= _MAX_RATE_HZ:
+        raise SourceError(f"{name}: rate_hz = {rate_hz:g} is outside 1e-9..{_MAX_RATE_HZ:g}")
+    else:
+        stamps = tuple(round(k * 1e9 / rate_hz) for k in range(n_frames))
+    if stamps[-1] > INT64_MAX:
+        raise SourceError(f"{name}: the recording lasts longer than 2**63 ns")
+    return stamps

@@ -1,0 +1,260 @@
+"""The bodies laid on the skin: the height map of their underside (sole), mass and inertia.
+
+A sole is the lowest of a few primitives, eroded by the sphere of a taxel of radius r: over the
+point p it is felt at the height
+
+    felt(p) = min over |d| < r of  height(p + d) + r - sqrt(r^2 - |d|^2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import Doubles
+
+Primitive = Callable[[Doubles, Doubles], Doubles]
+"""Height of an underside above the body's lowest point, in m, over body coordinates x, y in m."""
+
+FAR_M = 1.0
+"""Height of the underside where there is no body, in m: out of reach of every taxel."""
+GRID_M = 0.0005
+"""Spacing of height maps, in m: a tenth of the pitch of the taxels."""
+_ROUNDING_M = 1e-9
+"""Tolerance of edges, in m: a grid point on an edge belongs to the body."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sole:
+    """The underside of a body as a height map.
+
+    Attributes
+    ----------
+    heights : ndarray of float64, shape (n_y, n_x)
+        Height above the body's lowest point in m, 0 or more; FAR_M where there is no body. The
+        outermost rows and columns are FAR_M.
+    x_min, y_min : float
+        Body coordinates of heights[0, 0] in m; the centre of mass is at (0, 0).
+    grid_m : float
+        Spacing of the map in m.
+    """
+
+    heights: Doubles
+    x_min: float
+    y_min: float
+    grid_m: float = GRID_M
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """x_min, x_max, y_min, y_max of the map in m."""
+        n_y, n_x = self.heights.shape
+        return (
+            self.x_min,
+            self.x_min + (n_x - 1) * self.grid_m,
+            self.y_min,
+            self.y_min + (n_y - 1) * self.grid_m,
+        )
+
+    def sample(self, x: Doubles, y: Doubles) -> Doubles:
+        """Return the heights in m at points of the body, interpolated bilinearly.
+
+        `x` and `y` are body coordinates in m, float64, shape (n,), as is the result; outside the
+        map the height is FAR_M.
+        """
+        n_y, n_x = self.heights.shape
+        # Just inside the last point, which has no next neighbour.
+        col = np.minimum(np.maximum((x - self.x_min) / self.grid_m, 0.0), n_x - 1.001)
+        row = np.minimum(np.maximum((y - self.y_min) / self.grid_m, 0.0), n_y - 1.001)
+        j = col.astype(np.intp)
+        i = row.astype(np.intp)
+        col -= j
+        row -= i
+        i *= n_x
+        i += j
+        flat = self.heights.reshape(-1)
+        near = flat.take(i)
+        near += (flat.take(i + 1) - near) * col
+        i += n_x
+        far = flat.take(i)
+        far += (flat.take(i + 1) - far) * col
+        far -= near
+        far *= row
+        near += far
+        heights: Doubles = near
+        return heights
+
+
+def slab(x_min: float, x_max: float, y_min: float, y_max: float, height: float) -> Primitive:
+    """A flat, axis-parallel underside at one height; all in m."""
+
+    def underside(x: Doubles, y: Doubles) -> Doubles:
+        inside = (x >= x_min - _ROUNDING_M) & (x <= x_max + _ROUNDING_M)
+        inside &= (y >= y_min - _ROUNDING_M) & (y <= y_max + _ROUNDING_M)
+        return np.where(inside, height, FAR_M)
+
+    return underside
+
+
+def disc(radius: float, height: float) -> Primitive:
+    """A flat round underside about the origin; all in m."""
+
+    def underside(x: Doubles, y: Doubles) -> Doubles:
+        return np.where(np.hypot(x, y) <= radius, height, FAR_M)
+
+    return underside
+
+
+def roller(
+    x_min: float, x_max: float, y_axis: float, radius: float, slope: float = 0.0
+) -> Primitive:
+    """A cylinder lying along x; in m. It touches at x_max and rises by `slope` towards x_min."""
+
+    def underside(x: Doubles, y: Doubles) -> Doubles:
+        across = np.abs(y - y_axis)
+        inside = (x >= x_min) & (x <= x_max) & (across <= radius)
+        drop = np.sqrt(np.maximum(radius**2 - across**2, 0.0))
+        return np.where(inside, radius - drop + slope * (x_max - x), FAR_M)
+
+    return underside
+
+
+def capsule(
+    start: tuple[float, float], end: tuple[float, float], radius: float, height: float = 0.0
+) -> Primitive:
+    """A rounded bead along a segment, its lowest line at `height`; all in m."""
+
+    def underside(x: Doubles, y: Doubles) -> Doubles:
+        away = _distance(x, y, start, end)
+        drop = np.sqrt(np.maximum(radius**2 - away**2, 0.0))
+        return np.where(away <= radius, height + radius - drop, FAR_M)
+
+    return underside
+
+
+def bar(
+    start: tuple[float, float], end: tuple[float, float], half_width: float, height: float
+) -> Primitive:
+    """A flat-bottomed bar with round ends along a segment; all in m."""
+
+    def underside(x: Doubles, y: Doubles) -> Doubles:
+        return np.where(_distance(x, y, start, end) <= half_width, height, FAR_M)
+
+    return underside
+
+
+def _distance(
+    x: Doubles, y: Doubles, start: tuple[float, float], end: tuple[float, float]
+) -> Doubles:
+    along = np.array(end) - np.array(start)
+    share = ((x - start[0]) * along[0] + (y - start[1]) * along[1]) / float(along @ along)
+    share = np.clip(share, 0.0, 1.0)
+    away: Doubles = np.hypot(x - start[0] - share * along[0], y - start[1] - share * along[1])
+    return away
+
+
+def build_sole(
+    primitives: Sequence[Primitive],
+    bounds: tuple[float, float, float, float],
+    taxel_radius_m: float,
+) -> Sole:
+    """Return the lowest of the primitives, eroded by the sphere of a taxel.
+
+    An edge of the body meets the flank of a sphere before its top: while it slides across, the
+    force grows over a radius, where it would jump on a needle.
+
+    `bounds` are x_min, x_max, y_min and y_max of the body in m; the radius is 0 for needles. The
+    grid is `GRID_M`.
+    """
+    margin = taxel_radius_m + 2 * GRID_M
+    x_min, y_min = bounds[0] - margin, bounds[2] - margin
+    n_x = math.ceil((bounds[1] + margin - x_min) / GRID_M) + 1
+    n_y = math.ceil((bounds[3] + margin - y_min) / GRID_M) + 1
+    x, y = np.meshgrid(x_min + GRID_M * np.arange(n_x), y_min + GRID_M * np.arange(n_y))
+    heights = np.full((n_y, n_x), FAR_M)
+    for underside in primitives:
+        np.minimum(heights, underside(x, y), out=heights)
+    return Sole(_eroded(heights, taxel_radius_m), x_min, y_min)
+
+
+def _eroded(heights: Doubles, radius_m: float) -> Doubles:
+    """Return a height map as a sphere feels it; see the module. A needle feels the map itself."""
+    reach = int(radius_m / GRID_M + 1e-9)
+    offsets = GRID_M * np.arange(-reach, reach + 1)
+    away2 = offsets[:, None] ** 2 + offsets[None, :] ** 2
+    # Strictly inside the radius: at the radius itself the sphere is only touched on its equator.
+    within = away2 < radius_m**2 * (1 - 1e-9) if reach else away2 <= 0.0
+    lift = np.sqrt(np.maximum(radius_m**2 - away2, 0.0)) - radius_m
+    n_y, n_x = heights.shape
+    padded = np.pad(heights, reach, constant_values=FAR_M)
+    felt = np.full(heights.shape, FAR_M)
+    for i, j in np.argwhere(within):
+        np.minimum(felt, padded[i : i + n_y, j : j + n_x] - lift[i, j], out=felt)
+    return felt
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid body.
+
+    Attributes
+    ----------
+    sole : Sole
+        Its underside, as taxels of one radius feel it.
+    mass_kg : float
+        Mass in kg.
+    inertia_kg_m2 : float
+        Moment of inertia about each horizontal axis through the centre of mass, in kg m2.
+    """
+
+    sole: Sole
+    mass_kg: float
+    inertia_kg_m2: float
+
+
+@cache
+def wooden_cube(taxel_radius_m: float) -> Body:
+    """Gazebo's wooden cube: 10 cm, 0.5167 kg, face down."""
+    side, mass = 0.1, 0.5167
+    half = side / 2
+    sole = build_sole(
+        [slab(-half, half, -half, half, 0.0)], (-half, half, -half, half), taxel_radius_m
+    )
+    return Body(sole, mass, mass * side**2 / 6)
+
+
+@cache
+def metal_peg(taxel_radius_m: float) -> Body:
+    """An aluminium peg of 20 mm diameter and 60 mm length, standing upright: 51 g."""
+    radius, length, density = 0.01, 0.06, 2700.0
+    mass = density * math.pi * radius**2 * length
+    sole = build_sole([disc(radius, 0.0)], (-radius, radius, -radius, radius), taxel_radius_m)
+    return Body(sole, mass, mass * (3 * radius**2 + length**2) / 12)
+
+
+@cache
+def monkey_wrench(taxel_radius_m: float) -> Body:
+    """Gazebo's monkey wrench: 390.7 x 83.4 mm, 1 kg, 1 kg m2.
+
+    The Gazebo model states no inertia, so the defaults of SDF hold (1 kg, 1 kg m2 about each
+    axis, centre of mass at the origin), and it tips very slowly. On a rigid plane it stands on
+    the rim of the adjusting wheel and on the handle's end; the jaws are 2.6 mm and the flats of
+    handle and shank 5 mm above that plane.
+    """
+    bounds = (-0.2028, 0.1879, -0.0294, 0.0540)
+    primitives = [
+        # Adjusting wheel: the rim towards the handle, (-75.8, -5.8) mm, is its lowest point.
+        roller(-0.0940, -0.0758, -0.0058, 0.0134, slope=0.02),
+        # Bead at the end of the handle, through (179.6, 10.1) and (184.0, 14.1) mm.
+        capsule((0.1796, 0.0101), (0.1840, 0.0141), 0.0039),
+        # Handle, widening a little to its end, and the shank that carries the jaws.
+        bar((-0.0600, 0.0), (0.1730, 0.0040), 0.0130, 0.0050),
+        slab(-0.1900, -0.0600, -0.0180, 0.0050, 0.0050),
+        # Fixed jaw at the far end with the head's back, and the moving jaw next to the wheel.
+        slab(-0.2028, -0.1680, -0.0294, 0.0540, 0.0026),
+        slab(-0.1330, -0.1000, -0.0180, 0.0540, 0.0026),
+    ]
+    return Body(build_sole(primitives, bounds, taxel_radius_m), 1.0, 1.0)

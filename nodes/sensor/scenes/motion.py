@@ -1,0 +1,105 @@
+"""Prescribed motions of a body after its drop: lifted, dragged, or moved along a random path."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+Place = tuple[float, float]
+
+
+class Course(Protocol):
+    """The place of a body over the skin at each time."""
+
+    def place(self, t_s: float) -> Place:
+        """Return the offset (x, y) in m from the place of the drop, at `t_s` seconds."""
+        ...
+
+
+@dataclass(frozen=True)
+class Lift:
+    """Lifted straight up at constant speed, in m/s, from `at_s` seconds on, tilts held constant.
+
+    Source: paper, section II-B: 0.1 m/s.
+    """
+
+    at_s: float
+    speed_m_s: float = 0.1
+
+    def place(self, t_s: float) -> Place:
+        """Return (0, 0): it is not moved along the skin."""
+        return (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Drag:
+    """Dragged parallel to the skin at constant velocity (x, y), in m/s, from `at_s` seconds on.
+
+    Source: paper, section II-B: 0.05 m/s.
+    """
+
+    at_s: float
+    velocity_m_s: Place
+
+    def place(self, t_s: float) -> Place:
+        """Return the offset (x, y) in m from the place of the drop."""
+        moved_s = max(0.0, t_s - self.at_s)
+        return (self.velocity_m_s[0] * moved_s, self.velocity_m_s[1] * moved_s)
+
+
+@dataclass(frozen=True)
+class RandomPath:
+    """Moved at constant speed, in m/s, between random places, from `at_s` seconds on."""
+
+    at_s: float
+    speed_m_s: float = 0.05
+
+    def draw(
+        self, rng: np.random.Generator, half_width_m: float, half_height_m: float, end_s: float
+    ) -> tuple[Place, PolygonalCourse]:
+        """Draw the place of the drop, and a course from there that lasts until `end_s` seconds.
+
+        The places are uniform in a rectangle about the middle of the skin, `half_width_m` and
+        `half_height_m` being half its sides. The place of the drop is in m from that middle.
+        """
+        half = np.array([half_width_m, half_height_m])
+        start = rng.uniform(-half, half)
+        corners = [start]
+        times = [self.at_s]
+        while times[-1] <= end_s:
+            corners.append(rng.uniform(-half, half))
+            length = float(np.hypot(*(corners[-1] - corners[-2])))
+            times.append(times[-1] + length / self.speed_m_s)
+        offsets = [(float(x - start[0]), float(y - start[1])) for x, y in corners]
+        return (float(start[0]), float(start[1])), PolygonalCourse(tuple(times), tuple(offsets))
+
+
+@dataclass(frozen=True)
+class PolygonalCourse:
+    """Straight lines between corners, reached at given times.
+
+    Attributes
+    ----------
+    times_s : tuple of float
+        Increasing times in s; the body rests at the first corner before and the last one after.
+    offsets_m : tuple of (x, y)
+        The corners, as offsets from the place of the drop, in m.
+    """
+
+    times_s: tuple[float, ...]
+    offsets_m: tuple[Place, ...]
+
+    def place(self, t_s: float) -> Place:
+        """Return the offset (x, y) in m from the place of the drop."""
+        i = bisect_right(self.times_s, t_s)
+        if i == 0:
+            return self.offsets_m[0]
+        if i == len(self.times_s):
+            return self.offsets_m[-1]
+        t0, t1 = self.times_s[i - 1], self.times_s[i]
+        (x0, y0), (x1, y1) = self.offsets_m[i - 1], self.offsets_m[i]
+        share = (t_s - t0) / (t1 - t0)
+        return (x0 + share * (x1 - x0), y0 + share * (y1 - y0))

@@ -1,0 +1,208 @@
+"""The six simulated scenes of the paper, by name.
+
+| scene          | body   | free     | prescribed motion          | taxels  | steps x dt     |
+|----------------|--------|----------|----------------------------|---------|----------------|
+| lift_box_40    | cube   | z        | lifted, 0.1 m/s            | 40 x 40 |   700 x 1 ms   |
+| lift_box_64    | cube   | z        | lifted, 0.1 m/s            | 64 x 64 |  7600 x 0.1 ms |
+| lift_wrench_40 | wrench | z, pitch | lifted, 0.1 m/s            | 40 x 40 |  3000 x 1 ms   |
+| drag_wrench_40 | wrench | z, pitch | dragged off it, 0.05 m/s   | 40 x 40 |  5000 x 1 ms   |
+| drag_wrench_64 | wrench | z, pitch | dragged off it, 0.05 m/s   | 64 x 64 | 12600 x 0.1 ms |
+| path_40        | peg    | z        | random path, 0.05 m/s      | 40 x 40 | 12200 x 1 ms   |
+
+Each body is dropped on the skin; then its motion along the skin, or its lift, is prescribed
+(`motion`). It moves freely along the degrees of freedom in column "free" (`contact`); all others
+are held.
+
+All scenes have the same skin: a pitch of 5 mm, taxels that are spheres of 2.5 mm radius and whose
+tops stand 10 mm above the ground, and
+
+- k = 122.24 N/m a taxel, the default of SkinSim's plugin. With it the box stays in contact for
+  8 ms, nearly the 10 ms of the moving average: on a stiffer skin that average would leave little
+  of the peak of an impact.
+- c = 0.4 N s/m a taxel, chosen: the box bounces twice, 0.18 and 0.05 s long, and lies still
+  before its 0.7 s are over. SkinSim's default, 1.83 N s/m, would answer the box's 3.1 m/s with
+  5.7 N a taxel, beyond the range.
+- the drop: 0.5 m (3.1 m/s) unless stated otherwise. The peak of the box is then 1.2 N a taxel, at
+  mid-range, where the noise is largest, in agreement with the lowest noisy PSNR of the paper.
+- the ground: hard (10 kN/m a cell) and damped (100 N s/m), so that a wrench that sticks out over
+  the edge of the skin does not drum on it. It lies 10 mm down, twice the height of a sphere: the
+  box sinks by 5.5 mm at most. The springs have no stop; the wheel of the wrench alone goes deeper,
+  to 12 mm, for some milliseconds of its impact.
+
+Source: paper, section II-B and table I for bodies, motions, numbers and lengths of steps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import did_you_mean
+
+from .bodies import metal_peg, monkey_wrench, wooden_cube
+from .motion import Drag, Lift, RandomPath
+from .simulation import Scene, SceneSource
+from .terrain import Surface
+
+TAXEL_RADIUS_M = 0.0025
+SKIN = Surface(pitch_m=2 * TAXEL_RADIUS_M, stiffness=122.24, damping=0.4)
+SKIN_ON_GROUND = replace(SKIN, ground_drop_m=0.010, ground_stiffness=1.0e4, ground_damping=100.0)
+DROP_HEIGHT_M = 0.5
+MS = 1_000_000  # nanoseconds
+DRAG_M_S = 0.05
+"""Speed of the wrench when dragged, in m/s. Source: paper, section II-B."""
+
+
+def lift_box_40() -> Scene:
+    """LIFT BOX on 40 x 40 taxels.
+
+    - in the middle and face parallel: 20 x 20 taxels, 12.7 mN each at rest
+    - free: z. A cube that lands flat has nothing to tilt it
+    - lifted at 0.685 s, 0.12 s after it touched down for the last time; contact ends 1 ms later,
+      the smoothed forces 10 ms after that, and the scene soon after
+    """
+    return Scene(
+        name="lift_box_40",
+        shape=(40, 40),
+        n_steps=700,
+        dt_ns=MS,
+        body=wooden_cube(TAXEL_RADIUS_M),
+        surface=SKIN,
+        drop_height_m=DROP_HEIGHT_M,
+        motion=Lift(at_s=0.685),
+        dof=("z",),
+    )
+
+
+def lift_box_64() -> Scene:
+    """LIFT BOX on 64 x 64 taxels: as on 40 x 40, lifted at 0.755 s of 0.76 s."""
+    return replace(
+        lift_box_40(),
+        name="lift_box_64",
+        shape=(64, 64),
+        n_steps=7600,
+        dt_ns=MS // 10,
+        motion=Lift(at_s=0.755),
+    )
+
+
+def lift_wrench_40() -> Scene:
+    """LIFT WRENCH on 40 x 40 taxels.
+
+    - along the skin's diagonal, centre of mass in the middle: the most of its 391 mm that 200 mm
+      square can hold, so that it lies on the skin and not on the ground around it
+    - free: z and pitch. Its supports, the wheel and the handle's end, lie on either side of the
+      centre of mass, and it rocks over them. Roll changes the forces by less than the noise
+      (51 dB against 47 dB) and is left out
+    - with 1 kg m2 on a skin this soft it rocks about once a second, and the skin damps that only
+      slowly: it no longer bounces, but has not come to a full rest, when it is lifted
+    - lifted at 2.95 s; it lies deeper than the box and leaves within the remaining 50 ms
+    """
+    return Scene(
+        name="lift_wrench_40",
+        shape=(40, 40),
+        n_steps=3000,
+        dt_ns=MS,
+        body=monkey_wrench(TAXEL_RADIUS_M),
+        surface=SKIN_ON_GROUND,
+        drop_height_m=DROP_HEIGHT_M,
+        motion=Lift(at_s=2.95),
+        dof=("z", "pitch"),
+        yaw_rad=math.pi / 4,
+    )
+
+
+def drag_wrench_40() -> Scene:
+    """DRAG WRENCH on 40 x 40 taxels.
+
+    - dropped as in LIFT WRENCH, and dragged across its length, jaws ahead, over a corner: the
+      way off the skin that 5 s at 0.05 m/s are enough for
+    - the drag begins at 1.94 s, when the worst of the bouncing is over, and ends off the skin
+    - as it leaves, jaws and handle's end drop to the ground, 10 mm lower, which bears its share
+    """
+    across = DRAG_M_S * math.sqrt(0.5)
+    return replace(
+        lift_wrench_40(),
+        name="drag_wrench_40",
+        n_steps=5000,
+        motion=Drag(at_s=1.94, velocity_m_s=(-across, across)),
+    )
+
+
+def drag_wrench_64() -> Scene:
+    """DRAG WRENCH on 64 x 64 taxels.
+
+    - 1.26 s at 0.05 m/s are 5 cm: it is dropped along an edge of the skin, centre of mass 3 cm
+      inside, jaws outwards, and dragged over that edge
+    - from 0.2 m (2 m/s), for the fall to leave time for the drag; the jaws are already out
+    - the drag begins at 0.25 s, while it still bounces
+    """
+    return replace(
+        lift_wrench_40(),
+        name="drag_wrench_64",
+        shape=(64, 64),
+        n_steps=12600,
+        dt_ns=MS // 10,
+        drop_height_m=0.2,
+        motion=Drag(at_s=0.25, velocity_m_s=(-DRAG_M_S, 0.0)),
+        place_m=(-0.128, 0.0),
+        yaw_rad=math.pi / 2,
+    )
+
+
+def path_40() -> Scene:
+    """PATH on 40 x 40 taxels.
+
+    - an aluminium peg of 20 mm diameter: about 14 taxels, 40 mN each, a light touch
+    - free: z, as it is kept vertical
+    - dropped at a random place, and from 1 s on moved between random places at the 0.05 m/s of
+      DRAG WRENCH, always with its whole sole on the skin
+    """
+    return replace(
+        lift_box_40(),
+        name="path_40",
+        n_steps=12200,
+        body=metal_peg(TAXEL_RADIUS_M),
+        motion=RandomPath(at_s=1.0, speed_m_s=DRAG_M_S),
+    )
+
+
+SCENES: dict[str, Callable[[], Scene]] = {
+    "lift_box_40": lift_box_40,
+    "lift_wrench_40": lift_wrench_40,
+    "drag_wrench_40": drag_wrench_40,
+    "path_40": path_40,
+    "lift_box_64": lift_box_64,
+    "drag_wrench_64": drag_wrench_64,
+}
+
+
+def check_scene(name: str) -> None:
+    """Check that a scene exists, without building it.
+
+    Raises
+    ------
+    SourceError
+        If there is no scene of that name.
+    """
+    if name not in SCENES:
+        raise SourceError(f"no scene is called {name!r}{did_you_mean(name, SCENES)}")
+
+
+def open_scene(name: str, seed: int) -> SceneSource:
+    """Open a scene, one of `SCENES`, as a source of true forces.
+
+    Its frames are float32 forces in [0, 2.5] N, one a time step. `seed`, 0 or more, is that of the
+    place and path of the peg in path_40; nothing is random in the other scenes.
+
+    Raises
+    ------
+    SourceError
+        If there is no scene of that name, or the seed is negative.
+    """
+    check_scene(name)
+    if seed < 0:
+        raise SourceError(f"scene {name}: seed is {seed!r}; allowed is an integer of 0 or more")
+    return SceneSource(SCENES[name](), seed)

@@ -1,0 +1,201 @@
+"""The simulation of a scene: a body is dropped on the skin and then moved by a prescribed motion.
+
+In each time step the body moves by `RigidBody.step` along its free coordinates and by its course
+along the skin; the forces of the taxels are the average of the last 10 steps, clipped to f_max.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
+
+from .bodies import Body
+from .contact import GRAVITY_M_S2, Bed, RigidBody
+from .motion import Course, Drag, Lift, Place, RandomPath
+from .terrain import Surface, Terrain
+
+SMOOTHING_STEPS = 10
+"""Width of the moving average over the forces, in time steps. Source: paper, section II-B."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Parameters of a simulated scene.
+
+    Attributes
+    ----------
+    name : str
+        Registered name, e.g. "lift_box_40".
+    shape : (n_rows, n_cols)
+        Grid of taxels.
+    n_steps, dt_ns : int
+        Number of frames and the time step between them in nanoseconds.
+    body : Body
+        The body that is dropped.
+    surface : Surface
+        Constants of the skin and of the ground beside it.
+    drop_height_m : float
+        Height above the skin from which the body falls at the first frame, in m.
+    motion : Lift, Drag or RandomPath
+        Its prescribed motion.
+    dof : ("z",), ("z", "pitch") or ("z", "pitch", "roll")
+        Free coordinates.
+    place_m : (x, y)
+        Place of the centre of mass when dropped, from the middle of the skin, in m; not used
+        with RandomPath, which draws its own.
+    yaw_rad : float
+        Rotation of the body about the vertical, in rad.
+    f_max_n : float
+        Upper end of the taxels' range, in N.
+    """
+
+    name: str
+    shape: tuple[int, int]
+    n_steps: int
+    dt_ns: int
+    body: Body
+    surface: Surface
+    drop_height_m: float
+    motion: Lift | Drag | RandomPath
+    dof: tuple[Literal["z", "pitch", "roll"], ...] = ("z",)
+    place_m: Place = (0.0, 0.0)
+    yaw_rad: float = 0.0
+    f_max_n: float = PAPER_F_MAX_N
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """State of the simulation at one time step.
+
+    Attributes
+    ----------
+    bed, taxels
+        The cells under the body, as in `Terrain.under`.
+    q, v : ndarray of float64, shape (n_dof,)
+        Coordinates (m, rad) and rates (m/s, rad/s) of the body.
+    """
+
+    bed: Bed
+    taxels: Indices
+    q: Doubles
+    v: Doubles
+
+    def write_forces(self, out: Floats) -> None:
+        """Write the taxels' forces, in N, to out, float32 of shape (n_rows, n_cols)."""
+        out.fill(0.0)
+        out.reshape(-1)[self.taxels] = self.bed.forces(self.q, self.v)[: self.taxels.size]
+
+
+class SceneSource:
+    """A simulated scene as a source of true forces.
+
+    Every iteration runs the scene from its beginning; the same seed, that of a random path,
+    gives the same frames.
+    """
+
+    delivers: Literal["truth", "taxels"] = "truth"
+
+    def __init__(self, scene: Scene, seed: int) -> None:
+        self.scene = scene
+        self.seed = seed
+        self.name = scene.name
+        self.skin = Skin(*scene.shape, f_max=scene.f_max_n, pitch_m=scene.surface.pitch_m)
+        self.rate_hz: float | None = 1e9 / scene.dt_ns
+        self.n_frames: int | None = scene.n_steps
+
+    def __iter__(self) -> Iterator[tuple[int, Floats]]:
+        """Yield (stamp_ns, forces), computed on demand: nanoseconds since the first frame, and true
+        forces in N in [0, f_max], smoothed over 10 steps; a fresh float32 array (n_rows, n_cols).
+        """
+        scene = self.scene
+        average = MovingAverage(SMOOTHING_STEPS, scene.shape)
+        for step, state in enumerate(self.states()):
+            state.write_forces(average.newest)
+            forces = average.step()
+            np.minimum(forces, np.float32(scene.f_max_n), out=forces)
+            yield step * scene.dt_ns, forces
+
+    def states(self) -> Iterator[State]:
+        """Yield the state at each time step, the first one at rest in the air."""
+        scene = self.scene
+        place, course = self._course()
+        terrain = Terrain(scene.surface, scene.shape, scene.body.sole, scene.yaw_rad, scene.dof)
+        n_dof = len(scene.dof)
+        weight = scene.body.mass_kg * GRAVITY_M_S2
+        inertia = np.full(n_dof, scene.body.inertia_kg_m2)
+        inertia[0] = scene.body.mass_kg
+        body = RigidBody(inertia, np.array([-weight] + [0.0] * (n_dof - 1)))
+        q, v = np.zeros(n_dof), np.zeros(n_dof)
+        q[0] = scene.drop_height_m
+
+        dt_s = scene.dt_ns * 1e-9
+        motion = scene.motion
+        here = course.place(0.0)
+        bed, taxels = terrain.under((place[0] + here[0], place[1] + here[1]))
+        for step in range(scene.n_steps):
+            yield State(bed, taxels, q, v)
+            t_s = step * dt_s
+            if isinstance(motion, Lift) and t_s >= motion.at_s:
+                v = np.zeros(n_dof)
+                v[0] = motion.speed_m_s
+                q = q + dt_s * v
+            else:
+                q, v = body.step(bed, q, v, dt_s)
+            there = course.place(t_s + dt_s)
+            if there != here:
+                here = there
+                bed, taxels = terrain.under((place[0] + here[0], place[1] + here[1]))
+
+    def _course(self) -> tuple[Place, Course]:
+        """Return the place of the drop and the course from there."""
+        scene = self.scene
+        if not isinstance(scene.motion, RandomPath):
+            return scene.place_m, scene.motion
+        n_rows, n_cols = scene.shape
+        # The whole sole stays on the skin at any yaw.
+        reach = max(abs(bound) for bound in scene.body.sole.bounds)
+        pitch = scene.surface.pitch_m
+        return scene.motion.draw(
+            np.random.default_rng(self.seed),
+            n_cols * pitch / 2 - reach,
+            n_rows * pitch / 2 - reach,
+            scene.n_steps * scene.dt_ns * 1e-9,
+        )
+
+
+class MovingAverage:
+    """Mean of the newest `width` frames; frames before the first count as 0.
+
+    Source: paper, section II-B: "a moving average filter with a width of 10 time-steps".
+    """
+
+    def __init__(self, width: int, shape: tuple[int, int]) -> None:
+        self._ring = np.zeros((width, *shape), dtype=np.float32)
+        self._oldest = 0
+
+    @property
+    def newest(self) -> Floats:
+        """Array for the next frame, to be written before `step`; float32, shape `shape`."""
+        slot: Floats = self._ring[self._oldest]
+        return slot
+
+    def step(self) -> Floats:
+        """Return the mean that includes the frame written to `newest`.
+
+        Returns
+        -------
+        ndarray of float32, shape (n_rows, n_cols)
+            A fresh array. It is summed anew each time: a taxel that was not touched during
+            `width` frames is exactly 0.
+        """
+        width = len(self._ring)
+        self._oldest = (self._oldest + 1) % width
+        mean: Floats = self._ring.sum(axis=0)
+        mean *= np.float32(1.0 / width)
+        return mean

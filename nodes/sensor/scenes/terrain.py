@@ -1,0 +1,161 @@
+"""The cells under a body: the taxels of the skin, and the lower ground around them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from sparseskin.nodes.numerics.arrays import Doubles, Indices
+
+from .bodies import FAR_M, Sole
+from .contact import Bed
+from .motion import Place
+
+_Value = TypeVar("_Value", float, Doubles)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The constants of the skin as a bed, and of the ground beside it.
+
+    Attributes
+    ----------
+    pitch_m : float
+        Distance of neighbouring taxels, and of the ground's cells, in m.
+    stiffness, damping : float
+        k in N/m and c in N s/m of each taxel.
+    ground_drop_m : float or None
+        Depth of the ground below the tops of the taxels, in m; None: no ground.
+    ground_stiffness, ground_damping : float
+        k in N/m and c in N s/m of each cell of the ground.
+    """
+
+    pitch_m: float
+    stiffness: float
+    damping: float
+    ground_drop_m: float | None = None
+    ground_stiffness: float = 1.0e4
+    ground_damping: float = 100.0
+
+
+class Terrain:
+    """Finds the cells under a sole at any place of the body.
+
+    The tops of the unloaded taxels are at height 0. Coordinates are in m from the middle of the
+    skin, x along a row and y along a column. A cell at (x, y) in body coordinates has the gap
+    sole(x, y) + depth of the ground, and the Jacobian (1, -x, y) for (z, pitch, roll).
+
+    Parameters
+    ----------
+    surface : Surface
+        Constants of skin and ground.
+    shape : (n_rows, n_cols)
+        The skin's grid of taxels.
+    sole : Sole
+        The underside of the body.
+    yaw_rad : float
+        Rotation of the body about the vertical, constant.
+    dof : ("z",), ("z", "pitch") or ("z", "pitch", "roll")
+        The free coordinates, in the order of the bed's Jacobian. Pitch is the rotation about the
+        body's y axis; positive lowers points of positive x. Roll is that about its x axis;
+        positive lifts points of positive y.
+    """
+
+    def __init__(
+        self,
+        surface: Surface,
+        shape: tuple[int, int],
+        sole: Sole,
+        yaw_rad: float,
+        dof: tuple[str, ...],
+    ) -> None:
+        self._surface = surface
+        self._shape = shape
+        self._sole = sole
+        self._yaw = (math.cos(yaw_rad), math.sin(yaw_rad))
+        self._dof = dof
+        self._searched_at: Place | None = None
+        # 1 within one pitch of the body, and a little more for the rotated grid.
+        margin = math.ceil(1.1 * surface.pitch_m / sole.grid_m)
+        window = 2 * margin + 1
+        near = np.pad(sole.heights < FAR_M, window)
+        for axis in (0, 1):
+            near = sliding_window_view(near, window, axis=axis).max(axis=-1)
+        self._vicinity = Sole(
+            near.astype(np.float64),
+            sole.x_min - (margin + 1) * sole.grid_m,
+            sole.y_min - (margin + 1) * sole.grid_m,
+            sole.grid_m,
+        )
+
+    def under(self, place: Place) -> tuple[Bed, Indices]:
+        """Return the cells under the body with its centre of mass over `place`.
+
+        Returns
+        -------
+        bed : Bed
+            The cells, taxels first; among them some beside the body, out of its reach.
+        taxels : ndarray of intp, shape (n_taxels,)
+            Indices of the bed's first n_taxels cells in the flattened frame.
+        """
+        if self._searched_at is None or (
+            math.dist(place, self._searched_at) > self._surface.pitch_m
+        ):
+            self._search(place)
+        x, y = self._to_body(*place)
+        body_x = self._body_x - x
+        body_y = self._body_y - y
+        gap = self._sole.sample(body_x, body_y)
+        gap += self._depth
+        jacobian = np.ones((gap.size, len(self._dof)))
+        if "pitch" in self._dof:
+            np.negative(body_x, out=jacobian[:, self._dof.index("pitch")])
+        if "roll" in self._dof:
+            jacobian[:, self._dof.index("roll")] = body_y
+        return Bed(self._stiffness, self._damping, gap, jacobian), self._taxels
+
+    def _to_body(self, x: _Value, y: _Value) -> tuple[_Value, _Value]:
+        cos, sin = self._yaw
+        return cos * x + sin * y, cos * y - sin * x
+
+    def _search(self, place: Place) -> None:
+        """Find the cells that the body can cover while within one pitch of `place`."""
+        surface = self._surface
+        n_rows, n_cols = self._shape
+        x_min, x_max, y_min, y_max = self._sole.bounds
+        reach = math.hypot(max(-x_min, x_max), max(-y_min, y_max)) + 2 * surface.pitch_m
+        col, row = (
+            index.ravel()
+            for index in np.meshgrid(
+                self._indices(place[0], reach, n_cols), self._indices(place[1], reach, n_rows)
+            )
+        )
+        skin_x = np.asarray((col - (n_cols - 1) / 2) * surface.pitch_m, dtype=np.float64)
+        skin_y = np.asarray((row - (n_rows - 1) / 2) * surface.pitch_m, dtype=np.float64)
+        body_x, body_y = self._to_body(skin_x, skin_y)
+        x, y = self._to_body(*place)
+        near = self._vicinity.sample(body_x - x, body_y - y) > 0.0
+        on_skin = (col >= 0) & (col < n_cols) & (row >= 0) & (row < n_rows)
+        skin = np.flatnonzero(near & on_skin)
+        ground = np.flatnonzero(near & ~on_skin)
+        order = np.concatenate([skin, ground])
+        sizes = [skin.size, ground.size]
+        self._taxels = (row * n_cols + col)[skin]
+        self._body_x, self._body_y = body_x[order], body_y[order]
+        self._stiffness = np.repeat([surface.stiffness, surface.ground_stiffness], sizes)
+        self._damping = np.repeat([surface.damping, surface.ground_damping], sizes)
+        self._depth = np.repeat([0.0, surface.ground_drop_m or 0.0], sizes)
+        self._searched_at = place
+
+    def _indices(self, middle: float, reach: float, count: int) -> Indices:
+        """Return the indices of the rows or columns of cells within `reach` of `middle`."""
+        pitch = self._surface.pitch_m
+        first = math.floor((middle - reach) / pitch + (count - 1) / 2)
+        stop = math.ceil((middle + reach) / pitch + (count - 1) / 2) + 1
+        if self._surface.ground_drop_m is None:
+            first, stop = max(first, 0), min(stop, count)
+        return np.arange(first, max(first, stop), dtype=np.intp)

@@ -1,0 +1,70 @@
+"""Compressed sensing for robot tactile skins.
+
+The names below work on arrays, in one program, with no process and no socket. Each is imported
+when it is first used. The node set is in `sparseskin.nodes`, the launcher in `sparseskin.launch`.
+"""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+# In a checkout (an editable installation) the subpackages stand beside this folder. `launch` has
+# no __init__.py, lest it shadow the package `launch` of ROS 2, and is found by the path alone.
+_here = os.path.dirname(os.path.abspath(__file__))
+if not os.path.isdir(os.path.join(_here, "launch")):
+    __path__.append(os.path.dirname(_here))
+
+if TYPE_CHECKING:
+    from sparseskin.launch.launchfile.load import load as load_launch
+    from sparseskin.nodes.compressor.phi.base import make_phi
+    from sparseskin.nodes.reconstructor.bases.base import make_basis
+    from sparseskin.nodes.reconstructor.solvers.base import make_solver
+
+    from .arrays import compress, psnr_db, read_recording, reconstruct, run_launch, simulate
+
+#: Module and attribute of each name.
+_HOMES = {
+    "make_phi": ("sparseskin.nodes.compressor.phi.base", "make_phi"),
+    "make_basis": ("sparseskin.nodes.reconstructor.bases.base", "make_basis"),
+    "make_solver": ("sparseskin.nodes.reconstructor.solvers.base", "make_solver"),
+    "compress": ("sparseskin.arrays", "compress"),
+    "reconstruct": ("sparseskin.arrays", "reconstruct"),
+    "psnr_db": ("sparseskin.arrays", "psnr_db"),
+    "simulate": ("sparseskin.arrays", "simulate"),
+    "load_launch": ("sparseskin.launch.launchfile.load", "load"),
+    "run_launch": ("sparseskin.arrays", "run_launch"),
+    "read_recording": ("sparseskin.arrays", "read_recording"),
+}
+
+__all__ = [
+    "__version__",
+    "compress",
+    "load_launch",
+    "make_basis",
+    "make_phi",
+    "make_solver",
+    "psnr_db",
+    "read_recording",
+    "reconstruct",
+    "run_launch",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("sparseskin")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'sparseskin' has no attribute {name!r}")
+    module, attribute = _HOMES[name]
+    found = getattr(import_module(module), attribute)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,377 @@
+"""Compression, reconstruction, scenes, launch files and recordings on arrays."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.launch.launchfile.load import load
+from sparseskin.launch.launchfile.spec import LaunchFile
+from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.errors import SolverError, SparseskinError
+from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
+from sparseskin.nodes.reconstructor.solvers.base import Solver
+from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
+from sparseskin.nodes.recorder.bag.frames import (
+    array_names,
+    described,
+    frame_topics,
+    frames,
+    patch_of,
+    skin_of,
+)
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.sensor.files.recorded import open_file
+
+Floats = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.bool_]
+
+
+def compress(forces: Floats, phi: Phi, mask: Mask | None = None) -> Floats:
+    """Measure frames of taxels: y = Phi x.
+
+    Parameters
+    ----------
+    forces : ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
+        Readings, newtons.
+    phi : Phi
+        Measurement matrix, for as many taxels as exist.
+    mask : ndarray of bool, shape (n_rows, n_cols), optional
+        True where a taxel exists; by default everywhere.
+
+    Returns
+    -------
+    ndarray of float32, shape (m,) or (k, m)
+        Measurements, newtons.
+
+    Raises
+    ------
+    PhiError
+        If the number of existing taxels is not `phi.n`.
+
+    Examples
+    --------
+    >>> import numpy as np, sparseskin
+    >>> phi = sparseskin.make_phi("sbhe", n=256, m=85, seed=0)
+    >>> sparseskin.compress(np.ones((16, 16), np.float32), phi).shape
+    (85,)
+    """
+    forces = np.asarray(forces, dtype=np.float32)
+    x = forces.reshape(*forces.shape[:-2], -1) if mask is None else forces[..., mask]
+    return phi.forward(x)
+
+
+def reconstruct(measurements: Floats, solver: Solver) -> Floats:
+    """Reconstruct frames one after the other, each with what the solver kept of the last.
+
+    Parameters
+    ----------
+    measurements : ndarray of float32, shape (m,) or (k, m)
+        Measurements of one frame or of k frames in order, newtons.
+    solver : Solver
+        It starts from what its last frame left; `solver.reset()` makes it start anew.
+
+    Returns
+    -------
+    ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
+        Forces, newtons, 0 or more; 0 where no taxel exists.
+
+    Raises
+    ------
+    SolverError
+        If the measurements have another shape, or are not finite.
+
+    Examples
+    --------
+    >>> import sparseskin
+    >>> truth, taxels = sparseskin.simulate("path_40", 330)
+    >>> phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
+    >>> basis = sparseskin.make_basis("haar", 40, 40)
+    >>> solver = sparseskin.make_solver("skin", phi, basis)
+    >>> forces = sparseskin.reconstruct(sparseskin.compress(taxels, phi), solver)
+    >>> forces.shape
+    (330, 40, 40)
+    >>> bool(sparseskin.psnr_db(forces, truth).min() > 30)
+    True
+    """
+    y = np.asarray(measurements, dtype=np.float32)
+    if y.ndim not in (1, 2):
+        raise SolverError(f"measurements have shape {y.shape}; expected (m,) or (k, m)")
+    if y.ndim == 1:
+        return solver.solve(y)
+    return np.stack([solver.solve(frame) for frame in y]) if len(y) else _no_frames(solver)
+
+
+def _no_frames(solver: Solver) -> Floats:
+    return np.zeros((0, *solver.mask.shape), dtype=np.float32)
+
+
+def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
+    """Peak signal-to-noise ratio of each frame, 20 log10(f_max / RMSE), capped at 100 dB.
+
+    Parameters
+    ----------
+    forces, truth : ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
+        Estimate and reference, newtons.
+    f_max : float
+        Upper end of the range, newtons.
+
+    Returns
+    -------
+    float, or ndarray of float64, shape (k,)
+        Decibels.
+
+    Raises
+    ------
+    SparseskinError
+        If the shapes differ or are no frames.
+
+    Notes
+    -----
+    Source: paper, section V-C.
+
+    Examples
+    --------
+    >>> import numpy as np, sparseskin
+    >>> truth = np.zeros((4, 4), np.float32)
+    >>> round(sparseskin.psnr_db(truth + np.float32(0.25), truth), 3)
+    20.0
+    """
+    forces, truth = np.asarray(forces), np.asarray(truth)
+    if forces.shape != truth.shape or forces.ndim not in (2, 3):
+        raise SparseskinError(
+            f"psnr_db: shapes {forces.shape} and {truth.shape}; "
+            "expected the same, (n_rows, n_cols) or (k, n_rows, n_cols)"
+        )
+    error = forces - truth
+    if error.ndim == 2:
+        return psnr_of_error(error, f_max)
+    return np.array([psnr_of_error(frame, f_max) for frame in error])
+
+
+def simulate(scene: str, n_frames: int, seed: int = 0) -> tuple[Floats, Floats]:
+    """Simulate the first frames of a scene.
+
+    Parameters
+    ----------
+    scene : str
+        Name of a scene: "lift_box_40", "lift_wrench_40", "drag_wrench_40", "path_40",
+        "lift_box_64", "drag_wrench_64".
+    n_frames : int
+        Number of frames, at most the scene's length.
+    seed : int
+        Seed of the noise, and of what the scene draws at random.
+
+    Returns
+    -------
+    truth, taxels : ndarray of float32, shape (n_frames, n_rows, n_cols)
+        Forces that act, and what noisy taxels read, newtons, in [0, 2.5].
+
+    Raises
+    ------
+    SparseskinError
+        If there is no such scene.
+
+    Examples
+    --------
+    >>> import sparseskin
+    >>> truth, taxels = sparseskin.simulate("lift_box_40", 3)
+    >>> truth.shape, float(truth.max())
+    ((3, 40, 40), 0.0)
+    """
+    # Imported here: other functions of this module need no scene.
+    from sparseskin.nodes.sensor.node import Sensor
+
+    bus = Bus({"sensor": (Sensor, Sensor.Settings(source=f"scene:{scene}", seed=seed))})
+    made = [message for messages in bus.frames(n_frames) for message in messages]
+    truth = [message.forces for message in made if isinstance(message, Truth)]
+    taxels = [message.forces for message in made if isinstance(message, Taxels)]
+    return np.stack(truth), np.stack(taxels)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame of one patch, as it passed through the stations.
+
+    Attributes
+    ----------
+    patch : str
+        Name of the patch.
+    stamp_ns : int
+        Time of acquisition, nanoseconds.
+    truth : ndarray of float32, shape (n_rows, n_cols), or None
+        Forces that act, newtons, where a simulation knows them.
+    taxels : ndarray of float32, shape (n_rows, n_cols), or None
+        Readings, newtons.
+    measurements : ndarray of float32, shape (m,), or None
+        What the edge sent, newtons.
+    forces : ndarray of float32, shape (n_rows, n_cols), or None
+        Reconstructed forces, newtons.
+    """
+
+    patch: str
+    stamp_ns: int
+    truth: Floats | None = None
+    taxels: Floats | None = None
+    measurements: Floats | None = None
+    forces: Floats | None = None
+
+
+def run_launch(
+    launch: LaunchFile | str, n_frames: int | None = None, settings: Sequence[str] = ()
+) -> Iterator[Frame]:
+    """Run the nodes of a launch file in this program, frame by frame, as fast as they go.
+
+    The results have the same bits as those of the processes that `sparseskin launch` starts.
+
+    Parameters
+    ----------
+    launch : LaunchFile or str
+        What `load_launch` returned, or the name or path of a launch file.
+    n_frames : int, optional
+        Number of frames; by default until the source ends.
+    settings : sequence of str
+        "NODE.KEY=VALUE" each; only with a name or path.
+
+    Yields
+    ------
+    Frame
+        For each patch of the graph and each of its frames; None in it where no node makes that
+        part.
+
+    Raises
+    ------
+    LaunchError
+        If the launch file is refused.
+    SparseskinError
+        If a node cannot work.
+
+    Examples
+    --------
+    >>> import sparseskin
+    >>> for frame in sparseskin.run_launch("path_40", 2, ["compressor.ratio=4"]):
+    ...     print(frame.patch, frame.taxels.shape, frame.measurements.shape, frame.forces.shape)
+    skin (40, 40) (400,) (40, 40)
+    skin (40, 40) (400,) (40, 40)
+    """
+    if isinstance(launch, str):
+        launch = load(launch, settings)
+    elif settings:
+        raise SparseskinError("run_launch: settings go to load_launch where the file is loaded")
+    bus = Bus({node.name: (node.cls, node.settings) for node in launch.nodes.values()})
+    try:
+        for messages in bus.frames(n_frames):
+            yield from _frames_of(messages)
+    finally:
+        bus.close()
+
+
+_PARTS = {Truth: "truth", Taxels: "taxels", Measurements: "measurements", Reconstruction: "forces"}
+
+
+def _frames_of(messages: Sequence[Message]) -> Iterator[Frame]:
+    found: dict[tuple[str, int], dict[str, Any]] = {}
+    for message in messages:
+        if type(message) in _PARTS:
+            array = message.y if isinstance(message, Measurements) else getattr(message, "forces")  # noqa: B009
+            found.setdefault((message.patch, message.stamp_ns), {})[_PARTS[type(message)]] = array
+    for (patch, stamp_ns), parts in found.items():
+        yield Frame(patch, stamp_ns, **parts)
+
+
+def read_recording(
+    path: str | os.PathLike[str], patch: str | None = None, **stated: Any
+) -> dict[str, Any]:
+    """Read a recording into arrays, under the names that `bag export --to npz` uses.
+
+    Parameters
+    ----------
+    path : str or path
+        A bag (.mcap, .mcap.part), or any file that the sensor reads: Novel .lst, Tekscan .csv and
+        .asf, .npy, .npz, plain .csv.
+    patch : str, optional
+        Patch to read; needed where a bag has several.
+    **stated
+        What a file does not state: n_rows, n_cols, unit, f_max, rate_hz, crop; not for bags.
+
+    Returns
+    -------
+    dict
+        `forces` (readings), `truth`, `reconstruction`: float32 (k, n_rows, n_cols);
+        `measurements`: float32 (k, M), NaN behind the last one where M changes; `stamp_ns` (of
+        `forces`), `truth_stamp_ns`, `reconstruction_stamp_ns`, `measurements_stamp_ns`: int64
+        (k,), nanoseconds; `f_max` (float) and `unit` (str), `mask` (bool, shape (n_rows,
+        n_cols)), `pitch_m` (metres), `rate_hz`, as far as known. All forces in `unit`.
+
+    Raises
+    ------
+    SparseskinError
+        If the file is missing, malformed, or has no such frames.
+
+    Examples
+    --------
+    >>> import numpy as np, sparseskin, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.save(f"{folder}/log.npy", np.ones((5, 4, 4), np.float32))
+    ...     recording = sparseskin.read_recording(f"{folder}/log.npy", rate_hz=100)
+    >>> recording["forces"].shape, recording["stamp_ns"][:2].tolist(), recording["unit"]
+    ((5, 4, 4), [0, 10000000], 'N')
+    """
+    name = Path(path).name
+    if name.endswith((FILE_SUFFIX, FILE_SUFFIX + PART_SUFFIX)):
+        if stated:
+            raise SparseskinError(f"{path}: a bag states {', '.join(stated)} itself")
+        return _read_bag(path, patch)
+    source = open_file(path, **stated)
+    pairs = list(source)
+    return {
+        "forces": np.stack([forces for _, forces in pairs]),
+        "stamp_ns": np.array([stamp for stamp, _ in pairs], dtype=np.int64),
+        **described(source.skin, source.rate_hz),
+    }
+
+
+def _read_bag(path: str | os.PathLike[str], patch: str | None) -> dict[str, Any]:
+    with BagReader(path) as bag:
+        topics = frame_topics(bag, None)
+        patches = sorted({patch_of(topic) for topic in topics})
+        if patch is None and len(patches) > 1:
+            raise SparseskinError(f"{path}: has patches {', '.join(patches)}: state one of them")
+        patch = patch or patches[0]
+        wanted = [topic for topic in topics if patch_of(topic) == patch]
+        if not wanted:
+            raise SparseskinError(f"{path}: has no patch {patch!r} (it has {', '.join(patches)})")
+        arrays: dict[str, list[Floats]] = {}
+        stamps: dict[str, list[int]] = {}
+        for frame in frames(bag, wanted, "read"):
+            schema = frame.message.schema
+            arrays.setdefault(schema, []).append(frame.array)
+            stamps.setdefault(schema, []).append(frame.message.stamp_ns)
+        skin = skin_of(bag, patch)
+    found: dict[str, Any] = {}
+    for schema, frames_of_it in arrays.items():
+        name, stamps_name = array_names(schema)
+        if schema != Measurements.schema and len({a.shape for a in frames_of_it}) > 1:
+            raise SparseskinError(f"{path}: the shape of {schema} changes")
+        found[name] = _stacked(frames_of_it)
+        found[stamps_name] = np.array(stamps[schema], dtype=np.int64)
+    if skin is not None:
+        found |= described(skin, skin.rate_hz)
+    return found
+
+
+def _stacked(arrays: Sequence[Floats]) -> Floats:
+    """Frames as one array; measurements of fewer rows end with NaN."""
+    longest = max(len(array) for array in arrays)
+    stacked = np.full((len(arrays), longest, *arrays[0].shape[1:]), np.nan, dtype=np.float32)
+    for row, array in zip(stacked, arrays, strict=True):
+        row[: len(array)] = array
+    return stacked

@@ -1,0 +1,92 @@
+"""Iterations of two solvers in C: a lower bound for the time of compiled loops."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+SOURCE = Path(__file__).with_name("floor.c")
+#: Parts of -ffast-math for loops, without its start-up code, which makes the whole process flush
+#: subnormal numbers to 0.
+LOOPS = ("-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math")
+FLAGS = ("-O3", "-march=native", *LOOPS, "-shared", "-fPIC")
+_COMPILERS = ("cc", "gcc", "clang")
+
+
+def c_compiler() -> str | None:
+    """Path of a C compiler, where there is one."""
+    return next((path for name in _COMPILERS if (path := shutil.which(name))), None)
+
+
+class CFloor:
+    """Iterations of FISTA and of `skin` in C, on random vectors; N must be divisible by 64.
+
+    Parameters
+    ----------
+    n : int
+        Number of taxels.
+    levels : int
+        Halvings of the Haar basis for FISTA.
+
+    Attributes
+    ----------
+    vectors : list of ndarray, shape (n,)
+        Inputs and outputs of the iterations, float32 and uint32.
+
+    Raises
+    ------
+    OSError, subprocess.CalledProcessError
+        If there is no compiler, or it fails.
+    """
+
+    def __init__(self, n: int, levels: int) -> None:
+        compiler = c_compiler()
+        if compiler is None:
+            raise OSError("no C compiler is installed")
+        with TemporaryDirectory() as folder:
+            library = Path(folder) / "floor.so"
+            command = [compiler, *FLAGS, str(SOURCE), "-o", str(library), "-lm"]
+            subprocess.run(command, check=True, capture_output=True, timeout=120)
+            self._library = ctypes.CDLL(str(library))
+        rng = np.random.default_rng(0)
+        self.vectors: list[npt.NDArray[Any]] = []
+
+        def pointer(vector: npt.NDArray[Any]) -> Any:
+            self.vectors.append(vector)
+            return vector.ctypes.data_as(ctypes.c_void_p)
+
+        def random() -> Any:
+            return pointer(rng.random(n, dtype=np.float32))
+
+        def constant(value: float) -> Any:
+            return pointer(np.full(n, value, np.float32))
+
+        def places() -> Any:
+            return pointer(rng.permutation(n).astype(np.uint32))
+
+        number, size, depth = ctypes.c_float, ctypes.c_long(n), ctypes.c_long(levels)
+        # Weights, kept rows and measured rows that let nothing grow.
+        weights, keep, measured = constant(4.0**-levels), constant(1 / 32), constant(32**-0.5)
+        self._fista = (
+            *(random(), random(), number(0.5), weights, random(), random(), random(), places()),
+            *(keep, random(), size, depth),
+        )
+        self._skin = (
+            *(random(), random(), random(), random(), random(), places(), places(), random()),
+            *(random(), measured, number(0.03), number(0.01), size),
+        )
+
+    def fista(self) -> None:
+        """Do one iteration of FISTA."""
+        self._library.fista(*self._fista)
+
+    def skin(self) -> None:
+        """Do one iteration of `skin`."""
+        self._library.skin(*self._skin)

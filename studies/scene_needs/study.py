@@ -1,0 +1,144 @@
+"""The study `scene-needs`: the terms of each scene, removed or added one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from sparseskin.nodes.sensor.scenes.scenes import SCENES
+from sparseskin.studies.points import compute_rows
+from sparseskin.studies.report import PALETTE, Chart, fill_page, write_csv
+
+from .variants import measure, variants
+
+Row = Mapping[str, Any]
+QUICK_SCENES = ("lift_box_40", "lift_wrench_40", "path_40")
+QUICK_STEPS = 1000
+OFTEN = 0.05
+"""Share of frames changed by more than their noise above which a scene is another one."""
+
+#: Reasons for which a scene keeps what it does not need.
+_KEPT = {
+    "round taxels": "the skin is one and the same in all scenes",
+    "damping of the ground": "the ground is one and the same in all scenes",
+    "damping of the skin": "the skin is one and the same in all scenes",
+    "moving average": "the recordings of the paper are smoothed; felt at the impact alone",
+}
+#: Reasons for which a scene does without what it would need.
+_LEFT_OUT = {
+    ("path_40", axis): "the peg is kept vertical, as in the paper"
+    for axis in ("pitch", "roll", "pitch and roll")
+}
+
+
+def points(quick: bool, seed: int) -> list[dict[str, Any]]:
+    """Every variant of every scene; quick: of three of them, as far as the first bounces."""
+    n_steps = QUICK_STEPS if quick else None
+    return [
+        {"scene": scene, "variant": variant, "n_steps": n_steps, "seed": seed}
+        for scene in (QUICK_SCENES if quick else SCENES)
+        for variant in variants(SCENES[scene]())
+    ]
+
+
+def run(out: Path, quick: bool, seed: int, executor: str) -> None:
+    """Compute what is not known yet, and write chart, tables and the page `scene-needs.md`."""
+    rows = compute_rows(measure, points(quick, seed), out, executor, "scene needs")
+    rows = [{**row, "verdict": verdict(row)} for row in rows]
+    frame = pd.DataFrame(rows)
+    fill_page(
+        out,
+        "scene-needs",
+        Path(__file__).with_name("page.md"),
+        quick=quick,
+        quick_steps=QUICK_STEPS,
+        chart=_chart(out, frame),
+        summary=summary(rows, quick),
+        scenes={scene: _table(some) for scene, some in frame.groupby("scene", sort=False)},
+        csv=write_csv(out, "scene-needs", rows),
+    )
+
+
+def verdict(row: Row) -> str:
+    """Verdict on a variant by its figures."""
+    matters = row["change_db"] < row["noise_db"] or row["above_noise"] > OFTEN
+    if row["carried"]:
+        if matters:
+            return "needed"
+        return "kept" if row["variant"] in _KEPT else "superfluous"
+    if not matters:
+        return "rightly left out"
+    return "left out" if (row["scene"], row["variant"]) in _LEFT_OUT else "missing"
+
+
+def summary(rows: Sequence[Row], quick: bool) -> str:
+    """Number of variants with each verdict, and names of those that should not be; as Markdown."""
+    counts = {
+        kind: [f"{row['scene']}: {row['variant']}" for row in rows if row["verdict"] == kind]
+        for kind in ("needed", "rightly left out", "kept", "left out", "superfluous", "missing")
+    }
+    lines = [f"- {kind}: {len(found)}" for kind, found in counts.items()]
+    for kind in ("superfluous", "missing"):
+        shortened = f" (of its first {QUICK_STEPS} steps alone)" if quick else ""
+        lines += [f"- **{kind}**: {name}{shortened}" for name in counts[kind]]
+    if not counts["superfluous"] + counts["missing"]:
+        lines.append(
+            "- So each scene carries what changes its frames above the noise, and else only what "
+            "is the same in all scenes."
+        )
+    return "\n".join(lines)
+
+
+def _table(frame: pd.DataFrame) -> pd.DataFrame:
+    lines = []
+    for row in frame.to_dict("records"):
+        name, kind = row["variant"], row["verdict"]
+        why = {"kept": _KEPT.get(name), "left out": _LEFT_OUT.get((row["scene"], name))}.get(kind)
+        cost = 100.0 * (row["variant_us"] / row["scene_us"] - 1.0)
+        lines.append(
+            {
+                "variant": ("without " if row["carried"] else "with ") + name,
+                "change, dB": f"{row['change_db']:.1f}",
+                "noise, dB": f"{row['noise_db']:.1f}",
+                "worst, dB": f"{row['worst_db']:.1f}",
+                "above": f"{100 * row['above_noise']:.1f} %",
+                "time": f"{cost:+.0f} %",
+                "verdict": kind + (f": {why}" if why else ""),
+            }
+        )
+    return pd.DataFrame(lines)
+
+
+def _chart(out: Path, frame: pd.DataFrame) -> str:
+    scenes = list(frame["scene"].unique())
+    names = list(frame["variant"].unique())[::-1]
+    chart = Chart(
+        out,
+        "scene-needs",
+        "Change of each scene's frames, in dB as PSNR: the further left, the larger.",
+        *(len(scenes), 3),
+        size_in=(9.5, 2.9 * -(-len(scenes) // 3) + 0.6),
+        legend_columns=5,
+    )
+    with chart:
+        for k, (axes, scene) in enumerate(zip(chart.panels, scenes, strict=True)):
+            mine = frame[frame["scene"] == scene]
+            noise_db = mine["noise_db"].iloc[0]
+            axes.axvspan(10.0, noise_db, color="#dddddd", zorder=0, label="above the noise")
+            for carried, colour, marker, label in (
+                (True, PALETTE[0], "o", "removed"),
+                (False, PALETTE[1], "s", "added"),
+            ):
+                some = mine[mine["carried"] == carried]
+                heights = [names.index(name) for name in some["variant"]]
+                changes, worst = some["change_db"], some["worst_db"]
+                axes.hlines(heights, worst, changes, color=colour, lw=1.0)
+                axes.plot(changes, heights, marker, color=colour, label=label)
+                axes.plot(worst, heights, "|", color=colour, ms=9, label=f"{label}: worst frame")
+            axes.set(xlim=(10.0, 105.0), ylim=(-0.6, len(names) - 0.4), title=scene)
+            axes.set_yticks(range(len(names)), [""] * len(names) if k % 3 else names)
+        chart.label("change of the frames, dB", "")
+    return chart.markdown

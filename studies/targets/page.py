@@ -1,0 +1,275 @@
+"""The page of study `targets`: wanted figures, reached ones, and the part of each ingredient."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.studies.report import (
+    MARKERS,
+    PALETTE,
+    Chart,
+    cells,
+    fill_page,
+    markdown,
+    pivot,
+    write_csv,
+)
+
+from .scenes import RANDOM
+
+RATIOS = (3, 4, 8)
+METHODS = ("skin", "skin, rotating")
+#: Wanted gain over preset paper, dB, by number of taxels and ratio.
+WANTED_DB = {1600: {3: 12, 4: 14, 8: 17}, 4096: {3: 11, 4: 12, 8: 17}}
+WANTED_WORST_DB, WANTED_FOUND = 13, 0.95
+#: Force of a light touch on each of nine taxels, and the mean of nine taxels that detects it.
+LIGHT_TOUCH_N, THRESHOLD_N = 0.05, 0.01
+#: Half width of a band that is to hold 90 % of the truth, in standard deviations.
+DEVIATIONS = 1.645
+HELD = ("touched", "untouched", "total", "row", "col")
+
+
+def write(
+    out: Path,
+    reconstructed: pd.DataFrame,
+    touched: pd.DataFrame,
+    banded: pd.DataFrame,
+    recorded: pd.DataFrame,
+    ablated: pd.DataFrame,
+) -> None:
+    """Write tables, charts and the page into a folder.
+
+    Parameters
+    ----------
+    out : Path
+    reconstructed, touched, banded, recorded, ablated : DataFrame
+        Points with the figures of the functions of these names in `study`; a row a method in
+        `reconstructed` and a row an ingredient in `ablated`.
+    """
+    columns = [
+        "scene",
+        "n",
+        "ratio",
+        "method",
+        "mean_db",
+        "min_db",
+        "touched_n",
+        "p50_ms",
+        "p99_ms",
+    ]
+    compared = _compared(reconstructed)
+    names = list(ablated["without"].unique())
+    changes = _changes(ablated, names[0])
+    fill_page(
+        *(out, "targets", Path(__file__).with_name("page.md")),
+        reached=_reached(compared),
+        gains=[_draw_gain(out, compared, method) for method in METHODS],
+        scenes=_scene_table(reconstructed),
+        scenes_csv=write_csv(out, "scenes", reconstructed[[*columns, "p50_ms", "p99_ms"]]),
+        touched=_touched_table(reconstructed),
+        pylops_iterations=PRESETS["paper"]["iterations"],
+        light=markdown(
+            pd.DataFrame(
+                {
+                    "taxels": cells(touched, "{side} x {side}"),
+                    "solver": touched["solver"],
+                    "found": [f"{100 * part:.0f} %" for part in touched["found"]],
+                    "false, untouched frames": [f"{100 * part:.1f} %" for part in touched["false"]],
+                }
+            )
+        ),
+        light_n=LIGHT_TOUCH_N,
+        threshold_n=THRESHOLD_N,
+        wanted_found=100 * WANTED_FOUND,
+        deviations=DEVIATIONS,
+        bands=_bands_table(banded),
+        recorded=_recorded_table(recorded) if len(recorded) else "",
+        ablation_chart=_draw_ablation(out, changes, names[1:]),
+        ablation=_ablation_table(changes, names[1:]),
+    )
+
+
+def _best_zone(reconstructed: pd.DataFrame) -> pd.DataFrame:
+    """By scene the dead zone of the full reading that serves it best: method, mean_db."""
+    zones = reconstructed[reconstructed["method"].str.startswith("dead zone")]
+    return zones.loc[zones.groupby("scene")["mean_db"].idxmax()].set_index("scene")
+
+
+def _reading(reconstructed: pd.DataFrame, method: str) -> pd.DataFrame:
+    """By scene the figures of a method at ratio 1."""
+    found = reconstructed[(reconstructed["ratio"] == 1) & (reconstructed["method"] == method)]
+    return found.set_index("scene")
+
+
+def _compared(reconstructed: pd.DataFrame) -> pd.DataFrame:
+    """Rows of `METHODS` with their gains over paper and over the reading, dB."""
+    keys = ["scene", "ratio"]
+    of = reconstructed[reconstructed["ratio"].isin(RATIOS)]
+    paper = of[of["method"] == "paper"][[*keys, "mean_db", "min_db"]]
+    rows = of[of["method"].isin(METHODS)].merge(paper, on=keys, suffixes=("", "_paper"))
+    raw_db = rows["scene"].map(_reading(reconstructed, "raw")["mean_db"])
+    zone_db = rows["scene"].map(_best_zone(reconstructed)["mean_db"])
+    return rows.assign(
+        gain=rows["mean_db"] - rows["mean_db_paper"],
+        worst=rows["min_db"] - rows["min_db_paper"],
+        over_raw=rows["mean_db"] - raw_db,
+        over_zone=rows["mean_db"] - zone_db,
+        kind=["random" if scene.startswith(RANDOM) else "the paper's" for scene in rows["scene"]],
+    )
+
+
+def _reached(compared: pd.DataFrame) -> str:
+    groups = compared.groupby(["n", "kind", "ratio", "method"], sort=False)
+    rows = groups.agg(
+        gain=("gain", "mean"),
+        least=("gain", "min"),
+        worst=("worst", "mean"),
+        over=("over_raw", "mean"),
+        over_least=("over_raw", "min"),
+        zone=("over_zone", "mean"),
+    ).reset_index()
+    rows = rows.sort_values("n", kind="stable")
+    lines = zip(rows["n"], rows["ratio"], strict=True)
+    columns = {
+        "taxels, scenes": cells(rows, "{n}, {kind}"),
+        "M": cells(rows, "N/{ratio}"),
+        "method": list(rows["method"]),
+        "gain over paper, dB: mean (least)": cells(rows, "{gain:+.1f} ({least:+.1f})"),
+        "wanted": [f"{WANTED_DB[n][ratio]:+d}" for n, ratio in lines],
+        "worst frame, dB: mean": cells(rows, "{worst:+.1f}"),
+        "wanted, dB": [f"{WANTED_WORST_DB:+d}" if ratio == 3 else "" for ratio in rows["ratio"]],
+        "over the raw reading: mean (least)": cells(rows, "{over:+.1f} ({over_least:+.1f})"),
+        "over its best dead zone": cells(rows, "{zone:+.1f}"),
+    }
+    return markdown(pd.DataFrame(columns))
+
+
+def _scene_table(reconstructed: pd.DataFrame) -> str:
+    rows = reconstructed[reconstructed["ratio"] > 1]
+    rows = rows.assign(M=cells(rows, "N/{ratio}"), cell=cells(rows, "{mean_db:.1f} / {min_db:.1f}"))
+    table = pivot(rows, ["scene", "M"], "method", "cell").rename(columns={"fista, tuned": "tuned"})
+    zone = _best_zone(reconstructed)
+    zone["cell"] = [
+        f"{mean_db:.1f} ({method.split()[2]} N)"
+        for method, mean_db in zip(zone["method"], zone["mean_db"], strict=True)
+    ]
+    table["raw"] = _of_reading(table, reconstructed, "raw")
+    table["raw, best dead zone"] = table["scene"].map(zone["cell"])
+    table["denoised"] = _of_reading(table, reconstructed, "skin")
+    return markdown(table)
+
+
+def _of_reading(table: pd.DataFrame, reconstructed: pd.DataFrame, method: str) -> pd.Series:
+    reading = _reading(reconstructed, method)
+    reading["cell"] = cells(reading, "{mean_db:.1f} / {min_db:.1f}")
+    return table["scene"].map(reading["cell"])
+
+
+def _touched_table(reconstructed: pd.DataFrame) -> str:
+    rows = reconstructed[
+        reconstructed["ratio"].isin(RATIOS) & reconstructed["method"].isin(["paper", *METHODS])
+    ]
+    rows = rows.assign(
+        M=cells(rows, "N/{ratio}"),
+        touched_mn=1e3 * rows["touched_n"],
+        times=cells(rows, "{p50_ms:.2f} / {p99_ms:.2f}"),
+        faster=rows["pylops_ms"].astype(float) / rows["p50_ms"],
+    )
+    keys = ["scene", "M"]
+    touched = pivot(rows, keys, "method", "touched_mn")
+    raw_mn = 1e3 * _reading(reconstructed, "raw")["touched_n"]
+    table = touched[keys].assign(**{"raw, mN": touched["scene"].map(raw_mn)})
+    for values, unit in (("touched_mn", "mN"), ("times", "ms")):
+        of = pivot(rows, keys, "method", values)
+        for name in ("paper", *METHODS):
+            table[f"{name}, {unit}"] = of[name]
+    if rows["pylops_ms"].notna().any():
+        table["PyLops, ms"] = pivot(rows, keys, "method", "pylops_ms")["paper"].astype(float)
+        faster = pivot(rows, keys, "method", "faster")
+        table["times paper"], table[f"times {METHODS[-1]}"] = faster["paper"], faster[METHODS[-1]]
+    return markdown(table, ".1f")
+
+
+def _bands_table(banded: pd.DataFrame) -> str:
+    def shown(row: pd.Series) -> str:
+        return " / ".join("-" if part != part else f"{100 * part:.0f}" for part in row[list(HELD)])
+
+    of_all = banded.groupby(["rows", "ratio"], sort=False)[list(HELD)].mean().reset_index()
+    # As rows of fixed and of rotating rows for each scene, and the means below.
+    kinds = {scene: k for k, scene in enumerate(banded["scene"].unique())}
+    rows = banded.sort_values("scene", key=lambda names: names.map(kinds), kind="stable")
+    rows = pd.concat([rows, of_all.assign(scene="**mean**")])
+    rows = rows.assign(M=cells(rows, "N/{ratio}"), cell=rows.apply(shown, axis=1))
+    return markdown(pivot(rows, ["scene", "rows"], "M", "cell"))
+
+
+def _recorded_table(recorded: pd.DataFrame) -> str:
+    table = pd.DataFrame(
+        {
+            "recording": [Path(path).name for path in recorded["path"]],
+            "taxels": recorded["n"],
+            "solver": recorded["solver"],
+            "M": cells(recorded, "N/{ratio}"),
+            "relative error": recorded["error"],
+            "solve p50, ms": recorded["p50_ms"],
+        }
+    )
+    return markdown(table, {"relative error": ".3f", "solve p50, ms": ".2f"})
+
+
+def _changes(ablated: pd.DataFrame, whole: str) -> pd.DataFrame:
+    """Mean change without each ingredient, by kind (ratio and rows): dB, dB, microseconds."""
+    keys = ["scene", "ratio", "rows"]
+    figures = ["mean_db", "min_db", "p50_ms"]
+    of_whole = ablated[ablated["without"] == whole][[*keys, *figures]]
+    rows = ablated.merge(of_whole, on=keys, suffixes=("", "_whole"))
+    for name in figures:
+        rows[name] -= rows[f"{name}_whole"]
+    rows["kind"] = cells(rows, "N/{ratio}, {rows}")
+    return rows.groupby(["kind", "without"], sort=False)[figures].mean()
+
+
+def _ablation_table(changes: pd.DataFrame, names: list[str]) -> str:
+    columns: list[tuple[str, Any]] = [("without", names)]
+    for kind in changes.index.unique("kind"):
+        of = changes.loc[kind].loc[names]
+        columns += [
+            (f"{kind}: mean, dB", cells(of, "{mean_db:+.2f}")),
+            ("worst frame, dB", cells(of, "{min_db:+.2f}")),
+            ("p50, µs", [f"{1e3 * ms:+.0f}" for ms in of["p50_ms"]]),
+        ]
+    table = pd.DataFrame(list(zip(*(values for _, values in columns), strict=True)))
+    return markdown(table.set_axis([name for name, _ in columns], axis=1))
+
+
+def _draw_gain(out: Path, compared: pd.DataFrame, method: str) -> str:
+    of = compared[compared["method"] == method]
+    scenes = list(of["scene"].unique())[::-1]
+    name, caption = "gain_" + method.replace(", ", "_"), f"Gain of {method} over preset paper"
+    with Chart(out, name, f"{caption}, by scene", size_in=(8.0, 0.3 * len(scenes) + 2.0)) as chart:
+        (axes,) = chart.panels
+        for k, ratio in enumerate(RATIOS):
+            gains = of[of["ratio"] == ratio].set_index("scene")["gain"][scenes]
+            axes.plot(gains, scenes, MARKERS[k], color=PALETTE[k], label=f"M = N/{ratio}")
+        axes.axvline(0, color="black", linewidth=0.8)
+        axes.set_xlabel("mean PSNR over preset paper, same frames, dB")
+    return chart.markdown
+
+
+def _draw_ablation(out: Path, changes: pd.DataFrame, names: list[str]) -> str:
+    kinds = list(changes.index.unique("kind"))
+    height, size_in = 0.8 / len(kinds), (8.0, 0.35 * len(names) + 1.8)
+    with Chart(out, "ablation", "One ingredient left out at a time", size_in=size_in) as chart:
+        (axes,) = chart.panels
+        for (k, kind), hatch in zip(enumerate(kinds), ("", "///", "..."), strict=False):
+            places = [-row - k * height for row in range(len(names))]
+            change = changes.loc[kind].loc[names]["mean_db"]
+            axes.barh(places, change, height, color=PALETTE[k], label=kind, hatch=hatch)
+        axes.set_yticks([-row - height / 2 for row in range(len(names))], names)
+        axes.axvline(0, color="black", linewidth=0.8)
+        axes.set_xlabel("change of mean PSNR without it, dB")
+    return chart.markdown

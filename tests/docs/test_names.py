@@ -1,0 +1,126 @@
+"""Paths, modules and tests that the pages and docstrings of examples name are there."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+    *sorted((ROOT / "docs").glob("*.md")),
+]
+TOP = "messages|nodes|launch|studies|sparseskin|examples|tests|docs"
+PATH = re.compile(rf"`((?:{TOP})/[\w/.]*)`")
+MODULE = re.compile(rf"`((?:{TOP})/[\w/]*/)`,\s+module\s+`(\w+)`")
+DOTTED = re.compile(r"`(?:import )?(sparseskin(?:\.\w+)+)`")
+TEST = re.compile(r"`(test_\w+\.py)`")
+LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
+#: Paths that were, and are named as such.
+FORMER = {"docs/examples/"}
+
+
+def ids(page: Path) -> str:
+    return page.name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=ids)
+def test_every_path_of_a_page_is_there(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    missing = [p for p in PATH.findall(text) if p not in FORMER and not (ROOT / p).exists()]
+    missing += [
+        f"{folder}{name}.py"
+        for folder, name in MODULE.findall(text)
+        if not (ROOT / folder / f"{name}.py").exists()
+    ]
+    # A module that is named without its folder is somewhere.
+    modules = {path.stem for top in TOP.split("|") for path in (ROOT / top).rglob("*.py")}
+    missing += sorted(set(re.findall(r"\bmodules?\s+`(\w+)`", text)) - modules)
+    assert not missing
+
+
+@pytest.mark.parametrize("page", PAGES, ids=ids)
+def test_every_module_and_name_of_a_page_can_be_found(page: Path) -> None:
+    for dotted in DOTTED.findall(page.read_text(encoding="utf-8")):
+        parts = dotted.split(".")[1:]
+        while parts and not found(parts):
+            attribute = parts.pop()
+            base = ROOT.joinpath(*parts)
+            source = base.with_suffix(".py") if parts else ROOT / "sparseskin" / "__init__.py"
+            if source.is_file():
+                assert re.search(rf"\b{attribute}\b", source.read_text(encoding="utf-8")), dotted
+                break
+        else:
+            assert parts, dotted
+
+
+def found(parts: list[str]) -> bool:
+    path = ROOT.joinpath(*parts)
+    return path.is_dir() or path.with_suffix(".py").is_file()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=ids)
+def test_every_test_and_link_of_a_page_is_there(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    tests = {path.name for path in (ROOT / "tests").rglob("test_*.py")}
+    assert set(TEST.findall(text)) <= tests
+    generated = {"contributing.md", "changelog.md", "index.md"}
+    for link in LINK.findall(text):
+        assert link in generated or (page.parent / link).exists(), link
+
+
+@pytest.mark.parametrize("page", PAGES, ids=ids)
+def test_pages_name_no_absolute_path_of_a_machine(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", text)
+
+
+#: Fixed parts of log lines that the pages quote.
+QUOTED = [
+    "has not started: it imports, or opens its device",
+    "waits for a subscription from",
+    "not drained after",
+    "has not ended its stream",
+    "connected, clock",
+    "receives nothing from",
+    "connected: ",
+    "cannot connect to",
+    "can be reached from other computers, and there are no keys",
+    "turned away",
+    "and not on the list of those allowed",
+    "is not known here",
+    "it has a wrong key for this host",
+    "it uses no key",
+    "it speaks no ZeroMQ",
+    "connections already",
+    "the driver failed",
+    "not answering",
+]
+
+
+@pytest.mark.parametrize("text", QUOTED)
+def test_a_log_line_that_the_pages_quote_is_one_of_the_program(text: str) -> None:
+    pages = " ".join(" ".join(p.read_text(encoding="utf-8").split()) for p in PAGES)
+    sources = (path for top in ("nodes", "launch") for path in (ROOT / top).rglob("*.py"))
+    assert text in pages
+    assert any(text in path.read_text(encoding="utf-8") for path in sources)
+
+
+def test_the_citation_states_the_version_of_the_package() -> None:
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert f"\nversion: {project['version']}\n" in citation
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md"])
+def test_every_picture_is_followed_by_the_command_that_makes_it(name: str) -> None:
+    lines = [line for line in (ROOT / name).read_text(encoding="utf-8").splitlines() if line]
+    pictures = [k for k, line in enumerate(lines) if line.startswith("![")]
+    assert pictures
+    for k in pictures:
+        below = " ".join(lines[k + 1 : k + 3])
+        assert below.startswith("(")
+        assert re.search(r"`(sparseskin|make|python|\.venv/bin/python) [^`]+`", below), lines[k]

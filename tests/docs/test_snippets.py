@@ -1,0 +1,184 @@
+"""Every snippet of README and docs/ runs, or is accepted by the parser that would run it."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import sparseskin
+from sparseskin.launch.commands import cli
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+INDENTED = re.compile(r"^    (\S.*)$", re.MULTILINE)
+INLINE = re.compile(r"`(?:\.venv/bin/)?((?:sparseskin|make|python|pytest|pip) [^`\n]+)`")
+#: Programs of the host, and words of the shell, that are not run here.
+OTHERS = {"ssh", "source", "cd", "git", "."}
+#: Commands that need no running graph and take a moment: these are run.
+QUICK = ("scenes list", "bag info", "bag export", "keys make", "--version")
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def fenced(page: Path, language: str) -> list[str]:
+    """Fenced blocks of one language, in order."""
+    text = page.read_text(encoding="utf-8")
+    return [block for name, block in FENCED.findall(text) if name == language]
+
+
+def commands(page: Path, form: re.Pattern[str]) -> Iterator[list[str]]:
+    """Words of each command of a page: INDENTED (blocks are commands alone) or INLINE."""
+    text = re.sub(FENCED, "", page.read_text(encoding="utf-8")).replace("\\\n", " ")
+    for line in form.findall(text):
+        words = shlex.split(line, comments=True)
+        while words and re.fullmatch(r"[A-Z_]+=\S*", words[0]):
+            del words[0]
+        if words:
+            words[0] = words[0].removeprefix(".venv/bin/")
+            yield words
+
+
+def all_commands(program: str, *forms: re.Pattern[str]) -> list[object]:
+    found = {
+        (page.name, shlex.join(words)): words
+        for page in PAGES
+        for form in forms
+        for words in commands(page, form)
+        if words[0] == program
+    }
+    return [pytest.param(words, id=" ".join(key)) for key, words in found.items()]
+
+
+def page_ids(page: Path) -> str:
+    return page.name
+
+
+@pytest.fixture
+def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder with the files that the pages name, as far as a command opens them."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    for name in ("step.lst", "log.csv", "log.npy"):
+        (tmp_path / name).touch()
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short recording of a graph."""
+    path = tmp_path_factory.mktemp("bag") / "drag.mcap"
+    launch = sparseskin.load_launch("drag_wrench_40", record=str(path))
+    assert sum(1 for _ in sparseskin.run_launch(launch, 8)) == 8
+    return path
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if fenced(p, "python")], ids=page_ids)
+def test_python_blocks_of_a_page_run_one_after_the_other(page: Path, workplace: Path) -> None:
+    names: dict[str, object] = {"__name__": "__main__"}
+    modules = set(sys.modules)
+    try:
+        for number, block in enumerate(fenced(page, "python"), 1):
+            if file := re.match(r"# (\w+)\.py\b", block):
+                (workplace / f"{file[1]}.py").write_text(block, encoding="utf-8")
+                importlib.invalidate_caches()
+                names |= vars(importlib.import_module(file[1]))
+            else:
+                exec(compile(block, f"{page.name}, block {number}", "exec"), names)
+    finally:
+        for name in {"my_skin", "my_node"} & set(sys.modules) - modules:
+            del sys.modules[name]
+
+
+def test_the_driver_of_the_pages_delivers_frames(workplace: Path) -> None:
+    (block,) = (b for b in fenced(ROOT / "docs" / "drivers.md", "python") if "my_skin.py" in b)
+    (workplace / "my_skin.py").write_text(block, encoding="utf-8")
+    try:
+        frames = sparseskin.run_launch("replay", 3, ["sensor.source=my_skin:frames"])
+        assert [frame.taxels.shape for frame in frames] == [(12, 32)] * 3
+    finally:
+        sys.modules.pop("my_skin", None)
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if fenced(p, "toml")], ids=page_ids)
+def test_launch_files_of_a_page_are_accepted(page: Path, workplace: Path) -> None:
+    for name in ("arm", "desk"):
+        assert cli.main(["keys", "make", name]) == 0
+    for number, block in enumerate(fenced(page, "toml")):
+        path = workplace / f"page{number}.toml"
+        path.write_text(block, encoding="utf-8")
+        assert sparseskin.load_launch(str(path)).nodes
+
+
+@pytest.mark.parametrize("words", all_commands("sparseskin", INDENTED))
+def test_a_command_of_the_pages_is_accepted(
+    words: list[str], workplace: Path, bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = list(words[1:])
+    if "--record" not in arguments:
+        (workplace / "drag.mcap").write_bytes(bag.read_bytes())
+    assert cli.make_parser(arguments).parse_args(arguments).run
+    if shutil.which("dot") is None and "--svg" in arguments:
+        arguments[arguments.index("--svg")] = "--dot"
+    if " ".join(arguments).startswith(QUICK):
+        assert cli.main(arguments) == 0
+    elif arguments[0] == "launch" and runnable(arguments):
+        assert cli.main([*arguments, "--dry-run"]) == 0
+        assert "nodes" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", all_commands("sparseskin", INLINE))
+def test_a_command_named_in_the_text_has_help(words: list[str]) -> None:
+    with pytest.raises(SystemExit) as done:
+        cli.main([*words[1:], "--help"])
+    assert done.value.code == 0
+
+
+def runnable(arguments: list[str]) -> bool:
+    """True if a launch command names no file that only its reader has."""
+    return not any(part in " ".join(arguments) for part in (".toml", "learned:", "--host"))
+
+
+@pytest.mark.parametrize("words", all_commands("make", INDENTED, INLINE))
+def test_a_target_of_the_pages_is_in_the_makefile(words: list[str]) -> None:
+    done = subprocess.run(["make", "-n", *words[1:]], cwd=ROOT, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+SCRIPTS = [p for name in ("python", "pytest") for p in all_commands(name, INDENTED, INLINE)]
+
+
+@pytest.mark.parametrize("words", SCRIPTS)
+def test_a_script_or_test_of_the_pages_is_there(words: list[str]) -> None:
+    target = next(word for word in words[1:] if "/" in word or not word.startswith("-"))
+    if words[1:3] == ["-m", "pytest"]:
+        target = words[-1]
+    if words[1] == "-m" and words[2] != "pytest":
+        assert importlib.util.find_spec(words[2]) is not None
+    else:
+        assert (ROOT / target).exists()
+
+
+@pytest.mark.parametrize("words", all_commands("pip", INDENTED, INLINE))
+def test_an_extra_of_the_pages_is_one_of_the_package(words: list[str]) -> None:
+    for extras in re.findall(r"\.\[([\w,]+)\]", " ".join(words)):
+        assert set(extras.split(",")) <= set(PYPROJECT["project"]["optional-dependencies"])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_ids)
+def test_indented_blocks_hold_commands_of_known_programs_alone(page: Path) -> None:
+    for words in commands(page, INDENTED):
+        assert (
+            words[0] in {"sparseskin", "make", "python", "pip", *OTHERS}
+            or (ROOT / words[0]).exists()
+        )

@@ -1,0 +1,81 @@
+"""Fields of messages as text and as JSON."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from sparseskin.launch.attach.echo import FieldPath, plain, text
+from sparseskin.messages import PhiState, Taxels
+from sparseskin.messages.quantised import Quantised
+from sparseskin.nodes.errors import SettingsError
+
+FORCES = np.arange(12, dtype=np.float32).reshape(3, 4)
+TAXELS = Taxels(stamp_ns=1, patch="skin", forces=FORCES)
+
+
+def test_an_array_is_its_shape_extent_and_first_numbers() -> None:
+    assert text(FORCES, full=False) == ("float32, 3 x 4: min 0, mean 5.5, max 11 [0 1 2 3 4 5 ...]")
+    assert plain(FORCES, full=False) == {
+        "dtype": "float32",
+        "shape": [3, 4],
+        "min": 0.0,
+        "mean": 5.5,
+        "max": 11.0,
+        "first": [0, 1, 2, 3, 4, 5],
+    }
+
+
+def test_an_array_in_full_has_every_element(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    big = np.arange(6400, dtype=np.float32).reshape(80, 80)
+    assert len(text(big, full=True).replace("[", " ").replace("]", " ").split()) == 4 + 6400
+    assert json.loads(json.dumps(plain(big, full=True)))["data"] == big.tolist()
+
+
+def test_quantised_numbers_tell_their_bits() -> None:
+    y = Quantised.of(np.array([250, 255, 260]), 9, 0.5)
+    assert text(y, full=False).startswith("float32 of 9 bits, 3: min ")
+
+
+def test_a_mask_tells_how_many_cells_it_has() -> None:
+    assert text(FORCES > 3, full=False) == "bool, 3 x 4: 8 of 12 true"
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"), [(None, "none"), (True, "true"), (0.5, "0.5"), ("a\x1b[2J", "a [2J")]
+)
+def test_other_values_are_one_line_that_cannot_move_the_cursor(value: object, shown: str) -> None:
+    assert text(value, full=False) == shown
+
+
+def test_a_field_or_one_element_is_found_by_its_path() -> None:
+    assert FieldPath("patch", Taxels).of(TAXELS) == "skin"
+    assert FieldPath("forces[2,1]", Taxels).of(TAXELS) == 9
+    assert plain(FieldPath("forces[2,1]", Taxels).of(TAXELS), full=False) == 9
+
+
+@pytest.mark.parametrize("path", ["", "forces[", "forces[-1,0]", "forces[a]", "forces.x"])
+def test_what_is_no_path_is_refused(path: str) -> None:
+    with pytest.raises(SettingsError, match=r"expected FIELD or FIELD\[I,J\]"):
+        FieldPath(path, Taxels)
+
+
+def test_a_field_that_is_not_there_is_refused_with_a_hint() -> None:
+    with pytest.raises(SettingsError, match=r"taxels has no such field \(did you mean 'forces'"):
+        FieldPath("force", Taxels)
+
+
+@pytest.mark.parametrize("path", ["forces[3,0]", "forces[0,4]", "forces[0]", "seq[0]"])
+def test_an_element_that_is_not_there_is_refused(path: str) -> None:
+    with pytest.raises(SettingsError, match=r"is 3 x 4|is no array"):
+        FieldPath(path, Taxels).of(TAXELS)
+
+
+def test_every_field_of_a_message_without_arrays_is_plain_json() -> None:
+    state = PhiState(
+        stamp_ns=1, patch="skin", kind="sbhe", n=64, m=32, block=32, seed=0, fingerprint="0" * 16
+    )
+    assert [plain(value, full=False) for value in (state.n, state.kind)] == [64, "sbhe"]

@@ -1,0 +1,108 @@
+"""A command that gives way: what the scheduler is told of it, and what a terminal sees of it."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from conftest import wait_until
+
+from sparseskin.launch.attach import give_way as module
+from sparseskin.nodes.process import proc
+
+BEGIN = "import os, signal, sys; from sparseskin.launch.attach.give_way import give_way; "
+WAIT = "give_way(); print(os.getpid(), flush=True); signal.pause()"
+weighs_sessions = pytest.mark.skipif(
+    not module._sessions_are_weighed(), reason="this system does not weigh sessions"
+)
+Begin = Callable[[str], subprocess.Popen[str]]
+
+
+@pytest.fixture
+def begin() -> Iterator[Begin]:
+    """Run some lines of Python in a process of their own."""
+    processes = []
+
+    def run(lines: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-c", BEGIN + lines]
+        processes.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        return processes[-1]
+
+    yield run
+    for process in processes:
+        process.kill()
+        process.communicate()
+
+
+def worker_of(process: subprocess.Popen[str]) -> int:
+    """The process that does the work: it printed its number."""
+    assert process.stdout is not None
+    return int(process.stdout.readline())
+
+
+@weighs_sessions
+def test_it_has_a_session_of_its_own_and_that_gives_way(begin: Begin) -> None:
+    worker = worker_of(begin(WAIT))
+    assert os.getsid(worker) == worker
+    assert Path(f"/proc/{worker}/autogroup").read_text().endswith(f" nice {module.NICE}\n")
+
+
+@weighs_sessions
+def test_the_session_it_was_started_in_keeps_its_weight(begin: Begin) -> None:
+    before = Path("/proc/self/autogroup").read_text()
+    worker_of(begin(WAIT))
+    assert Path("/proc/self/autogroup").read_text() == before
+
+
+def test_where_sessions_are_not_weighed_the_process_itself_gives_way(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    nices: list[int] = []
+    monkeypatch.setattr("os.nice", nices.append)
+    monkeypatch.setattr(module, "AUTOGROUP_ENABLED", tmp_path / "none")
+    pid = os.getpid()
+    module.give_way()
+    assert os.getpid() == pid
+    assert nices == [module.NICE]
+
+
+def test_it_ends_with_the_exit_code_of_what_it_did(begin: Begin) -> None:
+    assert begin("give_way(); sys.exit(3)").wait() == 3
+
+
+@weighs_sessions
+def test_it_ends_by_the_signal_that_ended_its_work(begin: Begin) -> None:
+    process = begin(WAIT)
+    os.kill(worker_of(process), signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_reaches_what_does_the_work(begin: Begin, number: signal.Signals) -> None:
+    process = begin(f"signal.signal({int(number)}, lambda *_: sys.exit(7)); " + WAIT)
+    worker_of(process)
+    process.send_signal(number)
+    assert process.wait() == 7
+
+
+@weighs_sessions
+def test_its_work_ends_with_it_however_it_ends(begin: Begin) -> None:
+    process = begin(WAIT)
+    worker = worker_of(process)
+    process.kill()
+    process.wait()
+    wait_until(lambda: not Path(f"/proc/{worker}").exists() or proc.state(worker) == "Z", "its end")
+
+
+def test_it_is_suspended_and_goes_on(begin: Begin) -> None:
+    process = begin("signal.signal(signal.SIGTERM, lambda *_: sys.exit(7)); " + WAIT)
+    both = {process.pid, worker_of(process)}
+    process.send_signal(signal.SIGTSTP)
+    wait_until(lambda: {proc.state(pid) for pid in both} == {"T"}, "both to stop")
+    process.send_signal(signal.SIGCONT)
+    wait_until(lambda: {proc.state(pid) for pid in both} == {"S"}, "both to go on")
+    process.terminate()
+    assert process.wait() == 7

@@ -1,0 +1,175 @@
+"""An observer of a topic: it reads the messages, and no node waits for it."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import wait_until
+
+from sparseskin.launch.attach.stream import Arrival, Losses, TopicStream
+from sparseskin.launch.run.running import RunningGraph, RunningNode, announced
+from sparseskin.messages import End, Message, Taxels, decode
+from sparseskin.nodes.network.gate import Gate
+from sparseskin.nodes.network.keys import KeyFileError, make_key_files, read_key_pair
+from sparseskin.nodes.network.sockets import QUEUE_FRAMES, Writer, make_context
+
+TOPIC = "/skin/taxels"
+RUN_ID = "0123456789abcdef"
+
+
+class Publisher:
+    """A writer of taxels, and the note of its graph; with a key file, it asks for that key."""
+
+    def __init__(self, key_file: Path | None = None) -> None:
+        self.context = make_context()
+        pair = read_key_pair(key_file) if key_file else None
+        key = pair.public if pair else ""
+        self.gate = Gate(self.context, pair, {key: "own"}, {}, print) if pair else None
+        endpoint = f"ipc://@sparseskin-{uuid.uuid4().hex}"
+        self.writer = Writer(self.context, endpoint, "sensor", gate=self.gate)
+        nodes = {"sensor": RunningNode("sensor", self.writer.endpoint, [TOPIC], key)}
+        offset_ns = time.time_ns() - time.monotonic_ns()
+        self.graph = RunningGraph("graph", 1, offset_ns, "", nodes, str(key_file or ""))
+        self.n = 0
+
+    def send(self, n: int, n_rows: int = 4) -> None:
+        forces = np.zeros((n_rows, 4), dtype=np.float32)
+        for _ in range(n):
+            message = Taxels(stamp_ns=time.time_ns(), patch="skin", forces=forces)
+            self._send(message.published(RUN_ID, self.n))
+            self.n += 1
+
+    def end(self) -> None:
+        end = End(stamp_ns=1, patch="skin", of="taxels", n_messages=self.n)
+        self._send(end.published(RUN_ID, self.n))
+
+    def wait_for_subscription(self) -> None:
+        def there() -> bool:
+            if self.gate is not None:
+                self.gate.serve(time.monotonic_ns())
+            return bool(self.writer.socket.poll(0))
+
+        wait_until(there, "the subscription")
+        self.writer.serve_subscriptions()
+
+    def _send(self, message: Message) -> None:
+        self.writer.send(message)
+
+
+@pytest.fixture
+def publisher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Publisher]:
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path))
+    made = Publisher()
+    with announced(made.graph):
+        yield made
+    made.context.destroy(linger=0)
+
+
+def take(stream: TopicStream, n: int) -> list[Arrival]:
+    """The next n messages."""
+    found: list[Arrival] = []
+    for arrivals in stream.batches(60):
+        found += arrivals
+        if len(found) >= n:
+            break
+    return found
+
+
+def test_it_sees_the_messages_as_they_are_sent_and_when(publisher: Publisher) -> None:
+    with TopicStream(publisher.graph, TOPIC) as stream:
+        publisher.wait_for_subscription()
+        publisher.send(3)
+        publisher.end()
+        *frames, end = take(stream, 4)
+    assert [(one.seq, one.run_id, one.ends) for one in frames] == [
+        (k, RUN_ID, False) for k in range(3)
+    ]
+    assert (end.seq, end.ends) == (3, True)
+    for one in frames:
+        assert decode(one.topic, one.payload).stamp_ns == one.stamp_ns < one.at_ns
+        assert one.n_bytes == len(TOPIC) + len(one.payload)
+
+
+def test_its_publisher_does_not_know_of_it_and_waits_for_nothing(publisher: Publisher) -> None:
+    with TopicStream(publisher.graph, TOPIC) as stream:
+        publisher.wait_for_subscription()
+        assert publisher.writer.present == set()
+        ask = publisher.writer.ask()
+        assert not publisher.writer.awaits(ask)
+        publisher.send(1)
+        assert len(take(stream, 1)) == 1
+
+
+def test_one_that_does_not_read_holds_up_nobody_and_learns_what_it_lost(
+    publisher: Publisher,
+) -> None:
+    n = 6 * QUEUE_FRAMES
+    losses = Losses()
+    with TopicStream(publisher.graph, TOPIC) as stream:
+        publisher.wait_for_subscription()
+        publisher.send(n, n_rows=64)  # this returns only if nobody waits
+        found = []
+        for arrivals in stream.batches(60):
+            found += arrivals
+            if not arrivals:
+                break
+        publisher.send(1)
+        found += take(stream, 1)
+    for one in found:
+        losses.add(one)
+    assert found[-1].seq == n
+    assert 0 < losses.n == n + 1 - len(found)
+
+
+def test_one_that_is_patient_takes_in_what_waits_with_the_writer(publisher: Publisher) -> None:
+    with TopicStream(publisher.graph, TOPIC, patience_s=0.01) as stream:
+        publisher.wait_for_subscription()
+        publisher.send(1)
+        found = take(stream, 1)
+        publisher.send(QUEUE_FRAMES // 2, n_rows=64)  # far more than it reads ahead
+        found += take(stream, QUEUE_FRAMES // 2)
+    assert [one.seq for one in found] == list(range(QUEUE_FRAMES // 2 + 1))
+
+
+@pytest.mark.parametrize("payload", [b"", b"nonsense", b"\x80", b"\x81\xa6schema\xa3end", b"\xc1"])
+def test_what_is_no_message_is_counted_and_left_out(publisher: Publisher, payload: bytes) -> None:
+    with TopicStream(publisher.graph, TOPIC) as stream:
+        publisher.wait_for_subscription()
+        publisher.writer.socket.send_multipart((TOPIC.encode(), payload))
+        publisher.send(1)
+        assert [one.seq for one in take(stream, 1)] == [0]
+        assert stream.unreadable == 1
+
+
+def test_where_keys_are_asked_for_it_has_that_of_the_graph(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
+    key_file, _ = make_key_files("own", tmp_path)
+    guarded = Publisher(key_file)
+    with announced(guarded.graph), TopicStream(guarded.graph, TOPIC) as stream:
+        guarded.wait_for_subscription()
+        guarded.send(2)
+        assert [one.seq for one in take(stream, 2)] == [0, 1]
+    guarded.context.destroy(linger=0)
+    key_file.chmod(0o644)
+    with pytest.raises(KeyFileError, match=r"own\.key"):
+        TopicStream(guarded.graph, TOPIC)
+
+
+def test_it_ends_after_its_time(publisher: Publisher) -> None:
+    with TopicStream(publisher.graph, TOPIC) as stream:
+        assert [one for arrivals in stream.batches(0.05) for one in arrivals] == []
+
+
+def test_it_ends_with_its_graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path))
+    gone = Publisher()
+    with TopicStream(gone.graph, TOPIC) as stream:
+        assert [one for arrivals in stream.batches(None) for one in arrivals] == []
+    gone.context.destroy(linger=0)

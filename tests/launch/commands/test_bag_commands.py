@@ -1,0 +1,375 @@
+"""The commands `sparseskin bag ...`."""
+
+from __future__ import annotations
+
+import builtins
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import MASK, N_COLS, N_ROWS, PERIOD_NS, M, frame, frames, make_bag, skin_state
+from recordings import NAMES, recording
+
+from sparseskin.launch.commands.cli import make_parser
+from sparseskin.messages import (
+    Measurements,
+    Message,
+    Reconstruction,
+    SkinState,
+    Taxels,
+    Truth,
+    decode,
+)
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.recorder.bag.format import BagError
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.sensor.files.recorded import open_file
+
+N_FRAMES = 40
+
+Bag = Callable[..., int]
+
+
+@pytest.fixture
+def bag(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Bag:
+    """Run `sparseskin bag ARGUMENTS` in an empty folder; its exit code."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: object) -> int:
+        words = ["bag", *map(str, arguments)]
+        chosen = make_parser(words).parse_args(words)
+        return int(chosen.run(chosen))
+
+    return run
+
+
+def decoded(path: Path) -> list[Message]:
+    with BagReader(path) as opened:
+        return [decode(m.topic.encode(), m.payload) for m in opened.messages()]
+
+
+def of_kind(messages: list[Message], cls: type[Message], patch: str = "skin") -> list[Any]:
+    return [message for message in messages if type(message) is cls and message.patch == patch]
+
+
+# --- info ------------------------------------------------------------------------------------
+
+
+def test_info_shows_topics_counts_rates_and_metadata_in_80_columns(
+    bag: Bag, capsys: pytest.CaptureFixture[str]
+) -> None:
+    long_name = "a" * 32
+    make_bag(Path("a.mcap"), [*frames(N_FRAMES), *frames(2, long_name)])
+    assert bag("info", "a.mcap") == 0
+    out = capsys.readouterr().out
+    lines = out.splitlines()
+    assert max(map(len, lines)) <= 80
+    row = next(line.split() for line in lines if line.startswith("/skin/taxels"))
+    assert row == ["/skin/taxels", "40", "100.00", "0.390", "2"]
+    assert f"/{long_name}/reconstruction" in lines
+    assert any(line.split() == ["scene", "test"] for line in lines)
+    assert any(line.split() == ["state", "whole"] for line in lines)
+
+
+def test_info_as_json_holds_the_same(bag: Bag, capsys: pytest.CaptureFixture[str]) -> None:
+    make_bag(Path("a.mcap"), frames(N_FRAMES))
+    assert bag("info", "a.mcap", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["topics"]["/skin/truth"]["n_messages"] == N_FRAMES
+    assert found["topics"]["/skin/truth"]["rate_hz"] == pytest.approx(100.0)
+    assert found["duration_s"] == pytest.approx(0.39)
+    assert found["counts"] == {"lost": {"/skin/taxels": 2}}
+    assert found["metadata"] == {"scene": "test", "seed": "3"}
+    assert found["recovered"] == ""
+
+
+def test_info_of_a_broken_bag_says_what_survived(
+    bag: Bag, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_bag(Path("a.mcap"), frames(N_FRAMES))
+    data = Path("a.mcap").read_bytes()
+    Path("b.mcap").write_bytes(data[: len(data) // 2])
+    assert bag("info", "b.mcap") == 0
+    assert "messages recovered, up to byte" in capsys.readouterr().out
+
+
+# --- recover ---------------------------------------------------------------------------------
+
+
+def test_recover_makes_a_whole_bag_of_what_survived(
+    bag: Bag, capsys: pytest.CaptureFixture[str]
+) -> None:
+    payloads = make_bag(Path("a.mcap"), frames(N_FRAMES))
+    data = Path("a.mcap").read_bytes()
+    Path("b.mcap.part").write_bytes(data[: len(data) // 2])
+    assert bag("recover", "b.mcap.part") == 0
+    with BagReader("b.mcap.part") as broken, BagReader("b_recovered.mcap") as saved:
+        found = list(saved.messages())
+        assert found == list(broken.messages())
+        assert [message.payload for message in found] == payloads[: len(found)]
+        assert 0 < len(found) < len(payloads)
+        assert saved.recovered == ""
+        assert saved.metadata == {**broken.metadata, "recovered": broken.recovered}
+        assert broken.recovered in capsys.readouterr().out
+    with pytest.raises(BagError, match="exists already"):
+        bag("recover", "b.mcap.part")
+
+
+# --- import ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_imported_recording_is_what_the_sensor_reads_from_the_file(bag: Bag, name: str) -> None:
+    source = recording(name)
+    assert bag("import", source, "--out", "a.mcap") == 0
+    state, *taxels = decoded(Path("a.mcap"))
+    opened = open_file(source)
+    assert isinstance(state, SkinState)
+    assert (state.skin.shape, state.f_max, state.unit) == (
+        opened.skin.shape,
+        opened.skin.f_max,
+        opened.skin.unit,
+    )
+    assert state.pitch_m == opened.skin.pitch_m
+    assert np.array_equal(
+        np.ones(1) if state.mask is None else state.mask,
+        np.ones(1) if opened.skin.mask is None else opened.skin.mask,
+    )
+    assert state.rate_hz == opened.rate_hz
+    expected = list(opened)
+    assert len(taxels) == len(expected)
+    for seq, (message, (stamp_ns, forces)) in enumerate(zip(taxels, expected, strict=True)):
+        assert isinstance(message, Taxels)
+        assert (message.seq, message.stamp_ns, message.run_id) == (seq, stamp_ns, state.run_id)
+        assert np.array_equal(message.forces, forces)
+    assert len(state.run_id) == 16
+
+
+def test_several_files_become_one_bag_each_in_a_folder(bag: Bag) -> None:
+    for k in range(2):
+        np.save(f"f{k}.npy", np.full((3, 2, 2), 1.0 + k))
+    assert bag("import", "f0.npy", "f1.npy", "--out", "bags", "--f-max", "5") == 0
+    for k in range(2):
+        state, *taxels = decoded(Path(f"bags/f{k}.mcap"))
+        assert isinstance(state, SkinState)
+        assert state.f_max == 5.0
+        assert [message.forces[0, 0] for message in taxels if isinstance(message, Taxels)] == [
+            1.0 + k
+        ] * 3
+    with pytest.raises(BagError, match="several files need a folder"):
+        bag("import", "f0.npy", "f1.npy", "--out", "one.mcap")
+
+
+def test_a_plain_csv_is_imported_with_what_is_stated(bag: Bag) -> None:
+    Path("a.csv").write_text("1,2,3,4,5,6\n6,5,4,3,2,1\n")
+    stated = ("--n-rows", 2, "--n-cols", 3, "--unit", "N", "--rate-hz", 50)
+    assert bag("import", "a.csv", "--out", "a.mcap", *stated) == 0
+    state, first, second = decoded(Path("a.mcap"))
+    assert isinstance(state, SkinState)
+    assert (state.skin.shape, state.unit, state.rate_hz) == ((2, 3), "N", 50.0)
+    assert (first.stamp_ns, second.stamp_ns) == (0, 20_000_000)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "text"),
+    [
+        ("a.npy", b"no array", "not a readable NumPy file"),
+        ("a.xyz", b"", "suffix '.xyz' is not known"),
+        ("a.csv", b"1,2,3\n", "does not state its shape"),
+    ],
+)
+def test_a_file_that_cannot_be_imported_leaves_nothing_behind(
+    bag: Bag, name: str, content: bytes, text: str
+) -> None:
+    Path(name).write_bytes(content)
+    with pytest.raises(SparseskinError, match=text):
+        bag("import", name, "--out", "out.mcap")
+    assert [path.name for path in Path().iterdir()] == [name]
+
+
+# --- export ----------------------------------------------------------------------------------
+
+
+def test_an_exported_npz_holds_every_array_and_is_read_back_equal_as_a_source(bag: Bag) -> None:
+    messages = frames(N_FRAMES)
+    make_bag(Path("a.mcap"), messages)
+    assert bag("export", "a.mcap", "--to", "npz") == 0
+    with np.load("a.npz") as arrays:
+        for name, cls in (("forces", Taxels), ("truth", Truth), ("reconstruction", Reconstruction)):
+            expected = np.stack([message.forces for message in of_kind(messages, cls)])
+            assert arrays[name].dtype == np.float32
+            assert np.array_equal(arrays[name], expected)
+        y = np.stack([message.y for message in of_kind(messages, Measurements)])
+        assert np.array_equal(arrays["measurements"], y)
+        assert list(arrays["measurements_stamp_ns"]) == [k * PERIOD_NS for k in range(N_FRAMES)]
+    opened = open_file("a.npz")
+    skin = skin_state().skin
+    assert (opened.skin.shape, opened.skin.f_max, opened.skin.unit) == (skin.shape, 2.5, "N")
+    assert opened.skin.pitch_m == skin.pitch_m
+    assert np.array_equal(opened.skin.mask, MASK)  # type: ignore[arg-type]
+    assert opened.rate_hz == 100.0
+    taxels = of_kind(messages, Taxels)
+    for message, (stamp_ns, forces) in zip(taxels, opened, strict=True):
+        assert stamp_ns == message.stamp_ns
+        assert np.array_equal(forces, message.forces)
+
+
+def test_each_patch_gets_an_npz_of_its_own(bag: Bag) -> None:
+    make_bag(Path("a.mcap"), [*frames(3, "left"), *frames(4, "right")])
+    assert bag("export", "a.mcap", "--to", "npz", "--out", "b.npz") == 0
+    assert open_file("b_left.npz").n_frames == 3
+    assert open_file("b_right.npz").n_frames == 4
+
+
+def test_measurements_whose_number_changes_are_filled_up_with_nan(bag: Bag) -> None:
+    short = Measurements(stamp_ns=PERIOD_NS, patch="skin", y=np.ones(4, np.float32), phi="0" * 16)
+    make_bag(Path("a.mcap"), [of_kind(frames(1), Measurements)[0], short])
+    assert bag("export", "a.mcap", "--to", "npz") == 0
+    with np.load("a.npz") as arrays:
+        assert arrays["measurements"].shape == (2, M)
+        assert np.isfinite(arrays["measurements"][0]).all()
+        assert np.array_equal(np.isnan(arrays["measurements"][1]), np.arange(M) >= 4)
+
+
+def test_an_exported_csv_is_read_back_equal_as_a_source(bag: Bag) -> None:
+    messages = frames(N_FRAMES)
+    make_bag(Path("a.mcap"), messages)
+    assert bag("export", "a.mcap", "--to", "csv") == 0
+    assert sorted(path.name for path in Path("a_csv").iterdir()) == [
+        *("skin_measurements.csv", "skin_reconstruction.csv", "skin_taxels.csv"),
+        *("skin_truth.csv", "stamps.csv"),
+    ]
+    opened = open_file("a_csv/skin_taxels.csv", n_rows=N_ROWS, n_cols=N_COLS, unit="N")
+    for message, (_, forces) in zip(of_kind(messages, Taxels), opened, strict=True):
+        assert np.array_equal(forces, message.forces)
+    header, *lines = Path("a_csv/stamps.csv").read_text().splitlines()
+    assert header == "topic,frame,stamp_ns"
+    truth = [line for line in lines if line.startswith("/skin/truth,")]
+    assert truth == [f"/skin/truth,{k},{k * PERIOD_NS}" for k in range(N_FRAMES)]
+
+
+def test_only_the_topics_asked_for_are_exported(bag: Bag) -> None:
+    make_bag(Path("a.mcap"), frames(3))
+    assert bag("export", "a.mcap", "--to", "csv", "--topics", "/skin/truth") == 0
+    assert sorted(path.name for path in Path("a_csv").iterdir()) == ["skin_truth.csv", "stamps.csv"]
+    with pytest.raises(BagError, match="did you mean '/skin/truth'"):
+        bag("export", "a.mcap", "--to", "npz", "--topics", "/skin/truths")
+    with pytest.raises(BagError, match="/skin/skin holds no frames"):
+        bag("export", "a.mcap", "--to", "npz", "--topics", "/skin/skin")
+
+
+@pytest.mark.parametrize("kind", ["npz", "csv", "ros2"])
+def test_an_export_overwrites_nothing(bag: Bag, kind: str) -> None:
+    make_bag(Path("a.mcap"), frames(1))
+    Path("taken").write_bytes(b"precious")
+    with pytest.raises(SparseskinError, match="taken: exists already"):
+        bag("export", "a.mcap", "--to", kind, "--out", "taken")
+    assert Path("taken").read_bytes() == b"precious"
+    with pytest.raises(SparseskinError, match="folder does not exist"):
+        bag("export", "a.mcap", "--to", kind, "--out", "none/b")
+    assert sorted(path.name for path in Path().iterdir()) == ["a.mcap", "taken"]
+
+
+def _other_shape() -> Any:
+    return np.zeros((2, 2), np.float32)
+
+
+def test_frames_of_two_shapes_are_refused_by_npz_and_leave_nothing(bag: Bag) -> None:
+    other = Taxels(stamp_ns=5, patch="skin", forces=_other_shape())
+    make_bag(Path("a.mcap"), [frame(0)[0], other])
+    with pytest.raises(BagError, match="a frame of 2 x 2 after some of 5 x 7"):
+        bag("export", "a.mcap", "--to", "npz")
+    assert [path.name for path in Path().iterdir()] == ["a.mcap"]
+
+
+def test_rosbags_reads_the_same_numbers_from_a_ros2_export(bag: Bag) -> None:
+    pytest.importorskip("mcap_ros2", reason="the extra ros2 is not installed")
+    rosbags = pytest.importorskip("rosbags.rosbag2", reason="rosbags is not installed")
+    typesys = pytest.importorskip("rosbags.typesys")
+    messages = frames(N_FRAMES)
+    make_bag(Path("a.mcap"), messages)
+    assert bag("export", "a.mcap", "--to", "ros2") == 0
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    images: dict[str, list[Any]] = {}
+    scalars: dict[str, list[float]] = {}
+    with rosbags.Reader(Path("a_ros2")) as reader:
+        assert {connection.msgtype for connection in reader.connections} == {
+            "sensor_msgs/msg/Image",
+            "std_msgs/msg/Float32",
+        }
+        for connection, _, raw in reader.messages():
+            message = store.deserialize_cdr(raw, connection.msgtype)
+            if connection.msgtype == "std_msgs/msg/Float32":
+                scalars.setdefault(connection.topic, []).append(message.data)
+                continue
+            stamp = message.header.stamp
+            array = message.data.view("<f4").reshape(message.height, message.width)
+            assert (message.encoding, message.step) == ("32FC1", 4 * message.width)
+            assert message.header.frame_id == "skin"
+            images.setdefault(connection.topic, []).append(
+                (stamp.sec * 10**9 + stamp.nanosec, array)
+            )
+    assert images.keys() == {
+        f"/skin/{name}" for name in ("taxels", "truth", "measurements", "reconstruction")
+    }
+    for cls in (Taxels, Truth, Reconstruction):
+        topic, sent = f"/skin/{cls.schema}", of_kind(messages, cls)
+        for message, (stamp_ns, array) in zip(sent, images[topic], strict=True):
+            assert stamp_ns == message.stamp_ns
+            assert np.array_equal(array, message.forces)
+        sums = [np.float32(message.forces.sum(dtype=np.float64)) for message in sent]
+        assert scalars[f"{topic}/total_force"] == sums
+    for message, (_, array) in zip(
+        of_kind(messages, Measurements), images["/skin/measurements"], strict=True
+    ):
+        assert np.array_equal(array[0], message.y)
+    residuals = [np.float32(message.residual) for message in of_kind(messages, Reconstruction)]
+    assert scalars["/skin/reconstruction/residual"] == residuals
+    assert len(scalars) == 4
+
+
+def test_without_the_extra_the_ros2_export_says_how_to_install_it(
+    bag: Bag, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_bag(Path("a.mcap"), frames(1))
+    real_import = builtins.__import__
+
+    def no_mcap_ros2(name: str, *arguments: Any, **options: Any) -> Any:
+        if name.startswith("mcap_ros2"):
+            raise ModuleNotFoundError(name)
+        return real_import(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", no_mcap_ros2)
+    with pytest.raises(BagError, match=r'pip install "sparseskin\[ros2\]"'):
+        bag("export", "a.mcap", "--to", "ros2")
+    assert [path.name for path in Path().iterdir()] == ["a.mcap"]
+
+
+def test_a_stamp_beyond_ros_is_refused(bag: Bag) -> None:
+    pytest.importorskip("mcap_ros2", reason="the extra ros2 is not installed")
+    late = Taxels(stamp_ns=(1 << 31) * 10**9, patch="skin", forces=_other_shape())
+    make_bag(Path("a.mcap"), [late])
+    with pytest.raises(BagError, match="beyond what ROS 2 can hold"):
+        bag("export", "a.mcap", "--to", "ros2")
+    assert [path.name for path in Path().iterdir()] == ["a.mcap"]
+
+
+def test_a_broken_bag_is_exported_as_far_as_it_goes_and_says_so(
+    bag: Bag, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_bag(Path("a.mcap"), frames(N_FRAMES))
+    data = Path("a.mcap").read_bytes()
+    Path("b.mcap").write_bytes(data[: len(data) // 2])
+    assert bag("export", "b.mcap", "--to", "npz") == 0
+    assert "messages recovered, up to byte" in capsys.readouterr().err
+    with BagReader("b.mcap") as broken:
+        assert open_file("b.npz").n_frames == broken.topics["/skin/taxels"].n_messages
+
+
+def test_an_export_of_no_frames_is_refused(bag: Bag) -> None:
+    make_bag(Path("a.mcap"), [skin_state()])
+    with pytest.raises(BagError, match="holds no frames to export"):
+        bag("export", "a.mcap", "--to", "npz")

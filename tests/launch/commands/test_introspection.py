@@ -1,0 +1,410 @@
+"""Nodes, settings and topics of one running graph, looked at from outside."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Program, wait_until
+from shells import COMMAND, words
+
+from sparseskin.launch.attach.client import Answer, ask_node
+from sparseskin.launch.commands.cli import main
+from sparseskin.launch.run.running import RunningGraph, announced, choose_graph
+from sparseskin.messages import PhiState, decode
+from sparseskin.nodes.recorder.bag.format import BagError
+from sparseskin.nodes.recorder.bag.reader import BagReader
+
+NODES = ["sensor", "compressor", "reconstructor", "monitor", "recorder"]
+TOPICS = [
+    *("/skin/skin", "/skin/taxels", "/skin/truth", "/skin/phi", "/skin/measurements"),
+    *("/skin/solver", "/skin/reconstruction"),
+]
+
+Run = Callable[..., str]
+RunJson = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
+    """A graph of 40 x 40 taxels that records all it does into run.mcap; it lasts 4 minutes."""
+    folder = tmp_path_factory.mktemp("graph")
+    program = Program(
+        *("launch", "path_40", "--record", "run.mcap", "--set", "monitor.port=0"),
+        *("--set", "sensor.rate_hz=50", "--set", "reconstructor.iterations=3"),
+        cwd=folder,
+    )
+    program.wait_for("[launch] ready")
+    program.folder = folder  # type: ignore[attr-defined]
+    yield program
+    program.kill_all()
+    program.process.communicate()
+
+
+@pytest.fixture
+def folder(graph: Program, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the graph runs; commands of this process find that graph, and no other."""
+    found: Path = graph.folder  # type: ignore[attr-defined]
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(found / "graphs"))
+    monkeypatch.setenv("COLUMNS", "80")
+    # These tests run on, in this process.
+    monkeypatch.setattr("sparseskin.launch.commands.topic.give_way", lambda: None)
+    wait_until(lambda: main(["node", "list", "--json"]) == 0, "the note of the graph")
+    return found
+
+
+@pytest.fixture
+def run(folder: Path, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command that has to succeed; what it printed."""
+
+    def done(*arguments: str) -> str:
+        capsys.readouterr()
+        assert main(arguments) == 0
+        return capsys.readouterr().out
+
+    return done
+
+
+@pytest.fixture
+def refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command that has to be refused in one line; that line."""
+
+    def done(*arguments: str) -> str:
+        capsys.readouterr()
+        assert main(arguments) == 2
+        printed = capsys.readouterr()
+        (line,) = printed.err.splitlines()
+        assert printed.out == ""
+        return line
+
+    return done
+
+
+@pytest.fixture
+def run_json(run: Run) -> RunJson:
+    """Run a command with --json; the document, or one a line."""
+
+    def done(*arguments: str, lines: bool = False) -> Any:
+        out = run(*arguments, "--json")
+        return [json.loads(line) for line in out.splitlines()] if lines else json.loads(out)
+
+    return done
+
+
+def test_node_list_tells_every_node_its_condition_and_process(
+    graph: Program, run: Run, run_json: RunJson
+) -> None:
+    nodes = run_json("node", "list")["nodes"]
+    assert [node["name"] for node in nodes] == NODES
+    assert {node["condition"] for node in nodes} == {"running"}
+    assert {node["name"]: node["pid"] for node in nodes} == {
+        name: graph.pid_of(name) for name in NODES
+    }
+    head, *lines = run("node", "list").splitlines()
+    assert head.split() == ["NODE", "TYPE", "CONDITION", "PID", "RESTARTS"]
+    assert [line.split()[0] for line in lines] == NODES
+
+
+def test_node_info_tells_topics_counts_settings_and_what_it_costs(
+    run: Run, run_json: RunJson
+) -> None:
+    node = run_json("node", "info", "compressor")
+    assert [(one["topic"], one["publisher"]) for one in node["inputs"]] == [
+        ("/skin/skin", "sensor"),
+        ("/skin/taxels", "sensor"),
+    ]
+    assert node["outputs"][1]["topic"] == "/skin/measurements"
+    assert node["outputs"][1]["subscribers"] == ["reconstructor", "monitor", "recorder"]
+    assert {one["key"]: one["live"] for one in node["settings"]}["ratio"] is True
+    assert node["cpu_s"] > 0
+    assert node["memory_mb"] > 5
+    text = run("node", "info", "compressor")
+    assert "/skin/measurements" in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_param_list_tells_value_range_and_meaning_of_all_settings(
+    run: Run, run_json: RunJson
+) -> None:
+    assert list(run_json("param", "list")["nodes"]) == NODES
+    (entries,) = run_json("param", "list", "sensor")["nodes"].values()
+    rate = {entry["key"]: entry for entry in entries}["rate_hz"]
+    assert rate["live"]
+    assert rate["value"] == 50.0
+    text = run("param", "list", "sensor")
+    assert "* rate_hz" in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_of_a_setting_that_is_not_stated_the_value_in_force_is_told(
+    run: Run, run_json: RunJson
+) -> None:
+    (entries,) = run_json("param", "list", "reconstructor")["nodes"].values()
+    told = {entry["key"]: (entry["value"], entry["in_force"]) for entry in entries}
+    assert told["preset"] == ("skin", "skin")
+    assert told["solver"] == (None, "skin")
+    assert told["basis"] == (None, None)  # that solver takes none
+    assert told["iterations"] == (3, 3)
+    text = run("param", "list", "reconstructor")
+    assert "* solver       = none (preset skin: skin)   (" in text
+    assert max(map(len, text.splitlines())) <= 80
+    assert run_json("param", "get", "reconstructor", "solver")["in_force"] == "skin"
+
+
+def test_a_setting_is_changed_by_its_node_and_the_recording_has_it(
+    run: Run, folder: Path, run_json: RunJson
+) -> None:
+    assert run("param", "set", "compressor", "ratio", "5") == "compressor: ratio = 5\n"
+    assert run("param", "get", "compressor", "ratio") == "5.0\n"
+    assert run_json("param", "get", "compressor", "ratio")["value"] == 5
+
+    def recorded() -> bool:
+        try:
+            with BagReader(folder / "run.mcap.part") as bag:
+                states = [decode(b"/skin/phi", m.payload) for m in bag.messages(["/skin/phi"])]
+        except BagError:
+            return False  # nothing of it is written yet
+        return any(isinstance(state, PhiState) and state.m == 320 for state in states)
+
+    wait_until(recorded, "the change in the recording")
+
+
+def test_settings_of_one_command_are_changed_all_or_none(run: Run, refused: Run) -> None:
+    before = run("param", "get", "sensor", "noise")
+    line = refused("param", "set", "sensor", "noise", "0.25", "rate_hz", "-1")
+    assert line.startswith("sensor: rate_hz: -1.0 is outside 0")
+    assert run("param", "get", "sensor", "noise") == before
+    answer = run("param", "set", "sensor", "noise", "0.25", "rate_hz", "51")
+    assert answer == "sensor: noise = 0.25, rate_hz = 51\n"
+    assert run("param", "get", "sensor", "noise") == "0.25\n"
+
+
+def test_a_setting_that_is_not_stated_is_none(run: Run) -> None:
+    assert run("param", "set", "reconstructor", "iterations", "4").endswith("iterations = 4\n")
+    answer = run("param", "set", "reconstructor", "iterations", "none")
+    assert answer == "reconstructor: iterations is no longer stated\n"
+    assert run("param", "get", "reconstructor", "iterations") == "none\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ("node info sensr", "no such node (did you mean 'sensor'?)"),
+        ("param list x", "no such node (known: compressor, monitor, reconstructor, recorder, sens"),
+        ("param get sensor nois", "sensor: nois: no such setting (did you mean 'noise'?)"),
+        ("param set sensor nois 1", "sensor: nois: unknown key (did you mean 'noise'?)"),
+        ("param set sensor seed 1", "sensor: seed: cannot be changed while the graph runs"),
+        ("param set compressor ratio many", "compressor: ratio: expected a number, got 'many'"),
+        ("param set sensor noise 1 rate_hz", "rate_hz: a setting without a value"),
+        ("topic info /skin/taxel", "no such topic (did you mean '/skin/taxels'?)"),
+        ("topic echo skn/phi", "no such topic (did you mean '/skin/phi'?)"),
+        ("topic hz nothing", "nothing: path_40-"),
+        ("topic echo skin/phi --field nn", "phi has no such field (did you mean 'n'?)"),
+        ("topic echo skin/phi --field n[]", "expected FIELD or FIELD[I,J]"),
+        ("topic echo skin/taxels --field forces[40,0]", "forces is 40 x 40"),
+        ("node list --graph drag", "--graph drag: no such graph runs"),
+    ],
+)
+def test_what_is_not_there_is_refused_in_one_line(refused: Run, arguments: str, line: str) -> None:
+    assert line in refused(*arguments.split())
+
+
+def test_topic_list_tells_publishers_and_subscribers(run: Run, run_json: RunJson) -> None:
+    topics = {topic["topic"]: topic for topic in run_json("topic", "list")["topics"]}
+    assert list(topics) == TOPICS
+    assert [name for name, one in topics.items() if one["latched"]] == [
+        *("/skin/skin", "/skin/phi", "/skin/solver")
+    ]
+    phi = topics["/skin/phi"]
+    assert (phi["schema"], phi["publisher"]) == ("phi", "compressor")
+    assert [one["node"] for one in phi["subscribers"]] == ["reconstructor", "monitor", "recorder"]
+    assert max(map(len, run("topic", "list").splitlines())) <= 80
+
+
+def test_topic_info_tells_fields_and_what_each_subscriber_received(
+    run: Run, run_json: RunJson
+) -> None:
+    topic = run_json("topic", "info", "skin/taxels")
+    assert list(topic["fields"]) == ["stamp_ns", "patch", "run_id", "seq", "forces"]
+    assert {one["node"]: one["lost"] for one in topic["subscribers"]} == {
+        "compressor": 0,
+        "monitor": 0,
+        "recorder": 0,
+    }
+    assert max(map(len, run("topic", "info", "/skin/taxels").splitlines())) <= 80
+
+
+def test_echo_summarises_arrays_and_prints_them_in_full_where_asked(
+    run: Run, run_json: RunJson
+) -> None:
+    (brief,) = run_json("topic", "echo", "/skin/taxels", "--once", lines=True)
+    assert brief["forces"]["shape"] == [40, 40]
+    assert brief["forces"]["min"] <= brief["forces"]["mean"] <= brief["forces"]["max"]
+    (forces,) = run_json(
+        *("topic", "echo", "/skin/taxels", "--once", "--full", "--field", "forces"), lines=True
+    )
+    assert [len(row) for row in forces["data"]] == [40] * 40
+    text = run("topic", "echo", "/skin/taxels", "--once")
+    assert "forces: float32, 40 x 40: min 0, mean" in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_echo_in_json_leaves_no_message_out(run_json: RunJson) -> None:
+    seqs = run_json("topic", "echo", "/skin/taxels", "-n", "30", "--field", "seq", lines=True)
+    assert seqs == list(range(seqs[0], seqs[0] + 30))
+
+
+def test_echo_of_a_latched_topic_shows_its_last_message_at_once(run: Run) -> None:
+    assert run("topic", "echo", "/skin/skin", "--once", "--field", "n_rows") == "40\n"
+
+
+def test_echo_for_a_person_shows_some_and_counts_the_others(
+    run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["topic", "echo", "skin/taxels", "--duration", "1.5", "--max-hz", "4"]) == 0
+    printed = capsys.readouterr()
+    shown = printed.out.count("---")
+    counted = printed.err.rpartition(": ")[2].split()
+    assert int(counted[0]) == shown
+    assert 2 <= shown < int(counted[2])
+    assert "not shown)" in printed.out
+
+
+def test_what_echo_shows_of_many_is_evenly_spaced(run_json: RunJson) -> None:
+    command = ("topic", "echo", "skin/taxels", "--duration", "1.5", "--max-hz", "8")
+    stamps_ns = [shown["stamp_ns"] for shown in run_json(*command, lines=True)]
+    assert len(stamps_ns) > 2
+    assert min(np.diff(stamps_ns)) >= 125_000_000
+
+
+def test_echo_of_so_many_shows_them_one_after_the_other(run: Run) -> None:
+    out = run("topic", "echo", "skin/taxels", "--field", "seq", "-n", "20")
+    seqs = [int(line) for line in out.splitlines() if line.isdigit()]
+    assert seqs == list(range(seqs[0], seqs[0] + 20))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("topic", "hz", "/skin/taxels", "-n", "0"), "-n: '0': expected a whole number, 1 or more"),
+        (("topic", "echo"), "the following arguments are required: TOPIC"),
+        (("launch", "path_40", "--frames", "-4"), "argument --frames"),
+        (("tropic",), "argument COMMAND: invalid choice: 'tropic'"),
+    ],
+)
+def test_a_command_line_is_refused_in_one_line(
+    arguments: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as refusal:
+        main(arguments)
+    assert refusal.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("sparseskin")
+    assert says in line
+
+
+def test_hz_tells_what_is_sent_and_what_arrives(run_json: RunJson) -> None:
+    last = run_json("topic", "hz", "/skin/taxels", "-n", "60", lines=True)[-1]
+    assert last["final"]
+    assert (last["messages"], last["over"], last["lost"]) == (60, 60, 0)
+    assert last["sent_hz"] > 0
+    assert last["sent_hz"] == pytest.approx(1e3 / last["interval_ms"]["mean"])
+    assert last["arrives_hz"] > 0
+
+
+def test_bw_tells_the_bytes_of_the_wire(run_json: RunJson) -> None:
+    last = run_json("topic", "bw", "/skin/taxels", "-n", "50", lines=True)[-1]
+    assert 1600 * 4 < last["size_bytes"]["min"] <= last["size_bytes"]["max"] < 1600 * 4 + 300
+    assert last["bytes_per_s"] > 0
+
+
+def test_delay_is_the_age_of_a_frame(run_json: RunJson) -> None:
+    age = run_json("topic", "delay", "/skin/reconstruction", "-n", "50", lines=True)[-1]["delay_ms"]
+    assert 0 < age["min"] <= age["p50"] <= age["p99"] <= age["max"]
+
+
+def test_of_a_latched_topic_one_message_comes_and_no_rate(run: Run) -> None:
+    out = run("topic", "hz", "skin/solver", "--duration", "0.5")
+    assert out == "all 1: too few messages for a rate | lost 0\n"
+
+
+def test_where_nothing_comes_it_says_why(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    graph = choose_graph(None)
+    assert ask_node(graph, "sensor", "pause", True) == Answer(True, "paused")
+    try:
+        main(["topic", "hz", "skin/taxels", "--duration", "1.5"])
+        assert "no message for 1 s (sensor: paused)" in capsys.readouterr().out
+        assert main(["topic", "echo", "skin/taxels", "--duration", "0.2"]) == 1
+        assert capsys.readouterr().err == "/skin/taxels: no message came (sensor: paused)\n"
+    finally:
+        ask_node(graph, "sensor", "pause", False)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_ends_with_a_summary(folder: Path, number: signal.Signals) -> None:
+    command = [*COMMAND, "topic", "delay", "/skin/taxels"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("delay p50 ")
+        process.send_signal(number)
+        out, error = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        process.communicate()
+    assert process.returncode == 0
+    assert error == ""
+    assert out.splitlines()[-1].startswith("all ")
+
+
+def test_a_pipe_that_closes_is_no_matter(folder: Path) -> None:
+    command = " ".join([*COMMAND, "topic", "delay", "/skin/taxels", "--json", "|", "head", "-1"])
+    done = subprocess.run(
+        ["bash", "-c", command], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stderr == ""
+    assert json.loads(done.stdout)["topic"] == "/skin/taxels"
+
+
+def test_a_shell_completes_names_of_the_running_graph(folder: Path) -> None:
+    assert words("node info ") == NODES
+    assert words("topic hz --window 50 /skin/ta") == ["/skin/taxels"]
+    assert words("param set sensor ") == ["rate_hz", "noise"]
+    assert "seed" in words("param get sensor ")
+    assert words("param set reconstructor preset pa") == ["paper"]
+    assert words("param set sensor noise 1 ra") == ["rate_hz"]
+    assert "fista" in words("param set reconstructor preset paper solver ")
+    assert words("topic hz --graph ") == ["path_40"]
+    assert words("topic hz --graph=pa") == ["path_40"]
+    assert words("node info --graph=none ") == []
+
+
+def test_two_graphs_are_named_and_one_is_chosen_by_name_or_process(
+    graph: Program, folder: Path, run_json: RunJson, refused: Run
+) -> None:
+    label = f"path_40-{graph.process.pid}"
+    with announced(RunningGraph("other", 7, 0, "", {})):
+        line = refused("node", "list")
+        assert line == f"several graphs run; choose one with --graph: other-7, {label}"
+        for chosen in ("path_40", label, str(graph.process.pid)):
+            assert run_json("node", "list", "--graph", chosen)["graph"] == label
+        assert refused("node", "list", "--graph", "7").startswith("/")  # no socket of its own
+
+
+@pytest.mark.parametrize("arguments", ["node list", "param list", "topic list", "topic hz a"])
+def test_where_no_graph_runs_one_line_says_so(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: str,
+) -> None:
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path))
+    assert main(arguments.split()) == 2
+    error = capsys.readouterr().err
+    assert error == "no graph runs on this host (start one: sparseskin launch NAME)\n"

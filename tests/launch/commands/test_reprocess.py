@@ -1,0 +1,138 @@
+"""Reprocessing: the same settings give the same bits, whatever the way and the executor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.launch.commands.scenes import make_scenario
+from sparseskin.messages import Reconstruction, Taxels, decode
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.executors import make_executor
+from sparseskin.nodes.recorder.bag.reader import BagReader
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_scenario("drag_wrench", tmp_path_factory.mktemp("recording"))
+
+
+def maps(path: Path, kind: type[Reconstruction] | type[Taxels]) -> list[tuple[int, bytes]]:
+    """Stamps and forces of all frames of one schema."""
+    with BagReader(path) as bag:
+        assert bag.recovered == ""
+        found = []
+        for recorded in bag.messages([f"/skin/{kind.schema}"]):
+            message = decode(recorded.topic.encode(), recorded.payload)
+            assert isinstance(message, kind)
+            found.append((message.stamp_ns, message.forces.tobytes()))
+        return found
+
+
+@pytest.mark.parametrize("start_from", ["auto", "taxels", "measurements"])
+def test_the_same_settings_give_the_same_bits_and_stamps(
+    recording: Path, tmp_path: Path, start_from: str
+) -> None:
+    out = tmp_path / "out.mcap"
+    assert main(["reprocess", str(recording), "--out", str(out), "--from", start_from]) == 0
+    for kind in (Reconstruction, Taxels):
+        assert maps(out, kind) == maps(recording, kind)
+
+
+@pytest.mark.parametrize("change", ["reconstructor.iterations=5", "compressor.ratio=4"])
+def test_other_settings_give_another_reconstruction_of_the_same_frames(
+    recording: Path, tmp_path: Path, change: str
+) -> None:
+    out = tmp_path / "out.mcap"
+    assert main(["reprocess", str(recording), "--out", str(out), "--set", change]) == 0
+    old, new = maps(recording, Reconstruction), maps(out, Reconstruction)
+    assert [stamp for stamp, _ in old] == [stamp for stamp, _ in new]
+    assert old != new
+    assert maps(out, Taxels) == maps(recording, Taxels)
+
+
+@pytest.mark.slow
+def test_in_several_processes_the_bits_are_the_same(recording: Path, tmp_path: Path) -> None:
+    twin = tmp_path / "twin.mcap"
+    twin.write_bytes(recording.read_bytes())
+    out = tmp_path / "out"
+    out.mkdir()
+    arguments = [str(recording), str(twin), "--out", str(out), "--executor", "process:2"]
+    assert main(["reprocess", *arguments]) == 0
+    for name in ("drag_wrench.mcap", "twin.mcap"):
+        assert maps(out / name, Reconstruction) == maps(recording, Reconstruction)
+
+
+def test_of_several_recordings_the_sound_ones_are_finished(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"no recording")
+    out = tmp_path / "out"
+    out.mkdir()
+    assert main(["reprocess", str(bad), str(recording), "--out", str(out)]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert str(bad) in captured.err
+    assert "drag_wrench.mcap:" in captured.out
+    assert [path.name for path in out.iterdir()] == ["drag_wrench.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--set", "reconstructor.solver=fist"], "did you mean 'fista'"),
+        (["--set", "sensor.seed=1"], "unknown node 'sensor'"),
+        (["--set", "reconstrutor.solver=fista"], "did you mean 'reconstructor'"),
+        (["--set", "compressor.m=99999"], "m = 99999 is not allowed"),
+        (["--from", "measurements", "--set", "compressor.ratio=2"], "cannot be changed"),
+        (["--executor", "proces:2"], "did you mean 'process'"),
+        (["--executor", "process:0"], "expected 1..1024 workers"),
+        (["--executor", "nowhere_at_all:make"], "nowhere_at_all"),
+    ],
+)
+def test_a_wrong_argument_is_one_line_and_leaves_no_file(
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    text: str,
+) -> None:
+    out = tmp_path / "out.mcap"
+    assert main(["reprocess", str(recording), "--out", str(out), *arguments]) == 2
+    captured = capsys.readouterr()
+    assert text in captured.err
+    assert captured.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_there_is_not_written_over(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.mcap"
+    out.write_text("mine")
+    assert main(["reprocess", str(recording), "--out", str(out)]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert out.read_text() == "mine"
+
+
+def test_executors_by_text(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "my_pool.py").write_text(
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "def make(): return ThreadPoolExecutor(1)\n"
+        "def wrong(): return 3\n"
+        "def broken(): raise RuntimeError('no cluster')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    for spec in ("serial", "thread:2", "process:1", "my_pool:make"):
+        with make_executor(spec) as pool:
+            assert pool.submit(abs, -3).result() == 3
+    for spec, text in (
+        ("my_pool:wrong", "made int"),
+        ("my_pool:broken", "RuntimeError: no cluster"),
+        ("thread", "expected serial, process:N"),
+    ):
+        with pytest.raises(SettingsError, match=text):
+            make_executor(spec)

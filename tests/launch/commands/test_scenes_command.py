@@ -1,0 +1,101 @@
+"""Short recordings that are made on first use."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.launch.commands.scenes import (
+    SCENARIOS,
+    ScenarioError,
+    data_folder,
+    make_scenario,
+    resolve_recording,
+)
+from sparseskin.messages import Taxels, Truth, decode
+from sparseskin.messages.wire import SCHEMAS
+from sparseskin.nodes.recorder.bag.reader import BagReader
+
+MAX_BYTES = 5_000_000
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "tap_peg",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in SCENARIOS if n != "tap_peg"),
+    ],
+)
+def test_a_scenario_is_small_whole_complete_and_in_contact(name: str, tmp_path: Path) -> None:
+    path = make_scenario(name, tmp_path)
+    assert path.stat().st_size < MAX_BYTES
+    with BagReader(path) as bag:
+        assert bag.recovered == ""
+        unasked = ("end", "resultant")
+        assert set(bag.topics) == {f"/skin/{name}" for name in SCHEMAS if name not in unasked}
+        assert bag.topics["/skin/taxels"].rate_hz == pytest.approx(100)
+        peaks = []
+        for message in bag.messages(["/skin/truth"]):
+            truth = decode(message.topic.encode(), message.payload)
+            assert isinstance(truth, Truth)
+            peaks.append(float(truth.forces.max()))
+    assert len(peaks) == SCENARIOS[name].n_frames
+    assert sum(peak > 0.01 for peak in peaks) > len(peaks) / 4
+
+
+def test_it_is_the_same_each_time(tmp_path: Path) -> None:
+    def contents(folder: Path) -> list[bytes]:
+        with BagReader(make_scenario("big_wrench", folder)) as bag:
+            return [message.payload for message in bag.messages()]
+
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+
+
+def test_a_name_is_made_on_first_use_and_found_afterwards(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = resolve_recording("tap_peg")
+    assert path == data_folder() / "tap_peg.mcap"
+    assert "made on first use" in capsys.readouterr().err
+    before = path.stat().st_mtime_ns
+    assert resolve_recording("tap_peg") == path
+    assert capsys.readouterr().err == ""
+    assert path.stat().st_mtime_ns == before
+
+
+def test_paths_are_left_as_they_are_and_other_names_are_refused(tmp_path: Path) -> None:
+    assert resolve_recording("any/where.mcap") == Path("any/where.mcap")
+    assert resolve_recording(str(tmp_path)) == tmp_path
+    with pytest.raises(ScenarioError, match="did you mean 'tap_peg'"):
+        resolve_recording("tap_pgg")
+
+
+def test_a_folder_that_cannot_be_made_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert main(["scenes", "make", "big_wrench", "--out", str(tmp_path / "file")]) == 2
+    assert str(tmp_path / "file") in capsys.readouterr().err
+
+
+def test_the_list_names_every_scene_and_recording(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scenes", "list"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in (*SCENARIOS, "path_40", "drag_wrench_64"))
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_taxels_are_readings_of_the_scene(tmp_path: Path) -> None:
+    with BagReader(make_scenario("press_box", tmp_path)) as bag:
+        (first, *_) = bag.messages(["/skin/taxels"])
+        taxels = decode(first.topic.encode(), first.payload)
+        assert isinstance(taxels, Taxels)
+        assert taxels.forces.shape == (40, 40)
+        assert bag.metadata["scene"] == "lift_box_40"

@@ -1,0 +1,41 @@
+"""Mutated launch files: one line an error, exit code 2, and never a traceback.
+
+`SPARSESKIN_FUZZ_FILES` states how many.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from sparseskin.studies.fuzz import launch_files as fuzz_launch
+
+N_FILES = int(os.environ.get("SPARSESKIN_FUZZ_FILES", "300"))
+
+
+def test_every_fault_of_a_launch_file_is_a_line_that_names_it() -> None:
+    found = fuzz_launch.measure({"n": N_FILES, "seed": 7})
+    assert found["n_faulty"] == 0, found["faulty"]
+    assert found["codes"].keys() == {"0", "2"}
+    assert found["n_lines"] > found["codes"]["2"]
+
+
+def test_what_is_not_as_it_has_to_be_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(fuzz_launch.NAME).write_text("nodes = 1")
+    code, lines, fault = fuzz_launch.checked()
+    assert (code, len(lines), fault) == (2, 1, "")
+
+    def main(arguments: list[str]) -> int:
+        raise ValueError("as if")
+
+    monkeypatch.setattr(fuzz_launch, "main", main)
+    assert fuzz_launch.checked()[2] == "raised ValueError: as if"
+    monkeypatch.setattr(fuzz_launch, "main", lambda arguments: 2)
+    assert fuzz_launch.checked()[2] == "exit code 2 with 0 lines"
+    monkeypatch.setattr(fuzz_launch, "main", lambda arguments: 1)
+    assert fuzz_launch.checked()[2] == "exit code 1"

@@ -1,0 +1,155 @@
+"""A graph as text and as a picture: every node, link and host is there."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.launch.launchfile import graph_text as module
+from sparseskin.launch.launchfile.graph_text import dot_of, graph_text
+from sparseskin.launch.launchfile.load import load
+
+HOSTS = """
+[hosts.edge]
+address = "127.0.0.1"
+key = "edge"
+[hosts.desk]
+address = "127.0.0.1"
+base_port = 5800
+[nodes.sensor]
+type = "sensor"
+host = "edge"
+source = "scene:path_40"
+[nodes.compressor]
+type = "compressor"
+host = "edge"
+[nodes.reconstructor]
+type = "reconstructor"
+host = "desk"
+[nodes.monitor]
+type = "monitor"
+host = "desk"
+"""
+
+
+def launched(name: str, tmp_path: Path) -> Any:
+    if name != "many":
+        return load(name, record=str(tmp_path / "out.mcap"))
+    path = tmp_path / "many.toml"
+    path.write_text("".join(many(tmp_path)))
+    return load(str(path), record=str(tmp_path / "out.mcap"))
+
+
+def many(folder: Path) -> Iterator[str]:
+    """Two patches, two monitors and two recorders of each, and all that a recorder more reads."""
+    yield "[graph]\n"
+    for patch in ("left_palm", "forearm"):
+        for node in ("sensor", "compressor", "reconstructor"):
+            yield f'[nodes.{node}_of_the_{patch}]\ntype = "{node}"\npatch = "{patch}"\n'
+        for k in range(2):
+            yield f'[nodes.monitor_{patch}_{k}]\ntype = "monitor"\npatches = ["{patch}"]\n'
+            yield f'[nodes.recorder_{patch}_{k}]\ntype = "recorder"\n'
+            yield f'out = "{folder}/{patch}{k}.mcap"\ntopics = ["/{patch}/{"t*" if k else "*"}"]\n'
+
+
+def boxes_and_links(dot: str) -> tuple[dict[str, str], dict[tuple[str, str], str]]:
+    """Label of each node and of each link of a text in DOT."""
+    text = r'("(?:[^"\\]|\\.)*")'
+    boxes = re.findall(rf"^{text} \[label={text}\]$", dot, re.MULTILINE)
+    links = re.findall(rf"^{text} -> {text} \[label={text}\]$", dot, re.MULTILINE)
+    return (
+        {json.loads(name): json.loads(label) for name, label in boxes},
+        {(json.loads(a), json.loads(b)): json.loads(label) for a, b, label in links},
+    )
+
+
+@pytest.mark.parametrize("name", ["path_40", "two_patches", "many"])
+def test_dot_has_every_node_and_every_topic_on_the_link_of_its_ends(
+    name: str, tmp_path: Path
+) -> None:
+    launch = launched(name, tmp_path)
+    boxes, links = boxes_and_links(dot_of(launch))
+    assert list(boxes) == list(launch.nodes)
+    assert set(links) == {(link.writer, link.reader) for link in launch.links}
+    for link in launch.links:
+        patch, schema = link.topic[1:].split("/")
+        (line,) = (
+            line
+            for line in links[link.writer, link.reader].split("\n")
+            if line.startswith(f"/{patch}/ ")
+        )
+        assert schema in line.removeprefix(f"/{patch}/ ").split(", ")
+
+
+def test_a_box_has_the_type_of_its_node_and_the_setting_that_tells_it_from_others(
+    tmp_path: Path,
+) -> None:
+    boxes, _ = boxes_and_links(dot_of(launched("two_patches", tmp_path)))
+    assert boxes["palm_sensor"] == "palm_sensor\nsensor\nscene:lift_box_64"
+    assert boxes["monitor"] == "monitor"
+
+
+def test_a_host_is_a_box_around_its_nodes(tmp_path: Path) -> None:
+    path = tmp_path / "two.toml"
+    path.write_text(HOSTS)
+    launch = load(str(path))
+    for of in (launch, launch.part("edge")):  # of a part all hosts are drawn
+        dot = dot_of(of)
+        _, *clusters = re.split(r'^subgraph "cluster_', dot, flags=re.MULTILINE)
+        assert [one.partition('"')[0] for one in clusters] == ["edge", "desk"]
+        assert '"sensor" [' in clusters[0].partition("\n}")[0]
+        assert '"monitor" [' in clusters[1].partition("\n}")[0]
+
+
+@pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz is not installed")
+def test_a_dry_run_draws_both_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    svg, png = tmp_path / "g.svg", tmp_path / "g.png"
+    arguments = ["launch", "path_40", "--dry-run", "--svg", str(svg), "--png", str(png)]
+    assert main(arguments) == 0
+    assert "<svg " in svg.read_text()
+    assert ">scene:path_40<" in svg.read_text()
+    assert png.read_bytes().startswith(b"\x89PNG")
+    assert "sensor -- /skin/taxels" in capsys.readouterr().out
+
+
+def test_a_dry_run_writes_dot_without_graphviz(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(module.shutil, "which", lambda _name: None)
+    dot = tmp_path / "g.dot"
+    assert main(["launch", "path_40", "--dry-run", "--dot", str(dot)]) == 0
+    assert dot.read_text() == dot_of(load("path_40"))
+    for form in ("svg", "png"):
+        assert main(["launch", "path_40", "--dry-run", f"--{form}", str(tmp_path / "g")]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"--{form}: drawn by the program dot, which is not installed")
+        assert "graphviz" in line
+
+
+def test_the_columns_of_a_dry_run_hold_names_of_any_length(tmp_path: Path) -> None:
+    lines = graph_text(launched("many", tmp_path)).splitlines()
+    nodes = lines[lines.index("nodes") + 1 : lines.index("links") - 1]
+    names = [line.split()[0] for line in nodes]
+    types = [line.split()[1] for line in nodes]
+    place = 2 + max(map(len, names)) + 1
+    assert max(map(len, names)) == len("reconstructor_of_the_left_palm")
+    for line, kind in zip(nodes, types, strict=True):
+        assert line[place - 1 :].startswith(f" {kind}")
+        assert line[place:].ljust(len("reconstructor") + 1)[len("reconstructor")] == " "
+
+
+def test_a_picture_that_cannot_be_written_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["launch", "path_40", "--svg", "g.svg"]) == 2
+    assert capsys.readouterr().err == "--dot, --svg, --png: only with --dry-run\n"
+    nowhere = str(tmp_path / "no" / "g.dot")
+    assert main(["launch", "path_40", "--dry-run", "--dot", nowhere]) == 2
+    assert capsys.readouterr().err == f"--dot {nowhere}: No such file or directory\n"

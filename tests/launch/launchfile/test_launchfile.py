@@ -1,0 +1,261 @@
+"""Launch files: checked whole, each fault one line with its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.launch.launchfile.graph_text import graph_text
+from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, bundled_names, load
+
+SCENES = [
+    *("lift_box_40", "lift_wrench_40", "drag_wrench_40"),
+    *("path_40", "lift_box_64", "drag_wrench_64"),
+]
+
+GOOD = """\
+[graph]
+description = "a test"
+
+[nodes.sensor]
+type = "sensor"
+source = "scene:path_40"
+
+[nodes.compressor]
+type = "compressor"
+
+[nodes.reconstructor]
+type = "reconstructor"
+iterations = 20
+
+[nodes.monitor]
+type = "monitor"
+"""
+
+
+@pytest.fixture
+def check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The error lines of a launch file."""
+    monkeypatch.chdir(tmp_path)
+
+    def lines_of(text: str, *overrides: str) -> list[str]:
+        Path("f.toml").write_text(text)
+        with pytest.raises(LaunchError) as caught:
+            load("f.toml", overrides)
+        return caught.value.lines
+
+    return lines_of
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_every_scene_has_a_launch_file_that_checks(name: str) -> None:
+    launch = load(name)
+    assert launch.nodes["sensor"].settings.source == f"scene:{name}"
+    assert launch.nodes["compressor"].settings.ratio == 3
+    assert launch.nodes["reconstructor"].settings.preset == "skin"
+
+
+def test_all_bundled_files_are_known() -> None:
+    assert bundled_names() == sorted(
+        [*SCENES, "replay", "replay_taxels", "replay_measurements", "two_patches"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        (
+            "iterations = 20",
+            "itertions = 20",
+            "f.toml:13: nodes.reconstructor.itertions: unknown key (did you mean 'iterations'?)",
+        ),
+        (
+            "iterations = 20",
+            "iterations = 0",
+            "f.toml:13: nodes.reconstructor.iterations: 0 is outside 1..1000",
+        ),
+        (
+            "iterations = 20",
+            'iterations = "20"',
+            "f.toml:13: nodes.reconstructor.iterations: "
+            "expected a whole number or nothing, got '20'",
+        ),
+        (
+            '"compressor"',
+            '"compresor"',
+            'f.toml:9: nodes.compressor.type: type "compresor" is not known '
+            "(did you mean 'compressor'?); or \"module:Class\" for your own",
+        ),
+        (
+            '"compressor"',
+            '"math:sqrt"',
+            'f.toml:9: nodes.compressor.type: type "math:sqrt": '
+            "not a subclass of sparseskin.nodes.node.Node",
+        ),
+        (
+            'type = "monitor"',
+            "",
+            "f.toml:15: nodes.monitor: the key 'type' is missing or not a text",
+        ),
+        ("[graph]", "[grap]", "f.toml:1: grap: unknown table (did you mean 'graph'?)"),
+        (
+            "description",
+            "descripton",
+            "f.toml:2: graph.descripton: unknown key (did you mean 'description'?)",
+        ),
+        (
+            'description = "a test"',
+            'transport = "udp"',
+            "f.toml:2: graph.transport: 'udp' is not allowed (known: ipc, tcp)",
+        ),
+        (
+            "scene:path_40",
+            "scene:path_41",
+            None,
+        ),
+        (
+            "scene:path_40",
+            "file:none.npz",
+            "f.toml:6: nodes.sensor.source: none.npz: no such file",
+        ),
+        (
+            "scene:path_40",
+            "path_40",
+            'f.toml:6: nodes.sensor.source: source "path_40": expected scene:NAME, file:PATH or '
+            'module:callable (did you mean "scene:path_40"?)',
+        ),
+        (
+            'type = "monitor"',
+            'type = "monitor"\npatches = ["left"]',
+            None,
+        ),
+        (
+            "[nodes.sensor]",
+            "[nodes.Sensor]",
+            None,
+        ),
+    ],
+)
+def test_a_fault_is_one_line_with_its_place(check, old: str, new: str, line: str | None) -> None:
+    lines = check(GOOD.replace(old, new, 1))
+    assert all("\n" not in each and "Traceback" not in each for each in lines)
+    if line is not None:
+        assert line in lines
+    else:
+        assert lines
+
+
+def test_all_faults_are_told_at_once(check) -> None:
+    text = GOOD.replace("iterations", "itertions").replace('"monitor"', '"moniter"')
+    lines = check(text, "sensor.sead=3", "senser.seed=3", "nonsense")
+    assert len(lines) == 5
+    assert "--set sensor.sead=3: unknown key (did you mean 'seed'?)" in lines
+    assert "--set senser.seed=3: unknown node 'senser' (did you mean 'sensor'?)" in lines
+    assert "--set nonsense: expected NODE.KEY=VALUE" in lines
+
+
+def test_a_topic_has_one_writer_and_every_reader_has_one(check) -> None:
+    twice = GOOD + '\n[nodes.second]\ntype = "sensor"\n'
+    assert check(twice) == ["f.toml: second: writes /skin/skin, which sensor writes too"]
+    (line,) = check(GOOD.replace('type = "compressor"', 'type = "compressor"\npatch = "left"'))
+    assert line.startswith("f.toml: compressor: reads /left/skin, which no node writes")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x", "nodes = 3", "[nodes]\n", "[nodes]\na = 3", "\x00", "[["]
+)
+def test_what_is_no_launch_file_is_said_in_a_line(check, text: str) -> None:
+    assert len(check(text)) >= 1
+
+
+def test_a_value_is_toml_or_else_a_text_as_it_stands() -> None:
+    launch = load(
+        "path_40", ["sensor.seed=7", "sensor.rate_hz=12.5", "reconstructor.basis=identity"]
+    )
+    assert launch.nodes["sensor"].settings.seed == 7
+    assert launch.nodes["sensor"].settings.rate_hz == 12.5
+    assert launch.nodes["reconstructor"].settings.basis == "identity"
+
+
+@given(st.data())
+@settings(max_examples=150, deadline=None)
+def test_a_mutated_launch_file_is_used_or_refused_in_lines(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    text = list(GOOD)
+    for _ in range(data.draw(st.integers(1, 6))):
+        place = data.draw(st.integers(0, len(text) - 1))
+        text[place] = data.draw(st.characters(codec="utf-8") | st.just(""))
+    path = tmp_path_factory.mktemp("mutated") / "f.toml"
+    path.write_text("".join(text), encoding="utf-8", newline="")
+    lines: list[str] = []
+    try:
+        assert load(str(path)).nodes
+    except LaunchError as error:
+        lines = error.lines
+        refused = True
+    else:
+        refused = False
+    assert refused == bool(lines)
+    for line in lines:  # each begins with the file, and stays one line on a terminal
+        assert line.startswith(str(path))
+        assert line.isprintable()
+        assert line.partition(": ")[2]
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = main(arguments)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_the_command_ends_with_2_and_one_line_for_a_usage_error(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for arguments in (
+        ["launch", "path_4"],
+        ["launch", "none.toml"],
+        ["launch", str(tmp_path)],
+        ["launch", "path_40", "--set", "sensor.seed=-1"],
+        ["launch", "path_40", "--summary", str(tmp_path / "none" / "out.json")],
+        ["launch", "path_40", "--summary", str(tmp_path)],
+    ):
+        code, out, err = run(capsys, *arguments)
+        assert (code, out, err.count("\n")) == (2, "", 1), arguments
+
+
+def test_a_dry_run_shows_the_graph_and_starts_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = run(capsys, "launch", "drag_wrench_64", "--dry-run")
+    assert (code, err) == (0, "")
+    assert out.rstrip() == graph_text(load("drag_wrench_64"))
+    assert "compressor -- /skin/measurements" in out
+
+
+def test_bundled_files_are_beside_the_launcher() -> None:
+    assert (BUNDLED / "drag_wrench_64.toml").is_file()
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("replay", "--set sensor.source=file:PATH"),
+        ("replay_taxels", "--set player.file=PATH.mcap"),
+        ("replay_measurements", "--set player.file=PATH.mcap"),
+    ],
+)
+def test_a_launch_file_without_its_recording_says_how_to_name_one(name: str, hint: str) -> None:
+    for stated in (name, str(BUNDLED / f"{name}.toml")):
+        with pytest.raises(LaunchError) as refused:
+            load(stated)
+        (line,) = refused.value.lines
+        assert line.endswith(f"no such file; name yours: {hint}")
+        place = hint.removeprefix("--set ").partition("=")[0]
+        assert f": nodes.{place}: " in line
+    missing = f"{place}={'file:' if 'sensor' in place else ''}missing.mcap"
+    with pytest.raises(LaunchError) as refused:
+        load(name, [missing])
+    assert refused.value.lines == [f"--set {missing}: missing.mcap: no such file"]

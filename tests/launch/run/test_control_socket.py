@@ -1,0 +1,227 @@
+"""The control socket, both ends over a real socket."""
+
+from __future__ import annotations
+
+import json
+import selectors
+import socket
+import stat
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import wait_until
+
+from sparseskin.launch.run.control_server import MAX_CLIENTS, MAX_LINE_BYTES, ControlServer
+from sparseskin.launch.run.control_socket import MAX_QUEUED_BYTES, ControlClient
+from sparseskin.nodes.errors import SparseskinError
+
+
+class Loop:
+    """What a fleet offers to a server: its loop, and nothing else."""
+
+    def __init__(self) -> None:
+        self._selector = selectors.DefaultSelector()
+
+    def watch(self, fd: Any, on_ready: Callable[[], None]) -> None:
+        self._selector.register(fd, selectors.EVENT_READ, on_ready)
+
+    def unwatch(self, fd: Any) -> None:
+        self._selector.unregister(fd)
+
+    def serve(self) -> None:
+        for key, _ in self._selector.select(0.01):
+            key.data()
+
+    def close(self) -> None:
+        self._selector.close()
+
+
+class Line:
+    """A server that answers every request with its number, and clients of it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = str(path)
+        self.loop = Loop()
+        self.taken: list[Mapping[str, Any]] = []
+        self.server = ControlServer(
+            self.path,
+            self.loop,  # type: ignore[arg-type]
+            self._take,
+            lambda node: {"of": node},
+        )
+        self._clients: list[ControlClient] = []
+
+    def _take(self, request: Mapping[str, Any], reply: Callable[[dict[str, Any]], None]) -> None:
+        self.taken.append(request)
+        reply({"id": request.get("id")})
+
+    def client(self) -> ControlClient:
+        self._clients.append(ControlClient(self.path))
+        return self._clients[-1]
+
+    def receive(self, client: ControlClient, n: int = 1) -> list[dict[str, Any]]:
+        """The next n objects that a client is sent."""
+        found: list[dict[str, Any]] = []
+
+        def done() -> bool:
+            self.loop.serve()
+            found.extend(client.receive() or [])
+            return len(found) >= n
+
+        wait_until(done, f"{n} objects")
+        assert len(found) == n
+        return found
+
+    def is_left(self, client: ControlClient) -> bool:
+        """Whether the server has closed a client's line, once all that waits is read."""
+        self.loop.serve()
+        return client.receive() is None
+
+    def close(self) -> None:
+        for client in self._clients:
+            client.close()
+        self.server.close()
+        self.loop.close()
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Iterator[Line]:
+    line = Line(tmp_path / "graph.sock")
+    yield line
+    line.close()
+
+
+def test_a_request_goes_there_and_its_answer_back(line: Line) -> None:
+    first, second = line.client(), line.client()
+    request = {"id": "1", "node": "sensor", "command": "set", "value": {"noise": 0.5}}
+    assert first.send(request)
+    assert line.receive(first) == [{"answer": {"id": "1"}}]
+    assert line.taken == [request]
+    assert second.receive() == []
+
+
+def test_many_requests_in_one_go_are_answered_in_order(line: Line) -> None:
+    client = line.client()
+    for k in range(100):
+        assert client.send({"id": k})
+    assert [news["answer"]["id"] for news in line.receive(client, 100)] == list(range(100))
+
+
+def test_a_request_may_come_in_pieces(line: Line) -> None:
+    client = line.client()
+    data = json.dumps({"id": "ä"}, ensure_ascii=False).encode() + b"\n"
+    for k in range(len(data)):
+        client._socket.sendall(data[k : k + 1])
+        line.loop.serve()
+    assert line.receive(client) == [{"answer": {"id": "ä"}}]
+
+
+def test_who_watches_is_told_of_the_graph_and_nobody_else(line: Line) -> None:
+    watcher, other = line.client(), line.client()
+    assert not line.server.watched
+    watcher.send({"watch": True})
+    other.send({"id": "1"})
+    line.receive(other)
+    wait_until(lambda: (line.loop.serve(), line.server.watched)[1], "the watcher")
+    line.server.publish({"graph": {"nodes": []}})
+    assert line.receive(watcher) == [{"graph": {"nodes": []}}]
+    assert other.receive() == []
+    watcher.close()
+    wait_until(lambda: (line.loop.serve(), not line.server.watched)[1], "the watcher to leave")
+
+
+def test_who_asks_for_a_description_gets_one_and_no_more(line: Line) -> None:
+    client = line.client()
+    client.send({"describe": None})
+    client.send({"describe": "sensor"})
+    assert line.receive(client, 2) == [
+        {"description": {"of": None}},
+        {"description": {"of": "sensor"}},
+    ]
+    assert not line.server.watched
+    assert line.taken == []
+
+
+@pytest.mark.parametrize(
+    "bad", [b"{", b"nonsense", b"[1, 2]", b"3", b"null", b"", b"\xff\xfe", b"[" * 5000]
+)
+def test_a_line_that_is_no_request_is_refused_and_the_next_is_taken(line: Line, bad: bytes) -> None:
+    client = line.client()
+    client._socket.sendall(bad + b'\n{"id": "2"}\n')
+    refused, answered = line.receive(client, 2)
+    assert refused == {"error": "expected one JSON object a line"}
+    assert answered == {"answer": {"id": "2"}}
+    assert line.taken == [{"id": "2"}]
+
+
+def test_a_line_without_end_is_cut_off(line: Line) -> None:
+    client, other = line.client(), line.client()
+    client._socket.sendall(b"x" * (MAX_LINE_BYTES + 1))
+    wait_until(lambda: line.is_left(client), "the client to be left")
+    other.send({"id": "1"})
+    assert line.receive(other) == [{"answer": {"id": "1"}}]
+
+
+def test_a_watcher_that_does_not_read_is_left_and_the_others_are_not(line: Line) -> None:
+    deaf, good = line.client(), line.client()
+    for client in (deaf, good):
+        client.send({"watch": True})
+        client.send({"id": "1"})
+        line.receive(good if client is good else deaf)
+    state = {"graph": "x" * 50_000}
+    for _ in range(4 * MAX_QUEUED_BYTES // 50_000):
+        line.server.publish(state)
+        assert line.receive(good) == [state]
+    assert len(line.server._clients) == 1
+    good.send({"id": "2"})
+    assert line.receive(good) == [{"answer": {"id": "2"}}]
+
+
+def test_one_client_too_many_is_turned_away_until_another_leaves(line: Line) -> None:
+    clients = [line.client() for _ in range(MAX_CLIENTS)]
+    for client in clients:
+        client.send({"id": "1"})
+        line.receive(client)
+    turned_away = line.client()
+    wait_until(lambda: line.is_left(turned_away), "the client to be turned away")
+    clients[3].close()
+    wait_until(lambda: (line.loop.serve(), len(line.server._clients))[1] < MAX_CLIENTS, "room")
+    client = line.client()
+    client.send({"id": "1"})
+    assert line.receive(client) == [{"answer": {"id": "1"}}]
+
+
+def test_a_client_learns_that_the_graph_is_gone(line: Line) -> None:
+    client = line.client()
+    client.send({"id": "1"})
+    line.receive(client)
+    line.server.close()
+    assert client.receive() is None
+    assert not client.send({"id": "2"})
+    assert not Path(line.path).exists()
+
+
+def test_only_the_user_may_connect(line: Line) -> None:
+    assert stat.S_IMODE(Path(line.path).stat().st_mode) == 0o600
+
+
+def test_a_path_may_be_longer_than_a_sockets_name(tmp_path: Path) -> None:
+    folder = tmp_path / ("d" * 100) / ("e" * 100)
+    folder.mkdir(parents=True)
+    line = Line(folder / "graph.sock")
+    client = line.client()
+    client.send({"id": "1"})
+    assert line.receive(client) == [{"answer": {"id": "1"}}]
+    line.close()
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["none.sock", "no folder/none.sock", "file", "left.sock"])
+def test_where_nobody_listens_it_says_so(tmp_path: Path, name: str) -> None:
+    (tmp_path / "file").touch()
+    with socket.socket(socket.AF_UNIX) as left:
+        left.bind(str(tmp_path / "left.sock"))
+    with pytest.raises(SparseskinError, match=f"{name}: no graph listens there: "):
+        ControlClient(str(tmp_path / name))

@@ -1,0 +1,181 @@
+"""Who is late as a graph starts or ends, and what each one waits for."""
+
+from __future__ import annotations
+
+import os
+import signal
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+from bags import frame, make_bag, skin_state
+from conftest import StartProgram, wait_until
+
+from sparseskin.launch.run import waiting as late
+from sparseskin.launch.run.waiting import (
+    all_read,
+    lacks_readers,
+    late_at_end,
+    late_at_start,
+    or_log,
+)
+from sparseskin.nodes.graph import Link
+from sparseskin.nodes.player.settings import PlayerSettings
+
+LINKS = [
+    Link("/skin/taxels", "sensor", "compressor"),
+    Link("/skin/taxels", "sensor", "monitor"),
+    Link("/skin/measurements", "compressor", "monitor"),
+]
+
+
+@dataclass
+class Node:
+    name: str
+    endpoint: str = "tcp://127.0.0.1:1"
+    ready: bool = False
+    ended: bool = False
+    lacks: list[str] = field(default_factory=list)
+    spec: Any = None
+    state: dict[str, Any] = field(default_factory=lambda: {"paused": False})
+    counts: dict[str, Any] = field(default_factory=dict)
+    failed: bool = False
+    heard_s: float = 0.0
+
+    def says(self, received: int) -> None:
+        """A heartbeat comes."""
+        self.heard_s += 0.5
+        self.counts = {"received": received}
+
+
+def nodes(*made: Node) -> Any:
+    return list(made)
+
+
+def test_each_node_that_is_not_ready_says_what_it_waits_for() -> None:
+    made = nodes(
+        Node("sensor", endpoint=""),
+        Node("compressor", lacks=["monitor", "reconstructor"]),
+        Node("recorder"),
+        Node("monitor", ready=True),
+    )
+    assert [late_at_start(node) for node in made] == [
+        "sensor has not started: it imports, or opens its device",
+        "compressor waits for a subscription from monitor, reconstructor",
+        "recorder has not answered yet",
+        "",
+    ]
+
+
+def test_all_is_taken_in_once_the_counts_of_all_stand_still_over_two_heartbeats() -> None:
+    recorder, monitor, ended = Node("recorder"), Node("monitor"), Node("late", ended=True)
+    done = all_read(nodes(recorder, monitor, ended))
+    for received in (0, 64, 65):
+        for node in (recorder, monitor):
+            node.says(received)
+        assert not done()
+        assert not done()  # silence is no heartbeat
+    for received, both in ((65, False), (65, True), (70, False)):
+        monitor.says(65)
+        recorder.says(received)
+        assert done() == both
+
+
+def test_who_has_not_ended_waits_for_those_before_it() -> None:
+    sensor, compressor, monitor = Node("sensor"), Node("compressor"), Node("monitor")
+    assert late_at_end(nodes(sensor, compressor, monitor), LINKS) == [
+        "sensor (has not ended its stream)",
+        "compressor (waits for sensor)",
+        "monitor (waits for compressor, sensor)",
+    ]
+    sensor.ended = True
+    assert late_at_end(nodes(sensor, compressor, monitor), LINKS) == [
+        "compressor (has not ended its stream)",
+        "monitor (waits for compressor)",
+    ]
+
+
+def test_a_start_is_told_of_once_it_is_slow_and_once_only() -> None:
+    now_s, is_done, lines = 100.0, False, []
+    check = or_log(lambda: is_done, nodes(Node("sensor", endpoint="")), lines.append, lambda: now_s)
+    assert (check(), lines) == (False, [])
+    now_s += late.SLOW_S
+    for _ in range(3):
+        assert not check()
+    assert lines == ["[launch] sensor has not started: it imports, or opens its device (5 s)"]
+    is_done = True
+    assert check()
+
+
+@dataclass
+class Spec:
+    settings: Any
+
+
+LATCHED, SENT = ({"published": {topic: 1}} for topic in ("/skin/skin", "/skin/taxels"))
+WAITS = "from another terminal: sparseskin monitor --graph drag, or sparseskin record --graph drag"
+
+
+@pytest.mark.parametrize(
+    ("stated", "fields", "line"),
+    [
+        ({"lockstep": True}, {}, f"player waits for a reader; {WAITS}"),
+        ({"wait": 2}, {}, f"player waits for 2 readers; {WAITS}"),
+        ({"wait": 1}, {"counts": LATCHED}, f"player waits for a reader; {WAITS}"),
+        ({"wait": 1}, {"counts": SENT}, ""),
+        ({"lockstep": True}, {"state": {"paused": True}}, ""),
+        ({"lockstep": True}, {"state": {}}, ""),
+        ({"lockstep": True}, {"ended": True}, ""),
+        ({}, {}, ""),
+    ],
+)
+def test_a_player_that_has_sent_no_frame_says_which_readers_it_waits_for(
+    stated: dict[str, Any], fields: dict[str, Any], line: str
+) -> None:
+    (node,) = nodes(Node("player", spec=Spec(PlayerSettings(**stated)), **fields))
+    assert lacks_readers(node, "drag") == line
+
+
+def test_what_is_no_player_waits_for_nobody() -> None:
+    (node,) = nodes(Node("sensor", spec=Spec(None)))
+    assert lacks_readers(node, "drag") == ""
+
+
+def test_a_player_in_lockstep_without_a_reader_says_so_once(
+    start: StartProgram, tmp_path: Any
+) -> None:
+    make_bag(tmp_path / "few.mcap", [skin_state(), *frame(0), *frame(1)])
+    program = start("play", "few.mcap", "--lockstep")
+    told = program.wait_for("[launch] player waits for a reader; ")
+    assert told.endswith("sparseskin monitor --graph few, or sparseskin record --graph few")
+    start("record", "--graph", "few", "--out", "again.mcap").wait_for("[launch] ready")
+    code, _, stderr = program.finish()
+    assert (code, stderr.count("waits for")) == (0, 1)
+
+
+@pytest.mark.slow
+def test_who_holds_up_the_end_is_named_with_what_waits_for_it(start: StartProgram) -> None:
+    program = start("launch", "path_40", "--set", "monitor.page=false")
+    program.wait_for("[launch] ready")
+    os.kill(program.pid_of("compressor"), signal.SIGSTOP)
+    program.process.send_signal(signal.SIGINT)
+    told = program.wait_for("[launch] not drained after 5 s: ")
+    assert told.startswith("compressor (has not ended its stream), reconstructor (waits for comp")
+    assert "monitor (waits for compressor, reconstructor)" in told
+    program.wait_for("[launch] compressor does not end: SIGTERM")
+    program.wait_for("[launch] compressor does not end: SIGKILL")
+    program.finish()
+    wait_until(lambda: program.survivors() == {}, "the end of all processes")
+
+
+@pytest.mark.slow
+def test_a_driver_that_takes_its_time_is_named(start: StartProgram, tmp_path: Any) -> None:
+    (tmp_path / "slow.py").write_text(
+        "import time\nimport numpy as np\ndef frames():\n    time.sleep(7)\n"
+        "    yield 0, np.zeros((8, 8))\n"
+    )
+    (tmp_path / "g.toml").write_text('[nodes.sensor]\ntype = "sensor"\nsource = "slow:frames"\n')
+    program = start("launch", "g.toml")
+    program.wait_for("[launch] sensor has not started: it imports, or opens its device (5 s)")
+    program.wait_for("[launch] ready")
+    assert program.finish()[1] == ""  # no monitor, no table, not even an empty one

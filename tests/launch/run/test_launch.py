@@ -1,0 +1,366 @@
+"""Graphs of real processes: complete from the first frame, and gone at the end."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import StartProgram, wait_until
+
+from sparseskin.launch.launchfile.load import BUNDLED, load
+from sparseskin.messages import Reconstruction
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.process import proc
+
+slow = partial(pytest.param, marks=pytest.mark.slow)
+TAP = """
+import numpy as np
+from dataclasses import dataclass
+from sparseskin.nodes.node import Node
+from sparseskin.nodes.settings import PatchSettings, setting
+
+@dataclass(frozen=True)
+class TapSettings(PatchSettings):
+    out: str = setting("tap.npy", "file to write")
+
+class Tap(Node):
+    Settings = TapSettings
+
+    def __init__(self, settings, context):
+        super().__init__(settings, context)
+        self.frames = []
+
+    @classmethod
+    def inputs(cls, settings):
+        return (f"/{settings.patch}/reconstruction",)
+
+    def step(self, message):
+        self.frames.append(message.forces)
+        return ()
+
+    def ended(self, topic, n_messages):
+        np.save(self.settings.out, np.array(self.frames))
+        return ()
+"""
+
+SLOW = """
+import time
+from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
+
+class Slow(FistaSolver):
+    def finish(self):
+        time.sleep(0.002)
+        return super().finish()
+"""
+
+
+def test_not_one_of_the_first_thousand_frames_is_lost(start: StartProgram, tmp_path: Path) -> None:
+    # As fast as the sensor can: whatever is not joined at the start would be lost.
+    program = start(
+        *("launch", "lift_box_40", "--frames", "1000", "--summary", "out.json"),
+        *("--set", "sensor.source=scene:path_40", "--set", "sensor.rate_hz=0"),
+        *("--set", "reconstructor.iterations=1"),
+    )
+    code, stdout, stderr = program.finish()
+    assert code == 0, stderr
+    summary = json.loads((tmp_path / "out.json").read_text())
+    patch = summary["patches"]["skin"]
+    assert patch["frames"] == {
+        "sensed": 1000,
+        "reconstructed": 1000,
+        "skipped": 0,
+        "lost": 0,
+        "unpaired": 0,
+    }
+    for node in summary["nodes"].values():
+        assert not any(node["lost"].values())
+        assert not node["refused"]
+    assert "sensed 1000, reconstructed 1000, lost 0" in stdout
+    assert program.survivors() == {}
+
+
+def test_as_fast_as_it_is_read_nothing_is_lost_beyond_any_queue(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    # Three times what the queues hold: only a sensor that waits for its readers loses nothing.
+    code, _, stderr = start(
+        *("launch", "path_40", "--frames", "6000", "--summary", "out.json"),
+        *("--set", "sensor.rate_hz=0", "--set", "reconstructor.iterations=10"),
+        *("--set", "reconstructor.depth=1"),  # nothing is overtaken by what waits its turn
+    ).finish()
+    assert code == 0, stderr
+    frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
+    assert frames == {"sensed": 6000, "reconstructed": 6000, "skipped": 0, "lost": 0, "unpaired": 0}
+
+
+def test_the_summary_holds_what_it_promises(start: StartProgram, tmp_path: Path) -> None:
+    code, _, stderr = start(
+        "launch", "drag_wrench_40", "--frames", "20", "--summary", "out.json"
+    ).finish()
+    assert code == 0, stderr
+    patch = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]
+    assert (patch["scene"], patch["phi"], patch["basis"], patch["solver"]) == (
+        *("drag_wrench_40", "sbhe"),
+        *("", "skin"),
+    )
+    assert (patch["n"], patch["m"], patch["frames"]["sensed"]) == (1600, 533, 20)
+    assert patch["ratio"] == pytest.approx(1600 / 533)
+    assert patch["bytes_in"] > 20 * 1600 * 4
+    assert 20 * 533 * 4 < patch["bytes_out"] < patch["bytes_in"]
+    for key in ("noisy", "reconstruction"):
+        extent = patch["psnr_db"][key]["all"]
+        assert extent["min"] <= extent["mean"] <= extent["max"]
+    for key in ("latency_ms", "solve_ms"):
+        assert 0 < patch[key]["p50"] <= patch[key]["p99"]
+    assert patch["solve_ms"]["p50"] <= patch["latency_ms"]["p50"]
+
+
+@pytest.mark.parametrize("transport", ["ipc", slow("tcp")])
+def test_over_zeromq_and_in_one_process_the_forces_are_the_same_bits(
+    start: StartProgram, tmp_path: Path, transport: str
+) -> None:
+    (tmp_path / "tap.py").write_text(TAP)
+    bundled = BUNDLED / "lift_wrench_40.toml"
+    text = bundled.read_text().replace("[graph]", f'[graph]\ntransport = "{transport}"')
+    (tmp_path / "tapped.toml").write_text(text + '\n[nodes.tap]\ntype = "tap:Tap"\n')
+    code, _, stderr = start("launch", "tapped.toml", "--frames", "150").finish()
+    assert code == 0, stderr
+    over_zeromq = np.load(tmp_path / "tap.npy")
+
+    nodes = load("lift_wrench_40").nodes.values()
+    bus = Bus({node.name: (node.cls, node.settings) for node in nodes})
+    in_process = [
+        message.forces
+        for messages in bus.frames(150)
+        for message in messages
+        if isinstance(message, Reconstruction)
+    ]
+    assert over_zeromq.shape == (150, 40, 40)
+    assert over_zeromq.tobytes() == np.array(in_process).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+)
+def test_an_interrupt_drains_the_graph_reports_and_leaves_nothing(
+    start: StartProgram, tmp_path: Path, number: signal.Signals, code: int
+) -> None:
+    program = start("launch", "path_40", "--summary", "out.json")
+    program.wait_for("[launch] ready")
+    os.kill(program.process.pid, number)
+    exit_code, stdout, stderr = program.finish()
+    assert exit_code == code, stderr
+    assert "skin: path_40" in stdout
+    assert "Traceback" not in stderr
+    frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
+    assert frames["sensed"] == frames["reconstructed"]
+    assert program.survivors() == {}
+
+
+def test_a_killed_launcher_leaves_nothing(start: StartProgram) -> None:
+    program = start("launch", "path_40")
+    program.wait_for("[launch] ready")
+    assert len(program.survivors()) == 5
+    program.process.kill()
+    wait_until(lambda: not program.survivors(), "the nodes to notice")
+
+
+def test_a_launcher_killed_before_its_nodes_are_ready_leaves_nothing(start: StartProgram) -> None:
+    program = start("launch", "path_40")
+    wait_until(lambda: len(program.survivors()) > 1, "the first node")
+    program.process.kill()
+    wait_until(lambda: not program.survivors(), "the nodes to notice")
+
+
+@pytest.mark.parametrize(
+    "victim", [slow("sensor"), slow("compressor"), "reconstructor", slow("monitor")]
+)
+def test_a_node_that_dies_is_named_and_the_others_are_ended(
+    start: StartProgram, victim: str
+) -> None:
+    program = start("launch", "path_40")
+    program.wait_for("[launch] ready")
+    for pid in program.survivors():
+        if pid != program.process.pid and proc.command(pid)[-1] == victim:
+            os.kill(pid, signal.SIGKILL)
+    code, _, stderr = program.finish()
+    assert code == 1
+    assert f"[launch] {victim} ended too early: killed by SIGKILL" in stderr
+    assert "Traceback" not in stderr
+    assert program.survivors() == {}
+
+
+@pytest.mark.slow
+def test_a_node_that_hangs_is_ended_all_the_same(start: StartProgram) -> None:
+    program = start("launch", "path_40")
+    program.wait_for("[launch] ready")
+    for pid in program.survivors():
+        if pid != program.process.pid and proc.command(pid)[-1] == "compressor":
+            os.kill(pid, signal.SIGSTOP)
+    program.process.terminate()
+    code, _, stderr = program.finish()
+    assert code == 143
+    assert "[launch] compressor does not end: SIGKILL" in stderr
+    assert program.survivors() == {}
+
+
+def test_a_driver_that_fails_ends_the_graph_with_its_reason(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "hardware.py").write_text(
+        "import numpy as np\n"
+        "def skin():\n"
+        "    print('a driver may print')\n"
+        "    for k in range(30):\n"
+        "        forces = np.full((9, 7), 0.5)\n"
+        "        if k == 20: forces[3, 4] = np.nan\n"
+        "        yield k, forces\n"
+    )
+    code, stdout, stderr = start(
+        *("launch", "replay", "--set", "sensor.source=hardware:skin"),
+        *("--set", "sensor.rate_hz=500"),
+    ).finish()
+    assert code == 2
+    assert "hardware:skin, frame 20, row 3, column 4: nan" in stderr
+    assert "Traceback" not in stderr
+    assert "sensed 20, reconstructed 20, lost 0" in stdout
+
+
+def test_settings_that_a_node_refuses_end_the_graph(start: StartProgram) -> None:
+    program = start("launch", "path_40", "--set", "compressor.m=5000")
+    code, _, stderr = program.finish()
+    assert code == 2
+    assert "m = 5000 is not allowed" in stderr
+    assert program.survivors() == {}
+
+
+def test_a_terminated_node_is_no_normal_end(start: StartProgram) -> None:
+    program = start("launch", "path_40")
+    program.wait_for("[launch] ready")
+    for pid in program.survivors():
+        if pid != program.process.pid and proc.command(pid)[-1] == "sensor":
+            os.kill(pid, signal.SIGTERM)
+    code, _, stderr = program.finish()
+    assert code == 1
+    assert "[sensor] error: terminated (SIGTERM)" in stderr
+
+
+def test_a_driver_that_blocks_does_not_outlive_a_killed_launcher(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "stuck.py").write_text(
+        "import numpy as np, sys, time\n"
+        "def frames():\n"
+        "    yield 0, np.zeros((4, 4))\n"
+        "    print('stuck', file=sys.stderr, flush=True)\n"
+        "    while True: time.sleep(3600)\n"
+    )
+    program = start("launch", "replay", "--set", "sensor.source=stuck:frames")
+    program.wait_for("stuck")
+    program.process.kill()
+    wait_until(lambda: not program.survivors(), "the nodes to notice")
+
+
+@pytest.mark.slow
+def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "slow.py").write_text(SLOW)
+    code, _, stderr = start(
+        *("launch", "path_40", "--frames", "6000", "--summary", "out.json"),
+        *("--set", "sensor.rate_hz=4000", "--set", "reconstructor.solver=slow:Slow"),
+        *("--set", "reconstructor.iterations=1"),
+    ).finish()
+    assert code == 0, stderr
+    summary = json.loads((tmp_path / "out.json").read_text())
+    frames = summary["patches"]["skin"]["frames"]
+    assert frames["sensed"] == 6000
+    assert frames["lost"] > 0
+    missed = [sum(node["lost"].values()) for node in summary["nodes"].values()]
+    assert frames["lost"] == missed[1] + missed[2]  # at the compressor and the reconstructor
+
+
+def test_one_that_takes_the_newest_alone_says_how_many_it_skipped(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "slow.py").write_text(SLOW)
+    code, _, stderr = start(
+        *("launch", "path_40", "--frames", "600", "--summary", "out.json"),
+        *("--set", "sensor.rate_hz=2000", "--set", "reconstructor.solver=slow:Slow"),
+        *("--set", "reconstructor.iterations=1", "--set", "reconstructor.depth=1"),
+    ).finish()
+    assert code == 0, stderr
+    summary = json.loads((tmp_path / "out.json").read_text())
+    frames, node = summary["patches"]["skin"]["frames"], summary["nodes"]["reconstructor"]
+    n_skipped = node["skipped"]["/skin/measurements"]
+    assert n_skipped > 0
+    assert frames == {
+        "sensed": 600,
+        "reconstructed": 600 - n_skipped,
+        "skipped": n_skipped,
+        "lost": 0,
+        "unpaired": n_skipped,
+    }
+    for one in summary["nodes"].values():
+        assert not any(one["lost"].values())
+
+
+def test_a_driver_is_closed_when_the_graph_ends(start: StartProgram, tmp_path: Path) -> None:
+    (tmp_path / "polite.py").write_text(
+        "import itertools, numpy as np, pathlib\n"
+        "def frames():\n"
+        "    try:\n"
+        "        for k in itertools.count(): yield k, np.zeros((5, 4))\n"
+        "    finally:\n"
+        "        pathlib.Path('closed').touch()\n"
+    )
+    arguments = ("--set", "sensor.source=polite:frames", "--set", "sensor.rate_hz=100")
+    assert start("launch", "replay", *arguments, "--frames", "5").finish()[0] == 0
+    assert (tmp_path / "closed").exists()
+
+
+def test_readings_outside_the_range_are_clipped_but_not_silently(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "upside.py").write_text(
+        "import numpy as np\n"
+        "def frames():\n"
+        "    for k in range(10): yield k, np.full((5, 4), -1.0)\n"
+    )
+    code, _, stderr = start(
+        *("launch", "replay", "--set", "sensor.source=upside:frames", "--summary", "out.json")
+    ).finish()
+    assert code == 0
+    assert "readings outside 0..2.5 N were clipped" in stderr
+    summary = json.loads((tmp_path / "out.json").read_text())
+    assert summary["nodes"]["sensor"]["clipped"] == 200
+
+
+@pytest.mark.slow
+def test_compiled_loops_serve_a_graph_from_its_first_frame(start: StartProgram) -> None:
+    pytest.importorskip("numba")
+    code, stdout, stderr = start(
+        *("launch", "path_40", "--frames", "50", "--set", "reconstructor.fast=on")
+    ).finish()
+    assert code == 0, stderr
+    assert "sensed 50, reconstructed 50, lost 0" in stdout
+
+
+def test_a_graph_that_restores_nothing_has_failed(start: StartProgram, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver\n"
+        "class Broken(FistaSolver):\n"
+        "    def step(self): raise RuntimeError('diverged\\nbadly')\n"
+    )
+    code, _, stderr = start(
+        *("launch", "path_40", "--frames", "20"),
+        *("--set", "reconstructor.solver=mine:Broken"),
+    ).finish()
+    assert code == 1
+    assert "[reconstructor] failed: RuntimeError: diverged badly" in stderr
+    assert "skin: not one frame was reconstructed" in stderr

@@ -1,0 +1,75 @@
+"""What a part says of the hosts that it waits for, and what it knows of those that it hears."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from sparseskin.launch.launchfile.hosts import Host
+from sparseskin.launch.launchfile.spec import LaunchFile, NodeSpec
+from sparseskin.launch.run.state import hosts_state
+from sparseskin.launch.run.waiting import AGAIN_S, HOST_S, Missing
+from sparseskin.nodes.node import Node
+
+
+def spec(name: str, host: str) -> NodeSpec:
+    return NodeSpec(name, "none", Node, {}, None, host=host)
+
+
+PART = LaunchFile(
+    *("two", "", "ipc", {}, []),
+    hosts={name: Host(name, "127.0.0.1") for name in ("edge", "desk", "wall")},
+    host="edge",
+    elsewhere={"echo": spec("echo", "desk"), "screen": spec("screen", "wall")},
+)
+
+
+def node(
+    lacks: tuple[str, ...] = (),
+    heard: dict[str, bool] | None = None,
+    clocks: dict[str, tuple[int, int]] | None = None,
+) -> Any:
+    return SimpleNamespace(lacks=list(lacks), heard=heard or {}, clocks=clocks or {})
+
+
+def test_who_is_missing_is_named_after_a_while_then_now_and_then() -> None:
+    said: list[str] = []
+    missing = Missing(PART, said.append, 0.0)
+    lacking = [node(lacks=("echo",)), node(lacks=("screen", "local"))]
+    missing.report(lacking, HOST_S - 0.1)
+    assert said == []
+    for now_s in (HOST_S, HOST_S + 0.1, HOST_S + AGAIN_S - 0.1):
+        missing.report(lacking, now_s)
+    once = ["[launch] waits for echo on desk", "[launch] waits for screen on wall"]
+    assert said == once
+    missing.report(lacking, HOST_S + AGAIN_S)
+    assert said == 2 * once
+    missing.report([node(lacks=("screen",))], HOST_S + AGAIN_S + 0.1)
+    assert said[4:] == once[1:]
+    missing.report([node()], HOST_S + 3 * AGAIN_S)
+    assert len(said) == 5
+
+
+def test_a_host_is_heard_where_all_that_is_read_there_is() -> None:
+    nodes = [node(heard={"echo": True, "screen": False}), node(heard={"echo": True})]
+    state = hosts_state(PART, nodes)
+    assert list(state) == ["desk", "wall"]
+    assert (state["desk"]["heard"], state["desk"]["silent"]) == (True, [])
+    assert (state["wall"]["heard"], state["wall"]["silent"]) == (False, ["screen"])
+
+
+def test_the_clock_that_is_known_best_is_told() -> None:
+    nodes = [
+        node(clocks={"desk": (3_000_000, 900_000)}),
+        node(clocks={"desk": (2_500_000, 400_000)}),
+    ]
+    desk = hosts_state(PART, nodes)["desk"]
+    assert desk["clock_offset_ms"] == pytest.approx(2.5)
+    assert desk["clock_uncertainty_ms"] == pytest.approx(0.4)
+    assert hosts_state(PART, nodes)["wall"]["clock_offset_ms"] is None
+
+
+def test_a_graph_on_one_host_has_no_others() -> None:
+    assert hosts_state(LaunchFile("one", "", "ipc", {}, []), [node()]) == {}

@@ -1,0 +1,198 @@
+"""Requests: each reaches the node it is meant for, and is answered once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from sparseskin.launch.launchfile.load import load
+from sparseskin.launch.launchfile.spec import NodeSpec
+from sparseskin.launch.run import controls
+from sparseskin.launch.run.controls import MAX_OPEN, PATIENCE_S, Requests
+from sparseskin.nodes.errors import RefusedError
+
+
+@dataclass
+class FakeProcess:
+    """A node's process as far as requests need it: what it is told is kept."""
+
+    spec: NodeSpec
+    ready: bool = True
+    ended: bool = False
+    code: int | None = None
+    told: list[tuple[str, str, Any]] = field(default_factory=list)
+
+    def exit_code(self) -> int | None:
+        return self.code
+
+    def command(self, command: str, *, id: str, value: Any) -> None:
+        self.told.append((command, id, value))
+
+
+class Desk:
+    """A graph of fake processes, the requests to it, and the answers that came."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        specs = load("path_40").nodes
+        self.nodes = {name: FakeProcess(spec) for name, spec in specs.items()}
+        self.answers: list[dict[str, Any]] = []
+        self.own: list[tuple[str, Any]] = []
+        self.now_s = 100.0
+        self.requests = Requests(self.nodes, self._own)  # type: ignore[arg-type]
+        monkeypatch.setattr(controls, "time", self)
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def _own(self, command: str, value: Any, say: Any) -> None:
+        if command != "record":
+            raise RefusedError(f"launch: {command}: expected the command 'record'")
+        self.own.append((command, value))
+        say(True, "recording")
+
+    def ask(self, node: Any, command: Any, value: Any = None, number: Any = "7") -> None:
+        request = {"id": number, "node": node, "command": command, "value": value}
+        self.requests.take(request, self.answers.append)
+
+    def refusal(self, node: Any, command: Any, value: Any = None) -> str:
+        """Why a request is refused at once; no node is told of it."""
+        before = len(self.answers)
+        self.ask(node, command, value)
+        (answer,) = self.answers[before:]
+        assert not answer["done"]
+        assert not any(process.told for process in self.nodes.values())
+        return str(answer["text"])
+
+    def reply(self, node: str, done: bool = True, text: str = "done") -> None:
+        """The node answers the last thing it was told."""
+        _, key, _ = self.nodes[node].told[-1]
+        self.requests.answered({"id": key, "done": done, "text": text})
+
+
+@pytest.fixture
+def desk(monkeypatch: pytest.MonkeyPatch) -> Desk:
+    return Desk(monkeypatch)
+
+
+def test_a_request_reaches_its_node_and_the_answer_who_asked(desk: Desk) -> None:
+    desk.ask("sensor", "pause", True, number="page-1")
+    ((command, key, value),) = desk.nodes["sensor"].told
+    assert (command, value) == ("pause", True)
+    assert key != "page-1"  # two pages may both call theirs "page-1"
+    assert desk.answers == []
+    desk.reply("sensor", text="paused")
+    assert desk.answers == [{"id": "page-1", "node": "sensor", "done": True, "text": "paused"}]
+
+
+def test_settings_are_changed_by_the_same_way(desk: Desk) -> None:
+    desk.ask("compressor", "set", {"ratio": 4})
+    assert desk.nodes["compressor"].told[0][0::2] == ("set", {"ratio": 4})
+    desk.reply("compressor", done=False, text="ratio: 0.5 is outside 1..1e6")
+    assert desk.answers[0]["done"] is False
+    assert desk.answers[0]["text"] == "ratio: 0.5 is outside 1..1e6"
+
+
+def test_two_askers_with_one_number_get_their_own_answers(desk: Desk) -> None:
+    heard: dict[str, list[Any]] = {"a": [], "b": []}
+    for asker, value in (("a", True), ("b", False)):
+        request = {"id": "1", "node": "sensor", "command": "pause", "value": value}
+        desk.requests.take(request, heard[asker].append)
+    first, second = (key for _, key, _ in desk.nodes["sensor"].told)
+    desk.requests.answered({"id": second, "done": True, "text": "runs"})
+    desk.requests.answered({"id": first, "done": True, "text": "paused"})
+    texts = {asker: [answer["text"] for answer in answers] for asker, answers in heard.items()}
+    assert texts == {"a": ["paused"], "b": ["runs"]}
+
+
+@pytest.mark.parametrize(
+    ("node", "command", "value", "text"),
+    [
+        ("sensr", "pause", None, "sensr: no such node (did you mean 'sensor'?)"),
+        ("lanch", "record", None, "lanch: no such node (did you mean 'launch'?)"),
+        ("zzz", "pause", None, "zzz: no such node (known: compressor, launch, "),
+        ("sensor", "pase", None, "sensor: has no command 'pase' (did you mean 'pause'?)"),
+        ("compressor", "pause", None, "compressor: has no command 'pause' (known: set)"),
+        ("sensor", "stop", None, "sensor: has no command 'stop'"),
+        ("sensor", "connect", None, "sensor: has no command 'connect'"),
+        ("monitor", "graph", {"nodes": []}, "monitor: has no command 'graph'"),
+        ("sensor", "set", None, "sensor: set: expected settings and their values"),
+        ("sensor", "set", {}, "sensor: set: expected settings and their values"),
+        ("sensor", "set", ["noise"], "sensor: set: expected settings and their values"),
+        ("launch", "recrd", True, "launch: recrd: expected the command 'record'"),
+        (3, "pause", None, "expected the texts id, node and command"),
+        ("sensor", None, None, "expected the texts id, node and command"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_at_once_and_says_why(
+    desk: Desk, node: Any, command: Any, value: Any, text: str
+) -> None:
+    assert desk.refusal(node, command, value).startswith(text)
+
+
+@pytest.mark.parametrize("state", [{"ready": False}, {"ended": True}, {"code": -9}])
+def test_a_node_that_does_not_run_is_not_asked(desk: Desk, state: dict[str, Any]) -> None:
+    for name, value in state.items():
+        setattr(desk.nodes["sensor"], name, value)
+    assert desk.refusal("sensor", "pause") == "sensor does not run just now"
+
+
+def test_the_launcher_answers_for_itself(desk: Desk) -> None:
+    desk.ask("launch", "record", True)
+    assert desk.own == [("record", True)]
+    assert desk.answers == [{"id": "7", "node": "launch", "done": True, "text": "recording"}]
+
+
+def test_a_request_is_answered_once(desk: Desk) -> None:
+    desk.ask("sensor", "pause")
+    desk.reply("sensor")
+    desk.reply("sensor")
+    desk.now_s += 2 * PATIENCE_S
+    desk.requests.expire()
+    assert len(desk.answers) == 1
+
+
+def test_a_node_that_does_not_answer_is_answered_for(desk: Desk) -> None:
+    desk.ask("sensor", "pause")
+    desk.now_s += 0.99 * PATIENCE_S
+    desk.requests.expire()
+    assert desk.answers == []
+    desk.now_s += 0.02 * PATIENCE_S
+    desk.requests.expire()
+    (answer,) = desk.answers
+    assert answer["text"] == "sensor has not answered within 5 s"
+    assert not answer["done"]
+    desk.reply("sensor")  # too late
+    assert len(desk.answers) == 1
+
+
+@pytest.mark.parametrize("code", [0, 1, -9])
+def test_a_node_that_has_gone_is_answered_for_at_once(desk: Desk, code: int) -> None:
+    desk.ask("sensor", "pause")
+    desk.ask("compressor", "set", {"ratio": 2.0}, number="8")
+    desk.nodes["sensor"].code = code
+    desk.requests.expire()
+    assert [(a["id"], a["text"]) for a in desk.answers] == [("7", "sensor has ended")]
+    desk.reply("compressor")
+    assert desk.answers[1]["done"]
+
+
+def test_a_flood_of_requests_is_refused_until_some_are_answered(desk: Desk) -> None:
+    for _ in range(MAX_OPEN):
+        desk.ask("sensor", "pause")
+    assert desk.answers == []
+    desk.ask("sensor", "pause")
+    assert desk.answers.pop()["text"] == "256 requests wait for an answer already"
+    desk.reply("sensor")
+    desk.answers.clear()
+    desk.ask("sensor", "pause")
+    assert desk.answers == []
+
+
+def test_what_is_sent_back_is_short_however_long_the_request_was(desk: Desk) -> None:
+    long = "x" * 10_000
+    desk.ask(long, long, number=long)
+    (answer,) = desk.answers
+    assert len(answer["id"]) == len(answer["node"]) == 64
+    assert len(answer["text"]) < 200

@@ -1,0 +1,121 @@
+"""Log lines of the nodes of a run: with name and time on the terminal, and in files."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import pytest
+from conftest import StartProgram
+
+from sparseskin.launch.launchfile.load import LaunchError, load
+from sparseskin.launch.run import run_log
+from sparseskin.launch.run.run_log import RunLog, default_log_dir, time_text
+from sparseskin.launch.run.terminal import Terminal
+
+NOW_S = 1_700_000_000.125
+
+
+def test_each_node_has_a_file_and_each_line_its_time(tmp_path: Path) -> None:
+    log = RunLog(tmp_path / "logs", "drag", NOW_S)
+    for line in ("[sensor] hot", "[my.node-2] a [b] c", "no name", "[sensor] cold", "[x/y] odd"):
+        log.write(line, NOW_S)
+    log.close()
+    assert re.fullmatch(r"drag-\d{8}-\d{6}-" + str(os.getpid()), log.folder.name)
+    found = {path.name: path.read_text().splitlines() for path in log.folder.iterdir()}
+    assert found.keys() == {"sensor.log", "my.node-2.log", "launch.log"}
+    assert [line.split(" ", 2)[2] for line in found["sensor.log"]] == ["hot", "cold"]
+    assert [line.split(" ", 2)[2] for line in found["launch.log"]] == ["no name", "[x/y] odd"]
+    assert found["sensor.log"][0].split()[1] == time_text(NOW_S)
+    assert time_text(NOW_S).endswith(".125")
+
+
+def test_a_full_file_makes_room_and_one_before_it_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_log, "MAX_FILE_BYTES", 1000)
+    log = RunLog(tmp_path, "drag", NOW_S)
+    for k in range(500):
+        log.write(f"[sensor] line {k}", NOW_S)
+    log.close()
+    sizes = {path.name: path.stat().st_size for path in log.folder.iterdir()}
+    assert sizes.keys() == {"sensor.log", "sensor.log.1"}
+    assert max(sizes.values()) < 1100
+    assert "line 499" in "".join(path.read_text() for path in log.folder.iterdir())
+
+
+def test_only_the_newest_runs_are_kept_and_nothing_else_is_touched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_log, "MAX_RUNS", 3)
+    (tmp_path / "holiday-photos").mkdir()
+    for k in range(5):
+        run = tmp_path / f"drag-20240101-00000{k}-{k}"
+        run.mkdir()
+        os.utime(run, (k, k))
+    log = RunLog(tmp_path, "drag", NOW_S)
+    kept = {path.name for path in tmp_path.iterdir()}
+    assert kept == {
+        *("holiday-photos", log.folder.name, "drag-20240101-000003-3", "drag-20240101-000004-4"),
+    }
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(LaunchError, match=r"log_dir: .*file/drag-.*: Not a directory"):
+        RunLog(tmp_path / "file", "drag", NOW_S)
+
+
+def test_a_disk_that_is_full_ends_the_files_and_not_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = RunLog(tmp_path, "drag", NOW_S)
+    (log.folder / "sensor.log").symlink_to("/dev/full")
+    terminal = Terminal(log, lambda: NOW_S)
+    for k in range(3):
+        terminal.log(f"[sensor] {k}")
+    lines = [
+        line.removeprefix(f"{time_text(NOW_S)} ") for line in capsys.readouterr().err.split("\n")
+    ]
+    told = f"[launch] no more logs: {log.folder}: No space left on device"
+    assert lines == ["[sensor] 0", told, "[sensor] 1", "[sensor] 2", ""]
+
+
+def test_the_default_folder_is_the_users_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", "/s")
+    assert default_log_dir() == Path("/s/sparseskin/log")
+    monkeypatch.delenv("XDG_STATE_HOME")
+    monkeypatch.setenv("HOME", "/h")
+    assert default_log_dir() == Path("/h/.local/state/sparseskin/log")
+
+
+def test_the_launch_file_names_a_folder(tmp_path: Path) -> None:
+    text = '[graph]\nlog_dir = {}\n[nodes.sensor]\ntype = "sensor"\n'
+    path = tmp_path / "g.toml"
+    path.write_text(text.format('"logs"'))
+    assert load(str(path)).log_dir == "logs"
+    path.write_text(text.format("3"))
+    with pytest.raises(LaunchError, match=r"g.toml:2: graph.log_dir: expected a text, got 3"):
+        load(str(path))
+
+
+def test_a_run_that_fails_says_where_its_logs_are(start: StartProgram, tmp_path: Path) -> None:
+    (tmp_path / "broken.py").write_text(
+        "import numpy as np\ndef frames():\n    for k in range(9): yield k, np.zeros((8, 8))\n"
+        "    print('a word')\n    1 / 0\n"
+    )
+    program = start(
+        *("launch", "replay", "--set", "sensor.source=broken:frames", "--log-dir", "logs"),
+        *("--set", "monitor.page=false"),
+    )
+    code, _, stderr = program.finish()
+    assert code == 2
+    (folder,) = (tmp_path / "logs").iterdir()
+    assert f"logs of the nodes: logs/{folder.name}\n" in stderr
+    lines = (folder / "sensor.log").read_text().splitlines()
+    assert [line.split(" ", 2)[2] for line in lines] == [
+        *("a word", "error: broken:frames: the driver failed: ZeroDivisionError: division by zero"),
+    ]
+    assert all(re.match(r"\d\d:\d\d:\d\d\.\d{3} \[sensor\] ", line) for line in stderr.splitlines()
+               if "[sensor]" in line)  # fmt: skip

@@ -1,0 +1,93 @@
+"""Notes of running graphs: there while the graph is, and no longer."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.launch.run.running import (
+    GraphError,
+    RunningGraph,
+    RunningNode,
+    announced,
+    choose_graph,
+    is_running,
+    notes_folder,
+    running_graphs,
+)
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
+
+
+def graph(name: str = "path_40", pid: int = 7) -> RunningGraph:
+    nodes = {"sensor": RunningNode("sensor", "ipc://@x", ["/skin/skin", "/skin/taxels"])}
+    return RunningGraph(name, pid, 123, "[nodes]", nodes)
+
+
+def test_a_graph_is_found_while_it_runs() -> None:
+    assert running_graphs() == []
+    with announced(graph()):
+        assert running_graphs() == [graph()]
+        assert choose_graph(None) == choose_graph("path_40") == choose_graph("path_40-7")
+        assert is_running(graph())
+    assert running_graphs() == []
+    assert not is_running(graph())
+
+
+def test_a_note_of_a_launcher_that_was_killed_is_cleared_away() -> None:
+    code = (
+        "import os, signal\n"
+        "from tests_running_helper import note\n"
+        "with note():\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    helper = notes_folder().parent / "tests_running_helper.py"
+    helper.write_text(
+        "from sparseskin.launch.run.running import RunningGraph, announced\n"
+        "def note(): return announced(RunningGraph('dead', 1, 0, '', {}))\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(helper.parent)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, check=False)
+    assert done.returncode == -9
+    assert list(notes_folder().iterdir())
+    assert running_graphs() == []
+    assert not list(notes_folder().iterdir())
+
+
+def test_which_of_several_graphs_has_to_be_said() -> None:
+    with pytest.raises(GraphError, match="no graph runs"):
+        choose_graph(None)
+    with announced(graph()), announced(graph(pid=8)), announced(graph("lift", 9)):
+        with pytest.raises(GraphError, match=r"several graphs run.*path_40-7, path_40-8"):
+            choose_graph("path_40")
+        assert choose_graph("lift").pid == 9
+        assert choose_graph("path_40-8").pid == 8
+        with pytest.raises(GraphError, match="--graph lft: no such graph runs"):
+            choose_graph("lft")
+
+
+def test_what_is_no_note_is_passed_over() -> None:
+    (notes_folder() / "junk.json").write_text("{")
+    assert running_graphs() == []
+    assert notes_folder().stat().st_mode & 0o077 == 0
+
+
+def test_writers_are_known_by_topic() -> None:
+    assert graph().writers() == {"/skin/skin": "sensor", "/skin/taxels": "sensor"}
+
+
+def test_a_graph_that_ends_as_it_is_joined_is_said_to_have_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with announced(graph()):  # its control socket is gone
+        assert main(["record", "--out", "a.mcap"]) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == "path_40-7: has just ended"

@@ -1,0 +1,145 @@
+"""A graph in two parts, each under a launcher of its own, joined by TCP with keys."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+from pathlib import Path
+
+import pytest
+from conftest import Program, StartProgram, free_port, wait_until
+
+from sparseskin.nodes.network.keys import make_key_files
+
+STATIONS = Path(__file__).parent / "stations.py"
+TWO = """\
+[hosts.edge]
+address = "127.0.0.1"
+base_port = {edge_port}
+[hosts.desk]
+address = "127.0.0.1"
+base_port = {desk_port}
+{security}
+[nodes.sensor]
+type = "sensor"
+source = "scene:path_40"
+rate_hz = {rate_hz}
+host = "edge"
+[nodes.echo]
+type = "stations:Echo"
+host = "desk"
+[nodes.recorder]
+type = "recorder"
+out = "two.mcap"
+topics = ["/skin/*"]
+host = "desk"
+"""
+
+
+def write(folder: Path, rate_hz: int = 500, allow: str = "", security: bool = True) -> None:
+    shutil.copy(STATIONS, folder / "stations.py")
+    for name in ("edge", "desk"):
+        if not (folder / "keys").exists() or not (folder / f"keys/{name}.key").exists():
+            make_key_files(name, folder / "keys")
+    text = TWO.format(
+        edge_port=free_port(),
+        desk_port=free_port(),
+        rate_hz=rate_hz,
+        security=f'[security]\nkeys = "keys"\n{allow}' if security else "",
+    )
+    (folder / "two.toml").write_text(text)
+
+
+def part(start: StartProgram, host: str, *more: str) -> Program:
+    return start("launch", "two.toml", "--host", host, "--summary", f"{host}.json", *more)
+
+
+def summary(folder: Path, host: str) -> dict[str, dict[str, dict[str, dict[str, int]]]]:
+    found: dict[str, dict[str, dict[str, dict[str, int]]]] = json.loads(
+        (folder / f"{host}.json").read_text()
+    )
+    return found
+
+
+@pytest.mark.parametrize("first", ["edge", pytest.param("desk", marks=pytest.mark.slow)])
+def test_parts_start_in_any_order_and_no_frame_is_lost_from_the_first_to_the_end(
+    start: StartProgram, tmp_path: Path, first: str
+) -> None:
+    write(tmp_path)
+    frames = ("--frames", "300")
+    if first == "edge":
+        edge = part(start, "edge", *frames)
+        waits = edge.wait_for("[launch] waits for ")
+        assert waits == "echo, recorder on desk"
+        desk = part(start, "desk")
+    else:
+        desk = part(start, "desk")
+        desk.wait_for("[launch] ready on desk: echo, recorder")
+        edge = part(start, "edge", *frames)
+    for program in (edge, desk):
+        code, _, stderr = program.finish()
+        assert code in (0, 1), stderr  # 1: not one patch has a monitor
+    nodes = summary(tmp_path, "desk")["nodes"]
+    assert nodes["echo"]["received"] == {"/skin/taxels": 300}
+    assert nodes["echo"]["lost"] == {"/skin/taxels": 0}
+    assert set(nodes["recorder"]["lost"].values()) == {0}
+    clock = summary(tmp_path, "desk")["hosts"]["edge"]
+    # One computer: the two launchers set their clocks by the same one.
+    assert abs(clock["clock_offset_ms"]) <= clock["clock_uncertainty_ms"] + 5
+    assert edge.survivors() == desk.survivors() == {}
+
+
+@pytest.mark.slow
+def test_a_part_that_is_killed_joins_again_and_is_told_what_is_latched(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    write(tmp_path, rate_hz=100)
+    edge = part(start, "edge")
+    desk = part(start, "desk")
+    desk.wait_for("[recorder] connected: sensor on edge")
+    desk.kill_all()
+    desk.process.wait()
+    (tmp_path / "two.mcap.part").unlink(missing_ok=True)
+    again = part(start, "desk")
+    again.wait_for("[recorder] connected: sensor on edge")
+    recorded = tmp_path / "two.mcap.part"
+    wait_until(lambda: recorded.exists() and recorded.stat().st_size > 20_000, "frames in the file")
+    edge.process.send_signal(signal.SIGINT)
+    code, _, stderr = again.finish()
+    assert code in (0, 1), stderr
+    nodes = summary(tmp_path, "desk")["nodes"]
+    assert nodes["recorder"]["received"]["/skin/skin"] == 1
+    assert nodes["recorder"]["received"]["/skin/taxels"] > 0
+    assert nodes["recorder"]["lost"]["/skin/taxels"] == 0
+    edge.finish()
+
+
+def test_a_host_that_is_not_on_the_list_gets_nothing_and_is_named(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    write(tmp_path, allow='allow = ["edge"]')
+    edge = part(start, "edge")
+    desk = part(start, "desk")
+    line = edge.wait_for("[sensor] turned away 127.0.0.1: ")
+    assert line.startswith("its key is that of desk, and not on the list of those allowed")
+    line = desk.wait_for("cannot connect to sensor on edge")
+    assert "does not let this host in" in line
+    for program in (edge, desk):
+        program.process.send_signal(signal.SIGINT)
+        program.finish()
+    assert not any(summary(tmp_path, "desk")["nodes"]["echo"]["received"].values())
+
+
+def test_a_host_with_the_wrong_key_is_named(start: StartProgram, tmp_path: Path) -> None:
+    write(tmp_path)
+    edge = part(start, "edge")
+    edge.wait_for("[launch] waits for ")
+    for end in ("key", "pub"):  # the desk believes in another edge
+        (tmp_path / f"keys/edge.{end}").unlink()
+    make_key_files("edge", tmp_path / "keys")
+    desk = part(start, "desk")
+    edge.wait_for("it has a wrong key for this host")
+    for program in (edge, desk):
+        program.process.send_signal(signal.SIGINT)
+        program.finish()

@@ -1,0 +1,306 @@
+"""Nodes that fail and are started again: when, how often, and what becomes of the graph."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import Program, StartProgram, wait_until
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, load
+from sparseskin.launch.run.control_socket import ControlClient
+from sparseskin.launch.run.restarts import NEVER, ON_FAILURE, RestartPolicy, Restarts
+from sparseskin.nodes.errors import SettingsError
+
+GRAPH = (BUNDLED / "path_40.toml").read_text()
+
+
+def with_keys(graph: str = "", **nodes: str) -> str:
+    """A launch file with keys more in [graph] and in [nodes.NAME]."""
+    text = GRAPH.replace("[graph]", f"[graph]\n{graph}")
+    for name, keys in nodes.items():
+        text = text.replace(f"[nodes.{name}]", f"[nodes.{name}]\n{keys}")
+    return text
+
+
+def policy_of(path: Path, text: str) -> dict[str, RestartPolicy]:
+    path.write_text(text)
+    return {name: spec.restart for name, spec in load(str(path)).nodes.items()}
+
+
+def test_without_a_policy_nothing_is_started_again() -> None:
+    restarts = Restarts(RestartPolicy())
+    assert restarts.next_s(100.0) is None
+    assert (restarts.total, restarts.spent) == (0, "")
+
+
+def test_each_restart_waits_twice_as_long_up_to_the_longest() -> None:
+    policy = RestartPolicy(ON_FAILURE, max_restarts=10, delay_s=0.5, max_delay_s=5.0)
+    restarts = Restarts(policy)
+    due_s = [restarts.next_s(100.0 + k) for k in range(7)]
+    assert [due - 100.0 - k for k, due in enumerate(due_s) if due is not None] == [
+        *(0.5, 1.0, 2.0, 4.0, 5.0, 5.0, 5.0)
+    ]
+    assert restarts.total == 7
+
+
+def test_beyond_the_most_within_the_window_it_is_given_up() -> None:
+    restarts = Restarts(RestartPolicy(ON_FAILURE, max_restarts=2, window_s=10.0))
+    assert restarts.next_s(0.0) is not None
+    assert restarts.next_s(9.0) is not None
+    assert restarts.next_s(9.9) is None
+    assert restarts.spent == " (2 restarts within 10 s: given up)"
+    assert restarts.total == 2
+
+
+def test_the_window_slides() -> None:
+    restarts = Restarts(RestartPolicy(ON_FAILURE, max_restarts=2, window_s=10.0, delay_s=1.0))
+    assert [restarts.next_s(s) for s in (0.0, 9.0)] == [1.0, 11.0]
+    assert restarts.next_s(10.0) == 12.0  # the first is out, the second still counts
+    assert restarts.next_s(18.0) is None
+    assert restarts.next_s(100.0) == 101.0  # all are out: as at the beginning
+    assert restarts.total == 4
+
+
+@given(
+    st.integers(1, 5),
+    st.floats(1.0, 100.0),
+    st.lists(st.floats(0.0, 50.0), max_size=40),
+)
+def test_no_window_holds_more_restarts_than_are_allowed(
+    max_restarts: int, window_s: float, gaps_s: list[float]
+) -> None:
+    policy = RestartPolicy(ON_FAILURE, max_restarts=max_restarts, window_s=window_s)
+    restarts, done_s, now_s = Restarts(policy), [], 0.0
+    for gap_s in gaps_s:
+        now_s += gap_s
+        due_s = restarts.next_s(now_s)
+        recent = [s for s in done_s if s > now_s - window_s]
+        assert (due_s is None) == (len(recent) >= max_restarts)
+        if due_s is not None:
+            assert policy.delay_s <= due_s - now_s + 1e-9 <= policy.max_delay_s + 1e-6
+            done_s.append(now_s)
+
+
+def test_what_the_graph_states_holds_for_all_nodes_that_state_nothing(tmp_path: Path) -> None:
+    text = with_keys(
+        'restart = "on-failure"\nmax_restarts = 3\nhang_s = 4',
+        sensor='restart = "never"',
+        compressor="restart_delay_s = 0\nrestart_window_s = 5.5\nrestart_max_delay_s = 1",
+    )
+    policies = policy_of(tmp_path / "g.toml", text)
+    shared = RestartPolicy(ON_FAILURE, max_restarts=3, hang_s=4)
+    assert policies["monitor"] == policies["reconstructor"] == shared
+    assert policies["sensor"] == RestartPolicy(NEVER, max_restarts=3, hang_s=4)
+    assert policies["compressor"] == RestartPolicy(ON_FAILURE, 3, 5.5, 0, 1, 4)
+    assert set(policy_of(tmp_path / "h.toml", GRAPH).values()) == {RestartPolicy()}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "allowed"),
+    [
+        ("restart", '"always"', "(allowed: never, on-failure)"),
+        ("restart", '["never"]', "(allowed: never, on-failure)"),
+        ("max_restarts", "0", "(allowed: a whole number, 1..1000)"),
+        ("max_restarts", "2.5", "(allowed: a whole number, 1..1000)"),
+        ("restart_window_s", "0.5", "(allowed: a number, 1..86400)"),
+        ("restart_delay_s", "-1", "(allowed: a number, 0..60)"),
+        ("restart_delay_s", "nan", "(allowed: a number, 0..60)"),
+        ("restart_max_delay_s", "inf", "(allowed: a number, 0..3600)"),
+        ("hang_s", '"10"', "(allowed: a number, 0..3600)"),
+    ],
+)
+def test_a_wrong_key_is_named_with_its_line_and_what_is_allowed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: str, value: str, allowed: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    in_graph, in_node = with_keys(f"{key} = {value}"), with_keys(sensor=f"{key} = {value}")
+    for text, place in ((in_graph, "graph"), (in_node, "nodes.sensor")):
+        Path("f.toml").write_text(text)
+        line = text.splitlines().index(f"{key} = {value}") + 1
+        with pytest.raises(LaunchError) as caught:
+            load("f.toml")
+        (error,) = caught.value.lines
+        assert error.startswith(f"f.toml:{line}: {place}.{key}: ")
+        assert error.endswith(f"is not allowed {allowed}")
+    with pytest.raises(LaunchError) as caught:
+        load("path_40", [f"sensor.{key}={value}"])
+    assert caught.value.lines[0].startswith(f"--set sensor.{key}={value}: ")
+
+
+def test_a_policy_takes_its_values_one_by_one() -> None:
+    policy = RestartPolicy().stated("restart", ON_FAILURE).stated("restart_delay_s", 2)
+    assert (policy.policy, policy.delay_s, policy.restarts) == (ON_FAILURE, 2, True)
+    with pytest.raises(SettingsError, match="1001 is not allowed"):
+        policy.stated("max_restarts", 1001)
+
+
+def launched(start: StartProgram, tmp_path: Path, keys: str, *arguments: str) -> Program:
+    """A graph of 1000 frames, 5 s, that runs; what it says goes to out.json."""
+    (tmp_path / "graph.toml").write_text(with_keys(keys))
+    program = start(
+        *("launch", "graph.toml", "--frames", "1000", "--summary", "out.json"),
+        *("--set", "monitor.page=false", "--set", "reconstructor.iterations=3", *arguments),
+    )
+    program.wait_for("[launch] ready")
+    return program
+
+
+def killed(program: Program, node: str) -> None:
+    """Kill a node that is there, and wait until the launcher says so."""
+    ending = f"sparseskin.nodes.process.run_node {node}"
+
+    def is_there() -> bool:
+        return any(line.strip().endswith(ending) for line in program.survivors().values())
+
+    wait_until(is_there, f"the {node}")
+    os.kill(program.pid_of(node), signal.SIGKILL)
+    program.wait_for(f"[launch] {node} ended too early: killed by SIGKILL")
+
+
+def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    program = launched(start, tmp_path, 'restart = "on-failure"')
+    path = tmp_path / "graphs" / f"{program.process.pid}.sock"
+    wait_until(path.exists, "the control socket")
+    client = ControlClient(str(path))
+    client.send({"watch": True})
+
+    def wait_for(node: str, **wanted: Any) -> None:
+        """Wait for news of a node in which it is as stated."""
+
+        def has_come() -> bool:
+            news = [fields["graph"] for fields in client.receive() or () if "graph" in fields]
+            nodes = [state for graph in news for state in graph["nodes"] if state["name"] == node]
+            return any(wanted.items() <= state.items() for state in nodes)
+
+        wait_until(has_come, f"{node}: {wanted}")
+
+    # A pause holds the graph's end off, however long the first restart takes.
+    client.send({"id": "1", "node": "sensor", "command": "pause", "value": True})
+    wait_for("sensor", condition="paused")
+    # Two at once: each has to find the other where it was, while that one is still starting.
+    for node in ("compressor", "reconstructor"):
+        os.kill(program.pid_of(node), signal.SIGKILL)
+    wait_for("reconstructor", condition="running", restarts=1)
+    killed(program, "sensor")
+    # A pause outlives the process that was told to make it.
+    wait_for("sensor", condition="paused", restarts=1)
+    client.send({"id": "2", "node": "sensor", "command": "pause", "value": False})
+    wait_for("sensor", condition="running", restarts=1)
+    client.close()
+
+    code, _, stderr = program.finish()
+    assert code == 0, stderr
+    assert "[launch] reconstructor is started again (restart 1)" in stderr
+    assert "[launch] sensor is started again (restart 1)" in stderr
+    assert "Traceback" not in stderr
+    summary: dict[str, Any] = json.loads((tmp_path / "out.json").read_text())
+    restarts = {name: node["restarts"] for name, node in summary["nodes"].items()}
+    assert restarts == {"sensor": 1, "compressor": 1, "reconstructor": 1, "monitor": 0}
+    frames = summary["patches"]["skin"]["frames"]
+    # The second sensor goes through all its frames, whatever the first one had sent.
+    assert frames["sensed"] >= 1000
+    assert frames["reconstructed"] > 0
+    assert frames["lost"] == frames["sensed"] - frames["reconstructed"]
+    assert program.survivors() == {}
+
+
+@pytest.mark.slow
+def test_a_monitor_that_is_stopped_holds_up_nobody(start: StartProgram, tmp_path: Path) -> None:
+    program = launched(start, tmp_path, "", "--set", "sensor.rate_hz=20")
+    path = tmp_path / "graphs" / f"{program.process.pid}.sock"
+    wait_until(path.exists, "the control socket")
+    monitor = program.pid_of("monitor")
+    os.kill(monitor, signal.SIGSTOP)
+    client = ControlClient(str(path))
+    client.send({"watch": True})
+    n_news = 0
+
+    def enough() -> bool:
+        nonlocal n_news
+        n_news += sum("graph" in fields for fields in client.receive() or ())
+        return n_news >= 24  # more than the pipe to the monitor has room for
+
+    wait_until(enough, "news of the graph, though the monitor takes none")
+    os.kill(monitor, signal.SIGCONT)
+    program.process.terminate()
+    assert program.finish()[0] == 143
+
+
+@pytest.mark.slow
+def test_a_recorder_that_is_killed_leaves_no_recording_on(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    program = launched(start, tmp_path, "", "--set", "sensor.rate_hz=20")
+    path = tmp_path / "graphs" / f"{program.process.pid}.sock"
+    wait_until(path.exists, "the control socket")
+    client = ControlClient(str(path))
+
+    def answered(number: str, value: Any) -> dict[str, Any]:
+        client.send({"id": number, "node": "launch", "command": "record", "value": value})
+        found: list[dict[str, Any]] = []
+
+        def has_come() -> bool:
+            found.extend(fields["answer"] for fields in client.receive() or ())
+            return bool(found)
+
+        wait_until(has_come, "an answer")
+        return found[0]
+
+    assert answered("1", True)["text"].startswith("recording to graph-")
+    os.kill(program.pid_of("live_recorder_1"), signal.SIGKILL)
+    program.wait_for("[launch] live_recorder_1 ended too early")
+    assert answered("2", False)["text"] == "record: not on"
+    nested: Any = []
+    for _ in range(500):
+        nested = [nested]
+    assert answered("3", nested) == {
+        "id": "3", "node": "launch", "done": False, "text": "value: nested more than 4 deep"
+    }  # fmt: skip
+    program.process.terminate()
+    assert program.finish()[0] in (1, 143)
+
+
+@pytest.mark.slow
+def test_a_node_that_fails_too_often_ends_the_graph(start: StartProgram, tmp_path: Path) -> None:
+    keys = 'restart = "on-failure"\nrestart_delay_s = 0\nmax_restarts = 1'
+    program = launched(start, tmp_path, keys)
+    killed(program, "compressor")
+    program.wait_for("[launch] compressor is started again (restart 1)")
+    killed(program, "compressor")
+    code, _, stderr = program.finish()
+    assert code == 1
+    told = "[launch] compressor ended too early: killed by SIGKILL"
+    assert f"{told} (1 restarts within 60 s: given up)" in stderr
+    assert program.survivors() == {}
+
+
+@pytest.mark.slow
+def test_a_node_that_hangs_is_killed_and_started_again(start: StartProgram, tmp_path: Path) -> None:
+    program = launched(start, tmp_path, 'restart = "on-failure"\nrestart_delay_s = 0\nhang_s = 1')
+    os.kill(program.pid_of("reconstructor"), signal.SIGSTOP)
+    program.wait_for("[launch] reconstructor has been silent for 1 s: SIGKILL")
+    program.wait_for("[launch] reconstructor is started again (restart 1)")
+    program.process.terminate()
+    code, _, stderr = program.finish()
+    assert code == 143, stderr
+    assert program.survivors() == {}
+
+
+def test_without_a_policy_the_graph_ends_with_the_node(start: StartProgram, tmp_path: Path) -> None:
+    program = launched(start, tmp_path, "")
+    os.kill(program.pid_of("reconstructor"), signal.SIGKILL)
+    code, _, stderr = program.finish()
+    assert code == 1
+    assert "[launch] reconstructor ended too early: killed by SIGKILL" in stderr
+    assert "started again" not in stderr
+    nodes = json.loads((tmp_path / "out.json").read_text())["nodes"]
+    assert [node["restarts"] for node in nodes.values()] == [0, 0, 0, 0]

@@ -1,0 +1,292 @@
+"""Adaptive sampling: the choice of taxels, and how it travels with their readings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.launch.launchfile.load import load
+from sparseskin.messages import (
+    Measurements,
+    MessageError,
+    Reconstruction,
+    SkinState,
+    Taxels,
+    decode,
+    encode,
+)
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.compressor.phi.acts import (
+    ActsPhi,
+    ActsSearch,
+    follow,
+    force_threshold,
+    packed_places,
+)
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.numerics.arrays import Floats
+
+THRESHOLD = 0.05
+ACTS = ("compressor.phi=acts", "reconstructor.solver=interpolation")
+
+
+def everywhere(*shape: int) -> npt.NDArray[np.bool_]:
+    return np.ones(shape, np.bool_)
+
+
+def read_cells(image: Floats, m: int) -> npt.NDArray[np.bool_]:
+    """The cells that a search reads of a frame."""
+    search = ActsSearch(everywhere(*image.shape), m, THRESHOLD)
+    is_read = np.zeros(image.size, np.bool_)
+    is_read[search.places(image.reshape(-1).take)] = True
+    return is_read.reshape(image.shape)
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_m_existing_taxels_are_read_each_once_on_any_grid(data: st.DataObject) -> None:
+    rows, cols = (data.draw(st.integers(1, 40)) for _ in range(2))
+    rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
+    exists = rng.random((rows, cols)) < data.draw(st.sampled_from([0.2, 0.8, 1.0]))
+    exists[rng.integers(rows), rng.integers(cols)] = True
+    n = int(exists.sum())
+    m = data.draw(st.integers(1, n))
+    x = np.maximum(rng.normal(-0.5, 1, n), 0).astype(np.float32)
+    asked: list[int] = []
+
+    def read(taxels: npt.NDArray[np.intp]) -> Floats:
+        asked.extend(taxels)
+        return x.take(taxels)
+
+    places = ActsSearch(exists, m, THRESHOLD).places(read)
+    assert len(asked) == len(set(asked)) == m
+    np.testing.assert_array_equal(places, np.sort(asked))
+    assert places[0] >= 0
+    assert places[-1] < n
+
+
+def test_an_untouched_skin_is_read_evenly() -> None:
+    is_read = read_cells(np.zeros((64, 64), np.float32), 64 * 64 // 16)
+    for part in is_read.reshape(8, 8, 8, 8).swapaxes(1, 2).reshape(-1, 64):
+        assert part.sum() == 4
+
+
+def test_the_taxels_of_a_contact_and_around_it_are_all_read_where_m_allows() -> None:
+    image = np.zeros((40, 40), np.float32)
+    image[17:24, 5:12] = 1.0
+    is_read = read_cells(image, 400)
+    assert is_read[16:25, 4:13].all()
+
+
+def test_with_few_readings_the_edge_of_a_large_contact_is_read_before_its_middle() -> None:
+    image = np.zeros((64, 64), np.float32)
+    image[13:52, 13:52] = 1.0
+    is_read = read_cells(image, 64 * 64 // 6)
+    edge = np.zeros_like(is_read)
+    edge[12:53, 12:53] = True
+    edge[14:51, 14:51] = False
+    assert is_read[edge].mean() > 3 * is_read[18:47, 18:47].mean()
+
+
+def test_a_frame_is_read_in_eight_rounds_or_more_each_of_at_most_an_eighth() -> None:
+    image = np.zeros((64, 64), np.float32)
+    image[13:52, 13:52] = 1.0
+    rounds: list[int] = []
+
+    def read(taxels: npt.NDArray[np.intp]) -> Floats:
+        rounds.append(taxels.size)
+        return image.reshape(-1).take(taxels)
+
+    m = 800
+    ActsSearch(everywhere(64, 64), m, THRESHOLD).places(read)
+    assert sum(rounds) == m
+    assert 0 < rounds[0] <= m // 4  # the coarse lattice
+    assert max(rounds[1:]) == m // 8
+
+
+def test_a_frame_is_read_the_same_whatever_came_before_it() -> None:
+    rng = np.random.default_rng(3)
+    frames = np.maximum(rng.normal(-0.5, 0.5, (5, 900)), 0).astype(np.float32)
+    search = ActsSearch(everywhere(30, 30), 200, THRESHOLD)
+    alone = [ActsSearch(everywhere(30, 30), 200, THRESHOLD).places(x.take) for x in frames]
+    for x, expected in zip(frames, alone, strict=True):
+        np.testing.assert_array_equal(search.places(x.take), expected)
+
+
+def test_the_threshold_lies_above_the_noise_and_above_a_part_of_the_range() -> None:
+    assert force_threshold(0.02, 2.5) == pytest.approx(0.08)
+    assert force_threshold(0.0, 2.5) == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("m", [0, 101])
+def test_more_readings_than_taxels_are_refused(m: int) -> None:
+    with pytest.raises(PhiError, match=rf"acts: m = {m} is not allowed; allowed: 1\.\.100"):
+        ActsSearch(everywhere(10, 10), m, THRESHOLD)
+
+
+def test_what_is_read_are_the_taxels_that_were_chosen() -> None:
+    phi = make_phi("acts", 100, 4, seed=0)
+    assert isinstance(phi, ActsPhi)
+    taxels = np.array([0, 7, 50, 99])
+    follow(phi, packed_places(taxels, 100))
+    x = np.arange(100, dtype=np.float32)
+    np.testing.assert_array_equal(phi.forward(x), [0, 7, 50, 99])
+    np.testing.assert_array_equal(phi.dense() @ x, phi.forward(x))
+    y = np.array([1, 2, 3, 4], np.float32)
+    np.testing.assert_array_equal(phi.adjoint(y), phi.dense().T @ y)
+
+
+def test_a_fingerprint_is_of_the_numbers_of_taxels_and_of_readings() -> None:
+    prints = {make_phi("acts", n, m, seed=0).fingerprint for n in (99, 100) for m in (20, 30)}
+    assert len(prints) == 4
+    assert make_phi("acts", 100, 20, seed=9).fingerprint in prints
+
+
+@pytest.mark.parametrize(
+    ("kind", "places", "text"),
+    [
+        ("acts", None, "come without the places"),
+        ("acts", packed_places(np.arange(3), 100), "3 taxels are read; expected m = 4"),
+        ("acts", np.full(13, 0b0001_0000, np.uint8)[:13], "13 taxels are read"),
+        ("acts", packed_places(np.array([0, 1, 2, 103]), 104), r"not ascending within 0\.\.99"),
+        ("subsample", packed_places(np.arange(4), 100), 'allowed: phi "acts" alone'),
+    ],
+)
+def test_places_that_do_not_fit_are_refused(kind: str, places: Any, text: str) -> None:
+    with pytest.raises(PhiError, match=text):
+        follow(make_phi(kind, 100, 4, seed=0), places)
+
+
+def message(places: Any) -> Measurements:
+    y = np.ones(4, np.float32)
+    return Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16, places=places)
+
+
+def test_places_travel_and_are_absent_where_there_are_none() -> None:
+    sent = message(packed_places(np.array([1, 8, 30, 99]), 100))
+    assert decode(*encode(sent)) == sent
+    assert b"places" in encode(sent)[1]
+    assert b"places" not in encode(message(None))[1]
+    assert decode(*encode(message(None))).places is None  # type: ignore[attr-defined]
+
+
+def test_places_that_are_not_as_many_as_the_measurements_are_malformed() -> None:
+    with pytest.raises(MessageError, match="places: 3 of them for 4 measurements"):
+        message(packed_places(np.arange(3), 100))
+
+
+def test_rows_that_are_chosen_anew_do_not_rotate() -> None:
+    settings = load("path_40", [*ACTS, "compressor.rows=rotating"]).nodes["compressor"].settings
+    compressor = Compressor(settings, Context("compressor", ManualClock(1), str))
+    with pytest.raises(PhiError, match='"rotating" is not allowed for phi "acts"'):
+        list(compressor.step(skin_state()))
+
+
+def skin_state() -> SkinState:
+    return SkinState(
+        stamp_ns=1,
+        patch="skin",
+        n_rows=40,
+        n_cols=40,
+        f_max=2.5,
+        unit="N",
+        pitch_m=None,
+        mask=None,
+        source="",
+        seed=0,
+        rate_hz=100.0,
+        has_truth=False,
+        sigma_mid=0.0,
+        sigma_end=0.0,
+    )
+
+
+def graph(*overrides: str, name: str = "path_40") -> Bus:
+    nodes = load(name, [*overrides]).nodes.values()
+    return Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
+
+
+def messages_of(bus: Bus, kind: type[Any], n_frames: int) -> list[Any]:
+    return [m for frame in bus.frames(n_frames) for m in frame if isinstance(m, kind)]
+
+
+def test_a_stream_reconstructs_readings_unchanged() -> None:
+    bus = graph(*ACTS, "compressor.bits=12")
+    frames = list(bus.frames(3))
+    for frame in frames:
+        (taxels,) = [m for m in frame if isinstance(m, Taxels)]
+        (made,) = [m for m in frame if isinstance(m, Measurements)]
+        (reconstructed,) = [m for m in frame if isinstance(m, Reconstruction)]
+        read = np.flatnonzero(np.unpackbits(made.places))
+        np.testing.assert_allclose(made.y, taxels.forces.reshape(-1)[read], atol=1e-3)
+        np.testing.assert_array_equal(reconstructed.forces.reshape(-1)[read], np.maximum(made.y, 0))
+        assert reconstructed.residual == 0
+
+
+@pytest.mark.parametrize("overrides", [ACTS, ("reconstructor.preset=skin",)])
+def test_m_changes_while_the_graph_runs(overrides: tuple[str, ...]) -> None:
+    bus = graph(*overrides)
+    messages = []
+    for k, frame in enumerate(bus.frames(6), start=1):
+        messages += frame
+        if k == 3:
+            bus._deliver(bus.hosts["compressor"].change({"ratio": 8.0}))
+    sizes = [len(m.y) for m in messages if isinstance(m, Measurements)]
+    assert sizes == [533] * 3 + [200] * 3
+    reconstructed = [m.phi for m in messages if isinstance(m, Reconstruction)]
+    assert reconstructed == [m.phi for m in messages if isinstance(m, Measurements)]
+    # An untouched skin, before and after.
+    errors = [float(np.abs(m.forces).max()) for m in messages if isinstance(m, Reconstruction)]
+    assert max(errors) < 0.1
+    assert bus.hosts["reconstructor"].counts.refused == {}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "text"),
+    [
+        (ACTS[:1], 'solver "skin": phi "acts" reads other taxels each frame'),
+        ((ACTS[0], "reconstructor.preset=paper"), 'solver "fista": phi "acts" reads other taxels'),
+        (ACTS[1:], 'solver "interpolation": phi "sbhe" mixes taxels; allowed: acts, subsample'),
+    ],
+)
+def test_solver_and_phi_that_do_not_go_together_are_refused_in_one_line(
+    overrides: tuple[str, ...], text: str
+) -> None:
+    bus = graph(*overrides)
+    assert messages_of(bus, Reconstruction, 1) == []
+    failed = next(line for line in bus.lines if "failed" in line)
+    assert failed.startswith(f"[reconstructor] failed: {text}")
+
+
+def test_a_recording_replays_and_is_reprocessed_to_the_same_bits(tmp_path: Path) -> None:
+    bag = tmp_path / "acts.mcap"
+    nodes = load("path_40", [*ACTS], str(bag)).nodes.values()
+    bus = Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
+    streamed = messages_of(bus, Reconstruction, 6)
+    bus.close()
+    replay = graph(f"player.file={bag}", ACTS[1], name="replay_measurements")
+    replayed = messages_of(replay, Reconstruction, 6)
+    replay.close()
+    assert len(streamed) == len(replayed) == 6
+    for once, again in zip(streamed, replayed, strict=True):
+        np.testing.assert_array_equal(once.forces, again.forces)
+        assert once.phi == again.phi
+    # From the taxels, the edge chooses as it chose before.
+    out = tmp_path / "again.mcap"
+    changes = [argument for text in ACTS for argument in ("--set", text)]
+    assert main(["reprocess", str(bag), *changes, "--out", str(out)]) == 0
+    again_bus = graph(f"player.file={out}", ACTS[1], name="replay_measurements")
+    for once, again in zip(streamed, messages_of(again_bus, Reconstruction, 6), strict=True):
+        np.testing.assert_array_equal(once.forces, again.forces)
+    again_bus.close()

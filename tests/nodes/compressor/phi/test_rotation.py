@@ -1,0 +1,91 @@
+"""Rotating rows: each row subset is a matrix of its own; together they hold every row."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sparseskin.nodes.compressor.node import CompressorSettings
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.rotation import row_subsets, split_rows
+from sparseskin.nodes.errors import PhiError
+
+SIZES = [(1, 1), (31, 7), (95, 40), (400, 50), (784, 262), (1600, 534), (1600, 533)]
+
+
+@pytest.mark.parametrize("kind", ["sbhe", "subsample"])
+@pytest.mark.parametrize(("n", "m"), SIZES)
+def test_each_row_subset_passes_the_dot_test_and_is_its_dense_matrix(
+    kind: str, n: int, m: int
+) -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.standard_normal(n).astype(np.float32), rng.standard_normal(m).astype(np.float32)
+    for phi in row_subsets(make_phi(kind, n, m, seed=3), "rotating"):
+        forth = float(phi.forward(x).astype(float) @ y)
+        back = float(x.astype(float) @ phi.adjoint(y))
+        assert abs(forth - back) <= 2e-6 * float(np.linalg.norm(x) * np.linalg.norm(y))
+        np.testing.assert_allclose(phi.forward(x), phi.dense() @ x, atol=2e-5)
+        np.testing.assert_allclose(phi.adjoint(y), phi.dense().T @ y, atol=2e-5)
+
+
+@pytest.mark.parametrize("kind", ["sbhe", "subsample"])
+@pytest.mark.parametrize("ratio", [1, 2, 4, 5, 8])
+def test_together_the_row_subsets_hold_each_row_of_w_once(kind: str, ratio: int) -> None:
+    n = 800
+    subsets = row_subsets(make_phi(kind, n, n // ratio, seed=1), "rotating")
+    rows = np.concatenate([phi.rows for phi in subsets])  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(np.sort(rows), np.arange(n))
+    whole = np.concatenate([phi.dense() for phi in subsets])
+    np.testing.assert_allclose(whole @ whole.T, np.eye(n), atol=1e-12)
+
+
+@given(n=st.integers(1, 300), data=st.data())
+@settings(max_examples=80, deadline=None)
+def test_every_row_is_in_one_or_two_subsets(n: int, data: st.DataObject) -> None:
+    m = data.draw(st.integers(1, n))
+    order = np.random.default_rng(data.draw(st.integers(0, 99))).permutation(n)
+    found = split_rows(order, m)
+    assert len(found) == -(-n // m)
+    assert all(rows.size == m and (np.diff(rows) > 0).all() for rows in found)
+    times = np.bincount(np.concatenate(found), minlength=n)
+    assert 1 <= times.min() <= times.max() <= 2
+    np.testing.assert_array_equal(found[0], np.sort(order[:m]))
+
+
+def test_the_first_subset_is_the_fixed_matrix_and_fingerprints_differ() -> None:
+    phi = make_phi("sbhe", 1600, 400, seed=2)
+    subsets = row_subsets(phi, "rotating")
+    assert row_subsets(phi, "fixed") == [phi]
+    assert subsets[0].fingerprint == phi.fingerprint
+    assert len({subset.fingerprint for subset in subsets}) == 4
+
+
+def test_a_ratio_that_does_not_divide_needs_no_further_subset() -> None:
+    settings = CompressorSettings(rows="rotating")
+    assert settings.n_measurements(1600) == 534
+    assert CompressorSettings().n_measurements(1600) == 533
+    assert len(row_subsets(make_phi("sbhe", 1600, 534, seed=0), "rotating")) == 3
+
+
+def test_what_cannot_rotate_is_named() -> None:
+    for kind in ("gaussian", "full"):
+        with pytest.raises(PhiError, match=f'rows: "rotating" is not allowed for phi "{kind}"'):
+            CompressorSettings(phi=kind, rows="rotating").check()
+        with pytest.raises(PhiError, match="allowed: sbhe, subsample"):
+            row_subsets(make_phi(kind, 64, 64, seed=0), "rotating")
+    with pytest.raises(PhiError, match=r"m = 24 of n = 1600; allowed: m of 25 or more \(N/64\)"):
+        row_subsets(make_phi("sbhe", 1600, 24, seed=0), "rotating")
+
+
+def test_subsets_start_evenly_spaced_along_the_shuffled_rows() -> None:
+    order = np.array([4, 0, 3, 1, 2])
+    found = [rows.tolist() for rows in split_rows(order, 2)]
+    assert found == [[0, 4], [0, 3], [1, 2]]  # from places 0, 5 // 3 and 10 // 3
+
+
+def test_64_subsets_are_allowed() -> None:
+    assert len(row_subsets(make_phi("subsample", 128, 2, seed=0), "rotating")) == 64
+    with pytest.raises(PhiError, match="allowed: m of 3 or more"):
+        row_subsets(make_phi("subsample", 129, 2, seed=0), "rotating")

@@ -1,0 +1,85 @@
+"""Warnings about settings of the compressor that are valid but reconstruct badly."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.compressor.limits import compression_warnings
+from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.sensor.node import Sensor
+
+
+@pytest.mark.parametrize(
+    ("kind", "m", "block"),
+    [
+        ("sbhe", 533, 32),
+        ("sbhe", 100, 16),
+        ("sbhe", 100, 8),
+        ("full", 1600, 32),
+        ("gaussian", 200, 1),
+    ],
+)
+def test_settings_that_reconstruct_well_give_no_warning(kind: str, m: int, block: int) -> None:
+    assert compression_warnings(kind, 1600, m, block) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "m", "block", "message"),
+    [
+        (
+            "sbhe",
+            99,
+            32,
+            "m = 99 of n = 1600 taxels: more than one small contact is not reconstructed",
+        ),
+        ("sbhe", 533, 4, "block = 4: most measurements see no pressed taxel"),
+        ("subsample", 400, 32, "phi = subsample: a contact of fewer than 4 taxels may touch none"),
+    ],
+)
+def test_a_warning_states_the_effect_and_advises(
+    kind: str, m: int, block: int, message: str
+) -> None:
+    (warning,) = compression_warnings(kind, 1600, m, block)
+    assert warning.startswith(message)
+    assert "advised: " in warning
+    assert "\n" not in warning
+
+
+def test_few_bits_give_a_warning() -> None:
+    (warning,) = compression_warnings("sbhe", 1600, 533, 32, bits=4)
+    assert warning.startswith("bits = 4: the steps of the quantiser lose")
+    assert compression_warnings("sbhe", 1600, 533, 32, bits=5) == []
+
+
+def lines_of(**compressor: Any) -> list[str]:
+    bus = Bus(
+        {
+            "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
+            "compressor": (Compressor, Compressor.Settings(**compressor)),
+        }
+    )
+    bus.run(n_frames=2)
+    return bus.lines
+
+
+def test_a_compressor_logs_a_warning_once_when_the_skin_is_known() -> None:
+    assert lines_of() == []
+    (line,) = lines_of(ratio=40)
+    assert line.startswith("[compressor] m = 40 of n = 1600 taxels")
+
+
+def test_a_compressor_logs_a_warning_when_few_bits_are_set_while_it_runs() -> None:
+    bus = Bus(
+        {
+            "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
+            "compressor": (Compressor, Compressor.Settings()),
+        }
+    )
+    bus.run(n_frames=2)
+    compressor = bus.hosts["compressor"].node
+    list(compressor.change(compressor.settings.changed({"bits": 4})))
+    (line,) = bus.lines
+    assert line.startswith("[compressor] bits = 4: ")

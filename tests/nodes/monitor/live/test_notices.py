@@ -1,0 +1,231 @@
+"""Notices: shown while a fault lasts, and no longer."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from feeds import FakeTime, Graph, graph_state, node_state
+
+from sparseskin.nodes.monitor.live.feed import STALE_S
+from sparseskin.nodes.monitor.live.notices import BAD, GRAPH_S, NOTE, RECENT_S, Notice, Notices, ago
+
+PAUSE = {"pause": "acquire no frame"}
+
+
+class Desk:
+    """A person who looks at the notices of a graph that is otherwise alive."""
+
+    def __init__(self, clock: FakeTime, *patches: str) -> None:
+        self.clock = clock
+        self.graph = Graph(*patches)
+        self.feed = self.graph.feed
+        self._notices = Notices(self.feed)
+
+    def look(self, after_s: float = 0.0) -> list[Notice]:
+        self.clock.advance(after_s)
+        self.feed.pulse()
+        return self._notices.all(self.clock.now_s)
+
+    def news(self, *nodes: dict[str, Any]) -> None:
+        self.feed.update(graph=graph_state(*nodes))
+
+    def lose(self, total: int) -> list[Notice]:
+        """A frame comes, and with it how many were lost so far."""
+        self.graph.frame()
+        self.feed.patches["skin"].lost = total
+        return self.look()
+
+
+@pytest.fixture
+def desk(monkeypatch: pytest.MonkeyPatch) -> Desk:
+    """A desk at which one whole frame has been seen, and nothing is wrong."""
+    desk = Desk(FakeTime(monkeypatch))
+    desk.graph.skin()
+    desk.graph.frame()
+    assert desk.look() == []
+    return desk
+
+
+def test_before_the_first_frame_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    desk = Desk(FakeTime(monkeypatch))
+    assert desk.look() == [(NOTE, "no frame has arrived yet.")]
+    desk.graph.skin()
+    assert desk.look() == [(NOTE, "no frame has arrived yet.")]
+    desk.graph.frame()
+    assert desk.look() == []
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "stale_s"),
+    [(0.0, 0.2), (1000.0, 0.2), (100.0, 0.2), (12.5, 0.2), (5.0, 0.5), (1.0, 2.5), (0.1, 25.0)],
+)
+def test_stale_is_what_is_older_than_200_ms_and_than_two_and_a_half_periods(
+    monkeypatch: pytest.MonkeyPatch, rate_hz: float, stale_s: float
+) -> None:
+    desk = Desk(FakeTime(monkeypatch))
+    desk.graph.skin(rate_hz=rate_hz)
+    desk.graph.frame()
+    assert desk.look(0.99 * stale_s) == []
+    assert desk.look(0.02 * stale_s) == [
+        (BAD, f"stale: no new frame for {ago(1.01 * stale_s)}."),
+    ]
+    desk.graph.frame()
+    assert desk.look() == []
+
+
+def test_frames_that_are_sensed_but_no_longer_reconstructed_are_stale(desk: Desk) -> None:
+    for _ in range(50):
+        desk.clock.advance(0.01)
+        desk.graph.frame(upto=3)
+    assert desk.look() == [(BAD, "stale: frames are sensed, none reconstructed for 0.5 s.")]
+
+
+def test_frames_that_were_never_reconstructed_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    desk = Desk(FakeTime(monkeypatch))
+    desk.graph.skin()
+    desk.graph.frame(upto=1)
+    assert desk.look() == []  # the first may still be under way
+    desk.graph.frame(upto=1)
+    assert desk.look() == [(BAD, "frames are sensed, none is reconstructed.")]
+
+
+def test_a_paused_graph_is_not_stale(desk: Desk) -> None:
+    desk.news(node_state("sensor", commands=PAUSE, state={"paused": True}, condition="paused"))
+    assert desk.look(GRAPH_S / 2) == [(NOTE, "sensor is paused.")]
+    desk.news(node_state("sensor", commands=PAUSE, state={"paused": False}))
+    desk.graph.frame()
+    assert desk.look() == []
+
+
+def test_where_one_of_two_sources_runs_the_graph_is_not_paused(desk: Desk) -> None:
+    desk.news(
+        node_state("left", commands=PAUSE, state={"paused": True}, condition="paused"),
+        node_state("right", commands=PAUSE, state={"paused": False}),
+        node_state("compressor"),
+    )
+    assert (BAD, "stale: no new frame for 1.0 s.") in desk.look(1.0)
+
+
+def test_a_stream_that_has_ended_is_not_stale_until_it_begins_again(desk: Desk) -> None:
+    desk.graph.summarise()
+    desk.feed.update(ended="skin")
+    assert desk.look(10 * STALE_S) == [(NOTE, "the stream has ended.")]
+    desk.graph.frame()
+    assert desk.look() == []
+
+
+def test_lost_frames_are_told_for_some_seconds(desk: Desk) -> None:
+    assert desk.lose(0) == []
+    assert desk.lose(3) == [(BAD, "3 frames lost just now.")]
+    desk.clock.advance(0.9 * RECENT_S)
+    assert desk.lose(3) == [(BAD, "3 frames lost just now.")]
+    desk.clock.advance(0.2 * RECENT_S)
+    assert desk.lose(3) == []
+    assert desk.lose(4) == [(BAD, "1 frame lost just now.")]
+
+
+def test_losses_shortly_after_one_another_are_told_together(desk: Desk) -> None:
+    desk.lose(0)
+    desk.lose(2)
+    desk.clock.advance(RECENT_S / 2)
+    assert desk.lose(5) == [(BAD, "5 frames lost just now.")]
+
+
+def test_what_was_lost_before_anybody_looked_is_no_news(monkeypatch: pytest.MonkeyPatch) -> None:
+    desk = Desk(FakeTime(monkeypatch))
+    desk.graph.skin()
+    assert desk.lose(7) == []
+
+
+def test_a_count_that_begins_again_is_no_loss(desk: Desk) -> None:
+    assert desk.lose(9) != []
+    assert desk.lose(0) == []
+    assert desk.lose(2) == [(BAD, "2 frames lost just now.")]
+
+
+def test_refusals_are_told_for_some_seconds_with_their_reason(desk: Desk) -> None:
+    def refuse(count: int, reason: str, after_s: float = 0.0) -> list[Notice]:
+        desk.clock.advance(after_s)
+        desk.news(node_state("reconstructor", refused=count, refusal=reason))
+        desk.graph.frame()
+        return desk.look()
+
+    assert refuse(0, "") == []
+    told = [(BAD, "reconstructor rejects messages: refused: Phi mismatch")]
+    assert refuse(1, "refused: Phi mismatch") == told
+    assert refuse(1, "refused: Phi mismatch", 0.9 * RECENT_S) == told
+    assert refuse(1, "refused: Phi mismatch", 0.2 * RECENT_S) == []
+    assert refuse(2, "refused: another") == [
+        (BAD, "reconstructor rejects messages: refused: another")
+    ]
+
+
+@pytest.mark.parametrize("condition", ["failed", "not answering", "restarting", "starting"])
+def test_a_node_in_trouble_is_named_as_long_as_it_is(desk: Desk, condition: str) -> None:
+    for _ in range(3):
+        desk.clock.advance(2 * RECENT_S)
+        desk.graph.frame()
+        desk.news(node_state("sensor"), node_state("compressor", condition=condition))
+        assert desk.look() == [(BAD, f"compressor: {condition}.")]
+
+
+def test_a_node_that_was_started_again_is_noted_for_some_seconds(desk: Desk) -> None:
+    def news(restarts: int, condition: str, after_s: float = 0.0) -> list[Notice]:
+        desk.clock.advance(after_s)
+        desk.news(node_state("sensor", restarts=restarts, condition=condition))
+        desk.graph.frame()
+        return desk.look()
+
+    assert news(0, "running") == []
+    assert news(1, "restarting") == [(BAD, "sensor: restarting.")]
+    assert news(1, "running", 1.0) == [(NOTE, "sensor was restarted.")]
+    assert news(1, "running", RECENT_S) == []
+
+
+def test_old_news_of_the_graph_is_told_with_its_age(desk: Desk) -> None:
+    desk.news(node_state("sensor"))
+    desk.clock.advance(0.99 * GRAPH_S)
+    desk.graph.frame()
+    assert desk.look() == []
+    desk.clock.advance(10.0)
+    desk.graph.frame()
+    assert desk.look() == [(BAD, "No state of the nodes has arrived for 12 s.")]
+
+
+def test_where_there_is_no_graph_its_silence_is_no_fault(desk: Desk) -> None:
+    desk.clock.advance(100.0)
+    desk.graph.frame()
+    assert desk.look() == []
+
+
+def test_a_monitor_that_is_busy_says_so_first(desk: Desk) -> None:
+    now_s = desk.clock.advance(3.0)
+    assert Notices(desk.feed).all(now_s)[0] == (BAD, "The monitor has not responded for 3.0 s.")
+
+
+def test_of_several_patches_each_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    desk = Desk(FakeTime(monkeypatch), "left", "right")
+    desk.graph.skin("left")
+    desk.graph.frame("left")
+    assert desk.look(1.0) == [
+        (BAD, "left: stale: no new frame for 1.0 s."),
+        (NOTE, "right: no frame has arrived yet."),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.21, "0.2 s"), (9.94, "9.9 s"), (12.4, "12 s"), (600.0, "600 s")]
+)
+def test_a_span_of_time_in_words(seconds: float, text: str) -> None:
+    assert ago(seconds) == text
+
+
+def test_measurements_that_are_left_out_are_told_while_they_are(desk: Desk) -> None:
+    left_out = "faulty measurements left out: 2 of 533 (3, 100)"
+    desk.news(node_state("reconstructor", state={"left_out": left_out, "swamped": False}))
+    assert desk.look() == [(NOTE, f"reconstructor: {left_out}.")]
+    desk.news(node_state("reconstructor", state={"left_out": "", "swamped": True}))
+    assert desk.look() == [(BAD, "reconstructor: too many measurements are inconsistent.")]
+    desk.news(node_state("reconstructor", state={"left_out": "", "swamped": False}))
+    assert desk.look() == []

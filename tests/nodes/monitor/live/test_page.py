@@ -1,0 +1,289 @@
+"""The live page in a real browser, on a real graph."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import browser, lack
+from conftest import Program, StartProgram, wait_until
+from feeds import Graph, graph_state
+
+from sparseskin.messages import Resultant
+from sparseskin.nodes.monitor.live.notices import Notices
+from sparseskin.nodes.monitor.live.server import PageServer
+from sparseskin.nodes.recorder.bag.reader import BagReader
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(bool(lack()), reason=lack() or "a browser is installed"),
+]
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    with browser(tmp_path_factory.mktemp("browser") / "profile") as driver:
+        yield driver
+
+
+def open_page(start: StartProgram, page: Any, *arguments: str) -> Program:
+    """Launch a graph and open its page; the page shows frames."""
+    program = start("launch", *arguments, "--set", "monitor.port=0")
+    url = program.wait_for("live page: ")
+    program.wait_for("ready:")
+    page.get(url)
+    canvases = "#maps canvas"
+    wait_until(lambda: bool(page.find_elements("css selector", canvases)), "the maps")
+    wait_until(lambda: int(drawn(page)) > 0, "the first frame")
+    return program
+
+
+def drawn(page: Any) -> str:
+    return str(page.execute_script("return document.body.dataset.drawn ?? '0'"))
+
+
+def text(page: Any, selector: str) -> str:
+    # In one go: an element found first and read later may be gone in between.
+    script = "return [...document.querySelectorAll(arguments[0])].map((e) => e.innerText).join(' ')"
+    return str(page.execute_script(script, selector))
+
+
+def pixels(page: Any, which: str) -> str:
+    return str(
+        page.execute_script(
+            f"return document.querySelector('canvas[data-map={which}]').toDataURL()"
+        )
+    )
+
+
+def set_field(page: Any, field: str, value: str) -> None:
+    """Type a value into a control and press Enter."""
+    page.execute_script(
+        "const input = document.getElementById(arguments[0]);"
+        "input.value = arguments[1];"
+        "input.form.requestSubmit();",
+        field,
+        value,
+    )
+
+
+def answer(page: Any, field: str) -> str:
+    return text(page, f'output[data-answer="{field}"]')
+
+
+def frames_shown(page: Any) -> int:
+    return int(text(page, '[data-tile="frames"] strong'))
+
+
+def frames_played(page: Any, stamps_ns: list[int]) -> int:
+    """Frames of a recording before the player's position, which is the next frame's."""
+    position_s = float(page.find_element("css selector", "[data-seek]").get_property("value"))
+    return sum((ns - stamps_ns[0]) / 1e9 < position_s - 1e-6 for ns in stamps_ns)
+
+
+def test_the_page_asks_nothing_of_any_other_host(start: StartProgram, page: Any) -> None:
+    open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    entries = [json.loads(entry["message"])["message"] for entry in page.get_log("performance")]
+    asked = [
+        entry["params"]["request"]["url"]
+        for entry in entries
+        if entry["method"] == "Network.requestWillBeSent"
+    ]
+    host = page.current_url.partition("#")[0]
+    assert f"{host}main.js" in asked
+    # The browser's own first page is of another scheme.
+    web = [url for url in asked if url.startswith(("http", "ws"))]
+    assert [url for url in web if not url.startswith(host)] == []
+    assert page.get_log("browser") == []
+
+
+def test_maps_change_from_frame_to_frame(start: StartProgram, page: Any) -> None:
+    open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    for which in ("taxels", "reconstruction", "error"):
+        before = pixels(page, which)
+        wait_until(lambda: pixels(page, which) != before, f"another map of {which}")  # noqa: B023
+    assert text(page, "figure h2") == "Truth Taxels (measured) Reconstruction Absolute error"
+
+
+def test_the_resultant_is_a_cross_in_its_ellipse_and_hosts_are_in_the_header(page: Any) -> None:
+    graph = Graph()
+    graph.skin()
+    with contextlib.closing(
+        PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
+    ) as server:
+        page.get(server.url)
+        told = {"total": 3.21, "total_sd": 0.12, "row": 1.0, "col": 5.0, "row_sd": 0.5, "col_sd": 1}
+        graph.take(Resultant(stamp_ns=0, patch="skin", done_ns=0, **told))
+        host = {"heard": True, "silent": [], "clock_offset_ms": 0.1, "clock_uncertainty_ms": 0.3}
+        graph.feed.update(graph=graph_state(hosts={"edge": host}))
+        graph.frame()
+        figures = '[data-panel="reconstruction"] figcaption'
+        wait_until(lambda: "resultant 3.2 ± 0.1 N" in text(page, figures), "the resultant")
+        clock = "host edge: connected, clock +0.10 ± 0.30 ms"
+        wait_until(lambda: text(page, "#hosts li") == clock, "the host in the header")
+        # In pixels of the page: as the cells of the map beneath lie, of 5 rows and 7 columns.
+        # In one go: a line more above them moves both.
+        of_map, of_ellipse = page.execute_script(
+            "return ['canvas', 'ellipse'].map((which) => {"
+            "  const b = document.querySelector(`[data-panel=reconstruction] ${which}`)"
+            "    .getBoundingClientRect();"
+            "  return [b.x, b.y, b.width, b.height];"
+            "});"
+        )
+        cell = (of_map[2] - 2) / 7  # without its border
+        middle = [of_ellipse[k] + of_ellipse[2 + k] / 2 - of_map[k] - 1 for k in (0, 1)]
+        assert middle == pytest.approx([5.5 * cell, 1.5 * cell], abs=1.0)
+        assert of_ellipse[2] == pytest.approx(2 * 2.146 * cell, abs=1.0)
+        graph.frame()
+        wait_until(lambda: "resultant" not in text(page, figures), "a frame without")
+        assert page.find_elements("css selector", "ellipse") == []
+
+
+def test_the_overview_has_a_card_of_each_patch_with_its_map(page: Any) -> None:
+    graph = Graph("left", "right")
+    with contextlib.closing(
+        PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
+    ) as server:
+        page.get(server.url)
+        for patch in ("left", "right"):
+            graph.skin(patch)
+
+            def is_shown(patch: str = patch) -> bool:
+                graph.frame(patch)  # one that comes before there is a card is not drawn
+                return "peak" in text(page, f"#card-{patch} small")
+
+            wait_until(is_shown, f"the map of {patch} on its card")
+        # The server of this page is gone: the browser says so, and that is no fault.
+        errors = [entry["message"] for entry in page.get_log("browser")]
+        assert not [text for text in errors if "ERR_" not in text]
+
+
+def test_a_control_changes_the_solver_and_the_page_says_so(start: StartProgram, page: Any) -> None:
+    open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    field = "reconstructor.iterations"
+    wait_until(lambda: bool(page.find_elements("id", field)), "the controls")
+    set_field(page, field, "7")
+    wait_until(lambda: answer(page, field).startswith("✓"), "the answer")
+    assert answer(page, field) == "✓ iterations = 7"
+    wait_until(lambda: page.find_element("id", field).get_property("value") == "7", "the new value")
+    # What the owner refuses changes nothing, and the page says why.
+    set_field(page, field, "0")
+    wait_until(lambda: answer(page, field).startswith("✗"), "the refusal")
+    assert answer(page, field) == "✗ iterations: 0 is outside 1..1000"
+    set_field(page, "compressor.m", "99999")
+    wait_until(lambda: answer(page, "compressor.m").startswith("✗"), "the refusal")
+    assert "allowed: 1..1600" in answer(page, "compressor.m")
+    set_field(page, "compressor.m", "400")
+    wait_until(lambda: text(page, '[data-tile="compression"] strong') == "4.00 : 1", "M = 400")
+
+
+def test_a_stopped_sensor_is_told_and_forgotten_when_it_is_back(
+    start: StartProgram, page: Any
+) -> None:
+    program = open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    wait_until(lambda: text(page, "#liveness") == "live", "the page to say that all is well")
+    sensor = program.pid_of("sensor")
+    os.kill(sensor, signal.SIGSTOP)
+    try:
+        wait_until(lambda: "stale: no new frame for" in text(page, "#notices"), "the notice")
+        wait_until(lambda: "sensor: not answering" in text(page, "#nodes"), "the node's state")
+        assert text(page, "#liveness") == "stale"
+        assert len(page.find_elements("css selector", "#maps figure.stale")) == 4
+    finally:
+        os.kill(sensor, signal.SIGCONT)
+    wait_until(lambda: "stale" not in text(page, "#notices"), "the notice to go")
+    wait_until(lambda: text(page, "#liveness") == "live", "all to be well again")
+    assert page.find_elements("css selector", "#maps figure.stale") == []
+
+
+def test_the_numbers_of_the_page_are_those_of_the_summary(
+    start: StartProgram, page: Any, tmp_path: Path
+) -> None:
+    summary = tmp_path / "summary.json"
+    settings = ("--set", "sensor.rate_hz=100", "--frames", "1000", "--summary", str(summary))
+    program = open_page(start, page, "drag_wrench_40", *settings)
+    code, _, stderr = program.finish()
+    assert code == 0, stderr
+    wait_until(lambda: "The graph has ended" in text(page, "#notices"), "the end on the page")
+    patch = json.loads(summary.read_text())["patches"]["skin"]
+    noisy, restored = (patch["psnr_db"][k]["all"]["mean"] for k in ("noisy", "reconstruction"))
+    assert text(page, '[data-tile="frames"] strong') == "1000"
+    assert text(page, '[data-tile="frames"] span') == "of 1000, 0 lost"
+    assert text(page, '[data-tile="gain"] span') == f"mean {noisy:.1f} → {restored:.1f} dB"
+    assert text(page, '[data-tile="latency"] strong') == f"{patch['latency_ms']['p50']:.1f} ms"
+    assert text(page, '[data-tile="compression"] strong') == f"{patch['ratio']:.2f} : 1"
+
+
+def test_a_recording_is_begun_and_ended_from_the_page(
+    start: StartProgram, page: Any, tmp_path: Path
+) -> None:
+    open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    wait_until(lambda: bool(page.find_elements("id", "record")), "the controls")
+    page.find_element("id", "record").click()
+    wait_until(lambda: answer(page, "launch").startswith("✓ recording to"), "the recording")
+    wait_until(lambda: "Stop" in text(page, "#record"), "the button to change")
+    before = int(drawn(page))
+    wait_until(lambda: int(drawn(page)) > before + 10, "some frames")
+    page.find_element("id", "record").click()
+    wait_until(lambda: "messages recorded" in answer(page, "launch"), "the end of the recording")
+    (file,) = tmp_path.glob("path_40-*.mcap")
+    assert file.stat().st_size > 10_000
+
+
+def test_a_replay_is_paused_stepped_and_sought(
+    start: StartProgram, page: Any, tmp_path: Path
+) -> None:
+    program = start("launch", "path_40", "--frames", "300", "--record", "path.mcap")
+    assert program.finish()[0] == 0
+    with BagReader(tmp_path / "path.mcap") as bag:
+        # On a busy host they are not 5 ms apart.
+        stamps_ns = sorted(message.stamp_ns for message in bag.messages(["/skin/taxels"]))
+    open_page(start, page, "replay_taxels", "--set", "player.file=path.mcap", "--set",
+              "player.rate=0.2")  # fmt: skip
+    pause = '[data-pause="player"]'
+    wait_until(lambda: "Pause" in text(page, pause), "the controls")
+    page.find_element("css selector", pause).click()
+    wait_until(lambda: "Resume" in text(page, pause), "the button to change")
+    wait_until(lambda: text(page, "#liveness") == "paused", "the pause")
+    # Frames played before the pause may still be on their way to the page.
+    played = frames_played(page, stamps_ns)
+    wait_until(lambda: frames_shown(page) == played, "the frames before the pause")
+    before = int(drawn(page))
+    (step,) = (b for b in page.find_elements("css selector", "button") if b.text == "Step")
+    step.click()
+    wait_until(lambda: frames_played(page, stamps_ns) == played + 1, "one frame more")
+    wait_until(lambda: frames_shown(page) == played + 1, "its place in the count")
+    wait_until(lambda: int(drawn(page)) > before, "its maps")
+    page.execute_script(
+        "const seek = document.querySelector('[data-seek=player]');"
+        "seek.value = 1; seek.dispatchEvent(new Event('change'));"
+    )
+    wait_until(lambda: answer(page, "player") == "✓ at 1.00 s", "the answer")
+    wait_until(lambda: text(page, "[data-position]").startswith("1.0 of"), "the position")
+
+
+def test_a_page_left_open_finds_the_next_graph(start: StartProgram, page: Any) -> None:
+    program = open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    port = page.current_url.split(":")[2].split("/")[0]
+    program.process.send_signal(signal.SIGINT)
+    program.finish()
+    wait_until(lambda: "The graph has ended" in text(page, "#notices"), "the end")
+    loaded_at = page.execute_script("return performance.timeOrigin")
+    again = start(
+        *("launch", "path_40", "--set", "sensor.rate_hz=30"),
+        *("--set", f"monitor.port={port}"),
+    )
+    again.wait_for("ready:")
+
+    def is_shown() -> bool:
+        anew = page.execute_script("return performance.timeOrigin") != loaded_at
+        return anew and int(drawn(page)) > 0
+
+    wait_until(is_shown, "frames of the new graph")
+    assert "The graph has ended" not in text(page, "#notices")

@@ -1,0 +1,218 @@
+"""The monitor as text: every figure, in lines that fit a terminal of 80 columns."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import PHI
+from feeds import FakeTime, Graph, graph_state, node_state
+
+from sparseskin.messages import Measurements, PhiState, Reconstruction, Resultant, Taxels, Truth
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.monitor.live.notices import Notices, host_lines
+from sparseskin.nodes.monitor.live.screen import BARS, N_BARS, WIDTH, screen
+from sparseskin.nodes.monitor.node import Monitor
+from sparseskin.nodes.node import Context
+
+SHAPE = (4, 6)
+ERROR_N = (0.25, 0.025)
+"""Of the taxels and of what is restored: 20 dB and 40 dB for a range of 2.5 N."""
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> FakeTime:
+    return FakeTime(monkeypatch)
+
+
+def filled(clock: FakeTime, n_frames: int = 50, contact: bool = True) -> Graph:
+    """A graph at 100 Hz in which one taxel bears 2 N, uniformly wrong."""
+    graph = Graph()
+    graph.skin(n_rows=SHAPE[0], n_cols=SHAPE[1], mask=None, source="a scene")
+    head = {"patch": "skin", "run_id": "0" * 16}
+    fields = {"kind": "sbhe", "n": 24, "m": 8, "block": 8, "seed": 0, "fingerprint": PHI}
+    graph.take(PhiState(**head, stamp_ns=0, **fields))  # type: ignore[arg-type]
+    truth = np.zeros(SHAPE, np.float32)
+    truth[1, 4] = 2.0 if contact else 0.0
+    noisy, restored = (truth + np.float32(error) for error in ERROR_N)
+    rest = {"phi": PHI, "iterations": 30, "residual": 0.0, "solve_ns": 2_000_000, "done_ns": 0}
+    for k in range(n_frames):
+        clock.advance(0.01)
+        of_frame = {**head, "seq": k, "stamp_ns": 1000 * k}
+        rest["done_ns"] = 1000 * k + 5_000_000
+        graph.take(Taxels(**of_frame, forces=noisy))  # type: ignore[arg-type]
+        graph.take(Truth(**of_frame, forces=truth))  # type: ignore[arg-type]
+        graph.take(Measurements(**of_frame, y=np.ones(8, np.float32), phi=PHI))  # type: ignore[arg-type]
+        graph.take(Reconstruction(**of_frame, **rest, forces=restored))  # type: ignore[arg-type]
+    graph.summarise()
+    return graph
+
+
+def lines_of(graph: Graph) -> list[str]:
+    lines = screen(graph.feed, Notices(graph.feed)).split("\n")
+    assert max(map(len, lines)) <= WIDTH == 79
+    return lines
+
+
+def line_with(lines: list[str], word: str) -> str:
+    (found,) = [line for line in lines if line.startswith(word)]
+    return found
+
+
+def test_the_figures_are_those_of_the_frames(clock: FakeTime) -> None:
+    lines = lines_of(filled(clock))
+    assert " skin: a scene, 4 x 6 " in line_with(lines, "---")
+    assert "3.00 : 1 (N 24, M 8)" in line_with(lines, "compression")
+    assert "20.0 -> 40.0 dB (+20.0 dB)" in line_with(lines, "PSNR mean")
+    assert "50 of 50 frames, 0 lost" in line_with(lines, "rate")
+    assert "50 Hz of 100 Hz requested" in line_with(
+        lines, "rate"
+    )  # as many as there were within 1 s
+    solve = re.search(r"latency 5\.0 / 5\.0 ms, solve 2\.0 ms", line_with(lines, "PSNR mean"))
+    assert solve
+
+
+def test_bytes_are_those_of_measurements_and_taxels(clock: FakeTime) -> None:
+    graph = filled(clock)
+    summary = graph.metrics["skin"].summary()
+    sent, taxels = summary["bytes_out"] / 1e3, summary["bytes_in"] / 1e3
+    line = line_with(lines_of(graph), "compression")
+    assert f"sent {sent:.2f} kB instead of {taxels:.2f} kB" in line
+
+
+def test_each_map_has_its_peak_total_and_centre_of_pressure(clock: FakeTime) -> None:
+    lines = lines_of(filled(clock))
+    assert line_with(lines, "truth").split() == [
+        *("truth", "2", "2", "row", "1.0,", "column", "4.0")
+    ]
+    # 2 N at (1, 4), and 0.25 N on each of 24 taxels, whose centre is (1.5, 2.5): 6 N.
+    assert line_with(lines, "taxels").split() == [
+        *("taxels", "2.25", "8", "row", f"{(2 * 1 + 6 * 1.5) / 8:.1f},"),
+        *("column", f"{(2 * 4 + 6 * 2.5) / 8:.1f}"),
+    ]
+    assert "peak (N)" in " ".join(lines)
+
+
+def test_the_resultant_of_the_last_frame_is_a_line_where_it_is_told(clock: FakeTime) -> None:
+    graph = filled(clock)
+    assert not any(line.startswith("resultant") for line in lines_of(graph))
+    told = Resultant(patch="skin", stamp_ns=0, total=3.2, total_sd=0.12, done_ns=0)
+    place = {"row": 1.5, "col": 2.5, "row_sd": 0.3, "col_sd": 0.4}
+    graph.feed.patches["skin"].resultant = told
+    line = line_with(lines_of(graph), "resultant")
+    assert " ".join(line.split()) == "resultant 3.2 ± 0.12 no contact"
+    graph.feed.patches["skin"].resultant = replace(told, **place)
+    line = line_with(lines_of(graph), "resultant")
+    assert " ".join(line.split()) == "resultant 3.2 ± 0.12 row 1.5 ± 0.3, column 2.5 ± 0.4"
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"heard": True}, ("heard", "host edge: connected")),
+        ({}, ("unread", "host edge: nothing is read from it")),
+        (
+            {"heard": False, "silent": ["sensor", "compressor"]},
+            ("silent", "host edge: receives nothing from sensor, compressor"),
+        ),
+        (
+            {"heard": True, "clock_offset_ms": -0.124, "clock_uncertainty_ms": 0.3},
+            ("heard", "host edge: connected, clock -0.12 ± 0.30 ms"),
+        ),
+    ],
+)
+def test_each_other_host_is_a_line(
+    clock: FakeTime, changes: dict[str, Any], told: tuple[str, str]
+) -> None:
+    unknown = {"heard": None, "silent": [], "clock_offset_ms": None, "clock_uncertainty_ms": None}
+    graph = filled(clock)
+    assert not any(line.startswith("host") for line in lines_of(graph))
+    graph.feed.update(graph=graph_state(hosts={"edge": unknown | changes}))
+    assert graph.feed.graph is not None
+    assert host_lines(graph.feed.graph) == [told]
+    assert told[1] in lines_of(graph)
+
+
+def test_where_nothing_is_touched_there_is_no_centre(clock: FakeTime) -> None:
+    lines = lines_of(filled(clock, contact=False))
+    assert line_with(lines, "truth").endswith("no contact")
+
+
+def test_the_last_minute_is_drawn_from_its_lowest_to_its_highest(clock: FakeTime) -> None:
+    graph = Graph()
+    graph.skin()
+    graph.frame()
+    graph.summarise()
+    history = graph.feed.patches["skin"].history
+    for k in range(N_BARS):
+        now_s = clock.advance(60.0 / N_BARS)
+        history.add(now_s, 20.0, 30.0 + k, 5.0, 1.0, 0)
+    (line,) = [line for line in lines_of(graph) if line.startswith("PSNR  ")]
+    drawn = line[9 : 9 + N_BARS]
+    assert drawn == "".join(sorted(drawn))
+    assert (drawn[0], drawn[-1]) == (BARS[0], BARS[-1])
+    assert set(drawn) == set(BARS)
+    assert line.endswith("  30.0 .. 77.0 dB")
+
+
+def test_what_is_not_known_is_a_dash(clock: FakeTime) -> None:
+    graph = Graph()
+    graph.skin(has_truth=False)
+    taxels, *_ = graph.frame(upto=1)
+    graph.take(taxels)
+    graph.summarise()
+    lines = lines_of(graph)
+    assert "- -> - dB (- dB)" in line_with(lines, "PSNR mean")
+    assert "compression  - : 1" in line_with(lines, "compression")
+    assert not any("nan" in line for line in lines)
+
+
+def test_a_patch_that_has_not_begun_says_so(clock: FakeTime) -> None:
+    lines = lines_of(Graph("left", "right"))
+    assert (
+        sum("no frame has arrived yet" in line for line in lines) == 4
+    )  # a notice and a body each
+
+
+def test_notices_are_at_the_top_and_what_is_bad_stands_out(clock: FakeTime) -> None:
+    graph = filled(clock)
+    assert lines_of(graph)[0].endswith(" live")
+    clock.advance(0.5)
+    graph.feed.update(graph=graph_state(node_state("sensor", condition="not answering")))
+    lines = lines_of(graph)
+    assert lines[0].startswith("sparseskin  a_graph ")
+    assert lines[0].endswith(" FAULT")
+    assert lines[1] == "sensor: not answering"
+    assert lines[2:4] == ["!! sensor: not answering.", "!! stale: no new frame for 0.5 s."]
+
+
+def test_a_note_is_no_alarm(clock: FakeTime) -> None:
+    graph = filled(clock)
+    paused = node_state("sensor", condition="paused", commands={"pause": ""})
+    graph.feed.update(graph=graph_state(paused | {"state": {"paused": True}}, recording="a.mcap"))
+    lines = lines_of(graph)
+    assert lines[0].endswith(" live")
+    assert lines[1] == "recording a.mcap"
+    assert " * sensor is paused." in lines
+
+
+def test_long_names_and_many_nodes_still_fit(clock: FakeTime) -> None:
+    graph = filled(clock)
+    nodes = [node_state(f"node_{k}_" + "x" * 24, condition="restarting") for k in range(12)]
+    state = graph_state(*nodes, name="n" * 100, recording="r" * 100 + ".mcap")
+    graph.feed.update(graph=state)
+    graph.skin(source="s" * 200)
+    text = "\n".join(lines_of(graph))
+    for k in range(12):
+        assert f"!! node_{k}_" in text
+
+
+def test_a_monitor_told_so_has_the_screen_as_its_status() -> None:
+    settings = Monitor.Settings(screen=True, page=False)
+    monitor = Monitor(settings, Context("monitor", ManualClock()))
+    list(monitor.start())
+    assert "no frame has arrived yet" in monitor.status()
+    assert monitor.status().startswith("sparseskin")

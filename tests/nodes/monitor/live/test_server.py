@@ -1,0 +1,253 @@
+"""The page's server over real sockets: its own files, its own page's requests, and no others."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+from collections.abc import Callable, Iterator
+from http.client import HTTPConnection, HTTPResponse
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from conftest import wait_until
+from feeds import Graph, read_records
+
+from sparseskin.messages import Reconstruction, Taxels
+from sparseskin.nodes.monitor.live.notices import Notices
+from sparseskin.nodes.monitor.live.server import MAX_BODY_BYTES, MAX_PAGES, PAGE, PageServer
+
+GOOD = {"id": "1", "node": "sensor", "command": "pause", "value": True}
+JSON = {"Content-Type": "application/json"}
+
+
+class Site:
+    """A served page, who reads it, and what it was asked to pass on."""
+
+    def __init__(self, *patches: str, port: int = 0) -> None:
+        self.graph = Graph(*patches)
+        self.asked: list[dict[str, Any]] = []
+        self.page = PageServer(self.graph.feed, Notices(self.graph.feed), port, self.asked.append)
+        self.host = urlsplit(self.page.url).netloc
+        self._clients: list[HTTPConnection] = []
+
+    def send(
+        self, method: str, path: str, body: bytes | None = None, **headers: str
+    ) -> HTTPResponse:
+        """One request with exactly these headers; "_" in a name stands for "-"."""
+        client = HTTPConnection(self.host, timeout=60.0)
+        self._clients.append(client)
+        client.putrequest(method, path, skip_host="Host" in headers, skip_accept_encoding=True)
+        for name, value in headers.items():
+            client.putheader(name.replace("_", "-"), value)
+        client.endheaders(body)
+        return client.getresponse()
+
+    def post(self, body: bytes | None = None, **headers: str) -> int:
+        body = json.dumps(GOOD).encode() if body is None else body
+        given = {"Content_Type": "application/json", "Content_Length": str(len(body))} | headers
+        return self.send("POST", "/request", body, **given).status
+
+    def close(self) -> None:
+        for client in self._clients:
+            client.close()
+        self.page.close()
+        self.page._server.shutdown()  # the process goes on, so the thread has to end
+
+
+@pytest.fixture(scope="module")
+def site() -> Iterator[Site]:
+    with contextlib.closing(Site()) as site:
+        yield site
+
+
+@pytest.fixture
+def make() -> Iterator[Callable[..., Site]]:
+    with contextlib.ExitStack() as stack:
+        yield lambda *patches, **k: stack.enter_context(contextlib.closing(Site(*patches, **k)))
+
+
+@pytest.fixture
+def asked(site: Site) -> list[dict[str, Any]]:
+    site.asked.clear()
+    return site.asked
+
+
+def test_every_file_of_the_page_is_served_as_it_is(site: Site) -> None:
+    names = [path.name for path in PAGE.iterdir()]
+    assert {"index.html", "main.js", "style.css", "icon.svg"} <= set(names)
+    for name in names:
+        response = site.send("GET", f"/{name}")
+        assert (response.status, response.read()) == (200, (PAGE / name).read_bytes())
+        assert response.headers["X-Content-Type-Options"] == "nosniff"
+        assert "default-src 'none'" in response.headers["Content-Security-Policy"]
+    assert site.send("GET", "/").read() == (PAGE / "index.html").read_bytes()
+    assert site.send("GET", "/main.js").headers["Content-Type"].startswith("text/javascript")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *("/../server.py", "/../../../pyproject.toml", "/%2e%2e/server.py", "/..%2fserver.py"),
+        *("//etc/passwd", "/etc/passwd", "/page/index.html", "/server.py", "/index.html/", "/."),
+        *("/index.html%00", "/%69ndex.html", "/..\\server.py", "/request"),
+    ],
+)
+def test_nothing_else_can_be_got(site: Site, path: str) -> None:
+    response = site.send("GET", path)
+    assert response.status == 404
+    assert response.read().startswith(b"nothing is at /")
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "10.0.0.1", "", "::1"])
+@pytest.mark.parametrize("path", ["/", "/stream", "/main.js"])
+def test_a_name_that_is_not_this_hosts_own_is_refused(site: Site, host: str, path: str) -> None:
+    response = site.send("GET", path, Host=host)
+    assert response.status == 403
+    assert f"Host {host!r} is not this page's" in response.read().decode()
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "[::1]", "localhost:1", "[::1]:1"])
+def test_this_hosts_own_names_are_good(site: Site, host: str) -> None:
+    assert site.send("GET", "/", Host=host).status == 200
+
+
+def test_a_request_of_the_page_is_passed_on(site: Site, asked: list[dict[str, Any]]) -> None:
+    assert site.post() == 202
+    assert site.post(Origin=f"http://{site.host}") == 202
+    extra = json.dumps({**GOOD, "value": {"m": 4}, "more": "not passed on"}).encode()
+    assert site.post(extra) == 202
+    no_value = json.dumps({key: GOOD[key] for key in ("id", "node", "command")}).encode()
+    assert site.post(no_value, Content_Type="application/json; charset=utf-8") == 202
+    assert asked == [GOOD, GOOD, {**GOOD, "value": {"m": 4}}, {**GOOD, "value": None}]
+
+
+@pytest.mark.parametrize(
+    ("status", "headers"),
+    [
+        (403, {"Host": "evil.example"}),
+        (403, {"Origin": "http://evil.example"}),
+        (403, {"Origin": "http://127.0.0.1:1"}),
+        (403, {"Origin": "null"}),
+        (403, {"Origin": ""}),
+        (415, {"Content_Type": "text/plain"}),
+        (415, {"Content_Type": "application/x-www-form-urlencoded"}),
+        (415, {"Content_Type": ""}),
+        (411, {"Content_Length": "-1"}),
+        (411, {"Content_Length": "ten"}),
+        (413, {"Content_Length": str(MAX_BODY_BYTES + 1)}),
+        (413, {"Content_Length": "9" * 4000}),
+    ],
+)
+def test_a_request_of_another_site_or_size_is_refused(
+    site: Site, asked: list[dict[str, Any]], status: int, headers: dict[str, str]
+) -> None:
+    assert site.post(**headers) == status
+    assert asked == []
+
+
+def test_a_request_without_a_length_is_refused(site: Site, asked: list[dict[str, Any]]) -> None:
+    assert site.send("POST", "/request", None, Content_Type="application/json").status == 411
+    assert asked == []
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        *(b"", b"{", b"[]", b"3", b"null", b'"text"', b"\xff\xfe", b"[" * 4000),
+        *(json.dumps({**GOOD, key: 3}).encode() for key in ("id", "node", "command")),
+        *(json.dumps({**GOOD, key: "x" * 65}).encode() for key in ("id", "node", "command")),
+        *(
+            json.dumps({k: v for k, v in GOOD.items() if k != key}).encode()
+            for key in ("id", "node")
+        ),
+    ],
+)
+def test_a_body_that_is_no_request_is_refused(
+    site: Site, asked: list[dict[str, Any]], body: bytes
+) -> None:
+    assert site.post(body) == 400
+    assert asked == []
+
+
+def test_requests_have_one_place(site: Site, asked: list[dict[str, Any]]) -> None:
+    body = json.dumps(GOOD).encode()
+    for path in ("/", "/stream", "/main.js"):
+        assert site.send("POST", path, body, Content_Length=str(len(body))).status == 404
+    assert asked == []
+
+
+def test_a_patch_that_is_not_there_is_named_with_those_that_are(
+    make: Callable[..., Site],
+) -> None:
+    response = make("left", "right").send("GET", "/stream?patch=skin")
+    assert response.status == 404
+    assert response.read() == b"no patch 'skin' (known: left, right)\n"
+
+
+def test_the_stream_of_a_patch_brings_its_frames_until_the_end(make: Callable[..., Site]) -> None:
+    site = make()
+    site.graph.skin()
+    site.graph.frame()
+    response = site.send("GET", "/stream?patch=skin")
+    assert response.status == 200
+    records = read_records(response.read)
+    header, arrays = next(record for record in records if record[0]["kind"] == "maps")
+    assert (header["patch"], set(arrays)) == ("skin", {"taxels", "truth", "reconstruction"})
+    site.page.close()
+    *_, (last, _) = records
+    assert (last["kind"], last["closed"]) == ("state", True)
+
+
+def test_no_more_than_64_pages_are_open_at_once(make: Callable[..., Site]) -> None:
+    site = make()
+    streams = [site.send("GET", "/stream") for _ in range(MAX_PAGES)]
+    assert {stream.status for stream in streams} == {200}
+    refused = site.send("GET", "/stream")
+    assert (refused.status, MAX_PAGES) == (503, 64)
+    assert refused.read() == b"64 pages are open already; close one of them\n"
+    streams[7].close()
+    site._clients[7].close()
+    wait_until(lambda: site.send("GET", "/stream").status == 200, "the room of a closed page")
+
+
+def test_a_page_that_does_not_read_hinders_no_other(make: Callable[..., Site]) -> None:
+    site = make()
+    site.graph.skin(n_rows=400, n_cols=400, mask=None, has_truth=False)
+    forces = np.zeros((400, 400), np.float32)  # 1.3 MB a frame: no buffer holds a second one
+    for _ in range(3):
+        deaf = socket.create_connection(tuple(site.host.split(":")))  # type: ignore[arg-type]
+        deaf.sendall(f"GET /stream?patch=skin HTTP/1.1\r\nHost: {site.host}\r\n\r\n".encode())
+        site._clients.append(deaf)  # type: ignore[arg-type]
+    records = read_records(site.send("GET", "/stream?patch=skin").read)
+    rest = {"phi": "0" * 16, "iterations": 1, "residual": 0.0, "solve_ns": 1, "done_ns": 1}
+    for k in range(20):
+        of_frame: dict[str, Any] = {"stamp_ns": k, "patch": "skin", "run_id": "0" * 16, "seq": k}
+        site.graph.take(Taxels(**of_frame, forces=forces))
+        site.graph.take(Reconstruction(**of_frame, forces=forces + np.float32(k / 8), **rest))
+        # Until it is reconstructed, a frame may be shown by its taxels alone.
+        assert any(
+            "reconstruction" in maps and maps["reconstruction"].max() == k / 8
+            for _, maps in records
+        )
+
+
+def test_where_the_port_is_busy_another_is_taken(make: Callable[..., Site]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        busy = other.getsockname()[1]
+        site = make(port=busy)
+        assert site.host.startswith("127.0.0.1:")
+        assert site.host != f"127.0.0.1:{busy}"
+        assert site.send("GET", "/").status == 200
+
+
+def test_a_port_that_is_free_is_the_one_that_was_asked_for(make: Callable[..., Site]) -> None:
+    def is_given() -> bool:
+        with socket.create_server(("127.0.0.1", 0)) as other:
+            free = other.getsockname()[1]
+        return make(port=free).host == f"127.0.0.1:{free}"
+
+    # Another process may take it in between, but not again and again.
+    assert any(is_given() for _ in range(3))

@@ -1,0 +1,278 @@
+"""What a page is sent: whole frames, every figure, and nothing twice."""
+
+from __future__ import annotations
+
+import io
+import math
+import queue
+import threading
+
+import numpy as np
+import pytest
+from bags import MASK, N_COLS, N_ROWS, frame
+from feeds import BEGIN_S, FakeTime, Graph, Record, graph_state, node_state, read_records
+
+from sparseskin.messages import Reconstruction, Resultant, Taxels, Truth
+from sparseskin.nodes.monitor.live.feed import MAX_ANSWERS
+from sparseskin.nodes.monitor.live.notices import Notices
+from sparseskin.nodes.monitor.live.stream import StreamReader
+from sparseskin.nodes.monitor.statistics import COLUMNS
+
+PULL_S = 0.1  # a state record is due by then, so that no reader waits
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> FakeTime:
+    return FakeTime(monkeypatch)
+
+
+def parsed(data: bytes) -> list[Record]:
+    return list(read_records(io.BytesIO(data).read))
+
+
+class Page:
+    """A page that reads whenever it is told to."""
+
+    def __init__(self, graph: Graph, clock: FakeTime, patch: str | None = "skin") -> None:
+        self._clock = clock
+        self._records = StreamReader(graph.feed, Notices(graph.feed), patch).records()
+
+    def pull(self) -> list[Record]:
+        self._clock.advance(PULL_S)
+        return parsed(next(self._records))
+
+    def kinds(self) -> list[str]:
+        return [header["kind"] for header, _ in self.pull()]
+
+
+def only(records: list[Record], kind: str) -> Record:
+    (found,) = [(header, arrays) for header, arrays in records if header["kind"] == kind]
+    return found
+
+
+def test_the_skin_comes_first_and_once(clock: FakeTime) -> None:
+    graph = Graph()
+    page = Page(graph, clock)
+    assert page.kinds() == ["state"]
+    graph.skin()
+    graph.frame()
+    records = page.pull()
+    assert [header["kind"] for header, _ in records] == ["state", "skin", "maps", "rows"]
+    header, arrays = only(records, "skin")
+    assert (header["n_rows"], header["n_cols"], header["f_max"]) == (N_ROWS, N_COLS, 2.5)
+    assert (header["unit"], header["source"], header["has_truth"]) == ("N", "test", True)
+    np.testing.assert_array_equal(arrays["mask"].astype(bool), MASK)
+    graph.frame()
+    assert page.kinds() == ["state", "maps", "rows"]
+    graph.skin(mask=None, rate_hz=50.0)
+    graph.frame()
+    header, arrays = only(page.pull(), "skin")
+    assert (header["rate_hz"], arrays) == (50.0, {})
+
+
+def test_maps_that_go_together_are_of_one_frame(clock: FakeTime) -> None:
+    graph = Graph()
+    graph.skin()
+    page = Page(graph, clock)
+    for begun in (0, 1, 2, 3):
+        whole = graph.frame()
+        graph.frame(upto=begun)  # the next one is under way
+        _, maps = only(page.pull(), "maps")
+        by_name = {"taxels": Taxels, "truth": Truth, "reconstruction": Reconstruction}
+        assert set(maps) == set(by_name)
+        for name, kind in by_name.items():
+            (message,) = [m for m in whole if isinstance(m, kind)]
+            np.testing.assert_array_equal(maps[name], message.forces)
+
+
+def test_the_resultant_of_the_frame_shown_comes_with_its_maps(clock: FakeTime) -> None:
+    graph = Graph()
+    graph.skin()
+    page = Page(graph, clock)
+    place = {"row": 1.5, "col": 2.5, "row_sd": 0.25, "col_sd": 0.5}
+    for told in (place, dict.fromkeys(place), None):
+        graph.frame(upto=0)  # its number is taken
+        taxels, truth, measurements, restored = frame(graph.n["skin"])
+        if told is not None:
+            head = {"stamp_ns": taxels.stamp_ns, "patch": "skin", "done_ns": 0}
+            graph.take(Resultant(**head, total=3.0, total_sd=0.1, **told))
+        for message in (taxels, truth, measurements, restored):
+            graph.take(message.published("0" * 16, graph.n["skin"]))
+        header, _ = only(page.pull(), "maps")
+        expected = None if told is None else {"total": 3.0, "total_sd": 0.1, **told}
+        assert header.get("resultant") == expected
+
+
+def test_other_hosts_are_told_with_the_graph_in_words(clock: FakeTime) -> None:
+    graph = Graph()
+    page = Page(graph, clock)
+    graph.feed.update(graph=graph_state())
+    assert page.pull()[0][0]["hosts"] == []
+    host = {"heard": True, "silent": [], "clock_offset_ms": None, "clock_uncertainty_ms": None}
+    graph.feed.update(graph=graph_state(hosts={"edge": host}))
+    assert page.pull()[0][0]["hosts"] == [["heard", "host edge: connected"]]
+    assert "hosts" not in page.pull()[0][0]
+
+
+def test_where_nothing_is_restored_the_taxels_are_shown(clock: FakeTime) -> None:
+    graph = Graph()
+    graph.skin()
+    taxels, truth = graph.frame(upto=2)
+    _, maps = only(Page(graph, clock).pull(), "maps")
+    assert set(maps) == {"taxels", "truth"}
+    np.testing.assert_array_equal(maps["taxels"], taxels.forces)  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(maps["truth"], truth.forces)  # type: ignore[attr-defined]
+
+
+def test_no_frame_is_left_out_and_all_come_in_order(clock: FakeTime) -> None:
+    graph = Graph()
+    graph.skin()
+    page = Page(graph, clock)
+    seen, sent = [], []
+    for n_frames in np.random.default_rng(0).integers(0, 40, 60):
+        for _ in range(n_frames):
+            clock.advance(0.001)
+            graph.frame()
+            sent.append(clock.now_s)
+        for header, arrays in page.pull():
+            if header["kind"] == "rows":
+                assert header["columns"] == list(COLUMNS)
+                seen += list(header["now_s"] + arrays["rows"][:, 0].astype(np.float64))
+    assert len(seen) == len(sent)
+    np.testing.assert_allclose(seen, sent, atol=1e-4)
+
+
+def test_a_stalled_reader_holds_no_more_than_the_newest_frame(clock: FakeTime) -> None:
+    graph = Graph()
+    graph.skin()
+    page = Page(graph, clock)
+    page.pull()
+    for _ in range(500):
+        last = graph.frame()
+    records = page.pull()
+    assert [header["kind"] for header, _ in records] == ["state", "maps", "rows"]
+    _, maps = only(records, "maps")
+    np.testing.assert_array_equal(maps["reconstruction"], last[-1].forces)  # type: ignore[attr-defined]
+    assert only(records, "rows")[1]["rows"].shape == (500, len(COLUMNS))
+    assert page.kinds() == ["state"]
+
+
+def test_a_page_opened_later_gets_the_figures_of_the_last_minute(clock: FakeTime) -> None:
+    graph = Graph()
+    graph.skin()
+    for _ in range(30):
+        graph.frame()
+    for _ in range(2):
+        assert len(only(Page(graph, clock).pull(), "rows")[1]["rows"]) == 30
+
+
+def test_an_overview_brings_the_restored_maps_of_all_patches_and_no_rows(clock: FakeTime) -> None:
+    graph = Graph("left", "right")
+    last = {patch: (graph.skin(patch), graph.frame(patch))[1] for patch in ("left", "right")}
+    records = Page(graph, clock, None).pull()
+    assert [header["kind"] for header, _ in records] == ["state", "skin", "maps", "skin", "maps"]
+    maps = {h["patch"]: arrays for h, arrays in records if h["kind"] == "maps"}
+    for patch, messages in last.items():
+        assert list(maps[patch]) == ["reconstruction"]
+        forces = messages[-1].forces  # type: ignore[attr-defined]
+        np.testing.assert_array_equal(maps[patch]["reconstruction"], forces)
+
+
+def test_a_page_of_one_patch_is_not_sent_the_maps_of_another(clock: FakeTime) -> None:
+    graph = Graph("left", "right")
+    page = Page(graph, clock, "left")
+    graph.skin("right")
+    graph.frame("right")
+    ((header, _),) = page.pull()
+    assert (header["kind"], set(header["patches"])) == ("state", {"left", "right"})
+
+
+def test_answers_are_sent_once_to_every_page_that_is_open(clock: FakeTime) -> None:
+    graph = Graph()
+    graph.answer("early")
+    pages = [Page(graph, clock), Page(graph, clock)]
+    graph.answer("a")
+    graph.answer("b")
+    for page in pages:
+        answers = [header for header, _ in page.pull() if header["kind"] == "answer"]
+        assert [answer["id"] for answer in answers] == ["a", "b"]
+        assert page.kinds() == ["state"]
+
+
+def test_of_a_flood_of_answers_the_newest_are_kept(clock: FakeTime) -> None:
+    graph = Graph()
+    page = Page(graph, clock)
+    for k in range(3 * MAX_ANSWERS):
+        graph.answer(k)
+    answers = [header["id"] for header, _ in page.pull() if header["kind"] == "answer"]
+    assert answers == list(range(2 * MAX_ANSWERS, 3 * MAX_ANSWERS))
+
+
+def test_graph_and_summaries_are_sent_only_when_they_are_new(clock: FakeTime) -> None:
+    graph = Graph()
+    page = Page(graph, clock)
+    page.pull()
+    assert "graph" not in page.pull()[0][0]
+    graph.feed.update(graph=graph_state(node_state("sensor")))
+    graph.summarise()
+    state = page.pull()[0][0]
+    assert state["graph"]["nodes"][0]["name"] == "sensor"
+    assert state["patches"]["skin"]["summary"]["frames"]["sensed"] == 0
+    state = page.pull()[0][0]
+    assert "graph" not in state
+    assert "summary" not in state["patches"]["skin"]
+
+
+def test_the_state_tells_the_age_of_every_map(clock: FakeTime) -> None:
+    graph = Graph()
+    graph.skin(rate_hz=5.0)
+    graph.frame()
+    state = Page(graph, clock).pull()[0][0]
+    patch = state["patches"]["skin"]
+    age_s = pytest.approx(PULL_S, abs=1e-6)
+    assert patch["age_s"] == {"taxels": age_s, "reconstruction": age_s, "truth": age_s}
+    assert patch["stale_s"] == 0.5
+    assert state["now_s"] == BEGIN_S + PULL_S
+
+
+def test_what_is_not_finite_is_null_for_a_page(clock: FakeTime) -> None:
+    graph = Graph()
+    graph.feed.update(summaries={"skin": {"frames": {}, "gain": math.nan, "best": [math.inf, 1.0]}})
+    state = Page(graph, clock).pull()[0][0]
+    assert state["patches"]["skin"]["summary"] == {"frames": {}, "gain": None, "best": [None, 1.0]}
+
+
+def test_the_end_is_told_at_once_and_ends_the_stream(clock: FakeTime) -> None:
+    graph = Graph()
+    graph.skin()
+    graph.frame()
+    records = StreamReader(graph.feed, Notices(graph.feed), "skin").records()
+    clock.advance(PULL_S)
+    next(records)
+    graph.frame()
+    graph.answer()
+    graph.close()  # at the same moment: nothing else is due
+    headers = parsed(next(records))
+    assert [header["kind"] for header, _ in headers] == ["answer", "state", "maps", "rows"]
+    assert headers[1][0]["closed"] is True
+    assert list(records) == []
+
+
+def test_a_reader_that_waits_is_woken_by_a_frame_an_answer_and_the_end() -> None:
+    graph = Graph()
+    graph.skin()
+    kinds: queue.Queue[str] = queue.Queue()
+
+    def read() -> None:
+        for data in StreamReader(graph.feed, Notices(graph.feed), "skin").records():
+            for header, _ in parsed(data):
+                kinds.put(header["kind"])
+        kinds.put("end")
+
+    threading.Thread(target=read, daemon=True).start()
+    while kinds.get(timeout=60.0) != "skin":
+        pass
+    for news, kind in ((graph.frame, "rows"), (graph.answer, "answer"), (graph.close, "end")):
+        news()
+        while kinds.get(timeout=60.0) != kind:
+            pass

@@ -1,0 +1,421 @@
+"""Figures of the monitor, against values computed by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import bags
+import numpy as np
+import pytest
+
+from sparseskin.messages import (
+    Measurements,
+    Message,
+    PhiState,
+    Reconstruction,
+    Resultant,
+    SkinState,
+    SolverState,
+    Taxels,
+    Truth,
+    size_bytes,
+)
+from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate, ManualClock
+from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.graph import NodeSpecs, join
+from sparseskin.nodes.monitor.metrics import (
+    MAX_PENDING,
+    Delay,
+    PatchMetrics,
+    psnr_db,
+    same_clock,
+)
+from sparseskin.nodes.monitor.node import Monitor
+from sparseskin.nodes.monitor.table import status_line, summary_table
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.sensor.node import Sensor
+
+SHAPE = (4, 5)
+MS = 1_000_000
+HEAD: dict[str, Any] = {"patch": "skin", "run_id": "0" * 16}
+
+
+def skin(has_truth: bool = True, mask: np.ndarray | None = None, f_max: float = 2.5) -> SkinState:
+    return SkinState(
+        **HEAD,
+        stamp_ns=0,
+        n_rows=SHAPE[0],
+        n_cols=SHAPE[1],
+        f_max=f_max,
+        unit="N",
+        pitch_m=None,
+        mask=mask,
+        source="a scene",
+        seed=0,
+        rate_hz=100.0,
+        has_truth=has_truth,
+        sigma_mid=0.0,
+        sigma_end=0.0,
+    )
+
+
+def frame(seq: int, truth: float | None, taxels: float, restored: float | None) -> list[Message]:
+    """One frame of uniform maps."""
+
+    def uniform(value: float) -> np.ndarray:
+        return np.full(SHAPE, value, np.float32)
+
+    origin: dict[str, Any] = {**HEAD, "seq": seq, "stamp_ns": 1000 * seq}
+    messages: list[Message] = [Taxels(**origin, forces=uniform(taxels))]
+    if truth is not None:
+        messages.append(Truth(**origin, forces=uniform(truth)))
+    messages.append(Measurements(**origin, y=np.ones(7, np.float32), phi="0" * 16))
+    if restored is not None:
+        messages.append(
+            Reconstruction(
+                **origin,
+                forces=uniform(restored),
+                phi="0" * 16,
+                iterations=1,
+                residual=0.0,
+                solve_ns=2_000_000,
+                done_ns=1000 * seq + 3_000_000,
+            )
+        )
+    return messages
+
+
+def metrics_of(*messages: Message) -> PatchMetrics:
+    metrics = PatchMetrics()
+    for message in messages:
+        metrics.add(message)
+    return metrics
+
+
+@pytest.mark.parametrize(
+    ("error", "db"), [(2.5, 0.0), (0.25, 20.0), (0.025, 40.0), (0.0, 100.0), (1e-9, 100.0)]
+)
+def test_psnr_is_the_range_over_the_root_mean_square_error(error: float, db: float) -> None:
+    assert psnr_db(np.full(SHAPE, error, np.float32), 2.5) == pytest.approx(db, abs=1e-4)
+
+
+@pytest.mark.parametrize("error", [2.4e-5, 2.6e-5])
+def test_psnr_is_capped_at_100_db_only(error: float) -> None:
+    expected = min(100.0, 20 * np.log10(2.5 / error))
+    assert psnr_db(np.full(SHAPE, error, np.float32), 2.5) == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_complete_frame_has_finite_figures_of_its_own() -> None:
+    metrics = metrics_of(skin())
+    *_, complete = [metrics.add(message) for message in frame(7, 1.0, 1.025, 1.0025)]
+    assert complete is not None
+    assert (complete.latency_ms, complete.solve_ms) == (3.0, 2.0)
+    assert metrics.latency_ns == 3 * MS
+    assert complete.psnr_noisy_db == pytest.approx(40, abs=1e-3)
+    assert complete.psnr_db == pytest.approx(60, abs=1e-2)
+
+
+def test_while_a_clock_is_unknown_latency_alone_is_unknown() -> None:
+    metrics = PatchMetrics(clock_of=lambda topic: None)
+    metrics.add(skin())
+    *_, complete = [metrics.add(message) for message in frame(0, 1.0, 1.025, 1.0025)]
+    assert complete is not None
+    assert np.isnan(complete.latency_ms)
+    assert np.isfinite([complete.solve_ms, complete.psnr_noisy_db, complete.psnr_db]).all()
+    summary = metrics.summary()
+    assert (metrics.latency_ns, summary["latency_ms"]) == (None, None)
+    assert summary["solve_ms"]["p50"] == pytest.approx(2.0, rel=0.003)
+
+
+def test_without_a_truth_the_noise_alone_is_unknown() -> None:
+    metrics = metrics_of(skin(has_truth=False))
+    *_, complete = [metrics.add(message) for message in frame(0, None, 1.0, 1.025)]
+    assert complete is not None
+    assert np.isnan(complete.psnr_noisy_db)
+    assert np.isfinite([complete.latency_ms, complete.psnr_db]).all()
+
+
+def test_contact_begins_just_above_the_threshold() -> None:
+    f_max = 250.0  # the threshold is 1, which float32 represents exactly
+    for force in (1.0, float(np.nextafter(np.float32(1.0), np.float32(2.0)))):
+        summary = metrics_of(skin(f_max=f_max), *frame(0, force, force, force)).summary()
+        psnr, in_contact = summary["psnr_db"], force > 1.0
+        assert psnr["noisy"]["all"] is not None
+        assert (psnr["noisy"]["contact"] is not None) == in_contact
+        assert (psnr["reconstruction"]["contact"] is not None) == in_contact
+        assert (summary["relative_error"] is not None) == in_contact
+
+
+def test_one_touched_taxel_makes_a_contact_frame() -> None:
+    messages = frame(0, 0.0, 0.0, 0.0)
+    for k, message in enumerate(messages):
+        if isinstance(message, Truth):
+            forces = message.forces.copy()
+            forces[-1, -1] = 0.011
+            messages[k] = dataclasses.replace(message, forces=forces)
+    assert metrics_of(skin(), *messages).summary()["psnr_db"]["noisy"]["contact"] is not None
+
+
+def test_noise_and_reconstruction_are_compared_with_the_truth() -> None:
+    summary = metrics_of(
+        skin(), *frame(0, 1.0, 1.025, 1.0025), *frame(1, 0.0, 0.25, 0.025)
+    ).summary()
+    psnr = summary["psnr_db"]
+    assert summary["reference"] == "truth"
+    assert psnr["noisy"]["all"] == pytest.approx({"mean": 30, "min": 20, "max": 40}, abs=1e-3)
+    assert psnr["noisy"]["contact"] == pytest.approx({"mean": 40, "min": 40, "max": 40}, abs=1e-3)
+    expected = {"mean": 50, "min": 40, "max": 60}
+    assert psnr["reconstruction"]["all"] == pytest.approx(expected, abs=1e-2)
+    assert summary["relative_error"]["mean"] == pytest.approx(0.0025, abs=1e-6)
+
+
+def test_without_a_truth_the_taxels_are_the_reference() -> None:
+    summary = metrics_of(skin(has_truth=False), *frame(0, None, 1.0, 1.025)).summary()
+    assert summary["reference"] == "taxels"
+    assert summary["psnr_db"]["noisy"] == {"all": None, "contact": None}
+    assert summary["psnr_db"]["reconstruction"]["all"]["mean"] == pytest.approx(40, abs=1e-3)
+
+
+def test_masked_cells_count_neither_in_psnr_nor_in_bytes() -> None:
+    mask = np.ones(SHAPE, np.bool_)
+    mask[0] = False
+    messages = frame(0, 1.0, 1.0, 1.025)
+    taxels = messages[0]
+    assert isinstance(taxels, Taxels)
+    wrong = taxels.forces.copy()
+    wrong[0] = 2.0
+    messages[0] = dataclasses.replace(taxels, forces=wrong)
+    summary = metrics_of(skin(mask=mask), *messages).summary()
+    assert summary["psnr_db"]["noisy"]["all"]["mean"] == 100.0
+    assert summary["bytes_in"] == size_bytes(taxels) - 4 * SHAPE[1]
+
+
+def test_the_order_in_which_topics_arrive_does_not_matter() -> None:
+    messages = [*frame(0, 1.0, 1.1, 1.2), *frame(1, 1.0, 1.1, 1.3)]
+    forward, backward = (metrics_of(skin(), *order) for order in (messages, reversed(messages)))
+    assert forward.summary() == backward.summary()
+
+
+def test_lost_frames_are_those_sensed_but_not_reconstructed() -> None:
+    messages = [skin()]
+    for seq in range(10):
+        messages += frame(seq, 1.0, 1.0, 1.0)[:-1] if seq == 9 else frame(seq, 1.0, 1.0, 1.0)
+    metrics = metrics_of(*messages)
+    metrics.end("taxels", 10)
+    metrics.end("reconstruction", 9)
+    assert metrics.summary()["frames"] == {
+        "sensed": 10,
+        "reconstructed": 9,
+        "skipped": 0,
+        "lost": 1,
+        "unpaired": 1,
+    }
+
+
+def test_an_end_that_counts_fewer_frames_than_arrived_removes_none() -> None:
+    messages = [message for seq in range(4) for message in frame(seq, 1.0, 1.0, 1.0)]
+    metrics = metrics_of(skin(), *messages)
+    metrics.end("taxels", 2)
+    metrics.end("reconstruction", 2)
+    assert (metrics.sensed, metrics.reconstructed) == (4, 4)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_frames_that_were_skipped_on_purpose_are_not_lost(late: bool) -> None:
+    metrics = PatchMetrics(late=late)
+    metrics.add(skin(has_truth=False))
+    n_restored = 0
+    for seq in range(10):
+        taxels, measurements, reconstruction = frame(seq, None, 1.0, 1.0)
+        metrics.add(taxels)
+        metrics.add(measurements)
+        if seq in (0, 3, 8):  # 1 and 2 are skipped; 4 to 6 are lost, 7 is skipped
+            assert isinstance(reconstruction, Reconstruction)
+            skipped = {0: 5, 3: 2, 8: 1}[seq] if late or seq else 0  # 5: before it could hear
+            told = dataclasses.replace(reconstruction, skipped=skipped, seq=n_restored)
+            metrics.add(told)
+            n_restored += 1
+            assert metrics.lost_so_far == (3 if seq == 8 else 0)
+    assert (metrics.skipped, metrics.lost) == (3, 4)  # frame 9 is under way
+
+
+def test_frames_that_are_never_reconstructed_do_not_accumulate() -> None:
+    metrics = metrics_of(skin())
+    for seq in range(3 * MAX_PENDING):
+        for message in frame(seq, 1.0, 1.0, None):
+            metrics.add(message)
+    assert len(metrics._pending) == MAX_PENDING
+    assert metrics.summary()["frames"]["unpaired"] == 3 * MAX_PENDING
+
+
+def test_times_and_bytes_and_names() -> None:
+    phi = PhiState(
+        **HEAD, stamp_ns=0, kind="sbhe", n=20, m=7, block=4, seed=0, fingerprint="0" * 16
+    )
+    solver = SolverState(
+        **HEAD,
+        stamp_ns=0,
+        solver="fista",
+        basis="haar",
+        preset="paper",
+        iterations=30,
+        lambda_n=0.1,
+    )
+    messages = frame(0, 1.0, 1.0, 1.0)
+    summary = metrics_of(skin(), phi, solver, *messages).summary()
+    assert summary["latency_ms"]["p50"] == pytest.approx(3.0, rel=0.003)
+    assert summary["solve_ms"]["p99"] == pytest.approx(2.0, rel=0.003)
+    assert (summary["n"], summary["m"], summary["ratio"]) == (20, 7, 20 / 7)
+    assert summary["bytes_in"] == size_bytes(messages[0])
+    assert summary["bytes_out"] == size_bytes(messages[2])
+    assert (summary["scene"], summary["phi"]) == ("a scene", "sbhe")
+    assert (summary["basis"], summary["solver"]) == ("haar", "fista")
+
+
+def test_the_table_fits_80_columns_and_shows_every_figure_that_is_known() -> None:
+    table = summary_table({"skin": metrics_of(skin(), *frame(0, 1.0, 1.025, 1.0025)).summary()})
+    assert max(map(len, table.splitlines())) <= 80
+    for text in ("a scene", "sensed 1, reconstructed 1, lost 0", "noisy taxels", "40.0", "60.0"):
+        assert text in table
+
+
+def test_the_table_of_a_graph_that_saw_nothing_is_whole() -> None:
+    table = summary_table({"skin": PatchMetrics().summary()})
+    assert "sensed 0, reconstructed 0, lost 0" in table
+    assert "None" not in table
+
+
+def test_the_status_line_counts_what_is_missing_so_far() -> None:
+    messages = frame(3, 1.0, 1.0, 1.0)
+    messages[-1] = dataclasses.replace(messages[-1], seq=1)
+    line = status_line("skin", metrics_of(skin(), *messages), 200.0)
+    assert line == "skin: 2 frames, 200 Hz, lost 2 | PSNR 100.0 -> 100.0 dB | latency 3.0/3.0 ms"
+
+
+def resultant(k: int) -> Resultant:
+    return Resultant(
+        stamp_ns=k * bags.PERIOD_NS, patch="skin", total=float(k), total_sd=0.1, done_ns=0
+    )
+
+
+def test_a_frame_is_paired_with_its_own_resultant_if_it_has_one() -> None:
+    metrics = PatchMetrics()
+    metrics.add(bags.skin_state())
+    for k, told in enumerate((True, False, True)):
+        taxels, truth, measurements, restored = bags.frame(k)
+        messages = [taxels, truth, measurements, *[resultant(k)] * told, restored]
+        *_, complete = [metrics.add(m.published("0" * 16, k)) for m in messages]
+        assert complete is not None
+        assert (complete.resultant.total if complete.resultant else None) == (k if told else None)
+    assert metrics.summary()["frames"]["unpaired"] == 0
+
+
+def test_a_late_monitor_pairs_no_earlier_resultant() -> None:
+    metrics = PatchMetrics(late=True)
+    metrics.add(resultant(0).published("0" * 16, 0))
+    assert metrics.summary()["frames"]["unpaired"] == 0
+
+
+@pytest.mark.parametrize("heard_ms", [0, 900, 1100])
+def test_a_late_monitor_counts_no_earlier_frame_as_lost(heard_ms: int) -> None:
+    metrics = PatchMetrics(late=True)
+    metrics.add(skin(has_truth=False))
+    frames = [frame(seq, None, 1.0, 1.0) for seq in range(40, 45)]
+    for messages in frames:
+        for k, message in enumerate(messages):
+            stamp_ns = 1_000_000 * (heard_ms if message.seq >= 42 else 0) + message.stamp_ns
+            messages[k] = dataclasses.replace(message, stamp_ns=stamp_ns)
+    for messages in frames[:2]:
+        metrics.add(messages[0])
+    for messages in (frames[2], frames[4]):
+        for message in messages:
+            metrics.add(message)
+    found = metrics.summary()["frames"]
+    assert metrics.reconstructed == 3  # by their numbers: frame 43 is lost for this reader alone
+    assert found["lost"] == metrics.lost_so_far == (2 if heard_ms > 1000 else 0)
+
+
+def test_a_monitor_reads_resultants_where_they_are_written() -> None:
+    settings = Monitor.Settings()
+    for told in (False, True):
+        nodes: NodeSpecs = {
+            "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
+            "compressor": (Compressor, Compressor.Settings()),
+            "reconstructor": (Reconstructor, Reconstructor.Settings(resultant=told)),
+            "monitor": (Monitor, settings),
+        }
+        read = {link.topic for link in join(nodes) if link.reader == "monitor"}
+        assert ("/skin/resultant" in read) == told
+        assert set(Monitor.inputs(settings)) <= read
+
+
+def test_a_monitor_watches_several_patches_apart() -> None:
+    settings = Monitor.Settings(patches=("left", "right"))
+    monitor = Monitor(settings, Context("monitor", ManualClock()))
+    assert "/left/taxels" in Monitor.inputs(settings)
+    assert "/right/reconstruction" in Monitor.inputs(settings)
+    monitor.step(dataclasses.replace(skin(), patch="left"))
+    monitor.ended("/right/taxels", 5)
+    patches = monitor.report()["patches"]
+    assert patches["left"]["scene"] == "a scene"
+    assert patches["right"]["frames"]["sensed"] == 5
+    assert monitor.status().count("||") == 1
+
+
+@pytest.mark.parametrize("patches", [(), ("Left",)])
+def test_a_monitor_needs_names_of_patches(patches: tuple[str, ...]) -> None:
+    with pytest.raises(SettingsError, match="patches"):
+        Monitor.Settings(patches=patches)
+
+
+def reconstructed(stamp_ns: int, done_ns: int) -> Reconstruction:
+    return Reconstruction(
+        stamp_ns=stamp_ns,
+        patch="skin",
+        forces=np.zeros((2, 2), np.float32),
+        phi="0" * 16,
+        iterations=1,
+        residual=0.0,
+        solve_ns=0,
+        done_ns=done_ns,
+    )
+
+
+@pytest.mark.parametrize("ahead_ms", [-5000, 0, 700])
+def test_an_offset_of_the_clock_of_the_sensor_is_subtracted(ahead_ms: int) -> None:
+    edge = ClockEstimate(ahead_ms * MS, MS // 2)
+    delay = Delay(lambda topic: edge if topic == "/skin/taxels" else SAME_CLOCK)
+    acquired_ns = 10_000 * MS  # on our clock
+    message = reconstructed(acquired_ns + ahead_ms * MS, acquired_ns + 4 * MS)
+    assert delay.of(message) == 4 * MS
+    assert delay.uncertainty_ns == MS // 2
+
+
+def test_an_offset_of_the_clock_of_the_reconstructor_is_subtracted() -> None:
+    desk = ClockEstimate(3 * MS, MS)
+    delay = Delay(lambda topic: desk if topic == "/skin/reconstruction" else SAME_CLOCK)
+    assert delay.of(reconstructed(1000 * MS, 1012 * MS)) == 9 * MS
+    assert delay.uncertainty_ns == MS
+
+
+def test_two_hosts_that_are_not_ours_add_their_uncertainties() -> None:
+    clocks = {
+        "/skin/taxels": ClockEstimate(5 * MS, 2 * MS),
+        "/skin/reconstruction": ClockEstimate(-MS, MS),
+    }
+    delay = Delay(clocks.get)
+    assert delay.of(reconstructed(105 * MS, 109 * MS)) == 10 * MS
+    assert delay.uncertainty_ns == 3 * MS
+
+
+def test_of_one_host_nothing_is_uncertain() -> None:
+    delay = Delay(same_clock)
+    assert delay.of(reconstructed(5 * MS, 7 * MS)) == 2 * MS
+    assert delay.uncertainty_ns == 0
+
+
+def test_while_a_clock_is_not_known_there_is_no_latency() -> None:
+    assert Delay(lambda topic: None).of(reconstructed(1, 2)) is None

@@ -1,0 +1,78 @@
+"""Key files: private or refused, and never written over."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.nodes.network.keys import (
+    KeyFileError,
+    known_names,
+    make_key_files,
+    read_key_pair,
+    read_public_key,
+)
+
+
+def test_what_is_made_can_be_read_and_belongs_together(tmp_path: Path) -> None:
+    secret, public = make_key_files("edge", tmp_path / "keys")
+    pair = read_key_pair(secret)
+    assert pair.public == read_public_key(public)
+    assert secret.stat().st_mode & 0o777 == 0o600
+    assert pair.secret not in public.read_text()
+    assert pair.secret not in repr(pair)
+    assert known_names(secret.parent) == {pair.public: "edge"}
+
+
+def test_the_command_names_both_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["keys", "make", "desk"]) == 0
+    assert sorted(path.name for path in Path("keys").iterdir()) == ["desk.key", "desk.pub"]
+    before = Path("keys/desk.key").read_text()
+    assert main(["keys", "make", "desk"]) == 2
+    assert "keys/desk.key: exists already, and is not written over" in capsys.readouterr().err
+    assert Path("keys/desk.key").read_text() == before
+
+
+@pytest.mark.parametrize("name", ["", "Edge", "../edge", "a" * 40])
+def test_what_is_no_name_makes_no_key(tmp_path: Path, name: str) -> None:
+    with pytest.raises(KeyFileError, match="NAME"):
+        make_key_files(name, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("mode", [0o644, 0o640, 0o660, 0o620])
+def test_a_secret_that_others_can_get_at_is_refused(tmp_path: Path, mode: int) -> None:
+    secret, _ = make_key_files("edge", tmp_path)
+    secret.chmod(mode)
+    with pytest.raises(KeyFileError, match=rf"edge.key: mode {mode:04o} .*allowed: 0600"):
+        read_key_pair(secret)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
+def test_a_secret_of_another_user_is_refused(tmp_path: Path) -> None:
+    secret, _ = make_key_files("edge", tmp_path)
+    os.chown(secret, 12345, -1)
+    with pytest.raises(KeyFileError, match=r"edge.key: belongs to user 12345, not to you"):
+        read_key_pair(secret)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "# nothing\n", "short\n", "a" * 40 + "\n" + "b" * 40, "é" * 40, "\0" * 40]
+)
+def test_what_holds_no_key_is_refused_by_name(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "edge.key"
+    path.write_text(text)
+    path.chmod(0o600)
+    with pytest.raises(KeyFileError, match=r"edge.key: (expected one key of 40|holds no secret)"):
+        read_key_pair(path)
+
+
+def test_a_missing_key_says_how_to_make_it(tmp_path: Path) -> None:
+    with pytest.raises(KeyFileError, match=r"edge.key: No such file.*sparseskin keys make edge"):
+        read_key_pair(tmp_path / "edge.key")

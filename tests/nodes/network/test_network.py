@@ -1,0 +1,124 @@
+"""The network side of a node: clocks by topic, access control where peers can reach it, the end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import zmq
+from conftest import wait_until
+
+from sparseskin.nodes.clock import SAME_CLOCK
+from sparseskin.nodes.network.network import END_RECEIVED_NS, Network
+from sparseskin.nodes.network.sockets import Peer, Reader, Writer, make_context
+
+LEFT, RIGHT, HERE = "/left/taxels", "/right/taxels", "/here/taxels"
+AHEAD_NS = {"left": 7_000_000_000, "right": -3_000_000_000}
+
+
+@pytest.fixture
+def context() -> Iterator[zmq.Context[Any]]:
+    made = make_context()
+    yield made
+    made.destroy(linger=0)
+
+
+def network(context: zmq.Context[Any], **config: Any) -> tuple[Network, list[str]]:
+    lines: list[str] = []
+    stated = {"name": "monitor", "endpoint": "inproc://monitor", **config}
+    return Network(context, stated, time.monotonic_ns, lines.append), lines
+
+
+def test_each_topic_has_the_clock_of_its_writers_host(context: zmq.Context[Any]) -> None:
+    node, _ = network(context, distant_inputs={LEFT: "left", RIGHT: "right"})
+    reader = node.make_reader([LEFT, RIGHT, HERE])
+    writers = {
+        host: Writer(
+            context,
+            "tcp://127.0.0.1:*",
+            f"sensor_{host}",
+            now_ns=lambda ahead_ns=ahead_ns: time.monotonic_ns() + ahead_ns,  # type: ignore[misc]
+        )
+        for host, ahead_ns in AHEAD_NS.items()
+    }
+    assert node.clock_of(LEFT) is None
+    assert node.clock_of(HERE) == SAME_CLOCK
+    node.connect(
+        reader, [Peer(f"sensor_{host}", writer.endpoint, host) for host, writer in writers.items()]
+    )
+
+    def known() -> bool:
+        for writer in writers.values():
+            writer.serve_subscriptions()
+        node.serve()
+        while (parts := reader.receive()) is not None:
+            assert node.take_time(parts[1])
+        return node.clock_of(LEFT) is not None and node.clock_of(RIGHT) is not None
+
+    wait_until(known, "the clocks of both hosts")
+    for topic, host in ((LEFT, "left"), (RIGHT, "right")):
+        estimate = node.clock_of(topic)
+        assert estimate is not None
+        assert abs(estimate.offset_ns - AHEAD_NS[host]) <= estimate.uncertainty_ns
+        assert node.state()["clocks"][host][0] == estimate.offset_ns
+    assert node.state()["heard"] == {"sensor_left": True, "sensor_right": True}
+    assert node.clock_of(HERE) == SAME_CLOCK
+
+
+@pytest.mark.parametrize(
+    ("config", "guarded"),
+    [
+        ({}, False),
+        ({"endpoint": "ipc://@sparseskin-network-{}"}, False),
+        ({"endpoint": "tcp://127.0.0.1:*"}, True),
+        ({"public": "tcp://127.0.0.1:*"}, True),
+    ],
+    ids=["inproc", "ipc", "tcp", "public"],
+)
+def test_a_gate_guards_what_can_be_reached_over_tcp_without_keys_too(
+    context: zmq.Context[Any], tmp_path: Any, config: dict[str, str], guarded: bool
+) -> None:
+    node, _ = network(context, **{k: v.format(tmp_path.name) for k, v in config.items()})
+    # The writer, and of the gate its authentication socket and its monitor.
+    assert len(node.sockets) == (3 if guarded else 1)
+    assert bool(node.writer.socket.getsockopt(zmq.ZAP_DOMAIN)) is guarded
+
+
+def test_the_end_is_received_once_every_distant_reader_has_answered(
+    context: zmq.Context[Any],
+) -> None:
+    assert network(context)[0].end_received()  # no reader on another host
+    node, lines = network(context, endpoint="inproc://end", distant_readers=["desk"])
+    reader = Reader(context, "desk", [node.writer.endpoint], [HERE])
+
+    def present() -> bool:
+        node.writer.serve_subscriptions()
+        return "desk" in node.writer.present
+
+    wait_until(present, "the reader")
+    assert not node.end_received()
+
+    def answered() -> bool:
+        if (parts := reader.receive()) is not None:
+            reader.answer(parts[1])
+        node.writer.serve_subscriptions()
+        return node.end_received()
+
+    wait_until(answered, "its answer")
+    assert lines == []
+
+
+def test_a_distant_reader_that_never_answers_delays_the_end_by_a_bounded_time(
+    context: zmq.Context[Any],
+) -> None:
+    now_ns, lines = 0, []
+    config = {"name": "sensor", "endpoint": "inproc://sensor", "distant_readers": ["desk"]}
+    node = Network(context, config, lambda: now_ns, lines.append)
+    assert not node.end_received()
+    now_ns = END_RECEIVED_NS - 1
+    assert not node.end_received()
+    now_ns = END_RECEIVED_NS
+    assert node.end_received()
+    assert lines == ["the end was not received within 30 s by desk"]

@@ -1,0 +1,93 @@
+"""The writers on another host: whether they are heard, and how far their clock is ahead."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import zmq
+from conftest import wait_until
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparseskin.nodes.network.peers import Peers
+from sparseskin.nodes.network.sockets import Peer, Reader, Writer, make_context, read_times
+
+TAXELS = "/skin/taxels"
+AHEAD_NS = 7_000_000_000
+
+
+@pytest.fixture
+def context() -> Iterator[zmq.Context[Any]]:
+    made = make_context()
+    yield made
+    made.destroy(linger=0)
+
+
+def there_ns() -> int:
+    return time.monotonic_ns() + AHEAD_NS
+
+
+def test_the_clock_of_another_host_is_known_within_its_uncertainty(
+    context: zmq.Context[Any],
+) -> None:
+    writer = Writer(context, "tcp://127.0.0.1:*", "sensor", now_ns=there_ns)
+    reader = Reader(context, "monitor", (), [TAXELS])
+    said: list[str] = []
+    peers = Peers(reader, said.append)
+    peers.connect([Peer("sensor", writer.endpoint, "edge")])
+    assert peers.clock_of("edge") is None
+    assert peers.heard == {"sensor": False}
+
+    def known() -> bool:
+        writer.serve_subscriptions()
+        peers.serve(time.monotonic_ns())
+        while (parts := reader.receive()) is not None:
+            assert reader.is_ask(parts[0])
+            assert peers.take_time(parts[1], time.monotonic_ns())
+        return peers.clock_of("edge") is not None
+
+    wait_until(known, "the time there")
+    estimate = peers.clock_of("edge")
+    assert estimate is not None
+    assert abs(estimate.offset_ns - AHEAD_NS) <= estimate.uncertainty_ns
+    assert peers.heard == {"sensor": True}
+    writer.socket.close()
+
+    def is_silent() -> bool:
+        peers.serve(time.monotonic_ns())
+        return not peers.heard["sensor"]
+
+    wait_until(is_silent, "its leaving")
+    assert said == ["connected: sensor on edge", "disconnected: sensor on edge"]
+
+
+def test_a_writer_tells_the_time_to_those_alone_who_are_there(context: zmq.Context[Any]) -> None:
+    writer = Writer(context, "inproc://writer", "sensor", now_ns=there_ns)
+    stranger = context.socket(zmq.XSUB)
+    stranger.connect(writer.endpoint)
+    for note in (b"@monitor!5", b"@!5", b"@monitor!" + b"9" * 50, b"@monitor!x", b"@monitor!-1"):
+        stranger.send(b"\x01" + note)
+    reader = Reader(context, "reader", [writer.endpoint], [TAXELS])
+
+    def is_there() -> bool:
+        writer.serve_subscriptions()
+        return "reader" in writer.present
+
+    wait_until(is_there, "the reader")
+    assert not stranger.poll(0)
+    assert reader.receive() is None
+
+
+@given(st.binary(max_size=200))
+def test_what_is_no_time_is_none(note: bytes) -> None:
+    times = read_times(note)
+    assert times is None or (b"!" in note and all(t >= 0 for t in times[1:]))
+
+
+def test_a_time_is_read_as_it_was_written() -> None:
+    assert read_times(b"sensor!1:2:3") == ("sensor", 1, 2, 3)
+    for note in (b"sensor:7", b"sensor!1:2", b"sensor!1:2:x", b"sensor!1:2:" + b"9" * 30):
+        assert read_times(note) is None

@@ -1,0 +1,206 @@
+"""Compiled loops: used where numba is installed, else refused in one line; compiled once."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.numerics import compiled as fast
+from sparseskin.nodes.numerics.compiled import ready, use_compiled
+from sparseskin.nodes.numerics.warm_up import compile_loops
+
+HAS_NUMBA = importlib.util.find_spec("numba") is not None
+needs_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed (extra fast)")
+
+
+@pytest.fixture(autouse=True)
+def _no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(fast.ENVIRONMENT, raising=False)
+
+
+@pytest.fixture
+def no_numba(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fast, "find_spec", lambda name: None)
+
+
+@pytest.mark.usefixtures("no_numba")
+def test_without_numba_auto_is_numpy_and_on_is_refused_with_what_to_install() -> None:
+    assert not use_compiled("auto")
+    assert not use_compiled("off")
+    with pytest.raises(SettingsError, match=r"fast: 'on' needs numba: pip install .*\[fast\]"):
+        use_compiled("on")
+
+
+@needs_numba
+def test_with_numba_auto_and_on_are_compiled_and_off_is_not() -> None:
+    assert use_compiled("auto")
+    assert use_compiled("on")
+    assert not use_compiled("off")
+
+
+def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(name: str) -> None:
+        raise ImportError("Numba needs NumPy 2.3 or less. Got NumPy 2.9.")
+
+    monkeypatch.setattr(fast, "find_spec", lambda name: name)
+    monkeypatch.setattr(fast, "import_module", fail)
+    assert not use_compiled("auto")
+    with pytest.raises(SettingsError, match=r"fast: importing numba failed: .*Got NumPy 2\.9"):
+        use_compiled("on")
+
+
+@needs_numba
+def test_the_environment_replaces_auto(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(fast.ENVIRONMENT, "off")
+    assert not use_compiled("auto")
+    assert use_compiled("on")
+    monkeypatch.setenv(fast.ENVIRONMENT, "of")
+    with pytest.raises(SettingsError, match=r"SPARSESKIN_FAST: 'of' is not known.*'off'"):
+        use_compiled("auto")
+
+
+def test_another_word_is_refused() -> None:
+    with pytest.raises(SettingsError, match=r"fast: 'onn' is not known.*allowed: auto, on, off"):
+        use_compiled("onn")
+
+
+def test_off_imports_no_numba() -> None:
+    code = (
+        "import sys\n"
+        "from sparseskin.nodes.compressor.phi.base import make_phi\n"
+        "from sparseskin.nodes.reconstructor.bases.base import make_basis\n"
+        "from sparseskin.nodes.reconstructor.solvers.base import make_solver\n"
+        "for name in ('skin', 'fista'):\n"
+        "    phi = make_phi('sbhe', 64, 21, 0)\n"
+        "    solver = make_solver(name, phi, make_basis('haar', 8, 8), fast='off')\n"
+        "    solver.solve(phi.forward(phi.dense()[0].astype('float32')))\n"
+        "assert 'numba' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@needs_numba
+def test_a_solver_without_compiled_loops_or_with_them_off_compiles_nothing() -> None:
+    compile_loops("skin", "off", pytest.fail)
+    compile_loops("tv", "on", pytest.fail)
+
+
+@needs_numba
+def test_compiling_is_logged_before_it_begins_and_when_it_is_done(tmp_path: Path) -> None:
+    loop, lines = _module_of(tmp_path).double, []
+
+    def log(line: str) -> None:
+        lines.append((line, list(loop.signatures)))
+
+    ready(loop, log=log)
+    (first, before), (last, after) = lines
+    assert "compiling" in first
+    assert "ready after" in last
+    assert (len(before), len(after)) == (0, 1)
+    # From the disk it is read without a word.
+    ready(_module_of(tmp_path).double, log=pytest.fail)
+
+
+@needs_numba
+def test_a_solvers_loops_are_compiled_for_their_types_at_once_and_take_no_others() -> None:
+    import numpy as np
+
+    from sparseskin.nodes.numerics import kernels as fast_kernels
+
+    assert set(fast_kernels.LOOPS) == set(fast.SOLVERS)
+    for solver, loops in fast_kernels.LOOPS.items():
+        compile_loops(solver, "on", print)
+        assert all(len(loop.signatures) == 1 for loop in loops)
+    wrong = np.zeros(4)  # float64
+    with pytest.raises(TypeError, match="No matching definition"):
+        fast_kernels.dealt_rows(wrong, np.zeros(4, np.uint32), wrong)
+
+
+@needs_numba
+def test_where_nothing_is_on_disk_compiling_is_logged_before_numba_is_imported(
+    tmp_path: Path,
+) -> None:
+    """The first line ends the process here."""
+    code = (
+        "import sys\n"
+        "from sparseskin.nodes.numerics.warm_up import compile_loops\n"
+        "def log(line):\n"
+        "    print(line, 'numba' in sys.modules)\n"
+        "    raise SystemExit\n"
+        "compile_loops('skin', 'on', log)\n"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "none")}
+    found = subprocess.run(
+        [sys.executable, "-c", code], env=environment, check=True, capture_output=True, text=True
+    )
+    assert found.stdout == f"{fast.COMPILING} False\n"
+
+
+@needs_numba
+def test_a_numba_that_cannot_be_imported_is_logged_where_compiling_was_announced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(name: str) -> None:
+        raise ImportError(name)
+
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(fast, "import_module", fail)
+    lines: list[str] = []
+    compile_loops("skin", "auto", lines.append)
+    assert lines == [fast.COMPILING, "compiled loops: numba cannot be imported; numpy is used"]
+
+
+LOOP = """
+from sparseskin.nodes.numerics.compiled import compiled
+@compiled("int64(int64)")
+def double(k):
+    return 2 * k
+"""
+
+
+def _module_of(folder: Path) -> ModuleType:
+    path = folder / "loops.py"
+    path.write_text(LOOP)
+    spec = importlib.util.spec_from_file_location("loops", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@needs_numba
+def test_where_no_folder_can_be_written_it_is_compiled_in_each_process() -> None:
+    names: dict[str, Any] = {}
+    exec(LOOP, names)  # numba has no place on disk for code that is in no file
+    assert names["double"](21) == 42
+
+
+@needs_numba
+def test_a_folder_that_is_read_only_leads_to_the_users_cache(tmp_path: Path) -> None:
+    """__pycache__ is a file here, which holds back root too."""
+    package, home = tmp_path / "package", tmp_path / "home"
+    package.mkdir()
+    (package / "__pycache__").write_text("")
+    source = _module_of(package).__file__
+    assert source is not None
+    code = f"import runpy; print(runpy.run_path({source!r})['double'](21))"
+    environment = {**os.environ, "HOME": str(home), "XDG_CACHE_HOME": str(home / ".cache")}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    shutil.rmtree(home, ignore_errors=True)
+    found = subprocess.run(
+        [sys.executable, "-c", code], env=environment, check=True, capture_output=True, text=True
+    )
+    assert found.stdout == "42\n"
+    assert list((home / ".cache").rglob("*.nbi"))

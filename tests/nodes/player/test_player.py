@@ -1,0 +1,211 @@
+"""The player: what it publishes, in what order, under which names and stamps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sparseskin.messages import Message, Reconstruction, Taxels, Truth, encode
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.errors import RefusedError, SparseskinError
+from sparseskin.nodes.monitor.node import Monitor
+from sparseskin.nodes.node import Context, Tick
+from sparseskin.nodes.player.node import Player
+from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.recorder.node import Recorder
+from sparseskin.nodes.sensor.node import Sensor
+
+MS = 1_000_000
+N_FRAMES = 20
+BEGIN_NS = 10**15
+
+
+def record(path: Path) -> list[Message]:
+    """A recording of 20 frames, 10 ms apart, and the messages it was made of."""
+    clock = ManualClock(BEGIN_NS)
+    bus = Bus(
+        {
+            "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
+            "compressor": (Compressor, Compressor.Settings()),
+            "reconstructor": (Reconstructor, Reconstructor.Settings(iterations=3)),
+            "recorder": (Recorder, Recorder.Settings(out=str(path))),
+        },
+        clock,
+    )
+    seen = []
+    for messages in bus.frames(N_FRAMES):
+        seen += messages
+        clock.advance(10 * MS)
+    bus.close()
+    return seen
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Message]]:
+    path = tmp_path_factory.mktemp("bag") / "bag.mcap"
+    return path, record(path)
+
+
+def player(path: Path, **settings: Any) -> Player:
+    return Player(Player.Settings(file=str(path), **settings), Context("player", ManualClock()))
+
+
+def play(node: Player, n_ticks: int = 1000) -> list[list[Message]]:
+    """All frames that the player gives, tick by tick."""
+    frames = []
+    for k in range(n_ticks):
+        if node.exhausted:
+            break
+        frames.append(list(node.acquire(Tick(7 * MS * k, k))))
+    return frames
+
+
+def test_verbatim_is_what_was_recorded_to_the_bit(recording: tuple[Path, list[Message]]) -> None:
+    path, seen = recording
+    node = player(path, verbatim=True)
+    played = [encode(m) for frame in play(node) for m in frame]
+    assert played == [encode(m) for m in seen]
+    assert {m.topic for m in node.start()} == {"/skin/skin", "/skin/phi", "/skin/solver"}
+
+
+def test_a_frame_keeps_one_stamp_when_it_gets_a_new_one(
+    recording: tuple[Path, list[Message]],
+) -> None:
+    frames = play(player(recording[0]))
+    assert len(frames) == N_FRAMES
+    for k, frame in enumerate(frames):
+        assert len(frame) == 4
+        assert {m.stamp_ns for m in frame} == {7 * MS * k}
+        (restored,) = [m for m in frame if isinstance(m, Reconstruction)]
+        assert restored.done_ns >= restored.stamp_ns
+
+
+@pytest.mark.parametrize(
+    ("settings", "first", "count"),
+    [
+        ({"start_s": 0.05}, 5, 15),
+        ({"duration_s": 0.05}, 0, 5),
+        ({"start_s": 0.1, "duration_s": 0.03}, 10, 3),
+        ({"start_s": 5.0}, 0, 0),
+    ],
+)
+def test_a_part_is_half_open(
+    recording: tuple[Path, list[Message]], settings: dict[str, Any], first: int, count: int
+) -> None:
+    frames = play(player(recording[0], verbatim=True, **settings))
+    stamps = [frame[0].stamp_ns for frame in frames]
+    assert stamps == [BEGIN_NS + 10 * MS * (first + k) for k in range(count)]
+
+
+def test_a_loop_goes_on_with_later_stamps(recording: tuple[Path, list[Message]]) -> None:
+    node = player(recording[0], loop=True)
+    frames = play(node, 3 * N_FRAMES)
+    assert len(frames) == 3 * N_FRAMES
+    assert not node.exhausted
+    taxels = [m.forces for frame in frames for m in frame if isinstance(m, Taxels)]
+    assert np.array_equal(taxels[0], taxels[N_FRAMES])
+    stamps = [frame[0].stamp_ns for frame in frames]
+    assert stamps == sorted(set(stamps))
+
+
+def test_chosen_topics_alone_are_played_under_new_names(
+    recording: tuple[Path, list[Message]],
+) -> None:
+    settings = Player.Settings(
+        file=str(recording[0]), topics=("/skin/skin", "/skin/taxels"), remap=("/skin:=/left",)
+    )
+    assert Player.outputs(settings) == ("/left/skin", "/left/taxels")
+    node = Player(settings, Context("player", ManualClock()))
+    assert [m.topic for m in node.start()] == ["/left/skin"]
+    assert {m.topic for frame in play(node) for m in frame} == {"/left/taxels"}
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"file": "none.mcap"}, "none.mcap: no such file"),
+        ({"file": ""}, "file: state the recording"),
+        ({"topics": ("/skin/taxel",)}, "did you mean '/skin/taxels'"),
+        ({"schemas": ("taxel",)}, "did you mean 'taxels'"),
+        ({"remap": ("/skin",)}, "expected FROM:=TO"),
+        ({"remap": ("/left:=/right",)}, "/left: not in the file"),
+        ({"remap": ("/skin/taxels:=/skin/truth",)}, "a topic ends in its schema"),
+        ({"remap": ("/skin:=/Left",)}, "no name"),
+        ({"rate": -1.0}, "rate: -1.0 is outside"),
+        ({"verbatim": True, "loop": True}, "cannot be combined with loop"),
+    ],
+)
+def test_a_wrong_setting_is_named(
+    recording: tuple[Path, list[Message]], settings: dict[str, Any], text: str
+) -> None:
+    with pytest.raises(SparseskinError, match=text):
+        Player.Settings(**({"file": str(recording[0])} | settings)).check()
+
+
+def test_commands(recording: tuple[Path, list[Message]]) -> None:
+    node = player(recording[0])
+    node.begin(0)
+    assert node.next_tick_ns() == 0
+    node.command("pause", None)
+    assert node.next_tick_ns() is None
+    node.command("step", None)
+    assert node.next_tick_ns() == 0
+    assert "paused" in node.status()
+    node.command("pause", None)
+    node.command("faster", None)
+    assert "rate 1.1" in node.status()
+    with pytest.raises(RefusedError, match="knows no command 'jump'"):
+        node.command("jump", None)
+    with pytest.raises(RefusedError, match="at rate 0"):
+        player(recording[0], rate=0.0).command("faster", None)
+
+
+def test_recorded_taxels_through_another_solver_are_judged_by_the_recorded_truth(
+    recording: tuple[Path, list[Message]],
+) -> None:
+    settings = Player.Settings(file=str(recording[0]), schemas=("skin", "taxels", "truth"))
+    bus = Bus(
+        {
+            "player": (Player, settings),
+            "compressor": (Compressor, Compressor.Settings(ratio=2.0)),
+            "reconstructor": (Reconstructor, Reconstructor.Settings(preset="paper")),
+            "monitor": (Monitor, Monitor.Settings()),
+        }
+    )
+    bus.run()
+    patch = bus.reports()["monitor"]["patches"]["skin"]
+    assert (patch["m"], patch["reference"], patch["iterations"]) == (800, "truth", 30)
+    assert patch["frames"]["reconstructed"] == N_FRAMES
+
+
+def test_recorded_measurements_restored_by_the_same_solver_give_the_same_bits(
+    recording: tuple[Path, list[Message]],
+) -> None:
+    path, seen = recording
+    schemas = ("skin", "taxels", "truth", "phi", "measurements")
+    bus = Bus(
+        {
+            "player": (Player, Player.Settings(file=str(path), schemas=schemas)),
+            "reconstructor": (Reconstructor, Reconstructor.Settings(iterations=3)),
+        }
+    )
+    made = [m for messages in bus.frames() for m in messages]
+    for kind in (Truth, Reconstruction):
+        old, new = ([m.forces for m in ms if isinstance(m, kind)] for ms in (seen, made))
+        assert np.array_equal(old, new)
+
+
+def test_the_recording_names_scene_seed_and_phi(recording: tuple[Path, list[Message]]) -> None:
+    with BagReader(recording[0]) as bag:
+        assert bag.metadata["scene"] == "path_40"
+        assert bag.metadata["seed"] == "0"
+        assert '"kind": "sbhe"' in bag.metadata["phi"]
+        assert '"numpy"' in bag.metadata["versions"]
+        assert bag.counts is not None
+        assert not any(bag.counts["lost"].values())

@@ -1,0 +1,131 @@
+"""Of what waits for a node that is behind, the newest frames are taken in; all are counted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+import zmq
+from conftest import wait_until
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparseskin.messages import End, Message, PhiState, Taxels
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.host import NodeHost
+from sparseskin.nodes.network.sockets import Reader, Writer, make_context
+from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.process.backlog import Backlog
+from sparseskin.nodes.settings import Settings
+
+TAXELS, PHI = "/skin/taxels", "/skin/phi"
+
+
+class Waiting(Reader):
+    """A reader to whom all that is to come has come already."""
+
+    def __init__(self, topics: Iterable[str]) -> None:
+        self._parts = iter([(topic.encode(), b"%d" % k) for k, topic in enumerate(topics)])
+
+    def receive(self) -> tuple[bytes, bytes] | None:
+        return next(self._parts, None)
+
+    def is_ask(self, topic: bytes) -> bool:
+        return topic == b"@"
+
+
+def taken(topics: Iterable[str], depth: int) -> list[tuple[str, bool]]:
+    backlog = Backlog(Waiting(topics), frozenset([b"a", b"b"]))
+    found = []
+    while (waiting := backlog.take(depth)) is not None:
+        assert int(waiting.payload) == len(found)  # first come, first taken
+        found.append((waiting.topic.decode(), waiting.overtaken))
+    return found
+
+
+@given(st.lists(st.sampled_from(["a", "b", "state", "@"]), max_size=40), st.integers(0, 5))
+def test_as_many_of_each_stream_are_left_as_may_wait(topics: list[str], depth: int) -> None:
+    found = taken(topics, depth)
+    assert [topic for topic, _ in found] == topics
+    asks = [k for k, topic in enumerate(topics) if topic == "@"]
+    for begin, end in zip([0, *asks], [*asks, len(topics)], strict=True):
+        for stream in "ab":
+            overtaken = [o for topic, o in found[begin:end] if topic == stream]
+            n_left = min(depth or len(overtaken), len(overtaken))
+            # The newest that came before the writer asks whether it may go on.
+            assert overtaken == [True] * (len(overtaken) - n_left) + [False] * n_left
+    assert not any(overtaken for topic, overtaken in found if topic in ("state", "@"))
+
+
+@pytest.fixture
+def context() -> Iterator[zmq.Context[Any]]:
+    made = make_context()
+    yield made
+    made.destroy(linger=0)
+
+
+def taxels(seq: int) -> Taxels:
+    forces = np.ones((2, 2), np.float32)
+    return Taxels(stamp_ns=seq, patch="skin", run_id="0" * 16, seq=seq, forces=forces)
+
+
+class Tap(Node[Settings]):
+    """Keeps the numbers of the frames that it is given."""
+
+    def __init__(self) -> None:
+        super().__init__(Settings(), Context("tap", ManualClock()))
+        self.given: list[int] = []
+        self.overtaken_by_newer: list[int] = []
+
+    @classmethod
+    def inputs(cls, settings: Settings) -> tuple[str, ...]:
+        return (TAXELS,)
+
+    def step(self, message: Message) -> Iterable[Message]:
+        self.given.append(message.seq)
+        return ()
+
+    def overtaken(self, message: Message) -> None:
+        self.overtaken_by_newer.append(message.seq)
+
+
+def test_what_is_skipped_on_a_socket_is_counted_and_an_end_ends(
+    context: zmq.Context[Any],
+) -> None:
+    writer = Writer(context, "inproc://writer")
+    reader = Reader(context, "reader", [writer.endpoint], [TAXELS, PHI])
+
+    def is_present() -> bool:
+        writer.serve_subscriptions()
+        return "reader" in writer.present
+
+    wait_until(is_present, "the reader")
+    for seq in (0, 1, 2, 4, 5, 6, 7):  # 3 is lost
+        writer.send(taxels(seq))
+    phi = PhiState(
+        stamp_ns=0, patch="skin", kind="full", n=4, m=4, block=1, seed=0, fingerprint="0" * 16
+    )
+    writer.send(phi)
+    end = End(stamp_ns=9, patch="skin", run_id="0" * 16, seq=9, of="taxels", n_messages=9)
+    writer.send(end)  # and so is 8
+    node = Tap()
+    host = NodeHost(node, "1" * 16, print)
+    backlog = Backlog(reader, frozenset([TAXELS.encode()]))
+    kept: list[Mapping[bytes, bytes]] = []
+
+    def ended() -> bool:
+        while (waiting := backlog.take(3)) is not None:
+            kept.extend(host.receive_bytes(*waiting))  # type: ignore[arg-type]
+        return host.finished
+
+    wait_until(ended, "the end of the stream")
+    counts = host.counts.as_dict()
+    # The end is none of the three that may wait: the last ones of a stream are all taken in.
+    assert node.given == [5, 6, 7]
+    assert node.overtaken_by_newer == [0, 1, 2, 4]
+    assert counts["received"] == {TAXELS: 7}
+    assert counts["skipped"] == {TAXELS: 4}
+    assert counts["lost"] == {TAXELS: 2}
+    assert counts["refused"] == {"unknown topic": 1}  # the state was not dropped on its way

@@ -1,0 +1,109 @@
+"""Total force and centre of pressure, published before the frame, with their deviations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pressed import noisy, sliding_disc
+from watched import DESK_SHAPE as SHAPE
+from watched import Desk, N
+
+from sparseskin.messages import FieldError, Reconstruction, Resultant
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.node import ReconstructorSettings
+from sparseskin.studies.targets.study import banded
+
+
+def resultants(truth: Floats) -> list[Resultant]:
+    phi = make_phi("sbhe", N, N // 3, seed=0)
+    desk = Desk(phi, preset="skin", resultant=True)
+    found = desk.messages(phi.forward(noisy(truth).reshape(-1, N)))
+    order = [type(message) for message in found]
+    assert order == [Resultant, Reconstruction] * len(truth)
+    stamps = [message.stamp_ns for message in found]
+    assert stamps[::2] == stamps[1::2]
+    return [message for message in found if isinstance(message, Resultant)]
+
+
+def test_total_and_centre_of_a_sliding_disc_are_within_their_bands() -> None:
+    truth = sliding_disc(SHAPE, 80, touch_at=20)
+    rows, cols = np.indices(SHAPE)
+    off = []
+    for k, (frame, one) in list(enumerate(zip(truth, resultants(truth), strict=True)))[30:]:
+        total = float(frame.sum())
+        assert one.row is not None
+        assert one.col is not None
+        assert one.row_sd is not None
+        assert one.col_sd is not None
+        off.append(abs(one.total - total) / one.total_sd)
+        off.append(abs(one.row - (rows * frame).sum() / total) / one.row_sd)
+        off.append(abs(one.col - (cols * frame).sum() / total) / one.col_sd)
+        # Bands have an upper limit, too: 5 % of the total; a centre is known to a taxel again 40
+        # frames after the contact came.
+        assert one.total_sd < 0.05 * total
+        assert max(one.row_sd, one.col_sd) < (6 if k < 60 else 1.0)
+        assert abs(one.total - total) < 0.03 * total
+        assert abs(one.col - (cols * frame).sum() / total) < 0.2
+    assert np.mean(np.array(off) < 1.645) > 0.8
+
+
+def test_the_first_frame_of_a_contact_has_total_and_centre() -> None:
+    truth = sliding_disc(SHAPE, 21, touch_at=20, peak_n=2.0)
+    one = resultants(truth)[-1]
+    total = float(truth[-1].sum())
+    assert one.total == pytest.approx(total, abs=3 * one.total_sd)
+    assert one.total_sd < 0.3 * total
+    assert one.row == pytest.approx(SHAPE[0] / 2, abs=3)
+
+
+def test_a_contact_that_jumps_has_its_new_centre_at_once_and_bounded_bands() -> None:
+    """Three jumps by 25 taxels between two places, 20 frames each."""
+    at = [(10, 10), (30, 25)]
+    rows, cols = np.indices(SHAPE)
+    discs = [1.5 * (np.hypot(rows - row, cols - col) < 5) for row, col in at]
+    truth = np.repeat(np.float32([discs[0], discs[1], discs[0], discs[1]]), 20, axis=0)
+    for k, one in enumerate(resultants(truth)):
+        since, (row, col) = k % 20, at[k // 20 % 2]
+        if k < 20:
+            continue
+        assert one.row is not None
+        assert one.row_sd is not None
+        assert one.col_sd is not None
+        largest = {0: 4.5, 1: 2.5}.get(since, 0.5)
+        assert abs(one.row - row) < min(largest, 4 * one.row_sd)
+        assert abs(one.col - col) < min(largest, 4 * one.col_sd)
+        # The frame of a jump knows its centre from its own image; then the prediction is not
+        # trusted, less so from frame to frame.
+        assert 0.05 < max(one.row_sd, one.col_sd) < (3 if since < 2 else 15 * 0.95**since)
+
+
+@pytest.mark.parametrize(
+    ("scene", "rows", "held"),
+    [("random 5", "rotating", ("row", "col")), ("random 7", "fixed", ("total",))],
+)
+def test_bands_hold_in_taps_and_where_most_rows_are_never_read(
+    scene: str, rows: str, held: tuple[str, ...]
+) -> None:
+    # A tap has a centre from its first frames on; fixed rows do not measure parts of the sum.
+    point = {"scene": scene, "ratio": 8, "rows": rows, "n_frames": 300, "seed": 1}
+    found = banded(point)
+    assert min(found[name] for name in held) > 0.85
+
+
+def test_an_untouched_skin_has_no_centre_and_next_to_no_force() -> None:
+    for one in resultants(np.zeros((40, *SHAPE), np.float32))[20:]:
+        assert one.row is None
+        assert one.total <= 2 * one.total_sd
+        assert one.total < 1.0
+
+
+def test_a_solver_that_leaves_a_bias_has_no_resultant() -> None:
+    with pytest.raises(SettingsError, match="resultant: is not available with solver fista"):
+        ReconstructorSettings(preset="paper", resultant=True).check()
+
+
+def test_a_centre_is_complete_or_missing() -> None:
+    with pytest.raises(FieldError, match="expected all of them or none"):
+        Resultant(stamp_ns=0, patch="skin", total=1.0, total_sd=0.1, row=3.0, done_ns=0)

@@ -1,0 +1,151 @@
+"""Dead and saturated taxels are found by what stays while contacts move; holes are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pressed import noisy
+from watched import SKIN_SHAPE as SHAPE
+from watched import Skin, pad
+
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.faults.taxels import (
+    BELIEVED,
+    ENOUGH,
+    EVERY,
+    FULL_LOOKS,
+    EndWatch,
+)
+
+DEAD = 10 * 28 + 14
+
+
+@pytest.fixture(scope="module")
+def phi() -> Phi:
+    return make_phi("sbhe", 784, 784 // 3, seed=0)
+
+
+def watch() -> EndWatch:
+    return EndWatch(np.ones(SHAPE, np.bool_), 2.5)
+
+
+def block(row: int, col: int) -> Floats:
+    """A square of 9 x 9 taxels around a place."""
+    return pad((slice(row - 4, row + 5), slice(col - 4, col + 5)))
+
+
+def holed(row: int, col: int) -> Floats:
+    frame = block(row, col)
+    frame[10, 14] = 0
+    return frame
+
+
+#: A square that passes over the dead taxel, three taxels and once more.
+PASSED = [holed(10, col) for col in (11, 14, 17)]
+
+
+def test_a_hole_that_stays_while_the_contact_moves_is_a_dead_taxel() -> None:
+    one = watch()
+    found = [one.look(frame, {})[0] for frame in PASSED for _ in range(ENOUGH)]
+    # Ten looks were enough before; then the third place is.
+    assert found.index([DEAD]) == 2 * ENOUGH
+    assert [dead for dead in found if dead] == [[DEAD]]
+
+
+def test_a_hole_that_moves_with_its_body_is_none() -> None:
+    one = watch()
+    for col in range(10, 18):
+        ring = block(10, col)
+        ring[10, col] = 0
+        for _ in range(ENOUGH):
+            assert one.look(ring, {}) == ([], [], [])
+
+
+def test_a_hole_that_rests_or_rocks_by_less_than_three_taxels_is_none() -> None:
+    one = watch()
+    for k in range(20 * ENOUGH):
+        assert one.look(holed(10, 13 + k % 2), {}) == ([], [], [])
+
+
+def test_the_hole_of_a_body_that_lies_down_around_it_is_none() -> None:
+    one = watch()
+    for end in (17, 23, 30):  # pressed from column 10 up to this one
+        frame = pad((slice(6, 15), slice(10, end)))
+        frame[10, 14] = 0
+        for _ in range(2 * ENOUGH):
+            assert one.look(frame, {}) == ([], [], [])
+
+
+def test_a_taxel_that_is_pressed_between_is_alive() -> None:
+    one = watch()
+    for frame in PASSED:
+        for _ in range(ENOUGH - 1):
+            assert one.look(frame, {}) == ([], [], [])
+        for _ in range(2):
+            assert one.look(block(10, 14), {}) == ([], [], [])
+
+
+def test_a_dead_taxel_that_is_pressed_again_is_used() -> None:
+    one = watch()
+    for frame in PASSED:
+        for _ in range(ENOUGH):
+            one.look(frame, {})
+    believed = [one.look(block(10, 14), {DEAD: 0.0})[2] for _ in range(BELIEVED)]
+    assert believed == [*[[]] * (BELIEVED - 1), [DEAD]]
+
+
+def test_one_taxel_alone_at_the_end_of_its_range_for_long_is_saturated() -> None:
+    one = watch()
+    frame = pad()
+    frame[10, 14] = 2.5
+    found = [one.look(frame, {})[1] for _ in range(FULL_LOOKS)]
+    assert found == [*[[]] * (FULL_LOOKS - 1), [DEAD]]
+
+
+def test_a_contact_at_the_end_of_the_range_is_not_saturated() -> None:
+    one = watch()
+    for _ in range(2 * FULL_LOOKS):
+        assert one.look(2.5 * block(10, 14), {}) == ([], [], [])
+
+
+def test_a_dead_taxel_is_logged_filled_in_and_used_again(phi: Phi) -> None:
+    skin = Skin(phi)
+    for col in (11, 14, 17):
+        for _ in range(8 * EVERY):
+            forces = skin.read(block(10, col), {(10, 14): 0.0})
+    assert skin.watch.text == "dead taxels left out: (10, 14)"
+    assert skin.lines == ["taxel (10, 14) reads 0 in every contact: left out"]
+    assert forces[10, 14] == pytest.approx(1.0, abs=0.15)
+    for _ in range((BELIEVED + 5) * EVERY):
+        skin.read(block(10, 14))
+    assert skin.watch.text == ""
+    assert skin.lines[1:] == ["taxel (10, 14) works again: used"]
+
+
+def test_with_few_measurements_holes_in_reconstructions_are_no_evidence() -> None:
+    few = make_phi("sbhe", 784, 784 // 8, seed=0)
+    skin = Skin(few)
+    for frame in PASSED:
+        for _ in range(ENOUGH * EVERY):
+            skin.watch.update(few, frame, np.zeros(few.m, np.float32))
+    assert skin.lines == []
+
+
+def test_a_saturated_taxel_is_found_on_an_untouched_skin(phi: Phi) -> None:
+    skin = Skin(phi)
+    for _ in range((FULL_LOOKS + 10) * EVERY):
+        forces = skin.read(pad(), {(10, 14): 2.5})
+    assert skin.lines == ["taxel (10, 14) is stuck at 2.5: left out"]
+    assert forces[10, 14] < 0.05
+
+
+def test_the_hole_of_a_taxel_shows_in_restored_frames(phi: Phi) -> None:
+    # What the watch rests on: sums alone tell that one taxel reads 0.
+    truth = np.repeat(block(10, 14)[None], 20, axis=0)
+    taxels = noisy(truth)
+    taxels[:, 10, 14] = 0
+    skin = Skin(phi)
+    for frame in taxels:
+        restored = skin.solver.solve(phi.forward(frame.reshape(-1)))
+    assert restored[10, 14] < 0.1

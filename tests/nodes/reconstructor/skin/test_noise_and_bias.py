@@ -1,0 +1,207 @@
+"""Noise level, weight and clip bias: found in the measurements of a skin nobody described."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pressed import noisy, sliding_disc
+
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.reconstructor.skin.clip_bias import ClipBias
+from sparseskin.nodes.reconstructor.skin.gain import LEAST_GAIN, AdaptiveGain
+from sparseskin.nodes.reconstructor.skin.noise_level import JUMP, NoiseLevel
+from sparseskin.nodes.reconstructor.solvers.backends import make_projection
+from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
+
+SIGMA_N = 0.02
+
+
+def drifting(n_frames: int, per_frame_n: float, m: int = 500) -> np.ndarray:
+    """Measurements that all change at a constant rate, with noise."""
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0, SIGMA_N, (n_frames, m))
+    return (noise + per_frame_n * np.arange(n_frames)[:, None]).astype(np.float32)
+
+
+@pytest.mark.parametrize("per_frame_n", [0.0, 0.01, 0.5])
+def test_the_level_is_the_noises_however_fast_the_forces_change(per_frame_n: float) -> None:
+    level = NoiseLevel(500)
+    for y in drifting(30, per_frame_n):
+        level.update(y, e2=1.5 * SIGMA_N**2)
+    assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.15)
+
+
+def test_the_level_is_never_above_the_innovation() -> None:
+    level = NoiseLevel(500)
+    for y in np.random.default_rng(0).normal(0, 1, (30, 500)).astype(np.float32):
+        level.update(y, e2=SIGMA_N**2)
+    assert level.s2 <= SIGMA_N**2
+
+
+def test_a_jump_is_told_and_does_not_raise_the_level() -> None:
+    level = NoiseLevel(500)
+    for k, y in enumerate(drifting(30, 0.0)):
+        level.update(y, e2=SIGMA_N**2)
+        assert level.jumped == (k == 0)
+    before = level.s2
+    jumped = drifting(1, 0.0)[0] + 1
+    level.update(jumped, e2=1.1 * JUMP * before)
+    assert level.jumped
+    assert level.s2 < 1.5 * before
+    level.update(jumped, e2=SIGMA_N**2)
+    assert not level.jumped
+
+
+def test_the_bias_of_an_untouched_skin_is_found() -> None:
+    """0.399 sigma: the mean of normal noise whose negative half is 0."""
+    n, m = 1600, 533
+    phi = make_phi("sbhe", n, m, seed=0)
+    projection = make_projection(phi)
+    bias = ClipBias(projection, n)
+    rows = np.zeros(projection.n_rows, dtype=np.float32)
+    nothing = np.zeros(n, dtype=np.float32)
+    frames = noisy(np.zeros((40, n), dtype=np.float32))
+    for y in phi.forward(frames):
+        projection.rows_of(y, rows)
+        bias.subtract(rows)
+        bias.update(float(bias.ones @ rows), nothing, s2=float(rows @ rows) / m)
+    assert bias.b == pytest.approx(PAPER_SIGMA_END_N / np.sqrt(2 * np.pi), rel=0.1)
+
+
+def test_a_force_everywhere_is_not_taken_for_bias() -> None:
+    """What noise of that level cannot cause stays a force."""
+    phi = make_phi("sbhe", 1600, 533, seed=0)
+    bias = ClipBias(make_projection(phi), 1600)
+    pressed = np.full(1600, 0.5, dtype=np.float32)
+    for _ in range(50):
+        bias.update(0.0, pressed, s2=0.01**2)
+    assert bias.b <= 0.01
+
+
+def test_forces_are_the_means_of_clipped_readings_turned_back() -> None:
+    """E max(0, f + sigma n), less b, gives f again to within 0.03 b."""
+    sigma = PAPER_SIGMA_END_N
+    forces = np.linspace(0, 6 * sigma, 60)
+    normal = np.random.default_rng(0).normal(0, sigma, 200_001)
+    normal -= normal.mean()
+    means = np.array([np.maximum(0, f + normal).mean() for f in forces])
+    bias = ClipBias(make_projection(make_phi("sbhe", 64, 32, seed=0)), 64)
+    bias.b = float(means[0])
+    turned = (means - bias.b).astype(np.float32)
+    bias.add_back(turned)
+    np.testing.assert_allclose(turned, forces, atol=0.035 * bias.b)
+
+
+def test_the_noise_of_a_touched_skin_is_found_in_its_measurements() -> None:
+    truth = sliding_disc((40, 40), 60)
+    phi = make_phi("sbhe", 1600, 533, seed=0)
+    taxels = noisy(truth)
+    y = phi.forward(taxels.reshape(-1, 1600))
+    clean = phi.forward(truth.reshape(-1, 1600))
+    level = NoiseLevel(533)
+    for one in y:
+        level.update(one, e2=1.0)
+    assert level.s2 == pytest.approx(float((y - clean)[40:].var()), rel=0.25)
+
+
+def innovations(n_frames: int, scale: float = 1.0) -> np.ndarray:
+    noise = np.random.default_rng(0).normal(0, scale * SIGMA_N, (n_frames, 500))
+    return noise.astype(np.float32)
+
+
+def test_noise_alone_is_averaged_over_all_frames_since_the_last_jump() -> None:
+    gain = AdaptiveGain(500)
+    gains = []
+    for k, innovation in enumerate(innovations(12)):
+        gain.update(innovation, 500, 1.2 * SIGMA_N**2, jumped=k == 0)
+        gains.append(gain.gain)
+    np.testing.assert_allclose(gains, 1 / np.arange(1, 13), rtol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [2.0, 5.0])
+def test_the_gain_is_that_of_the_kalman_filter(scale: float) -> None:
+    """K = P / (P + R), P + R the mean square of the innovation, to within 0.9 R."""
+    gain = AdaptiveGain(500)
+    for innovation in innovations(40):
+        gain.update(innovation, 500, SIGMA_N**2, jumped=False)
+    assert gain.gain < 0.25
+    gain.update(innovations(1, scale)[0], 500, SIGMA_N**2, jumped=False)
+    assert gain.gain == pytest.approx(1 - 1 / scale**2, abs=0.05)
+    gain.update(innovations(1)[0], 500, SIGMA_N**2, jumped=True)
+    assert gain.gain == 1
+
+
+def test_correlated_innovations_raise_the_gain_at_any_noise_level() -> None:
+    lagging = np.full(500, SIGMA_N, dtype=np.float32)
+    gain = AdaptiveGain(500)
+    for innovation in innovations(30):
+        gain.update(innovation, 500, SIGMA_N**2, jumped=False)
+    assert LEAST_GAIN <= gain.gain < 0.25
+    for _ in range(15):
+        gain.update(lagging, 500, SIGMA_N**2, jumped=False)
+    assert gain.gain > 0.8
+
+
+@pytest.mark.parametrize("correlation", [-0.5, 0.0, 0.29, 0.4, 0.7, 1.0])
+def test_the_noise_is_trusted_less_where_successive_innovations_correlate(
+    correlation: float,
+) -> None:
+    """Beyond a correlation of 0.3, by exp(0.3 (0.3 - correlation)) a frame, down to 1/20."""
+    gain = AdaptiveGain(2)
+    angle = np.arccos(correlation)
+    trusts = []
+    for k in range(40):
+        innovation = SIGMA_N * np.array([np.cos(k * angle), np.sin(k * angle)], dtype=np.float32)
+        gain.update(innovation, 2, SIGMA_N**2, jumped=False)
+        trusts.append(gain.noise / SIGMA_N**2)
+        assert gain.nis == pytest.approx(0.5 / trusts[-1], rel=1e-4)
+    factor = np.exp(0.3 * (0.3 - correlation)) if correlation > 0.3 else 1.0
+    np.testing.assert_allclose(trusts, np.maximum(factor ** np.arange(40), 0.05), rtol=1e-3)
+    # White innovations restore the trust, by 5 % a frame.
+    for k in range(10):
+        innovation = SIGMA_N * np.array([k % 2, (k + 1) % 2], dtype=np.float32)
+        gain.update(innovation, 2, SIGMA_N**2, jumped=False)
+    first = gain.noise
+    gain.update(innovation[::-1].copy(), 2, SIGMA_N**2, jumped=False)
+    assert gain.noise == pytest.approx(min(1.05 * first, SIGMA_N**2), rel=1e-4)
+
+
+def test_where_rows_rotate_frames_of_one_row_subset_are_compared() -> None:
+    """Row subsets differ far more from each other than noise does; that is not taken for noise."""
+    level = NoiseLevel(500)
+    rng = np.random.default_rng(0)
+    offsets = rng.normal(0, 1, (3, 500))
+    for k in range(60):
+        level.use(k % 3)
+        y = offsets[k % 3] + rng.normal(0, SIGMA_N, 500)
+        level.update(y.astype(np.float32), e2=2 * SIGMA_N**2)
+    assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.15)
+
+
+def test_what_a_frame_leaves_unexplained_bounds_the_level_of_the_next() -> None:
+    level = NoiseLevel(500)
+    for y in np.random.default_rng(0).normal(0, 1, (30, 500)).astype(np.float32):
+        level.limit(SIGMA_N**2)
+        level.update(y, e2=1.0)
+    assert level.s2 == pytest.approx(SIGMA_N**2, rel=1e-3)
+
+
+def test_where_rows_rotate_each_row_subset_is_averaged_over_its_own_frames() -> None:
+    gain = AdaptiveGain(500)
+    gains = []
+    for k, innovation in enumerate(innovations(12)):
+        gain.use(k % 3)
+        gain.update(innovation, 500, 1.2 * SIGMA_N**2, jumped=k < 3)
+        gains.append(gain.gain)
+    expected = np.repeat([1, 1 / 2, 1 / 3, 1 / 4], 3)
+    np.testing.assert_allclose(gains, expected, rtol=1e-6)
+
+
+def test_a_noisy_contact_does_not_let_the_bias_grow() -> None:
+    """The bias is an untouched taxel's: what the least noise of the skin allows."""
+    bias = ClipBias(make_projection(make_phi("sbhe", 1600, 533, seed=0)), 1600)
+    pressed = np.full(1600, 0.5, dtype=np.float32)
+    bias.update(0.0, pressed, s2=0.01**2)
+    for _ in range(50):
+        bias.update(0.0, pressed, s2=0.1**2)
+    assert bias.b < 0.01

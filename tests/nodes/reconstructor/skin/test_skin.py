@@ -1,0 +1,310 @@
+"""The default solver: better than the paper's on the same y, on any skin, and never stuck."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pressed import noisy, psnr_db, sliding_disc
+
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
+from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
+
+
+def preset(name: str, phi: Phi, shape: tuple[int, int], mask: Mask | None = None) -> Solver:
+    chosen = dict(PRESETS[name])
+    return make_solver(
+        chosen.pop("solver"), phi, make_basis(chosen.pop("basis"), *shape), mask, **chosen
+    )
+
+
+def solve_all(solver: Solver, y: Floats) -> Floats:
+    return np.array([solver.solve(one) for one in y])
+
+
+def holes(shape: tuple[int, int]) -> Mask:
+    mask = np.ones(shape, dtype=np.bool_)
+    mask[: shape[0] // 6, : shape[1] // 3] = False
+    mask[shape[0] // 2, shape[1] // 3] = False
+    return mask
+
+
+@pytest.mark.parametrize("ratio", [3, 4, 8])
+@pytest.mark.parametrize("shape", [(40, 40), (64, 64)])
+def test_it_is_8_db_better_than_the_paper_and_at_a_third_better_than_the_full_reading(
+    shape: tuple[int, int], ratio: int
+) -> None:
+    truth = sliding_disc(shape, 40)
+    taxels = noisy(truth)
+    n = truth[0].size
+    phi = make_phi("sbhe", n, n // ratio, seed=0)
+    y = phi.forward(taxels.reshape(len(taxels), n))
+    touched = slice(15, None)
+    paper = psnr_db(solve_all(preset("paper", phi, shape), y)[touched], truth[touched])
+    skin = psnr_db(solve_all(preset("skin", phi, shape), y)[touched], truth[touched])
+    assert skin > paper + 8
+    if ratio == 3:
+        assert skin > psnr_db(taxels[touched], truth[touched]) + 4
+
+
+@pytest.mark.parametrize("shape", [(28, 28), (33, 47), (12, 32), (95, 64)])
+@pytest.mark.parametrize("kind", ["sbhe", "gaussian", "full"])
+def test_any_skin_and_phi_is_restored_and_missing_taxels_stay_0(
+    shape: tuple[int, int], kind: str
+) -> None:
+    mask = holes(shape)
+    n = int(mask.sum())
+    if kind == "gaussian" and n > 4096:
+        pytest.skip("a dense Phi is for 4096 taxels at most")
+    truth = sliding_disc(shape, 25) * mask
+    taxels = noisy(truth) * mask
+    phi = make_phi(kind, n, n if kind == "full" else n // 3, seed=0)
+    restored = solve_all(preset("skin", phi, shape, mask), phi.forward(taxels[:, mask]))
+    assert restored.dtype == np.float32
+    assert restored.min() == 0
+    np.testing.assert_array_equal(restored[:, ~mask], 0)
+    assert psnr_db(restored[15:], truth[15:]) > psnr_db(taxels[15:], truth[15:]) + 4
+
+
+def test_the_plain_way_restores_as_well_as_the_fast_one() -> None:
+    """Blocks of 128 are beyond what the fast way takes."""
+    truth = sliding_disc((40, 40), 25)
+    for block in (32, 128):
+        phi = make_phi("sbhe", 1600, 533, seed=0, block=block)
+        y = phi.forward(noisy(truth).reshape(-1, 1600))
+        assert psnr_db(solve_all(preset("skin", phi, (40, 40)), y)[15:], truth[15:]) > 50
+
+
+@pytest.mark.parametrize(("shape", "m"), [((1, 1), 1), ((1, 2), 1), ((3, 1), 2), ((5, 7), 35)])
+def test_tiny_skins_work(shape: tuple[int, int], m: int) -> None:
+    n = shape[0] * shape[1]
+    phi = make_phi("sbhe", n, m, seed=0)
+    solver = preset("skin", phi, shape)
+    for x in np.random.default_rng(0).random((4, n), dtype=np.float32):
+        estimate = solver.solve(phi.forward(x))
+        assert estimate.shape == shape
+        assert np.isfinite(estimate).all()
+
+
+def test_the_range_of_the_skin_does_not_matter() -> None:
+    """Measurements times a power of two give the estimate times it, to the last bit."""
+    phi = make_phi("sbhe", 784, 261, seed=0)
+    y = phi.forward(noisy(sliding_disc((28, 28), 20)).reshape(-1, 784))
+    estimate = solve_all(preset("skin", phi, (28, 28)), y)
+    for scale in (2.0**-10, 2.0**12):
+        scaled = solve_all(preset("skin", phi, (28, 28)), y * np.float32(scale))
+        np.testing.assert_array_equal(scaled, estimate * np.float32(scale))
+
+
+def test_the_same_measurements_give_the_same_bits_from_the_start_and_after_reset() -> None:
+    phi = make_phi("sbhe", 784, 261, seed=0)
+    y = phi.forward(noisy(sliding_disc((28, 28), 20)).reshape(-1, 784))
+    solver = preset("skin", phi, (28, 28))
+    first = solve_all(solver, y)
+    assert not np.array_equal(solve_all(solver, y), first)
+    solver.reset()
+    np.testing.assert_array_equal(solve_all(solver, y), first)
+    np.testing.assert_array_equal(solve_all(preset("skin", phi, (28, 28)), y), first)
+
+
+def test_setup_steps_and_finish_are_solve_and_a_frame_may_be_cut_short() -> None:
+    phi = make_phi("sbhe", 784, 261, seed=0)
+    truth = sliding_disc((28, 28), 20)
+    y = phi.forward(noisy(truth).reshape(-1, 784))
+    whole, pieces, cut = (preset("skin", phi, (28, 28)) for _ in range(3))
+    shortest = []
+    for one in y:
+        pieces.setup(one)
+        for _ in range(pieces.n_steps):
+            pieces.step()
+        np.testing.assert_array_equal(pieces.finish(), whole.solve(one))
+        cut.setup(one)
+        for _ in range(2):
+            cut.step()
+        shortest.append(cut.finish())
+    assert psnr_db(np.array(shortest)[15:], truth[15:]) > psnr_db(noisy(truth)[15:], truth[15:])
+    with pytest.raises(SolverError, match="no step is left"):
+        pieces.step()
+
+
+def test_a_frame_without_a_step_is_the_prediction() -> None:
+    phi = make_phi("sbhe", 784, 261, seed=0)
+    truth = sliding_disc((28, 28), 20)
+    y = phi.forward(noisy(truth).reshape(-1, 784))
+    solver = preset("skin", phi, (28, 28))
+    solve_all(solver, y[:-1])
+    solver.setup(y[-1])
+    assert psnr_db(solver.finish(), truth[-1]) > 50
+
+
+def test_iterations_follow_what_a_frame_brings() -> None:
+    phi = make_phi("sbhe", 1600, 533, seed=0)
+    truth = sliding_disc((40, 40), 30, touch_at=20)
+    solver = SkinSolver(phi, make_basis("haar", 40, 40), max_iterations=12)
+    steps = []
+    for y in phi.forward(noisy(truth).reshape(-1, 1600)):
+        solver.solve(y)
+        steps.append(solver.n_steps)
+    assert steps[0] == 12
+    assert set(steps[10:20]) <= {3, 4, 5, 6}
+    assert 12 in steps[20:24]
+
+
+@pytest.mark.parametrize("ratio", [3, 4, 8])
+def test_three_frames_after_a_jump_it_is_within_1_db_of_a_cold_start(ratio: int) -> None:
+    """One contact vanishes and another is there, elsewhere, from one frame to the next."""
+    n = 1600
+    phi = make_phi("sbhe", n, n // ratio, seed=0)
+    before = sliding_disc((40, 40), 60, touch_at=0)
+    after = np.rot90(before[:30], axes=(1, 2)) * np.float32(0.8)
+    after = np.roll(after, 9, axis=1)
+    worse = []
+    for seed in range(6):
+        y = phi.forward(noisy(np.concatenate([before, after]), seed).reshape(-1, n))
+        warm, cold = (preset("skin", phi, (40, 40)) for _ in range(2))
+        tracked = solve_all(warm, y)[62]
+        fresh = solve_all(cold, y[60:])[2]
+        worse.append(psnr_db(fresh, after[2]) - psnr_db(tracked, after[2]))
+    assert float(np.median(worse)) < 1
+
+
+@pytest.mark.parametrize("kind", ["sbhe", "subsample"])
+def test_nothing_grows_without_bound_where_no_measurement_looks(kind: str) -> None:
+    phi = make_phi(kind, 384, 48 if kind == "sbhe" else 128, seed=0)
+    truth = sliding_disc((12, 32), 300)
+    for seed in range(3):
+        y = phi.forward(noisy(truth, seed).reshape(-1, 384))
+        assert solve_all(preset("skin", phi, (12, 32)), y).max() < 1.2
+
+
+def test_an_untouched_skin_is_restored_as_untouched() -> None:
+    """Its noisy reading has a PSNR of 48 dB, limited by noise that cannot be negative."""
+    phi = make_phi("sbhe", 4096, 1365, seed=0)
+    truth = np.zeros((60, 64, 64), dtype=np.float32)
+    restored = solve_all(preset("skin", phi, (64, 64)), phi.forward(noisy(truth).reshape(-1, 4096)))
+    assert psnr_db(restored[20:], truth[20:]) > 65
+    assert restored[20:].max() < 0.025
+
+
+def largest_mean_of_nine(forces: Floats) -> float:
+    windows = np.lib.stride_tricks.sliding_window_view(forces, (3, 3), axis=(-2, -1))
+    return float(windows.mean(axis=(-2, -1)).max())
+
+
+def test_a_light_touch_is_found_within_three_frames_in_95_of_100_trials() -> None:
+    """0.05 N on 3 x 3 taxels at M = N/4: told by a mean of nine that hardly any untouched frame,
+    fewer than 1 in 100, has.
+    """
+    n, found, level_n = 1600, 0, 0.01
+    phi = make_phi("sbhe", n, n // 4, seed=0)
+    rng = np.random.default_rng(0)
+    untouched = np.zeros((200, 40, 40), dtype=np.float32)
+    solver = preset("skin", phi, (40, 40))
+    told = []
+    for seed in (3, 2, 1):
+        solver.reset()
+        y = phi.forward(noisy(untouched, seed).reshape(-1, n))
+        told += [largest_mean_of_nine(forces) > level_n for forces in solve_all(solver, y)[20:]]
+    assert sum(told) < 0.01 * len(told)
+    for trial in range(100):
+        row, col = rng.integers(37, size=2)
+        truth = np.zeros((3, 40, 40), dtype=np.float32)
+        truth[:, row : row + 3, col : col + 3] = 0.05
+        solver.reset()
+        solve_all(solver, y[:8])
+        restored = solve_all(solver, phi.forward(noisy(truth, trial + 2).reshape(-1, n)))
+        found += largest_mean_of_nine(restored[:, row : row + 3, col : col + 3]) > level_n
+    assert found >= 95
+
+
+def test_a_lone_taxel_that_is_pressed_is_kept() -> None:
+    phi = make_phi("sbhe", 1600, 533, seed=0)
+    truth = np.zeros((30, 40, 40), dtype=np.float32)
+    truth[5:, 17, 23] = 0.3
+    y = phi.forward(noisy(truth).reshape(-1, 1600))
+    restored = solve_all(preset("skin", phi, (40, 40)), y)
+    assert abs(restored[20:, 17, 23].mean() - 0.3) < 0.06
+
+
+def test_a_contact_over_the_edge_leaves_no_ghost_on_the_other_side() -> None:
+    phi = make_phi("sbhe", 1600, 533, seed=0)
+    truth = np.zeros((30, 40, 40), dtype=np.float32)
+    truth[5:, 10:25, :4] = 0.8
+    y = phi.forward(noisy(truth).reshape(-1, 1600))
+    restored = solve_all(preset("skin", phi, (40, 40)), y)[15:]
+    assert np.abs(restored[:, :, -4:]).mean() < 0.001
+
+
+def test_a_given_warm_start_replaces_what_the_last_frame_left() -> None:
+    phi = make_phi("sbhe", 784, 98, seed=0)
+    truth = sliding_disc((28, 28), 20, peak_n=1.0)[-1]
+    y = phi.forward(truth.ravel())
+    cold, warm = (SkinSolver(phi, make_basis("haar", 28, 28), max_iterations=2) for _ in range(2))
+    assert psnr_db(warm.solve(y, warm=truth), truth) > psnr_db(cold.solve(y), truth) + 6
+
+
+def test_estimates_are_the_callers_own_and_y_is_left_alone() -> None:
+    phi = make_phi("sbhe", 784, 261, seed=0)
+    y = phi.forward(noisy(sliding_disc((28, 28), 8)).reshape(-1, 784))
+    kept = y.copy()
+    solver = preset("skin", phi, (28, 28))
+    first = solver.solve(y[6])
+    copy = first.copy()
+    solver.solve(y[7])
+    np.testing.assert_array_equal(first, copy)
+    np.testing.assert_array_equal(y, kept)
+
+
+def test_no_measurement_but_zero_gives_no_force() -> None:
+    solver = preset("skin", make_phi("sbhe", 256, 85, seed=0), (16, 16))
+    for _ in range(3):
+        np.testing.assert_array_equal(solver.solve(np.zeros(85, dtype=np.float32)), 0)
+
+
+@pytest.mark.parametrize("spoilt", [np.nan, np.inf, 1e20])
+def test_a_measurement_that_cannot_be_is_refused_and_leaves_no_trace(spoilt: float) -> None:
+    phi = make_phi("sbhe", 256, 85, seed=0)
+    y = phi.forward(noisy(sliding_disc((16, 16), 10)).reshape(-1, 256))
+    solver, untroubled = (preset("skin", phi, (16, 16)) for _ in range(2))
+    for one in y:
+        with pytest.raises(SolverError, match=r"finite|too large"):
+            solver.solve(np.where(np.arange(85) == 17, np.float32(spoilt), one))
+        np.testing.assert_array_equal(solver.solve(one), untroubled.solve(one))
+
+
+class TooShortLipschitz(type(make_phi("gaussian", 4, 4, seed=0))):  # type: ignore[misc]
+    """A step of 1/L that is a thousand times too long."""
+
+    lipschitz = 1e-3
+
+
+@pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
+def test_an_iteration_that_diverges_is_an_error_and_forgotten() -> None:
+    phi = TooShortLipschitz(256, 85, seed=0)
+    solver = SkinSolver(phi, make_basis("haar", 16, 16), iterations=1000)
+    y = phi.forward(sliding_disc((16, 16), 10)[-1].ravel())
+    with pytest.raises(SolverError, match="diverged"):
+        solver.solve(y)
+    np.testing.assert_array_equal(solver.solve(np.zeros(85, dtype=np.float32)), 0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"iterations": 0}, r"iterations = 0 is not allowed; allowed: an integer 1\.\.1000"),
+        ({"max_iterations": 1001}, "max_iterations = 1001"),
+        ({"iterations": 2.5}, "iterations = 2.5"),
+        ({"seed": -1}, "seed = -1"),
+        ({"lambda_n": 0.1}, 'setting "lambda_n" is not known'),
+    ],
+)
+def test_what_cannot_be_made_is_named(settings: dict[str, Any], said: str) -> None:
+    phi = make_phi("sbhe", 256, 85, seed=0)
+    with pytest.raises(SolverError, match=said):
+        make_solver("skin", phi, make_basis("haar", 16, 16), **settings)

@@ -1,0 +1,215 @@
+"""Solvers in compiled loops: the forces that numpy finds, on any skin, and never compiled late."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import numpy as np
+import pytest
+from pressed import noisy, sliding_disc
+
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.numerics import compiled as fast
+from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
+
+if importlib.util.find_spec("numba") is None:
+    pytest.skip("numba is not installed (extra fast)", allow_module_level=True)
+
+from sparseskin.nodes.numerics import kernels as fast_kernels
+from sparseskin.nodes.reconstructor.solvers.fast import CompiledDescent, CompiledProjection
+
+GRIDS = [
+    ((28, 28), 60),
+    ((12, 32), 0),
+    ((33, 47), 100),
+    ((40, 40), 0),
+    ((64, 64), 0),
+    ((15, 21), 0),
+]
+
+
+def mask_of(shape: tuple[int, int], n_missing: int) -> Mask:
+    mask = np.ones(shape, dtype=np.bool_)
+    mask.reshape(-1)[np.random.default_rng(0).permutation(mask.size)[:n_missing]] = False
+    return mask
+
+
+def made(name: str, phi: SbhePhi, mask: Mask, how: str) -> Solver:
+    return make_solver(name, phi, make_basis("haar", *mask.shape), mask, fast=how)
+
+
+def streams(name: str, mask: Mask, ratio: int, n_frames: int = 25) -> tuple[Floats, Floats]:
+    """A stream restored in compiled loops and with numpy."""
+    n = int(mask.sum())
+    phi = SbhePhi(n, n // ratio, 0)
+    y = phi.forward((noisy(sliding_disc(mask.shape, n_frames)) * mask)[:, mask])
+    on, off = (made(name, phi, mask, how) for how in ("on", "off"))
+    found = np.array([[on.solve(one), off.solve(one)] for one in y])
+    return found[:, 0], found[:, 1]
+
+
+@pytest.mark.parametrize(("shape", "n_missing"), GRIDS)
+def test_fista_finds_the_forces_of_numpy_to_within_10_micronewtons(
+    shape: tuple[int, int], n_missing: int
+) -> None:
+    on, off = streams("fista", mask_of(shape, n_missing), 3)
+    assert on.max() > 0.1
+    np.testing.assert_allclose(on, off, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(("shape", "n_missing"), GRIDS)
+def test_skin_finds_the_forces_of_numpy_to_within_10_micronewtons(
+    shape: tuple[int, int], n_missing: int
+) -> None:
+    """A frame of 16 iterations from nothing at first contact may be off by some more."""
+    on, off = streams("skin", mask_of(shape, n_missing), 3)
+    assert on.max() > 0.1
+    error = np.abs(on - off).max(axis=(1, 2))
+    assert np.median(error) < 1e-5
+    assert error.max() < 5e-5
+
+
+@pytest.mark.parametrize(("shape", "n_missing"), [((33, 47), 100), ((40, 40), 0)])
+def test_skin_finds_the_forces_of_numpy_where_rows_rotate(
+    shape: tuple[int, int], n_missing: int
+) -> None:
+    """Rows of earlier frames count in either way, blocks of the last taxels included."""
+    mask = mask_of(shape, n_missing)
+    n = int(mask.sum())
+    phases = row_subsets(SbhePhi(n, -(-n // 3), 0), "rotating")
+    solvers = [made("skin", phases[0], mask, how) for how in ("on", "off")]
+    errors = []
+    for k, frame in enumerate(noisy(sliding_disc(shape, 25)) * mask):
+        phi = phases[k % 3]
+        on, off = (_solved(solver, phi, phi.forward(frame[mask])) for solver in solvers)
+        errors.append(float(np.abs(on - off).max()))
+    assert np.median(errors) < 1e-5
+    assert max(errors) < 5e-5
+
+
+def _solved(solver: Solver, phi: Phi, y: Floats) -> Floats:
+    solver.use(phi)
+    return solver.solve(y)
+
+
+def test_where_numpy_itself_depends_on_rounding_skin_is_as_near_as_numpy_is_to_itself() -> None:
+    """At N/8 measurements that differ by 1e-7 N give other thresholds, and other forces."""
+    mask = np.ones((40, 40), dtype=np.bool_)
+    phi = SbhePhi(1600, 200, 0)
+    y = phi.forward(noisy(sliding_disc((40, 40), 25)).reshape(-1, 1600))
+    nudge = np.random.default_rng(0).normal(scale=1e-7, size=y.shape).astype(np.float32)
+    on, off, nudged = (made("skin", phi, mask, how) for how in ("on", "off", "off"))
+    found = np.array(
+        [
+            [on.solve(one), off.solve(one), nudged.solve(one + more)]
+            for one, more in zip(y, nudge, strict=True)
+        ]
+    )
+    error = np.sqrt(np.mean((found[:, 0] - found[:, 1]) ** 2))
+    by_rounding = np.sqrt(np.mean((found[:, 2] - found[:, 1]) ** 2))
+    assert error < 10 * by_rounding
+    assert error < 1e-3
+
+
+@pytest.mark.parametrize("name", ["skin", "fista"])
+def test_a_hundred_frames_compile_nothing(name: str) -> None:
+    loops = [f for f in vars(fast_kernels).values() if hasattr(f, "signatures")]
+    mask = mask_of((20, 20), 7)
+    phi = SbhePhi(393, 131, 0)
+    solver = made(name, phi, mask, "on")
+    before = [len(f.signatures) for f in loops]
+    assert all(len(f.signatures) == 1 for f in fast_kernels.LOOPS[name])
+    for frame in noisy(sliding_disc((20, 20), 100)):
+        y = phi.forward(frame[mask])
+        y.setflags(write=False)
+        solver.solve(y)
+    assert [len(f.signatures) for f in loops] == before
+
+
+@pytest.mark.parametrize("name", ["skin", "fista"])
+def test_off_gives_the_bits_of_an_installation_without_numba(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mask = np.ones((16, 16), dtype=np.bool_)
+    phi = SbhePhi(256, 85, 0)
+    y = phi.forward(noisy(sliding_disc((16, 16), 12)).reshape(-1, 256))
+    off = made(name, phi, mask, "off")
+    monkeypatch.setattr(fast, "find_spec", lambda module: None)
+    monkeypatch.delenv(fast.ENVIRONMENT, raising=False)
+    without = made(name, phi, mask, "auto")
+    for one in y:
+        np.testing.assert_array_equal(off.solve(one), without.solve(one))
+
+
+@pytest.mark.parametrize("name", ["skin", "fista"])
+def test_the_same_measurements_give_the_same_bits_again(name: str) -> None:
+    mask = np.ones((24, 24), dtype=np.bool_)
+    phi = SbhePhi(576, 192, 0)
+    y = phi.forward(noisy(sliding_disc((24, 24), 12)).reshape(-1, 576))
+    solver, other = made(name, phi, mask, "on"), made(name, phi, mask, "on")
+    first = [solver.solve(one) for one in y]
+    np.testing.assert_array_equal(first, [other.solve(one) for one in y])
+
+
+def test_frames_in_pieces_and_at_once_are_the_same_to_the_bit() -> None:
+    mask = np.ones((12, 32), dtype=np.bool_)
+    phi = SbhePhi(384, 128, 0)
+    pieces, whole = made("fista", phi, mask, "on"), made("fista", phi, mask, "on")
+    for frame in noisy(sliding_disc((12, 32), 8)):
+        y = phi.forward(frame.reshape(-1))
+        pieces.setup(y)
+        for _ in range(pieces.n_steps):
+            pieces.step()
+        np.testing.assert_array_equal(pieces.finish(), whole.solve(y))
+
+
+class OwnPhi(SbhePhi):
+    """What a user may have changed."""
+
+
+@pytest.mark.parametrize("name", ["skin", "fista"])
+def test_a_phi_of_ones_own_and_others_go_the_way_of_numpy(name: str) -> None:
+    basis = make_basis("haar", 8, 8)
+    for phi in (OwnPhi(64, 30, 0), make_phi("gaussian", 64, 30, 0)):
+        solver = make_solver(name, phi, basis, fast="on")
+        off = make_solver(name, phi, basis, fast="off")
+        parts = [*vars(solver).values()]
+        assert not any(isinstance(p, (CompiledDescent, CompiledProjection)) for p in parts)
+        y = phi.forward(np.abs(phi.dense()[0]).astype(np.float32))
+        np.testing.assert_array_equal(solver.solve(y), off.solve(y))
+
+
+def test_a_solver_without_compiled_loops_takes_the_setting_and_refuses_a_wrong_word() -> None:
+    phi, basis = SbhePhi(64, 30, 0), make_basis("haar", 8, 8)
+    assert make_solver("ista", phi, basis, fast="on").solve(np.zeros(30, np.float32)).max() == 0
+    with pytest.raises(SettingsError, match="fast: 'yes' is not known"):
+        make_solver("ista", phi, basis, fast="yes")
+
+
+@pytest.mark.parametrize("name", ["skin", "fista"])
+def test_a_skin_beyond_16_bits_goes_the_way_of_numpy(name: str) -> None:
+    mask = np.ones((2, 2**15), dtype=np.bool_)
+    solver = made(name, SbhePhi(2**16, 4096, 0), mask, "on")
+    parts = vars(solver).values()
+    assert not any(isinstance(p, (CompiledDescent, CompiledProjection)) for p in parts)
+
+
+def test_rotating_rows_give_what_numpy_gives() -> None:
+    phi = SbhePhi(1600, 533, 0)
+    phases = phi.row_subsets()
+    taxels = noisy(sliding_disc((40, 40), 20)).reshape(-1, 1600)
+    mask = np.ones((40, 40), dtype=np.bool_)
+    on, off = made("skin", phi, mask, "on"), made("skin", phi, mask, "off")
+    errors = []
+    for t, frame in enumerate(taxels):
+        one = phases[t % len(phases)]
+        y = one.forward(frame)
+        on.use(one)
+        off.use(one)
+        errors.append(np.abs(on.solve(y) - off.solve(y)).max())
+    assert np.median(errors) < 1e-5

@@ -1,0 +1,453 @@
+"""FISTA: the article's iteration, the optimum of basis pursuit denoising, and what is refused."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+from sparseskin.nodes.reconstructor.bases.base import Basis, make_basis
+from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
+from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.solvers.backends import make_descent
+from sparseskin.nodes.reconstructor.solvers.base import make_solver
+from sparseskin.nodes.reconstructor.solvers.descent import PlainDescent, SbheHaarDescent
+from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver, fista
+
+
+class PlainHaar(HaarBasis):
+    """Not HaarBasis itself, so that the solver takes the way over the public operators."""
+
+
+def sliding_box(shape: tuple[int, int], n_frames: int, seed: int = 0) -> Floats:
+    """A box with a rim, sliding by one taxel a frame after an untouched one; noisy, newtons."""
+    rows, cols = shape
+    noise = np.random.default_rng(seed).normal(0, 0.03, (n_frames, rows, cols))
+    frames = np.zeros((n_frames, rows, cols))
+    for t in range(1, n_frames):
+        top, left = rows // 4, cols // 4 + t
+        frames[t, top : top + rows // 3, left : left + cols // 3] = 1.2
+        frames[t, top, left : left + cols // 3] = 1.8
+        frames[t, -3, 2] = 0.4
+    return np.clip(frames + noise, 0, 2.5).astype(np.float32)
+
+
+def matrix_of(basis: Basis) -> Doubles:
+    """Psi, column by column."""
+    n = basis.n_rows * basis.n_cols
+    units = np.eye(n, dtype=np.float32).reshape(n, basis.n_rows, basis.n_cols)
+    return np.stack([basis.synthesis(u).ravel() for u in units], axis=1).astype(np.float64)
+
+
+def dense_fista(
+    A: Doubles, y: Doubles, lam: float, L: float, iterations: int, start: Doubles
+) -> Doubles:
+    """FISTA with constant step size, line by line from Beck and Teboulle (2009), section 4."""
+    x_last, y_k, t_k = start, start, 1.0
+    for _ in range(iterations):
+        v = y_k - A.T @ (A @ y_k - y) / L
+        x_k = np.sign(v) * np.maximum(np.abs(v) - lam / L, 0)
+        t_next = (1 + np.sqrt(1 + 4 * t_k**2)) / 2
+        y_k = x_k + (t_k - 1) / t_next * (x_k - x_last)
+        x_last, t_k = x_k, t_next
+    return x_last
+
+
+def ring_mask(shape: tuple[int, int]) -> Mask:
+    """A grid whose corners and one dead taxel are missing."""
+    mask = np.ones(shape, dtype=np.bool_)
+    mask[:2, :3] = mask[-2:, -4:] = False
+    mask[shape[0] // 2, shape[1] // 2] = False
+    return mask
+
+
+def assert_is_dense_fista(
+    phi: Phi, basis: Basis, mask: Mask | None, frames: Floats, **settings: Any
+) -> None:
+    """Every frame of a warm-started sequence within 1e-4 N of the article's iteration."""
+    solver = FistaSolver(phi, basis, mask, **settings)
+    inside = np.ones(frames.shape[1:], dtype=np.bool_) if mask is None else mask
+    psi = matrix_of(basis)
+    A = phi.dense() @ psi[inside.ravel()]
+    theta = np.zeros(psi.shape[1])
+    for frame in frames:
+        y = phi.forward(frame[inside])
+        theta = dense_fista(
+            A, y.astype(np.float64), solver.lambda_n, phi.lipschitz, solver.iterations, theta
+        )
+        expected = np.where(inside, np.maximum(psi @ theta, 0).reshape(inside.shape), 0)
+        estimate = solver.solve(y)
+        assert estimate.dtype == np.float32
+        assert estimate.shape == inside.shape
+        np.testing.assert_allclose(estimate, expected, atol=1e-4)
+
+
+def test_a_warm_started_sequence_is_the_articles_iteration() -> None:
+    phi = make_phi("sbhe", 1600, 533, seed=1)
+    assert_is_dense_fista(phi, make_basis("haar", 40, 40), None, sliding_box((40, 40), 6))
+
+
+@pytest.mark.parametrize("shape", [(13, 11), (12, 32), (28, 28), (16, 16)])
+@pytest.mark.parametrize("block", [8, 32, 128])
+def test_missing_taxels_are_left_out(shape: tuple[int, int], block: int) -> None:
+    mask = ring_mask(shape)
+    n = int(mask.sum())
+    phi = make_phi("sbhe", n, n // 2, seed=1, block=block)
+    frames = sliding_box(shape, 4) * mask
+    assert_is_dense_fista(phi, make_basis("haar", *shape), mask, frames, iterations=20)
+    estimate = make_solver("fista", phi, HaarBasis(*shape), mask).solve(
+        phi.forward(frames[2][mask])
+    )
+    np.testing.assert_array_equal(estimate[~mask], 0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "basis_name", "m"),
+    [
+        ("sbhe", "identity", 70),
+        ("subsample", "haar", 70),
+        ("full", "haar", None),
+        ("gaussian", "haar", 70),
+        ("gaussian", "identity", 70),
+    ],
+)
+def test_any_phi_and_basis_is_the_articles_iteration(
+    kind: str, basis_name: str, m: int | None
+) -> None:
+    mask = ring_mask((13, 11))
+    n = int(mask.sum())
+    phi = make_phi(kind, n, m or n, seed=1)
+    frames = sliding_box((13, 11), 3) * mask
+    assert_is_dense_fista(phi, make_basis(basis_name, 13, 11), mask, frames, lambda_n=0.01)
+
+
+@pytest.mark.parametrize(("shape", "m"), [((1, 1), 1), ((1, 2), 1), ((3, 1), 2), ((5, 7), 35)])
+def test_tiny_skins_work(shape: tuple[int, int], m: int) -> None:
+    n = shape[0] * shape[1]
+    frames = np.abs(np.random.default_rng(0).normal(size=(3, *shape))).astype(np.float32)
+    assert_is_dense_fista(make_phi("sbhe", n, m, seed=0), HaarBasis(*shape), None, frames)
+
+
+def test_the_fast_step_and_the_public_operators_agree() -> None:
+    mask = ring_mask((28, 28))
+    n = int(mask.sum())
+    phi = make_phi("sbhe", n, n // 3, seed=1)
+    fast, plain = HaarBasis(28, 28), PlainHaar(28, 28)
+    taxels = np.flatnonzero(mask)
+    assert isinstance(make_descent(phi, fast, taxels), SbheHaarDescent)
+    assert isinstance(make_descent(phi, plain, taxels), PlainDescent)
+    one, other = FistaSolver(phi, fast, mask), FistaSolver(phi, plain, mask)
+    for frame in sliding_box((28, 28), 4):
+        y = phi.forward(frame[mask])
+        np.testing.assert_allclose(one.solve(y), other.solve(y), atol=2e-5)
+
+
+def objective(solver: FistaSolver, y: Floats) -> float:
+    theta = solver.theta
+    image = solver.basis.synthesis(theta).reshape(-1)
+    misfit = solver.phi.forward(image[solver.taxels]).astype(float) - y
+    return float(0.5 * misfit @ misfit + solver.lambda_n * np.abs(theta.astype(float)).sum())
+
+
+@pytest.mark.parametrize("shape", [(28, 28), (13, 11)])
+@pytest.mark.parametrize(
+    ("kind", "basis_name"), [("sbhe", "haar"), ("sbhe", "db2"), ("gaussian", "haar")]
+)
+@pytest.mark.parametrize("masked", [False, True])
+def test_the_readable_form_and_the_solver_agree(
+    shape: tuple[int, int], kind: str, basis_name: str, masked: bool
+) -> None:
+    """To 2e-5 N, over a warm-started sequence; so the readable form is the method that runs."""
+    mask = ring_mask(shape) if masked else np.ones(shape, dtype=np.bool_)
+    phi = make_phi(kind, int(mask.sum()), int(mask.sum()) // 3, seed=1)
+    basis = make_basis(basis_name, *shape)
+    solver = FistaSolver(phi, make_basis(basis_name, *shape), mask, iterations=20, lambda_n=0.005)
+    theta: Floats | None = None
+    for frame in sliding_box(shape, 4) * mask:
+        y = phi.forward(frame[mask])
+        forces, theta = fista(
+            phi, basis, y, iterations=20, lambda_n=0.005, mask=mask if masked else None, start=theta
+        )
+        np.testing.assert_allclose(solver.solve(y), forces, atol=2e-5)
+        assert forces.dtype == theta.dtype == np.float32
+    start = basis.analysis(frame)
+    forces, _ = fista(phi, basis, y, iterations=3, mask=mask, start=start)
+    again = FistaSolver(phi, make_basis(basis_name, *shape), mask, iterations=3)
+    np.testing.assert_allclose(again.solve(y, warm=frame), forces, atol=2e-5)
+
+
+class CountedSteps(FistaSolver):
+    """A step of the user's own."""
+
+    n_done = 0
+
+    def step(self) -> None:
+        self.n_done += 1
+        super().step()
+
+
+def test_solve_makes_the_steps_of_a_class_of_ones_own() -> None:
+    phi = make_phi("sbhe", 256, 100, seed=2)
+    own, plain = (cls(phi, HaarBasis(16, 16), iterations=7) for cls in (CountedSteps, FistaSolver))
+    for frame in sliding_box((16, 16), 3):
+        y = phi.forward(frame.ravel())
+        np.testing.assert_array_equal(own.solve(y, warm=frame), plain.solve(y, warm=frame))
+    assert own.n_done == 3 * 7
+
+
+def test_more_iterations_from_zero_have_a_lower_objective() -> None:
+    phi = make_phi("sbhe", 1600, 533, seed=1)
+    y = phi.forward(sliding_box((40, 40), 2)[1].ravel())
+    values = [0.5 * float(y.astype(float) @ y)]
+    for iterations in (1, 3, 10, 30, 100):
+        solver = FistaSolver(phi, make_basis("haar", 40, 40), iterations=iterations)
+        solver.solve(y)
+        values.append(objective(solver, y))
+    assert values == sorted(values, reverse=True)
+    assert values[-1] < 0.2 * values[0]
+
+
+@pytest.mark.parametrize("basis", [HaarBasis(16, 16), PlainHaar(16, 16)])
+def test_many_iterations_reach_the_optimality_conditions(basis: Basis) -> None:
+    """g = Psi^T Phi^T (y - Phi Psi theta): |g| <= lambda, = lambda sign(theta) where not 0."""
+    phi = make_phi("sbhe", 256, 100, seed=2)
+    lambda_n = 0.02
+    solver = FistaSolver(phi, basis, iterations=1000, lambda_n=lambda_n)
+    y = phi.forward(sliding_box((16, 16), 3)[2].ravel())
+    solver.solve(y)
+    solver.solve(y)
+    theta = solver.theta.astype(np.float64).ravel()
+    A = phi.dense() @ matrix_of(basis)
+    g = A.T @ (y - A @ theta)
+    active = np.abs(theta) > 1e-3
+    assert 10 < active.sum() < 100
+    assert np.abs(g).max() <= lambda_n + 2e-5
+    np.testing.assert_allclose(g[active], lambda_n * np.sign(theta[active]), atol=2e-5)
+
+
+def test_a_frame_starts_from_the_last_ones_theta_until_reset() -> None:
+    phi = make_phi("sbhe", 256, 100, seed=2)
+    frames = sliding_box((16, 16), 3)
+    y, y_next = phi.forward(frames[1].ravel()), phi.forward(frames[2].ravel())
+    solver = FistaSolver(phi, HaarBasis(16, 16), iterations=5)
+    cold = solver.solve(y)
+    warm = solver.solve(y)
+    assert not np.array_equal(cold, warm)
+    solver.solve(y_next)
+    solver.reset()
+    np.testing.assert_array_equal(solver.theta, 0)
+    np.testing.assert_array_equal(solver.solve(y), cold)
+    np.testing.assert_array_equal(solver.solve(y), warm)
+
+
+def test_a_given_warm_start_replaces_what_the_last_frame_left() -> None:
+    phi = make_phi("sbhe", 143, 60, seed=2)
+    frames = sliding_box((13, 11), 3)
+    y = phi.forward(frames[2].ravel())
+    for basis in (HaarBasis(13, 11), PlainHaar(13, 11)):
+        solver = FistaSolver(phi, basis, iterations=5)
+        solver.solve(phi.forward(frames[1].ravel()))
+        warm = solver.solve(y, warm=frames[2])
+        psi = matrix_of(basis)
+        A = phi.dense() @ psi
+        start = psi.T @ frames[2].ravel().astype(np.float64)
+        theta = dense_fista(A, y.astype(np.float64), solver.lambda_n, 1.0, 5, start)
+        np.testing.assert_allclose(warm, np.maximum(psi @ theta, 0).reshape(13, 11), atol=1e-4)
+
+
+def test_setup_steps_and_finish_are_solve() -> None:
+    phi = make_phi("sbhe", 256, 100, seed=2)
+    whole, pieces = (FistaSolver(phi, HaarBasis(16, 16), iterations=7) for _ in range(2))
+    for frame in sliding_box((16, 16), 3):
+        y = phi.forward(frame.ravel())
+        pieces.setup(y)
+        for _ in range(pieces.n_steps):
+            pieces.step()
+        np.testing.assert_array_equal(pieces.finish(), whole.solve(y))
+    with pytest.raises(SolverError, match="fista: no step is left of the frame's 7"):
+        pieces.step()
+    pieces.setup(y)
+    pieces.step()
+    pieces.finish()
+    with pytest.raises(SolverError, match="no step is left"):
+        pieces.step()
+
+
+def test_a_frame_cut_short_is_a_frame_of_fewer_iterations() -> None:
+    phi = make_phi("sbhe", 256, 100, seed=2)
+    y = phi.forward(sliding_box((16, 16), 3)[2].ravel())
+    cut = FistaSolver(phi, HaarBasis(16, 16), iterations=30)
+    cut.setup(y)
+    for _ in range(4):
+        cut.step()
+    short = FistaSolver(phi, HaarBasis(16, 16), iterations=4)
+    np.testing.assert_array_equal(cut.finish(), short.solve(y))
+
+
+def test_estimates_are_the_callers_own_not_negative_and_y_is_left_alone() -> None:
+    phi = make_phi("sbhe", 256, 100, seed=2)
+    solver = FistaSolver(phi, HaarBasis(16, 16), iterations=7)
+    frames = sliding_box((16, 16), 3)
+    y = phi.forward(frames[1].ravel())
+    y_before = y.copy()
+    first = solver.solve(y)
+    kept = first.copy()
+    solver.solve(phi.forward(frames[2].ravel()))
+    np.testing.assert_array_equal(first, kept)
+    np.testing.assert_array_equal(y, y_before)
+    assert first.min() == 0
+    assert solver.basis.synthesis(solver.theta).min() < 0  # the state is not clipped
+
+
+def test_no_measurement_but_zero_gives_no_force() -> None:
+    phi = make_phi("sbhe", 256, 100, seed=2)
+    solver = FistaSolver(phi, HaarBasis(16, 16))
+    np.testing.assert_array_equal(solver.solve(np.zeros(100, dtype=np.float32)), 0)
+
+
+def test_the_same_bits_with_any_number_of_blas_threads() -> None:
+    code = (
+        "import numpy as np, hashlib;"
+        "from sparseskin.nodes.compressor.phi.base import make_phi;"
+        "from sparseskin.nodes.reconstructor.bases.base import make_basis;"
+        "from sparseskin.nodes.reconstructor.solvers.base import make_solver;"
+        "phi = make_phi('sbhe', 1600, 533, seed=0);"
+        "solver = make_solver('fista', phi, make_basis('haar', 40, 40));"
+        "x = np.random.default_rng(0).random((3, 1600), dtype=np.float32);"
+        "bits = b''.join(solver.solve(y).tobytes() for y in phi.forward(x));"
+        "print(hashlib.sha256(bits).hexdigest())"
+    )
+    one, two = (
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, "OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads},
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+        for threads in "12"
+    )
+    assert one == two
+
+
+def test_preset_paper_is_the_papers_method() -> None:
+    preset = dict(PRESETS["paper"])
+    assert preset == {"solver": "fista", "basis": "haar", "iterations": 30, "lambda_n": 0.1 / 32}
+    phi = make_phi("sbhe", 256, 85, seed=2)
+    basis = make_basis(preset.pop("basis"), 16, 16)
+    solver = make_solver(preset.pop("solver"), phi, basis, **preset)
+    assert isinstance(solver, FistaSolver)
+    assert solver.n_steps == 30
+    y = phi.forward(sliding_box((16, 16), 3)[2].ravel())
+    np.testing.assert_array_equal(solver.solve(y), FistaSolver(phi, HaarBasis(16, 16)).solve(y))
+
+
+def test_lambda_on_orthonormal_rows_is_the_papers_on_rows_of_signs() -> None:
+    """0.1 on +1/-1 rows and 0.1 / 32 on orthonormal ones give the same theta."""
+    phi = make_phi("sbhe", 256, 100, seed=2)
+    solver = FistaSolver(phi, HaarBasis(16, 16), iterations=30)
+    y = phi.forward(sliding_box((16, 16), 3)[2].ravel())
+    estimate = solver.solve(y)
+    psi = matrix_of(solver.basis)
+    signs = phi.dense() * np.sqrt(32) @ psi
+    theta = dense_fista(signs, y * np.sqrt(32), 0.1, 32.0, 30, np.zeros(256))
+    np.testing.assert_allclose(estimate, np.maximum(psi @ theta, 0).reshape(16, 16), atol=1e-4)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_measurement_that_is_not_finite_is_refused_and_leaves_no_trace(bad: float) -> None:
+    phi = make_phi("sbhe", 256, 100, seed=2)
+    y = phi.forward(sliding_box((16, 16), 3)[2].ravel())
+    solver, untroubled = (FistaSolver(phi, HaarBasis(16, 16)) for _ in range(2))
+    np.testing.assert_array_equal(solver.solve(y), untroubled.solve(y))
+    spoilt = y.copy()
+    spoilt[17] = bad
+    with pytest.raises(SolverError, match=r"measurement 17 is -?(nan|inf); allowed: finite"):
+        solver.solve(spoilt)
+    np.testing.assert_array_equal(solver.solve(y), untroubled.solve(y))
+
+
+def test_measurements_and_warm_starts_of_the_wrong_kind_are_named() -> None:
+    phi = make_phi("sbhe", 256, 100, seed=2)
+    solver = FistaSolver(phi, HaarBasis(16, 16))
+    y = np.zeros(100, dtype=np.float32)
+    with pytest.raises(SolverError, match=r"y has shape \(99,\); expected \(100,\)"):
+        solver.solve(y[1:])
+    with pytest.raises(SolverError, match=r"y has shape \(1, 100\); expected \(100,\)"):
+        solver.solve(y[None])
+    with pytest.raises(SolverError, match="too large"):
+        solver.solve(np.full(100, 1e31, dtype=np.float32))
+    with pytest.raises(SolverError, match=r"warm start has shape \(256,\); expected \(16, 16\)"):
+        solver.solve(y, warm=np.zeros(256, dtype=np.float32))
+    with pytest.raises(SolverError, match="warm start has values that are not finite"):
+        solver.solve(y, warm=np.full((16, 16), np.nan, dtype=np.float32))
+
+
+class TooShortLipschitz(PlainHaar):
+    """A basis that is not orthonormal, so that the step 1/L is too long."""
+
+    def _synthesis(self, coefficients: Floats, out: Floats) -> None:
+        super()._synthesis(100 * coefficients, out)
+
+    def _analysis(self, image: Floats, out: Floats) -> None:
+        super()._analysis(100 * image, out)
+
+
+@pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
+def test_an_iteration_that_diverges_is_an_error_and_forgotten() -> None:
+    phi = make_phi("sbhe", 256, 100, seed=2)
+    solver = FistaSolver(phi, TooShortLipschitz(16, 16))
+    y = phi.forward(sliding_box((16, 16), 3)[2].ravel())
+    with pytest.raises(SolverError, match="diverged"):
+        solver.solve(y)
+    np.testing.assert_array_equal(solver.theta, 0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"iterations": 0}, r"iterations = 0 is not allowed; allowed: an integer 1\.\.1000"),
+        ({"iterations": 1001}, "iterations = 1001"),
+        ({"iterations": 2.5}, "iterations = 2.5"),
+        ({"iterations": True}, "iterations = True"),
+        ({"lambda_n": -0.1}, "lambda_n = -0.1 is not allowed"),
+        ({"lambda_n": float("nan")}, "lambda_n = nan"),
+        ({"lambda_n": float("inf")}, "lambda_n = inf"),
+        ({"lambda_n": "0.1"}, "lambda_n = '0.1'"),
+        ({"iteration": 20}, 'setting "iteration" is not known.*iterations'),
+        ({"mask": np.ones((4, 64), dtype=np.bool_)}, r"shape \(4, 64\); expected .* \(16, 16\)"),
+        ({"mask": np.ones((16, 16))}, "mask is float64"),
+        ({"mask": ring_mask((16, 16))}, "phi is for n = 256 taxels; the grid of 16 x 16 has"),
+    ],
+)
+def test_what_cannot_be_made_is_named(settings: dict[str, Any], said: str) -> None:
+    phi = make_phi("sbhe", 256, 100, seed=2)
+    with pytest.raises(SolverError, match=said):
+        make_solver("fista", phi, HaarBasis(16, 16), **settings)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("fist", 'solver "fist" is not known.*fista'),
+        ("no_such_module:Solver", "no_such_module"),
+        ("sparseskin.nodes.reconstructor.solvers.fista:FistaSolve", "FistaSolver"),
+        ("collections:Counter", "no solver: it lacks setup"),
+    ],
+)
+def test_unknown_solvers_are_named(name: str, said: str) -> None:
+    with pytest.raises(SolverError, match=said):
+        make_solver(name, make_phi("sbhe", 256, 100, seed=2), HaarBasis(16, 16))
+
+
+def test_a_class_of_ones_own_is_made_by_its_path() -> None:
+    path = "sparseskin.nodes.reconstructor.solvers.fista:FistaSolver"
+    phi = make_phi("sbhe", 256, 100, seed=2)
+    assert make_solver(path, phi, HaarBasis(16, 16), iterations=3).n_steps == 3

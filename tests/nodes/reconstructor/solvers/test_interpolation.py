@@ -1,0 +1,139 @@
+"""Interpolation between taxels: exact where a force is linear, on any grid and any sampling."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sparseskin.nodes.compressor.phi.acts import ActsPhi
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.reconstructor.bases.base import IdentityBasis, make_basis
+from sparseskin.nodes.reconstructor.solvers.base import make_solver
+from sparseskin.nodes.reconstructor.solvers.interpolation import InterpolationSolver
+
+
+def slope(rows: int, cols: int) -> npt.NDArray[np.float32]:
+    i, j = np.indices((rows, cols))
+    return (0.2 + 0.03 * i + 0.01 * j).astype(np.float32)
+
+
+def acts(shape: tuple[int, int], taxels: npt.NDArray[np.intp]) -> ActsPhi:
+    phi = ActsPhi(shape[0] * shape[1], len(taxels), seed=0)
+    phi.choose(np.sort(taxels))
+    return phi
+
+
+def fixed(shape: tuple[int, int], taxels: npt.NDArray[np.intp]) -> SubsamplePhi:
+    phi = SubsamplePhi(shape[0] * shape[1], len(taxels), seed=0)
+    phi._keep(np.sort(taxels))
+    return phi
+
+
+SAMPLINGS = pytest.mark.parametrize("sampled", [acts, fixed])
+
+
+@SAMPLINGS
+@pytest.mark.parametrize("shape", [(40, 40), (12, 32), (33, 17), (2, 2)])
+def test_a_slope_is_restored_from_its_corners_and_some_taxels_between(
+    shape: tuple[int, int], sampled: Callable[..., SubsamplePhi]
+) -> None:
+    rows, cols = shape
+    numbers = np.arange(rows * cols).reshape(shape)
+    taxels = np.union1d(numbers[:: rows - 1, :: cols - 1], numbers[1::5, 2::7])
+    phi = sampled(shape, taxels)
+    image = slope(rows, cols)
+    restored = InterpolationSolver(phi, IdentityBasis(*shape)).solve(phi.forward(image.ravel()))
+    np.testing.assert_allclose(restored, image, atol=1e-5)
+
+
+@SAMPLINGS
+@pytest.mark.parametrize("shape", [(1, 20), (20, 1)])
+def test_a_skin_of_one_row_or_column_is_interpolated_along_it(
+    shape: tuple[int, int], sampled: Callable[..., SubsamplePhi]
+) -> None:
+    phi = sampled(shape, np.array([2, 9, 17]))
+    image = slope(*shape)
+    restored = InterpolationSolver(phi, IdentityBasis(*shape)).solve(phi.forward(image.ravel()))
+    np.testing.assert_allclose(restored.ravel()[2:18], image.ravel()[2:18], atol=1e-6)
+    np.testing.assert_array_equal(restored.ravel()[:2], image.ravel()[2])
+    np.testing.assert_array_equal(restored.ravel()[18:], image.ravel()[17])
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    rows=st.integers(1, 14),
+    cols=st.integers(1, 14),
+    part=st.floats(0, 1),
+    seed=st.integers(0, 99),
+    sampling=st.sampled_from([SubsamplePhi, ActsPhi]),
+)
+def test_taxels_keep_their_readings_and_the_others_lie_between(
+    rows: int, cols: int, part: float, seed: int, sampling: type[SubsamplePhi]
+) -> None:
+    rng = np.random.default_rng(seed)
+    mask = rng.random((rows, cols)) < 0.8
+    mask[0, 0] = True
+    n = int(mask.sum())
+    phi = sampling(n, max(1, round(part * n)), seed)
+    y = rng.random(phi.m).astype(np.float32)
+    restored = InterpolationSolver(phi, IdentityBasis(rows, cols), mask).solve(y)
+    np.testing.assert_array_equal(restored[mask][phi.rows], y)
+    assert restored[mask].min() >= y.min() - 1e-6
+    assert restored[mask].max() <= y.max() + 1e-6
+    assert not restored[~mask].any()
+
+
+def test_a_taxel_is_the_mean_of_the_lines_on_which_it_lies_between_readings() -> None:
+    phi = acts((3, 3), np.array([0, 2, 6, 8]))
+    y = np.array([1, 5, 2, 2], dtype=np.float32)
+    restored = InterpolationSolver(phi, IdentityBasis(3, 3)).solve(y)
+    np.testing.assert_allclose(restored[[0, 1, 1, 2], [1, 0, 2, 1]], [3, 1.5, 3.5, 2], rtol=1e-6)
+    # The middle is on both diagonals; of its row and its column nothing is read.
+    assert restored[1, 1] == pytest.approx((1.5 + 3.5) / 2)
+
+
+def test_nothing_is_carried_from_a_frame_with_other_taxels() -> None:
+    shape = (20, 20)
+    rng = np.random.default_rng(1)
+    phi = ActsPhi(400, 60, seed=0)
+    solver = InterpolationSolver(phi, IdentityBasis(*shape))
+    for _ in range(3):
+        phi.choose(np.sort(rng.permutation(400)[:60]))
+        y = rng.random(60).astype(np.float32)
+        fresh = InterpolationSolver(phi, IdentityBasis(*shape))
+        np.testing.assert_array_equal(solver.solve(y), fresh.solve(y))
+
+
+@pytest.mark.parametrize("kind", ["sbhe", "gaussian", "full"])
+def test_measurements_of_several_taxels_are_refused(kind: str) -> None:
+    phi = make_phi(kind, 64, 64 if kind == "full" else 20, seed=0)
+    with pytest.raises(SolverError, match=f'phi "{kind}" mixes taxels; allowed: acts, subsample'):
+        make_solver("interpolation", phi, make_basis("identity", 8, 8))
+
+
+def test_setup_step_and_finish_are_solve_and_a_spoilt_frame_leaves_no_trace() -> None:
+    phi = make_phi("subsample", 64, 30, seed=2)
+    whole, pieces = (InterpolationSolver(phi, IdentityBasis(8, 8)) for _ in range(2))
+    y = np.random.default_rng(4).random(30).astype(np.float32)
+    with pytest.raises(SolverError, match="interpolation: no step is left"):
+        pieces.step()
+    with pytest.raises(SolverError, match=r"measurement 3 is nan; allowed: finite"):
+        pieces.setup(np.where(np.arange(30) == 3, np.float32(np.nan), y))
+    pieces.setup(y)
+    pieces.step()
+    np.testing.assert_array_equal(pieces.finish(), whole.solve(y))
+    with pytest.raises(SolverError, match="interpolation: no step is left"):
+        pieces.step()
+
+
+def test_it_has_no_settings() -> None:
+    phi = make_phi("subsample", 64, 30, seed=2)
+    with pytest.raises(SolverError, match='setting "iterations" is not known'):
+        make_solver("interpolation", phi, make_basis("identity", 8, 8), iterations=5)

@@ -1,0 +1,124 @@
+"""Proximal solvers: the iteration of the article, the optimum of each problem, and warm starts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pressed import noisy, psnr_db, sliding_disc
+
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
+from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
+from sparseskin.nodes.reconstructor.solvers.proximal import (
+    FistaNonnegSolver,
+    IstaSolver,
+    ReweightedSolver,
+    TvSolver,
+)
+
+
+@pytest.mark.parametrize("kind", ["sbhe", "gaussian"])
+def test_ista_is_the_articles_iteration_on_a_warm_started_sequence(kind: str) -> None:
+    phi = make_phi(kind, 256, 100, seed=1)
+    basis = HaarBasis(16, 16)
+    units = np.eye(256, dtype=np.float32).reshape(256, 16, 16)
+    psi = np.stack([basis.synthesis(u).ravel() for u in units], axis=1).astype(np.float64)
+    A, lam, L = phi.dense() @ psi, 0.01, phi.lipschitz
+    solver = IstaSolver(phi, HaarBasis(16, 16), iterations=12, lambda_n=lam)
+    theta = np.zeros(256)
+    for frame in noisy(sliding_disc((16, 16), 8)):
+        y = phi.forward(frame.ravel())
+        for _ in range(12):
+            v = theta + A.T @ (y - A @ theta) / L
+            theta = np.sign(v) * np.maximum(np.abs(v) - lam / L, 0)
+        expected = np.maximum(psi @ theta, 0).reshape(16, 16)
+        np.testing.assert_allclose(solver.solve(y), expected, atol=1e-4)
+
+
+def test_fista_with_x_not_negative_reconstructs_better() -> None:
+    phi = make_phi("sbhe", 1600, 200, seed=0)
+    truth = sliding_disc((40, 40), 16)
+    y = phi.forward(noisy(truth).reshape(-1, 1600))
+    solvers = [
+        cls(phi, HaarBasis(40, 40), iterations=30, lambda_n=0.00625)
+        for cls in (FistaSolver, FistaNonnegSolver)
+    ]
+    plain, nonneg = (np.array([solver.solve(one) for one in y])[10:] for solver in solvers)
+    assert psnr_db(nonneg, truth[10:]) > psnr_db(plain, truth[10:]) + 0.5
+
+
+def test_an_orthonormal_full_measurement_is_one_step_of_shrinking_and_cutting_off() -> None:
+    phi = make_phi("full", 256, 256, seed=0)
+    basis = HaarBasis(16, 16)
+    frame = noisy(sliding_disc((16, 16), 12))[-1]
+    theta = basis.analysis(frame)
+    shrunk = np.sign(theta) * np.maximum(np.abs(theta) - 0.05, 0)
+    solver = FistaNonnegSolver(phi, HaarBasis(16, 16), iterations=1, lambda_n=0.05)
+    expected = np.maximum(basis.synthesis(shrunk.astype(np.float32)), 0)
+    np.testing.assert_allclose(solver.solve(frame.ravel()), expected, atol=1e-5)
+
+
+def test_reweighting_is_better_than_the_same_lambda_without_weights() -> None:
+    phi = make_phi("sbhe", 1600, 400, seed=0)
+    truth = sliding_disc((40, 40), 30)
+    y = phi.forward(noisy(truth).reshape(-1, 1600))
+    solvers = [
+        cls(phi, HaarBasis(40, 40), iterations=20, lambda_n=0.0125)
+        for cls in (FistaNonnegSolver, ReweightedSolver)
+    ]
+    plain, weighted = (np.array([solver.solve(one) for one in y])[15:] for solver in solvers)
+    assert psnr_db(weighted, truth[15:]) > psnr_db(plain, truth[15:]) + 1
+
+
+def test_a_large_coefficient_of_the_last_frame_loses_its_bias() -> None:
+    """With Phi = 1 a pressed tile is shrunk by lambda at first, and by far less afterwards."""
+    phi = make_phi("full", 64, 64, seed=0)
+    frame = np.full(64, 0.5, dtype=np.float32)
+    solver = ReweightedSolver(phi, HaarBasis(8, 8), lambda_n=0.1)
+    first = 0.5 - solver.solve(frame).mean()
+    for _ in range(10):
+        last = 0.5 - solver.solve(frame).mean()
+    assert abs(first - 0.1 / 8) < 1e-5
+    assert last < 0.15 * first
+
+
+def test_a_step_is_shrunk_by_what_theory_says() -> None:
+    """min 1/2 |x - y|^2 + lambda TV: each side of a lone step moves by lambda / its length."""
+    y = np.repeat(np.float32([0.2, 0.8]), [6, 10])
+    solver = TvSolver(
+        make_phi("full", 16, 16, seed=0), HaarBasis(1, 16), iterations=1000, lambda_n=0.06
+    )
+    expected = np.repeat([0.2 + 0.06 / 6, 0.8 - 0.06 / 10], [6, 10])
+    np.testing.assert_allclose(solver.solve(y).ravel(), expected, atol=1e-4)
+
+
+def test_an_edge_of_the_last_frame_is_shrunk_less() -> None:
+    y = np.repeat(np.float32([0.2, 0.8]), [6, 10])
+    solver = TvSolver(
+        make_phi("full", 16, 16, seed=0), HaarBasis(1, 16), iterations=300, lambda_n=0.06
+    )
+    first = np.ptp(solver.solve(y))
+    for _ in range(5):
+        last = np.ptp(solver.solve(y))
+    assert first == pytest.approx(0.584, abs=1e-3)
+    assert 0.6 - last < 0.6 * (0.6 - first)
+
+
+def test_tv_reconstructs_a_disc_better_than_haar() -> None:
+    phi = make_phi("sbhe", 1600, 400, seed=0)
+    truth = sliding_disc((40, 40), 30)
+    y = phi.forward(noisy(truth).reshape(-1, 1600))
+    tv, haar = TvSolver(phi, HaarBasis(40, 40)), FistaNonnegSolver(phi, HaarBasis(40, 40))
+    restored = [np.array([solver.solve(one) for one in y])[15:] for solver in (tv, haar)]
+    assert psnr_db(restored[0], truth[15:]) > psnr_db(restored[1], truth[15:]) + 3
+
+
+def test_differences_over_missing_taxels_do_not_count() -> None:
+    """Two halves of a skin, a column missing between them, are two skins."""
+    mask = np.ones((4, 9), dtype=np.bool_)
+    mask[:, 4] = False
+    y = np.where(np.indices((4, 9))[1] < 4, 0.3, 0.9).astype(np.float32)
+    solver = TvSolver(
+        make_phi("full", 32, 32, seed=0), HaarBasis(4, 9), mask, iterations=200, lambda_n=0.1
+    )
+    np.testing.assert_allclose(solver.solve(y[mask])[mask], y[mask], atol=1e-5)

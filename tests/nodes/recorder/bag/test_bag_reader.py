@@ -1,0 +1,415 @@
+"""The reader: whole, cut, damaged and foreign files; never a force that was not recorded."""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import tracemalloc
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import lz4.frame
+import mcap.writer
+import pytest
+from bags import LAG_NS, PERIOD_NS, frames, make_bag
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.data_stream import RecordBuilder
+from mcap.records import Chunk
+
+from sparseskin.nodes.recorder.bag.format import BagError, BagMessage
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.recorder.bag.records import HEAD_BYTES, MAX_CHUNK_BYTES, Break, open_chunk
+from sparseskin.nodes.recorder.bag.writer import BagWriter
+
+N_FRAMES = 60
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[bytes]]:
+    """The bytes of a bag, and the payloads in it."""
+    path = tmp_path_factory.mktemp("whole") / "a.mcap"
+    payloads = make_bag(path, frames(N_FRAMES), flush_every=24)
+    return path.read_bytes(), payloads
+
+
+def survivors(path: Path, data: bytes) -> tuple[list[bytes], str] | None:
+    """What is read of a file with these bytes, and what is said; None where it is refused."""
+    path.write_bytes(data)
+    try:
+        with BagReader(path) as bag:
+            return [message.payload for message in bag.messages()], bag.recovered
+    except BagError as error:
+        if "\n" in str(error) or not str(error).startswith(f"{path}: "):
+            raise AssertionError(f"expected one line that names the file: {error}") from error
+        return None
+
+
+def check_damaged(path: Path, data: bytes, payloads: list[bytes]) -> int:
+    """A damaged file gives the first payloads and their number, or is refused."""
+    found = survivors(path, data)
+    if found is None:
+        return 0
+    read, recovered = found
+    assert read == payloads[: len(read)]
+    assert re.match(rf"{len(read)} messages? recovered, up to ", recovered)
+    return len(read)
+
+
+def chunk_ends(data: bytes) -> list[int]:
+    """Where each chunk record ends."""
+    ends, offset = [], 8
+    while offset < len(data) - 8:
+        length = int.from_bytes(data[offset + 1 : offset + 9], "little")
+        offset += 9 + length
+        if data[offset - 9 - length] == 6:
+            ends.append(offset)
+    return ends
+
+
+def test_a_file_cut_anywhere_gives_every_complete_chunk(
+    whole: tuple[bytes, list[bytes]], tmp_path: Path
+) -> None:
+    data, payloads = whole
+    ends = chunk_ends(data)
+    assert len(ends) > 8
+    rng = random.Random(0)
+    for _ in range(200):
+        at = rng.randrange(len(data))
+        n_read = check_damaged(tmp_path / "a.mcap", data[:at], payloads)
+        assert n_read == min(24 * sum(end <= at for end in ends), len(payloads))
+
+
+def test_a_flipped_byte_is_noticed_and_what_comes_before_it_is_delivered(
+    whole: tuple[bytes, list[bytes]], tmp_path: Path
+) -> None:
+    data, payloads = whole
+    ends = chunk_ends(data)
+    rng = random.Random(1)
+    for _ in range(200):
+        at = rng.randrange(600, len(data))
+        damaged = bytearray(data)
+        damaged[at] ^= rng.randrange(1, 256)
+        n_read = check_damaged(tmp_path / "a.mcap", bytes(damaged), payloads)
+        assert n_read >= min(24 * sum(end <= at for end in ends), len(payloads))
+
+
+def test_a_flipped_byte_anywhere_in_front_is_noticed_or_the_file_refused(
+    whole: tuple[bytes, list[bytes]], tmp_path: Path
+) -> None:
+    data, payloads = whole
+    for at in range(300):
+        damaged = bytearray(data)
+        damaged[at] ^= 0x41
+        check_damaged(tmp_path / "a.mcap", bytes(damaged), payloads)
+
+
+def test_damage_to_the_metadata_does_not_cost_the_messages(
+    whole: tuple[bytes, list[bytes]], tmp_path: Path
+) -> None:
+    data, payloads = whole
+    damaged = data.replace(b"scene", b"sc\xffne", 1)
+    assert check_damaged(tmp_path / "a.mcap", damaged, payloads) == len(payloads)
+
+
+def edits(data: bytes) -> st.SearchStrategy[bytes]:
+    """The same file with a part of it replaced, also by lengths that are far too large."""
+    place = st.integers(0, len(data))
+    stuff = st.one_of(
+        st.binary(max_size=40),
+        st.sampled_from([b"", b"\xff" * 8, b"\x00" * 8, b"\x7f" + b"\xff" * 7, data[:200]]),
+    )
+    return st.builds(
+        lambda start, length, new: data[:start] + new + data[start + length :],
+        place,
+        st.integers(0, 200),
+        stuff,
+    )
+
+
+@given(choice=st.data())
+@settings(
+    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_any_bytes_are_read_up_to_the_break_or_refused(
+    choice: st.DataObject, whole: tuple[bytes, list[bytes]], tmp_path: Path
+) -> None:
+    data, payloads = whole
+    found = survivors(tmp_path / "a.mcap", choice.draw(edits(data)))
+    if found is not None:
+        read, _ = found
+        assert read == payloads[: len(read)]
+
+
+@given(tail=st.binary(max_size=300), magic=st.booleans())
+@settings(
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_noise_is_refused(tail: bytes, magic: bool, tmp_path: Path) -> None:
+    assert (
+        survivors(tmp_path / "a.mcap", (mcap.writer.MCAP0_MAGIC if magic else b"") + tail) is None
+    )
+
+
+def test_a_length_that_is_far_too_large_takes_no_memory(
+    whole: tuple[bytes, list[bytes]], tmp_path: Path
+) -> None:
+    data, payloads = whole
+    compression = data.index(b"\x03\x00\x00\x00lz4")
+    length_of_record, uncompressed, length_of_data = (
+        compression - 36,
+        compression - 12,
+        compression + 7,
+    )
+    tracemalloc.start()
+    try:
+        for at in (length_of_record, uncompressed, length_of_data):
+            for size in (1 << 31, 1 << 40, (1 << 63) - 1, (1 << 64) - 1):
+                damaged = data[:at] + size.to_bytes(8, "little") + data[at + 8 :]
+                n_read = check_damaged(tmp_path / "a.mcap", damaged, payloads)
+                # The last of the three is not needed where a checksum proves the chunk.
+                assert n_read == 0 or at == length_of_data
+        assert tracemalloc.get_traced_memory()[1] < 10 * len(data)
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_record_that_is_far_too_large_takes_no_memory(
+    whole: tuple[bytes, list[bytes]], tmp_path: Path
+) -> None:
+    data, _ = whole
+    path, at = tmp_path / "a.mcap", chunk_ends(data)[0]
+    size = 1 << 30
+    with open(path, "wb") as file:
+        file.write(data[:at] + b"\x06" + (size - at - 9).to_bytes(8, "little"))
+        file.truncate(size)  # a sparse file: the rest takes no room
+    tracemalloc.start()
+    try:
+        with BagReader(path) as bag:
+            assert f"up to byte {at} of {size}: a record of" in bag.recovered
+        assert tracemalloc.get_traced_memory()[1] < 10 * len(data)
+    finally:
+        tracemalloc.stop()
+
+
+def test_stamps_are_cut_half_open(whole: tuple[bytes, list[bytes]], tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(whole[0])
+
+    def key(message: BagMessage) -> tuple[str, int]:
+        return message.topic, message.stamp_ns
+
+    with BagReader(path) as bag:
+        everything = list(bag.messages())
+        for start, stop in ((None, None), (0, 1), (7, 21), (59, None), (None, 3), (5, 5), (70, 90)):
+            start_ns = None if start is None else start * PERIOD_NS
+            stop_ns = None if stop is None else stop * PERIOD_NS
+            wanted = [
+                key(message)
+                for message in everything
+                if (start_ns is None or message.stamp_ns >= start_ns)
+                and (stop_ns is None or message.stamp_ns < stop_ns)
+            ]
+            assert [key(m) for m in bag.messages(None, start_ns, stop_ns)] == wanted
+            truth = [pair for pair in wanted if pair[0] == "/skin/truth"]
+            assert [key(m) for m in bag.messages(["/skin/truth"], start_ns, stop_ns)] == truth
+
+
+@pytest.mark.parametrize("log_start", [0, 10**6])
+def test_stamps_that_are_recorded_out_of_order_are_all_found(
+    tmp_path: Path, log_start: int
+) -> None:
+    path = tmp_path / "a.mcap"
+    rng = random.Random(2)
+    stamps = [rng.randrange(10**6) for _ in range(300)]
+    with BagWriter(path, {}) as writer:
+        for k, stamp in enumerate(stamps):
+            writer.write(
+                "/skin/taxels",
+                b"x",
+                schema="taxels",
+                version=1,
+                log_time_ns=log_start + k,
+                stamp_ns=stamp,
+            )
+            if k % 10 == 0:
+                writer.flush()
+    with BagReader(path) as bag:
+        for start, stop in ((0, 50_000), (300_000, 350_000), (950_000, 10**7)):
+            found = [message.stamp_ns for message in bag.messages(None, start, stop)]
+            assert found == [stamp for stamp in stamps if start <= stamp < stop]
+            assert found
+        assert bag.topics["/skin/taxels"].first_ns == min(stamps)
+        assert bag.topics["/skin/taxels"].last_ns == max(stamps)
+
+
+def test_topics_say_how_many_how_long_and_how_fast(
+    whole: tuple[bytes, list[bytes]], tmp_path: Path
+) -> None:
+    data, _ = whole
+    for name, content in (("a.mcap", data), ("a.mcap.part", data[: chunk_ends(data)[-1]])):
+        (tmp_path / name).write_bytes(content)
+        with BagReader(tmp_path / name) as bag:
+            info = bag.topics["/skin/taxels"]
+            assert bag.topics["/skin/skin"].rate_hz == 0
+        assert (info.schema, info.version, info.n_messages) == ("taxels", 1, N_FRAMES)
+        assert (info.first_ns, info.last_ns) == (0, (N_FRAMES - 1) * PERIOD_NS)
+        assert info.rate_hz == pytest.approx(100.0)
+
+
+def test_a_topic_that_is_not_there_is_named_at_once(
+    whole: tuple[bytes, list[bytes]], tmp_path: Path
+) -> None:
+    (tmp_path / "a.mcap").write_bytes(whole[0])
+    with BagReader(tmp_path / "a.mcap") as bag:
+        with pytest.raises(BagError, match="did you mean '/skin/truth'"):
+            bag.messages(["/skin/truths"])
+        with pytest.raises(BagError, match="known: /skin/measurements, /skin/recon"):
+            bag.messages(["/x/y"])
+
+
+def test_a_file_that_changes_while_it_is_read_is_an_error_and_no_force(
+    whole: tuple[bytes, list[bytes]], tmp_path: Path
+) -> None:
+    data, payloads = whole
+    path = tmp_path / "a.mcap"
+    path.write_bytes(data)
+    with BagReader(path) as bag:
+        messages = bag.messages()
+        assert next(messages).payload == payloads[0]
+        middle = chunk_ends(data)[3] - 40
+        with open(path, "r+b") as file:
+            file.seek(middle)
+            file.write(b"\0" * 8)
+        with pytest.raises(BagError, match="was changed while it was read"):
+            list(messages)
+    with pytest.raises(BagError, match="closed"):
+        next(bag.messages())
+
+
+def test_a_bag_that_another_tool_wrote_anew_can_be_read(
+    whole: tuple[bytes, list[bytes]], tmp_path: Path
+) -> None:
+    data, payloads = whole
+    (tmp_path / "a.mcap").write_bytes(data)
+    for compression in mcap.writer.CompressionType:
+        path = tmp_path / f"{compression.name}.mcap"
+        with BagReader(tmp_path / "a.mcap") as bag, open(path, "wb") as file:
+            writer = mcap.writer.Writer(file, compression=compression)
+            writer.start(library="some tool")
+            channels = {}
+            for channel, message in bag.records():
+                if channel not in channels:
+                    schema = writer.register_schema(f"sparseskin/{channel.schema}", "", b"")
+                    channels[channel] = writer.register_channel(
+                        channel.topic, "msgpack", schema, {"schema_version": "1"}
+                    )
+                writer.add_message(
+                    channels[channel],
+                    message.stamp_ns + LAG_NS,
+                    message.payload,
+                    message.stamp_ns,
+                )
+            writer.finish()
+        with BagReader(path) as bag:
+            assert [message.payload for message in bag.messages()] == payloads
+            assert (bag.metadata, bag.counts, bag.recovered) == ({}, None, "")
+
+
+def foreign(
+    path: Path,
+    encoding: str = "msgpack",
+    schema: str = "sparseskin/taxels",
+    version: str = "1",
+    topic: str = "/skin/taxels",
+    chunked: bool = True,
+) -> None:
+    with open(path, "wb") as file:
+        writer = mcap.writer.Writer(file, use_chunking=chunked)
+        writer.start(library="robot logger 7")
+        channel = writer.register_channel(
+            topic, encoding, writer.register_schema(schema, "", b""), {"schema_version": version}
+        )
+        writer.add_message(channel, 1, b"payload", 1)
+        writer.finish()
+
+
+def no_channels(path: Path) -> None:
+    with open(path, "wb") as file:
+        writer = mcap.writer.Writer(file)
+        writer.start(library="robot logger 7")
+        writer.finish()
+
+
+BAD: dict[str, tuple[Callable[[Path], object], str]] = {
+    "missing": (lambda path: None, "no such file"),
+    "not complete": (
+        lambda path: path.with_name("a.mcap.part").touch(),
+        "a.mcap.part is there: not complete, but can be read",
+    ),
+    "empty": (lambda path: path.touch(), "is empty"),
+    "folder": (lambda path: path.mkdir(), "is a folder"),
+    "pipe": (os.mkfifo, "is no regular file"),
+    "text": (lambda path: path.write_text("stamp,force\n" * 9), "not an MCAP file"),
+    "magic alone": (
+        lambda path: path.write_bytes(mcap.writer.MCAP0_MAGIC),
+        "before anything was recorded",
+    ),
+    "half the magic": (
+        lambda path: path.write_bytes(mcap.writer.MCAP0_MAGIC[:5]),
+        "ends after 5 bytes",
+    ),
+    "another program": (
+        lambda path: foreign(path, "cdr", "sensor_msgs/msg/Image"),
+        "another program (library 'robot logger 7')",
+    ),
+    "another program, no message": (no_channels, "another program (library 'robot logger 7')"),
+    "not msgpack": (lambda path: foreign(path, "json"), "'json' messages"),
+    "newer": (
+        lambda path: foreign(path, version="2"),
+        "recorded with taxels version 2; this program reads 1",
+    ),
+    "no version": (lambda path: foreign(path, version=""), "taxels version unknown"),
+    "unknown schema": (lambda path: foreign(path, schema="sparseskin/smell"), "schema 'smell'"),
+    "topic": (lambda path: foreign(path, topic="/../../etc/passwd"), "expected /PATCH/SCHEMA"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    make, text = BAD[name]
+    path = tmp_path / "a.mcap"
+    make(path)
+    with pytest.raises(BagError) as caught:
+        BagReader(path)
+    assert text in str(caught.value)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_messages_that_no_checksum_protects_are_not_delivered(tmp_path: Path) -> None:
+    foreign(tmp_path / "a.mcap", chunked=False)
+    with BagReader(tmp_path / "a.mcap") as bag:
+        assert list(bag.messages()) == []
+        assert bag.recovered.endswith("a message outside the chunks, which no checksum protects")
+
+
+def test_a_newer_version_is_refused_also_where_our_own_index_says_it(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "a.mcap", {}) as writer:
+        writer.write("/skin/taxels", b"x", schema="taxels", version=2, log_time_ns=0, stamp_ns=0)
+    with pytest.raises(BagError, match="recorded with taxels version 2; this program reads 1"):
+        BagReader(tmp_path / "a.mcap")
+
+
+def test_a_chunk_that_decompresses_to_too_much_is_refused() -> None:
+    def content_of(n_bytes: int) -> bytes:
+        plain, builder = bytes(n_bytes), RecordBuilder()
+        packed = lz4.frame.compress(plain)
+        Chunk("lz4", packed, 0, 0, zlib.crc32(plain), n_bytes).write(builder)
+        return bytes(builder.end()[HEAD_BYTES:])  # type: ignore[no-untyped-call]
+
+    assert len(open_chunk(content_of(MAX_CHUNK_BYTES), 0)) == MAX_CHUNK_BYTES
+    with pytest.raises(Break, match=f"at most {MAX_CHUNK_BYTES}"):
+        open_chunk(content_of(MAX_CHUNK_BYTES + 1), 0)

@@ -1,0 +1,356 @@
+"""The writer: what reaches the disk, when, and what happens if it does not."""
+
+from __future__ import annotations
+
+import errno
+import random
+import subprocess
+import sys
+import tracemalloc
+from pathlib import Path
+
+import mcap.reader
+import pytest
+from bags import LAG_NS, PERIOD_NS, FakeClock, frame, frames, make_bag, on_disk, record
+from conftest import MountDisk
+
+from sparseskin.messages import End, encode
+from sparseskin.messages.base import omitted_fields
+from sparseskin.messages.jsonschema import json_schema
+from sparseskin.messages.ranges import INT64_MAX
+from sparseskin.messages.wire import SCHEMAS
+from sparseskin.nodes.recorder.bag.format import BagError
+from sparseskin.nodes.recorder.bag.mcap_writer import BLOCK_BYTES
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.recorder.bag.writer import BagWriter
+
+
+def test_what_was_written_is_read_back_byte_for_byte_and_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    messages = frames(100)
+    payloads = make_bag(path, messages)
+    with BagReader(path) as bag:
+        found = list(bag.messages())
+        assert bag.metadata == {"scene": "test", "seed": "3"}
+        assert bag.counts == {"lost": {"/skin/taxels": 2}}
+    assert [message.payload for message in found] == payloads
+    assert [message.topic for message in found] == [message.topic for message in messages]
+    assert [message.stamp_ns for message in found] == [message.stamp_ns for message in messages]
+    assert all(message.log_time_ns == message.stamp_ns + LAG_NS for message in found)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_it_is_an_mcap_that_says_itself_how_to_read_it(tmp_path: Path) -> None:
+    make_bag(tmp_path / "a.mcap", frames(3))
+    with open(tmp_path / "a.mcap", "rb") as file:
+        reader = mcap.reader.make_reader(file, validate_crcs=True)
+        header, summary = reader.get_header(), reader.get_summary()
+        assert len(list(reader.iter_messages())) == 1 + 3 * 4
+    assert header.profile == ""
+    assert header.library.startswith("sparseskin ")
+    assert summary is not None
+    assert {channel.message_encoding for channel in summary.channels.values()} == {"msgpack"}
+    assert all(c.metadata == {"schema_version": "1"} for c in summary.channels.values())
+    assert {(schema.name, schema.encoding) for schema in summary.schemas.values()} == {
+        (f"sparseskin/{name}", "jsonschema")
+        for name in ("skin", "taxels", "truth", "measurements", "reconstruction")
+    }
+    assert {index.compression for index in summary.chunk_indexes} == {"lz4"}
+    counts = summary.statistics
+    assert counts is not None
+    assert (counts.message_count, counts.schema_count, counts.channel_count) == (13, 5, 5)
+    assert sorted(counts.channel_message_counts.values()) == [1, 3, 3, 3, 3]
+    assert (counts.metadata_count, counts.attachment_count) == (3, 0)
+    assert counts.message_start_time == LAG_NS
+    assert counts.message_end_time == 2 * PERIOD_NS + LAG_NS
+
+
+def test_log_times_of_the_index_cover_messages_out_of_order(tmp_path: Path) -> None:
+    log_times = [[50, 20, 90], [10, 70]]
+    with BagWriter(tmp_path / "a.mcap", {}) as writer:
+        for chunk in log_times:
+            for log_time_ns in chunk:
+                writer.record(frame(0)[0], log_time_ns)
+            writer.flush()
+    with open(tmp_path / "a.mcap", "rb") as file:
+        summary = mcap.reader.make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    ranges = [(each.message_start_time, each.message_end_time) for each in summary.chunk_indexes]
+    assert ranges == [(20, 90), (10, 70)]
+    assert summary.statistics is not None
+    assert summary.statistics.message_start_time == 10
+    assert summary.statistics.message_end_time == 90
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_every_message_has_a_json_schema_that_names_its_fields(name: str) -> None:
+    schema = json_schema(SCHEMAS[name])
+    assert schema["properties"]["schema"] == {"const": name}
+    travels_always = [
+        key for key in schema["properties"] if key not in omitted_fields(SCHEMAS[name])
+    ]
+    assert schema["required"] == travels_always
+    assert {"stamp_ns", "patch", "run_id", "seq"} < schema["properties"].keys()
+
+
+def test_nothing_waits_longer_than_flush_every_s(tmp_path: Path) -> None:
+    clock, path = FakeClock(), tmp_path / "a.mcap"
+    writer = BagWriter(path, {}, flush_every_s=0.2, monotonic=clock)
+    first = record(writer, frame(0)[0])
+    clock.now_s = 0.19
+    second = record(writer, frame(1)[0])
+    assert on_disk(path) == []
+    clock.now_s = 0.2
+    writer.tick()
+    assert on_disk(path) == [first, second]
+    clock.now_s = 5.0
+    third = record(writer, frame(2)[0])  # the first to wait: its 0.2 s begin now
+    clock.now_s = 5.2
+    fourth = record(writer, frame(3)[0])
+    assert on_disk(path) == [first, second, third, fourth]
+    assert writer.n_messages == 4
+    writer.close()
+
+
+def test_the_end_of_a_stream_is_kept_but_not_counted_as_a_frame(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    end = End(stamp_ns=99, patch="skin", of="taxels", n_messages=1)
+    payloads = make_bag(path, [frame(0)[0], end])
+    with BagReader(path) as bag:
+        assert bag.topics["/skin/taxels"].n_messages == 1
+        assert bag.topics["/skin/taxels"].schema == "taxels"
+        assert [message.payload for message in bag.messages()] == payloads
+
+
+@pytest.mark.parametrize("taken", ["a.mcap", "a.mcap.part"])
+def test_nothing_is_overwritten(tmp_path: Path, taken: str) -> None:
+    (tmp_path / taken).write_bytes(b"precious")
+    with pytest.raises(BagError, match="exists already"):
+        BagWriter(tmp_path / "a.mcap", {})
+    assert (tmp_path / taken).read_bytes() == b"precious"
+
+
+def test_a_file_that_took_the_name_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    writer = BagWriter(path, {})
+    payload = record(writer, frame(0)[0])
+    path.write_bytes(b"precious")
+    with pytest.raises(BagError, match=r"the recording is complete in a\.mcap\.part"):
+        writer.close()
+    assert path.read_bytes() == b"precious"
+    assert on_disk(path) == [payload]
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("a.bag", "ends in .mcap"), ("none/a.mcap", "folder does not exist"), ("a\0.mcap", "null")],
+)
+def test_a_path_that_cannot_be_written_is_named(tmp_path: Path, name: str, text: str) -> None:
+    with pytest.raises(BagError, match=text):
+        BagWriter(tmp_path / name, {})
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"topic": "taxels"}, "expected /PATCH/SCHEMA"),
+        ({"schema": "taxel"}, "did you mean 'taxels'"),
+        ({"stamp_ns": -1}, "outside"),
+        ({"log_time_ns": INT64_MAX + 1}, "outside"),
+    ],
+)
+def test_what_cannot_be_recorded_is_refused_and_harms_nothing(
+    tmp_path: Path, change: dict[str, object], text: str
+) -> None:
+    path = tmp_path / "a.mcap"
+    with BagWriter(path, {}) as writer:
+        good = record(writer, frame(0)[0])
+        topic, payload = encode(frame(1)[0])
+        arguments = {"schema": "taxels", "version": 1, "log_time_ns": 1, "stamp_ns": 1}
+        with pytest.raises(BagError, match=text):
+            writer.write(**{"topic": topic.decode(), "payload": payload, **arguments, **change})  # type: ignore[arg-type]
+    with BagReader(path) as bag:
+        assert [message.payload for message in bag.messages()] == [good]
+
+
+def test_a_discarded_bag_leaves_no_file(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "a.mcap", {})
+    record(writer, frame(0)[0])
+    writer.flush()
+    writer.discard()
+    writer.discard()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_closed_bag_accepts_nothing(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "a.mcap", {})
+    writer.close()
+    writer.close()
+    with pytest.raises(BagError, match="closed"):
+        record(writer, frame(0)[0])
+    with BagReader(tmp_path / "a.mcap") as bag:
+        assert (bag.topics, list(bag.messages()), bag.recovered) == ({}, [], "")
+
+
+WRITE_UNTIL_KILLED = """
+import sys, time
+from pathlib import Path
+import numpy as np
+from sparseskin.messages import Taxels
+from sparseskin.nodes.recorder.bag.writer import BagWriter
+
+writer = BagWriter(Path(sys.argv[1]), {"scene": "killed"}, flush_every_s=0.2)
+forces = np.random.default_rng(0).random((64, 64), dtype=np.float32)
+begin = time.monotonic_ns()
+for k in range(10**9):
+    while time.monotonic_ns() < begin + k * 2_000_000:
+        time.sleep(0.0005)
+    stamp = time.monotonic_ns() - begin
+    writer.record(Taxels(stamp_ns=stamp, patch="skin", forces=forces, seq=k), stamp)
+    print(stamp, time.monotonic_ns() - begin, flush=True)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_after_kill_9_only_messages_of_the_last_flush_period_are_missing(
+    tmp_path: Path, seed: int
+) -> None:
+    path = tmp_path / "killed.mcap"
+    child = subprocess.Popen(
+        [sys.executable, "-c", WRITE_UNTIL_KILLED, str(path)], stdout=subprocess.PIPE, text=True
+    )
+    assert child.stdout is not None
+    moment_ns = random.Random(seed).randrange(100_000_000, 900_000_000)
+    written: list[tuple[int, int]] = []  # time before and after each call
+    for line in child.stdout:
+        written.append((int(line.split()[0]), int(line.split()[1])))
+        if written[-1][0] >= moment_ns:
+            break
+    child.kill()
+    rest = [line.split() for line in child.stdout if line.endswith("\n")]
+    written += [(int(before), int(after)) for before, after in rest]
+    child.wait()
+    with BagReader(path.with_name("killed.mcap.part")) as bag:
+        found = [m.stamp_ns for m in bag.messages(["/skin/taxels"])] if bag.topics else []
+        assert f"{len(found)} message" in bag.recovered
+        assert bag.metadata == {"scene": "killed"}
+    stamps = [before for before, _ in written]
+    assert found[: len(written)] == stamps[: len(found)]
+    # The first missing message began to wait before its call ended, and the last call did not
+    # flush it: so it began less than a flush period later, however busy the host is.
+    if len(found) < len(written):
+        assert stamps[-1] - written[len(found)][1] < 200_000_000
+
+
+@pytest.fixture
+def small_disk(mount_disk: MountDisk) -> Path:
+    return mount_disk("400k")
+
+
+def fill(writer: BagWriter) -> list[bytes]:
+    """Write until the disk is full; what the writer was given."""
+    payloads: list[bytes] = []
+    for k in range(100_000):
+        payloads.append(encode(frame(k)[0])[1])
+        try:
+            record(writer, frame(k)[0])
+            if k % 20 == 19:
+                writer.flush()
+        except BagError:
+            return payloads
+    raise AssertionError("the disk is not full")
+
+
+def test_a_full_disk_is_one_line_and_what_was_written_can_be_read(small_disk: Path) -> None:
+    path = small_disk / "a.mcap"
+    writer = BagWriter(path, {"scene": "full"})
+    payloads = fill(writer)
+    size = writer.part.stat().st_size
+    errors = []
+    for _ in range(2):
+        with pytest.raises(BagError) as caught:
+            record(writer, frame(0)[0])
+        errors.append(str(caught.value))
+    writer.close()
+    assert errors[0] == errors[1]
+    assert "\n" not in errors[0]
+    assert str(path) in errors[0]
+    assert "No space left on device" in errors[0]
+    assert writer.part.stat().st_size == size
+    found = on_disk(path)
+    assert found == payloads[: len(found)]
+    assert len(payloads) - len(found) <= 20
+    with BagReader(writer.part) as bag:
+        assert f"up to byte {size} of {size}: it ends there without an index" in bag.recovered
+
+
+def test_a_disk_that_is_full_at_the_end_loses_the_index_alone(small_disk: Path) -> None:
+    path = small_disk / "a.mcap"
+    writer = BagWriter(path, {"scene": "full"})
+    payloads = [record(writer, frame(k)[0]) for k in range(20)]
+    writer.flush()
+    with pytest.raises(OSError, match="No space left"):
+        (small_disk / "other").write_bytes(bytes(1 << 20))
+    with pytest.raises(BagError, match="No space left on device"):
+        writer.close({"lost": {f"/p/t{k}": k for k in range(2000)}})
+    writer.close()
+    assert not path.exists()
+    assert on_disk(path) == payloads
+
+
+def test_a_disk_full_from_the_start_is_refused_and_leaves_no_file(small_disk: Path) -> None:
+    with pytest.raises(OSError, match="No space left"):
+        (small_disk / "other").write_bytes(bytes(1 << 20))
+    with pytest.raises(BagError, match="No space left on device"):
+        BagWriter(small_disk / "a.mcap", {"launch": "x" * 10_000})
+    assert [entry.name for entry in small_disk.iterdir()] == ["other"]
+
+
+def test_a_topic_of_every_schema_can_be_recorded(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "a.mcap", {}) as writer:
+        for name, cls in SCHEMAS.items():
+            writer.write(
+                f"/skin/{name}",
+                b"verbatim",
+                schema=name,
+                version=cls.version,
+                log_time_ns=7,
+                stamp_ns=0,
+            )
+    with BagReader(tmp_path / "a.mcap") as bag:
+        assert {message.payload for message in bag.messages()} == {b"verbatim"}
+        assert bag.topics.keys() == {f"/skin/{name}" for name in SCHEMAS}
+
+
+@pytest.mark.parametrize("stored", [True, False])
+def test_each_chunk_has_its_line_in_the_index_and_takes_no_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stored: bool
+) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "full")
+
+    if not stored:  # nothing is lost where there is no room for it, but memory
+        monkeypatch.setattr("os.pwrite", refuse)
+    n_chunks, messages = 3000, frames(2)
+    tracemalloc.start()
+    with BagWriter(tmp_path / "a.mcap", {}) as bag:
+        record(bag, messages[0])
+        bag.flush()
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(n_chunks - 1):
+            record(bag, messages[1])
+            bag.flush()
+        grown = tracemalloc.get_traced_memory()[0] - before
+        assert {path.name for path in tmp_path.iterdir()} == {"a.mcap.part"}
+    tracemalloc.stop()
+    with open(tmp_path / "a.mcap", "rb") as file:
+        summary = mcap.reader.make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.chunk_count == n_chunks
+    assert len(summary.chunk_indexes) == n_chunks
+    assert all(len(chunk.message_index_offsets) == 1 for chunk in summary.chunk_indexes)
+    starts = [chunk.chunk_start_offset for chunk in summary.chunk_indexes]
+    assert starts == sorted(set(starts))
+    assert (grown < 1.5 * BLOCK_BYTES) == stored

@@ -1,0 +1,219 @@
+"""Recording and playing with real processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+from pathlib import Path
+
+import pytest
+from conftest import MountDisk, StartProgram, wait_until
+
+from sparseskin.messages import decode
+from sparseskin.nodes.recorder.bag.reader import BagReader
+
+SCENES = [
+    *("lift_box_40", "lift_wrench_40", "drag_wrench_40"),
+    *("path_40", "lift_box_64", "drag_wrench_64"),
+]
+N_KILLS = int(os.environ.get("SPARSESKIN_KILLS", "5"))
+
+
+def contents(path: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """Stamps and payloads of a whole recording, by topic."""
+    with BagReader(path) as bag:
+        assert bag.recovered == ""
+        assert bag.counts is not None
+        assert not any(bag.counts["lost"].values())
+        return {
+            topic: [(m.stamp_ns, m.payload) for m in bag.messages([topic])] for topic in bag.topics
+        }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", SCENES)
+def test_played_in_lockstep_and_recorded_again_it_is_the_same_to_the_bit(
+    start: StartProgram, tmp_path: Path, scene: str
+) -> None:
+    launched = start(
+        *("launch", scene, "--frames", "300", "--record", "first.mcap"),
+        *("--set", "sensor.rate_hz=0", "--set", "reconstructor.iterations=5"),
+    )
+    assert launched.finish()[0] == 0
+    player = start("play", "first.mcap", "--lockstep", "--rate", "0")
+    player.wait_for("[launch] ready")
+    wait_until(lambda: any((tmp_path / "graphs").glob("*.json")), "the graph's note")
+    code, stdout, stderr = start("record", "--out", "second.mcap").finish()
+    assert code == 0, stderr
+    assert "0 dropped" in stdout
+    assert player.finish()[0] == 0
+    first, second = contents(tmp_path / "first.mcap"), contents(tmp_path / "second.mcap")
+    assert first == second
+    assert len(first["/skin/reconstruction"]) == 300
+
+
+@pytest.mark.slow
+def test_a_recorder_joins_a_running_graph_by_topic_and_ends_with_it(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    graph = start("launch", "path_40", "--frames", "1500")  # for 15 s: others may be slow
+    graph.wait_for("[launch] ready")
+    recorder = start("record", "/skin/skin", "/skin/rec*", "--out", "some.mcap")
+    code, stdout, stderr = recorder.finish()
+    assert code == 0, stderr
+    assert stdout.startswith("some.mcap: ")
+    assert graph.finish()[0] == 0
+    found = contents(tmp_path / "some.mcap")
+    assert set(found) == {"/skin/skin", "/skin/reconstruction"}
+    # It saw the graph to its very end.
+    last = decode(b"/skin/reconstruction", found["/skin/reconstruction"][-1][1])
+    assert last.seq == 1499
+
+
+@pytest.mark.slow
+def test_a_killed_recorder_leaves_every_message_that_was_on_the_disk(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "endless.py").write_text(
+        "import itertools, numpy as np\n"
+        "def frames():\n"
+        "    forces = np.random.default_rng(0).random((40, 40))\n"
+        "    for k in itertools.count(): yield k, forces\n"
+    )
+    graph = start(
+        *("launch", "replay", "--set", "sensor.source=endless:frames"),
+        *("--set", "sensor.rate_hz=500", "--set", "reconstructor.iterations=5"),
+    )
+    graph.wait_for("[launch] ready")
+    sizes = random.Random(4)
+    for k in range(N_KILLS):
+        part = tmp_path / f"{k}.mcap.part"
+        recorder = start("record", "--out", f"{k}.mcap")
+        recorder.wait_for("[launch] ready")
+        size = sizes.randrange(1, 4_000_000)
+        wait_until(lambda: part.exists() and part.stat().st_size > size, "the file")  # noqa: B023
+        with BagReader(part) as bag:
+            before = list(bag.messages())
+        (pid,) = [pid for pid, command in recorder.survivors().items() if "run_node" in command]
+        os.kill(pid, signal.SIGKILL)
+        assert recorder.finish()[0] != 0
+        with BagReader(part) as bag:
+            assert bag.recovered
+            after = list(bag.messages())
+        assert after[: len(before)] == before
+        assert before
+        # Nothing is missing before the end.
+        frames = [m for m in after if m.topic == "/skin/taxels"]
+        numbers = [decode(m.topic.encode(), m.payload).seq for m in frames]
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    graph.process.terminate()
+    assert graph.finish()[0] in (0, 143)
+
+
+def test_an_interrupted_recorder_completes_its_file(start: StartProgram, tmp_path: Path) -> None:
+    graph = start("launch", "path_40")
+    graph.wait_for("[launch] ready")
+    recorder = start("record", "--out", "cut.mcap")
+    recorder.wait_for("[launch] ready")
+    part = tmp_path / "cut.mcap.part"
+    wait_until(lambda: part.exists() and part.stat().st_size > 20_000, "some messages")
+    recorder.process.send_signal(signal.SIGINT)
+    code, stdout, stderr = recorder.finish()
+    assert code == 130
+    assert "messages recorded, 0 dropped" in stdout
+    assert "not drained" not in stderr
+    assert len(contents(tmp_path / "cut.mcap")["/skin/taxels"]) > 1
+    graph.process.terminate()
+    graph.finish()
+
+
+@pytest.mark.slow
+def test_a_recorder_notices_that_the_graph_is_gone(start: StartProgram, tmp_path: Path) -> None:
+    graph = start("launch", "path_40")
+    graph.wait_for("[launch] ready")
+    recorder = start("record", "--out", "orphan.mcap")
+    recorder.wait_for("[launch] ready")
+    part = tmp_path / "orphan.mcap.part"
+    wait_until(lambda: part.exists() and part.stat().st_size > 20_000, "some messages")
+    graph.process.kill()
+    code, stdout, stderr = recorder.finish()
+    assert code == 0
+    assert stdout.startswith("orphan.mcap: ")
+    assert "was gone before its streams had ended: its last messages may be missing" in stderr
+    assert len(contents(tmp_path / "orphan.mcap")["/skin/taxels"]) > 1
+
+
+@pytest.fixture
+def small_disk(mount_disk: MountDisk) -> Path:
+    return mount_disk("1m")
+
+
+@pytest.mark.slow
+def test_a_full_disk_is_one_clear_line_and_the_graph_is_unharmed(
+    start: StartProgram, tmp_path: Path, small_disk: Path
+) -> None:
+    out = small_disk / "full.mcap"
+    code, _, stderr = start(
+        *("launch", "path_40", "--frames", "600", "--record", str(out)),
+        *("--summary", "out.json"),
+    ).finish()
+    assert code != 0
+    lines = [line for line in stderr.splitlines() if "No space left on device" in line]
+    assert lines
+    assert all(str(out) in line for line in lines)
+    assert "Traceback" not in stderr
+    summary = json.loads((tmp_path / "out.json").read_text())
+    assert summary["patches"]["skin"]["frames"]["reconstructed"] == 600
+    assert "No space left" in summary["nodes"]["recorder"]["recording"]["error"]
+    with BagReader(out.with_name("full.mcap.part")) as bag:
+        assert sum(info.n_messages for info in bag.topics.values()) > 10
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["record"], "no graph runs on this host"),
+        (["play", "none.mcap"], "none.mcap"),
+        (["play", "text.mcap"], "text.mcap"),
+        (["play", "empty.mcap"], "empty.mcap"),
+        (["play", "none.mcap", "--rate", "-1"], "rate: -1.0 is outside"),
+    ],
+)
+def test_bad_input_is_one_line(
+    start: StartProgram, tmp_path: Path, arguments: list[str], text: str
+) -> None:
+    (tmp_path / "text.mcap").write_text("this is no recording\n" * 9)
+    (tmp_path / "empty.mcap").touch()
+    code, stdout, stderr = start(*arguments).finish()
+    assert (code, stdout) == (2, "")
+    assert text in stderr
+    assert stderr.count("\n") == 1
+
+
+def test_a_topic_that_is_not_there_is_named(start: StartProgram) -> None:
+    graph = start("launch", "path_40")
+    graph.wait_for("[launch] ready")
+    code, _, stderr = start("record", "/skin/taxel").finish()
+    assert code == 2
+    assert "/skin/taxel: " in stderr
+    assert "did you mean '/skin/taxels'?" in stderr
+    graph.process.terminate()
+    graph.finish()
+
+
+@pytest.mark.slow
+def test_of_two_graphs_one_has_to_be_chosen(start: StartProgram) -> None:
+    graphs = [start("launch", name) for name in ("path_40", "lift_wrench_40")]
+    for graph in graphs:
+        graph.wait_for("[launch] ready")
+    code, _, stderr = start("record").finish()
+    assert code == 2
+    assert "several graphs run; choose one with --graph: " in stderr
+    code, _, stderr = start("record", "--graph", "path_41").finish()
+    assert code == 2
+    assert "--graph path_41: no such graph runs" in stderr
+    for graph in graphs:
+        graph.process.terminate()
+        graph.finish()

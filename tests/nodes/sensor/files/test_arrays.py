@@ -1,0 +1,311 @@
+"""Plain arrays: what .npy, .npz and .csv files must hold, and what is refused."""
+
+from __future__ import annotations
+
+import io
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.files.recorded import UNTIMED_PERIOD_NS, RecordedSource, open_file
+
+FORCES = np.arange(24, dtype=np.float64).reshape(2, 3, 4) / 10
+DTYPES = ["<f4", ">f4", "<f8", ">f8", "<f2", "u1", "<u2", ">i4", "<i8", "<u8"]
+
+
+def frames_of(source: RecordedSource) -> npt.NDArray[np.float32]:
+    return np.stack([forces for _, forces in source])
+
+
+def npy_bytes(array: npt.NDArray[Any], **kwargs: Any) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array, **kwargs)
+    return buffer.getvalue()
+
+
+def npz_bytes(**arrays: Any) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def open_bytes(folder: Path, name: str, raw: bytes, **stated: Any) -> RecordedSource:
+    path = folder / name
+    path.write_bytes(raw)
+    return open_file(path, **stated)
+
+
+class TestNpy:
+    @pytest.mark.parametrize("dtype", DTYPES)
+    @pytest.mark.parametrize("order", ["C", "F"])
+    def test_any_real_dtype_and_order_is_read_as_float32(
+        self, tmp_path: Path, dtype: str, order: Any
+    ) -> None:
+        array = np.asarray(FORCES * 10, dtype=dtype, order=order)
+        source = open_bytes(tmp_path, "skin.npy", npy_bytes(array))
+        frames = frames_of(source)
+        assert frames.dtype == np.float32
+        np.testing.assert_array_equal(frames, FORCES * 10)
+        assert (source.skin.n_rows, source.skin.n_cols, source.skin.f_max) == (3, 4, 23.0)
+
+    def test_an_array_alone_is_in_newtons_without_rate_or_pitch(self, tmp_path: Path) -> None:
+        source = open_bytes(tmp_path, "skin.npy", npy_bytes(FORCES))
+        assert source.skin.unit == "N"
+        assert source.rate_hz is None
+        assert source.skin.pitch_m is None
+        assert source.skin.mask is None
+        assert [stamp for stamp, _ in source] == [0, UNTIMED_PERIOD_NS]
+
+    def test_stated_unit_range_rate_and_truth_are_kept(self, tmp_path: Path) -> None:
+        source = open_bytes(
+            tmp_path,
+            "skin.npy",
+            npy_bytes(FORCES),
+            unit="kPa",
+            f_max=2.5,
+            rate_hz=1000,
+            delivers="truth",
+        )
+        assert (source.skin.unit, source.skin.f_max, source.rate_hz) == ("kPa", 2.5, 1000)
+        assert source.delivers == "truth"
+        assert [stamp for stamp, _ in source] == [0, 1_000_000]
+
+    def test_a_range_that_float32_rounds_is_not_below_its_own_peak(self, tmp_path: Path) -> None:
+        raw = npy_bytes(np.full((1, 1, 1), 0.1, dtype=np.float32))
+        assert open_bytes(tmp_path, "skin.npy", raw, f_max=0.1).skin.f_max == 0.1
+
+    @pytest.mark.parametrize(
+        ("array", "message"),
+        [
+            (np.zeros((3, 4)), r"has 2 dimensions, shape \(3, 4\); expected three"),
+            (np.zeros((1, 2, 3, 4)), "has 4 dimensions"),
+            (np.float64(1.0), "has 0 dimensions"),
+            (np.zeros((0, 3, 4)), "holds no frame"),
+            (np.zeros((2, 0, 4)), "0 rows x 4 columns"),
+            (np.zeros((1, 1, 5000), dtype="u1"), r"5000 columns; allowed are 1\.\.4096"),
+            (np.zeros((1, 2048, 1024), dtype="u1"), "2097152 cells; at most 1048576"),
+            (np.zeros((2, 3, 4), dtype=complex), "dtype 'complex128'; allowed are integers"),
+            (np.zeros((2, 3, 4), dtype=bool), "dtype 'bool'"),
+            (np.full((2, 3, 4), "1"), "dtype '<U1'"),
+            (np.zeros((2, 3, 4), dtype=[("a", "f4")]), "dtype"),
+            (np.zeros((2, 3, 4), dtype="M8[ns]"), "dtype"),
+            (np.zeros((2, 3, 4)), "all readings are 0, so its range is unknown; state f_max"),
+        ],
+    )
+    def test_what_is_no_stack_of_frames_is_refused(
+        self, tmp_path: Path, array: Any, message: str
+    ) -> None:
+        with pytest.raises(SourceError, match=message) as caught:
+            open_bytes(tmp_path, "skin.npy", npy_bytes(array))
+        assert "skin.npy" in str(caught.value)
+
+    @pytest.mark.parametrize(
+        ("value", "message"),
+        [
+            (np.nan, "nan is not finite"),
+            (np.inf, "inf is not finite"),
+            (-0.5, "-0.5 is below 0; a range starts at 0"),
+            (1e39, r"1e\+39 is above 1e\+30"),
+        ],
+    )
+    def test_what_is_no_reading_is_refused_with_frame_and_cell(
+        self, tmp_path: Path, value: float, message: str
+    ) -> None:
+        array = FORCES.copy()
+        array[1, 2, 3] = value
+        with pytest.raises(SourceError, match=f"frame 1, row 2, column 3: {message}"):
+            open_bytes(tmp_path, "skin.npy", npy_bytes(array))
+
+    def test_python_objects_stay_unread(self, tmp_path: Path) -> None:
+        array = np.empty((1, 1, 1), dtype=object)
+        array[0, 0, 0] = 1.0
+        with pytest.raises(SourceError, match="holds Python objects"):
+            open_bytes(tmp_path, "skin.npy", npy_bytes(array, allow_pickle=True))
+        with pytest.raises(SourceError, match="holds Python objects"):
+            open_bytes(tmp_path, "skin.npy", b"\x80\x04K\x01.")
+
+    def test_an_archive_under_the_other_suffix_is_named(self, tmp_path: Path) -> None:
+        with pytest.raises(SourceError, match=r"name it \.npz"):
+            open_bytes(tmp_path, "skin.npy", npz_bytes(forces=FORCES))
+        with pytest.raises(SourceError, match=r"name it \.npy"):
+            open_bytes(tmp_path, "skin.npz", npy_bytes(FORCES))
+
+    def test_a_file_cut_anywhere_is_refused(self, tmp_path: Path) -> None:
+        raw = npy_bytes(FORCES)
+        for end in range(len(raw)):
+            with pytest.raises(SourceError):
+                open_bytes(tmp_path, "skin.npy", raw[:end])
+
+    def test_a_header_that_claims_more_than_memory_is_refused(self, tmp_path: Path) -> None:
+        text = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 4096, 4096), }"
+        text += b" " * (117 - len(text)) + b"\n"
+        raw = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + bytes(64)
+        with pytest.raises(SourceError, match=r"skin\.npy: not a readable NumPy file"):
+            open_bytes(tmp_path, "skin.npy", raw)
+
+
+class TestNpz:
+    def test_everything_that_an_archive_can_state_is_read(self, tmp_path: Path) -> None:
+        mask = np.ones((3, 4), dtype=bool)
+        mask[0, 0] = mask[2, 3] = False
+        raw = npz_bytes(
+            forces=FORCES,
+            stamp_ns=np.array([5_000, 9_000]),
+            rate_hz=250.0,
+            mask=mask,
+            f_max=2.5,
+            unit="raw",
+            pitch_m=0.005,
+            remark="left alone",
+        )
+        source = open_bytes(tmp_path, "skin.npz", raw)
+        assert [stamp for stamp, _ in source] == [0, 4_000]
+        assert source.rate_hz == 250.0
+        assert source.skin.n_taxels == 10
+        assert (source.skin.f_max, source.skin.unit, source.skin.pitch_m) == (2.5, "raw", 0.005)
+        frames = frames_of(source)
+        np.testing.assert_array_equal(frames[:, mask], FORCES[:, mask].astype(np.float32))
+        assert not frames[:, ~mask].any()
+
+    def test_stamps_follow_from_a_rate_alone(self, tmp_path: Path) -> None:
+        source = open_bytes(tmp_path, "skin.npz", npz_bytes(forces=FORCES, rate_hz=3))
+        assert [stamp for stamp, _ in source] == [0, 333_333_333]
+
+    def test_the_only_3_d_array_is_taken_under_any_name(self, tmp_path: Path) -> None:
+        raw = npz_bytes(pressure=FORCES, other=np.zeros(3))
+        np.testing.assert_array_equal(
+            frames_of(open_bytes(tmp_path, "skin.npz", raw)), FORCES.astype(np.float32)
+        )
+
+    def test_nan_where_no_taxel_exists_does_not_count(self, tmp_path: Path) -> None:
+        forces = FORCES.copy()
+        forces[:, 1, 1] = np.nan
+        mask = np.isfinite(forces[0]).astype(np.uint8)
+        source = open_bytes(tmp_path, "skin.npz", npz_bytes(forces=forces, mask=mask))
+        assert source.skin.n_taxels == 11
+        assert not frames_of(source)[:, 1, 1].any()
+
+    def test_a_mask_of_all_taxels_is_no_mask(self, tmp_path: Path) -> None:
+        raw = npz_bytes(forces=FORCES, mask=np.ones((3, 4), dtype=bool))
+        assert open_bytes(tmp_path, "skin.npz", raw).skin.mask is None
+
+    @pytest.mark.parametrize(
+        ("arrays", "message"),
+        [
+            ({"a": FORCES, "b": FORCES}, "expected an array 'forces' or exactly one 3-D array"),
+            ({"a": np.zeros(3)}, r"it holds 'a' 1-D"),
+            ({}, "it holds nothing"),
+            ({"forces": np.zeros((3, 4))}, "array 'forces': has 2 dimensions"),
+            ({"forces": FORCES, "mask": np.zeros((3, 4), bool)}, "no cell of the skin is a taxel"),
+            ({"forces": FORCES, "mask": np.ones((4, 3), bool)}, r"array 'mask': shape \(4, 3\)"),
+            ({"forces": FORCES, "mask": np.full((3, 4), 2)}, "expected bool"),
+            ({"forces": FORCES, "mask": np.full((3, 4), "x")}, "expected bool"),
+            ({"forces": FORCES, "stamp_ns": [1.0, 2.0]}, "expected whole nanoseconds"),
+            ({"forces": FORCES, "stamp_ns": [1, 2, 3]}, r"expected one a frame: \(2,\)"),
+            ({"forces": FORCES, "stamp_ns": [7, 7]}, "stamp 1 is 7, not after"),
+            ({"forces": FORCES, "rate_hz": -1.0}, "array 'rate_hz': -1 must be above 0"),
+            ({"forces": FORCES, "rate_hz": np.inf}, "array 'rate_hz': 'inf' is not a finite"),
+            ({"forces": FORCES, "rate_hz": [1, 2]}, "array 'rate_hz': expected one number"),
+            ({"forces": FORCES, "rate_hz": 1e12}, "rate_hz = 1e\\+12 is outside"),
+            ({"forces": FORCES, "f_max": "2.5"}, "array 'f_max': expected one number"),
+            ({"forces": FORCES, "f_max": 1.0}, "f_max = 1 is below the largest reading, 2.3"),
+            ({"forces": FORCES, "unit": 3}, "array 'unit': expected one text"),
+            ({"forces": FORCES, "unit": "a\nb"}, "expected 1 to 32 printable characters"),
+            ({"forces": np.array([[["a", None]]], dtype=object)}, "holds Python objects"),
+        ],
+    )
+    def test_what_an_archive_must_not_hold_is_refused(
+        self, tmp_path: Path, arrays: dict[str, Any], message: str
+    ) -> None:
+        with pytest.raises(SourceError, match=message) as caught:
+            open_bytes(tmp_path, "skin.npz", npz_bytes(**arrays))
+        assert "skin.npz" in str(caught.value)
+
+    def test_unsigned_stamps_far_apart_do_not_wrap_round(self, tmp_path: Path) -> None:
+        stamps = np.array([0, 2**64 - 1], dtype=np.uint64)
+        with pytest.raises(SourceError, match=r"lasts longer than 2\*\*63 ns"):
+            open_bytes(tmp_path, "skin.npz", npz_bytes(forces=FORCES, stamp_ns=stamps))
+
+    def test_an_archive_cut_anywhere_is_refused(self, tmp_path: Path) -> None:
+        raw = npz_bytes(forces=FORCES)
+        for end in range(1, len(raw)):
+            with pytest.raises(SourceError):
+                open_bytes(tmp_path, "skin.npz", raw[:end])
+
+
+class TestPlainCsv:
+    def test_a_line_is_a_frame_row_after_row(self, tmp_path: Path) -> None:
+        raw = b"# n\n0,1,2,3,4,5\r\n\r\n6, 7 ,8,9,10,1.1e1\n"
+        source = open_bytes(tmp_path, "skin.csv", raw, n_rows=2, n_cols=3, unit="raw")
+        np.testing.assert_array_equal(frames_of(source), np.arange(12).reshape(2, 2, 3))
+        assert source.skin.unit == "raw"
+
+    @pytest.mark.parametrize("stated", [{"n_rows": 2}, {"n_cols": 3}])
+    def test_one_side_is_enough(self, tmp_path: Path, stated: dict[str, int]) -> None:
+        source = open_bytes(tmp_path, "skin.csv", b"0,1,2,3,4,5\n", unit="N", **stated)
+        assert (source.skin.n_rows, source.skin.n_cols) == (2, 3)
+
+    @pytest.mark.parametrize(
+        ("raw", "stated", "message"),
+        [
+            (b"1,2,3,4\n", {}, r"line 1: .*set n_rows and n_cols \(this line holds 4 cells\)"),
+            (b"1,2,3,4\n", {"n_rows": 3}, "4 cells cannot be divided by n_rows = 3"),
+            (b"1,2,3,4\n", {"n_rows": 2, "n_cols": 3}, "2 x 3 needs 6"),
+            (b"1,2,3,4\n1,2,3\n", {"n_rows": 2, "n_cols": 2}, "line 2: holds 3 cells"),
+            (b"1,2\n\n3,-4\n", {"n_rows": 1}, "line 3, row 0, column 1: '-4' is below 0"),
+            (b"1,2\n3,4,\n", {"n_rows": 1}, "line 2: holds 3 cells"),
+            (b"1,,2,3\n", {"n_rows": 2}, "row 0, column 1: '' is not a number"),
+            (b"1,NaN\n", {"n_rows": 1}, "'NaN' is not a finite number"),
+            (b"a,b\n1,2\n", {"n_rows": 1}, "line 1, row 0, column 0: 'a' is not a number"),
+            (b"1,1e31\n", {"n_rows": 1}, r"'1e31' is above 1e\+30"),
+            (b"\xff\xfe1\x00,\x002\x00", {"n_rows": 1}, "is not a number"),
+            (b"\n# only\n", {"n_rows": 1}, "holds no frame"),
+        ],
+    )
+    def test_what_is_no_table_of_frames_is_refused_with_its_line(
+        self, tmp_path: Path, raw: bytes, stated: dict[str, int], message: str
+    ) -> None:
+        with pytest.raises(SourceError, match=message) as caught:
+            open_bytes(tmp_path, "skin.csv", raw, unit="N", **stated)
+        assert "skin.csv" in str(caught.value)
+
+    def test_the_unit_must_be_stated(self, tmp_path: Path) -> None:
+        with pytest.raises(SourceError, match="does not state its unit; set unit"):
+            open_bytes(tmp_path, "skin.csv", b"1,2\n", n_rows=1)
+
+
+class TestAnyBytes:
+    @settings(
+        max_examples=200,
+        deadline=None,
+        suppress_health_check=[HealthCheck.function_scoped_fixture],
+    )
+    @given(data=st.data(), suffix=st.sampled_from(["npy", "npz", "csv"]))
+    def test_random_and_mutated_files_never_raise_anything_else(
+        self, tmp_path: Path, data: st.DataObject, suffix: str
+    ) -> None:
+        whole = {
+            "npy": npy_bytes(FORCES),
+            "npz": npz_bytes(forces=FORCES, mask=np.ones((3, 4), bool), unit="N", rate_hz=2.0),
+            "csv": b"1,2,3,4\n5,6,7,8\n",
+        }[suffix]
+        raw = bytearray(data.draw(st.just(whole) | st.binary(min_size=1, max_size=200)))
+        for _ in range(data.draw(st.integers(0, 4))):
+            start = data.draw(st.integers(0, max(len(raw) - 1, 0)))
+            raw[start : start + data.draw(st.integers(0, 2))] = data.draw(st.binary(max_size=2))
+        stated: dict[str, Any] = {"n_rows": 2, "unit": "N"} if suffix == "csv" else {}
+        try:
+            source = open_bytes(tmp_path, f"any.{suffix}", bytes(raw), **stated)
+        except SourceError:
+            return
+        frames = frames_of(source)
+        assert np.isfinite(frames).all()
+        assert frames.min() >= 0
+        assert frames.max() <= np.float32(source.skin.f_max)

@@ -1,0 +1,307 @@
+"""The six scenes: their table, their physics, and the bodies in them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.scenes.bodies import (
+    FAR_M,
+    build_sole,
+    disc,
+    metal_peg,
+    monkey_wrench,
+    slab,
+    wooden_cube,
+)
+from sparseskin.nodes.sensor.scenes.contact import GRAVITY_M_S2
+from sparseskin.nodes.sensor.scenes.motion import Drag, Lift, PolygonalCourse, RandomPath
+from sparseskin.nodes.sensor.scenes.scenes import SCENES, TAXEL_RADIUS_M, open_scene
+from sparseskin.nodes.sensor.scenes.simulation import MovingAverage
+
+TABLE = {
+    "lift_box_40": (40, 700, 1_000_000),
+    "lift_wrench_40": (40, 3000, 1_000_000),
+    "drag_wrench_40": (40, 5000, 1_000_000),
+    "path_40": (40, 12200, 1_000_000),
+    "lift_box_64": (64, 7600, 100_000),
+    "drag_wrench_64": (64, 12600, 100_000),
+}
+BODIES = {"box": wooden_cube, "wrench": monkey_wrench, "path": metal_peg}
+
+
+@dataclass
+class Played:
+    """All frames of a scene: their largest force and their sum, each of shape (n_steps,), and one
+    frame at which the body has come to rest, just before it is moved.
+    """
+
+    peak: npt.NDArray[np.float64]
+    total: npt.NDArray[np.float64]
+    at_rest: npt.NDArray[np.float32]
+
+
+REST = {"lift_box_40": 670, "lift_box_64": 7500, "path_40": 990}
+
+
+@cache
+def played(name: str) -> Played:
+    side, n_steps, _ = TABLE[name]
+    peak, total, at_rest = np.empty(n_steps), np.empty(n_steps), np.empty(0, np.float32)
+    for step, (_, forces) in enumerate(open_scene(name, 0)):
+        assert forces.dtype == np.float32
+        assert forces.shape == (side, side)
+        assert forces.min() >= 0.0
+        peak[step], total[step] = forces.max(), forces.sum(dtype=float)
+        if step == REST.get(name):
+            at_rest = forces
+    assert step == n_steps - 1
+    return Played(peak, total, at_rest)
+
+
+def frames(name: str, start: int, stop: int, seed: int = 0) -> list[npt.NDArray[np.float32]]:
+    return [f for _, f in itertools.islice(open_scene(name, seed), start, stop)]
+
+
+def test_there_are_the_scenes_of_the_table_and_no_others() -> None:
+    assert set(SCENES) == set(TABLE)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_scene_has_the_grid_length_and_time_step_of_the_table(name: str) -> None:
+    side, n_steps, dt_ns = TABLE[name]
+    source = open_scene(name, 0)
+    assert (source.skin.n_rows, source.skin.n_cols) == (side, side)
+    assert (source.skin.f_max, source.skin.unit, source.skin.pitch_m) == (2.5, "N", 0.005)
+    assert (source.name, source.delivers, source.n_frames) == (name, "truth", n_steps)
+    assert source.rate_hz == pytest.approx(1e9 / dt_ns)
+    stamps = [stamp for stamp, _ in itertools.islice(source, 5)]
+    assert stamps == [dt_ns * step for step in range(5)]
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_scene_has_the_body_motion_and_degrees_of_freedom_of_the_table(name: str) -> None:
+    scene = SCENES[name]()
+    (kind,) = {"box", "wrench", "path"} & set(name.split("_"))
+    assert scene.body is BODIES[kind](TAXEL_RADIUS_M)
+    assert scene.dof == (("z", "pitch") if kind == "wrench" else ("z",))
+    motion = {"lift": Lift, "drag": Drag, "path": RandomPath}[name.split("_")[0]]
+    assert type(scene.motion) is motion
+    if isinstance(scene.motion, Lift):
+        assert scene.motion.speed_m_s == 0.1
+    if isinstance(scene.motion, RandomPath):
+        assert scene.motion.speed_m_s == 0.05
+    assert scene.drop_height_m == (0.2 if name == "drag_wrench_64" else 0.5)
+    assert (scene.surface.ground_drop_m is not None) == (kind == "wrench")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow) if n == "drag_wrench_64" else n for n in TABLE],
+)
+def test_whole_scene_starts_untouched_touches_stays_in_range_and_all_but_path_ends_untouched(
+    name: str,
+) -> None:
+    peak = played(name).peak
+    assert np.isfinite(played(name).total).all()
+    assert peak.max() <= 2.5
+    assert peak[0] == 0.0
+    # The run ends as the contact does, and not a tenth of it later.
+    assert (peak[-1] > 0.0) == (name == "path_40")
+    assert peak[-len(peak) // 10 :].any()
+
+
+@pytest.mark.parametrize("name", ["lift_box_40", "path_40"])
+def test_same_seed_gives_the_same_frames_at_each_playing(name: str) -> None:
+    source = open_scene(name, 7)
+    first = [f for _, f in itertools.islice(source, 400)]
+    again = [f for _, f in itertools.islice(source, 400)]
+    np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(first, frames(name, 0, 400, seed=7))
+
+
+def test_another_seed_drops_the_peg_elsewhere() -> None:
+    (first,), (other,) = (frames("path_40", 990, 991, seed=seed) for seed in (0, 1))
+    assert first.any()
+    assert other.any()
+    assert not np.array_equal(first > 0, other > 0)
+
+
+def test_a_yielded_frame_is_never_modified_later() -> None:
+    kept, copies = [], []
+    for _, forces in itertools.islice(open_scene("lift_box_40", 0), 310, 360):
+        kept.append(forces)
+        copies.append(forces.copy())
+    np.testing.assert_array_equal(kept, copies)
+
+
+@pytest.mark.parametrize(
+    ("name", "mass_kg"),
+    [
+        ("lift_box_40", 0.5167),
+        ("lift_box_64", 0.5167),
+        ("path_40", 2700 * math.pi * 0.01**2 * 0.06),
+    ],
+)
+def test_forces_at_rest_carry_the_weight(name: str, mass_kg: float) -> None:
+    forces = played(name).at_rest
+    assert forces.sum(dtype=float) == pytest.approx(mass_kg * GRAVITY_M_S2, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["lift_box_40", "lift_box_64"])
+def test_box_covers_a_square_of_20_x_20_taxels_evenly(name: str) -> None:
+    forces = played(name).at_rest
+    rows, cols = np.nonzero(forces)
+    assert np.count_nonzero(forces) == 400
+    assert np.ptp(rows) == np.ptp(cols) == 19
+    assert np.ptp(forces[forces > 0]) <= 1e-6
+
+
+def test_box_touches_down_when_free_fall_says_so() -> None:
+    touched = [bool(f.any()) for f in frames("lift_box_40", 0, 400)]
+    fall_s = math.sqrt(2 * 0.5 / GRAVITY_M_S2)
+    assert touched.index(True) == math.ceil(fall_s / 1e-3)
+
+
+def test_wrench_moves_off_at_the_speed_of_the_drag() -> None:
+    motion = SCENES["drag_wrench_64"]().motion
+    assert isinstance(motion, Drag)
+    assert math.hypot(*motion.velocity_m_s) == pytest.approx(0.05)
+    assert motion.place(motion.at_s) == (0.0, 0.0)
+    assert motion.place(motion.at_s + 2.0) == pytest.approx((-0.1, 0.0))
+
+
+def test_ground_takes_its_part_as_the_wrench_leaves_the_skin() -> None:
+    weight = 1.0 * GRAVITY_M_S2
+    mean = played("drag_wrench_40").total[4700:4900].mean()
+    assert 0.0 < mean < 0.5 * weight
+
+
+def test_a_lift_does_not_move_along_the_skin_and_a_drag_not_before_it_begins() -> None:
+    lift = Lift(at_s=0.5)
+    assert lift.place(0.0) == lift.place(9.0) == (0.0, 0.0)
+    drag = Drag(at_s=0.5, velocity_m_s=(0.3, -0.4))
+    assert drag.place(0.0) == drag.place(0.5) == (0.0, 0.0)
+    assert drag.place(1.5) == pytest.approx((0.3, -0.4))
+
+
+def test_a_polygonal_course_passes_its_corners_in_time_and_rests_at_both_ends() -> None:
+    course = PolygonalCourse((1.0, 2.0, 4.0), ((0.0, 0.0), (1.0, 2.0), (5.0, 2.0)))
+    assert course.place(0.0) == course.place(1.0) == (0.0, 0.0)
+    assert course.place(1.25) == pytest.approx((0.25, 0.5))
+    assert course.place(2.0) == (1.0, 2.0)
+    assert course.place(3.0) == pytest.approx((3.0, 2.0))
+    assert course.place(4.0) == course.place(9.0) == (5.0, 2.0)
+
+
+def test_a_random_path_fills_its_rectangle_and_lasts_to_its_end() -> None:
+    rng = np.random.default_rng(0)
+    places = []
+    for _ in range(200):
+        place, course = RandomPath(at_s=0.0, speed_m_s=0.05).draw(rng, 0.09, 0.04, end_s=3.0)
+        assert course.times_s[-1] > 3.0 >= course.times_s[-2]
+        assert course.offsets_m[0] == (0.0, 0.0)
+        places += [np.add(place, offset) for offset in course.offsets_m]
+    # Uniform: mean 0, and standard deviation half a side by sqrt(3).
+    np.testing.assert_allclose(np.mean(places, axis=0), 0.0, atol=0.01)
+    np.testing.assert_allclose(np.std(places, axis=0), np.array([0.09, 0.04]) / 3**0.5, rtol=0.1)
+
+
+def test_path_moves_at_constant_speed_within_its_rectangle() -> None:
+    place, course = RandomPath(at_s=1.0, speed_m_s=0.05).draw(
+        np.random.default_rng(3), 0.09, 0.04, end_s=12.0
+    )
+    assert course.place(0.0) == course.place(1.0) == (0.0, 0.0)
+    offsets = np.array([course.place(t) for t in np.arange(1.0, 12.0, 1e-3)])
+    assert np.all(np.abs(offsets + place) <= [0.09, 0.04])
+    steps = np.hypot(*np.diff(offsets, axis=0).T)
+    assert steps.max() <= 0.05e-3 * (1 + 1e-9)
+    assert np.median(steps) == pytest.approx(0.05e-3, rel=1e-6)
+
+
+def test_wrench_has_the_extent_of_the_mesh() -> None:
+    sole = monkey_wrench(0.0).sole
+    rows, cols = np.nonzero(sole.heights < FAR_M)
+    x = sole.x_min + sole.grid_m * cols
+    y = sole.y_min + sole.grid_m * rows
+    found = [x.min(), x.max(), y.min(), y.max()]
+    np.testing.assert_allclose(found, [-0.2028, 0.1879, -0.0294, 0.0540], atol=0.001)
+
+
+def test_wrench_stands_on_the_wheels_rim_and_the_handles_end() -> None:
+    sole = monkey_wrench(0.0).sole
+    x = np.array([-0.0763, 0.1796, 0.1840, -0.1850, -0.1150, 0.0])
+    y = np.array([-0.0058, 0.0101, 0.0141, 0.0300, 0.0300, 0.0])
+    heights = sole.sample(x, y)
+    np.testing.assert_allclose(heights[:3], 0.0, atol=1e-4)
+    np.testing.assert_allclose(heights[3:], [0.0026, 0.0026, 0.0050], atol=1e-6)
+    assert sole.heights.min() >= 0.0
+    lowest_rows, lowest_cols = np.nonzero(sole.heights < 1e-4)
+    lowest_x = sole.x_min + sole.grid_m * lowest_cols
+    assert np.all((np.abs(lowest_x + 0.0758) < 0.006) | (np.abs(lowest_x - 0.1818) < 0.004))
+    assert lowest_rows.size > 0
+
+
+def test_masses_are_those_of_the_models() -> None:
+    assert wooden_cube(TAXEL_RADIUS_M).mass_kg == 0.5167
+    wrench = monkey_wrench(TAXEL_RADIUS_M)
+    assert (wrench.mass_kg, wrench.inertia_kg_m2) == (1.0, 1.0)
+    assert metal_peg(TAXEL_RADIUS_M).mass_kg == pytest.approx(0.0509, rel=0.01)
+
+
+def test_edge_of_a_body_is_felt_by_the_flank_of_a_taxel() -> None:
+    radius = 0.0025
+    sole = build_sole([slab(-0.01, 0.01, -0.01, 0.01, 0.0)], (-0.01, 0.01, -0.01, 0.01), radius)
+    beyond = np.array([0.0, 0.0005, 0.0010, 0.0015, 0.0020])
+    felt = sole.sample(0.01 + beyond, np.zeros(5))
+    np.testing.assert_allclose(felt, radius - np.sqrt(radius**2 - beyond**2), atol=1e-9)
+    assert sole.sample(np.array([0.0125, 0.02]), np.zeros(2)).min() > 0.1
+
+
+def test_disc_is_round() -> None:
+    sole = build_sole([disc(0.01, 0.0)], (-0.01, 0.01, -0.01, 0.01), 0.0)
+    area = np.count_nonzero(sole.heights < FAR_M) * sole.grid_m**2
+    assert area == pytest.approx(math.pi * 0.01**2, rel=0.02)
+
+
+def test_moving_average_is_the_mean_of_the_last_ten_frames() -> None:
+    raw = np.random.default_rng(0).random((30, 2, 3), dtype=np.float32)
+    average = MovingAverage(10, (2, 3))
+    smooth = []
+    for frame in raw:
+        average.newest[:] = frame
+        smooth.append(average.step())
+    padded = np.concatenate([np.zeros((9, 2, 3)), raw])
+    expected = [padded[i : i + 10].mean(axis=0) for i in range(30)]
+    np.testing.assert_allclose(smooth, expected, rtol=1e-5)
+
+
+def test_moving_average_of_a_taxel_let_go_is_exactly_zero() -> None:
+    average = MovingAverage(3, (1, 1))
+    for value in (0.1, 0.7, 1e-6, 0.0, 0.0, 0.0):
+        average.newest[:] = value
+        last = average.step()
+    assert last[0, 0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [("lift_bx_40", "did you mean 'lift_box_40'?"), ("zzz", "(known: drag_wrench_40, ")],
+)
+def test_unknown_scene_is_an_error_with_a_hint(name: str, hint: str) -> None:
+    with pytest.raises(SourceError) as error:
+        open_scene(name, 0)
+    assert repr(name) in str(error.value)
+    assert hint in str(error.value)
+
+
+def test_negative_seed_is_an_error() -> None:
+    with pytest.raises(SourceError, match="seed is -1"):
+        open_scene("path_40", -1)

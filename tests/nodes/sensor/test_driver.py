@@ -1,0 +1,296 @@
+"""A user's own driver: found by name, checked frame by frame, its faults named."""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.driver import DriverSource, FrameCheck, open_callable
+
+Writer = Callable[[str], str]
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Writer]:
+    """Write a module into the current directory and return its name."""
+    before = set(sys.modules)
+    path_before = list(sys.path)
+    monkeypatch.chdir(tmp_path)
+
+    def write(body: str) -> str:
+        name = f"a_driver_{len(list(tmp_path.iterdir()))}"
+        text = "import numpy as np\n" + textwrap.dedent(body)
+        (tmp_path / f"{name}.py").write_text(text)
+        return name
+
+    yield write
+    sys.path[:] = path_before
+    for name in set(sys.modules) - before:
+        del sys.modules[name]
+
+
+def yielding(module: Writer, *pairs: str) -> DriverSource:
+    """Open a generator of the given pairs, written as Python expressions."""
+    lines = "\n".join(f"    yield {pair}" for pair in pairs)
+    return open_callable(module(f"def frames():\n{lines}\n") + ":frames")
+
+
+class TestFrames:
+    def test_frames_and_stamps_of_a_generator_pass_from_the_first_on(self, module: Writer) -> None:
+        source = yielding(module, "(1000, np.full((2, 3), 0.5))", "(1010, [[1, 2, 0], [0, 1, 2]])")
+        frames = list(source)
+        assert [stamp for stamp, _ in frames] == [0, 10]
+        assert all(forces.dtype == np.float32 for _, forces in frames)
+        np.testing.assert_array_equal(frames[0][1], np.full((2, 3), 0.5))
+        np.testing.assert_array_equal(frames[1][1], [[1, 2, 0], [0, 1, 2]])
+
+    def test_the_skin_is_learnt_from_the_first_frame(self, module: Writer) -> None:
+        source = yielding(module, "(0, np.zeros((2, 3)))")
+        assert (source.skin.n_rows, source.skin.n_cols) == (2, 3)
+        assert (source.skin.f_max, source.skin.unit) == (2.5, "N")
+        assert source.delivers == "taxels"
+        assert source.rate_hz is None
+        assert source.n_frames is None
+        assert source.name.endswith(":frames")
+
+    def test_settings_give_range_unit_and_rate(self, module: Writer) -> None:
+        name = module("def frames():\n    yield 0, np.full((1, 2), 90)\n")
+        source = open_callable(f"{name}:frames", f_max=100, unit="raw", rate_hz=50)
+        assert (source.skin.f_max, source.skin.unit, source.rate_hz) == (100.0, "raw", 50)
+        assert source.n_clipped == 0
+
+    def test_readings_beyond_the_range_saturate_and_are_counted(self, module: Writer) -> None:
+        source = yielding(module, "(0, [[-0.1, 2.6, 2.5, 0.0]])", "(1, [[1e300, 1, 1, -1e300]])")
+        np.testing.assert_array_equal(
+            [forces for _, forces in source], [[[0, 2.5, 2.5, 0]], [[2.5, 1, 1, 0]]]
+        )
+        assert source.n_clipped == 4
+
+    def test_a_driver_may_fill_one_buffer_again_and_again(self, module: Writer) -> None:
+        name = module("""
+            def frames():
+                buffer = np.zeros((1, 2), dtype=np.float32)
+                for k in range(3):
+                    buffer[:] = k / 2
+                    yield k, buffer
+        """)
+        frames = [forces for _, forces in open_callable(f"{name}:frames")]
+        np.testing.assert_array_equal(np.stack(frames)[:, 0, 0], [0, 0.5, 1])
+
+    @pytest.mark.parametrize(
+        ("second", "message"),
+        [
+            ("(1, np.zeros((3, 2)))", r"frame 1: forces have shape \(3, 2\), .* skin has \(2, 3\)"),
+            ("(1, np.zeros(6))", r"frame 1: forces have shape \(6,\); expected two dimensions"),
+            ("(1, [[0, np.nan, 0], [0, 0, 0]])", "frame 1, row 0, column 1: nan is no force"),
+            ("(1, [[0, 0, 0], [0, 0, -np.inf]])", "frame 1, row 1, column 2: -inf is no force"),
+            ("(1, np.zeros((2, 3), complex))", "dtype 'complex128'; allowed are integers"),
+            ("(1, np.zeros((2, 3), bool))", "dtype 'bool'"),
+            ("(1, [['a'] * 3] * 2)", "dtype '<U1'"),
+            ("(1, [[1, 2], [3]])", "forces are no array of numbers"),
+            ("(1, None)", "dtype 'object'"),
+            ("(0, np.zeros((2, 3)))", "stamp_ns 0 is not after the one before it, 0"),
+            ("(-1, np.zeros((2, 3)))", "stamp_ns -1 is not after"),
+            ("(1.0, np.zeros((2, 3)))", "stamp_ns is float; expected whole nanoseconds"),
+            ("(True, np.zeros((2, 3)))", "stamp_ns is bool"),
+            ("(2**63, np.zeros((2, 3)))", r"more than 2\*\*63 ns after the first"),
+            ("np.zeros((2, 3))", "frame 1: delivered ndarray; expected a pair"),
+            ("(1, 2, 3)", "frame 1: delivered tuple"),
+            ("1 / 0", "the driver failed: ZeroDivisionError: division by zero"),
+        ],
+    )
+    def test_a_bad_frame_is_named_and_not_passed_on(
+        self, module: Writer, second: str, message: str
+    ) -> None:
+        source = yielding(module, "(0, np.zeros((2, 3)))", second)
+        reader = iter(source)
+        next(reader)
+        with pytest.raises(SourceError, match=message) as caught:
+            next(reader)
+        assert source.name in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    @pytest.mark.parametrize(
+        ("first", "message"),
+        [
+            ("(0, np.zeros((0, 3)))", "0 rows x 3 columns"),
+            ("(0, [[np.nan]])", "frame 0, row 0, column 0: nan is no force"),
+            ("(None, [[1.0]])", "frame 0: stamp_ns is NoneType"),
+        ],
+    )
+    def test_a_bad_first_frame_is_refused_as_the_driver_is_opened(
+        self, module: Writer, first: str, message: str
+    ) -> None:
+        with pytest.raises(SourceError, match=message):
+            yielding(module, first)
+
+    def test_a_driver_without_frames_is_refused(self, module: Writer) -> None:
+        name = module("def frames():\n    yield from ()\n")
+        with pytest.raises(SourceError, match="ended before its first frame"):
+            open_callable(f"{name}:frames")
+
+
+class TestLife:
+    BODY = """
+        events = []
+        def frames():
+            try:
+                for k in range(3):
+                    yield k, [[1.0]]
+            finally:
+                events.append("closed")
+    """
+
+    def test_the_driver_is_closed_when_reading_stops_early(self, module: Writer) -> None:
+        name = module(self.BODY)
+        source = open_callable(f"{name}:frames")
+        reader = iter(source)
+        next(reader)
+        reader.close()  # type: ignore[attr-defined]
+        assert sys.modules[name].events == ["closed"]
+
+    def test_the_driver_is_closed_unread(self, module: Writer) -> None:
+        name = module(self.BODY)
+        source = open_callable(f"{name}:frames")
+        source.close()
+        source.close()
+        assert sys.modules[name].events == ["closed"]
+
+    def test_a_generator_is_not_read_twice(self, module: Writer) -> None:
+        source = open_callable(module(self.BODY) + ":frames")
+        assert len(list(source)) == 3
+        with pytest.raises(SourceError, match="was read before"):
+            list(source)
+
+    def test_what_can_be_iterated_again_can_be_read_again(self, module: Writer) -> None:
+        name = module("def frames():\n    return [(0, [[1.0]]), (5, [[2.0]])]\n")
+        source = open_callable(f"{name}:frames")
+        assert [s for s, _ in source] == [s for s, _ in source] == [0, 5]
+
+
+class TestSourceObject:
+    BODY = """
+        from sparseskin.nodes.sensor.source import Skin
+
+        class Hand:
+            name = "hand"
+            delivers = "truth"
+            rate_hz = 200.0
+            n_frames = 1
+            skin = Skin(1, 3, 4.0, mask=np.array([[True, True, False]]))
+
+            def __iter__(self):
+                yield 7, np.array([[1.0, 5.0, np.nan]])
+    """
+
+    def test_its_own_attributes_hold_and_masked_cells_do_not_count(self, module: Writer) -> None:
+        source = open_callable(module(self.BODY) + ":Hand")
+        assert (source.name, source.delivers, source.rate_hz, source.n_frames) == (
+            "hand",
+            "truth",
+            200.0,
+            1,
+        )
+        assert source.skin.n_taxels == 2
+        ((stamp, forces),) = source
+        assert stamp == 0
+        np.testing.assert_array_equal(forces, [[1, 4, 0]])
+        assert source.n_clipped == 1
+
+    def test_no_frame_is_pulled_before_it_is_read(self, module: Writer) -> None:
+        body = self.BODY.replace("yield 7,", "1 / 0; yield 7,")
+        source = open_callable(module(body) + ":Hand")
+        with pytest.raises(SourceError, match="ZeroDivisionError"):
+            list(source)
+
+    def test_settings_that_contradict_its_skin_are_refused(self, module: Writer) -> None:
+        name = module(self.BODY)
+        with pytest.raises(SourceError, match=r"f_max = 2.5 is stated, .* skin has 4\.0"):
+            open_callable(f"{name}:Hand", f_max=2.5)
+        with pytest.raises(SourceError, match="unit = raw is stated"):
+            open_callable(f"{name}:Hand", unit="raw")
+
+    @pytest.mark.parametrize(
+        ("old", "new", "message"),
+        [
+            ('"truth"', '"noise"', "delivers = 'noise'; allowed are truth, taxels"),
+            ("200.0", "-1", "rate_hz = '-1'"),
+            ("n_frames = 1", "n_frames = 1.5", "n_frames = '1.5'"),
+            ("skin = Skin(", "skin = dict(n=(", "importing it failed: SyntaxError"),
+            ("skin = Skin", "skin = str; Skin", "its skin is type"),
+            ("def __iter__", "def frames", "returned Hand; expected a generator or an iterable"),
+        ],
+    )
+    def test_attributes_that_cannot_hold_are_refused(
+        self, module: Writer, old: str, new: str, message: str
+    ) -> None:
+        name = module(self.BODY.replace(old, new))
+        with pytest.raises(SourceError, match=message):
+            open_callable(f"{name}:Hand")
+
+
+class TestName:
+    @pytest.mark.parametrize("target", ["", "frames", "a_module:", ":frames", "a b:c", "a:b:c"])
+    def test_what_is_not_module_and_callable_is_refused(self, target: str) -> None:
+        with pytest.raises(SourceError, match="expected module:callable"):
+            open_callable(target)
+
+    def test_a_missing_module_is_named(self, module: Writer) -> None:
+        with pytest.raises(SourceError, match="there is no module 'no_such_skin'"):
+            open_callable("no_such_skin:frames")
+
+    def test_a_missing_dependency_of_the_module_is_named(self, module: Writer) -> None:
+        name = module("import no_such_serial\n")
+        with pytest.raises(SourceError, match=r"importing it failed: .*'no_such_serial'"):
+            open_callable(f"{name}:frames")
+
+    def test_a_misspelt_callable_is_answered_with_the_near_one(self, module: Writer) -> None:
+        name = module("def frames():\n    yield 0, [[1.0]]\n")
+        with pytest.raises(SourceError, match="has no 'frame'; did you mean 'frames'"):
+            open_callable(f"{name}:frame")
+
+    @pytest.mark.parametrize(
+        ("body", "message"),
+        [
+            ("frames = 3", "is int, which cannot be called"),
+            ("def frames():\n    return 3", "returned int; expected a generator"),
+            ("def frames(port):\n    yield", "the driver failed: TypeError: .*'port'"),
+            ("def frames():\n    raise OSError('no\\nport')", "failed: OSError: no port"),
+            ("raise SystemExit(3)", "importing it failed: SystemExit: 3"),
+            ("raise ValueError", "importing it failed: ValueError"),
+        ],
+    )
+    def test_what_is_no_driver_is_refused(self, module: Writer, body: str, message: str) -> None:
+        with pytest.raises(SourceError, match=message):
+            open_callable(module(body) + ":frames")
+
+    @pytest.mark.parametrize("f_max", [0, -1.0, float("nan"), float("inf"), "2.5", True])
+    def test_a_range_that_is_none_is_refused(self, module: Writer, f_max: float) -> None:
+        name = module("def frames():\n    yield 0, [[1.0]]\n")
+        with pytest.raises(SourceError, match="f_max = "):
+            open_callable(f"{name}:frames", f_max=f_max)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("worst", [0.0, 2.5, -0.1, 2.6, np.nan, np.inf])
+def test_a_frame_is_a_copy_of_what_was_delivered_clipped_and_finite(
+    dtype: type[np.floating], worst: float
+) -> None:
+    delivered = np.linspace(0.0, 2.5, 12, dtype=dtype).reshape(3, 4)
+    delivered[1, 2] = worst
+    check = FrameCheck("skin:frames", f_max=2.5)
+    if not np.isfinite(worst):
+        with pytest.raises(SourceError, match="row 1, column 2"):
+            check((0, delivered))
+        return
+    _, forces = check((0, delivered))
+    assert forces.dtype == np.float32
+    assert not np.shares_memory(forces, delivered)
+    np.testing.assert_array_equal(forces, delivered.clip(0, 2.5).astype(np.float32))
+    assert check.n_clipped == (not 0 <= worst <= 2.5)

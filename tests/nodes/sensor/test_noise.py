@@ -1,0 +1,108 @@
+"""The noise model of the paper, and its effect on an untouched skin."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.sensor.noise import NoiseModel
+
+
+def forces(*values: float) -> npt.NDArray[np.float32]:
+    return np.array(values, dtype=np.float32)
+
+
+def test_sigma_is_largest_at_mid_range_and_falls_linearly_to_both_ends() -> None:
+    sigma = NoiseModel().sigma(forces(0.0, 0.625, 1.25, 1.875, 2.5))
+    np.testing.assert_allclose(sigma, [0.0141, 0.03845, 0.0628, 0.03845, 0.0141], rtol=1e-6)
+    assert sigma.dtype == np.float32
+
+
+def test_untouched_skin_has_a_noisy_psnr_of_48_db() -> None:
+    model, rng = NoiseModel(), np.random.default_rng(0)
+    truth = np.zeros((40, 40), dtype=np.float32)
+    psnr = [
+        20 * math.log10(2.5 / math.sqrt(np.mean(np.square(model.apply(truth, rng), dtype=float))))
+        for _ in range(400)
+    ]
+    assert np.mean(psnr) == pytest.approx(48.0, abs=0.3)
+
+
+def test_clipping_makes_untouched_taxels_read_0_4_sigma_too_high() -> None:
+    taxels = NoiseModel().apply(np.zeros(400_000, dtype=np.float32), np.random.default_rng(1))
+    assert taxels.mean() == pytest.approx(0.0141 / math.sqrt(2 * math.pi), rel=0.01)
+
+
+def test_noise_at_mid_range_has_zero_mean_and_the_stated_sigma() -> None:
+    truth = np.full(400_000, 1.25, dtype=np.float32)
+    error = NoiseModel().apply(truth, np.random.default_rng(2)).astype(float) - 1.25
+    assert abs(error.mean()) < 5 * 0.0628 / math.sqrt(truth.size)
+    assert error.std() == pytest.approx(0.0628, rel=0.01)
+
+
+def test_readings_stay_in_the_range_and_the_truth_is_left_alone() -> None:
+    truth = np.tile(forces(0.0, 1.25, 2.5), 5000)
+    kept = truth.copy()
+    taxels = NoiseModel().apply(truth, np.random.default_rng(3))
+    assert taxels.dtype == np.float32
+    assert taxels.min() == 0.0
+    assert taxels.max() == 2.5
+    np.testing.assert_array_equal(truth, kept)
+    assert not np.shares_memory(taxels, truth)
+
+
+def test_same_generator_state_gives_the_same_readings() -> None:
+    truth = np.linspace(0, 2.5, 1600, dtype=np.float32).reshape(40, 40)
+    model = NoiseModel()
+    first = model.apply(truth, np.random.default_rng(4))
+    np.testing.assert_array_equal(first, model.apply(truth, np.random.default_rng(4)))
+    assert not np.array_equal(first, model.apply(truth, np.random.default_rng(5)))
+
+
+def test_noise_scales_with_the_range() -> None:
+    model = NoiseModel.for_range(25.0)
+    np.testing.assert_allclose(model.sigma(forces(0.0, 12.5)), [0.141, 0.628], rtol=1e-6)
+    assert NoiseModel.for_range(2.5) == NoiseModel()
+
+
+@pytest.mark.parametrize("f_max", [1e-3, 0.5, 1.0])
+def test_a_range_of_1_n_and_less_has_the_same_noise_in_parts_of_the_range(f_max: float) -> None:
+    model = NoiseModel.for_range(f_max)
+    assert model.f_max == f_max
+    parts = model.sigma(forces(0.0, f_max / 2, f_max)) / f_max
+    np.testing.assert_allclose(parts, [0.0141 / 2.5, 0.0628 / 2.5, 0.0141 / 2.5], rtol=1e-5)
+    truth = np.full(10_000, f_max, dtype=np.float32)
+    taxels = model.apply(truth, np.random.default_rng(7))
+    assert taxels.max() == np.float32(f_max)
+    assert 0.9 * f_max < taxels.min() < f_max
+
+
+def test_noise_is_a_multiple_of_the_papers() -> None:
+    model = NoiseModel.for_range(2.5, times=3.0)
+    assert (model.sigma_mid, model.sigma_end) == pytest.approx((0.1884, 0.0423))
+
+
+def test_no_noise_is_allowed() -> None:
+    truth = forces(0.0, 1.0, 2.5)
+    model = NoiseModel(sigma_mid=0.0, sigma_end=0.0)
+    np.testing.assert_array_equal(model.apply(truth, np.random.default_rng(6)), truth)
+
+
+@pytest.mark.parametrize("name", ["f_max", "sigma_mid", "sigma_end"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -0.1])
+def test_bad_parameter_is_named_with_its_value_and_the_allowed_range(
+    name: str, value: float
+) -> None:
+    with pytest.raises(SettingsError, match=rf"{name} is {value!r}; allowed is"):
+        NoiseModel(**{name: value})
+
+
+def test_sigma_beyond_the_range_and_an_empty_range_are_refused() -> None:
+    with pytest.raises(SettingsError, match=r"sigma_mid is 3\.0; allowed is 0 to f_max = 2\.5"):
+        NoiseModel(sigma_mid=3.0)
+    with pytest.raises(SettingsError, match=r"f_max is 0\.0"):
+        NoiseModel.for_range(0.0)

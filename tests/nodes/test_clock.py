@@ -1,0 +1,108 @@
+"""The offset of another clock: within its stated uncertainty, whatever the delays and the drift."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparseskin.nodes.clock import DRIFT_PPM, MAX_CONTRADICTIONS, ClockOffset
+
+MS = 1_000_000
+S = 1000 * MS
+
+
+def exchange(
+    clock: ClockOffset, at_ns: int, offset_ns: int, there_ns: int, back_ns: int, held_ns: int = 0
+) -> bool:
+    """One exchange that begins at `at_ns`, with a clock that is `offset_ns` ahead."""
+    t2_ns = at_ns + there_ns + offset_ns
+    t4_ns = at_ns + there_ns + held_ns + back_ns
+    return clock.add(at_ns, t2_ns, t2_ns + held_ns, t4_ns)
+
+
+def test_there_is_no_estimate_before_the_first_exchange() -> None:
+    assert ClockOffset().estimate(0) is None
+
+
+def test_equal_delays_give_the_exact_offset() -> None:
+    clock = ClockOffset()
+    exchange(clock, 1000, -7 * S, 3 * MS, 3 * MS, held_ns=50 * MS)
+    found = clock.estimate(1000 + 56 * MS)
+    assert found is not None
+    assert found.offset_ns == -7 * S
+    assert abs(found.uncertainty_ns - 3 * MS) <= 1
+
+
+@given(
+    offset_ns=st.integers(-(10**18), 10**18),
+    delays=st.lists(st.tuples(st.integers(0, S), st.integers(0, S)), min_size=1, max_size=100),
+)
+def test_the_true_offset_lies_within_the_uncertainty_however_unequal_the_delays(
+    offset_ns: int, delays: list[tuple[int, int]]
+) -> None:
+    clock = ClockOffset()
+    now_ns = 0
+    for there_ns, back_ns in delays:
+        assert exchange(clock, now_ns, offset_ns, there_ns, back_ns)
+        now_ns += there_ns + back_ns + 250 * MS
+        found = clock.estimate(now_ns)
+        assert found is not None
+        assert abs(found.offset_ns - offset_ns) <= found.uncertainty_ns
+
+
+def test_the_shortest_round_trip_gives_the_estimate() -> None:
+    clock = ClockOffset()
+    for k, back_ms in enumerate((40, 1, 90)):
+        exchange(clock, k * S, 5 * S, 1 * MS, back_ms * MS)
+    found = clock.estimate(2 * S)
+    assert found is not None
+    assert found.offset_ns == 5 * S
+    assert found.uncertainty_ns < 1.2 * MS
+
+
+@given(ppm=st.floats(-DRIFT_PPM, DRIFT_PPM), seconds=st.integers(1, 3600))
+def test_a_drifting_clock_stays_within_the_uncertainty(ppm: float, seconds: int) -> None:
+    clock = ClockOffset()
+    for k in range(min(seconds, 100)):
+        at_ns = k * S
+        exchange(clock, at_ns, round(at_ns * ppm / 1e6), 100_000, 300_000)
+    now_ns = seconds * S
+    found = clock.estimate(now_ns)
+    assert found is not None
+    assert abs(found.offset_ns - now_ns * ppm / 1e6) <= found.uncertainty_ns + 1
+
+
+def test_the_uncertainty_grows_while_no_exchange_comes() -> None:
+    clock = ClockOffset()
+    exchange(clock, 0, 0, MS, MS)
+    found = clock.estimate(1000 * S + 2 * MS)
+    assert found is not None
+    assert abs(found.uncertainty_ns - (MS + round(1000 * S * DRIFT_PPM / 1e6))) <= 1
+
+
+def test_one_exchange_that_contradicts_the_others_is_not_used() -> None:
+    clock = ClockOffset()
+    assert exchange(clock, 0, 3 * S, MS, MS)
+    assert not exchange(clock, S, 9 * S, MS, MS)
+    found = clock.estimate(S)
+    assert found is not None
+    assert found.offset_ns == 3 * S
+
+
+def test_a_clock_that_was_set_is_estimated_anew_after_a_few_exchanges() -> None:
+    clock = ClockOffset()
+    for k in range(10):
+        exchange(clock, k * S, 3 * S, MS, MS)
+    used = [exchange(clock, (10 + k) * S, 9 * S, MS, MS) for k in range(MAX_CONTRADICTIONS)]
+    assert used == [False] * (MAX_CONTRADICTIONS - 1) + [True]
+    found = clock.estimate(13 * S)
+    assert found is not None
+    assert found.offset_ns == 9 * S
+
+
+def test_times_that_run_backwards_are_refused() -> None:
+    clock = ClockOffset()
+    assert not clock.add(100, 200, 300, 99)  # the answer before the question
+    assert not clock.add(100, 300, 200, 400)  # sent before it arrived
+    assert not clock.add(100, 200, 900, 400)  # held for longer than the whole exchange took
+    assert clock.estimate(500) is None

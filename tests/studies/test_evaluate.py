@@ -1,0 +1,98 @@
+"""Evaluation of solvers: the same frames for all, errors against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.rotation import ROTATING
+from sparseskin.nodes.monitor.metrics import psnr_db
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, make_solver
+from sparseskin.studies.evaluate import (
+    SUM_SOLVERS,
+    Reading,
+    Scores,
+    Solved,
+    evaluate,
+    make_method,
+    phis_at,
+)
+
+SHAPE = (8, 8)
+RNG = np.random.default_rng(0)
+TRUTHS = [np.zeros(SHAPE, np.float32), np.zeros(SHAPE, np.float32)]
+TRUTHS[1][2:4, 2:4] = 1.0
+FRAMES = [(truth, truth + np.float32(0.02)) for truth in TRUTHS]
+
+
+def test_all_solvers_but_those_that_choose_taxels_anew_are_solvers_of_sums() -> None:
+    assert set(SOLVERS) - set(SUM_SOLVERS) == {"interpolation"}
+
+
+def test_a_reading_is_scored_against_the_closed_form() -> None:
+    scores = evaluate({"raw": Reading(), "zone": Reading(0.1)}, FRAMES)
+    raw, zone = scores["raw"], scores["zone"]
+    every_db = 20 * np.log10(2.5 / 0.02)
+    assert raw.psnr_db == pytest.approx([every_db, every_db], abs=1e-4)
+    assert raw.contact == [False, True]
+    assert raw.mean_db == raw.min_db == raw.psnr_db[1]
+    assert raw.touched == [(pytest.approx(0.02**2, rel=1e-4), 4)]
+    # 4 of 64 taxels are off: 12 dB more.
+    assert zone.psnr_db == pytest.approx([100.0, every_db + 20 * np.log10(4)], abs=1e-4)
+
+
+def test_a_method_is_the_solver_on_its_own_measurements() -> None:
+    method = make_method({"solver": "fista", "iterations": 5, "lambda_n": 0.01}, SHAPE, 2, seed=3)
+    phi = make_phi("sbhe", n=64, m=32, seed=3)
+    solver = make_solver("fista", phi, make_basis("haar", *SHAPE), iterations=5, lambda_n=0.01)
+    scores = evaluate({"fista": method}, FRAMES)["fista"]
+    expected = [solver.solve(phi.forward(taxels.reshape(-1))) for _, taxels in FRAMES]
+    errors = [psnr_db(forces - truth, 2.5) for forces, truth in zip(expected, TRUTHS, strict=True)]
+    assert scores.psnr_db == errors
+    assert scores.n_steps == [5, 5]
+    assert all(wall_s > 0 for wall_s in scores.wall_s)
+    method.reset()
+    np.testing.assert_array_equal(method.reconstruct(FRAMES[0][1]).forces, expected[0])
+
+
+def test_rotating_rows_take_turns_and_hold_every_row_together() -> None:
+    phis = phis_at(64, 3, ROTATING, seed=0)
+    assert [phi.m for phi in phis] == [22, 22, 22]
+    method = make_method(PRESETS["skin"], SHAPE, 3, seed=0, rows=ROTATING)
+    used = []
+    for _, taxels in [*FRAMES, *FRAMES]:
+        used.append(method.phi.fingerprint)
+        np.testing.assert_array_equal(
+            method.measure(taxels), method.phi.forward(taxels.reshape(-1))
+        )
+        method.reconstruct(taxels)
+    assert len(set(used[:3])) == 3
+    assert used[3] == used[0]
+
+
+def test_missing_taxels_are_not_measured() -> None:
+    mask = np.ones(SHAPE, np.bool_)
+    mask[0] = False
+    method = make_method(PRESETS["paper"], SHAPE, 2, seed=0, mask=mask)
+    taxels = FRAMES[1][1].copy()
+    taxels[0] = np.nan
+    assert not method.reconstruct(taxels).forces[0].any()
+
+
+def test_acts_reads_taxels_where_the_frame_has_forces() -> None:
+    chosen = {"solver": "interpolation", "basis": "identity"}
+    method = make_method(chosen, SHAPE, 2, seed=0, phi="acts")
+    for _ in range(2):
+        forces = method.reconstruct(TRUTHS[1]).forces
+        np.testing.assert_allclose(forces[2:4, 2:4], 1.0)
+
+
+def test_percentiles_are_of_the_solve_times() -> None:
+    scores = Scores()
+    for ms in range(1, 102):
+        scores.add(Solved(TRUTHS[0], wall_s=ms / 1e3, cpu_s=ms / 2e3), TRUTHS[0])
+    assert scores.wall_ms(50) == pytest.approx(51)
+    assert scores.cpu_ms(99) == pytest.approx(50)

@@ -1,0 +1,70 @@
+"""Output of studies: tables, CSV files, charts and pages."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import jinja2
+import pandas as pd
+import pytest
+
+from sparseskin.studies.points import StudyError
+from sparseskin.studies.report import Chart, draw_lines, fill_page, markdown, write_csv
+
+FRAME = pd.DataFrame({"solver": ["a", "b"], "n": [3, 4], "mean dB": [41.256, None]})
+
+
+def test_a_table_formats_columns_and_leaves_missing_values_empty() -> None:
+    assert markdown(FRAME, {"mean dB": ".1f"}).splitlines() == [
+        "| solver | n | mean dB |",
+        "| --- | --- | --- |",
+        "| a | 3 | 41.3 |",
+        "| b | 4 |  |",
+    ]
+
+
+def test_a_csv_keeps_every_digit_and_whole_numbers_whole(tmp_path: Path) -> None:
+    rows = [{"n": 3, "x": 0.1 + 0.2}, {"n": None, "x": 1e-30}]
+    assert write_csv(tmp_path, "rows", rows) == "[rows.csv](rows.csv)"
+    with (tmp_path / "rows.csv").open(newline="") as file:
+        assert list(csv.reader(file)) == [["n", "x"], ["3", repr(0.1 + 0.2)], ["", "1e-30"]]
+
+
+def test_a_page_is_its_template_filled_with_tables_and_numbers(tmp_path: Path) -> None:
+    template = tmp_path / "template.md"
+    template.write_text('# Page\n{% if quick %}\nQuick.\n{% endif %}\n{{ x|f(".2f") }}\n{{ t }}\n')
+    fill_page(tmp_path, "page", template, quick=False, x=1 / 3, t=FRAME[["n"]])
+    assert (tmp_path / "page.md").read_text() == "# Page\n0.33\n| n |\n| --- |\n| 3 |\n| 4 |\n"
+    with pytest.raises(jinja2.UndefinedError, match="'t' is undefined"):
+        fill_page(tmp_path, "page", template, quick=True, x=1)
+
+
+def draw(out: Path) -> str:
+    out.mkdir()
+    with Chart(out, "lines", "Two lines", 3, 2, sharex=True) as chart:
+        for axes in chart.panels:
+            draw_lines(axes, FRAME, "n", "n", "solver", order=("b", "a"))
+        chart.label("n", "n again")
+    assert [axes.get_xlabel() for axes in chart.panels] == ["", "n", "n"]
+    assert [axes.get_ylabel() for axes in chart.panels] == ["n again", "", "n again"]
+    (legend,) = chart.figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
+    return chart.markdown
+
+
+def test_a_chart_is_saved_as_png_and_svg_and_is_the_same_again(tmp_path: Path) -> None:
+    assert "![Two lines](lines.png)" in draw(tmp_path / "a") == draw(tmp_path / "b")
+    for name in ("lines.png", "lines.svg"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_a_folder_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
+    out = tmp_path / "no_such"
+    with pytest.raises(StudyError, match=r"no_such.*No such file"):
+        write_csv(out, "rows", FRAME)
+    with pytest.raises(StudyError, match=r"no_such.*No such file"), Chart(out, "chart", "A chart"):
+        pass
+    (tmp_path / "template.md").touch()
+    with pytest.raises(StudyError, match=r"no_such.*No such file"):
+        fill_page(out, "page", tmp_path / "template.md")

@@ -1,0 +1,99 @@
+"""The names that `import sparseskin` gives, on arrays and without processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import bags
+import numpy as np
+import pytest
+
+import sparseskin
+from sparseskin.messages import Reconstruction
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.errors import SparseskinError
+
+
+def test_every_name_is_there_and_listed() -> None:
+    for name in sparseskin.__all__:
+        assert getattr(sparseskin, name)
+    assert set(sparseskin.__all__) <= set(dir(sparseskin))
+    with pytest.raises(AttributeError, match="no attribute 'make_phy'"):
+        sparseskin.make_phy  # noqa: B018
+
+
+def test_the_import_alone_loads_neither_numpy_nor_a_node() -> None:
+    code = "import sys, sparseskin; print([m for m in sys.modules if 'numpy' in m or 'nodes' in m])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_module_is_the_command() -> None:
+    command = [sys.executable, "-m", "sparseskin", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == f"sparseskin {sparseskin.__version__}"
+
+
+def test_compress_measures_existing_taxels_alone() -> None:
+    mask = np.ones((4, 4), np.bool_)
+    mask[0, :2] = False
+    phi = sparseskin.make_phi("subsample", n=14, m=14, seed=0)
+    frames = np.arange(32, dtype=np.float32).reshape(2, 4, 4)
+    y = sparseskin.compress(frames, phi, mask)
+    np.testing.assert_array_equal(y, frames[:, mask])
+
+
+def test_reconstruct_is_the_solver_frame_by_frame() -> None:
+    rng = np.random.default_rng(0)
+    frames = rng.random((3, 8, 8), dtype=np.float32)
+    phi = sparseskin.make_phi("sbhe", n=64, m=32, seed=0)
+    solver = sparseskin.make_solver("fista", phi, sparseskin.make_basis("haar", 8, 8))
+    y = sparseskin.compress(frames, phi)
+    together = sparseskin.reconstruct(y, solver)
+    solver.reset()
+    one_by_one = np.stack([sparseskin.reconstruct(frame, solver) for frame in y])
+    np.testing.assert_array_equal(together, one_by_one)
+    assert sparseskin.reconstruct(y[:0], solver).shape == (0, 8, 8)
+
+
+def test_psnr_of_frames_is_that_of_each() -> None:
+    truth = np.zeros((2, 3, 3), np.float32)
+    found = sparseskin.psnr_db(truth + np.float32([[[0.1]], [[0.025]]]), truth, f_max=1.0)
+    assert found == pytest.approx([20.0, 20 * np.log10(40)], abs=1e-4)
+    with pytest.raises(SparseskinError, match="expected the same"):
+        sparseskin.psnr_db(truth, truth[0])
+
+
+def test_simulated_frames_are_the_sensors() -> None:
+    truth, taxels = sparseskin.simulate("lift_box_40", 4, seed=1)
+    assert truth.shape == taxels.shape == (4, 40, 40)
+    assert not np.array_equal(taxels, sparseskin.simulate("lift_box_40", 4, seed=2)[1])
+
+
+def test_a_launch_file_runs_with_the_bits_of_its_nodes() -> None:
+    launch = sparseskin.load_launch("path_40", ["reconstructor.iterations=3"])
+    frames = list(sparseskin.run_launch(launch, 3))
+    bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, ManualClock(0))
+    made = [
+        m.forces for ms in bus.frames(3) for m in ms if isinstance(m, Reconstruction)
+    ]  # fmt: skip
+    np.testing.assert_array_equal([frame.forces for frame in frames], made)
+    assert [frame.patch for frame in frames] == ["skin"] * 3
+    assert frames[0].truth is not None
+    assert frames[0].truth.shape == (40, 40)
+
+
+def test_a_bag_is_read_into_arrays(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    bags.make_bag(path, bags.frames(5))
+    recording = sparseskin.read_recording(path)
+    shape = (5, bags.N_ROWS, bags.N_COLS)
+    assert recording["forces"].shape == recording["reconstruction"].shape == shape
+    assert recording["measurements"].shape == (5, bags.M)
+    assert np.diff(recording["stamp_ns"]).tolist() == [bags.PERIOD_NS] * 4
+    np.testing.assert_array_equal(recording["mask"], bags.MASK)
+    with pytest.raises(SparseskinError, match="has no patch 'palm'"):
+        sparseskin.read_recording(path, patch="palm")

@@ -1,0 +1,88 @@
+"""A reconstructor and a skin under the watch for faults: what their tests share."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from sparseskin.messages import Measurements, Message, PhiState, Reconstruction, SkinState
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.faults.taxels import TaxelWatch
+from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
+from sparseskin.nodes.reconstructor.solvers.base import make_solver
+from sparseskin.nodes.sensor.noise import NoiseModel
+
+DESK_SHAPE, N = (40, 40), 1600
+SKIN_SHAPE = (28, 28)
+NOISE = NoiseModel()
+
+
+class Desk:
+    """A reconstructor that knows its skin, and what it said."""
+
+    def __init__(self, phi: Phi, *, states_noise: bool = True, **settings: object) -> None:
+        self.lines: list[str] = []
+        context = Context("reconstructor", ManualClock(0), self.lines.append)
+        self.node = Reconstructor(ReconstructorSettings(**settings), context)
+        self.phi = phi
+        self._stamps = itertools.count(1)
+        sigmas = (0.0628, 0.0141) if states_noise else (0.0, 0.0)
+        skin = SkinState(
+            stamp_ns=0, patch="skin", n_rows=DESK_SHAPE[0], n_cols=DESK_SHAPE[1], f_max=2.5,
+            unit="N",
+            pitch_m=None, mask=None, source="", seed=0, rate_hz=0.0, has_truth=False,
+            sigma_mid=sigmas[0], sigma_end=sigmas[1],
+        )  # fmt: skip
+        told = PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe())
+        for message in (skin, told):
+            list(self.node.step(message))
+
+    def messages(self, y: Floats) -> list[Message]:
+        """What is published of the frames of measurements y."""
+        found: list[Message] = []
+        for one in y:
+            measurements = Measurements(
+                stamp_ns=next(self._stamps), patch="skin", y=one, phi=self.phi.fingerprint
+            )
+            found += self.node.step(measurements)
+        return found
+
+    def restore(self, y: Floats) -> Floats:
+        """Forces of the frames of measurements y."""
+        return np.array([m.forces for m in self.messages(y) if isinstance(m, Reconstruction)])
+
+
+class Skin:
+    """A skin that is restored frame by frame under the watch, and what was said of it."""
+
+    def __init__(self, phi: Phi, noise: NoiseModel = NOISE) -> None:
+        self.lines: list[str] = []
+        self.phi, self.noise = phi, noise
+        mask = np.ones(SKIN_SHAPE, np.bool_)
+        self.watch = TaxelWatch(
+            mask, NOISE.f_max, NOISE.sigma_mid, NOISE.sigma_end, self.lines.append
+        )
+        self.solver = make_solver("skin", phi, make_basis("haar", *SKIN_SHAPE), mask)
+        self.rng = np.random.default_rng(0)
+
+    def read(self, truth: Floats, reads: dict[tuple[int, int], float] | None = None) -> Floats:
+        """What is published of a frame; `reads` are the readings of faulty taxels."""
+        taxels = self.noise.apply(truth, self.rng)
+        for cell, value in (reads or {}).items():
+            taxels[cell] = value
+        y = self.watch.cleaned(self.phi, self.phi.forward(taxels.reshape(-1)))
+        forces = self.solver.solve(y)
+        self.watch.update(self.phi, forces, y - self.phi.forward(forces.reshape(-1)))
+        return self.watch.filled(forces)
+
+
+def pad(*cells: tuple[slice, slice], force: float = 1.0) -> Floats:
+    frame = np.zeros(SKIN_SHAPE, np.float32)
+    for cell in cells:
+        frame[cell] = force
+    return frame
