@@ -47,7 +47,7 @@ def skin_state(patch: str = "skin") -> SkinState:
 
 
 def frame(k: int, patch: str = "skin") -> list[Message]:
-    """What the stations make of frame k; every number differs from every other frame's."""
+    """The messages of frame k; every number differs from every other frame's."""
     rng = np.random.default_rng(k)
 
     def forces() -> Any:

@@ -1,4 +1,4 @@
-"""What several tests need: real processes, and waiting for them without guessing how long."""
+"""Fixtures of several tests: real processes, and waiting for them without guessing how long."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def golden(kernel: str | None = "Haswell") -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """What the bits depend on beside the code."""
+    """The conditions on which the bits depend beside the code."""
     import numpy as np
     import scipy
 

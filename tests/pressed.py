@@ -31,7 +31,7 @@ def sliding_disc(
 
 
 def noisy(frames: Floats, seed: int = 0, f_max: float = 2.5) -> Floats:
-    """What a skin with the paper's noise reads."""
+    """The readings of a skin with the paper's noise."""
     return NoiseModel.for_range(f_max).apply(frames, np.random.default_rng(seed))
 
 

@@ -43,7 +43,7 @@ class Desk:
             list(self.node.step(message))
 
     def messages(self, y: Floats) -> list[Message]:
-        """What is published of the frames of measurements y."""
+        """The reconstructions that are published for the measurements y."""
         found: list[Message] = []
         for one in y:
             measurements = Measurements(
@@ -71,7 +71,7 @@ class Skin:
         self.rng = np.random.default_rng(0)
 
     def read(self, truth: Floats, reads: dict[tuple[int, int], float] | None = None) -> Floats:
-        """What is published of a frame; `reads` are the readings of faulty taxels."""
+        """The reconstruction published for a frame; `reads` are the readings of faulty taxels."""
         taxels = self.noise.apply(truth, self.rng)
         for cell, value in (reads or {}).items():
             taxels[cell] = value

@@ -1,4 +1,4 @@
-"""What the paper reports: its tables I to IV as numbers.
+"""The figures that the paper reports: its tables I to IV as numbers.
 
 Source: Hollis, Patterson, Trinkle, "Compressed Sensing for Tactile Skins", 2016.
 """

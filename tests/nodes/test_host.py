@@ -1,4 +1,4 @@
-"""What is counted around a node: numbers, gaps, repeats, refusals, ends."""
+"""Counters of a node: sequence numbers, gaps, repeats, refusals, ends."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def frames_of(bus: Bus, n_frames: int) -> list[list[Message]]:
 
 
 def states_of(bus: Bus) -> list[Any]:
-    """What the reconstructor was told of skin and Phi, before the first frame."""
+    """The skin and Phi that the reconstructor received before the first frame."""
     node: Any = bus.hosts["reconstructor"].node
     return [node._skin, node._announced]
 

@@ -1,4 +1,4 @@
-"""What the stability study does to solvers: theory, wrong matrices, faults, and its figures."""
+"""The stability study of solvers: theory, wrong matrices, faults, and its figures."""
 
 from __future__ import annotations
 

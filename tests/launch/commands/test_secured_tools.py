@@ -83,7 +83,7 @@ class Secured:
             part.wait_for("[launch] ready")
 
     def log(self, node: str) -> str:
-        """What a node of the edge has said."""
+        """The log of a node of the edge."""
         logs = (self.folder / "edge/state").rglob(f"{node}.log")
         return "".join(path.read_text() for path in logs)
 

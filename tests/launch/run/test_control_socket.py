@@ -19,7 +19,7 @@ from sparseskin.nodes.errors import SparseskinError
 
 
 class Loop:
-    """What a fleet offers to a server: its loop, and nothing else."""
+    """The part of a fleet that a server uses: its loop, and nothing else."""
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()
@@ -75,7 +75,7 @@ class Line:
         return found
 
     def is_left(self, client: ControlClient) -> bool:
-        """Whether the server has closed a client's line, once all that waits is read."""
+        """True if the server has closed a client's line, once all that waits is read."""
         self.loop.serve()
         return client.receive() is None
 

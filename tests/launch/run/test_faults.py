@@ -1,4 +1,4 @@
-"""What breaks in a graph that runs, each fault really made: the study `faults` in small."""
+"""Faults in a running graph, each really caused: the study `faults` in small."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who is late as a graph starts or ends, and what each one waits for."""
+"""Nodes that are late as a graph starts or ends, and what each one waits for."""
 
 from __future__ import annotations
 

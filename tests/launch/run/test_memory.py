@@ -1,4 +1,4 @@
-"""What a queue took while a node was stopped is given back, by the node and by who wrote to it."""
+"""Memory of a queue that grew while a node was stopped is freed, by the node and its writer."""
 
 from __future__ import annotations
 

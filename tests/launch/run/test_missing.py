@@ -1,4 +1,4 @@
-"""What a part says of the hosts that it waits for, and what it knows of those that it hears."""
+"""Reports of a part about the hosts that it waits for, and about those that it hears."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ LEAST = 50_000_000
 
 
 def looks(monkeypatch: pytest.MonkeyPatch, resident: Iterator[int]) -> Iterator[bool]:
-    """Whether each call looks through memory, as it is resident, once all has started."""
+    """True if each call reads the resident memory, once all has started."""
     monkeypatch.setattr(memory, "STARTED_CALLS", 0)
     n_looks: list[int] = []
     monkeypatch.setattr(memory, "_trim", lambda: n_looks.append)

@@ -1,4 +1,4 @@
-"""What a reconstructor refuses, and what it says of settings that restore little."""
+"""Settings that a reconstructor refuses, and warnings about settings that reconstruct little."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page is sent: whole frames, every figure, and nothing twice."""
+"""The stream to a page: whole frames, every figure, and nothing twice."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def test_the_bias_of_an_untouched_skin_is_found() -> None:
 
 
 def test_a_force_everywhere_is_not_taken_for_bias() -> None:
-    """What noise of that level cannot cause stays a force."""
+    """A value that noise of that level cannot cause stays a force."""
     phi = make_phi("sbhe", 1600, 533, seed=0)
     bias = ClipBias(make_projection(phi), 1600)
     pressed = np.full(1600, 0.5, dtype=np.float32)

@@ -169,7 +169,7 @@ def test_frames_in_pieces_and_at_once_are_the_same_to_the_bit() -> None:
 
 
 class OwnPhi(SbhePhi):
-    """What a user may have changed."""
+    """Options that a user may have changed."""
 
 
 @pytest.mark.parametrize("name", ["skin", "fista"])

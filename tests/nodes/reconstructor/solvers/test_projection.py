@@ -49,7 +49,7 @@ def test_it_is_phi_and_its_transpose(kind: str, n: int, m: int, block: int) -> N
 
 
 class OwnPhi(SbhePhi):
-    """What a user may have changed."""
+    """Options that a user may have changed."""
 
 
 def test_the_fast_way_is_for_the_built_in_phi_with_small_blocks() -> None:

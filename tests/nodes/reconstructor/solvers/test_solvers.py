@@ -1,4 +1,4 @@
-"""What every registered solver does, whatever its method."""
+"""Facts that hold for every registered solver, whatever its method."""
 
 from __future__ import annotations
 
