@@ -1,4 +1,4 @@
-"""The messages of one frame, in the order of the stations."""
+"""The messages of one frame, in the order in which the nodes send them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""State messages: descriptions of the stations, latched so that late subscribers receive them."""
+"""State messages: descriptions of the nodes, latched so that late subscribers receive them."""
 
 from __future__ import annotations
 

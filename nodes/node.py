@@ -63,7 +63,7 @@ class Tick:
 
 
 class Node(Generic[S]):
-    """A station: reads messages of its input topics, returns messages of its output topics.
+    """A node: reads messages of its input topics, returns messages of its output topics.
 
     A subclass states its `Settings`, `inputs` and `outputs`, and implements `step`.
     """
@@ -169,7 +169,7 @@ class SourceNode(Node[S]):
     exhausted: bool = False
     """True if the last frame has been delivered."""
     commands: ClassVar[Mapping[str, str]] = {
-        "pause": "acquire no frame until told to go on: true, false, or the other of the two"
+        "pause": "stop acquiring frames: true, false, or toggle"
     }
     _t0_ns: int = 0
     _n_ticks: int = 0

@@ -199,7 +199,7 @@ def simulate(scene: str, n_frames: int, seed: int = 0) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame of one patch, as it passed through the stations.
+    """One frame of one patch, as it passed through the nodes.
 
     Attributes
     ----------

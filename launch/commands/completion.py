@@ -28,7 +28,7 @@ REPROCESSED = {"compressor": "compressor", "reconstructor": "reconstructor"}
 """Nodes, and their types, that `reprocess` runs."""
 
 Words = Mapping[str, str]
-"""Candidates, and what each means; "" where the word says it."""
+"""Candidates, and what each means; "" if the word is enough."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -22,7 +22,7 @@ def main() -> int:
     except KeyboardInterrupt:
         return 130
     except OSError as error:
-        # stdout is closed or full; what is left in it must not be tried again at exit.
+        # stdout is closed or full; the rest of its buffer must not be written again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         if not isinstance(error, BrokenPipeError) and sys.stderr is not None:
             print(f"sparseskin: {error.strerror}", file=sys.stderr)

@@ -92,7 +92,7 @@ def write_graph(launch: LaunchFile, form: str, path: Path) -> None:
 
 
 def _box(spec: NodeSpec) -> str:
-    """A node: its name, its type where that differs, and the setting that tells it from others."""
+    """A node: its name, its type where that differs, and the setting that sets it apart."""
     about = str(spec.values.get(_TELLING.get(spec.type_name, ""), ""))[:_MAX_VALUE]
     kind = "" if spec.type_name == spec.name else spec.type_name
     text = "\n".join(filter(None, (spec.name, kind, about)))

@@ -1,4 +1,4 @@
-"""Array types that all stations share."""
+"""Array types that all nodes share."""
 
 from __future__ import annotations
 

@@ -174,7 +174,7 @@ def _draw_reconstructed(out: Path, found: pd.DataFrame) -> str:
     size_in = (8.0, 0.3 * len(bases) + 1.8)
     with Chart(
         out,
-        "restored",
+        "reconstructed",
         caption,
         len(ratios),
         len(ratios),

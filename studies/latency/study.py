@@ -167,7 +167,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     made = points(quick, seed)
     found = compute(measure, made, out, "serial", "latency")
     rows = [row_of(point, figures) for point, figures in zip(made, found, strict=True)]
-    names = ("skin", "preset", "restored", "monitor", "n_frames", "skipped", "lost")
+    names = ("skin", "preset", "reconstructed", "monitor", "n_frames", "skipped", "lost")
     frame = pd.DataFrame(rows, dtype=object)
     table = frame[list(names)].rename(columns={"n_frames": "frames"})
     for name in QUANTILES:
@@ -191,7 +191,7 @@ def row_of(point: dict[str, Any], figures: dict[str, Any]) -> dict[str, Any]:
     row: dict[str, Any] = {
         "skin": next(name for name, scene in SCENES.items() if scene == point["scene"]),
         "preset": point["preset"],
-        "restored": "newest" if point["depth"] else "all",
+        "reconstructed": "newest" if point["depth"] else "all",
         "monitor": "yes" if point["monitor"] else "no",
         "rate_hz": point["rate_hz"],
         "n_frames": figures["n_frames"],
@@ -209,7 +209,7 @@ def row_of(point: dict[str, Any], figures: dict[str, Any]) -> dict[str, Any]:
 def draw(out: Path, rows: list[dict[str, Any]]) -> str:
     """Chart of the stages: a bar a graph, for the median and both tails."""
     labels = [
-        f"{row['skin']}, {row['preset']}{', newest' * (row['restored'] == 'newest')}"
+        f"{row['skin']}, {row['preset']}{', newest' * (row['reconstructed'] == 'newest')}"
         f"{', monitor' * (row['monitor'] == 'yes')}"
         for row in rows
     ]

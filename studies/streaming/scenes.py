@@ -15,8 +15,8 @@ from sparseskin.studies.points import StudyError
 RATE_HZ = 200
 RATIO = 3
 _HEADER = (
-    "| scene | frames | lost | noisy mean (paper) | noisy min (paper) | restored mean (paper) "
-    "| restored min (paper) | latency p50 / p99 ms | solve p50 / p99 ms |"
+    "| scene | frames | lost | noisy mean (paper) | noisy min (paper) | reconstructed mean (paper) "
+    "| reconstructed min (paper) | latency p50 / p99 ms | solve p50 / p99 ms |"
 )
 
 

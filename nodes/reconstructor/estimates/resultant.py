@@ -24,7 +24,7 @@ class Tuning:
 
     #: Least reduction of the squared innovation by motion, in noise variances.
     significant: float = 12.0
-    #: Mean squared innovation, in noise variances, beyond which the last frame says nothing of the
+    #: Mean squared innovation, in noise variances, beyond which the last frame does not predict the
     #: centre; mean squared residual below which a reconstruction is right.
     jump: float = 3.0
     settled: float = 2.0

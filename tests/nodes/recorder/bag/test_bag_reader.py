@@ -36,7 +36,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[bytes]]
 
 
 def survivors(path: Path, data: bytes) -> tuple[list[bytes], str] | None:
-    """The messages read from a file with these bytes, and the warnings; None where it is refused."""
+    """The messages read from a file with these bytes, and the warnings; None if it is refused."""
     path.write_bytes(data)
     try:
         with BagReader(path) as bag:
