@@ -144,7 +144,8 @@ class RowWatch:
     def _oddness(self, noise2: float) -> Floats:
         """Return squared residuals in units of the peers, or of the noise; at most 36."""
         heavy, few = self._heavy, self._few
-        bias = np.float32(_middle(self._residual[heavy] / self._heavy_ones))
+        # A row subset may hold no row that a bias shows in.
+        bias = np.float32(_middle(self._residual[heavy] / self._heavy_ones) if heavy.size else 0)
         self._left = self._residual - bias * self._ones
         squared = np.square(self._left)
         typical = np.float32(max(_middle(squared) / MEDIAN_SQUARE, noise2) + TINY)
@@ -155,7 +156,8 @@ class RowWatch:
         peers *= self._per_peer
         np.maximum(peers, typical, out=peers)
         # The bias differs from block to block.
-        peers[heavy] = np.maximum(peers[heavy], _middle(squared[heavy]) / MEDIAN_SQUARE)
+        if heavy.size:
+            peers[heavy] = np.maximum(peers[heavy], _middle(squared[heavy]) / MEDIAN_SQUARE)
         np.multiply(peers, ODD, out=self._bound)
         # The quick check of `update` does not subtract the bias of its frame.
         shown = abs(bias) * np.abs(self._heavy_ones)

@@ -10,6 +10,7 @@ from watched import Desk, N
 
 from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.faults.rows import CONSTANT, HEALED, RowWatch
@@ -166,3 +167,18 @@ def test_of_a_skin_that_does_not_state_its_noise_nothing_is_left_out(phi: Phi) -
     desk = Desk(phi, states_noise=False)
     desk.messages(phi.forward(pressed.reshape(-1, N)))
     assert desk.lines == []
+
+
+@pytest.mark.parametrize("m", [67, 40])
+def test_a_row_subset_without_a_row_that_a_bias_shows_in_is_watched_all_the_same(m: int) -> None:
+    rng = np.random.default_rng(0)
+    subsets = row_subsets(make_phi("sbhe", N, m, seed=0), "rotating")
+    without = [phi for phi in subsets if not phi.forward(np.ones(N, np.float32)).any()]
+    assert without
+    for phi in without:
+        watch = RowWatch(phi)
+        for _ in range(30):
+            y = rng.normal(0, 0.1, phi.m).astype(np.float32)
+            y[7] = 9.0
+            watch.update(y, np.zeros(phi.m, np.float32))
+        assert list(np.flatnonzero(watch.left_out)) == [7]
