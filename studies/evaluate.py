@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
@@ -27,6 +28,11 @@ SUM_SOLVERS = tuple(
     for name in SOLVERS
     if not getattr(find_class("solver", name, SOLVERS, SolverError), "follows_choice", False)
 )
+
+
+def settings_of(solver: str) -> Mapping[str, inspect.Parameter]:
+    """Settings that a solver takes, by name."""
+    return inspect.signature(find_class("solver", solver, SOLVERS, SolverError)).parameters
 
 
 class Solved(NamedTuple):

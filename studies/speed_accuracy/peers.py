@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import io
-from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import cache
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -84,159 +85,128 @@ class Bpdn:
         return solver.theta.reshape(-1)
 
 
-class Peer(ABC):
-    """Solver of the problem, from 0.
+#: Solution from 0 for measurements with so many iterations, the call that is timed: an array of n
+#: coefficients.
+Solve: TypeAlias = Callable[[Floats, int], Any]
 
-    Parameters
+
+class Peer(NamedTuple):
+    """A solver of the problem.
+
+    Attributes
     ----------
-    problem : Bpdn
-    best : ndarray of float32, shape (n,)
-        The solution, for peers that need something of it.
+    module : str
+        What has to be installed.
+    make : callable
+        Makes the solver of a problem; also takes its solution, for peers that need something of
+        it: float32, shape (n,).
+    stops_by_itself : bool
+        True if it stops by itself, whatever number of iterations it is given.
     """
 
-    #: True if it stops by itself, whatever number of iterations it is given.
-    stops_by_itself = False
-
-    def __init__(self, problem: Bpdn, best: Floats) -> None:
-        self.problem = problem
-
-    @abstractmethod
-    def solve(self, y: Floats, iterations: int) -> Any:
-        """Solve with so many iterations; this is timed."""
-
-    def theta(self, solved: Any) -> Floats:
-        """Coefficients of what `solve` returned, float32, shape (n,)."""
-        theta: Floats = np.asarray(solved, dtype=np.float32)
-        return theta
+    module: str
+    make: Callable[[Bpdn, Floats], Solve]
+    stops_by_itself: bool = False
 
 
-class Ours(Peer):
+def _ours(problem: Bpdn, best: Floats) -> Solve:
     """The project's own FISTA; it is given no warm start here either."""
+    solver_of = cache(problem.fista)
 
-    def __init__(self, problem: Bpdn, best: Floats) -> None:
-        super().__init__(problem, best)
-        self._solvers: dict[int, FistaSolver] = {}
-
-    def solve(self, y: Floats, iterations: int) -> FistaSolver:
-        if iterations not in self._solvers:
-            self._solvers[iterations] = self.problem.fista(iterations)
-        solver = self._solvers[iterations]
+    def solve(y: Floats, iterations: int) -> Any:
+        solver = solver_of(iterations)
         solver.reset()
         solver.solve(y)
-        return solver
+        return solver.theta.reshape(-1)
 
-    def theta(self, solved: FistaSolver) -> Floats:
-        return solved.theta.reshape(-1)
+    return solve
 
 
-class PyLopsFista(Peer):
+def _pylops(problem: Bpdn, best: Floats) -> Solve:
     """FISTA of PyLops, whose l1 norm weighs half its eps."""
+    from pylops import LinearOperator
+    from pylops.optimization.sparsity import fista
 
-    def __init__(self, problem: Bpdn, best: Floats) -> None:
-        super().__init__(problem, best)
-        from pylops import LinearOperator
-        from pylops.optimization.sparsity import fista
+    class Operator(LinearOperator):  # type: ignore[misc, unused-ignore]
+        def _matvec(self, x: Any) -> Any:
+            return problem.forward(x)
 
-        class Operator(LinearOperator):  # type: ignore[misc, unused-ignore]
-            def _matvec(self, x: Any) -> Any:
-                return problem.forward(x)
+        def _rmatvec(self, x: Any) -> Any:
+            return problem.adjoint(x)
 
-            def _rmatvec(self, x: Any) -> Any:
-                return problem.adjoint(x)
-
-        self._fista = fista
-        self._operator = Operator(dtype=np.dtype(np.float32), shape=(problem.m, problem.n))
-        self._settings = {"eps": 2 * problem.lambda_n, "alpha": 1.0, "tol": 0, "preallocate": True}
-
-    def solve(self, y: Floats, iterations: int) -> Any:
-        return self._fista(self._operator, y, niter=iterations, **self._settings)[0]
+    operator = Operator(dtype=np.dtype(np.float32), shape=(problem.m, problem.n))
+    settings = {"eps": 2 * problem.lambda_n, "alpha": 1.0, "tol": 0, "preallocate": True}
+    return lambda y, iterations: fista(operator, y, niter=iterations, **settings)[0]
 
 
-class SigPyFista(Peer):
+def _sigpy(problem: Bpdn, best: Floats) -> Solve:
     """Accelerated proximal gradient of SigPy."""
+    import sigpy
 
-    def __init__(self, problem: Bpdn, best: Floats) -> None:
-        super().__init__(problem, best)
-        import sigpy
+    class Operator(sigpy.linop.Linop):  # type: ignore[misc, unused-ignore]
+        def __init__(self, forward: Any, adjoint: Any, shape: tuple[int, int]) -> None:
+            self._forward, self._backward = forward, adjoint
+            super().__init__([shape[0]], [shape[1]])
 
-        class Operator(sigpy.linop.Linop):  # type: ignore[misc, unused-ignore]
-            def __init__(self, forward: Any, adjoint: Any, shape: tuple[int, int]) -> None:
-                self._forward, self._backward = forward, adjoint
-                super().__init__([shape[0]], [shape[1]])
+        def _apply(self, x: Any) -> Any:
+            return self._forward(x)
 
-            def _apply(self, x: Any) -> Any:
-                return self._forward(x)
+        def _adjoint_linop(self) -> Any:
+            return Operator(self._backward, self._forward, (self.ishape[0], self.oshape[0]))
 
-            def _adjoint_linop(self) -> Any:
-                shape = (self.ishape[0], self.oshape[0])
-                return Operator(self._backward, self._forward, shape)
+    operator = Operator(problem.forward, problem.adjoint, (problem.m, problem.n))
+    proximal = sigpy.prox.L1Reg([problem.n], problem.lambda_n)
+    settings = {"proxg": proximal, "alpha": 1.0, "show_pbar": False}
 
-        self._app = sigpy.app.LinearLeastSquares
-        self._operator = Operator(problem.forward, problem.adjoint, (problem.m, problem.n))
-        self._settings = {
-            "proxg": sigpy.prox.L1Reg([problem.n], problem.lambda_n),
-            **{"alpha": 1.0, "show_pbar": False},
-        }
+    def solve(y: Floats, iterations: int) -> Any:
+        return sigpy.app.LinearLeastSquares(operator, y, max_iter=iterations, **settings).run()
 
-    def solve(self, y: Floats, iterations: int) -> Any:
-        return self._app(self._operator, y, max_iter=iterations, **self._settings).run()
+    return solve
 
 
-class Spgl1Lasso(Peer):
+def _spgl1(problem: Bpdn, best: Floats) -> Solve:
     """SPGL1 on the same problem with a bound on the l1 norm, with the bound of its solution."""
+    from scipy.sparse.linalg import LinearOperator
+    from spgl1 import spg_lasso
 
-    def __init__(self, problem: Bpdn, best: Floats) -> None:
-        super().__init__(problem, best)
-        from scipy.sparse.linalg import LinearOperator
-        from spgl1 import spg_lasso
+    shape, both = (problem.m, problem.n), {"matvec": problem.forward, "rmatvec": problem.adjoint}
+    operator = LinearOperator(shape, dtype=np.float32, **both)
+    bound_n = float(np.abs(best, dtype=np.float64).sum())
 
-        self._lasso = spg_lasso
-        self._operator = LinearOperator(
-            (problem.m, problem.n),
-            matvec=problem.forward,
-            rmatvec=problem.adjoint,
-            dtype=np.float32,
-        )
-        self._bound_n = float(np.abs(best, dtype=np.float64).sum())
-
-    def solve(self, y: Floats, iterations: int) -> Any:
+    def solve(y: Floats, iterations: int) -> Any:
         # It prints that a search was cut short, as all are here, whatever its verbosity.
         with contextlib.redirect_stdout(io.StringIO()):
-            found = self._lasso(self._operator, y, self._bound_n, iter_lim=iterations, verbosity=0)
-        return found[0]
+            return spg_lasso(operator, y, bound_n, iter_lim=iterations, verbosity=0)[0]
+
+    return solve
 
 
-class SklearnOmp(Peer):
+def _sklearn(problem: Bpdn, best: Floats) -> Solve:
     """Orthogonal matching pursuit of scikit-learn, which takes nothing but a dense matrix.
 
     It minimises another objective; it stops at the residual that the solution has.
     """
+    from sklearn.linear_model import orthogonal_mp
 
-    stops_by_itself = True
+    matrix = problem.dense()
 
-    def __init__(self, problem: Bpdn, best: Floats) -> None:
-        super().__init__(problem, best)
-        from sklearn.linear_model import orthogonal_mp
+    def solve(y: Floats, iterations: int) -> Any:
+        residual = problem.forward(best).astype(np.float64) - y
+        return orthogonal_mp(matrix, y.astype(np.float64), tol=float(residual @ residual))
 
-        self._omp = orthogonal_mp
-        self._matrix = problem.dense()
-        self._best = best
-
-    def solve(self, y: Floats, iterations: int) -> Any:
-        residual = self.problem.forward(self._best).astype(np.float64) - y
-        return self._omp(self._matrix, y.astype(np.float64), tol=float(residual @ residual))
+    return solve
 
 
-OURS = "sparseskin FISTA"
-PEERS: dict[str, tuple[str, type[Peer]]] = {
-    OURS: ("sparseskin", Ours),
-    "PyLops FISTA": ("pylops", PyLopsFista),
-    "SigPy FISTA": ("sigpy", SigPyFista),
-    "SPGL1": ("spgl1", Spgl1Lasso),
-    "scikit-learn OMP": ("sklearn", SklearnOmp),
+OURS, PYLOPS = "sparseskin FISTA", "PyLops FISTA"
+PEERS = {
+    OURS: Peer("sparseskin", _ours),
+    PYLOPS: Peer("pylops", _pylops),
+    "SigPy FISTA": Peer("sigpy", _sigpy),
+    "SPGL1": Peer("spgl1", _spgl1),
+    "scikit-learn OMP": Peer("sklearn", _sklearn, stops_by_itself=True),
 }
 
 
 def missing_peers() -> list[str]:
     """Names of peers whose library is not installed."""
-    return [name for name, (module, _) in PEERS.items() if find_spec(module) is None]
+    return [name for name, peer in PEERS.items() if find_spec(peer.module) is None]

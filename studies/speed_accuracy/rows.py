@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
 
-import numpy as np
+import pandas as pd
 
 from sparseskin.nodes.compressor.phi.rotation import ROTATING
 from sparseskin.nodes.reconstructor.settings import PRESETS
@@ -25,6 +25,20 @@ VARIED = {
     "fista, tuned": {**PRESETS["paper"], "lambda_n": TUNED_LAMBDA_N},
 }
 COMPILED = {"skin, compiled": {**PRESETS["skin"], "fast": "on"}}
+#: What a row is a setting of. panel: a scene, or "N = 1600", pooled over the scenes of that size.
+#: stated: iterations that were set, missing where they are the solver's own. own: True if they are
+#: the solver's or preset's own.
+_KEYS = ["panel", "label", "phi", "basis", "ratio", "stated", "own"]
+#: Figures of a row, and how they are pooled over scenes. iterations: done a frame, in the mean.
+#: mean_db, worst_db: PSNR over the frames in contact. touched_mn: root mean square error of touched
+#: taxels. median_ms: processor time of a solve. p99_ms: time of a solve by the clock. cpu_share:
+#: part of the solve time in which the process had a core. n_bytes: of a frame's message.
+_FIGURES = {
+    **{"iterations": "mean", "mean_db": "mean", "worst_db": "min", "touched_mn": "mean"},
+    **{"median_ms": "mean", "p99_ms": "mean", "cpu_share": "min", "n_bytes": "first"},
+}
+#: Columns of the CSV files, in their order.
+COLUMNS = [*_KEYS[:5], "iterations", "stated", *list(_FIGURES)[1:], "own"]
 
 
 def variants() -> dict[str, dict[str, Any]]:
@@ -44,100 +58,44 @@ def variants() -> dict[str, dict[str, Any]]:
 
 
 @dataclass(frozen=True)
-class Row:
-    """One solver with one setting, on one scene or pooled over the scenes of one size.
-
-    Attributes
-    ----------
-    panel : str
-        The scene, or "N = 1600": means over scenes, the worst frame of all.
-    label : str
-        Solver and settings as shown.
-    phi, basis : str
-    ratio : int
-        N / M.
-    iterations : float
-        Done a frame, in the mean: some solvers do more where a frame needs it.
-    stated : int or None
-        Iterations that were set; None: the solver's own.
-    mean_db, worst_db : float
-        PSNR over the frames in contact.
-    touched_mn : float
-        Root mean square error of touched taxels, mN.
-    median_ms : float
-        Processor time of a frame's solve.
-    p99_ms : float
-        Time of a solve by the clock.
-    cpu_share : float
-        Part of the solve time in which the process had a core; the least of the scenes.
-    n_bytes : int
-        Of a frame's message.
-    own : bool
-        True if the iterations are the solver's or preset's own.
-    """
-
-    panel: str
-    label: str
-    phi: str
-    basis: str
-    ratio: int
-    iterations: float
-    stated: int | None
-    mean_db: float
-    worst_db: float
-    touched_mn: float
-    median_ms: float
-    p99_ms: float
-    cpu_share: float
-    n_bytes: int
-    own: bool
-
-
-@dataclass(frozen=True)
-class Reading:
-    """The noisy reading of all taxels, with the dead zone that serves it best, or none."""
-
-    mean_db: float
-    worst_db: float
-    dead_zone_n: float
-    n_bytes: int
-
-
-@dataclass(frozen=True)
 class Results:
     """Figures of the study.
 
     Attributes
     ----------
-    solvers : dict
-        By panel: rows of every solver, iterations and M swept.
-    parts : dict
-        By panel "N = ...": rows of every basis and every Phi, with the paper's solver.
-    raw, zoned : dict
-        By panel: the full reading as it is, and with its best dead zone.
-    raced : list of dict
+    solvers : DataFrame
+        Every solver, iterations and M swept: a row a setting, pooled panels first; see `COLUMNS`.
+    parts : DataFrame
+        Likewise every basis and every Phi, with the paper's solver; pooled panels alone.
+    readings, parts_readings : DataFrame
+        The noisy reading of all taxels with each dead zone: panel, dead_zone_n, mean_db, worst_db,
+        n_bytes; on the frames of `solvers` and on those of `parts`.
+    raced : DataFrame
         Points and figures of the libraries.
     refused : list of (str, str)
         Points that are not possible, and why.
     """
 
-    solvers: dict[str, list[Row]]
-    parts: dict[str, list[Row]]
-    raw: dict[str, Reading]
-    zoned: dict[str, Reading]
-    parts_raw: dict[str, Reading]
-    raced: list[dict[str, Any]]
+    solvers: pd.DataFrame
+    parts: pd.DataFrame
+    readings: pd.DataFrame
+    parts_readings: pd.DataFrame
+    raced: pd.DataFrame
     refused: list[tuple[str, str]]
 
     @property
     def pools(self) -> list[str]:
         """Panels that are pooled over scenes."""
-        return [panel for panel in self.solvers if panel.startswith("N = ")]
+        return [panel for panel in self.solvers["panel"].unique() if panel.startswith("N = ")]
 
     @property
     def scenes(self) -> list[str]:
         """Panels that are one scene."""
-        return [panel for panel in self.solvers if panel not in self.pools]
+        return [panel for panel in self.solvers["panel"].unique() if panel not in self.pools]
+
+    def of(self, panel: str) -> pd.DataFrame:
+        """Rows of the solvers in one panel."""
+        return self.solvers[self.solvers["panel"] == panel]
 
 
 def gather(
@@ -161,29 +119,30 @@ def gather(
         Points of `race` with their figures.
     """
     chosen = variants()
-    solvers: dict[str, list[Row]] = {}
-    parts: dict[str, list[Row]] = {}
+    rows: list[dict[str, Any]] = []
     refused: dict[str, str] = {}
     for point, figure in zip(points, figures, strict=True):
+        settings = chosen[point["label"]]
         if "refused" in figure:
             what = f"{point['label']}, {point['phi']}, {point['basis']}, N/{point['ratio']}"
             refused[what] = figure["refused"]
             continue
-        row = _row(point, figure, chosen[point["label"]])
-        in_own_basis = row.basis == chosen[row.label]["basis"]
-        if point["short"] == quick and in_own_basis and row.phi in ("sbhe", "full"):
-            solvers.setdefault(row.panel, []).append(row)
-        if row.label == PAPER_LABEL and point["short"] and row.own:
-            parts.setdefault(row.panel, []).append(row)
-    raw, zoned = _readings(full)
-    parts_raw, _ = _readings(full_short)
+        stated = point.get("iterations")
+        own = {"stated": stated, "own": stated == settings.get("iterations")}
+        named = {"panel": point["scene"], "n_bytes": figure["bytes"], "iterations": figure["done"]}
+        is_own_basis = point["basis"] == settings["basis"]
+        rows.append({**point, **figure, **own, **named, "is_own_basis": is_own_basis})
+    extra = ["short", "is_own_basis"]
+    frame = pd.DataFrame(rows, columns=[*COLUMNS, *extra]).astype({"stated": "Int64"})
+    in_solvers = (frame["short"] == quick) & frame["is_own_basis"].eq(True)
+    solvers = frame[in_solvers & frame["phi"].isin(["sbhe", "full"])]
+    is_part = (frame["label"] == PAPER_LABEL) & frame["short"].eq(True) & frame["own"].eq(True)
     return Results(
-        solvers=_pooled(solvers) | solvers,
-        parts=_pooled(parts),
-        raw=raw,
-        zoned=zoned,
-        parts_raw=parts_raw,
-        raced=raced,
+        solvers=pd.concat([_pooled(solvers), solvers[COLUMNS]]),
+        parts=_pooled(frame[is_part]),
+        readings=_readings(full),
+        parts_readings=_readings(full_short),
+        raced=pd.DataFrame(raced),
         refused=list(refused.items()),
     )
 
@@ -194,87 +153,47 @@ def pool_of(scene: str) -> str:
     return f"N = {rows * cols}"
 
 
-def front(rows: Iterable[Row], x: str, y: str) -> list[Row]:
+def _pooled(rows: pd.DataFrame) -> pd.DataFrame:
+    """Rows pooled over the scenes of one size, as `_FIGURES` states."""
+    groups = rows.assign(panel=rows["panel"].map(pool_of)).groupby(_KEYS, sort=False, dropna=False)
+    return groups.agg(_FIGURES).reset_index().sort_values("panel", kind="stable")[COLUMNS]
+
+
+def _readings(full: Mapping[str, dict[str, Any]]) -> pd.DataFrame:
+    rows = [
+        {"panel": panel, "dead_zone_n": width_n, "n_bytes": figure["bytes"], **of_zone}
+        for scene, figure in full.items()
+        for panel in (pool_of(scene), scene)
+        for width_n, of_zone in zip(DEAD_ZONES_N, figure["by_dead_zone"], strict=True)
+    ]
+    columns = {"mean_db": "mean", "worst_db": "min", "n_bytes": "first"}
+    frame = pd.DataFrame(rows, columns=["panel", "dead_zone_n", *columns])
+    return frame.groupby(["panel", "dead_zone_n"], sort=False).agg(columns).reset_index()
+
+
+def raw_and_zoned(readings: pd.DataFrame, panel: str) -> tuple[pd.Series, pd.Series]:
+    """The reading of a panel as it is, and with the dead zone that serves it best."""
+    of = readings[readings["panel"] == panel].set_index("dead_zone_n", drop=False)
+    return of.loc[0.0], of.loc[of["mean_db"].idxmax()]
+
+
+def front(rows: pd.DataFrame, x: str, y: str) -> pd.DataFrame:
     """Pareto front: the least x first, and each after it with a higher y."""
-    best: list[Row] = []
-    for row in sorted(rows, key=lambda row: (getattr(row, x), -getattr(row, y))):
-        if not best or getattr(row, y) > getattr(best[-1], y):
-            best.append(row)
-    return best
+    rows = rows.sort_values([x, y], ascending=[True, False], kind="stable")
+    return rows[~(rows[y] <= rows[y].cummax().shift())]
 
 
-def swept_iterations(rows: Iterable[Row], label: str) -> list[Row]:
+def swept_iterations(rows: pd.DataFrame, label: str) -> pd.DataFrame:
     """A solver's rows at M = N/3, fewest iterations first."""
-    found = [r for r in rows if (r.label, r.ratio, r.phi) == (label, CENTRE_RATIO, "sbhe")]
+    is_swept = (rows["label"] == label) & (rows["phi"] == "sbhe") & (rows["ratio"] == CENTRE_RATIO)
     # With its own iterations set, a solver does the same again: that is shown once.
-    once = {row.iterations: row for row in sorted(found, key=lambda row: row.own)}
-    return sorted(once.values(), key=lambda row: row.iterations)
-
-
-def swept_m(rows: Iterable[Row], label: str) -> list[Row]:
-    """A solver's rows at its own iterations, fewest measurements first."""
-    found = [row for row in rows if (row.label, row.phi) == (label, "sbhe") and row.own]
-    return sorted(found, key=lambda row: -row.ratio)
-
-
-def labels_of(rows: Iterable[Row]) -> list[str]:
-    """Labels in the order in which they first come."""
-    return list(dict.fromkeys(row.label for row in rows))
-
-
-def _row(point: Mapping[str, Any], figure: Mapping[str, Any], chosen: Mapping[str, Any]) -> Row:
-    same = {key: figure[key] for key in ("mean_db", "worst_db", "touched_mn")}
-    return Row(
-        panel=point["scene"],
-        **{key: point[key] for key in ("label", "phi", "basis", "ratio")},
-        iterations=figure["done"],
-        stated=point.get("iterations"),
-        **same,
-        median_ms=figure["median_ms"],
-        p99_ms=figure["p99_ms"],
-        cpu_share=figure["cpu_share"],
-        n_bytes=figure["bytes"],
-        own=point.get("iterations") == chosen.get("iterations"),
+    once = (
+        rows[is_swept].sort_values("own", kind="stable").drop_duplicates("iterations", keep="last")
     )
+    return once.sort_values("iterations", kind="stable")
 
 
-def _pooled(by_scene: Mapping[str, list[Row]]) -> dict[str, list[Row]]:
-    groups: dict[tuple[Any, ...], list[Row]] = {}
-    for scene, rows in by_scene.items():
-        for row in rows:
-            key = (pool_of(scene), row.label, row.phi, row.basis, row.ratio, row.stated)
-            groups.setdefault((*key, row.own), []).append(row)
-    pooled: dict[str, list[Row]] = {}
-    for (panel, *_), rows in groups.items():
-        means: dict[str, Any] = {
-            name: float(np.mean([getattr(row, name) for row in rows]))
-            for name in ("mean_db", "touched_mn", "median_ms", "p99_ms", "iterations")
-        }
-        means["worst_db"] = min(row.worst_db for row in rows)
-        means["cpu_share"] = min(row.cpu_share for row in rows)
-        pooled.setdefault(panel, []).append(replace(rows[0], panel=panel, **means))
-    return dict(sorted(pooled.items()))
-
-
-def _readings(
-    full: Mapping[str, dict[str, Any]],
-) -> tuple[dict[str, Reading], dict[str, Reading]]:
-    """The raw reading and the one with the best dead zone, by panel."""
-    groups: dict[str, list[dict[str, Any]]] = {}
-    for scene, figure in full.items():
-        groups.setdefault(pool_of(scene), []).append(figure)
-        groups[scene] = [figure]
-    raw, zoned = {}, {}
-    for panel, figures in groups.items():
-        readings = [
-            Reading(
-                mean_db=float(np.mean([f["by_dead_zone"][k]["mean_db"] for f in figures])),
-                worst_db=min(f["by_dead_zone"][k]["worst_db"] for f in figures),
-                dead_zone_n=width_n,
-                n_bytes=figures[0]["bytes"],
-            )
-            for k, width_n in enumerate(DEAD_ZONES_N)
-        ]
-        raw[panel] = readings[0]
-        zoned[panel] = max(readings, key=lambda reading: reading.mean_db)
-    return raw, zoned
+def swept_m(rows: pd.DataFrame, label: str) -> pd.DataFrame:
+    """A solver's rows at its own iterations, fewest measurements first."""
+    is_swept = (rows["label"] == label) & (rows["phi"] == "sbhe") & rows["own"]
+    return rows[is_swept].sort_values("ratio", ascending=False, kind="stable")

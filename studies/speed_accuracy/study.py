@@ -11,7 +11,6 @@ Computed are every solver, basis and Phi, but not all combinations:
 
 from __future__ import annotations
 
-import inspect
 import sys
 import time
 from collections.abc import Iterator
@@ -25,13 +24,11 @@ from sparseskin.messages import Measurements, Taxels
 from sparseskin.messages.wire import size_bytes
 from sparseskin.nodes.compressor.phi.base import KINDS
 from sparseskin.nodes.compressor.phi.rotation import FIXED
-from sparseskin.nodes.errors import SolverError, SparseskinError
-from sparseskin.nodes.lookup import find_class
+from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import BASES
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.nodes.reconstructor.solvers.base import SOLVERS
 from sparseskin.studies.evaluate import (
     Reading,
     Scores,
@@ -39,6 +36,7 @@ from sparseskin.studies.evaluate import (
     evaluate_into,
     in_contact,
     make_method,
+    settings_of,
 )
 from sparseskin.studies.points import compute, compute_rows
 from sparseskin.studies.scene_frames import (
@@ -51,7 +49,7 @@ from sparseskin.studies.scene_frames import (
 )
 
 from .page import write
-from .peers import PEERS, Bpdn, Peer, missing_peers
+from .peers import PEERS, Bpdn, Solve, missing_peers
 from .rows import CENTRE_RATIO, DEAD_ZONES_N, PAPER_LABEL, gather, variants
 
 #: One process at a time, so that what is timed has its core to itself.
@@ -69,8 +67,8 @@ QUICK_RATIOS = (3, 8)
 SUM_KINDS = tuple(kind for kind in KINDS if kind != "acts")
 #: With every basis and every Phi.
 PARTS_RATIOS = (3, 4, 8)
-#: Keys of a point that are no settings of the solver.
-_OF_THE_POINT = ("scene", "seed", "short", "label", "phi", "rows", "ratio", "solver", "basis")
+#: Keys of a point that neither name a solver or basis nor set one.
+_OF_THE_POINT = ("scene", "seed", "short", "label", "phi", "rows", "ratio")
 #: Frames are 1 ms apart in all scenes, whatever their own step.
 PERIOD_S = 1e-3
 BEFORE, AFTER, LATER = 20, 180, 200
@@ -84,18 +82,9 @@ Point = dict[str, Any]
 
 
 def run(out: Path, quick: bool, seed: int, executor: str) -> None:
-    """Compute the points and write the page.
+    """Compute the points and write the page; see `command.Study`.
 
-    Parameters
-    ----------
-    out : Path
-        Folder to write to, which exists.
-    quick : bool
-        Two scenes, fewer frames, iterations and M.
-    seed : int
-        Of noise, Phi and the peg's path.
-    executor : str
-        For what is not timed; solve times are measured on this host, one point at a time.
+    `executor` is for what is not timed; solve times are measured on this host, one at a time.
     """
     scenes = QUICK_SCENES if quick else SCENES
 
@@ -113,16 +102,10 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
             f"{peer} is left out: it is not installed (pip install 'sparseskin[peers]')",
             file=sys.stderr,
         )
-    runners = [
-        {
-            **{"peer": peer, "scene": scene, "seed": seed, "short": quick},
-            **{"ratio": CENTRE_RATIO, "lambda_n": PRESETS["paper"]["lambda_n"]},
-            "n_frames": 4 if quick else 10,
-        }
-        for scene in scenes
-        for peer in PEERS
-        if peer not in absent
-    ]
+    common = {"seed": seed, "short": quick, "ratio": CENTRE_RATIO}
+    common |= {"lambda_n": PRESETS["paper"]["lambda_n"], "n_frames": 4 if quick else 10}
+    present = [peer for peer in PEERS if peer not in absent]
+    runners = [{"peer": peer, "scene": scene, **common} for scene in scenes for peer in present]
     ran = compute_rows(race, runners, out, TIMED_ON, "libraries")
     results = gather(points, figures, quick, full, full_short, ran)
     write(out, results, absent, quick)
@@ -130,21 +113,14 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
 
 def takes_iterations(solver: str) -> bool:
     """True if a number of iterations is a setting of the solver."""
-    return (
-        "iterations"
-        in inspect.signature(find_class("solver", solver, SOLVERS, SolverError)).parameters
-    )
+    return "iterations" in settings_of(solver)
 
 
 def design(quick: bool, seed: int) -> list[Point]:
     """All points of the study, scene by scene, so that a worker reads a scene's frames once."""
-    points: list[Point] = []
-    for scene in QUICK_SCENES if quick else SCENES:
-        for way in _ways(quick):
-            point = {"scene": scene, "seed": seed, **way}
-            if point not in points:
-                points.append(point)
-    return points
+    scenes = QUICK_SCENES if quick else SCENES
+    points = [{"scene": scene, "seed": seed, **way} for scene in scenes for way in _ways(quick)]
+    return list({str(point): point for point in points}.values())
 
 
 def _ways(quick: bool) -> Iterator[Point]:
@@ -190,11 +166,8 @@ def sequences(scene: str, seed: int, short: bool) -> tuple[tuple[Floats, Floats]
 def timed(point: Point) -> dict[str, Any]:
     """Reconstruct a scene's frames, each timed by itself.
 
-    Parameters
-    ----------
-    point : dict
-        scene, seed, short, phi, rows ("fixed" where absent), ratio, solver, basis, and the
-        solver's settings.
+    `point`: scene, seed, short, phi, rows ("fixed" where absent), ratio, solver, basis, and the
+    solver's settings.
 
     Returns
     -------
@@ -205,19 +178,10 @@ def timed(point: Point) -> dict[str, Any]:
         Or refused: the reason why these do not go together.
     """
     scene, seed = point["scene"], point["seed"]
-    settings = {key: value for key, value in point.items() if key not in _OF_THE_POINT}
-    chosen = settings | {key: point[key] for key in ("solver", "basis")}
+    chosen = {key: value for key, value in point.items() if key not in _OF_THE_POINT}
+    how = {"phi": point["phi"], "rows": point.get("rows", FIXED), "f_max_n": f_max_of(scene)}
     try:
-        rows, shape = point.get("rows", FIXED), shape_of(scene)
-        method = make_method(
-            chosen,
-            shape,
-            point["ratio"],
-            seed,
-            phi=point["phi"],
-            rows=rows,
-            f_max_n=f_max_of(scene),
-        )
+        method = make_method(chosen, shape_of(scene), point["ratio"], seed, **how)
         scores = Scores(f_max_of(scene))
         for truths, taxels in sequences(scene, seed, point["short"]):
             method.reset()
@@ -257,10 +221,7 @@ def figures_of(scores: Scores) -> dict[str, float]:
 def full_reading(point: Point) -> dict[str, Any]:
     """Score the noisy taxels themselves, all N of them sent, with dead zones of several widths.
 
-    Parameters
-    ----------
-    point : dict
-        scene, seed, short.
+    `point`: scene, seed, short.
 
     Returns
     -------
@@ -283,10 +244,7 @@ def race(point: Point) -> dict[str, Any]:
     The number of iterations is searched for first; the time is that of further calls with just as
     many, which have nothing to check: the shortest of three.
 
-    Parameters
-    ----------
-    point : dict
-        peer, scene, seed, short, ratio, lambda_n, n_frames.
+    `point`: peer, scene, seed, short, ratio, lambda_n, n_frames.
 
     Returns
     -------
@@ -295,17 +253,20 @@ def race(point: Point) -> dict[str, Any]:
         the largest ratio to the minimum; nonzeros: median; n_frames.
     """
     problem = Bpdn(shape_of(point["scene"]), point["ratio"], point["seed"], point["lambda_n"])
-    _, kind = PEERS[point["peer"]]
+    peer = PEERS[point["peer"]]
     spans_ms, counts, ratios, psnr = [], [], [], []
     for truth, taxels in _frames(point):
         y = problem.phi.forward(taxels.reshape(-1))
         best = problem.solution(y)
         lowest = problem.objective(best, y)
-        peer = kind(problem, best)
-        iterations = _needed(peer, y, WITHIN * lowest)
-        solved, span_ms = _shortest(peer, y, iterations)
+        solve = peer.make(problem, best)
+        if peer.stops_by_itself:
+            iterations = STEPS[-1]
+            solve(y, iterations)  # a first call, not timed, as the others have in the search
+        else:
+            iterations = _needed(problem, solve, y, WITHIN * lowest)
+        theta, span_ms = _shortest(solve, y, iterations)
         spans_ms.append(span_ms)
-        theta = peer.theta(solved)
         counts.append(iterations)
         ratios.append(problem.objective(theta, y) / lowest)
         psnr.append(psnr_db(problem.image(theta) - truth, f_max_of(point["scene"])))
@@ -319,23 +280,21 @@ def race(point: Point) -> dict[str, Any]:
     }
 
 
-def _shortest(peer: Peer, y: Floats, iterations: int) -> tuple[Any, float]:
-    """Result of a peer, and the shortest of three processor times in ms."""
+def _shortest(solve: Solve, y: Floats, iterations: int) -> tuple[Floats, float]:
+    """Coefficients that a peer finds, and the shortest of three processor times in ms."""
     spans_ns = []
     for _ in range(3):
         begin_ns = time.thread_time_ns()
-        solved = peer.solve(y, iterations)
+        solved = solve(y, iterations)
         spans_ns.append(time.thread_time_ns() - begin_ns)
-    return solved, min(spans_ns) / 1e6
+    return np.asarray(solved, dtype=np.float32), min(spans_ns) / 1e6
 
 
-def _needed(peer: Peer, y: Floats, enough: float) -> int:
+def _needed(problem: Bpdn, solve: Solve, y: Floats, enough: float) -> int:
     """The fewest of `STEPS` that come low enough; the most, where none does."""
-    if peer.stops_by_itself:
-        peer.solve(y, STEPS[-1])
-        return STEPS[-1]
     for iterations in STEPS:
-        if peer.problem.objective(peer.theta(peer.solve(y, iterations)), y) <= enough:
+        theta = np.asarray(solve(y, iterations), dtype=np.float32)
+        if problem.objective(theta, y) <= enough:
             return iterations
     return STEPS[-1]
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import inspect
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -13,11 +12,10 @@ import numpy as np
 from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, Solver, make_solver
+from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.studies.scene_frames import scene_frames
 
@@ -51,11 +49,6 @@ def read(truth: Floats, rng: np.random.Generator, factor: float = 1.0) -> Floats
     paper = NoiseModel.for_range(PAPER_F_MAX_N)
     sigmas = [min(factor * sigma, PAPER_F_MAX_N) for sigma in (paper.sigma_mid, paper.sigma_end)]
     return NoiseModel(PAPER_F_MAX_N, *sigmas).apply(truth, rng)
-
-
-def parameters(solver: str) -> Mapping[str, inspect.Parameter]:
-    """Settings that a solver has, by name."""
-    return inspect.signature(find_class("solver", solver, SOLVERS, SolverError)).parameters
 
 
 def solver_for(

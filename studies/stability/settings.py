@@ -13,7 +13,7 @@ import pandas as pd
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.studies.evaluate import SUM_SOLVERS
+from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import markdown, write_csv
 
@@ -25,7 +25,6 @@ from .frames import (
     excerpt,
     mean_scores,
     measured,
-    parameters,
     read,
     reconstruct,
     scores,
@@ -60,7 +59,7 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
         {"sweep": sweep, "value": value, "solver": solver, "ratio": ratio, "seed": seed}
         for solver in SUM_SOLVERS
         for sweep, values in sweeps.items()
-        if sweep not in ("lambda_n", "iterations") or sweep in parameters(solver)
+        if sweep not in ("lambda_n", "iterations") or sweep in settings_of(solver)
         for value in values
         for ratio in ratios
     ]
@@ -71,8 +70,8 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     name, sweep, value = point["solver"], point["sweep"], point["value"]
     m = int(N / point["ratio"])
     changed = {sweep: value} if sweep in ("lambda_n", "iterations") else {}
-    if sweep == "iterations" and "max_iterations" in parameters(name):
-        changed["max_iterations"] = max(value, parameters(name)["max_iterations"].default)
+    if sweep == "iterations" and "max_iterations" in settings_of(name):
+        changed["max_iterations"] = max(value, settings_of(name)["max_iterations"].default)
     factor = value if sweep == "noise" else 1.0
     found, n_blown_up, n_frames = [], 0, 0
     for k in range(len(EXCERPTS)):

@@ -33,7 +33,7 @@ from sparseskin.studies.evaluate import (
 )
 from sparseskin.studies.points import Function, StudyError, compute
 from sparseskin.studies.scene_frames import first_contact, scene_frames
-from sparseskin.studies.speed_accuracy.peers import Bpdn, PyLopsFista, missing_peers
+from sparseskin.studies.speed_accuracy.peers import PEERS, PYLOPS, Bpdn, missing_peers
 
 from .ablation import WITHOUT, changed_solver
 from .page import DEVIATIONS, HELD, LIGHT_TOUCH_N, THRESHOLD_N, write
@@ -259,15 +259,15 @@ def _pylops_ms(
     frames: Sequence[Floats], shape: tuple[int, int], ratio: int, seed: int
 ) -> float | None:
     """Median time that FISTA of PyLops takes with the paper's settings, ms; None without it."""
-    if "PyLops FISTA" in missing_peers():
+    if PYLOPS in missing_peers():
         return None
     problem = Bpdn(shape, ratio, seed, PRESETS["paper"]["lambda_n"])
-    peer = PyLopsFista(problem, np.zeros(problem.n, dtype=np.float32))
+    solve = PEERS[PYLOPS].make(problem, np.zeros(problem.n, dtype=np.float32))
     spans_s = []
     for taxels in frames:
         y = problem.phi.forward(taxels.reshape(-1))
         begin_s = time.perf_counter()
-        peer.solve(y, PRESETS["paper"]["iterations"])
+        solve(y, PRESETS["paper"]["iterations"])
         spans_s.append(time.perf_counter() - begin_s)
     return float(np.median(spans_s) * 1e3)
 

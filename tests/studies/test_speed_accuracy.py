@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sparseskin.nodes.compressor.phi.base import KINDS
@@ -17,10 +17,8 @@ from sparseskin.studies.speed_accuracy import study as speed_study
 from sparseskin.studies.speed_accuracy.page import write
 from sparseskin.studies.speed_accuracy.peers import OURS, PEERS, Bpdn
 from sparseskin.studies.speed_accuracy.rows import (
-    CENTRE_RATIO,
     DEAD_ZONES_N,
     PAPER_LABEL,
-    Row,
     front,
     gather,
     variants,
@@ -78,11 +76,11 @@ def test_the_problem_has_an_adjoint_and_its_minimum_is_lowest() -> None:
 
 @pytest.mark.parametrize("peer", PEERS)
 def test_a_library_comes_within_one_percent_of_the_same_minimum(peer: str) -> None:
-    pytest.importorskip(PEERS[peer][0])
+    pytest.importorskip(PEERS[peer].module)
     point = {**SHORT, "peer": peer, "ratio": 3, "lambda_n": 0.1 / 32, "n_frames": 1}
     figures = race(point)
     assert figures["n_frames"] == 1
-    if PEERS[peer][1].stops_by_itself:
+    if PEERS[peer].stops_by_itself:
         assert figures["objective"] < 2
     else:
         assert figures["objective"] <= WITHIN
@@ -112,19 +110,12 @@ def test_what_does_not_go_together_is_listed_and_not_left_out() -> None:
     assert results.refused == [(f"{PAPER_LABEL}, sbhe, haar, N/3", refused["refused"])]
 
 
-ROW = Row(
-    *("N = 1600", PAPER_LABEL, "sbhe", "haar", CENTRE_RATIO, 30.0, 30),
-    *(45.0, 40.0, 10.0, 1.0, 2.0, 1.0, 2200, True),
-)
-
-
 def test_the_front_is_of_rows_that_none_beats() -> None:
-    rows = [
-        replace(ROW, median_ms=time_ms, mean_db=psnr_db)
-        for time_ms, psnr_db in [(3, 47), (1, 40), (2, 39), (1, 38), (2, 45), (4, 47)]
-    ]
-    best = [(row.median_ms, row.mean_db) for row in front(rows, "median_ms", "mean_db")]
-    assert best == [(1, 40), (2, 45), (3, 47)]
+    rows = pd.DataFrame(
+        [(3, 47), (1, 40), (2, 39), (1, 38), (2, 45), (4, 47)], columns=["median_ms", "mean_db"]
+    )
+    best = front(rows, "median_ms", "mean_db")
+    assert [*best.itertuples(index=False, name=None)] == [(1, 40), (2, 45), (3, 47)]
 
 
 def made_up(quick: bool) -> Any:
