@@ -109,6 +109,25 @@ class Program:
                 os.kill(pid, signal.SIGKILL)
 
 
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@pytest.fixture(autouse=True)
+def forget_user_modules(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Remove what a test imports from its folder or from the examples, and restore `sys.path`.
+
+    Otherwise a later test of the same process gets a module of that name instead of its own.
+    """
+    path, modules = list(sys.path), set(sys.modules)
+    folders = EXAMPLES, tmp_path_factory.getbasetemp()
+    yield
+    sys.path[:] = path
+    for name in set(sys.modules) - modules:
+        file = getattr(sys.modules[name], "__file__", None)
+        if file is not None and any(Path(file).is_relative_to(folder) for folder in folders):
+            del sys.modules[name]
+
+
 StartProgram = Callable[..., Program]
 
 

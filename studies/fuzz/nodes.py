@@ -31,6 +31,8 @@ from sparseskin.studies.graph_run import wait_until
 
 TYPES = ("compressor", "reconstructor", "monitor", "recorder")
 N_SOUND = 10
+N_PARTS = 10
+"""Equal parts of the messages; memory is measured after each."""
 SUBSCRIPTIONS = 0.1
 """Hostile subscriptions to what the node writes, as a part of the messages it reads."""
 ANY = "tcp://127.0.0.1:*"
@@ -259,7 +261,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        refused: counts by reason. memory_mb: after a tenth of the messages, and after all.
+        refused: counts by reason. memory_mb: resident memory after each tenth of the messages.
         subscribed_mb: after hostile subscriptions over one connection, and as many over another,
         where the node writes something: the second can use what the first has freed.
         received: of the sound frames, the fewest on any topic. published: messages made of
@@ -272,13 +274,11 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         tempfile.TemporaryDirectory(prefix="sparseskin-fuzz-") as folder,
         Harness(name, settings_of(name, Path(folder)), topics_of(name, sound)) as harness,
     ):
-        n_tenth = point["n"] // 10
-        harness.write(hostile_parts(harness.topics, n_tenth, rng))
-        harness.drained()
-        before_mb = harness.memory_mb()
-        harness.write(hostile_parts(harness.topics, point["n"] - n_tenth, rng))
-        harness.drained()
-        after_mb = harness.memory_mb()
+        memory_mb = []
+        for _ in range(N_PARTS):
+            harness.write(hostile_parts(harness.topics, point["n"] // N_PARTS, rng))
+            harness.drained()
+            memory_mb.append(round(harness.memory_mb(), 2))
         subscribed_mb = []
         for _ in range(2 * bool(harness.node.spec.cls.outputs(harness.node.spec.settings))):
             n_notes = round(SUBSCRIPTIONS * point["n"])
@@ -290,7 +290,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         alive = harness.node.exit_code() is None
     return {
         "refused": counts["refused"],
-        "memory_mb": [round(before_mb, 2), round(after_mb, 2)],
+        "memory_mb": memory_mb,
         "subscribed_mb": subscribed_mb,
         "received": min(counts["received"][topic] for topic in harness.streams),
         "published": sum(counts["published"].values()),

@@ -39,7 +39,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
             "refused": sum(found["refused"].values()),
             "lives": "yes" if found["alive"] else "**no**",
             "sound frames taken": found["received"],
-            "memory_mb": " to ".join(f"{mb:.1f}" for mb in found["memory_mb"]),
+            "memory_mb": f"{found['memory_mb'][0]:.1f} to {found['memory_mb'][-1]:.1f}",
             "after subscriptions": " then ".join(f"{mb:.1f}" for mb in found["subscribed_mb"]),
             "reasons": ", ".join(f"{n} {why}" for why, n in sorted(found["refused"].items())),
         }

@@ -41,8 +41,6 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[Open]:
     yield make
     for source in made:
         source.close()
-    for name in ("udp_skin", "serial_skin"):
-        sys.modules.pop(name, None)
 
 
 class UdpSkin:

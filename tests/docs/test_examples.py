@@ -39,15 +39,10 @@ def names() -> list[object]:
 def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
     """Run an example as a program, in an empty folder."""
     path = EXAMPLES / f"{name}.py"
-    before = set(sys.modules)
     monkeypatch.chdir(folder)
     monkeypatch.syspath_prepend(str(EXAMPLES))
     monkeypatch.setattr(sys, "argv", [str(path), *arguments])
-    try:
-        runpy.run_path(str(path), run_name="__main__")
-    finally:
-        for module in (set(sys.modules) - before) & {p.stem for p in EXAMPLES.glob("*.py")}:
-            del sys.modules[module]
+    runpy.run_path(str(path), run_name="__main__")
 
 
 @pytest.mark.parametrize("name", names())

@@ -7,7 +7,6 @@ import re
 import shlex
 import shutil
 import subprocess
-import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -86,28 +85,20 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("page", [p for p in PAGES if fenced(p, "python")], ids=page_ids)
 def test_python_blocks_of_a_page_run_one_after_the_other(page: Path, workplace: Path) -> None:
     names: dict[str, object] = {"__name__": "__main__"}
-    modules = set(sys.modules)
-    try:
-        for number, block in enumerate(fenced(page, "python"), 1):
-            if file := re.match(r"# (\w+)\.py\b", block):
-                (workplace / f"{file[1]}.py").write_text(block, encoding="utf-8")
-                importlib.invalidate_caches()
-                names |= vars(importlib.import_module(file[1]))
-            else:
-                exec(compile(block, f"{page.name}, block {number}", "exec"), names)
-    finally:
-        for name in {"my_skin", "my_node"} & set(sys.modules) - modules:
-            del sys.modules[name]
+    for number, block in enumerate(fenced(page, "python"), 1):
+        if file := re.match(r"# (\w+)\.py\b", block):
+            (workplace / f"{file[1]}.py").write_text(block, encoding="utf-8")
+            importlib.invalidate_caches()
+            names |= vars(importlib.import_module(file[1]))
+        else:
+            exec(compile(block, f"{page.name}, block {number}", "exec"), names)
 
 
 def test_the_driver_of_the_pages_delivers_frames(workplace: Path) -> None:
     (block,) = (b for b in fenced(ROOT / "docs" / "drivers.md", "python") if "my_skin.py" in b)
     (workplace / "my_skin.py").write_text(block, encoding="utf-8")
-    try:
-        frames = sparseskin.run_launch("replay", 3, ["sensor.source=my_skin:frames"])
-        assert [frame.taxels.shape for frame in frames] == [(12, 32)] * 3
-    finally:
-        sys.modules.pop("my_skin", None)
+    frames = sparseskin.run_launch("replay", 3, ["sensor.source=my_skin:frames"])
+    assert [frame.taxels.shape for frame in frames] == [(12, 32)] * 3
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if fenced(p, "toml")], ids=page_ids)

@@ -30,8 +30,8 @@ from sparseskin.studies.fuzz.nodes import (
 )
 
 N_MESSAGES = int(os.environ.get("SPARSESKIN_FUZZ_MESSAGES", "2000"))
-GROWTH_MB = 5.0
-"""What caches may take after the first tenth; a leak of 1 kB a message would show at once."""
+GROWTH_BYTES = 500
+"""Bound on the growth of memory, bytes a message."""
 
 
 def host_of(type_name: str, tmp_path: Path, lines: list[str]) -> NodeHost:
@@ -82,15 +82,18 @@ def test_settings_of_any_value_are_accepted_or_refused() -> None:
                     make_settings(cls, {setting["key"]: value})
 
 
-@pytest.mark.slow  # real processes, thousands of messages each
+@pytest.mark.slow  # real processes, tens of thousands of messages each
 @pytest.mark.parametrize("type_name", fuzz_nodes.TYPES)
 def test_hostile_messages_and_subscriptions_end_no_process(type_name: str) -> None:
-    n_messages = max(N_MESSAGES, 5000)
+    n_messages = max(N_MESSAGES, 30_000)
     found = fuzz_nodes.measure({"type": type_name, "n": n_messages, "seed": 5})
     assert found["alive"]
     assert sum(found["refused"].values()) > n_messages / 2
-    before_mb, after_mb = found["memory_mb"]
-    assert after_mb - before_mb < GROWTH_MB
+    # A leak grows in each tenth of the messages. A late import, a cache that fills, and memory
+    # that is returned to the system change some of them only, so that the median is without them.
+    growths_mb = np.diff(found["memory_mb"])
+    assert len(growths_mb) == fuzz_nodes.N_PARTS - 1
+    assert 1e6 * np.median(growths_mb) < GROWTH_BYTES * n_messages / fuzz_nodes.N_PARTS
     assert found["received"] >= fuzz_nodes.N_SOUND
     if type_name in ("compressor", "reconstructor"):
         assert found["published"] > fuzz_nodes.N_SOUND

@@ -224,9 +224,9 @@ def test_users_own_matrix_is_checked_before_the_first_frame(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(tmp_path))
-    (tmp_path / "own_phi.py").write_text(
+    (tmp_path / "scaled_phi.py").write_text(
         "from sparseskin.nodes.compressor.phi.sbhe import SbhePhi\n"
-        "class Plain(SbhePhi):\n"
+        "class Scaled(SbhePhi):\n"
         "    def _forward(self, x, out):\n"
         "        super()._forward(x, out)\n"
         "        out *= 5.656854\n"
@@ -234,5 +234,5 @@ def test_users_own_matrix_is_checked_before_the_first_frame(
         "        super()._adjoint(y, out)\n"
         "        out *= 5.656854\n"
     )
-    lines = lines_of(phi="own_phi:Plain")
+    lines = lines_of(phi="scaled_phi:Scaled")
     assert any("lipschitz says 1 but the largest eigenvalue" in line for line in lines)

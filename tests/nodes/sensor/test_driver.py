@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +17,8 @@ Writer = Callable[[str], str]
 
 
 @pytest.fixture
-def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Writer]:
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Writer:
     """Write a module into the current directory and return its name."""
-    before = set(sys.modules)
-    path_before = list(sys.path)
     monkeypatch.chdir(tmp_path)
 
     def write(body: str) -> str:
@@ -29,10 +27,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Writer]:
         (tmp_path / f"{name}.py").write_text(text)
         return name
 
-    yield write
-    sys.path[:] = path_before
-    for name in set(sys.modules) - before:
-        del sys.modules[name]
+    return write
 
 
 def yielding(module: Writer, *pairs: str) -> DriverSource:
