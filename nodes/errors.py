@@ -1,8 +1,18 @@
 """Errors of nodes; the text of each is one sentence for the user."""
 
+from __future__ import annotations
+
+from sparseskin.messages.text import printable
+
 
 class SparseskinError(Exception):
-    """An error that a user can correct: the text names the place, the fault and what is allowed."""
+    """An error that a user can correct: the text names the place, the fault and what is allowed.
+
+    What files and devices put into it is made printable; each line of an argument stays a line.
+    """
+
+    def __str__(self) -> str:
+        return "\n".join(map(printable, super().__str__().split("\n")))
 
 
 class SettingsError(SparseskinError):

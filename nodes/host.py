@@ -112,6 +112,7 @@ class NodeHost:
             {topic: InputCount(late=late or topic in late_inputs) for topic in self.inputs}
         )
         self.streams = [topic for topic in self.inputs if not is_latched(topic)]
+        self.raised: Callable[[Exception], None] = lambda error: None
         self.finished = False
         self.ends: list[End] = []
         self.failure = ""
@@ -136,6 +137,7 @@ class NodeHost:
         except SparseskinError as error:
             self.failure = str(error)
             self._log(f"error: {error}")
+            self.raised(error)
         if self.node.exhausted or self.failure:
             yield from self.finish(tick.stamp_ns)
 
@@ -223,6 +225,8 @@ class NodeHost:
             self._refuse("failed", str(error))
         except Exception as error:  # a user's own solver may raise anything
             self._refuse("failed", one_line(error))
+            if is_due(self.counts.refused["failed"]):
+                self.raised(error)
 
     def _publish(self, messages: Iterable[Message]) -> Iterator[Message]:
         for message in messages:
@@ -240,7 +244,12 @@ class NodeHost:
         log_some(self._log, self.refusal, self.counts.refused[reason])
 
 
+def is_due(times: int) -> bool:
+    """True the 1st, 10th, 100th ... time."""
+    return str(times).strip("0") == "1"
+
+
 def log_some(log: Log, line: str, times: int) -> None:
     """Log a repeated line the 1st, 10th, 100th ... time, so that a flood stays readable."""
-    if times == 10 ** (len(str(times)) - 1):
+    if is_due(times):
         log(line + (f" ({times} times)" if times > 1 else ""))

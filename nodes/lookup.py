@@ -7,6 +7,7 @@ import importlib
 import os
 import re
 import sys
+import traceback
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -32,10 +33,31 @@ def _distance(word: str, name: str) -> tuple[float, int, int]:
     return apart, sum(abs(int(a[:9]) - int(b[:9])) for a, b in numbers), other
 
 
+MAX_TEXT = 400
+"""Characters of an exception's text in one line at most."""
+MAX_TRACE = 20_000
+"""Characters of a traceback at most: of an endless recursion, its end."""
+_NOT_THE_USERS = {"sparseskin", "numpy", "numba", *sys.stdlib_module_names}
+
+
 def one_line(error: BaseException) -> str:
-    """Type and text of an exception in one line."""
-    text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+    """Type and text of an exception, and the line of the user's code that raised it, if any."""
+    text = " ".join(str(error)[:MAX_TEXT].split())
+    line = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    here = os.path.join(os.getcwd(), "")
+    places = [
+        f" ({frame.f_code.co_filename.removeprefix(here)}:{number})"
+        for frame, number in traceback.walk_tb(error.__traceback__)
+        if str(frame.f_globals.get("__name__")).partition(".")[0] not in _NOT_THE_USERS
+    ]
+    return line + (places[-1] if places else "")
+
+
+def trace_of(error: BaseException) -> str:
+    """The traceback of an error for a log file; "" where its text says all there is to say."""
+    if isinstance(error, SparseskinError) and error.__cause__ is None:
+        return ""
+    return "".join(traceback.format_exception(error))[-MAX_TRACE:]
 
 
 def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., Any]:

@@ -13,11 +13,12 @@ from sparseskin.launch.run.running import RunningGraph
 from sparseskin.messages import Message, MessageError, decode
 from sparseskin.messages.base import wire_fields
 from sparseskin.messages.quantised import Quantised
+from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 
 from .stream import EXIT_NOTHING, PATIENCE_S, Losses, TopicStream, quiet_reason
-from .text_table import printable, width, wrapped
+from .text_table import flowing, width, wrapped
 
 INDENT = "    "
 """Start of the further lines of a field."""
@@ -47,7 +48,7 @@ def text(value: Any, full: bool) -> str:
     if value is None or isinstance(value, bool):
         return {None: "none", True: "true", False: "false"}[value]
     if not isinstance(value, np.ndarray):
-        return printable(str(value))
+        return flowing(str(value))
     shape = " x ".join(map(str, value.shape))
     if full:
         lines = np.array2string(
@@ -175,7 +176,7 @@ def echo(
                 try:
                     printer.print(decode(arrival.topic, arrival.payload))
                 except MessageError as error:
-                    print(f"{topic}: {error}", file=sys.stderr)
+                    print(f"{topic}: {printable(str(error))}", file=sys.stderr)
             if ended or printer.shown == n:
                 break
     if ended:

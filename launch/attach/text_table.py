@@ -6,6 +6,8 @@ import shutil
 import textwrap
 from collections.abc import Sequence
 
+from sparseskin.messages.text import printable
+
 GAP = "  "
 MIN_LAST = 20
 """A last column is not made narrower than this, however narrow the terminal."""
@@ -16,14 +18,14 @@ def width() -> int:
     return shutil.get_terminal_size().columns
 
 
-def printable(text: str) -> str:
-    """A text as one line that cannot move the cursor."""
-    return " ".join("".join(char if char.isprintable() else " " for char in text).split())
+def flowing(text: str) -> str:
+    """A text as printable words, one space between them."""
+    return " ".join(printable(text).split())
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]], indent: str = "") -> list[str]:
     """Lines of a table, each after `indent`; columns of whole numbers are flush right."""
-    shown = [[printable(str(cell)) for cell in row] for row in rows]
+    shown = [[flowing(str(cell)) for cell in row] for row in rows]
     widths = [max(len(line[k]) for line in [head, *shown]) for k in range(len(head))]
     right = [
         bool(rows) and all(isinstance(row[k], int) and not isinstance(row[k], bool) for row in rows)

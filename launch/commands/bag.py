@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sparseskin.launch.attach.client import add_command
-from sparseskin.launch.attach.text_table import printable
+from sparseskin.launch.attach.text_table import flowing
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX, BagError, TopicInfo
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES
@@ -29,6 +29,8 @@ READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz")
 """Options of `import` on how a file is read."""
 WIDTH = 80
 _MAX_TOPIC = 40
+_MAX_SHOWN = 2000
+"""Characters of one value that the table shows at most."""
 _OF_TOPIC = ("schema", "version", "n_messages", "first_ns", "last_ns", "rate_hz")
 _FLAT_JSON = ("phi", "versions")
 _NOT_SHOWN = ("lost", "received", "published")
@@ -217,7 +219,7 @@ def _topic_lines(bag: BagReader) -> list[str]:
     for topic, info in bag.topics.items():
         if len(topic) > width:
             lines.append(topic)
-        n_lost = _flat(lost.get(topic, 0)) if isinstance(lost, dict) else "-"
+        n_lost = flowing(_flat(lost.get(topic, 0)))[:20] if isinstance(lost, dict) else "-"
         lines.append(f"{topic if len(topic) <= width else '':<{width}} {_row(info)} {n_lost:>7}")
     return lines
 
@@ -237,13 +239,16 @@ def _span(bag: BagReader) -> tuple[int, int]:
 
 def _entry(key: str, value: str) -> list[str]:
     """`key  value`, wrapped; texts of a file cannot move the cursor."""
+    key = flowing(key[:16])
+    if len(value) > _MAX_SHOWN:
+        value = f"{value[:_MAX_SHOWN]}... ({len(value)} characters, --json shows them)"
     return textwrap.wrap(
-        printable(value),
+        flowing(value),
         WIDTH,
-        initial_indent=f"{key[:16]:<10} ",
+        initial_indent=f"{key:<10} ",
         subsequent_indent=" " * 11,
         break_on_hyphens=False,
-    ) or [key[:16]]
+    ) or [key]
 
 
 def _shown(key: str, value: str) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
+from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SparseskinError
 
 EXIT_USAGE = 2
@@ -78,7 +79,7 @@ class _Parser(argparse.ArgumentParser):
     """A parser that refuses in one line, as all commands do; its subparsers are of this class."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(EXIT_USAGE, f"{self.prog}: {message} (see {self.prog} --help)\n")
+        self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)} (see {self.prog} --help)\n")
 
 
 class _Version(argparse.Action):

@@ -24,8 +24,9 @@ from sparseskin.launch.attach.setting_text import (
     shown_value,
     typed_value,
 )
-from sparseskin.launch.attach.text_table import printable, table, wrapped
+from sparseskin.launch.attach.text_table import flowing, table, wrapped
 from sparseskin.launch.run.running import GraphError, choose_graph
+from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.control import COUNTED
@@ -140,7 +141,7 @@ def _text(node: dict[str, Any]) -> list[str]:
 
 
 def _entry(key: str, text: str) -> list[str]:
-    return wrapped(f"  {key:<10} ", printable(text))
+    return wrapped(f"  {key:<10} ", flowing(text))
 
 
 def configure_param(parser: argparse.ArgumentParser) -> None:
@@ -196,9 +197,9 @@ def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
     lines = [f"{name} (* can be set while the graph runs)"]
     for entry in entries:
         start = f"{'* ' if entry['live'] else '  '}{entry['key']:<{widest}} = "
-        value = printable(shown_value(entry["value"]) + in_force_text(entry, preset))
+        value = flowing(shown_value(entry["value"]) + in_force_text(entry, preset))
         lines += wrapped(start, f"{value}   ({allowed_text(entry)})")
-        lines += wrapped(" " * len(start), printable(entry["doc"]))
+        lines += wrapped(" " * len(start), flowing(entry["doc"]))
     return lines
 
 
@@ -212,7 +213,8 @@ def _get(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps({"node": node, **entries[key]}, indent=2))
     else:
-        print(value if isinstance(value, str) else shown_value(value))
+        text = value if isinstance(value, str) else shown_value(value)
+        print("\n".join(map(printable, text.split("\n"))))
     return 0
 
 
@@ -226,9 +228,9 @@ def _set(arguments: argparse.Namespace) -> int:
     values = {key: typed_value(text, entries.get(key)) for key, text in typed.items()}
     answer = ask_node(graph, arguments.node, "set", values)
     if not answer.done:
-        raise GraphError(f"{arguments.node}: {printable(answer.text)}")
+        raise GraphError(f"{arguments.node}: {flowing(answer.text)}")
     if arguments.json:
         print(json.dumps({"node": arguments.node, "set": values, "answer": answer.text}, indent=2))
     else:
-        print(f"{arguments.node}: {printable(answer.text)}")
+        print(f"{arguments.node}: {flowing(answer.text)}")
     return 0

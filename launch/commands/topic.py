@@ -19,7 +19,7 @@ from sparseskin.launch.attach.client import (
     topics_of,
 )
 from sparseskin.launch.attach.give_way import give_way
-from sparseskin.launch.attach.text_table import printable, table, wrapped
+from sparseskin.launch.attach.text_table import flowing, table, wrapped
 from sparseskin.launch.run.running import choose_graph
 from sparseskin.nodes.process.control import COUNTED
 
@@ -242,7 +242,7 @@ def _rate(arguments: argparse.Namespace) -> int:
 
 def about(cls: type[Message]) -> str:
     """The first paragraph of the docstring of a message class."""
-    return printable((cls.__doc__ or "").partition("\n\n")[0])
+    return flowing((cls.__doc__ or "").partition("\n\n")[0])
 
 
 def kind_text(kind: FieldKind) -> str:

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
+from sparseskin.messages.text import printable
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.errors import SettingsError
 
@@ -38,7 +39,7 @@ def graph_text(launch: LaunchFile) -> str:
     width = max((len(link.writer) + len(link.topic) for link in launch.links), default=0) + 9
     for link in launch.links:
         lines.append(f"  {f'{link.writer} -- {link.topic} ':-<{width}}> {link.reader}")
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))
 
 
 def dot_of(launch: LaunchFile) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sparseskin.launch.run.restarts import RestartPolicy
+from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.lookup import did_you_mean
@@ -20,11 +21,7 @@ class LaunchError(SparseskinError):
     """A launch file that cannot be used; `lines` holds one line an error, each with its place."""
 
     def __init__(self, lines: Sequence[str]) -> None:
-        # What a file holds is named in its errors, and must not move the cursor.
-        self.lines = [
-            "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
-            for line in lines
-        ]
+        self.lines = [printable(line) for line in lines]
         super().__init__("\n".join(self.lines))
 
 

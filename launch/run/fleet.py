@@ -29,14 +29,14 @@ Hear = Callable[[NodeProcess, dict[str, Any]], None]
 
 
 class Fleet:
-    """The node processes of a graph; parameters as of `Launcher`.
+    """The node processes of a graph; parameters as of `Launcher`, and of its terminal.
 
     Attributes
     ----------
     exit_code : int
         Not 0 once a node has failed that the graph needs.
     late_code : int
-        Not 0 once a node has failed that it can do without.
+        Not 0 once a node has failed that it can do without, or has raised an error and gone on.
     supervised : bool
         True while a node that fails is restarted as its policy states.
     hear : callable
@@ -50,10 +50,12 @@ class Fleet:
         log: Callable[[str], None],
         max_frames: int | None = None,
         joined: RunningGraph | None = None,
+        record: Callable[[str], None] = lambda line: None,
     ) -> None:
         self._launch = launch
         self._offset_ns = offset_ns
         self._log = log
+        self._record = record
         self._max_frames = max_frames
         self._joined = joined
         self._selector = selectors.DefaultSelector()
@@ -209,6 +211,8 @@ class Fleet:
             self._take(node, event)
 
     def _take(self, node: NodeProcess, event: dict[str, Any]) -> None:
+        for line in event.get("trace", "").splitlines():
+            self._record(f"[{node.name}] {line}")
         match event["event"]:
             case "bound":
                 node.endpoint = self._endpoints[node.name] = event["endpoint"]
@@ -236,6 +240,8 @@ class Fleet:
             case "error":
                 self._died(node, event["code"], f"[{node.name}] error: {event['text']}")
                 return
+            case "raised":  # the node has logged the error, and goes on
+                self.late_code = self.late_code or EXIT_FAILED
             case "answer":
                 node.settings, node.state = event["settings"], event["state"]
             case "request":
@@ -266,4 +272,4 @@ class Fleet:
         if node.spec.cls.required:
             self.exit_code = self.exit_code or code
         else:
-            self.late_code = self.late_code or code
+            self.late_code = max(self.late_code, code)

@@ -61,7 +61,9 @@ class Launcher:
         self._keys = dict(keys or {})
         self._look_at_s = 0.0
         self._offset_ns = joined.offset_ns if joined else wall_offset_ns()
-        self._fleet = Fleet(launch, self._offset_ns, terminal.log, max_frames, joined)
+        self._fleet = Fleet(
+            launch, self._offset_ns, terminal.log, max_frames, joined, terminal.record
+        )
         self._controls: Controls | RemoteControls | None = None
         self._missing = Missing(launch, terminal.log, time.monotonic())
         writers = {link.writer for link in launch.links}
@@ -105,6 +107,10 @@ class Launcher:
             for number, handler in old.items():
                 signal.signal(number, handler)
             self._terminal.status("")
+        for node in self._fleet:
+            n_errors = node.counts.get("refused", {}).get("failed", 0)
+            if n_errors and not node.failed:
+                self._terminal.log(f"[launch] {node.name} raised {n_errors} errors (see its log)")
         return self._exit_code or self._fleet.late_code
 
     def summary(self) -> dict[str, Any]:

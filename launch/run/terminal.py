@@ -12,6 +12,8 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 
+from sparseskin.messages.text import printable
+
 from .run_log import RunLog, time_text
 
 QUIET_STATUS_S = 10.0
@@ -44,15 +46,21 @@ class Terminal:
         """Print one line, with its time, above the status line."""
         now_s = self._now_s()
         self._erase()
-        self._write(f"{time_text(now_s)} {line}\n")
+        self._write(f"{time_text(now_s)} {printable(line)}\n")
+        self.record(line)
+        self._draw()
+
+    def record(self, line: str) -> None:
+        """Write one line into the log files alone."""
+        now_s = self._now_s()
         if self._run_log is not None and not self._run_log.error:
-            self._run_log.write(line, now_s)
+            self._run_log.write(printable(line), now_s)
             if self._run_log.error:
                 self._write(f"{time_text(now_s)} [launch] no more logs: {self._run_log.error}\n")
-        self._draw()
 
     def status(self, line: str) -> None:
         """Renew the status line, or lines."""
+        line = "\n".join(map(printable, line.split("\n")))
         if self._live:
             self._erase()
             self._status = line

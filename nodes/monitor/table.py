@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from sparseskin.messages.text import printable
+
 from .metrics import FLOAT_BITS, PatchMetrics, Quality
 
 NONE = "-"
@@ -39,10 +41,13 @@ def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
-    patch = {key: NONE if value is None else value for key, value in patch.items()}
+    patch = {
+        key: NONE if value is None else printable(value) if isinstance(value, str) else value
+        for key, value in patch.items()
+    }
     frames, psnr = patch["frames"], patch["psnr_db"]
     against = {"truth": "against the truth", "taxels": "against the recorded taxels"}
-    title = f" {name}: {patch['scene']} "
+    title = f" {printable(name)}: {patch['scene']} "
     rows = [
         title.center(78, "="),
         f"frames      sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "

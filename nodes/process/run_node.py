@@ -13,7 +13,7 @@ import sys
 import zmq
 
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.lookup import one_line
+from sparseskin.nodes.lookup import one_line, trace_of
 
 from .control import Control, watch_parent
 from .runner import EXIT_CRASH, EXIT_USAGE, POLL_MS, Runner
@@ -30,7 +30,7 @@ def main() -> int:
             select.select([control.fd], [], [], POLL_MS / 1000)
         Runner(control, commands[0]).run()
     except SparseskinError as error:
-        control.emit("error", text=str(error), code=EXIT_USAGE)
+        control.emit("error", text=str(error), code=EXIT_USAGE, trace=trace_of(error))
         return EXIT_USAGE
     except zmq.ZMQError as error:
         # The error names the address, which may be that for other hosts.
@@ -40,7 +40,7 @@ def main() -> int:
     except Exception as error:
         if os.environ.get("SPARSESKIN_TRACEBACK"):
             raise
-        control.emit("error", text=one_line(error), code=EXIT_CRASH)
+        control.emit("error", text=one_line(error), code=EXIT_CRASH, trace=trace_of(error))
         return EXIT_CRASH
     return 0
 

@@ -17,7 +17,7 @@ from sparseskin.messages import Message
 from sparseskin.nodes.clock import ClockEstimate, SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.host import NodeHost
-from sparseskin.nodes.lookup import one_line
+from sparseskin.nodes.lookup import one_line, trace_of
 from sparseskin.nodes.network.network import Network
 from sparseskin.nodes.network.sockets import FAREWELL_MS, Peer, Reader, make_context
 from sparseskin.nodes.node import Context, SourceNode, Tick
@@ -64,6 +64,7 @@ class Runner:
         self.host = NodeHost(
             node, run_id, self.log, config["inputs"], late, config.get("distant_inputs", ())
         )
+        self.host.raised = self._raised
         self.expected = set(config["readers"])
         self.max_frames: int | None = config.get("max_frames")
         self.context = make_context()
@@ -88,6 +89,9 @@ class Runner:
     def log(self, line: str) -> None:
         """Print one line for the launcher's terminal."""
         print(line, file=sys.stderr, flush=True)
+
+    def _raised(self, error: Exception) -> None:
+        self.control.emit("raised", trace=trace_of(error))
 
     def _ask(self, request: dict[str, Any]) -> None:
         self.control.emit("request", **request)

@@ -45,7 +45,8 @@ def test_a_mask_tells_how_many_cells_it_has() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "shown"), [(None, "none"), (True, "true"), (0.5, "0.5"), ("a\x1b[2J", "a [2J")]
+    ("value", "shown"),
+    [(None, "none"), (True, "true"), (0.5, "0.5"), ("a\x1b[2J\n b", r"a\x1b[2J b")],
 )
 def test_other_values_are_one_line_that_cannot_move_the_cursor(value: object, shown: str) -> None:
     assert text(value, full=False) == shown

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.launch.attach.text_table import printable, table, wrapped
+from sparseskin.launch.attach.text_table import flowing, table, wrapped
 
 
 @pytest.fixture(autouse=True)
@@ -49,4 +49,4 @@ def test_further_lines_begin_as_stated() -> None:
 
 @given(st.text(max_size=80))
 def test_what_is_printed_is_one_line_without_control_characters(text: str) -> None:
-    assert printable(text).isprintable()
+    assert flowing(text).isprintable()

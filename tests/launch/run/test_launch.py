@@ -362,5 +362,30 @@ def test_a_graph_that_restores_nothing_has_failed(start: StartProgram, tmp_path:
         *("--set", "reconstructor.solver=mine:Broken"),
     ).finish()
     assert code == 1
-    assert "[reconstructor] failed: RuntimeError: diverged badly" in stderr
+    assert "[reconstructor] failed: RuntimeError: diverged badly (mine.py:3)\n" in stderr
     assert "skin: not one frame was reconstructed" in stderr
+
+
+def test_a_run_in_which_a_node_raised_errors_is_no_success(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    fails = "    def step(self, message):\n        raise ValueError('\\x1b[2Jno\\x07')\n"
+    (tmp_path / "mine.py").write_text(TAP.partition("    def step")[0] + fails)
+    number = len((tmp_path / "mine.py").read_text().splitlines())
+    text = BUNDLED / "path_40.toml"
+    (tmp_path / "own.toml").write_text(text.read_text() + '\n[nodes.own]\ntype = "mine:Tap"\n')
+    code, stdout, stderr = start(
+        *("launch", "own.toml", "--frames", "20", "--summary", "out.json", "--log-dir", "logs"),
+        *("--set", "monitor.page=false"),
+    ).finish()
+    assert code == 1
+    assert "reconstructed 20, lost 0" in stdout
+    assert f"[own] failed: ValueError: \\x1b[2Jno\\x07 (mine.py:{number})\n" in stderr
+    assert "[launch] own raised 20 errors" in stderr
+    assert "Traceback" not in stderr
+    summary = json.loads((tmp_path / "out.json").read_text())
+    assert summary["nodes"]["own"]["refused"] == {"failed": 20}
+    (log,) = (tmp_path / "logs").glob("*/own.log")
+    assert "Traceback (most recent call last):" in log.read_text()
+    assert f'mine.py", line {number}, in step' in log.read_text()
+    assert all(line.isprintable() for line in log.read_text().split("\n"))

@@ -31,6 +31,23 @@ def test_each_node_has_a_file_and_each_line_its_time(tmp_path: Path) -> None:
     assert time_text(NOW_S).endswith(".125")
 
 
+def test_what_a_node_prints_cannot_act_on_terminal_or_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = RunLog(tmp_path / "logs", "drag", NOW_S)
+    terminal = Terminal(log, lambda: NOW_S)
+    foreign = "\x1b]0;title\x07 \r \x9b2J \u202ehidden\u2028"
+    terminal.log(f"[sensor] {foreign}")
+    terminal.record(f"[sensor] {foreign}")
+    terminal._next_s = 0.0
+    terminal.status(f"first {foreign}\nsecond")
+    log.close()
+    lines = [*capsys.readouterr().err.split("\n"), *(log.folder / "sensor.log").open()]
+    assert len(lines) == 6
+    assert all(line.rstrip("\n").isprintable() for line in lines)
+    assert sum(r"\x1b]0;title\x07" in line for line in lines) == 4
+
+
 def test_a_full_file_makes_room_and_one_before_it_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,8 +131,11 @@ def test_a_run_that_fails_says_where_its_logs_are(start: StartProgram, tmp_path:
     (folder,) = (tmp_path / "logs").iterdir()
     assert f"logs of the nodes: logs/{folder.name}\n" in stderr
     lines = (folder / "sensor.log").read_text().splitlines()
-    assert [line.split(" ", 2)[2] for line in lines] == [
-        *("a word", "error: broken:frames: the driver failed: ZeroDivisionError: division by zero"),
-    ]
+    said, failure, *trace = (line.split(" ", 2)[2] for line in lines)
+    text = "error: broken:frames: the driver failed: ZeroDivisionError: division by zero"
+    assert (said, failure) == ("a word", f"{text} (broken.py:5)")
+    assert trace[0] == "Traceback (most recent call last):"
+    assert any(line.endswith('broken.py", line 5, in frames') for line in trace)
+    assert "Traceback" not in stderr
     assert all(re.match(r"\d\d:\d\d:\d\d\.\d{3} \[sensor\] ", line) for line in stderr.splitlines()
                if "[sensor]" in line)  # fmt: skip

@@ -1,0 +1,17 @@
+"""Text of others on its way to a terminal or a log file."""
+
+from __future__ import annotations
+
+
+def printable(text: str) -> str:
+    """The text as one line that moves no cursor, sets no colour and hides no order of characters.
+
+    White space of any kind becomes a space; control characters (ESC, BEL, C1), bidirectional and
+    other invisible ones are written as in Python, e.g. \\x1b.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        char if char.isprintable() else " " if char.isspace() else ascii(char)[1:-1]
+        for char in text
+    )
