@@ -4,39 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import Basis
 
 
 class FewLevelsHaarBasis(Basis):
-    """Orthonormal 2-D Haar of at most `levels` levels, and no more than both sides are even.
+    """Orthonormal 2-D Haar of as many levels as both sides are even.
 
     The project's own Haar goes down to one approximation coefficient on a grid of any size.
     Many a library stops where a side gets odd: on 40 x 40 after three levels, with 5 x 5
     approximations left. With sides of a power of two the two are one basis.
-
-    Parameters
-    ----------
-    n_rows, n_cols : int
-        As in `Basis`.
-    levels : int, optional
-        The most levels; None: as many as there are.
-
-    Raises
-    ------
-    SolverError
-        If the grid is empty, or `levels` is negative.
     """
 
-    def __init__(self, n_rows: int, n_cols: int, levels: int | None = None) -> None:
+    def __init__(self, n_rows: int, n_cols: int) -> None:
         super().__init__(n_rows, n_cols)
-        if levels is not None and levels < 0:
-            raise SolverError(f"basis: levels = {levels} is not allowed; allowed: 0 or more")
-        self.shapes = [(self.n_rows, self.n_cols)]
-        while (levels is None or len(self.shapes) <= levels) and not any(
-            side % 2 for side in self.shapes[-1]
-        ):
+        self.shapes = [(n_rows, n_cols)]
+        while not any(side % 2 for side in self.shapes[-1]):
             rows, cols = self.shapes[-1]
             self.shapes.append((rows // 2, cols // 2))
 

@@ -41,12 +41,10 @@ class Scenario(NamedTuple):
         Table II.
     noisy : Psnr
         Tables III and IV, noisy signal.
-    by_ratio : dict of int to Psnr
-        Table III, by N/M, at 30 iterations.
-    by_iterations : dict of int to Psnr
-        Table IV, by iterations, at M = N/3.
-    time_ms : dict of int to float
-        Table IV, mean time a frame, by iterations.
+    third_table : tuple of Psnr
+        Table III, for each of `RATIOS`, at 30 iterations.
+    lows_db, times_ms : tuple of float
+        Table IV, least PSNR and mean time a frame, for each of `ITERATIONS`, at M = N/3.
     """
 
     title: str
@@ -55,65 +53,60 @@ class Scenario(NamedTuple):
     d2: Counts
     d4: Counts
     noisy: Psnr
-    by_ratio: dict[int, Psnr]
-    by_iterations: dict[int, Psnr]
-    time_ms: dict[int, float]
+    third_table: tuple[Psnr, Psnr, Psnr]
+    lows_db: tuple[float, float, float]
+    times_ms: tuple[float, float, float]
 
+    @property
+    def by_ratio(self) -> dict[int, Psnr]:
+        """Table III, by N/M."""
+        return dict(zip(RATIOS, self.third_table, strict=True))
 
-def _by_ratio(quarter: Psnr, third: Psnr, half: Psnr) -> dict[int, Psnr]:
-    return dict(zip(RATIOS, (quarter, third, half), strict=True))
+    @property
+    def by_iterations(self) -> dict[int, Psnr]:
+        """Table IV, by iterations, on which mean and upper end do not depend."""
+        third = self.by_ratio[3]
+        lows = zip(ITERATIONS, self.lows_db, strict=True)
+        return {k: third._replace(low=low_db) for k, low_db in lows}
 
-
-def _by_iterations(mean: float, high: float, *lows: float) -> dict[int, Psnr]:
-    """Mean and upper end of table IV do not depend on the iterations."""
-    return {k: Psnr(mean, low, high) for k, low in zip(ITERATIONS, lows, strict=True)}
-
-
-def _times(*times_ms: float) -> dict[int, float]:
-    return dict(zip(ITERATIONS, times_ms, strict=True))
+    @property
+    def time_ms(self) -> dict[int, float]:
+        """Table IV, mean time a frame, by iterations."""
+        return dict(zip(ITERATIONS, self.times_ms, strict=True))
 
 
 PAPER = {
     "lift_box_40": Scenario(
-        *("LIFT BOX", 1600, 700, Counts(108.3, 266), Counts(750.1, 1575)),
-        Psnr(46.5, 39.1, 48.7),
-        _by_ratio(Psnr(52.8, 39.5, 63.2), Psnr(52.5, 40.9, 60.8), Psnr(52.1, 41.4, 57.6)),
-        _by_iterations(52.5, 60.8, 37.0, 40.9, 40.9),
-        _times(10.8, 20.7, 30.9),
+        *("LIFT BOX", 1600, 700, Counts(108.3, 266), Counts(750.1, 1575), Psnr(46.5, 39.1, 48.7)),
+        (Psnr(52.8, 39.5, 63.2), Psnr(52.5, 40.9, 60.8), Psnr(52.1, 41.4, 57.6)),
+        *((37.0, 40.9, 40.9), (10.8, 20.7, 30.9)),
     ),
     "lift_wrench_40": Scenario(
         *("LIFT WRENCH", 1600, 3000, Counts(92.2, 388), Counts(282.2, 1575)),
         Psnr(47.2, 38.4, 48.8),
-        _by_ratio(Psnr(52.1, 26.5, 62.3), Psnr(52.7, 31.1, 60.4), Psnr(52.6, 36.9, 58.0)),
-        _by_iterations(52.7, 60.4, 26.7, 30.7, 31.1),
-        _times(10.6, 20.6, 30.1),
+        (Psnr(52.1, 26.5, 62.3), Psnr(52.7, 31.1, 60.4), Psnr(52.6, 36.9, 58.0)),
+        *((26.7, 30.7, 31.1), (10.6, 20.6, 30.1)),
     ),
     "drag_wrench_40": Scenario(
         *("DRAG WRENCH", 1600, 5000, Counts(84.9, 449), Counts(254.3, 1575)),
         Psnr(46.4, 37.4, 48.7),
-        _by_ratio(Psnr(44.7, 25.3, 61.9), Psnr(47.7, 28.5, 59.8), Psnr(48.9, 34.5, 58.0)),
-        _by_iterations(47.7, 59.8, 26.3, 28.4, 28.5),
-        _times(10.7, 20.7, 28.1),
+        (Psnr(44.7, 25.3, 61.9), Psnr(47.7, 28.5, 59.8), Psnr(48.9, 34.5, 58.0)),
+        *((26.3, 28.4, 28.5), (10.7, 20.7, 28.1)),
     ),
     "path_40": Scenario(
-        *("PATH", 1600, 12200, Counts(30.3, 266), Counts(139.8, 1575)),
-        Psnr(48.0, 44.8, 49.1),
-        _by_ratio(Psnr(56.3, 45.4, 63.1), Psnr(55.9, 49.2, 60.7), Psnr(55.0, 50.3, 58.4)),
-        _by_iterations(55.9, 60.7, 49.2, 49.1, 49.2),
-        _times(10.3, 18.1, 28.8),
+        *("PATH", 1600, 12200, Counts(30.3, 266), Counts(139.8, 1575), Psnr(48.0, 44.8, 49.1)),
+        (Psnr(56.3, 45.4, 63.1), Psnr(55.9, 49.2, 60.7), Psnr(55.0, 50.3, 58.4)),
+        *((49.2, 49.1, 49.2), (10.3, 18.1, 28.8)),
     ),
     "lift_box_64": Scenario(
-        *("LIFT BOX", 4096, 7600, Counts(189.8, 263), Counts(929.1, 961)),
-        Psnr(46.8, 36.6, 48.5),
-        _by_ratio(Psnr(49.8, 38.6, 54.9), Psnr(49.9, 39.0, 54.1), Psnr(50.2, 38.3, 53.6)),
-        _by_iterations(49.9, 54.1, 32.1, 38.9, 39.0),
-        _times(8.1, 21.6, 25.1),
+        *("LIFT BOX", 4096, 7600, Counts(189.8, 263), Counts(929.1, 961), Psnr(46.8, 36.6, 48.5)),
+        (Psnr(49.8, 38.6, 54.9), Psnr(49.9, 39.0, 54.1), Psnr(50.2, 38.3, 53.6)),
+        *((32.1, 38.9, 39.0), (8.1, 21.6, 25.1)),
     ),
     "drag_wrench_64": Scenario(
         *("DRAG WRENCH", 4096, 12600, Counts(240.3, 670), Counts(602.7, 1208)),
         Psnr(46.4, 36.2, 48.3),
-        _by_ratio(Psnr(45.4, 23.3, 54.8), Psnr(46.4, 29.8, 53.9), Psnr(48.3, 37.0, 53.2)),
-        _by_iterations(46.4, 53.9, 23.1, 29.3, 29.8),
-        _times(8.0, 17.0, 31.7),
+        (Psnr(45.4, 23.3, 54.8), Psnr(46.4, 29.8, 53.9), Psnr(48.3, 37.0, 53.2)),
+        *((23.1, 29.3, 29.8), (8.0, 17.0, 31.7)),
     ),
 }

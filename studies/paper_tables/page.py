@@ -17,6 +17,7 @@ from sparseskin.studies.report import (
     PALETTE,
     Chart,
     fill_page,
+    series_style,
     write_csv,
 )
 from sparseskin.studies.scene_frames import step_s
@@ -62,7 +63,9 @@ class Results:
     def ours(
         self, scene: str, ratio: int, iterations: int = 30, few: bool = False
     ) -> npt.NDArray[np.float64]:
-        """PSNR of each frame in dB."""
+        """PSNR of each frame in dB; ratio 1: of the noisy signal."""
+        if ratio == 1:
+            return np.array(self.scenes[scene]["noisy_db"])
         return np.array(self.psnr[scene, ratio, iterations, few])
 
     def counts(self, scene: str, key: str) -> npt.NDArray[np.int_]:
@@ -79,18 +82,7 @@ class Results:
 def write(
     out: Path, results: Results, lambdas_n: Sequence[float], highest_db: Highest, maps: Maps
 ) -> None:
-    """Write the tables as CSV, the charts and the page.
-
-    Parameters
-    ----------
-    out : Path
-    results : Results
-    lambdas_n : sequence of float
-    highest_db : mapping
-        Of an untouched skin, by (side, few_levels, ratio), in the order of lambdas_n.
-    maps : sequence of (title, frame, maps, psnr_db)
-        Of scene `MAPPED`.
-    """
+    """Write the tables as CSV, the charts and the page; `highest_db` in the order of lambdas_n."""
     tables = {
         "table_1": _steps(results),
         "table_2": _counts(results),
@@ -156,8 +148,11 @@ def _compared(what: str, paper: float, ours: float) -> Row:
     }
 
 
-def _psnr_cells(results: Results, scene: str, paper: Psnr, psnr: Sequence[float]) -> Row:
-    values = np.array(psnr)
+def _psnr_cells(
+    results: Results, scene: str, paper: Psnr, ratio: int, iterations: int = 30, few: bool = False
+) -> Row:
+    """Cells of our frames from M = N / ratio beside the paper's; ratio 1: of the noisy signal."""
+    values = results.ours(scene, ratio, iterations, few)
     return {
         **_compared("mean", paper.mean, float(values.mean())),
         **_compared("min", paper.low, float(values.min())),
@@ -168,25 +163,20 @@ def _psnr_cells(results: Results, scene: str, paper: Psnr, psnr: Sequence[float]
 
 def _noisy(results: Results) -> Iterator[Row]:
     for scene, paper in PAPER.items():
-        noisy = results.scenes[scene]["noisy_db"]
-        yield {"scenario": _name(scene), **_psnr_cells(results, scene, paper.noisy, noisy)}
+        yield {"scenario": _name(scene), **_psnr_cells(results, scene, paper.noisy, 1)}
 
 
 def _by_ratio(results: Results, few: bool) -> Iterator[Row]:
     for scene, paper in PAPER.items():
         for ratio in RATIOS:
-            cells = _psnr_cells(
-                *(results, scene, paper.by_ratio[ratio]), results.psnr[scene, ratio, 30, few]
-            )
+            cells = _psnr_cells(results, scene, paper.by_ratio[ratio], ratio, few=few)
             yield {"scenario": _name(scene), "M": paper.n // ratio, **cells}
 
 
 def _by_iterations(results: Results) -> Iterator[Row]:
     for scene, paper in PAPER.items():
         for k in ITERATIONS:
-            cells = _psnr_cells(
-                *(results, scene, paper.by_iterations[k]), results.psnr[scene, 3, k, False]
-            )
+            cells = _psnr_cells(results, scene, paper.by_iterations[k], 3, k)
             time_ms = results.times[scene, k]["mean_ms"]
             yield {
                 **{"scenario": _name(scene), "iterations": k},
@@ -212,7 +202,7 @@ def _upper_ends(side: int, ratio: int) -> list[float]:
     return [paper.by_ratio[ratio].high for paper in PAPER.values() if paper.n == side * side]
 
 
-def deviations_db(lambdas_n: Sequence[float], highest_db: Highest, few_levels: bool) -> list[float]:
+def deviations_db(highest_db: Highest, few_levels: bool) -> list[float]:
     """Deviation of an untouched skin's PSNR from the upper ends of the ranges in table III.
 
     Returns
@@ -222,84 +212,29 @@ def deviations_db(lambdas_n: Sequence[float], highest_db: Highest, few_levels: b
         but one Haar, of six levels.
     """
     kinds = [(40, few_levels), (64, True)]
-    return [
-        float(
-            np.sqrt(
-                np.mean(
-                    [
-                        (highest_db[side, few, ratio][k] - np.mean(_upper_ends(side, ratio))) ** 2
-                        for side, few in kinds
-                        for ratio in RATIOS
-                    ]
-                )
-            )
-        )
-        for k, _ in enumerate(lambdas_n)
+    off_db = [
+        np.array(highest_db[side, few, ratio]) - np.mean(_upper_ends(side, ratio))
+        for side, few in kinds
+        for ratio in RATIOS
     ]
+    return [float(one) for one in np.sqrt(np.mean(np.square(off_db), axis=0))]
 
 
 def _reasons(results: Results, lambdas_n: Sequence[float], highest_db: Highest) -> dict[str, Any]:
-    """Figures and functions of the section that says what differs from the paper, and why."""
-
-    def means(scene: str, few: bool, contact: bool = False) -> str:
-        """Our mean PSNR for N/4, N/3 and N/2."""
-        frames = results.contact(scene) if contact else slice(None)
-        found = [results.ours(scene, ratio, few=few)[frames].mean() for ratio in RATIOS]
-        return ", ".join(f"{mean:.1f}" for mean in found)
-
-    def papers(scene: str) -> str:
-        return ", ".join(f"{PAPER[scene].by_ratio[ratio].mean}" for ratio in RATIOS)
-
-    def difference(scene: str, ratio: int, few: bool = False) -> float:
-        """Ours less the paper's mean, dB."""
-        return float(results.ours(scene, ratio, few=few).mean() - PAPER[scene].by_ratio[ratio].mean)
-
-    def in_contact(scene: str, key: str) -> float:
-        """Mean number of coefficients over the contact frames."""
-        return float(results.counts(scene, key)[results.contact(scene)].mean())
-
-    def noisy_gap(low: bool) -> str:
-        """Ours less the paper's minimum or mean, least and most over the scenarios."""
-        noisy = {scene: figures["noisy_db"] for scene, figures in results.scenes.items()}
-        gaps = [
-            min(ours) - PAPER[scene].noisy.low
-            if low
-            else float(np.mean(ours)) - PAPER[scene].noisy.mean
-            for scene, ours in noisy.items()
-        ]
-        return f"{min(gaps):.1f} to {max(gaps):.1f}"
-
-    def busy_frames(scene: str) -> float:
-        """Mean PSNR of frames with more D2 coefficients than the paper's mean; or of all."""
-        busy = results.counts(scene, "d2") > PAPER[scene].d2.mean
-        return float(results.ours(scene, 3)[busy if busy.any() else ~busy].mean())
-
-    spreads = [
+    """Figures of the section on differences from the paper and their causes."""
+    few, every = (deviations_db(highest_db, few_levels=few) for few in (True, False))
+    best, best_every = int(np.argmin(few)), int(np.argmin(every))
+    spreads_db = [
         np.ptp([results.ours(scene, 3, iterations).mean() for iterations in ITERATIONS])
         for scene in PAPER
     ]
-    worst_places = [
-        f"{np.argmin(results.ours(scene, 3)) - np.argmax(results.contact(scene))} in "
-        f"{paper.title} ({paper.n})"
-        for scene, paper in PAPER.items()
-    ]
-    few, every = (deviations_db(lambdas_n, highest_db, few_levels=few) for few in (True, False))
-    speedups = [
-        PAPER[scene].time_ms[k] / figures["mean_ms"]
-        for (scene, k), figures in results.times.items()
-    ]
-    best, best_every = int(np.argmin(few)), int(np.argmin(every))
+    speedups = [PAPER[scene].time_ms[k] / of["mean_ms"] for (scene, k), of in results.times.items()]
     return {
-        **{"paper": PAPER, "means": means, "papers": papers, "difference": difference},
-        **{"in_contact": in_contact, "noisy_gap": noisy_gap, "busy_frames": busy_frames},
-        "share": lambda scene: results.contact(scene).mean(),
-        "mean_count": lambda scene: np.mean(results.counts(scene, "d2")),
-        "shifted": {scene: results.scenes[scene]["d2_shifted"] for scene in PAPER},
+        **{"paper": PAPER, "results": results, "ratios": RATIOS},
         **{"lambda_n": lambdas_n[best], "preset_lambda_n": lambdas_n[0]},
         **{"best_db": few[best], "preset_db": few[0]},
         **{"lambda_every_n": lambdas_n[best_every], "best_every_db": every[best_every]},
-        **{"spread_db": max(spreads), "worst_places": ", ".join(worst_places)},
-        **{"least_speedup": min(speedups), "most_speedup": max(speedups)},
+        **{"spread_db": max(spreads_db), "speedups": speedups},
     }
 
 
@@ -337,7 +272,7 @@ def _draw_sequences(out: Path, results: Results) -> dict[str, str]:
             "first contact": max(0, int(np.argmax(contact)) - 50),
         }
         series = {label: results.ours(scene, *how) for label, how in settings.items()}
-        series["noisy"] = np.array(figures["noisy_db"])
+        series["noisy"] = results.ours(scene, 1)
         caption = f"PSNR over time, {PAPER[scene].title} 64 x 64, preset paper"
         with Chart(out, name, caption, len(begins), len(begins), size_in=(9.0, 4.2)) as chart:
             for axes, (title, begin) in zip(chart.panels, begins.items(), strict=True):
@@ -388,9 +323,7 @@ def _draw_untouched(out: Path, lambdas_n: Sequence[float], highest_db: Highest) 
                 axes.plot(
                     *(lambdas_n, np.clip(highest_db[(*kind, ratio)], 0, 72)),
                     label=f"ours, M = N/{ratio}",
-                    color=PALETTE[k],
-                    linestyle=LINES[k],
-                    marker=MARKERS[k],
+                    **series_style(k),
                 )
                 ends = _upper_ends(kind[0], ratio)
                 band: Row = {"color": PALETTE[k], "alpha": 0.25, "label": f"paper, M = N/{ratio}"}

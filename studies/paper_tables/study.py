@@ -12,7 +12,7 @@ from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.studies.evaluate import Method, evaluate, in_contact, make_method
-from sparseskin.studies.points import compute
+from sparseskin.studies.points import compute, compute_rows
 from sparseskin.studies.scene_frames import f_max_of, first_contact, scene_frames, shape_of
 
 from .numbers import ITERATIONS, PAPER, RATIOS
@@ -22,6 +22,9 @@ PAPER_LAMBDA_N = 0.1 / 32
 #: Where the highest PSNR of an untouched skin fits the paper's best: see the chart `untouched`.
 FITTED_LAMBDA_N = 0.009
 LAMBDAS_N = (0.003125, 0.0045, 0.00625, 0.009, 0.0125, 0.018, 0.025)
+#: Part of a point: the paper's method at M = N/3.
+PAPER_POINT = {"ratio": 3, "lambda_n": PAPER_LAMBDA_N, "few_levels": False}
+#: N / M and iterations.
 SETTINGS = ((4, 30), (3, 30), (2, 30), (3, 10), (3, 20))
 #: Below this a coefficient is the rounding of float32 forces of 2.5 N, newtons.
 ROUNDING_N = 1e-6
@@ -37,50 +40,34 @@ Point = dict[str, Any]
 
 
 def run(out: Path, quick: bool, seed: int, executor: str) -> None:
-    """Compute the tables and write the page.
+    """Compute the tables and write the page; see `command.Study`.
 
-    Parameters
-    ----------
-    out : Path
-        Folder to write to, which exists.
-    quick : bool
-        Only 200 frames around the first contact of each scene.
-    seed : int
-        Of noise, Phi and the peg's path.
-    executor : str
-        Executor of the points; solve times are measured on this host, one by one.
+    Solve times are measured on this host, one by one, whatever the executor.
     """
     base: dict[str, Any] = {"seed": seed, "quick": quick}
-    scenes = list(PAPER)
-    figures = compute(
-        scene_figures, [{"scene": scene, **base} for scene in scenes], out, executor, "scenes"
-    )
-    points = []
-    for scene in scenes:
+    by_scene = [{"scene": scene, **base} for scene in PAPER]
+    figures = compute(scene_figures, by_scene, out, executor, "scenes")
+    points: list[Point] = [
+        {**point, "ratio": ratio, "iterations": k, "lambda_n": lambda_n, "few_levels": few}
+        for point in by_scene
         for lambda_n, few, settings in (
             (PAPER_LAMBDA_N, False, SETTINGS),
             (FITTED_LAMBDA_N, True, SETTINGS[:3]),
-        ):
-            for ratio, iterations in settings:
-                how = {"ratio": ratio, "iterations": iterations, "lambda_n": lambda_n}
-                points.append({"scene": scene, **how, "few_levels": few, **base})
-    psnr = compute(reconstructed, points, out, executor, "PSNR")
+        )
+        for ratio, k in settings
+    ]
+    psnr = compute_rows(reconstructed, points, out, executor, "PSNR")
+    keys = ("scene", "ratio", "iterations", "few_levels")
     results = Results(
         quick=quick,
-        scenes={scene: figures[k] for k, scene in enumerate(scenes)},
-        psnr={
-            (p["scene"], p["ratio"], p["iterations"], p["few_levels"]): f["psnr_db"]
-            for p, f in zip(points, psnr, strict=True)
-        },
+        scenes=dict(zip(PAPER, figures, strict=True)),
+        psnr={tuple(row[key] for key in keys): row["psnr_db"] for row in psnr},
         times=_times(out, quick, seed),
     )
     lambdas, highest = _untouched(out, quick, seed, executor)
     chosen = results.chosen_frames(MAPPED)
     frames = sorted(chosen.values())
-    point = {
-        **{"scene": MAPPED, "seed": seed, "ratio": 3, "iterations": 20},
-        **{"lambda_n": PAPER_LAMBDA_N, "few_levels": False, "frames": frames},
-    }
+    point = {"scene": MAPPED, "iterations": 20, **PAPER_POINT, "seed": seed, "frames": frames}
     (found,) = compute(frame_maps, [point], out, executor, "maps")
     maps = [
         (title, frame, found["maps"][frames.index(frame)], found["psnr_db"][frames.index(frame)])
@@ -91,14 +78,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
 
 def _times(out: Path, quick: bool, seed: int) -> dict[tuple[str, int], dict[str, float]]:
     keys = [(scene, iterations) for scene in PAPER for iterations in ITERATIONS]
-    points = [
-        {
-            **{"scene": scene, "seed": seed, "ratio": 3, "iterations": iterations},
-            **{"lambda_n": PAPER_LAMBDA_N, "few_levels": False},
-            "n_frames": 100 if quick else 1000,
-        }
-        for scene, iterations in keys
-    ]
+    common = {**PAPER_POINT, "seed": seed, "n_frames": 100 if quick else 1000}
+    points = [{"scene": scene, "iterations": k, **common} for scene, k in keys]
     times = compute(solve_times, points, out, "process:1", "solve times")
     return dict(zip(keys, times, strict=True))
 
@@ -107,16 +88,10 @@ def _untouched(
     out: Path, quick: bool, seed: int, executor: str
 ) -> tuple[tuple[float, ...], dict[tuple[int, bool, int], list[float]]]:
     lambdas = LAMBDAS_N[::2] if quick else LAMBDAS_N
-    kinds = [
-        (side, few, ratio)
-        for side, few in ((40, False), (40, True), (64, True))
-        for ratio in RATIOS
-    ]
+    kinds = [(*of, ratio) for of in ((40, False), (40, True), (64, True)) for ratio in RATIOS]
+    common = {"seed": seed, "n_frames": 60 if quick else 500}
     points = [
-        {
-            **{"side": side, "few_levels": few, "ratio": ratio, "lambda_n": lambda_n},
-            **{"seed": seed, "n_frames": 60 if quick else 500},
-        }
+        {"side": side, "few_levels": few, "ratio": ratio, "lambda_n": lambda_n, **common}
         for side, few, ratio in kinds
         for lambda_n in lambdas
     ]
@@ -135,10 +110,7 @@ def window(point: Point) -> tuple[int, int | None]:
 def scene_figures(point: Point) -> dict[str, Any]:
     """A scene without compression: frame by frame its noise and its wavelet coefficients.
 
-    Parameters
-    ----------
-    point : dict
-        scene, seed, quick.
+    `point`: scene, seed, quick.
 
     Returns
     -------
@@ -149,7 +121,6 @@ def scene_figures(point: Point) -> dict[str, Any]:
     """
     first, stop = window(point)
     f_max, side = f_max_of(point["scene"]), shape_of(point["scene"])[0]
-    figures: dict[str, Any] = {"first": first}
     per_frame: dict[str, list[Any]] = {
         key: [] for key in ("noisy_db", "contact", "d2", "d4", "d2_exact", "d4_exact")
     }
@@ -166,8 +137,8 @@ def scene_figures(point: Point) -> dict[str, Any]:
             moved = [np.roll(truth, (k, k), axis=(0, 1)) for k in range(8)]
             sizes_of = [_coefficients(image, "db1", LEVELS[side]) for image in moved]
             shifted.append([int(np.count_nonzero(s > ROUNDING_N)) for s in sizes_of])
-    figures["d2_shifted"] = np.mean(shifted, axis=0).round(1).tolist() if shifted else []
-    return figures | per_frame
+    mean_shifted = np.mean(shifted, axis=0).round(1).tolist() if shifted else []
+    return {"first": first, "d2_shifted": mean_shifted, **per_frame}
 
 
 def _coefficients(image: Any, wavelet: str, levels: int) -> Any:
@@ -181,11 +152,8 @@ def _coefficients(image: Any, wavelet: str, levels: int) -> Any:
 def reconstructed(point: Point) -> dict[str, Any]:
     """Reconstruct a scene from its measurements.
 
-    Parameters
-    ----------
-    point : dict
-        scene, seed, quick; ratio (N/M), iterations, lambda_n, few_levels (true if the basis
-        stops where a side gets odd).
+    `point`: scene, seed, quick; ratio (N/M), iterations, lambda_n, few_levels (true if the basis
+    stops where a side gets odd).
 
     Returns
     -------
@@ -210,10 +178,7 @@ def method_of(point: Point) -> Method:
 def solve_times(point: Point) -> dict[str, Any]:
     """Time the solver on the frames from the first contact on.
 
-    Parameters
-    ----------
-    point : dict
-        As in `reconstructed`, and n_frames.
+    `point`: As in `reconstructed`, and n_frames.
 
     Returns
     -------
@@ -233,10 +198,7 @@ def solve_times(point: Point) -> dict[str, Any]:
 def frame_maps(point: Point) -> dict[str, Any]:
     """Reconstruct maps of some frames, as part of their sequence.
 
-    Parameters
-    ----------
-    point : dict
-        As in `reconstructed`, without quick, and frames: numbers of frames, ascending.
+    `point`: As in `reconstructed`, without quick, and frames: numbers of frames, ascending.
 
     Returns
     -------
@@ -261,10 +223,7 @@ def frame_maps(point: Point) -> dict[str, Any]:
 def untouched(point: Point) -> dict[str, Any]:
     """Highest PSNR of a reconstructed untouched skin.
 
-    Parameters
-    ----------
-    point : dict
-        side, seed, ratio, lambda_n, few_levels, n_frames.
+    `point`: side, seed, ratio, lambda_n, few_levels, n_frames.
 
     Returns
     -------
