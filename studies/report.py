@@ -204,6 +204,23 @@ def markdown(frame: pd.DataFrame, formats: Mapping[str, str] | str = "") -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
+def frame_of(
+    points: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, Any]], by: str = ""
+) -> pd.DataFrame:
+    """Points with their figures as a data frame.
+
+    A row a point; with `by`, a row for each name in the figures, which becomes that column.
+    """
+    rows: list[dict[str, Any]] = []
+    for point, figures in zip(points, found, strict=True):
+        of_point = {key: value for key, value in figures.items() if not isinstance(value, dict)}
+        named = figures.get("methods", figures) if by else {"": {}}
+        rows += [
+            {**point, **of_point, **({by: name} if by else {}), **of} for name, of in named.items()
+        ]
+    return pd.DataFrame(rows)
+
+
 def cells(frame: pd.DataFrame, text: str) -> list[str]:
     """Format each row of a frame, as in `cells(frame, "{mean_db:.1f} ({min_db:.1f})")`."""
     return [text.format(**row) for row in frame.to_dict("records")]
@@ -234,7 +251,7 @@ def write_csv(out: Path, name: str, rows: Rows) -> str:
     return f"[{path.name}]({path.name})"
 
 
-def fill_page(out: Path, name: str, template: Path, **values: Any) -> Path:
+def fill_page(out: Path, name: str, template: Path | None = None, **values: Any) -> Path:
     """Fill a template and write it as the study's page `name.md`.
 
     Parameters
@@ -243,8 +260,9 @@ def fill_page(out: Path, name: str, template: Path, **values: Any) -> Path:
         Folder of the study.
     name : str
         Name of the page.
-    template : Path
-        Markdown with Jinja2 expressions; `x|f(".1f")` formats a number as Python does.
+    template : Path, optional
+        Markdown with Jinja2 expressions; `x|f(".1f")` formats a number as Python does. By
+        default `page.md` in the folder of the study of that name.
     **values
         What the expressions name; a data frame is shown as a table.
 
@@ -265,6 +283,7 @@ def fill_page(out: Path, name: str, template: Path, **values: Any) -> Path:
     )
     environment.filters["f"] = format
     path = out / f"{name}.md"
+    template = template or Path(__file__).parent / name.replace("-", "_") / "page.md"
     text = environment.from_string(template.read_text(encoding="utf-8")).render(values)
     try:
         path.write_text(text, encoding="utf-8")

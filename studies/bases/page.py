@@ -80,7 +80,8 @@ def write(
     means = sampled.groupby(["ratio", "sampling"], sort=False)["mean_db"].mean().unstack(sort=False)
     by_sampling = sampled.pivot(index=["ratio", "scene"], columns="sampling", values="mean_db")
     fill_page(
-        *(out, "bases", Path(__file__).with_name("page.md")),
+        out,
+        "bases",
         fewer=n_nonzero["haar"] < n_nonzero["db2"],
         times=(n_nonzero["db2"] / n_nonzero["haar"]).mean(),
         ranked={

@@ -143,7 +143,6 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     fill_page(
         out,
         "endurance",
-        Path(__file__).with_name("page.md"),
         scenes=SCENES,
         lost=LOST,
         table=pd.DataFrame(rows),

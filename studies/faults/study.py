@@ -110,7 +110,6 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     fill_page(
         out,
         "faults",
-        Path(__file__).with_name("page.md"),
         rate_hz=RATE_HZ,
         stop_s=STOP_S,
         quick=quick,

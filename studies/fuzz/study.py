@@ -50,7 +50,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         for code in sorted({code for found in files for code in found["codes"]})
     }
     fill_page(
-        *(out, "fuzz", Path(__file__).with_name("page.md")),
+        out,
+        "fuzz",
         n_sound=fuzz_nodes.N_SOUND,
         table=pd.DataFrame(rows, dtype=object),
         n_files=sum(point["n"] for point in lots),

@@ -176,7 +176,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         table[stage] = frame[f"p50 {stage}_ms"].map("{:.3f}".format)
     busiest = max(figures["others"] for figures in found)
     fill_page(
-        *(out, "latency", Path(__file__).with_name("page.md")),
+        out,
+        "latency",
         warm_up=WARM_UP,
         cores=len(os.sched_getaffinity(0)),
         busiest=busiest if busiest > QUIET else None,

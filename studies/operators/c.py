@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -35,11 +36,6 @@ class CFloor:
     levels : int
         Halvings of the Haar basis for FISTA.
 
-    Attributes
-    ----------
-    vectors : list of ndarray, shape (n,)
-        Inputs and outputs of the iterations, float32 and uint32.
-
     Raises
     ------
     OSError, subprocess.CalledProcessError
@@ -56,37 +52,27 @@ class CFloor:
             subprocess.run(command, check=True, capture_output=True, timeout=120)
             self._library = ctypes.CDLL(str(library))
         rng = np.random.default_rng(0)
+        #: Inputs and outputs of the iterations, float32 and uint32, of shape (n,).
         self.vectors: list[npt.NDArray[Any]] = []
 
         def pointer(vector: npt.NDArray[Any]) -> Any:
             self.vectors.append(vector)
             return vector.ctypes.data_as(ctypes.c_void_p)
 
-        def random() -> Any:
-            return pointer(rng.random(n, dtype=np.float32))
+        def random(k: int) -> list[Any]:
+            return [pointer(rng.random(n, dtype=np.float32)) for _ in range(k)]
 
-        def constant(value: float) -> Any:
-            return pointer(np.full(n, value, np.float32))
-
-        def places() -> Any:
-            return pointer(rng.permutation(n).astype(np.uint32))
+        def places(k: int) -> list[Any]:
+            return [pointer(rng.permutation(n).astype(np.uint32)) for _ in range(k)]
 
         number, size, depth = ctypes.c_float, ctypes.c_long(n), ctypes.c_long(levels)
         # Weights, kept rows and measured rows that let nothing grow.
-        weights, keep, measured = constant(4.0**-levels), constant(1 / 32), constant(32**-0.5)
-        self._fista = (
-            *(random(), random(), number(0.5), weights, random(), random(), random(), places()),
-            *(keep, random(), size, depth),
+        weights, keep, measured = (
+            pointer(np.full(n, value, np.float32)) for value in (4.0**-levels, 1 / 32, 32**-0.5)
         )
-        self._skin = (
-            *(random(), random(), random(), random(), random(), places(), places(), random()),
-            *(random(), measured, number(0.03), number(0.01), size),
-        )
-
-    def fista(self) -> None:
+        fista = (*random(2), number(0.5), weights, *random(3), *places(1), keep, *random(1))
+        skin = (*random(5), *places(2), *random(2), measured, number(0.03), number(0.01))
+        self.fista = partial(self._library.fista, *fista, size, depth)
         """Do one iteration of FISTA."""
-        self._library.fista(*self._fista)
-
-    def skin(self) -> None:
+        self.skin = partial(self._library.skin, *skin, size)
         """Do one iteration of `skin`."""
-        self._library.skin(*self._skin)

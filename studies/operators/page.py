@@ -19,19 +19,14 @@ LOGARITHMIC = {"xscale": "log", "yscale": "log", "xlabel": "taxels N"}
 def write(
     out: Path, operators: pd.DataFrame, solvers: pd.DataFrame, left_out: Sequence[str], quick: bool
 ) -> None:
-    """Write tables, charts and the page `operators.md` into a folder.
+    """Write tables, charts and the page into a folder.
 
-    Parameters
-    ----------
-    out : Path
-    operators, solvers : DataFrame
-        Rows of `time_operators` and of `time_solvers`.
-    left_out : sequence of str
-        Libraries that are not timed, and why.
-    quick : bool
+    Operators and solvers are rows of `time_operators` and of `time_solvers`; left_out, libraries
+    that are not timed, and why.
     """
     fill_page(
-        *(out, "operators", Path(__file__).with_name("page.md")),
+        out,
+        "operators",
         quick=quick,
         left_out=left_out,
         operators_chart=_draw_operators(out, operators),

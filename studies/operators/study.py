@@ -24,7 +24,7 @@ from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 from sparseskin.nodes.reconstructor.bases.shifted_haar import ShiftedHaar
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.studies.points import compute
+from sparseskin.studies.points import Function, compute
 
 from .c import CFloor, c_compiler
 from .page import NUMBA, NUMPY, C, write
@@ -47,18 +47,9 @@ PRODUCT_SIDE = 256
 
 
 def run(out: Path, quick: bool, seed: int, executor: str) -> None:
-    """Time what is not known yet, and write tables, charts and the page `operators.md`.
+    """Time what is not known yet, and write the page; see `command.Study`.
 
-    Parameters
-    ----------
-    out : Path
-        Folder to write to, which exists.
-    quick : bool
-        Two small sizes, and fewer windows and frames.
-    seed : int
-        Of Phi and of the frames.
-    executor : str
-        Not used: all is timed on this host, one point at a time.
+    `executor` is not used: all is timed on this host, one point at a time.
     """
     absent = missing_peers()
     left_out = [f"{peer} is not installed (pip install 'sparseskin[peers]')" for peer in absent]
@@ -73,9 +64,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     common = {"seed": seed, "windows": QUICK_WINDOWS if quick else WINDOWS}
     n_frames = 100 if quick else 1000
 
-    def rows_of(
-        timed: Callable[..., Any], label: str, points: list[dict[str, Any]]
-    ) -> pd.DataFrame:
+    def rows_of(timed: Function, label: str, points: list[dict[str, Any]]) -> pd.DataFrame:
         found = compute(timed, points, out, TIMED_ON, label)
         return pd.DataFrame([row for figures in found for row in figures["rows"]])
 
@@ -131,10 +120,7 @@ def measured_speeds(n: int, windows: int) -> tuple[float, float]:
 def time_operators(point: dict[str, Any]) -> dict[str, Any]:
     """Time all operators of one size, in all ways, one after the other in one process.
 
-    Parameters
-    ----------
-    point : dict
-        side of the skin, batch, seed, windows, peers.
+    `point`: side of the skin, batch, seed, windows, peers.
 
     Returns
     -------
@@ -200,23 +186,17 @@ def _numpy_calls(phi: SbhePhi, basis: HaarBasis, frames: Floats) -> Calls:
     return {
         FORWARD: {1: partial(phi.forward, x[0], y[0]), k: partial(phi.forward, x, y)},
         ADJOINT: {1: partial(phi.adjoint, y[0], back[0]), k: partial(phi.adjoint, y, back)},
-        ANALYSIS: {
-            1: partial(basis.analysis, frames[0], thetas[0]),
-            k: partial(basis.analysis, frames, thetas),
-        },
-        SYNTHESIS: {
-            1: partial(basis.synthesis, frames[0], thetas[0]),
-            k: partial(basis.synthesis, frames, thetas),
+        **{
+            name: {1: partial(apply, frames[0], thetas[0]), k: partial(apply, frames, thetas)}
+            for name, apply in ((ANALYSIS, basis.analysis), (SYNTHESIS, basis.synthesis))
         },
         SHRINK: {1: partial(run_calls, shrink)},
     }
 
 
 def _shifted(basis: HaarBasis) -> ShiftedHaar:
-    n = basis.n_rows * basis.n_cols
-    return ShiftedHaar(
-        (basis.n_rows, basis.n_cols), np.arange(n).reshape(basis.n_rows, basis.n_cols), n
-    )
+    shape = (basis.n_rows, basis.n_cols)
+    return ShiftedHaar(shape, np.arange(math.prod(shape)).reshape(shape), math.prod(shape))
 
 
 def _numba_calls(phi: SbhePhi, basis: HaarBasis, frames: Floats) -> Calls:
@@ -230,25 +210,25 @@ def _numba_calls(phi: SbhePhi, basis: HaarBasis, frames: Floats) -> Calls:
     y = sbhe.forward(x, np.empty((k, phi.m), np.float32))
     ready(shrink_tiled)
     canvas = np.zeros(_shifted(basis).size, np.float32)
-    calls: Calls = {SHRINK: {1: partial(shrink_tiled, canvas, 0.01)}}
-    todo: dict[str, tuple[Callable[..., object], Floats, Floats]] = {
+    applied: dict[str, tuple[Callable[..., object], Floats, Floats]] = {
         FORWARD: (sbhe.forward, x, y),
         ADJOINT: (sbhe.adjoint, y, back),
         ANALYSIS: (haar.analysis, x, back),
         SYNTHESIS: (haar.synthesis, x, back),
     }
-    for operator, (apply, given, out) in todo.items():
-        calls[operator] = {1: partial(apply, given[:1], out[:1]), k: partial(apply, given, out)}
-    return calls
+    return {
+        SHRINK: {1: partial(shrink_tiled, canvas, 0.01)},
+        **{
+            operator: {1: partial(apply, given[:1], out[:1]), k: partial(apply, given, out)}
+            for operator, (apply, given, out) in applied.items()
+        },
+    }
 
 
 def time_solvers(point: dict[str, Any]) -> dict[str, Any]:
     """Time whole frames, and single iterations beside the same in C.
 
-    Parameters
-    ----------
-    point : dict
-        side of the skin, seed, windows, n_frames.
+    `point`: side of the skin, seed, windows, n_frames.
 
     Returns
     -------
@@ -261,17 +241,13 @@ def time_solvers(point: dict[str, Any]) -> dict[str, Any]:
     ways = [NUMPY, NUMBA] if has_numba() else [NUMPY]
     rows = []
     for name, settings in (("skin", {}), ("fista", {"iterations": 20})):
-        rows += [{**_frames(name, way, point, settings)} for way in ways]
+        rows += [_frames(name, way, point, settings) for way in ways]
         if c_compiler() is not None:
-            levels = (side & -side).bit_length() - 1
-            floor = CFloor(side * side, levels)
-            rows.append(
-                {
-                    **{"solver": name, "way": C, "n": side * side},
-                    **{"frame_ms": None, "p99_ms": None, "iterations": None},
-                    "iteration_us": round(median_us(getattr(floor, name), point["windows"]), 3),
-                }
-            )
+            floor = CFloor(side * side, levels=(side & -side).bit_length() - 1)
+            iteration_us = round(median_us(getattr(floor, name), point["windows"]), 3)
+            figures = dict.fromkeys(("frame_ms", "p99_ms", "iterations"))
+            row = {"solver": name, "way": C, "n": side * side, **figures}
+            rows.append({**row, "iteration_us": iteration_us})
     return {"rows": rows}
 
 

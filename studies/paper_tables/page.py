@@ -96,7 +96,6 @@ def write(
     fill_page(
         out,
         "paper-tables",
-        Path(__file__).with_name("page.md"),
         quick=results.quick,
         csv={name: write_csv(out, name, frame) for name, frame in frames.items()},
         **frames,

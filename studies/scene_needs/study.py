@@ -52,7 +52,6 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     fill_page(
         out,
         "scene-needs",
-        Path(__file__).with_name("page.md"),
         quick=quick,
         quick_steps=QUICK_STEPS,
         chart=_chart(out, frame),

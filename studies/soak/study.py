@@ -152,7 +152,8 @@ def run(out: Path, quick: bool, seed: int, executor: str, minutes: float | None 
         for k, time_s in enumerate(samples["time_s"])
     ]
     fill_page(
-        *(out, "soak", Path(__file__).with_name("page.md")),
+        out,
+        "soak",
         rate_hz=RATE_HZ,
         side=SIDE,
         minutes=minutes,

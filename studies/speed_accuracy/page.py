@@ -79,7 +79,6 @@ def write(out: Path, results: Results, absent: Sequence[str], quick: bool) -> No
     fill_page(
         out,
         "speed-accuracy",
-        Path(__file__).with_name("page.md"),
         quick=quick,
         centre_ratio=CENTRE_RATIO,
         variants=variants(),

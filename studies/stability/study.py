@@ -25,7 +25,6 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     fill_page(
         out,
         "stability",
-        Path(__file__).with_name("page.md"),
         quick=quick,
         lambdas_n=LAMBDAS_N,
         min_iterations=MIN_ITERATIONS,

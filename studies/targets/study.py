@@ -32,6 +32,7 @@ from sparseskin.studies.evaluate import (
     phis_at,
 )
 from sparseskin.studies.points import Function, StudyError, compute
+from sparseskin.studies.report import frame_of
 from sparseskin.studies.scene_frames import first_contact, scene_frames
 from sparseskin.studies.speed_accuracy.peers import PEERS, PYLOPS, Bpdn, missing_peers
 
@@ -95,23 +96,23 @@ def run(out: Path, quick: bool, seed: int, executor: str, recordings: Path | Non
         for side in (40, 64)
         for solver in ("paper", "skin", "skin, rotating")
     ]
-    banding = of_skin(
-        scenes,
-        [(ratio, rows) for rows in (FIXED, ROTATING) for ratio in (3, 4, 8)],
-        QUICK_FRAMES if quick else BAND_FRAMES,
-        seed,
-    )
+
+    def of_skin(sampled: Sequence[tuple[int, str]], n_frames: int) -> list[Point]:
+        """Points of "skin" alone: each scene at each ratio N / M and kind of rows."""
+        common = {"n_frames": QUICK_FRAMES if quick else n_frames, "seed": seed}
+        return [
+            {"scene": scene, "ratio": ratio, "rows": kind, **common}
+            for scene in scenes
+            for ratio, kind in sampled
+        ]
+
+    banding = of_skin([(n, kind) for kind in (FIXED, ROTATING) for n in (3, 4, 8)], BAND_FRAMES)
+    ablating = of_skin([(3, FIXED), (8, FIXED), (8, ROTATING)], ABLATION_FRAMES)
     recording = [
         {"path": str(path), "ratio": ratio, "solver": solver, "seed": seed}
         for path in files
         for solver, ratio in RECORDED
     ]
-    ablating = of_skin(
-        scenes,
-        [(3, FIXED), (8, FIXED), (8, ROTATING)],
-        QUICK_FRAMES if quick else ABLATION_FRAMES,
-        seed,
-    )
 
     def rows(function: Function, points: list[Point], label: str, by: str = "") -> pd.DataFrame:
         """A row a point; or a row a name, where figures are by name in `by` or at the top."""
@@ -126,35 +127,6 @@ def run(out: Path, quick: bool, seed: int, executor: str, recordings: Path | Non
         recorded=rows(recorded, recording, "recordings"),
         ablated=rows(ablated, ablating, "ablation", "without"),
     )
-
-
-def frame_of(
-    points: Sequence[Point], found: Sequence[dict[str, Any]], by: str = ""
-) -> pd.DataFrame:
-    """Points with their figures as a data frame.
-
-    A row a point; with `by`, a row for each name in the figures, which becomes that column.
-    """
-    rows = []
-    for point, figures in zip(points, found, strict=True):
-        of_point = {key: value for key, value in figures.items() if not isinstance(value, dict)}
-        named = figures.get("methods", figures)
-        if by:
-            rows += [{**point, **of_point, by: name, **of} for name, of in named.items()]
-        else:
-            rows.append({**point, **of_point})
-    return pd.DataFrame(rows)
-
-
-def of_skin(
-    scenes: Sequence[str], sampled: Sequence[tuple[int, str]], n_frames: int, seed: int
-) -> list[Point]:
-    """Points of the solver "skin" alone: each scene at each ratio N / M and kind of rows."""
-    return [
-        {"scene": scene, "ratio": ratio, "rows": rows, "n_frames": n_frames, "seed": seed}
-        for scene in scenes
-        for ratio, rows in sampled
-    ]
 
 
 def recordings_in(folder: Path | None) -> list[Path]:

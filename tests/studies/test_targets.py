@@ -11,6 +11,7 @@ import pytest
 from sparseskin.launch.commands.cli import main
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.studies.points import StudyError
+from sparseskin.studies.report import frame_of
 from sparseskin.studies.targets.ablation import WITHOUT
 from sparseskin.studies.targets.page import HELD, METHODS, write
 from sparseskin.studies.targets.scenes import KINDS, random_scene, side_of
@@ -19,7 +20,6 @@ from sparseskin.studies.targets.study import (
     SOLVERS,
     ablated,
     banded,
-    frame_of,
     reconstructed,
     recorded,
     recordings_in,
