@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib.util import find_spec
 
 
 def main() -> int:
     """Run the command; return its exit code."""
     try:
+        keep_bytecode()
         if sys.argv[1:2] == ["study"]:
             # Read as numpy is imported: the times that a study reports are those of one core.
             os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -27,6 +29,26 @@ def main() -> int:
         if not isinstance(error, BrokenPipeError) and sys.stderr is not None:
             print(f"sparseskin: {error.strerror}", file=sys.stderr)
         return 1
+
+
+def keep_bytecode() -> None:
+    """Store bytecode in the user's cache folder, for this process and those that it starts, where
+    modules have none and PYTHONDONTWRITEBYTECODE keeps them from getting any.
+
+    Each process of a graph would compile the same hundreds of modules again, for 1 to 2 s.
+    """
+    if not sys.dont_write_bytecode or sys.pycache_prefix:
+        return
+    stored = [
+        spec.cached
+        for name in ("numpy", "sparseskin.launch.commands.cli")
+        if (spec := find_spec(name))
+    ]
+    if not all(path and os.path.exists(path) for path in stored):
+        cache_home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+        sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = f"{cache_home}/sparseskin/bytecode"
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+        sys.dont_write_bytecode = False
 
 
 if __name__ == "__main__":

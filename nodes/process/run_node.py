@@ -6,21 +6,23 @@ writers), "start" (all nodes are ready), "stop".
 
 from __future__ import annotations
 
+import gc
 import os
 import select
 import sys
 
-import zmq
-
-from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.lookup import one_line, trace_of
-
-from .control import Control, watch_parent
-from .runner import EXIT_CRASH, EXIT_USAGE, POLL_MS, Runner
-
 
 def main() -> int:
     """Entry point of a node process."""
+    gc.disable()  # until the node has started: what is imported stays anyway
+    import zmq
+
+    from sparseskin.nodes.errors import SparseskinError
+    from sparseskin.nodes.lookup import one_line, trace_of
+
+    from .control import Control, watch_parent
+    from .runner import EXIT_CRASH, EXIT_USAGE, POLL_MS, Runner
+
     control = Control()
     watch_parent()
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import secrets
 import signal
@@ -102,6 +103,9 @@ class Runner:
         signal.signal(signal.SIGTERM, self._on_terminate)
         self.control.emit("bound", endpoint=self.writer.endpoint)
         self._publish(self.host.start())
+        # Modules and compiled loops are half a million objects, which no collection need visit.
+        gc.freeze()
+        gc.enable()
         while not (self.stopping or self.control.closed):
             self._wait()
             self._execute_commands()

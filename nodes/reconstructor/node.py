@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Iterable, Iterator
@@ -23,7 +24,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.acts import follow
 from sparseskin.nodes.compressor.phi.base import KINDS, Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
-from sparseskin.nodes.errors import PhiError, RefusedError, SolverError
+from sparseskin.nodes.errors import PhiError, RefusedError, SolverError, SparseskinError
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.warm_up import compile_loops
@@ -31,7 +32,7 @@ from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
 from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED, Uncertainty
 from sparseskin.nodes.reconstructor.faults.watch import FaultWatch
-from sparseskin.nodes.reconstructor.solvers.base import Solver
+from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
 from sparseskin.nodes.reconstructor.solvers.row_subsets import make_rotating_solver
 
 from .limits import OWN_BASIS, check_lambda, check_phi, reconstruction_warnings
@@ -50,6 +51,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         super().__init__(settings, context)
         settings.check()
         compile_loops(settings.chosen()["solver"], settings.fast, context.log)
+        _rehearse(settings)
         self._skin: SkinState | None = None
         self._announced: PhiState | None = None
         self._subsets: dict[str, Phi] = {}
@@ -257,6 +259,22 @@ class Reconstructor(Node[ReconstructorSettings]):
             longest_ns, before_ns = max(longest_ns, now_ns - before_ns), now_ns
             done += 1
         return solver.finish(), done
+
+
+def _rehearse(settings: ReconstructorSettings) -> None:
+    """Reconstruct one empty frame of a small skin, and discard the solver: the first frame of the
+    graph then waits for no import. Parts of the user's own are left alone.
+    """
+    chosen = dict(settings.chosen())
+    names = chosen.pop("solver"), chosen.pop("basis")
+    if any(":" in name for name in names):
+        return
+    phi = make_phi("sbhe", n=64, m=21, seed=0)
+    with contextlib.suppress(SparseskinError):  # settings for another size; `_set_up` reports them
+        solver = make_solver(
+            names[0], phi, make_basis(names[1], 8, 8), fast=settings.fast, **chosen
+        )
+        solver.solve(np.zeros(phi.m, dtype=np.float32))
 
 
 def phis_to_invert(settings: ReconstructorSettings, n: int, announced: PhiState) -> list[Phi]:
