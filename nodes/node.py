@@ -40,6 +40,8 @@ class Context:
     clock_of : callable
         Receives an input topic; returns the estimate of the clock of its writer's host against
         `clock`, None while there is none.
+    page_token : str
+        Random text, the same for one run of a graph, that its live pages ask for.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Context:
     ask: Callable[[dict[str, Any]], None] | None = None
     late: bool = False
     clock_of: Callable[[str], ClockEstimate | None] = field(default=lambda topic: SAME_CLOCK)
+    page_token: str = ""
 
     def rng(self, seed: int) -> np.random.Generator:
         """Random generator of a seed: the same numbers wherever the node runs."""

@@ -15,6 +15,7 @@ from sparseskin.launch.run.running import RunningGraph, choose_graph
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 
+from .launch import NO_TOKEN
 from .scenes import SCENARIOS, resolve_recording
 
 PLAY_KEYS = {
@@ -33,6 +34,7 @@ def configure_monitor(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--text", action="store_true", help="in this terminal, without a page")
     parser.add_argument("--open", action="store_true", help="open the page in a browser")
+    parser.add_argument("--no-token", action="store_true", help=NO_TOKEN)
     parser.add_argument("--port", type=int, help="port of the page on 127.0.0.1; 8470 by default")
     add_graph_option(parser)
     parser.set_defaults(run=_monitor)
@@ -85,6 +87,7 @@ def _monitor(arguments: argparse.Namespace) -> int:
         "page": not arguments.text,
         "screen": arguments.text,
         "browser": arguments.open,
+        "token": not arguments.no_token,
     }
     if arguments.port is not None:
         values["port"] = arguments.port

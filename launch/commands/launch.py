@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from sparseskin.launch.run.run_log import RunLog
 
 LAUNCH_FILES = Path(__file__).parent.parent
+NO_TOKEN = "serve the live page to all users of this host, without a token"
 PICTURES = {
     "dot": "write the graph as DOT text",
     "svg": "draw the graph (needs the program dot of Graphviz)",
@@ -49,6 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         )
     parser.add_argument("--record", metavar="F.mcap", help="record all topics into a file")
     parser.add_argument("--open", action="store_true", help="open the live page in a browser")
+    parser.add_argument("--no-token", action="store_true", help=NO_TOKEN)
     parser.add_argument("--summary", metavar="OUT.json", help="write the summary to a file")
     parser.add_argument(
         "--log-dir",
@@ -71,9 +73,10 @@ def _launch(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.monitor.node import Monitor
 
     launch = load(arguments.name, arguments.set, arguments.record)
-    if arguments.open:
+    wanted = ["browser=true"] * arguments.open + ["token=false"] * arguments.no_token
+    if wanted:
         monitors = [node.name for node in launch.nodes.values() if issubclass(node.cls, Monitor)]
-        changes = [f"{name}.browser=true" for name in monitors]
+        changes = [f"{name}.{change}" for name in monitors for change in wanted]
         launch = load(arguments.name, [*arguments.set, *changes], arguments.record)
     pictures = {form: getattr(arguments, form) for form in PICTURES if getattr(arguments, form)}
     if arguments.dry_run:

@@ -25,6 +25,7 @@ def node_config(
     offset_ns: int,
     max_frames: int | None,
     late: bool,
+    page_token: str,
 ) -> dict[str, Any]:
     """The configuration of a node's process, as `sparseskin.nodes.process.run_node` expects it.
     Raises KeyFileError if the graph that is joined asks for a key that this user may not read.
@@ -42,6 +43,7 @@ def node_config(
         "offset_ns": offset_ns,
         "max_frames": max_frames,
         "late": late,
+        "page_token": page_token,
         "public": spec.public,
         "distant_readers": sorted(name for name in readers if name in elsewhere),
         "distant_inputs": {
@@ -73,7 +75,9 @@ def peer_of(
     return asdict(peer)
 
 
-def note_of(launch: LaunchFile, endpoints: Mapping[str, str], offset_ns: int) -> RunningGraph:
+def note_of(
+    launch: LaunchFile, endpoints: Mapping[str, str], offset_ns: int, page_token: str
+) -> RunningGraph:
     """The note by which others find this graph and its topics."""
     keys = launch.credentials
     public = keys.own.public if keys else ""
@@ -84,7 +88,9 @@ def note_of(launch: LaunchFile, endpoints: Mapping[str, str], offset_ns: int) ->
         for name, spec in launch.nodes.items()
     }
     key_file = keys.file if keys else ""
-    return RunningGraph(launch.name, os.getpid(), offset_ns, launch.text, nodes, key_file)
+    return RunningGraph(
+        launch.name, os.getpid(), offset_ns, launch.text, nodes, key_file, page_token
+    )
 
 
 def _security(launch: LaunchFile, joined: RunningGraph | None) -> dict[str, Any] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import selectors
 import signal
 import time
@@ -37,6 +38,8 @@ class Fleet:
         Not 0 once a node has failed that the graph needs.
     late_code : int
         Not 0 once a node has failed that it can do without, or has raised an error and gone on.
+    page_token : str
+        Token of the graph's live pages.
     supervised : bool
         True while a node that fails is restarted as its policy states.
     hear : callable
@@ -64,6 +67,7 @@ class Fleet:
         self._endpoints: dict[str, str] = {}
         self._to_pause: set[str] = set()
         self._links = list(launch.links)
+        self.page_token = secrets.token_urlsafe(24)
         self.nodes: dict[str, NodeProcess] = {}
         self.exit_code = self.late_code = 0
         self.supervised = False
@@ -157,6 +161,7 @@ class Fleet:
             offset_ns=self._offset_ns,
             max_frames=self._max_frames,
             late=late or self._joined is not None,
+            page_token=self.page_token,
         )
         if endpoint:
             config["endpoint"] = endpoint

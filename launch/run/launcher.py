@@ -90,7 +90,7 @@ class Launcher:
             if self._handshake():
                 self._serve_controls()
                 endpoints = {node.name: node.endpoint for node in self._fleet}
-                note = note_of(self._launch, endpoints, self._offset_ns)
+                note = note_of(self._launch, endpoints, self._offset_ns, self._fleet.page_token)
                 # What only joins another graph is no graph that could be joined itself.
                 note_of_it = announced(note) if self._joined is None else contextlib.nullcontext()
                 with note_of_it, self._terminal.keyboard(bool(self._keys)):

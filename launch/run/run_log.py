@@ -62,7 +62,8 @@ class RunLog:
         self.error = ""
         self._files: dict[str, _NodeFile] = {}
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            # Of this user alone: the address of the live page is logged with its token.
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
             raise LaunchError([f"log_dir: {self.folder}: {error.strerror}"]) from error
         _clear(parent)

@@ -45,6 +45,8 @@ class RunningGraph:
     nodes: dict[str, RunningNode]
     key_file: str = ""
     """File of the secret key with which programs of this user may read; "" without keys."""
+    page_token: str = ""
+    """Token that its live pages ask for."""
 
     @property
     def label(self) -> str:

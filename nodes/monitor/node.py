@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sparseskin.messages import (
@@ -46,6 +47,7 @@ class MonitorSettings(Settings):
     port: int = setting(
         8470, "port of the page; a free one where it is busy, or 0", low=0, high=65535
     )
+    token: bool = setting(True, "ask for the random token in the address of the page")
     browser: bool = setting(False, "open the page in a browser")
     screen: bool = setting(False, "show a whole screen of text in place of one line")
 
@@ -75,6 +77,7 @@ class Monitor(Node[MonitorSettings]):
         }
         self._feed: Feed | None = None
         self._page: PageServer | None = None
+        self._opener: Path | None = None
         self._next_summary_ns = 0
         self._status_ns = context.clock.now_ns()
         self._status_frames = dict.fromkeys(settings.patches, 0)
@@ -98,11 +101,12 @@ class Monitor(Node[MonitorSettings]):
         if self._feed is not None and self.settings.page and ask is not None:
             from .live.server import PageServer
 
-            self._page = PageServer(self._feed, self._notices, self.settings.port, ask)
             port = self.settings.port
+            token = self.context.page_token if self.settings.token else ""
+            self._page = PageServer(self._feed, self._notices, port, ask, token)
             taken = f" (port {port} is taken)" if port not in (0, self._page.port) else ""
             self.context.log(f"live page: {self._page.url}{taken}")
-            if self.settings.browser and not _open_browser(self._page.url):
+            if self.settings.browser and not self._open_browser(self._page.url):
                 self.context.log("no browser could be opened here; open the address yourself")
         return ()
 
@@ -142,6 +146,8 @@ class Monitor(Node[MonitorSettings]):
             self._feed.update(summaries=self.report()["patches"])
         if self._page is not None:
             self._page.close()
+        if self._opener is not None:
+            self._opener.unlink(missing_ok=True)
 
     def status(self) -> str:
         if self._feed is not None and self.settings.screen:
@@ -161,10 +167,16 @@ class Monitor(Node[MonitorSettings]):
     def report(self) -> dict[str, Any]:
         return {"patches": {name: metrics.summary() for name, metrics in self._patches.items()}}
 
+    def _open_browser(self, url: str) -> bool:
+        import tempfile
+        import webbrowser
 
-def _open_browser(url: str) -> bool:
-    import webbrowser
-
-    # Without a display a text browser would occupy the terminal of the graph.
-    has_display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
-    return has_display and webbrowser.open(url)
+        # Without a display a text browser would occupy the terminal of the graph.
+        if not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+            return False
+        # Any user can list the arguments of a browser: its token is in a file of this user's.
+        fd, name = tempfile.mkstemp(prefix="sparseskin-", suffix=".html")
+        self._opener = Path(name)
+        with os.fdopen(fd, "w") as file:
+            file.write(f'<meta http-equiv="refresh" content="0; url={url}">\n')
+        return webbrowser.open(self._opener.as_uri())

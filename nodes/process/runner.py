@@ -48,7 +48,8 @@ class Runner:
     control, config
         Control channel to the launcher; dict of name, type, settings, endpoint, inputs (topics),
         readers (names of the nodes that read this one), offset_ns (of the graph's clock); optional
-        max_frames (of a source), late (the node joins a running graph), and the keys of `Network`.
+        max_frames (of a source), late (the node joins a running graph), page_token, and the keys of
+        `Network`.
     """
 
     def __init__(self, control: Control, config: dict[str, Any]) -> None:
@@ -58,9 +59,11 @@ class Runner:
         cls = node_class(config["type"])
         settings = make_settings(cls, config["settings"])
         late = bool(config.get("late"))
-        node = cls(
-            settings, Context(self.name, self.clock, self.log, self._ask, late, self._clock_of)
+        context = Context(
+            *(self.name, self.clock, self.log, self._ask, late, self._clock_of),
+            page_token=config.get("page_token", ""),
         )
+        node = cls(settings, context)
         run_id = secrets.token_hex(8)
         self.host = NodeHost(
             node, run_id, self.log, config["inputs"], late, config.get("distant_inputs", ())

@@ -66,7 +66,7 @@ class Client:
     def __init__(self, url: str) -> None:
         self.n_frames = 0
         self._connection = http.client.HTTPConnection(urlsplit(url).netloc)
-        self._connection.request("GET", "/stream?patch=skin")
+        self._connection.request("GET", f"/stream?patch=skin&{urlsplit(url).query}")
         self._answer = self._connection.getresponse()
         self.refusal = ""
         if self._answer.status != http.client.OK:
@@ -91,7 +91,8 @@ def stalled(url: str) -> socket.socket:
     """A page that requests the stream and never reads it."""
     place = urlsplit(url)
     made = socket.create_connection((place.hostname, place.port))
-    made.sendall(f"GET /stream?patch=skin HTTP/1.1\r\nHost: {place.netloc}\r\n\r\n".encode())
+    head = f"GET /stream?patch=skin&{place.query} HTTP/1.1\r\nHost: {place.netloc}\r\n\r\n"
+    made.sendall(head.encode())
     return made
 
 

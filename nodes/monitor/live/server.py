@@ -1,17 +1,24 @@
-"""Web server of the live page: on the loopback interface only, with its own files only."""
+"""Web server of the live page: on the loopback interface only, with its own files only, for those
+who know its token.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import hmac
 import json
+import math
+import os
+import resource
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, ClassVar
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.process.control import is_shallow
@@ -24,13 +31,15 @@ ADDRESS = "127.0.0.1"
 MAX_PAGES = 64
 """Most pages open at once; each has a stream, and each stream a thread."""
 MAX_CONNECTIONS = 4 * MAX_PAGES
+SPARE_FILES = 16
+"""File descriptors that connections leave to the rest of the process."""
 MAX_BODY_BYTES = 4096
 SEND_BUFFER_BYTES = 256 * 1024
 """Send buffer of a stream: small, so that a slow page gets recent frames."""
 STALLED_S = 30.0
 """A page that accepts no data for this time is disconnected."""
-IDLE_S = 10.0
-"""A connection without a request for this time is closed."""
+REQUEST_S = 10.0
+"""Longest time from the end of one answer to the end of the next, however it is dripped."""
 POLL_S = 0.25
 """Longest time until the server notices that it is to end."""
 HOSTS = ("127.0.0.1", "localhost", "[::1]")
@@ -42,7 +51,8 @@ TYPES = {
     ".svg": "image/svg+xml",
 }
 POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'"
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 
 Request = Callable[[dict[str, Any]], None]
@@ -51,25 +61,28 @@ Request = Callable[[dict[str, Any]], None]
 class PageServer:
     """Serves the pages of a feed on `port`, or on a free port if that is busy.
 
-    `ask` takes requests {id, node, command, value} of pages. Raises SparseskinError if no port is
-    free.
+    `ask` takes requests {id, node, command, value} of pages. Whoever asks for anything shows
+    `token`, in the address or in the cookie that this leaves; "": no token. Raises SparseskinError
+    if no port is free.
     """
 
-    def __init__(self, feed: Feed, notices: Notices, port: int, ask: Request) -> None:
+    def __init__(
+        self, feed: Feed, notices: Notices, port: int, ask: Request, token: str = ""
+    ) -> None:
         files = {
             f"/{path.name}": (path.read_bytes(), TYPES[path.suffix])
             for path in PAGE.iterdir()
             if path.suffix in TYPES
         }
         files["/"] = files["/index.html"]
-        parts = {"feed": feed, "notices": notices, "ask": ask, "files": files}
+        parts = {"feed": feed, "notices": notices, "ask": ask, "files": files, "token": token}
         handler = type("Handler", (_Handler,), parts)
         try:
             self._server = _Server((ADDRESS, port), handler)
         except OSError:
             self._server = _free_server(handler)
         self.port = int(self._server.server_address[1])
-        self.url = f"http://{ADDRESS}:{self.port}/"
+        self.url = f"http://{ADDRESS}:{self.port}/" + (f"?token={token}" if token else "")
         self._feed = feed
         self._thread = threading.Thread(
             target=self._server.serve_forever, kwargs={"poll_interval": POLL_S}, daemon=True
@@ -95,19 +108,25 @@ class _Server(ThreadingHTTPServer):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
         self._lock = threading.Condition()
-        self._n_connections = 0
+        self._due_s: dict[socket.socket, float] = {}
         self.n_streams = 0
+        open_files = len(os.listdir("/proc/self/fd")) + SPARE_FILES
+        free = resource.getrlimit(resource.RLIMIT_NOFILE)[0] - open_files
+        self._max_connections = max(4, min(MAX_CONNECTIONS, free))
+        self.max_pages = min(MAX_PAGES, self._max_connections // 2)
+
+    def get_request(self) -> tuple[socket.socket, Any]:
+        try:
+            return super().get_request()
+        except OSError:  # no file descriptor is left: not to be tried again at once
+            self._end_oldest()
+            time.sleep(POLL_S)
+            raise
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        with self._lock:
-            refused = self._n_connections >= MAX_CONNECTIONS
-            self._n_connections += not refused
-        if refused:
-            with contextlib.suppress(OSError):
-                request.settimeout(0.1)
-                request.sendall(b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\n\r\n")
-            self.shutdown_request(request)
-            return
+        if len(self._due_s) >= self._max_connections:
+            self._end_oldest()
+        self.expect(request, REQUEST_S)
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
@@ -115,7 +134,29 @@ class _Server(ThreadingHTTPServer):
             super().process_request_thread(request, client_address)
         finally:
             with self._lock:
-                self._n_connections -= 1
+                self._due_s.pop(request, None)
+
+    def expect(self, connection: socket.socket, within_s: float) -> None:
+        """End a connection unless it is done, or expected anew, within this time."""
+        with self._lock:
+            self._due_s.pop(connection, None)
+            self._due_s[connection] = time.monotonic() + within_s
+
+    def service_actions(self) -> None:
+        """End the connections whose time is over."""
+        now_s = time.monotonic()
+        with self._lock:
+            for connection, due_s in self._due_s.items():
+                if due_s <= now_s:
+                    _end(connection)
+
+    def _end_oldest(self) -> None:
+        """End the connection that has waited longest: whoever holds all of them locks none out."""
+        with self._lock:
+            waiting = [connection for connection, due_s in self._due_s.items() if due_s < math.inf]
+            if waiting:
+                del self._due_s[waiting[0]]
+                _end(waiting[0])
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore broken connections: they are no fault of the graph."""
@@ -124,8 +165,8 @@ class _Server(ThreadingHTTPServer):
     def stream(self) -> Iterator[None]:
         """Count an open stream, or refuse it if there are too many."""
         with self._lock:
-            if self.n_streams >= MAX_PAGES:
-                text = f"{MAX_PAGES} pages are open already; close one of them"
+            if self.n_streams >= self.max_pages:
+                text = f"{self.max_pages} pages are open already; close one of them"
                 raise _RefusedError(HTTPStatus.SERVICE_UNAVAILABLE, text)
             self.n_streams += 1
         try:
@@ -147,6 +188,12 @@ def _free_server(handler: type[BaseHTTPRequestHandler]) -> _Server:
         raise SparseskinError(f"the page has no port on {ADDRESS}: {error.strerror}") from error
 
 
+def _end(connection: socket.socket) -> None:
+    """Wake the thread that reads from or writes to a connection; it closes the connection."""
+    with contextlib.suppress(OSError):
+        connection.shutdown(socket.SHUT_RDWR)
+
+
 class _RefusedError(Exception):
     def __init__(self, status: HTTPStatus, text: str) -> None:
         super().__init__(text)
@@ -158,32 +205,41 @@ class _Handler(BaseHTTPRequestHandler):
     notices: ClassVar[Notices]
     ask: ClassVar[Request]
     files: ClassVar[dict[str, tuple[bytes, str]]]
+    token: ClassVar[str]
     server: _Server
 
     protocol_version = "HTTP/1.1"
-    timeout = IDLE_S
+    _cookie = ""
+
+    def handle_one_request(self) -> None:
+        self.server.expect(self.connection, REQUEST_S)
+        super().handle_one_request()
 
     def do_GET(self) -> None:
+        # As that of a POST, its body must not be parsed as the next request.
+        if "Content-Length" in self.headers or "Transfer-Encoding" in self.headers:
+            self.close_connection = True
         self._answer(self._get)
 
     def do_POST(self) -> None:
         self.close_connection = True  # an unread body must not be parsed as the next request
         self._answer(self._post)
 
-    def _answer(self, action: Callable[[], None]) -> None:
+    def _answer(self, action: Callable[[SplitResult], None]) -> None:
         try:
             self._check_local()
-            action()
+            try:
+                url = urlsplit(self.path)
+            except ValueError:
+                raise _RefusedError(HTTPStatus.BAD_REQUEST, "malformed address") from None
+            self._check_token(url)
+            action(url)
         except _RefusedError as refusal:
             self.close_connection = True
             text = f"{refusal}\n".encode()
             self._send(refusal.status, text, "text/plain; charset=utf-8")
 
-    def _get(self) -> None:
-        try:
-            url = urlsplit(self.path)
-        except ValueError:
-            raise _RefusedError(HTTPStatus.BAD_REQUEST, "malformed address") from None
+    def _get(self, url: SplitResult) -> None:
         if url.path == "/stream":
             self._stream(parse_qs(url.query).get("patch", [None])[0])
         elif url.path in self.files:
@@ -192,8 +248,8 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             raise _RefusedError(HTTPStatus.NOT_FOUND, f"nothing is at {url.path[:64]}")
 
-    def _post(self) -> None:
-        if self.path != "/request":
+    def _post(self, url: SplitResult) -> None:
+        if url.path != "/request":
             raise _RefusedError(HTTPStatus.NOT_FOUND, "requests go to /request")
         length = self.headers.get("Content-Length", "")
         if not length.isdecimal():
@@ -232,11 +288,29 @@ class _Handler(BaseHTTPRequestHandler):
         """Refuse requests that another site makes a browser send: a foreign Host or Origin."""
         host = self.headers.get("Host", "")
         name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
-        origin = self.headers.get("Origin")
+        origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site")
         if name not in HOSTS:
             raise _RefusedError(HTTPStatus.FORBIDDEN, f"Host {host[:64]!r} is not this page's")
         if origin is not None and origin != f"http://{host}":
             raise _RefusedError(HTTPStatus.FORBIDDEN, f"Origin {origin[:64]!r} is not this page's")
+
+        if site not in (None, "same-origin", "none") and self.path.partition("?")[0] != "/":
+            raise _RefusedError(HTTPStatus.FORBIDDEN, "asked for by a page of another site")
+
+    def _check_token(self, url: SplitResult) -> None:
+        """Refuse who shows the token neither in the address nor in the page's cookie."""
+        name = f"sparseskin-{self.server.server_address[1]}"
+        stated = parse_qs(url.query).get("token", [""])[0]
+        pairs = [part.strip().partition("=") for part in self.headers.get("Cookie", "").split(";")]
+        shown = [stated, *(value for key, _, value in pairs if key == name)]
+        if self.token and not any(self._is_token(text) for text in shown):
+            text = "this page asks for a token: open the address that the graph has printed"
+            raise _RefusedError(HTTPStatus.FORBIDDEN, text)
+        if self.token and stated:
+            self._cookie = f"{name}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+
+    def _is_token(self, text: str) -> bool:
+        return hmac.compare_digest(text.encode(errors="replace"), self.token.encode())
 
     def _stream(self, patch: str | None) -> None:
         if patch is not None and patch not in self.feed.patches:
@@ -245,6 +319,7 @@ class _Handler(BaseHTTPRequestHandler):
         with self.server.stream():
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
             self.connection.settimeout(STALLED_S)
+            self.server.expect(self.connection, math.inf)
             self.close_connection = True
             self.send_response(HTTPStatus.OK)
             self._headers("application/octet-stream")
@@ -268,3 +343,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Cache-Control", "no-store")
         self.send_header("Content-Security-Policy", POLICY)
         self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("X-Frame-Options", "DENY")
+        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.send_header("Referrer-Policy", "no-referrer")
+        if self._cookie:
+            self.send_header("Set-Cookie", self._cookie)

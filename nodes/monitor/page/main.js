@@ -24,7 +24,8 @@ const seconds = () => performance.now() / 1000;
 function onConnection(connection) {
   model.connection = connection;
   model.heard = seconds();
-  if (connection === "open") model.over = false;
+  // A reason of another monitor is news; that this one cannot be reached any more is none.
+  if (!["connecting", "closed"].includes(connection)) model.over = false;
 }
 
 function onRecord(record) {
@@ -258,6 +259,8 @@ function open() {
   stream = new Stream(name, onRecord, onConnection);
 }
 
+// The token is in a cookie now, and need not be in the history.
+if (location.search) history.replaceState(null, "", location.pathname + location.hash);
 window.addEventListener("hashchange", open);
 for (const id of ["range", "error-range"]) {
   byId(id).addEventListener("change", () => maps?.draw(performance.now()));

@@ -268,15 +268,34 @@ def test_a_replay_is_paused_stepped_and_sought(
     wait_until(lambda: text(page, "[data-position]").startswith("1.0 of"), "the position")
 
 
-def test_a_page_left_open_finds_the_next_graph(start: StartProgram, page: Any) -> None:
+def test_the_address_with_its_token_opens_the_page_and_is_not_kept(
+    start: StartProgram, page: Any
+) -> None:
     program = open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    assert "token" not in page.current_url
+    page.refresh()
+    wait_until(lambda: int(drawn(page)) > 0, "frames after a reload")
+    set_field(page, "sensor.rate_hz", "20")
+    wait_until(lambda: "✓" in answer(page, "sensor.rate_hz"), "an answer")
+    port = page.current_url.split(":")[2].split("/")[0]
+    program.process.send_signal(signal.SIGINT)
+    program.finish()
+    start("launch", "path_40", "--set", f"monitor.port={port}").wait_for("ready:")
+    asked = "this page asks for a token: open the address that the graph has printed"
+    wait_until(lambda: asked in text(page, "#notices"), "the way to the next graph")
+
+
+def test_a_page_without_a_token_that_is_left_open_finds_the_next_graph(
+    start: StartProgram, page: Any
+) -> None:
+    program = open_page(start, page, "path_40", "--set", "sensor.rate_hz=30", "--no-token")
     port = page.current_url.split(":")[2].split("/")[0]
     program.process.send_signal(signal.SIGINT)
     program.finish()
     wait_until(lambda: "The graph has ended" in text(page, "#notices"), "the end")
     loaded_at = page.execute_script("return performance.timeOrigin")
     again = start(
-        *("launch", "path_40", "--set", "sensor.rate_hz=30"),
+        *("launch", "path_40", "--set", "sensor.rate_hz=30", "--no-token"),
         *("--set", f"monitor.port={port}"),
     )
     again.wait_for("ready:")

@@ -5,20 +5,33 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
+import tempfile
 from collections.abc import Callable, Iterator
 from http.client import HTTPConnection, HTTPResponse
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from conftest import wait_until
+from conftest import StartProgram, wait_until
 from feeds import Graph, read_records
 
 from sparseskin.messages import Reconstruction, Taxels
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.monitor.live import server
 from sparseskin.nodes.monitor.live.notices import Notices
-from sparseskin.nodes.monitor.live.server import MAX_BODY_BYTES, MAX_PAGES, PAGE, PageServer
+from sparseskin.nodes.monitor.live.server import (
+    MAX_BODY_BYTES,
+    MAX_CONNECTIONS,
+    MAX_PAGES,
+    PAGE,
+    PageServer,
+)
+from sparseskin.nodes.monitor.node import Monitor, MonitorSettings
+from sparseskin.nodes.node import Context
 
+TOKEN = "t0k-_n" * 6
 GOOD = {"id": "1", "node": "sensor", "command": "pause", "value": True}
 JSON = {"Content-Type": "application/json"}
 
@@ -26,10 +39,11 @@ JSON = {"Content-Type": "application/json"}
 class Site:
     """A served page, who reads it, and what it was asked to pass on."""
 
-    def __init__(self, *patches: str, port: int = 0) -> None:
+    def __init__(self, *patches: str, port: int = 0, token: str = "") -> None:
         self.graph = Graph(*patches)
         self.asked: list[dict[str, Any]] = []
-        self.page = PageServer(self.graph.feed, Notices(self.graph.feed), port, self.asked.append)
+        notices = Notices(self.graph.feed)
+        self.page = PageServer(self.graph.feed, notices, port, self.asked.append, token)
         self.host = urlsplit(self.page.url).netloc
         self._clients: list[HTTPConnection] = []
 
@@ -49,6 +63,14 @@ class Site:
         body = json.dumps(GOOD).encode() if body is None else body
         given = {"Content_Type": "application/json", "Content_Length": str(len(body))} | headers
         return self.send("POST", "/request", body, **given).status
+
+    def connect(self, sent: str = "") -> socket.socket:
+        """A connection on which these characters were sent."""
+        host, _, port = self.host.partition(":")
+        made = socket.create_connection((host, int(port)), timeout=60.0)
+        self._clients.append(made)  # type: ignore[arg-type]
+        made.sendall(sent.encode())
+        return made
 
     def close(self) -> None:
         for client in self._clients:
@@ -177,6 +199,167 @@ def test_requests_have_one_place(site: Site, asked: list[dict[str, Any]]) -> Non
     for path in ("/", "/stream", "/main.js"):
         assert site.send("POST", path, body, Content_Length=str(len(body))).status == 404
     assert asked == []
+
+
+def test_who_knows_no_token_gets_nothing_and_is_obeyed_in_nothing(
+    make: Callable[..., Site],
+) -> None:
+    site = make(token=TOKEN)
+    port = site.host.partition(":")[2]
+    for shown in ("", "x", TOKEN[:-1], f"{TOKEN}x", "%ff%00", "ä"):
+        cookie = f"other=1; sparseskin-{port}={shown}".encode().decode("latin-1")
+        for path in ("/", "/main.js", "/stream", "/stream?patch=skin", "/nothing"):
+            both = "&" if "?" in path else "?"
+            assert site.send("GET", path, Cookie=cookie).status == 403
+            wrong = site.send("GET", f"{path}{both}token={shown if shown.isascii() else 'x'}")
+            assert wrong.status == 403
+            assert wrong.headers["Set-Cookie"] is None
+            assert b"open the address that the graph has printed" in wrong.read()
+        assert site.post(Cookie=cookie) == 403
+    assert site.asked == []
+
+
+def test_the_address_with_its_token_leaves_a_cookie_that_opens_all(
+    make: Callable[..., Site],
+) -> None:
+    site = make(token=TOKEN)
+    assert urlsplit(site.page.url).query == f"token={TOKEN}"
+    opened = site.send("GET", f"/?token={TOKEN}")
+    assert (opened.status, opened.read()) == (200, (PAGE / "index.html").read_bytes())
+    value, *flags = opened.headers["Set-Cookie"].split("; ")
+    assert value == f"sparseskin-{site.host.partition(':')[2]}={TOKEN}"
+    assert set(flags) == {"HttpOnly", "SameSite=Strict", "Path=/"}
+    for path in ("/", "/main.js", "/stream"):
+        assert site.send("GET", path, Cookie=f"other=1; {value}").status == 200
+    assert site.post(Cookie=value) == 202
+    assert site.asked == [GOOD]
+
+
+def test_no_page_may_hold_this_one_in_a_frame(site: Site) -> None:
+    for path in ("/", "/main.js", "/nothing"):
+        headers = site.send("GET", path).headers
+        assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+        assert headers["X-Frame-Options"] == "DENY"
+        assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
+
+
+@pytest.mark.parametrize("origin", ["cross-site", "same-site"])
+def test_what_a_page_of_another_site_asks_for_is_refused(
+    site: Site, asked: list[dict[str, Any]], origin: str
+) -> None:
+    for path in ("/stream", "/main.js"):
+        assert site.send("GET", path, Sec_Fetch_Site=origin).status == 403
+        assert site.send("GET", path, Sec_Fetch_Site="same-origin").status == 200
+    assert site.post(Sec_Fetch_Site=origin) == 403
+    assert asked == []
+    assert site.post(Sec_Fetch_Site="same-origin") == 202
+    assert site.send("GET", "/", Sec_Fetch_Site=origin).status == 200  # a link to the page
+
+
+@pytest.mark.parametrize("length", ["Content-Length: {}", "Transfer-Encoding: chunked"])
+def test_a_request_hidden_in_the_body_of_another_is_not_executed(
+    site: Site, asked: list[dict[str, Any]], length: str
+) -> None:
+    body = json.dumps(GOOD)
+    head = f"POST /request HTTP/1.1\r\nHost: {site.host}\r\nContent-Type: application/json\r\n"
+    hidden = f"{head}Content-Length: {len(body)}\r\n\r\n{body}"
+    stated = length.format(len(hidden))
+    outer = f"GET / HTTP/1.1\r\nHost: {site.host}\r\n{stated}\r\n\r\n{hidden}"
+    answer = site.connect(outer).makefile("rb").read()
+    assert answer.count(b"HTTP/1.1") == 1
+    assert asked == []
+
+
+def test_a_request_that_drips_is_given_up(
+    make: Callable[..., Site], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "REQUEST_S", 0.05)
+    site = make()
+    drips = site.connect("GET / HTTP/1.1\r\nHost: ")
+
+    def is_ended() -> bool:
+        with contextlib.suppress(OSError):
+            drips.sendall(b"x")
+            return False
+        return True
+
+    wait_until(is_ended, "the end of a connection that sends a byte now and then")
+
+
+def test_whoever_holds_all_connections_locks_nobody_out(make: Callable[..., Site]) -> None:
+    site = make()
+    held = [site.connect("G") for _ in range(MAX_CONNECTIONS + 20)]
+    assert site.send("GET", "/").status == 200
+    assert site.post() == 202
+    assert held[0].recv(1) == b""
+
+
+def test_a_thousand_pages_are_refused_or_served_and_none_is_left_waiting(
+    make: Callable[..., Site],
+) -> None:
+    site = make()
+    served = [site.send("GET", "/stream") for _ in range(MAX_PAGES)]
+    statuses = set()
+    for _ in range(1000 - MAX_PAGES):
+        refused = site.send("GET", "/stream")
+        statuses.add(refused.status)
+        refused.close()
+        site._clients.pop().close()
+    assert ({page.status for page in served}, statuses) == ({200}, {503})
+    assert site.send("GET", "/").status == 200
+
+
+def test_a_browser_is_started_without_the_token_in_its_arguments(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr("webbrowser.open", lambda url: bool(opened.append(url)) or True)
+    context = Context("monitor", ManualClock(), ask=lambda request: None, page_token=TOKEN)
+    monitor = Monitor(MonitorSettings(port=0, browser=True), context)
+    monitor.start()
+    (path,) = tmp_path.iterdir()
+    assert opened == [path.as_uri()]
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert f"/?token={TOKEN}" in path.read_text()
+    monitor.close({})
+    assert not path.exists()
+
+
+def test_the_token_is_for_the_user_alone(start: StartProgram, tmp_path: Path) -> None:
+    settings = ("--set", "monitor.port=0", "--set", "sensor.rate_hz=20", "--log-dir", "logs")
+    program = start("launch", "path_40", *settings)
+    place = urlsplit(program.wait_for("live page: "))
+    program.wait_for("ready:")
+    wait_until(lambda: bool(list((tmp_path / "graphs").glob("*.json"))), "the note of the graph")
+    (note,) = (tmp_path / "graphs").glob("*.json")
+    wait_until(lambda: note.read_text().endswith("}"), "all of the note")
+    assert place.query == f"token={json.loads(note.read_text())['page_token']}"
+    (folder,) = (tmp_path / "logs").iterdir()
+    assert [path.stat().st_mode & 0o777 for path in (folder, note.parent)] == [0o700, 0o700]
+
+
+@pytest.mark.slow
+def test_a_page_without_file_descriptors_left_ends_no_graph(start: StartProgram) -> None:
+    few = ("bash", "-c", 'ulimit -n 64; exec "$@"', "-")
+    settings = ("--set", "monitor.port=0", "--set", "sensor.rate_hz=100")
+    program = start("launch", "path_40", "--frames", "300", *settings, prefix=few)
+    place = urlsplit(program.wait_for("live page: "))
+    program.wait_for("ready:")
+    assert place.hostname is not None
+    head = f"GET /stream?{place.query} HTTP/1.1\r\nHost: {place.netloc}\r\n\r\n"
+    with contextlib.ExitStack() as stack:
+        for sent in (head, "G"):
+            for _ in range(100):
+                made = socket.create_connection((place.hostname, place.port), timeout=60.0)
+                stack.enter_context(made).sendall(sent.encode())
+        page = HTTPConnection(place.netloc, timeout=60.0)
+        page.request("GET", f"/?{place.query}")
+        assert page.getresponse().status == 200
+        code, stdout, stderr = program.finish()
+    assert code == 0, stderr
+    assert "sensed 300, reconstructed 300, lost 0" in stdout
 
 
 def test_a_patch_that_is_not_there_is_named_with_those_that_are(
