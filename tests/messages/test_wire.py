@@ -259,8 +259,8 @@ def test_the_largest_finite_forces_are_taken_and_one_that_is_not_finite_among_th
         (None, FieldError),
     ],
 )
-def test_wrong_arrays_are_refused(forces: object, error: type[MessageError]) -> None:
-    with pytest.raises(error):
+def test_wrong_arrays_are_refused_by_name(forces: object, error: type[MessageError]) -> None:
+    with pytest.raises(error, match="^forces: "):
         taxels(forces=forces)
 
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.nodes.clock import DRIFT_PPM, MAX_CONTRADICTIONS, ClockOffset
+from sparseskin.nodes import clock as clock_module
+from sparseskin.nodes.clock import DRIFT_PPM, MAX_CONTRADICTIONS, ClockOffset, SystemClock
 
 MS = 1_000_000
 S = 1000 * MS
@@ -18,6 +22,17 @@ def exchange(
     t2_ns = at_ns + there_ns + offset_ns
     t4_ns = at_ns + there_ns + held_ns + back_ns
     return clock.add(at_ns, t2_ns, t2_ns + held_ns, t4_ns)
+
+
+@pytest.mark.parametrize(("offset_ns", "now_ns"), [(None, 1000), (0, 40), (7, 47)])
+def test_the_system_clock_is_the_monotonic_one_moved_to_the_time_of_day_or_as_stated(
+    monkeypatch: pytest.MonkeyPatch, offset_ns: int | None, now_ns: int
+) -> None:
+    here = SimpleNamespace(time_ns=lambda: 1000, monotonic_ns=lambda: 40)
+    monkeypatch.setattr(clock_module, "time", here)
+    clock = SystemClock(offset_ns)
+    here.time_ns = lambda: 0  # the time of day is set; the clock goes on
+    assert clock.now_ns() == now_ns
 
 
 def test_there_is_no_estimate_before_the_first_exchange() -> None:
@@ -87,6 +102,17 @@ def test_one_exchange_that_contradicts_the_others_is_not_used() -> None:
     found = clock.estimate(S)
     assert found is not None
     assert found.offset_ns == 3 * S
+
+
+@pytest.mark.parametrize(("apart_ns", "used"), [(0, True), (1, False)])
+def test_an_exchange_contradicts_the_others_if_their_intervals_do_not_touch(
+    apart_ns: int, used: bool
+) -> None:
+    clock = ClockOffset()
+    exchange(clock, 0, 0, MS, MS)
+    found = clock.estimate(2 * MS)
+    assert found is not None
+    assert exchange(clock, 0, 2 * found.uncertainty_ns + apart_ns, MS, MS) is used
 
 
 def test_a_clock_that_was_set_is_estimated_anew_after_a_few_exchanges() -> None:

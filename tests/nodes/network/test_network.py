@@ -15,6 +15,7 @@ from sparseskin.nodes.network.network import END_RECEIVED_NS, Network
 from sparseskin.nodes.network.sockets import Peer, Reader, Writer, make_context
 
 LEFT, RIGHT, HERE = "/left/taxels", "/right/taxels", "/here/taxels"
+SECURITY = {"own": [k.decode() for k in zmq.curve_keypair()], "allowed": {}, "known": {}}
 AHEAD_NS = {"left": 7_000_000_000, "right": -3_000_000_000}
 
 
@@ -74,16 +75,19 @@ def test_each_topic_has_the_clock_of_its_writers_host(context: zmq.Context[Any])
         ({"endpoint": "ipc://@sparseskin-network-{}"}, False),
         ({"endpoint": "tcp://127.0.0.1:*"}, True),
         ({"public": "tcp://127.0.0.1:*"}, True),
+        ({"endpoint": "ipc://@sparseskin-network-{}", "security": SECURITY}, True),
     ],
-    ids=["inproc", "ipc", "tcp", "public"],
+    ids=["inproc", "ipc", "tcp", "public", "keys"],
 )
-def test_a_gate_guards_what_can_be_reached_over_tcp_without_keys_too(
-    context: zmq.Context[Any], tmp_path: Any, config: dict[str, str], guarded: bool
+def test_a_gate_guards_what_has_keys_or_can_be_reached_over_tcp(
+    context: zmq.Context[Any], tmp_path: Any, config: dict[str, Any], guarded: bool
 ) -> None:
-    node, _ = network(context, **{k: v.format(tmp_path.name) for k, v in config.items()})
+    config = {k: v.format(tmp_path.name) if k == "endpoint" else v for k, v in config.items()}
+    node, _ = network(context, **config)
     # The writer, and of the gate its authentication socket and its monitor.
     assert len(node.sockets) == (3 if guarded else 1)
     assert bool(node.writer.socket.getsockopt(zmq.ZAP_DOMAIN)) is guarded
+    assert node.writer.socket.getsockopt(zmq.CURVE_SERVER) == ("security" in config)
 
 
 def test_the_end_is_received_once_every_distant_reader_has_answered(
