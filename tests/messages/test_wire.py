@@ -260,7 +260,7 @@ def test_the_largest_finite_forces_are_taken_and_one_that_is_not_finite_among_th
     ],
 )
 def test_wrong_arrays_are_refused_by_name(forces: object, error: type[MessageError]) -> None:
-    with pytest.raises(error, match="^forces: "):
+    with pytest.raises(error, match=r"^forces: "):
         taxels(forces=forces)
 
 
