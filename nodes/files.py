@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,6 +30,25 @@ def check_writable(path: Path) -> None:
         raise OutputError(f"--summary {path}: {NO_FOLDER}")
     if not os.access(path if path.exists() else folder, os.W_OK):
         raise OutputError(f"--summary {path}: cannot be written to")
+
+
+def check_private(folder: Path) -> None:
+    """Check that no other user can enter a folder or has put a link in its place.
+    Raises SparseskinError if it is no folder, belongs to another user, or its mode is not 0700.
+    """
+    try:
+        found = folder.lstat()
+    except OSError as error:
+        raise SparseskinError(f"{folder}: {error.strerror}") from error
+    if not stat.S_ISDIR(found.st_mode):
+        fault = "is a link" if stat.S_ISLNK(found.st_mode) else "is no folder"
+    elif found.st_uid != os.geteuid():
+        fault = f"belongs to user {found.st_uid}"
+    elif found.st_mode & 0o077:
+        fault = f"mode {stat.S_IMODE(found.st_mode):04o} lets other users in"
+    else:
+        return
+    raise SparseskinError(f"{folder}: {fault} (allowed: a folder of your own with mode 0700)")
 
 
 def place(part: Path, path: Path) -> None:

@@ -13,7 +13,7 @@ from sparseskin.nodes.graph import Link
 from sparseskin.nodes.network.keys import read_key_pair
 from sparseskin.nodes.network.sockets import Peer
 
-from .running import RunningGraph, RunningNode
+from .running import RunningGraph, RunningNode, socket_path
 
 
 def node_config(
@@ -26,8 +26,10 @@ def node_config(
     max_frames: int | None,
     late: bool,
     page_token: str,
+    number: int,
 ) -> dict[str, Any]:
-    """The configuration of a node's process, as `sparseskin.nodes.process.run_node` expects it.
+    """The configuration of a node's process, as `sparseskin.nodes.process.run_node` expects it;
+    `number` tells its socket from those of the other nodes.
     Raises KeyFileError if the graph that is joined asks for a key that this user may not read.
     """
     read = [link for link in links if link.reader == spec.name]
@@ -37,7 +39,7 @@ def node_config(
         "name": spec.name,
         "type": spec.type_name,
         "settings": spec.values,
-        "endpoint": _endpoint(launch.transport, spec.name),
+        "endpoint": _endpoint(launch.transport, number),
         "inputs": [link.topic for link in read],
         "readers": sorted(readers),
         "offset_ns": offset_ns,
@@ -107,8 +109,7 @@ def _security(launch: LaunchFile, joined: RunningGraph | None) -> dict[str, Any]
     }
 
 
-def _endpoint(transport: str, name: str) -> str:
+def _endpoint(transport: str, number: int) -> str:
     if transport == "tcp":
         return "tcp://127.0.0.1:*"
-    # An abstract name leaves no file behind and refuses a second bind.
-    return f"ipc://@sparseskin-{os.getpid()}-{name}"
+    return f"ipc://{socket_path(number)}"

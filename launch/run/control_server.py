@@ -38,6 +38,7 @@ class ControlServer:
         self._describe = describe
         self._clients: list[Connection] = []
         self._socket = socket.socket(socket.AF_UNIX)
+        Path(path).unlink(missing_ok=True)  # left by a process that had the same number
         with short_path(path) as short:
             self._socket.bind(short)
         os.chmod(path, 0o600)

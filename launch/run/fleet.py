@@ -162,6 +162,7 @@ class Fleet:
             max_frames=self._max_frames,
             late=late or self._joined is not None,
             page_token=self.page_token,
+            number=list(self._restarts).index(spec.name),
         )
         if endpoint:
             config["endpoint"] = endpoint

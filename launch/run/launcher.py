@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import time
 from collections.abc import Callable, Mapping
@@ -17,7 +18,7 @@ from .configs import note_of
 from .controls import Controls, RemoteControls
 from .fleet import EXIT_FAILED, EXIT_USAGE, START_S, Fleet
 from .process import NodeProcess
-from .running import GraphError, RunningGraph, announced, control_path, is_running
+from .running import GraphError, Note, RunningGraph, announced, control_path, is_running
 from .state import hosts_state
 from .terminal import Terminal
 from .waiting import READER_S, Missing, all_read, lacks_readers, late_at_end, or_log
@@ -75,7 +76,13 @@ class Launcher:
     def run(self) -> int:
         """Run the graph until its streams end; return the exit code: 0, 1 for a node that
         failed, 2 for one that refused its settings, 128 + the signal for an interrupt.
+        Raises SparseskinError before any node starts if the runtime folder cannot be used.
         """
+        starting = RunningGraph(self._launch.name, os.getpid(), self._offset_ns, "", {})
+        with announced(starting) as note:
+            return self._run(note, starting)
+
+    def _run(self, note: Note, starting: RunningGraph) -> int:
         old = {
             number: signal.signal(number, self._on_signal)
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -89,11 +96,11 @@ class Launcher:
             self._fleet.spawn()
             if self._handshake():
                 self._serve_controls()
-                endpoints = {node.name: node.endpoint for node in self._fleet}
-                note = note_of(self._launch, endpoints, self._offset_ns, self._fleet.page_token)
-                # What only joins another graph is no graph that could be joined itself.
-                note_of_it = announced(note) if self._joined is None else contextlib.nullcontext()
-                with note_of_it, self._terminal.keyboard(bool(self._keys)):
+                if self._joined is None:
+                    endpoints = {node.name: node.endpoint for node in self._fleet}
+                    token = self._fleet.page_token
+                    note.announce(note_of(self._launch, endpoints, self._offset_ns, token))
+                with self._terminal.keyboard(bool(self._keys)):
                     self._fleet.supervised = self._joined is None
                     self._fleet.command_all("start")
                     self._until(self._ended_or_logged(), None)
@@ -103,6 +110,8 @@ class Launcher:
         finally:
             if self._controls is not None:
                 self._controls.close()
+            with contextlib.suppress(SparseskinError):
+                note.announce(starting)  # without nodes: nobody can join it any more
             self._fleet.end_all()
             for number, handler in old.items():
                 signal.signal(number, handler)

@@ -1,7 +1,8 @@
-"""The graphs that run on this host: each leaves a note of its endpoints while it runs.
+"""The graphs that run on this host: notes and sockets in the runtime folder of the user.
 
-A note is locked by the launcher that wrote it. A lock ends with its process, however that ends,
-so a note that is not locked is of a graph that is gone.
+A launcher leaves a note of its graph while it runs, and locks it. A lock ends with its process,
+however that ends, so a note that is not locked is of a graph that is gone: it and the sockets of
+that process are removed. Whoever makes, locks or removes a note holds the lock of the folder.
 """
 
 from __future__ import annotations
@@ -10,13 +11,25 @@ import contextlib
 import fcntl
 import json
 import os
+import re
+import socket
+import stat
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any
 
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.files import check_private
 from sparseskin.nodes.lookup import did_you_mean
+
+from .control_socket import short_path
+
+MAX_SOCKET_PATH_BYTES = 107
+"""Longest path of a socket: sun_path of unix(7), less its end."""
+MAX_NOTE_BYTES = 1 << 24
+_NO_NOTE = (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError)
+_ELSEWHERE = "; SPARSESKIN_RUNTIME_DIR names another"
 
 
 class GraphError(SparseskinError):
@@ -36,7 +49,9 @@ class RunningNode:
 
 @dataclass(frozen=True)
 class RunningGraph:
-    """A graph that runs on this host."""
+    """A graph that runs on this host; it has no nodes while it starts, and where it has joined
+    another one.
+    """
 
     name: str
     pid: int
@@ -56,70 +71,121 @@ class RunningGraph:
     @property
     def control(self) -> str:
         """Path of its control socket."""
-        return str(notes_folder() / f"{self.pid}.sock")
+        return str(runtime_folder() / f"{self.pid}.sock")
 
     def writers(self) -> dict[str, str]:
         """Name of the node that writes each topic."""
         return {topic: name for name, node in self.nodes.items() for topic in node.outputs}
 
 
-def notes_folder() -> Path:
-    """Folder of the notes, which belongs to the user."""
+def runtime_folder() -> Path:
+    """Folder of notes and sockets, which no other user may enter.
+    Raises GraphError if it is not private, or cannot be made.
+    """
     import tempfile  # with it come compression and random numbers, which a key press waits for
 
     stated = os.environ.get("SPARSESKIN_RUNTIME_DIR")
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    runtime = Path(os.environ.get("XDG_RUNTIME_DIR") or "/nowhere")
     if stated:
-        folder = Path(stated)
-    elif runtime and Path(runtime).is_dir():
-        folder = Path(runtime) / "sparseskin"
+        folder = Path(stated).absolute()
+    elif runtime.is_dir() and runtime.stat().st_uid == os.geteuid():
+        folder = runtime / "sparseskin"
     else:
-        folder = Path(tempfile.gettempdir()) / f"sparseskin-{os.getuid()}"
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if folder.stat().st_uid != os.getuid():
-        raise GraphError(f"{folder}: belongs to another user")
+        folder = Path(tempfile.gettempdir()) / f"sparseskin-{os.geteuid()}"
+    try:
+        if not folder.is_symlink():
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        check_private(folder)
+    except OSError as error:
+        raise GraphError(f"{folder}: {error.strerror}{_ELSEWHERE}") from error
+    except SparseskinError as error:
+        raise GraphError(f"{error}{_ELSEWHERE}") from error
     return folder
 
 
 def control_path() -> str:
     """Path of the control socket of the graph that this process launches."""
-    path = notes_folder() / f"{os.getpid()}.sock"
-    path.unlink(missing_ok=True)  # left by a process that had the same number
-    return str(path)
+    return str(runtime_folder() / f"{os.getpid()}.sock")
+
+
+def socket_path(number: int) -> str:
+    """Path of the socket of a node, by its number: a name would make it too long."""
+    return str(runtime_folder() / f"{os.getpid()}.{number}.sock")
+
+
+class Note:
+    """The note of a graph of this process, locked from its creation on.
+
+    Raises GraphError if the paths of the sockets in the folder are too long, or a process of
+    another container has the same number.
+    """
+
+    def __init__(self, graph: RunningGraph) -> None:
+        if len(os.fsencode(socket_path(10**4))) > MAX_SOCKET_PATH_BYTES:
+            raise GraphError(f"{runtime_folder()}: too long for the path of a socket{_ELSEWHERE}")
+        self._path = runtime_folder() / f"{graph.label}.json"
+        with _locked(self._path.parent):
+            running = _remove_stale()
+            for other in running:
+                if other.pid == graph.pid:
+                    folder = self._path.parent
+                    raise GraphError(f"{folder}: {other.label} has this number too{_ELSEWHERE}")
+            try:
+                flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
+                self._file = os.fdopen(os.open(self._path, flags, 0o600), "w")
+                fcntl.flock(self._file, fcntl.LOCK_EX)
+                self._write(graph)
+            except OSError as error:
+                raise GraphError(f"{self._path}: {error.strerror}") from error
+
+    def announce(self, graph: RunningGraph) -> None:
+        """Replace the text of the note: a graph with nodes can be joined."""
+        try:
+            with _locked(self._path.parent):
+                self._write(graph)
+        except OSError as error:
+            raise GraphError(f"{self._path}: {error.strerror}") from error
+
+    def _write(self, graph: RunningGraph) -> None:
+        self._file.seek(0)
+        self._file.truncate()
+        json.dump(asdict(graph), self._file)
+        self._file.flush()
+
+    def remove(self) -> None:
+        """Remove the note, and the sockets that nodes which were killed have left."""
+        with _locked(self._path.parent):
+            _remove(self._path)
+            self._file.close()
 
 
 @contextlib.contextmanager
-def announced(graph: RunningGraph) -> Iterator[None]:
+def announced(graph: RunningGraph) -> Iterator[Note]:
     """Leave a note of a graph for as long as the context lasts."""
-    path = notes_folder() / f"{graph.label}.json"
-    with path.open("w") as note:
-        fcntl.flock(note, fcntl.LOCK_EX)
-        json.dump(asdict(graph), note)
-        note.flush()
-        try:
-            yield
-        finally:
-            path.unlink(missing_ok=True)
+    note = Note(graph)
+    try:
+        yield note
+    finally:
+        note.remove()
 
 
 def running_graphs() -> list[RunningGraph]:
-    """All graphs that run; notes of graphs that are gone are cleared away."""
-    found = []
-    for path in sorted(notes_folder().glob("*.json")):
-        with contextlib.suppress(FileNotFoundError), path.open() as note:
-            if not _is_locked(note):
-                path.unlink(missing_ok=True)
-                pid = path.stem.rpartition("-")[2]
-                path.with_name(f"{pid}.sock").unlink(missing_ok=True)
-                continue
-            with contextlib.suppress(ValueError, TypeError, KeyError):
-                found.append(_graph(json.load(note)))
-    return found
+    """All graphs that run and can be joined; what graphs that are gone have left is removed."""
+    folder = runtime_folder()
+    with _locked(folder):
+        return [graph for graph in _remove_stale() if graph.nodes]
 
 
 def is_running(graph: RunningGraph) -> bool:
     """True if a graph still runs."""
-    return any(other.label == graph.label for other in running_graphs())
+    try:
+        folder = runtime_folder()
+        with _locked(folder), _open(folder / f"{graph.label}.json") as note:
+            return _is_locked(note) and bool(_graph(json.load(note)).nodes)
+    except FileNotFoundError:
+        return False
+    except OSError:  # no descriptor is free
+        return True
 
 
 def choose_graph(name: str | None) -> RunningGraph:
@@ -137,6 +203,69 @@ def choose_graph(name: str | None) -> RunningGraph:
         choices = ", ".join(graph.label for graph in matching)
         raise GraphError(f"several graphs run; choose one with --graph: {choices}")
     return matching[0]
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(fd)
+
+
+def _remove_stale() -> list[RunningGraph]:
+    """Remove what graphs that are gone have left; the graphs that run."""
+    found = []
+    for path in sorted(runtime_folder().glob("*.json")):
+        with contextlib.suppress(*_NO_NOTE), _open(path) as note:
+            graph = _graph(json.loads(note.read(MAX_NOTE_BYTES)))
+            if graph.label != path.stem or not isinstance(graph.pid, int):
+                continue  # not written by this program
+            if _is_locked(note):
+                found.append(graph)
+            else:
+                _remove(path)
+    return found
+
+
+def _remove(note: Path) -> None:
+    """Remove a note and the sockets of its process, once nobody listens to them."""
+    number = note.stem.rpartition("-")[2]
+    served = False
+    for path in note.parent.glob(f"{number}.*sock"):
+        named = re.fullmatch(rf"{number}(\.\d+)?\.sock", path.name)
+        if named and stat.S_ISSOCK(path.lstat().st_mode):
+            if _is_served(path):
+                served = True
+            else:
+                path.unlink(missing_ok=True)
+    if not served:
+        note.unlink(missing_ok=True)
+
+
+def _is_served(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
+        try:
+            with short_path(str(path)) as short:
+                probe.connect(short)
+        except ConnectionRefusedError:
+            return False
+        except BlockingIOError:  # its queue is full
+            return True
+    return True
+
+
+def _open(path: Path) -> IO[str]:
+    """Open a regular file of this user; whatever else has its name raises ValueError."""
+    fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    file = os.fdopen(fd)
+    found = os.fstat(fd)
+    if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid():
+        file.close()
+        raise ValueError(f"{path}: is no note")
+    return file
 
 
 def _is_locked(note: IO[str]) -> bool:

@@ -5,11 +5,13 @@ access control, connections to other hosts, and the delivery of the end of its s
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import zmq
 
 from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate
+from sparseskin.nodes.files import check_private
 
 from .keys import KeyPair
 from .sockets import Peer, Reader, Writer
@@ -38,6 +40,8 @@ class Network:
     ------
     zmq.ZMQError
         If an endpoint is in use or malformed.
+    SparseskinError
+        If other users can enter the folder of its socket.
     """
 
     def __init__(
@@ -64,6 +68,8 @@ class Network:
 
             allowed, known = (security["allowed"], security["known"]) if security else ({}, {})
             self._gate = Gate(context, self._keys, allowed, known, log)
+        if config["endpoint"].startswith("ipc:///"):
+            check_private(Path(config["endpoint"].removeprefix("ipc://")).parent)
         self._peers: Peers | None = None
         self.writer = Writer(
             context,

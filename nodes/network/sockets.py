@@ -108,7 +108,7 @@ class Writer:
     context, name
         From `make_context`; the node's name, for its asks.
     endpoint, public : str
-        Where to bind: "ipc://@NAME", "tcp://127.0.0.1:*" or a stated port; and for readers on other
+        Where to bind: "ipc:///PATH", "tcp://127.0.0.1:*" or a stated port; and for readers on other
         hosts, "tcp://ADDRESS:PORT", or "" for none.
     gate, now_ns, log
         Guard of the socket; the graph's clock, for readers on other hosts; receives one line.

@@ -17,8 +17,8 @@ from sparseskin.launch.run.running import (
     announced,
     choose_graph,
     is_running,
-    notes_folder,
     running_graphs,
+    runtime_folder,
 )
 
 
@@ -49,7 +49,7 @@ def test_a_note_of_a_launcher_that_was_killed_is_cleared_away() -> None:
         "with note():\n"
         "    os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    helper = notes_folder().parent / "tests_running_helper.py"
+    helper = runtime_folder().parent / "tests_running_helper.py"
     helper.write_text(
         "from sparseskin.launch.run.running import RunningGraph, announced\n"
         "def note(): return announced(RunningGraph('dead', 1, 0, '', {}))\n"
@@ -57,9 +57,9 @@ def test_a_note_of_a_launcher_that_was_killed_is_cleared_away() -> None:
     environment = {**os.environ, "PYTHONPATH": str(helper.parent)}
     done = subprocess.run([sys.executable, "-c", code], env=environment, check=False)
     assert done.returncode == -9
-    assert list(notes_folder().iterdir())
+    assert list(runtime_folder().iterdir())
     assert running_graphs() == []
-    assert not list(notes_folder().iterdir())
+    assert not list(runtime_folder().iterdir())
 
 
 def test_which_of_several_graphs_has_to_be_said() -> None:
@@ -75,9 +75,9 @@ def test_which_of_several_graphs_has_to_be_said() -> None:
 
 
 def test_what_is_no_note_is_passed_over() -> None:
-    (notes_folder() / "junk.json").write_text("{")
+    (runtime_folder() / "junk.json").write_text("{")
     assert running_graphs() == []
-    assert notes_folder().stat().st_mode & 0o077 == 0
+    assert runtime_folder().stat().st_mode & 0o077 == 0
 
 
 def test_writers_are_known_by_topic() -> None:

@@ -1,0 +1,274 @@
+"""The runtime folder: closed to other users, and nothing that others wrote is removed from it."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import StartProgram, wait_until
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.launch.run import running
+from sparseskin.launch.run.running import (
+    GraphError,
+    RunningGraph,
+    RunningNode,
+    announced,
+    control_path,
+    running_graphs,
+    runtime_folder,
+    socket_path,
+)
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.network.network import Network
+from sparseskin.nodes.network.sockets import make_context
+
+NOBODY = 65534
+GRAPH = RunningGraph("path_40", 7, 0, "", {"sensor": RunningNode("sensor", "ipc://x", [])})
+LAUNCH = ("launch", "drag_wrench_40", "--set", "monitor.page=false", "--frames", "1")
+
+
+@pytest.fixture
+def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A runtime folder, not yet made, in a folder that every user may enter."""
+    with tempfile.TemporaryDirectory(prefix="ss-") as name:
+        os.chmod(name, 0o755)
+        monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", f"{name}/run")
+        yield Path(name) / "run"
+
+
+Run = Callable[[str], str]
+
+
+@pytest.fixture
+def as_nobody() -> Run:
+    """Run Python code as another user of the host; the error that it raises, by name."""
+    if os.geteuid() != 0:
+        pytest.skip("only root can act as another user")
+    if shutil.which("setpriv") is None:
+        pytest.skip("setpriv (util-linux) is not installed")
+    become = ("setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups")
+
+    def run(python: str, code: str) -> subprocess.CompletedProcess[str]:
+        command = [*become, python, "-I", "-c", code]
+        return subprocess.run(command, capture_output=True, text=True, check=False, cwd="/")
+
+    for python in (sys.executable, "/usr/bin/python3", "/usr/local/bin/python3"):
+        if run(python, "pass").returncode == 0:
+            return lambda code: run(python, code).stderr.strip().split("\n")[-1].split(":")[0]
+    pytest.skip("the other user can start no Python")
+
+
+def put_link(path: Path) -> None:
+    (path.parent / "target").mkdir(mode=0o700)
+    path.symlink_to(path.parent / "target")
+
+
+def open_to_all(path: Path) -> None:
+    path.mkdir()
+    path.chmod(0o755)
+
+
+def give_away(path: Path) -> None:
+    path.mkdir(mode=0o700)
+    try:
+        os.chown(path, NOBODY, NOBODY)
+    except PermissionError:
+        pytest.skip("only root can give a folder to another user")
+
+
+@pytest.mark.parametrize(
+    ("prepare", "fault"),
+    [
+        (put_link, "is a link"),
+        (Path.touch, "File exists"),
+        (open_to_all, "mode 0755 lets other users in"),
+        (give_away, f"belongs to user {NOBODY}"),
+    ],
+    ids=["link", "file", "mode", "owner"],
+)
+def test_a_folder_that_others_can_change_is_refused_before_any_node_starts(
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    prepare: Callable[[Path], None],
+    fault: str,
+) -> None:
+    prepare(folder)
+
+    def no_process(*_: Any, **__: Any) -> None:
+        raise AssertionError("a process was started")
+
+    monkeypatch.setattr(subprocess, "Popen", no_process)
+    for command in (LAUNCH, ("node", "list")):
+        assert main(command) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"{folder}: {fault}")
+        assert line.endswith("SPARSESKIN_RUNTIME_DIR names another")
+
+
+def test_a_node_binds_in_no_folder_that_others_can_enter(folder: Path) -> None:
+    open_to_all(folder)
+    context = make_context()
+    config = {"name": "sensor", "endpoint": f"ipc://{folder}/1.0.sock"}
+    with pytest.raises(SparseskinError, match="mode 0755 lets other users in"):
+        Network(context, config, lambda: 0, print)
+    context.destroy(linger=0)
+    assert not list(folder.iterdir())
+
+
+def test_a_folder_whose_path_is_too_long_for_a_socket_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(folder / ("x" * 100)))
+    assert main(LAUNCH) == 2
+    assert "too long for the path of a socket" in capsys.readouterr().err
+    assert running_graphs() == []
+
+
+def test_another_user_neither_reads_nor_takes_the_address_of_a_node(
+    folder: Path, as_nobody: Run
+) -> None:
+    path = runtime_folder() / "7.0.sock"
+    context = make_context()
+    Network(context, {"name": "sensor", "endpoint": f"ipc://{path}"}, lambda: 0, print)
+    assert path.is_socket()
+    use = f"import os, socket; s = socket.socket(socket.AF_UNIX); s.%s({str(path)!r})"
+    with announced(GRAPH):
+        assert as_nobody(use % "connect") == "PermissionError"
+        assert as_nobody(f"import os; os.listdir({str(folder)!r})") == "PermissionError"
+        assert as_nobody(f"open({str(folder / f'{GRAPH.label}.json')!r})") == "PermissionError"
+    context.destroy(linger=0)
+    path.unlink(missing_ok=True)  # the node has crashed
+    assert as_nobody(use % "bind") == "PermissionError"
+
+
+def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(
+    start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = start("launch", "replay", "--set", "monitor.page=false", *_source(tmp_path))
+    program.wait_for("[launch] ready")
+    folder = tmp_path / "graphs"
+    assert len(list(folder.glob(f"{program.process.pid}.*.sock"))) == 4
+    program.kill_all()
+    program.process.communicate()
+    assert len(list(folder.iterdir())) == 6  # the note, the control socket, four nodes
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(folder))
+
+    def removed() -> bool:  # a process that is being killed still holds its socket
+        return running_graphs() == [] and not list(folder.iterdir())
+
+    wait_until(removed, "the end of all nodes")
+
+
+def _source(folder: Path) -> tuple[str, ...]:
+    (folder / "endless.py").write_text(
+        "import itertools, time\nimport numpy as np\n"
+        "def frames():\n"
+        "    for k in itertools.count(): time.sleep(0.05); yield k, np.zeros((8, 8))\n"
+    )
+    return ("--set", "sensor.source=endless:frames")
+
+
+def test_what_others_wrote_stays(folder: Path) -> None:
+    runtime_folder()
+    old = asdict(GRAPH)
+    texts = {
+        "settings.json": '{"colour": 1}',
+        "path_40-7.json": json.dumps(old | {"pid": 8}),
+        "broken-7.json": "{",
+        "list-7.json": "[]",
+        "text-7.json": '"a"',
+        "deep-7.json": "[" * 100_000,
+        "7.sock": "no socket",
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    (folder / "elsewhere").write_text(json.dumps(old | {"name": "link"}))
+    (folder / "link-7.json").symlink_to(folder / "elsewhere")
+    os.mkfifo(folder / "fifo-7.json")
+    with socket.socket(socket.AF_UNIX) as served, socket.socket(socket.AF_UNIX) as named:
+        served.bind(str(folder / "8.1.sock"))
+        served.listen()
+        named.bind(str(folder / "7.mine.sock"))
+        (folder / "own-8.json").write_text(json.dumps(old | {"name": "own", "pid": 8}))
+        before = {path.name for path in folder.iterdir()}
+        assert running_graphs() == []
+        assert {path.name for path in folder.iterdir()} == before
+    assert running_graphs() == []
+    assert before - {path.name for path in folder.iterdir()} == {"own-8.json", "8.1.sock"}
+    assert all((folder / name).read_text() == text for name, text in texts.items())
+
+
+def test_a_note_is_at_no_moment_there_and_unlocked(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: list[list[RunningGraph]] = []
+    beside = threading.Thread(target=lambda: found.append(running_graphs()))
+    flock = fcntl.flock
+
+    def lock(file: Any, how: int) -> None:
+        # Between the creation of the note and its lock, another command looks for stale ones.
+        if not isinstance(file, int) and not beside.ident:
+            beside.start()
+        flock(file, how)
+
+    monkeypatch.setattr(running.fcntl, "flock", lock)
+    with announced(GRAPH):
+        beside.join()
+        assert found == [[GRAPH]]
+
+
+def test_a_graph_that_starts_or_ends_cannot_be_joined(folder: Path) -> None:
+    starting = RunningGraph("path_40", 7, 0, "", {})
+    with announced(starting) as note:
+        assert running_graphs() == []
+        assert not running.is_running(GRAPH)
+        note.announce(GRAPH)
+        assert running_graphs() == [GRAPH]
+        assert running.is_running(GRAPH)
+        note.announce(starting)
+        assert not running.is_running(GRAPH)
+    assert not list(folder.iterdir())
+
+
+def test_two_graphs_with_one_number_do_not_share_sockets(folder: Path) -> None:
+    other = RunningGraph("lift", 7, 0, "", {})
+    with announced(GRAPH), pytest.raises(GraphError, match="path_40-7 has this number too"):
+        announced(other).__enter__()
+    assert not list(folder.iterdir())
+
+
+def test_a_graph_counts_as_running_while_no_file_can_be_opened(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any, **__: Any) -> int:
+        raise OSError(24, "Too many open files")
+
+    with announced(GRAPH), monkeypatch.context() as patch:
+        patch.setattr(running.os, "open", full)
+        assert running.is_running(GRAPH)
+
+
+def test_an_environment_of_another_user_is_not_used(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder.mkdir()
+    give_away(folder / "theirs")
+    monkeypatch.delenv("SPARSESKIN_RUNTIME_DIR")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder / "theirs"))
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    assert runtime_folder() == folder / f"sparseskin-{os.geteuid()}"
+    assert Path(control_path()).parent == Path(socket_path(0)).parent == runtime_folder()
