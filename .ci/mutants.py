@@ -25,12 +25,12 @@ import sys
 import tempfile
 import tomllib
 from collections import Counter
+from difflib import ndiff
 from itertools import groupby
 from pathlib import Path
 
 from layout import CONFIG, IGNORED, ROOT, copy_package
 from mutmut.configuration import reset_config
-from mutmut.mutation.diff_apply import get_diff_for_mutant
 from mutmut.mutation.file_mutation import mutate_file_contents
 from mutmut.utils.format_utils import get_mutant_name
 
@@ -83,6 +83,7 @@ SURVIVED, NO_TESTS = 0, 33
 EXPLAINED = ROOT / ".ci" / "mutants.toml"
 Explanations = dict[str, list[dict[str, str]]]
 """By module, entries with `old` and `new` code of a mutant, and `why` it needs no test."""
+_MANGLED = re.compile(r"__mutmut_\w+")
 _TEXT = re.compile(r"""[rbf]*("([^"\\]|\\.)*"|'([^'\\]|\\.)*')""", re.IGNORECASE)
 
 
@@ -169,15 +170,20 @@ def _sample(module: str, size: int) -> dict[str, tuple[str, str]]:
     """Draw mutants of a module, other than those of texts; the old and new code, by name."""
     path = Path("sparseskin", module)
     mutated = mutate_file_contents(str(path), path.read_text())
-    names = sorted(get_mutant_name(path, name) for name in mutated.mutant_names)
+    lines = mutated.code.split("\n")
+    code = {
+        name: [_MANGLED.sub("", line) for line in lines[span.start - 1 : span.end]]
+        for name, span in mutated.line_span_by_function_name.items()
+    }
+    names = sorted(mutated.mutant_names)
     sample: dict[str, tuple[str, str]] = {}
-    for mutant in random.Random(module).sample(names, len(names)):
+    for name in random.Random(module).sample(names, len(names)):
         if len(sample) == size:
             break
-        diff = get_diff_for_mutant(mutant, source=mutated.code, path=path).splitlines()[2:]
-        old, new = (" ".join(line[1:].strip() for line in diff if line[0] == s) for s in "-+")
+        diff = list(ndiff(code[_MANGLED.sub("__mutmut_orig", name)], code[name]))
+        old, new = (" ".join(line[2:].strip() for line in diff if line[0] == s) for s in "-+")
         if _TEXT.sub("", old) != _TEXT.sub("", new):
-            sample[mutant] = (old, new)
+            sample[get_mutant_name(path, name)] = (old, new)
     return sample
 
 
