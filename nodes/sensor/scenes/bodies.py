@@ -4,6 +4,15 @@ A sole is the lowest of a few primitives, eroded by the sphere of a taxel of rad
 point p it is felt at the height
 
     felt(p) = min over |d| < r of  height(p + d) + r - sqrt(r^2 - |d|^2).
+
+Limit. The map is eroded on a grid of 0.5 mm and interpolated between its points, so r = 2.5 mm is
+felt up to 2.0 mm beyond a straight edge, where the flank of the sphere is 1.0 mm high, and up to
+1.6 to 2.0 mm beyond a round one: an edge that sinks deeper misses taxels. The peg of path_40 with
+seed 0 presses 18 taxels at its first landing where exact distances give 19; its contact frames
+differ by 64.5 dB (PSNR; noise 47.9 dB), 49 of 11541 by more than their noise, the worst (37.1 dB)
+at its second landing. On a grid of 0.125 mm the contact frames of lift_wrench_40 differ by 51.3 dB
+(noise 47.3 dB), 214 of 2362 by more than their noise. The cube is exact: no taxel has its centre
+less than 2.5 mm beyond its edges. Measured by tests/nodes/sensor/scenes/test_exact.py.
 """
 
 from __future__ import annotations

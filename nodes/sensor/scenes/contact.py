@@ -27,6 +27,9 @@ of loaded cells (`RigidBody._solve_stage`). Where that set changes within a step
 halved up to four times, and then done by implicit Euler, which on cells that only push never
 adds energy and whose error is then one of a sixteenth of a step.
 
+Limits. The rate d_i' is that of the free coordinates: the sliding of a sole along the skin moves
+the gaps g_i0 between steps, and neither damps nor drags. There is no friction.
+
 Sources: Habib et al., SkinSim (CASE 2014): spheres on springs and dampers. Alexander, Diagonally
 implicit Runge-Kutta methods for stiff O.D.E.'s, SIAM J. Numer. Anal. 14 (1977).
 """
@@ -50,9 +53,13 @@ two or three."""
 _MAX_HALVINGS = 30
 """Most halvings of a Newton step that does not lower the cost."""
 _MAX_SPLITS = 4
-"""Most halvings of a time step in which cells come into contact or leave it. Measured on the
-wrench: a landing early or late by part of a step changes the height of the bounce; with undivided
-steps of 1 ms the error of the frames is above the noise, with sixteenths 16 dB below it."""
+"""Most halvings of a time step in which cells come into contact or leave it.
+
+A landing early or late by part of a step changes the height of the bounce. PSNR of the contact
+frames against the exact solution (tests/nodes/sensor/scenes/test_exact.py): lift_wrench_40 59.0 dB,
+11.7 dB below the noise, with 50 of 2325 frames above their noise and the worst (40.8 dB) at its
+second landing; lift_box_40 73.4 dB, 26.8 dB below the noise. Six halvings serve the wrench (66.3
+dB, no frame above its noise) and not the box (56.1 dB, 6 of 141 frames above)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,313 @@
+"""Simulated bodies and scenes against exact solutions of the same equations, written anew here.
+
+The accuracy that the docstrings of `contact`, `scenes` and `bodies` and docs/method.md state is
+asserted here to its digits.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.integrate import solve_ivp
+
+from sparseskin.messages.skin import CONTACT_FRACTION
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.scenes import bodies, contact
+from sparseskin.nodes.sensor.scenes.bodies import FAR_M, Body, Sole, build_sole, metal_peg
+from sparseskin.nodes.sensor.scenes.contact import Bed, RigidBody
+from sparseskin.nodes.sensor.scenes.motion import Drag
+from sparseskin.nodes.sensor.scenes.scenes import SCENES, SKIN, TAXEL_RADIUS_M, open_scene
+from sparseskin.nodes.sensor.scenes.simulation import Scene, SceneSource
+
+Array = npt.NDArray[np.float64]
+G_M_S2 = 9.81
+F_MAX_N = 2.5
+
+
+def press(k: Array | float, c: Array | float, depth: Array, rate: Array) -> Array:
+    """Forces of unilateral spring-dampers in N, from penetrations in m and their rates in m/s."""
+    return np.where(depth > 0.0, np.maximum(0.0, k * depth + c * rate), 0.0)
+
+
+def exact(
+    acceleration: Callable[[float, Array, Array], list[float]],
+    q0: list[float],
+    times_s: Array,
+    method: str = "DOP853",
+    rtol: float = 1e-10,
+) -> tuple[Array, Array]:
+    """Coordinates and rates of a body that starts at rest; each of shape (n_dof, n_times)."""
+    n = len(q0)
+    found = solve_ivp(
+        lambda t, y: [*y[n:], *acceleration(t, y[:n], y[n:])],
+        (times_s[0], times_s[-1]),
+        [*q0, *np.zeros(n)],
+        method=method,
+        t_eval=times_s,
+        rtol=rtol,
+        atol=1e-12,
+        max_step=5e-3,  # not to step over a short contact
+    )
+    assert found.success
+    return found.y[:n], found.y[n:]
+
+
+def psnr_db(squares: Array | float) -> float:
+    return float(10.0 * np.log10(F_MAX_N**2 / np.mean(squares)))
+
+
+def published(raw: Array) -> Array:
+    """Frames as a sensor publishes them: mean of the last 10, limited to the range."""
+    padded = np.concatenate([np.zeros((9, raw.shape[1])), raw])
+    mean = np.stack([padded[i : i + 10].mean(axis=0) for i in range(len(raw))])
+    return np.minimum(mean, F_MAX_N)
+
+
+def compare(frames: Array, expected: Array) -> tuple[Array, Array]:
+    """Mean squared difference and mean square of the noise, in N^2, of each frame in contact."""
+    noisy = NoiseModel().apply(frames.astype(np.float32), np.random.default_rng(0))
+    touched = np.maximum(frames, expected).max(axis=1) > CONTACT_FRACTION * F_MAX_N
+    return (
+        ((frames - expected) ** 2).mean(axis=1)[touched],
+        ((noisy - frames) ** 2).mean(axis=1)[touched],
+    )
+
+
+def frames_of(source: SceneSource, n_frames: int) -> Array:
+    return np.stack([f.ravel() for _, f in itertools.islice(source, n_frames)]).astype(np.float64)
+
+
+def test_damped_oscillation_follows_the_closed_form() -> None:
+    mass_kg, omega, zeta, dt_s = 0.5, 100.0, 0.1, 1e-5
+    body = RigidBody(np.array([mass_kg]), np.array([-mass_kg * G_M_S2]))
+    bed = Bed(
+        np.array([mass_kg * omega**2]),
+        np.array([2 * zeta * omega * mass_kg]),
+        np.zeros(1),
+        np.ones((1, 1)),
+    )
+    static_m, damped = G_M_S2 / omega**2, omega * math.sqrt(1 - zeta**2)
+    q, v = np.array([-0.5 * static_m]), np.zeros(1)  # stays in contact: the bed is linear
+    depths = []
+    for _ in range(10_000):
+        q, v = body.step(bed, q, v, dt_s)
+        depths.append(-q[0])
+    t = dt_s * np.arange(1, 10_001)
+    swing = np.cos(damped * t) + zeta * omega / damped * np.sin(damped * t)
+    expected = static_m * (1.0 - 0.5 * np.exp(-zeta * omega * t) * swing)
+    np.testing.assert_allclose(depths, expected, atol=2e-7 * static_m)
+
+
+@pytest.mark.parametrize(
+    ("halvings", "change_db", "noise_db", "n_above", "n_contact"),
+    [(0, 41.6, 46.9, 49, 188), (4, 73.4, 46.6, 0, 139), (6, 56.1, 46.7, 6, 141)],
+)
+def test_box_falls_lands_and_bounces_as_the_exact_solution(
+    halvings: int,
+    change_db: float,
+    noise_db: float,
+    n_above: int,
+    n_contact: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(contact, "_MAX_SPLITS", halvings)
+    mass_kg, n_taxels, k, c = 0.5167, 400, 122.24, 0.4
+    n_frames = 685
+
+    def acceleration(t: float, q: Array, v: Array) -> list[float]:
+        return [float(n_taxels * press(k, c, -q, -v)[0] / mass_kg - G_M_S2)]
+
+    q, v = exact(acceleration, [0.5], 1e-3 * np.arange(n_frames))
+    frames = frames_of(open_scene("lift_box_40", 0), n_frames)
+    touched = frames.any(axis=0)
+    assert np.count_nonzero(touched) == n_taxels
+    expected = published(np.outer(press(k, c, -q[0], -v[0]), touched))
+    change, noise = compare(frames, expected)
+    assert (np.count_nonzero(change > noise), change.size) == (n_above, n_contact)
+    assert psnr_db(change) == pytest.approx(change_db, abs=0.1)
+    assert psnr_db(noise) == pytest.approx(noise_db, abs=0.1)
+
+
+def test_tilted_body_lands_and_rocks_as_the_exact_solution() -> None:
+    mass_kg, inertia_kg_m2, off_m, k, c = 0.5, 2e-4, 0.004, 122.24, 0.4
+    x = np.tile((np.arange(10) - 4.5) * 0.005, 10)
+    body = RigidBody(
+        np.array([mass_kg, inertia_kg_m2]),
+        np.array([-mass_kg * G_M_S2, mass_kg * G_M_S2 * off_m]),
+    )
+    bed = Bed(np.full(100, k), np.full(100, c), np.zeros(100), np.stack([np.ones(100), -x], axis=1))
+
+    def acceleration(t: float, q: Array, v: Array) -> list[float]:
+        f = press(k, c, x * q[1] - q[0], x * v[1] - v[0])
+        moment = mass_kg * G_M_S2 * off_m - f @ x
+        return [f.sum() / mass_kg - G_M_S2, moment / inertia_kg_m2]
+
+    dt_s, n_steps = 5e-5, 4000
+    expected, _ = exact(acceleration, [0.02, 0.2], dt_s * np.arange(n_steps + 1))
+    q, v = np.array([0.02, 0.2]), np.zeros(2)
+    path = [q]
+    for _ in range(n_steps):
+        q, v = body.step(bed, q, v, dt_s)
+        path.append(q)
+    rebounds = np.flatnonzero(np.diff(np.sign(np.diff(expected[1]))))
+    assert rebounds.size >= 2  # it has tipped from one side to the other and back
+    error = np.abs(np.array(path).T - expected).max(axis=1)
+    assert error[0] < 1e-6  # m, of 20 mm
+    assert error[1] < 2.5e-5  # rad, of 0.35
+
+
+def test_body_dragged_over_the_skin_follows_the_exact_solution() -> None:
+    slope, speed_m_s, side_m, mass_kg = 0.1, 0.05, 0.07, 0.3
+    half = side_m / 2
+
+    def wedge(x: Array, y: Array) -> Array:
+        inside = np.maximum(np.abs(x), np.abs(y)) <= half
+        return np.where(inside, slope * (x + half), FAR_M)
+
+    sole = build_sole([wedge], (-half, half, -half, half), 0.0)
+    scene = Scene(
+        name="wedge",
+        shape=(6, 6),
+        n_steps=6000,
+        dt_ns=100_000,
+        body=Body(sole, mass_kg, 1.0),
+        surface=SKIN,
+        drop_height_m=0.0,
+        motion=Drag(at_s=0.1, velocity_m_s=(speed_m_s, 0.0)),
+        place_m=(-0.01, 0.0),
+    )
+    x = np.tile((np.arange(6) - 2.5) * 0.005, 6)
+    times_s = 1e-4 * np.arange(scene.n_steps)
+
+    def acceleration(t: float, q: Array, v: Array) -> list[float]:
+        middle = -0.01 + speed_m_s * max(0.0, t - 0.1)
+        depth = -(q[0] + slope * (x - middle + half))
+        return [press(122.24, 0.4, depth, np.full(36, -v[0])).sum() / mass_kg - G_M_S2]
+
+    expected, _ = exact(acceleration, [0.0], times_s)
+    heights = [state.q[0] for state in SceneSource(scene, 0).states()]
+    assert np.abs(heights - expected[0]).max() < slope * speed_m_s * 1e-4  # one step of the drag
+    assert expected[0].min() < -6e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("halvings", "change_db", "worst_db", "n_above", "n_contact"),
+    [(4, 59.0, 40.8, 50, 2325), (6, 66.3, 52.8, 0, 2320)],
+)
+def test_wrench_lands_and_rocks_as_the_exact_solution(
+    halvings: int,
+    change_db: float,
+    worst_db: float,
+    n_above: int,
+    n_contact: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(contact, "_MAX_SPLITS", halvings)
+    source = open_scene("lift_wrench_40", 0)
+    state = next(source.states())
+    reached = state.bed.gap < 0.1
+    k, c, gap = (a[reached] for a in (state.bed.stiffness, state.bed.damping, state.bed.gap))
+    x = -state.bed.jacobian[reached, 1]
+
+    def acceleration(t: float, q: Array, v: Array) -> list[float]:
+        f = press(k, c, x * q[1] - q[0] - gap, x * v[1] - v[0])
+        return [f.sum() - G_M_S2, -f @ x]  # 1 kg and 1 kg m2
+
+    n_frames = 2951
+    q, v = exact(acceleration, [0.5, 0.0], 1e-3 * np.arange(n_frames), "LSODA", 1e-9)
+    on_skin = np.flatnonzero(reached)
+    taxels = state.taxels[on_skin[on_skin < state.taxels.size]]
+    raw = np.zeros((n_frames, 1600))
+    for i in range(n_frames):
+        f = press(k, c, x * q[1, i] - q[0, i] - gap, x * v[1, i] - v[0, i])
+        raw[i, taxels] = f[: taxels.size]
+    change, noise = compare(frames_of(source, n_frames), published(raw))
+    assert (np.count_nonzero(change > noise), change.size) == (n_above, n_contact)
+    assert psnr_db(change) == pytest.approx(change_db, abs=0.1)
+    assert psnr_db(noise) == pytest.approx(47.3, abs=0.1)
+    assert psnr_db(change.max()) == pytest.approx(worst_db, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "n_steps", "deepest_mm", "largest_n", "published_n"),
+    [
+        ("lift_box_40", 400, 5.55, 1.21, 0.50),
+        ("lift_box_64", 3400, 5.59, 1.25, 1.24),
+        ("lift_wrench_40", 400, 12.17, 2.06, 1.54),
+        ("drag_wrench_64", 2400, 10.13, 1.47, 1.46),
+    ],
+)
+def test_first_landing_has_the_stated_depth_and_peaks(
+    name: str, n_steps: int, deepest_mm: float, largest_n: float, published_n: float
+) -> None:
+    source = open_scene(name, 0)
+    deepest, largest = 0.0, 0.0
+    for state in itertools.islice(source.states(), n_steps):
+        n = state.taxels.size
+        deepest = max(deepest, -(state.bed.gap + state.bed.jacobian @ state.q)[:n].min())
+        largest = max(largest, state.bed.forces(state.q, state.v)[:n].max())
+    assert 1e3 * deepest == pytest.approx(deepest_mm, abs=0.01)
+    assert largest == pytest.approx(largest_n, abs=0.01)
+    assert frames_of(source, n_steps).max() == pytest.approx(published_n, abs=0.01)
+
+
+def test_peg_sinks_by_9_to_10_7_mm_and_in_15_of_40_seeds_by_more_than_10() -> None:
+    deepest = []
+    for seed in range(40):
+        states = itertools.islice(open_scene("path_40", seed).states(), 318, 330)
+        deepest.append(max(-float(s.bed.gap.min() + s.q[0]) for s in states))
+    assert sum(depth > 0.010 for depth in deepest) == 15
+    assert 1e3 * min(deepest) == pytest.approx(8.95, abs=0.01)
+    assert 1e3 * max(deepest) == pytest.approx(10.67, abs=0.01)
+
+
+class ExactDisc(Sole):
+    """The sole of the peg by exact distances: a disc of 10 mm radius, felt by spheres."""
+
+    def sample(self, x: Array, y: Array) -> Array:
+        beyond = np.maximum(np.hypot(x, y) - 0.010, 0.0)
+        flank = TAXEL_RADIUS_M - np.sqrt(np.maximum(TAXEL_RADIUS_M**2 - beyond**2, 0.0))
+        return np.where(beyond < TAXEL_RADIUS_M, flank, FAR_M)
+
+
+@pytest.mark.parametrize(
+    ("n_frames", "change_db", "n_above", "n_contact"),
+    [(1000, 49.5, 49, 341), pytest.param(12200, 64.5, 49, 11541, marks=pytest.mark.slow)],
+)
+def test_height_map_of_the_peg_lacks_one_taxel_of_19_at_its_landing(
+    n_frames: int, change_db: float, n_above: int, n_contact: int
+) -> None:
+    scene = SCENES["path_40"]()
+    sole = metal_peg(TAXEL_RADIUS_M).sole
+    body = replace(scene.body, sole=ExactDisc(sole.heights, sole.x_min, sole.y_min))
+    frames = frames_of(open_scene("path_40", 0), n_frames)
+    expected = frames_of(SceneSource(replace(scene, body=body), 0), n_frames)
+    pressed = [np.count_nonzero(f.max(axis=0)) for f in (frames[320:330], expected[320:330])]
+    assert pressed == [18, 19]
+    change, noise = compare(frames, expected)
+    assert (np.count_nonzero(change > noise), change.size) == (n_above, n_contact)
+    assert psnr_db(change) == pytest.approx(change_db, abs=0.1)
+    assert psnr_db(change.max()) == pytest.approx(37.1, abs=0.1)
+    assert psnr_db(noise) == pytest.approx(47.9, abs=0.1)
+
+
+@pytest.mark.slow
+def test_height_map_of_the_wrench_on_a_finer_grid_changes_214_frames_of_2362(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(bodies, "GRID_M", 0.000125)
+    wrench = bodies.monkey_wrench.__wrapped__(TAXEL_RADIUS_M)
+    body = replace(wrench, sole=replace(wrench.sole, grid_m=0.000125))
+    source = open_scene("lift_wrench_40", 0)
+    finer = SceneSource(replace(source.scene, body=body), 0)
+    change, noise = compare(frames_of(source, 3000), frames_of(finer, 3000))
+    assert (np.count_nonzero(change > noise), change.size) == (214, 2362)
+    assert psnr_db(change) == pytest.approx(51.3, abs=0.1)
+    assert psnr_db(noise) == pytest.approx(47.3, abs=0.1)
