@@ -68,7 +68,7 @@ class ControlServer:
         Path(self._path).unlink(missing_ok=True)
 
     def _accept(self) -> None:
-        with contextlib.suppress(BlockingIOError):
+        with contextlib.suppress(OSError):  # it has left, or no descriptor is free
             connection, _ = self._socket.accept()
             if len(self._clients) >= MAX_CLIENTS:
                 connection.close()

@@ -5,7 +5,6 @@ programs at its control socket, their answers, and the state of the graph for bo
 from __future__ import annotations
 
 import secrets
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +14,7 @@ from sparseskin.nodes.errors import RefusedError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.control import MAX_DEPTH, is_shallow
 
+from .awake import awake_s
 from .control_server import ControlServer
 from .control_socket import ControlClient
 from .fleet import Fleet
@@ -77,7 +77,7 @@ class Requests:
         elif fault := self._fault(node, command, request.get("value")):
             _answer(asked, False, fault)
         else:
-            asked.deadline_s = time.monotonic() + PATIENCE_S
+            asked.deadline_s = awake_s() + PATIENCE_S
             key = secrets.token_hex(8)
             self._open[key] = asked
             self._nodes[node].command(command, id=key, value=request.get("value"))
@@ -90,7 +90,7 @@ class Requests:
 
     def expire(self) -> None:
         """Answer in place of nodes that are late or gone."""
-        now_s = time.monotonic()
+        now_s = awake_s()
         for key, asked in list(self._open.items()):
             node = self._nodes.get(asked.node)
             gone = node is None or node.exit_code() is not None
@@ -147,10 +147,10 @@ class Controls:
         if self._server is not None:
             self._server.flush()
         conditions = [self._fleet.condition(node) for node in self._fleet]
-        if conditions == self._conditions and time.monotonic() < self._next_s:
+        if conditions == self._conditions and awake_s() < self._next_s:
             return
         self._conditions = conditions
-        self._next_s = time.monotonic() + NEWS_S
+        self._next_s = awake_s() + NEWS_S
         watching = [node for node in self._fleet if node.spec.cls.watches and node.ready]
         if not watching and not (self._server and self._server.watched):
             return

@@ -5,13 +5,14 @@ from __future__ import annotations
 import secrets
 import selectors
 import signal
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 from sparseskin.launch.launchfile.spec import LaunchFile, NodeSpec
+from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.graph import Link
 
+from .awake import awake_s
 from .configs import node_config, peer_of
 from .process import NodeProcess, exit_text
 from .restarts import Restarts
@@ -124,7 +125,7 @@ class Fleet:
                 self._listen(data)
             else:
                 data()
-        now_s = time.monotonic()
+        now_s = awake_s()
         for node in self:
             self._check(node, now_s)
         for name in [name for name, due_s in self._due_s.items() if due_s <= now_s]:
@@ -139,8 +140,8 @@ class Fleet:
             if not node.endpoint:  # still starting: it does not listen yet
                 node.send_signal(signal.SIGTERM)
         for number in (signal.SIGTERM, signal.SIGKILL):
-            deadline = time.monotonic() + GRACE_S
-            while self._alive() and time.monotonic() < deadline:
+            deadline = awake_s() + GRACE_S
+            while self._alive() and awake_s() < deadline:
                 self._selector.select(POLL_S)
                 for node in self:
                     self._listen(node)
@@ -148,8 +149,7 @@ class Fleet:
                 self._log(f"[launch] {node.name} does not end: {number.name}")
                 node.send_signal(number)
         for node in self:
-            self._listen(node)
-            node.close()
+            self._close(node)
         self._selector.close()
 
     def _start_process(self, spec: NodeSpec, late: bool = False, endpoint: str = "") -> None:
@@ -175,16 +175,25 @@ class Fleet:
         """Start a node that died, at the endpoint where its readers look for it."""
         del self._due_s[name]
         dead = self.nodes[name]
-        for pipe in dead.pipes:  # a child of the node's may still hold the other end
-            if pipe in self._selector.get_map():
-                self._selector.unregister(pipe)
-        dead.close()
+        self._close(dead)
         self._log(f"[launch] {name} is started again (restart {self.n_restarts(name)})")
         if dead.state.get("paused"):
             self._to_pause.add(name)
         endpoint = self._endpoints.get(name, "")
         spec = dead.spec.with_live(dead.settings).again(self.n_restarts(name))
-        self._start_process(spec, late=True, endpoint=endpoint)
+        try:
+            self._start_process(spec, late=True, endpoint=endpoint)
+        except SparseskinError as error:
+            self._died(dead, EXIT_FAILED, str(error))
+
+    def _close(self, node: NodeProcess) -> None:
+        """Read what is left of a node, and close its pipes."""
+        for _ in range(2):  # what waits, then the end
+            self._listen(node)
+        for pipe in node.pipes:  # a child of the node's may still hold the other end
+            if not pipe.closed and pipe in self._selector.get_map():
+                self._selector.unregister(pipe)
+        node.close()
 
     def _alive(self) -> list[NodeProcess]:
         return [node for node in self if node.exit_code() is None]
@@ -201,7 +210,10 @@ class Fleet:
                 self._log(f"[launch] {node.name} has been silent for {hang_s:g} s: SIGKILL")
                 node.send_signal(signal.SIGKILL)
                 node.heard_s = now_s
-        elif not node.ended and node.name not in self._due_s:
+        elif node.ended:
+            if not node.closed:
+                self._close(node)
+        elif node.name not in self._due_s:
             self._listen(node)
             if not node.ended:
                 self._died(node, EXIT_FAILED, f"{node.name} ended too early: {exit_text(code)}")
@@ -261,7 +273,7 @@ class Fleet:
         line = text if text.startswith("[") else f"[launch] {text}"
         restarts = self._restarts[node.name]
         if self.supervised and code != EXIT_USAGE:
-            due_s = restarts.next_s(time.monotonic())
+            due_s = restarts.next_s(awake_s())
             if due_s is not None:
                 self._due_s[node.name] = due_s
                 self._log(line)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import time
 from collections.abc import Callable, Mapping
 from types import FrameType
 from typing import Any
@@ -14,6 +13,7 @@ from sparseskin.launch.launchfile.load import LaunchFile
 from sparseskin.nodes.clock import wall_offset_ns
 from sparseskin.nodes.errors import SparseskinError
 
+from .awake import awake_s
 from .configs import note_of
 from .controls import Controls, RemoteControls
 from .fleet import EXIT_FAILED, EXIT_USAGE, START_S, Fleet
@@ -66,7 +66,7 @@ class Launcher:
             launch, self._offset_ns, terminal.log, max_frames, joined, terminal.record
         )
         self._controls: Controls | RemoteControls | None = None
-        self._missing = Missing(launch, terminal.log, time.monotonic())
+        self._missing = Missing(launch, terminal.log, awake_s())
         writers = {link.writer for link in launch.links}
         self._sinks = [name for name in launch.nodes if name not in writers]
         self._interrupts = 0
@@ -182,8 +182,8 @@ class Launcher:
                 self._fleet.nodes[node].command(command)
             elif key in QUIT_KEYS:
                 self._interrupts += 1
-        if self._joined is not None and time.monotonic() >= self._look_at_s:
-            self._look_at_s = time.monotonic() + LOOK_S
+        if self._joined is not None and awake_s() >= self._look_at_s:
+            self._look_at_s = awake_s() + LOOK_S
             if not is_running(self._joined) and not self._gone:
                 self._gone = True
                 self._interrupts += 1
@@ -224,11 +224,11 @@ class Launcher:
         """Serve the nodes until `done`; False if the time is over first, or an interrupt or a
         failure comes; while draining, a second interrupt.
         """
-        deadline = None if limit_s is None else time.monotonic() + limit_s
+        deadline = None if limit_s is None else awake_s() + limit_s
         while not done():
             if self._interrupts > draining or (self._exit_code and not draining):
                 return False
-            if deadline is not None and time.monotonic() >= deadline:
+            if deadline is not None and awake_s() >= deadline:
                 return False
             self._serve()
         return True
@@ -237,7 +237,7 @@ class Launcher:
         self._look_around()
         self._fleet.serve()
         if self._launch.elsewhere:
-            self._missing.report(self._fleet, time.monotonic())
+            self._missing.report(self._fleet, awake_s())
         if self._controls is not None:
             self._controls.serve()
         nodes = self._fleet.nodes

@@ -8,7 +8,7 @@ from typing import Any
 
 from sparseskin.launch.launchfile.load import single_node
 from sparseskin.launch.launchfile.spec import LaunchFile
-from sparseskin.nodes.errors import RefusedError, SettingsError
+from sparseskin.nodes.errors import RefusedError, SparseskinError
 
 from .fleet import Fleet
 from .process import NodeProcess
@@ -75,10 +75,10 @@ class LiveRecording:
         }
         try:
             spec = single_node(self._node, "recorder", values).nodes[self._node]
-        except SettingsError as error:
+            self._fleet.add(spec, topics)
+        except SparseskinError as error:
             self.out = None
             raise RefusedError(f"record: {error}") from error
-        self._fleet.add(spec, topics)
 
     def _done(self, done: bool, text: str) -> None:
         say, self._say = self._say, None

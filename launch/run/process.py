@@ -8,20 +8,59 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from typing import IO, Any
 
 from sparseskin.launch.launchfile.spec import NodeSpec
+from sparseskin.nodes.errors import SparseskinError
+
+from .awake import awake_s
 
 NEW_S = 8.0
 """Time that a log line is published as the latest one, seconds."""
 SILENT_S = 1.6
 """Silence of three heartbeats, after which a node counts as not answering, seconds."""
+CHUNK_BYTES = 65536
+"""Most that is read of a pipe at once, which is all that a pipe holds."""
+MAX_LINE_BYTES = 8192
+"""Length at which a line without an end is broken."""
+LOG_BYTES, LINE_BYTES = 100_000, 100
+"""What a node may log in a second; a line counts as its length and `LINE_BYTES`."""
+
+
+class LogLines:
+    """Splits what a node writes to stderr into lines; a flood is cut, and what was cut counted."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self._since_s = float("-inf")
+        self._left = self._n_cut = 0
+
+    def take(self, chunk: bytes, now_s: float, at_end: bool = False) -> list[str]:
+        """The lines that a chunk completes; at the end of the pipe, also one without an end."""
+        found = []
+        if at_end or now_s - self._since_s >= 1.0:
+            if self._n_cut:
+                found.append(
+                    f"{self._n_cut} lines were cut (more than {LOG_BYTES // 1000} kB a second)"
+                )
+            self._since_s, self._left, self._n_cut = now_s, LOG_BYTES, 0
+        *lines, self._rest = (self._rest + chunk).split(b"\n")
+        if at_end or len(self._rest) > MAX_LINE_BYTES:
+            lines.append(self._rest)
+            self._rest = b""
+        for line in filter(None, lines):
+            if self._left > 0:
+                self._left -= len(line) + LINE_BYTES
+                found.append(line.decode(errors="replace"))
+            else:
+                self._n_cut += 1
+        return found
 
 
 class NodeProcess:
     """A node in a process of its own, in a session of its own, so that a Ctrl-C in the terminal
     reaches the launcher alone. `config` is what `sparseskin.nodes.process.run_node` expects.
+    Raises SparseskinError if the system starts no process more.
     """
 
     def __init__(self, spec: NodeSpec, config: dict[str, Any]) -> None:
@@ -31,14 +70,17 @@ class NodeProcess:
         environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **os.environ}
         # -P: a file of the user's that is named like a standard module must not shadow it.
         # The name at the end is for whoever lists processes.
-        self._popen = subprocess.Popen(
-            [sys.executable, "-P", "-m", "sparseskin.nodes.process.run_node", name],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            start_new_session=True,
-            env=environment,
-        )
+        try:
+            self._popen = subprocess.Popen(
+                [sys.executable, "-P", "-m", "sparseskin.nodes.process.run_node", name],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
+                env=environment,
+            )
+        except OSError as error:
+            raise SparseskinError(f"{name}: cannot be started: {error.strerror}") from error
         self.endpoint = ""
         self.ready = self.ended = self.failed = False
         self.lacks: list[str] = []
@@ -47,12 +89,12 @@ class NodeProcess:
         self.line = self.refusal = ""
         self.state: dict[str, Any] = {}
         self.settings: dict[str, Any] = spec.settings.live_values()
-        self.heard_s = time.monotonic()
+        self.heard_s = awake_s()
         self.counts: dict[str, Any] = {}
         self.report: dict[str, Any] = {}
         self.closed_pipes: list[IO[bytes]] = []
-        self._rest: dict[int, bytes] = {}
-        self._unsent = b""
+        self._log = LogLines()
+        self._rest = self._unsent = b""
         self._said, self._said_s = "", 0.0
         assert self._popen.stdin is not None
         for pipe in (*self.pipes, self._popen.stdin):
@@ -79,14 +121,19 @@ class NodeProcess:
             return "ended"
         if not self.ready:
             return "starting"
-        if time.monotonic() - self.heard_s > SILENT_S:
+        if awake_s() - self.heard_s > SILENT_S:
             return "not answering"
         return "paused" if self.state.get("paused") else "running"
 
     @property
     def said(self) -> str:
         """The last line of its log, while it is new."""
-        return self._said if time.monotonic() - self._said_s < NEW_S else ""
+        return self._said if awake_s() - self._said_s < NEW_S else ""
+
+    @property
+    def closed(self) -> bool:
+        """True once its pipes are closed."""
+        return self.pipes[0].closed
 
     def exit_code(self) -> int | None:
         """Exit code, negative for a signal; None while the process runs."""
@@ -105,6 +152,8 @@ class NodeProcess:
     def flush(self) -> None:
         """Send what is queued; a process that hangs must not hold up the others."""
         assert self._popen.stdin is not None
+        if self.closed:
+            self._unsent = b""
         try:
             while self._unsent:
                 n_sent = os.write(self._popen.stdin.fileno(), self._unsent)
@@ -119,14 +168,18 @@ class NodeProcess:
             self._popen.send_signal(number)
 
     def read(self) -> tuple[list[dict[str, Any]], list[str]]:
-        """All (events, log lines) that wait."""
+        """Waiting (events, log lines): of each pipe a bounded part, for a flood has no end."""
         self.flush()
-        events, log = (self._lines(pipe) for pipe in self.pipes)
+        if self.closed:
+            return [], []
+        *events, self._rest = (self._rest + self._chunk(self.pipes[0])).split(b"\n")
+        chunk = self._chunk(self.pipes[1])
+        log = self._log.take(chunk, awake_s(), at_end=self.pipes[1] in self.closed_pipes)
         if log:
-            self._said, self._said_s = log[-1], time.monotonic()
+            self._said, self._said_s = log[-1], awake_s()
         if events:
-            self.heard_s = time.monotonic()
-        return [_event(line) for line in events], log
+            self.heard_s = awake_s()
+        return [_event(line.decode(errors="replace")) for line in events if line], log
 
     def close(self) -> None:
         """Collect the process and close its pipes; what has not ended by now is killed."""
@@ -138,18 +191,14 @@ class NodeProcess:
         for pipe in self.pipes:
             pipe.close()
 
-    def _lines(self, pipe: IO[bytes]) -> list[str]:
-        fd = pipe.fileno()
-        data = self._rest.get(fd, b"")
+    def _chunk(self, pipe: IO[bytes]) -> bytes:
         try:
-            while chunk := os.read(fd, 65536):
-                data += chunk
-            if pipe not in self.closed_pipes:
-                self.closed_pipes.append(pipe)
+            chunk = os.read(pipe.fileno(), CHUNK_BYTES)
         except BlockingIOError:
-            pass
-        *lines, self._rest[fd] = data.split(b"\n")
-        return [line.decode(errors="replace") for line in lines if line]
+            return b""
+        if not chunk and pipe not in self.closed_pipes:
+            self.closed_pipes.append(pipe)
+        return chunk
 
     def _write(self, fields: dict[str, Any]) -> None:
         self._unsent += json.dumps(fields).encode() + b"\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -10,6 +9,7 @@ from sparseskin.launch.launchfile.spec import LaunchFile
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.host import is_latched
 
+from .awake import awake_s
 from .process import NodeProcess
 
 SLOW_S = 5.0
@@ -90,7 +90,7 @@ def or_log(
     done: Callable[[], bool],
     nodes: Iterable[NodeProcess],
     log: Callable[[str], None],
-    now_s: Callable[[], float] = time.monotonic,
+    now_s: Callable[[], float] = awake_s,
     late: Callable[[NodeProcess], str] = slow_at_start,
     slow_s: float = SLOW_S,
 ) -> Callable[[], bool]:

@@ -1,0 +1,151 @@
+"""What the launcher reads of a node: in bounded parts, so that a flood makes it deaf to nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from conftest import StartProgram, wait_until
+
+from sparseskin.launch.launchfile.load import load
+from sparseskin.launch.run.awake import MAX_STEP_S, AwakeClock, awake_s
+from sparseskin.launch.run.control_socket import ControlClient
+from sparseskin.launch.run.fleet import Fleet
+from sparseskin.launch.run.process import CHUNK_BYTES, LOG_BYTES, MAX_LINE_BYTES, LogLines
+from sparseskin.launch.run.restarts import ON_FAILURE, RestartPolicy
+from sparseskin.launch.run.running import running_graphs
+from sparseskin.nodes.process.proc import n_files
+
+FLOODING = """
+import itertools, os, threading, time
+import numpy as np
+def flood():
+    while True: os.write(2, {text!r} * 1000)
+def frames():
+    threading.Thread(target=flood, daemon=True).start()
+    for k in itertools.count(): time.sleep(0.05); yield k, np.zeros((8, 8))
+"""
+
+
+def test_lines_are_put_together_from_chunks() -> None:
+    log = LogLines()
+    assert log.take(b"one\ntw", 0.0) == ["one"]
+    assert log.take(b"o\n\nthr", 0.1) == ["two"]
+    assert log.take(b"", 0.2, at_end=True) == ["thr"]
+
+
+def test_a_flood_is_cut_and_what_was_cut_is_counted() -> None:
+    log = LogLines()
+    found = [line for _ in range(100) for line in log.take(b"abcde\n" * 1000, 5.0)]
+    n_kept = LOG_BYTES // 105 + 1
+    assert found == ["abcde"] * n_kept
+    cut = f"{100_000 - n_kept} lines were cut (more than 100 kB a second)"
+    assert log.take(b"", 5.9) == []
+    assert log.take(b"next\n", 6.0) == [cut, "next"]
+    assert log.take(b"", 7.0) == []
+
+
+def test_a_flood_that_ends_with_the_node_is_counted_at_its_end() -> None:
+    log = LogLines()
+    log.take(b"a\n" * 2000, 0.0)
+    assert log.take(b"the end", 0.1, at_end=True)[1:] == ["the end"]
+
+
+def test_a_line_without_an_end_takes_no_memory_without_end() -> None:
+    log = LogLines()
+    for _ in range(1000):
+        log.take(b"x" * CHUNK_BYTES, 0.0)
+        assert len(log._rest) <= MAX_LINE_BYTES
+
+
+@pytest.mark.parametrize("text", [b"flood\n", b"flood"], ids=["lines", "one line"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_launcher_hears_signals_while_a_node_floods_its_log(
+    start: StartProgram, tmp_path: Path, text: bytes, number: signal.Signals
+) -> None:
+    (tmp_path / "flooding.py").write_text(FLOODING.format(text=text))
+    program = start(
+        *("launch", "replay", "--set", "sensor.source=flooding:frames"),
+        *("--set", "monitor.page=false"),
+    )
+    program.wait_for("[launch] ready")
+    program.wait_for("lines were cut (more than 100 kB a second)")
+    os.kill(program.process.pid, number)
+    code, _, stderr = program.finish()
+    assert code == 128 + number
+    assert "Traceback" not in stderr
+    wait_until(lambda: not program.survivors(), "the end of all processes")
+
+
+def test_a_pause_of_the_launcher_is_no_silence_of_others() -> None:
+    now_s = 100.0
+    clock = AwakeClock(lambda: now_s)
+    heard_s = clock()
+    now_s += 0.5
+    assert clock() - heard_s == 0.5
+    now_s += 14.0  # stopped, with all its nodes
+    assert clock() - heard_s == 0.5 + MAX_STEP_S
+    now_s += 0.25
+    assert clock() - heard_s == 0.75 + MAX_STEP_S
+
+
+def test_nodes_that_were_stopped_with_their_launcher_are_not_killed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now_s = 1e6
+    monkeypatch.setattr(awake_s, "_now_s", lambda: now_s)
+    fleet, sent = Fleet(load("path_40"), 0, lambda line: None), []
+    fleet.supervised = True
+    policy = RestartPolicy(ON_FAILURE, hang_s=10.0)
+    node: Any = SimpleNamespace(
+        name="sensor",
+        exit_code=lambda: None,
+        ready=True,
+        ended=False,
+        heard_s=awake_s(),
+        spec=SimpleNamespace(restart=policy),
+        send_signal=sent.append,
+    )
+    now_s += 14.0
+    fleet._check(node, awake_s())
+    assert sent == []
+    for _ in range(10):  # its own silence
+        now_s += 1.0
+        fleet._check(node, awake_s())
+    assert sent == [signal.SIGKILL]
+
+
+def test_a_live_recording_leaves_no_descriptor_open(
+    start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "endless.py").write_text(FLOODING.format(text=b"").replace("while True: ", ""))
+    program = start(
+        *("launch", "replay", "--set", "sensor.source=endless:frames"),
+        *("--set", "monitor.page=false"),
+    )
+    program.wait_for("[launch] ready")
+    pid = program.process.pid
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
+    wait_until(lambda: bool(running_graphs()), "the note")
+    client = ControlClient(running_graphs()[0].control)
+    answers: list[dict[str, Any]] = []
+
+    def record(on: bool) -> None:
+        request = {"id": str(len(answers)), "node": "launch", "command": "record", "value": on}
+        n_before = len(answers)
+        assert client.send(request)
+        wait_until(lambda: len(answers.__iadd__(client.receive() or [])) > n_before, "an answer")
+        assert answers[-1]["answer"]["done"], answers
+
+    record(True)
+    n_with_recorder = n_files(pid)
+    record(False)
+    for _ in range(2):
+        wait_until(lambda: n_files(pid) == n_with_recorder - 3, "the end of its pipes")
+        record(True)
+        record(False)
+    client.close()
