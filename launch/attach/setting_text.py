@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Iterable, Mapping
 from typing import Any
+
+from sparseskin.launch.launchfile.toml import parse_toml
 
 MAX_SHOWN = 200
 """Longest value in a table, characters; a longer one (as the text of a launch file) is cut."""
@@ -71,8 +72,8 @@ def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
     if text == "none" and "None" in types:
         return None
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        value = parse_toml(f"value = {text}")["value"]
+    except ValueError:
         return text
     plain = isinstance(value, str | bool | int | float | list)
     if not plain or (not isinstance(value, str) and set(types) <= {"str", "None"} and types):

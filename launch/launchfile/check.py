@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from sparseskin.nodes.registry import make_settings, node_class
 
 from .hosts import check_exposure, give_ports, read_hosts, read_place, read_security
 from .spec import LaunchError, LaunchFile, NodeSpec
+from .toml import parse_toml
 
 TRANSPORTS = ("ipc", "tcp")
 RECORDER = "recorder"
@@ -27,6 +27,12 @@ INSECURE = "insecure"
 TO_NAME = "RECORDING"
 """Placeholder in a launch file for a recording that the user has to name."""
 TABLES = ("graph", "nodes", "hosts", "security")
+MAX_NODES = 256
+"""Nodes of a graph."""
+MAX_ERRORS = 50
+"""Errors of one file that are reported."""
+MAX_ERROR = 1000
+"""Characters of one error that are reported."""
 _GRAPH_KEYS = ("description", "transport", "log_dir", INSECURE, *RESTART_KEYS)
 
 
@@ -90,7 +96,7 @@ class Checker:
                 public = endpoints.get(node_name, "")
                 nodes[node_name] = replace(nodes[node_name], host=host, public=public)
         if self.errors:
-            raise LaunchError(self.errors)
+            raise LaunchError(self.errors[:MAX_ERRORS])
         return LaunchFile(
             self.name,
             graph.get("description", ""),
@@ -141,6 +147,11 @@ class Checker:
         if not isinstance(tables, dict) or not tables:
             self.errors.append(f"{self.shown}: nodes: expected at least one table [nodes.NAME]")
             return {}
+        if len(tables) > MAX_NODES:
+            self.errors.append(
+                f"{self.shown}: {len(tables)} nodes; at most {MAX_NODES} are allowed"
+            )
+            return {}
         good: dict[str, dict[str, Any]] = {}
         for name, table in tables.items():
             try:
@@ -164,8 +175,8 @@ class Checker:
             self.errors.append(f"--set {text}: unknown node '{node}'{did_you_mean(node, tables)}")
             return
         try:
-            value = tomllib.loads(f"value = {raw}")["value"]
-        except tomllib.TOMLDecodeError:
+            value = parse_toml(f"value = {raw}")["value"]
+        except ValueError:
             value = raw
         tables[node][key] = value
         self.overridden[node, key] = text
@@ -206,7 +217,9 @@ class Checker:
             return
         line = _line_of(self.text, place)
         where = f"{self.shown}:{line}" if line else self.shown
-        self.errors.append(f"{where}: {'.'.join(place)}: {one_line_of(what)}")
+        self.errors.append(f"{where}: {'.'.join(place)[:MAX_ERROR]}: {one_line_of(what)}")
+        if len(self.errors) >= MAX_ERRORS:
+            raise LaunchError([*self.errors, f"{self.shown}: perhaps more; these come first"])
 
 
 def _to_name(node: str, values: dict[str, Any]) -> str:
@@ -238,4 +251,5 @@ def _line_of(text: str, place: tuple[str, ...]) -> int:
 
 
 def one_line_of(what: object) -> str:
-    return " ".join(str(what).split())
+    text = " ".join(str(what).split())
+    return text if len(text) <= MAX_ERROR else f"{text[:MAX_ERROR]}..."

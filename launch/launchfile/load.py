@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from sparseskin.nodes.registry import make_settings, node_class
 
 from .check import Checker, one_line_of
 from .spec import LaunchError, LaunchFile, NodeSpec
+from .toml import MAX_CHARS, parse_toml
 
 BUNDLED = Path(__file__).parent.parent
 _TOML_PLACE = re.compile(r" \(at line (\d+), column (\d+)\)$")
@@ -82,9 +82,10 @@ def load(name: str, overrides: Sequence[str] = (), record: str | None = None) ->
     path = find_launch_file(name)
     shown = path.name if path.parent == BUNDLED else str(path)
     try:
-        text = path.read_text(encoding="utf-8")
-        tree = tomllib.loads(text)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        with path.open(encoding="utf-8") as file:
+            text = file.read(MAX_CHARS + 1)
+        tree = parse_toml(text)
+    except (OSError, ValueError) as error:
         raise LaunchError([_unreadable(shown, error)]) from error
     return Checker(shown, text, tree, path.stem, path.parent).check(overrides, record)
 

@@ -1,0 +1,53 @@
+"""TOML from elsewhere: bounded in size, depth and numbers, so that checking it is bounded too."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from typing import Any
+
+from sparseskin.messages.ranges import INT64_MAX
+
+MAX_CHARS = 1 << 16
+"""Longest launch file: that of a graph of some hundred nodes."""
+MAX_DEPTH = 8
+"""Most tables and lists within each other."""
+MAX_DOTS = 100
+"""Most dots in a key, or in a run of what may be one."""
+_NO_KEY = re.compile(r"[^\w\s.\"'-]")
+_LONG = re.compile(r"[0-9_]{1000,}")
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Parse TOML.
+    Raises ValueError in one line if it is none, too long, too deep, or holds a whole number beyond
+    64 bits.
+    """
+    if len(text) > MAX_CHARS:
+        raise ValueError(f"more than {MAX_CHARS} characters")
+    for number, line in enumerate(text.splitlines(), start=1):
+        # The time that a parser takes for a key grows with the square of its parts.
+        if any(part.count(".") > MAX_DOTS for part in _NO_KEY.split(line)):
+            raise ValueError(f"a key of more than {MAX_DOTS} parts (at line {number}, column 1)")
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except RecursionError:
+        raise ValueError(f"more than {MAX_DEPTH} tables or lists within each other") from None
+    except ValueError as error:  # int() refuses thousands of digits, and names no place
+        long = _LONG.search(text)
+        line = text.count("\n", 0, long.start()) + 1 if long else 1
+        raise ValueError(f"a whole number beyond 64 bits (at line {line}, column 1)") from error
+    waiting: list[tuple[tuple[str, ...], Any]] = [((), tree)]
+    while waiting:
+        place, value = waiting.pop()
+        where = ".".join(place)
+        if len(place) > MAX_DEPTH:
+            raise ValueError(f"{where[:80]}: more than {MAX_DEPTH} tables or lists in each other")
+        if isinstance(value, int) and not -INT64_MAX - 1 <= value <= INT64_MAX:
+            raise ValueError(f"{where[:80]}: a whole number beyond 64 bits")
+        parts = value.items() if isinstance(value, dict) else ()
+        parts = enumerate(value) if isinstance(value, list) else parts
+        waiting += [((*place, str(key)), part) for key, part in parts]
+    return tree
