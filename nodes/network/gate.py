@@ -7,10 +7,9 @@ list. Refused peers are named in the log, with their address where it is known.
 from __future__ import annotations
 
 import contextlib
-import os
 import socket
-from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import zmq
@@ -19,17 +18,20 @@ from zmq.utils import z85
 from sparseskin.nodes.host import log_some
 
 from .keys import KeyPair
-from .sockets import HANDSHAKE_MS, monitor_event
+from .sockets import HANDSHAKE_MS, MAX_EVENTS, monitor_event
 
 ZAP_ENDPOINT = "inproc://zeromq.zap.01"
 ZAP_DOMAIN = b"sparseskin"
 MAX_CONNECTIONS = 256
 """Largest number of connections to one node; further ones are turned away."""
-MAX_PENDING = 1024
+MAX_PENDING = 64
+"""Largest number of connections that have not subscribed yet. Of more, the oldest of the address
+with the most is closed, so that others are let in whatever one address opens.
+"""
 PATIENCE_NS = 1_000_000_000
 """Time for which a line waits for the address: a short connection has none when it is asked for,
 but a refused peer tries again."""
-UNKNOWN = "unknown address"
+UNKNOWN, LOCAL = "unknown address", "this host"
 
 _OTHER_SERVER_KEY = zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC
 _NO_KEY = zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH
@@ -64,7 +66,9 @@ class Gate:
         self._refused: Counter[tuple[str, str]] = Counter()
         self._open: dict[int, str] = {}
         self._pending: dict[int, str] = {}
-        self._failures: deque[str] = deque(maxlen=MAX_PENDING)
+        self._decided: Counter[str] = Counter()
+        self._failure = ""
+        self._now_ns = 0
         self._unnamed_due_ns: dict[str, int] = {}
         self._zap = context.socket(zmq.REP)
         self._zap.bind(ZAP_ENDPOINT)
@@ -81,19 +85,35 @@ class Gate:
 
     def serve(self, now_ns: int) -> None:
         """Answer authentication requests and log refused peers; any monotonic clock serves."""
-        while self._zap.poll(0):
+        self._now_ns = now_ns
+        for _ in range(MAX_EVENTS):
+            if not self._zap.poll(0):
+                break
             self._answer(self._zap.recv_multipart())
-        for monitor in self.sockets[1:]:
-            while monitor.poll(0):
-                event, value, _ = monitor_event(monitor)
-                self._note(event, value, now_ns)
+        self._serve_monitors()
         for reason in [r for r, due_ns in self._unnamed_due_ns.items() if due_ns <= now_ns]:
             del self._unnamed_due_ns[reason]
             self._log_refusal(UNKNOWN, reason)
 
+    def subscribed(self, fd: int) -> None:
+        """Note that a subscription came by a connection: its peer is in order."""
+        if fd not in self._open or fd in self._pending:
+            self._serve_monitors()
+            if fd in self._pending:
+                self._decide(self._pending.pop(fd))
+
+    def _serve_monitors(self) -> None:
+        for monitor in self.sockets[1:]:
+            for _ in range(MAX_EVENTS):
+                if not monitor.poll(0):
+                    break
+                event, value, _ = monitor_event(monitor)
+                self._note(event, value)
+
     def _answer(self, frames: list[bytes]) -> None:
         """Answer one authentication request (ZAP) of ZeroMQ."""
         version, request, _, address, _, mechanism, *credentials = frames
+        self._decided[_host(address.decode(errors="replace"))] += 1
         refusal = ""
         if len(self._open) - len(self._pending) >= MAX_CONNECTIONS:
             refusal = f"there are {MAX_CONNECTIONS} connections already"
@@ -108,44 +128,83 @@ class Gate:
         status = b"400" if refusal else b"200"
         self._zap.send_multipart([version, request, status, refusal.encode(), b"", b""])
 
-    def _note(self, event: int, value: int, now_ns: int) -> None:
-        """Process one event of the socket; a disconnection follows each failed handshake."""
-        if event == zmq.EVENT_ACCEPTED and len(self._pending) < MAX_PENDING:
+    def _note(self, event: int, value: int) -> None:
+        """Process one event of the socket; a disconnection follows each failed handshake at once.
+
+        A handshake that succeeds does not name its connection: a subscription does. Until then,
+        the end of a connection is logged unless an authentication of its address was decided.
+        """
+        if event == zmq.EVENT_ACCEPTED:
             self._open[value] = self._pending[value] = _address_of(value)
-        elif event == zmq.EVENT_HANDSHAKE_SUCCEEDED and self._pending:
-            # The event does not name the connection: handshakes end in the order of connections.
-            del self._pending[next(iter(self._pending))]
+            if len(self._pending) > MAX_PENDING:
+                self._close_one()
+        elif event == zmq.EVENT_ACCEPT_FAILED and self._pending:  # no descriptor is free
+            self._close_one()
         elif event in _FAILED:
-            self._failures.append(_reason(event, value))
-        elif event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
-            self._failures.append("")  # the refusal was logged when it was decided
+            self._failure = _reason(event, value)
         elif event == zmq.EVENT_DISCONNECTED:
+            reason, self._failure = self._failure or "it speaks no ZeroMQ", ""
             address = self._open.pop(value, UNKNOWN)
-            was_pending = self._pending.pop(value, None) is not None
-            reason = ""
-            if was_pending:
-                reason = self._failures.popleft() if self._failures else "it speaks no ZeroMQ"
-            if reason and address == UNKNOWN:
-                self._unnamed_due_ns.setdefault(reason, now_ns + PATIENCE_NS)
-            elif reason:
+            if self._pending.pop(value, None) is None or self._decide(address):
+                return
+            if address == UNKNOWN:
+                self._unnamed_due_ns.setdefault(reason, self._now_ns + PATIENCE_NS)
+            else:
                 self._unnamed_due_ns.pop(reason, None)
                 self._log_refusal(address, reason)
 
+    def _decide(self, address: str) -> bool:
+        """True if an authentication of an address was decided, once for each."""
+        host = _host(address)
+        decided = self._decided[host] > 0
+        self._decided[host] -= decided
+        self._decided += Counter()  # without those that are zero
+        return decided
+
+    def _close_one(self) -> None:
+        """Close the oldest pending connection of the address that has the most."""
+        ((host, _),) = Counter(map(_host, self._pending.values())).most_common(1)
+        fd = next(fd for fd, address in self._pending.items() if _host(address) == host)
+        address = self._pending.pop(fd)
+        _shut_down(fd, address)
+        self._log_refusal(address, "too many connections that read no topic")
+
     def _log_refusal(self, address: str, reason: str) -> None:
         """Log some of the refusals: a refused peer may try without end."""
-        kind = (address.partition(":")[0], reason)
+        kind = (_host(address), reason)
         self._refused[kind] += 1
         log_some(self._log, f"turned away {address}: {reason}", self._refused[kind])
 
 
+def _host(address: str) -> str:
+    return address.partition(":")[0] or LOCAL
+
+
 def _address_of(fd: int) -> str:
     """Address of the peer of a connection that ZeroMQ has accepted."""
-    with contextlib.suppress(OSError), socket.socket(fileno=os.dup(fd)) as connection:
+    with contextlib.suppress(OSError), _connection(fd) as connection:
         if connection.family == socket.AF_INET:
             address, port = connection.getpeername()
             return f"{address}:{port}"
-        return "this host"
+        return LOCAL
     return UNKNOWN
+
+
+def _shut_down(fd: int, address: str) -> None:
+    """End a connection, if it is still that of the address; ZeroMQ then closes it."""
+    if _address_of(fd) == address != UNKNOWN:
+        with contextlib.suppress(OSError), _connection(fd) as connection:
+            connection.shutdown(socket.SHUT_RDWR)
+
+
+@contextlib.contextmanager
+def _connection(fd: int) -> Iterator[socket.socket]:
+    """A connection of ZeroMQ, which alone closes it; no descriptor more is needed."""
+    connection = socket.socket(fileno=fd)
+    try:
+        yield connection
+    finally:
+        connection.detach()
 
 
 def _reason(event: int, value: int) -> str:

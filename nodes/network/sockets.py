@@ -15,6 +15,7 @@ and each writer publishes "WRITER!T1:T2:T3" on the tag of that reader.
 
 from __future__ import annotations
 
+import contextlib
 import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -38,6 +39,8 @@ MAX_WRITERS = 256
 MAX_READERS = 128
 MAX_SUBSCRIPTIONS = 4096
 """Readers and subscriptions beyond these are not counted, and one line is logged."""
+MAX_EVENTS = 1000
+"""Largest number of subscriptions, or of events of connections, between two looks at messages."""
 QUEUE_FRAMES = 1000
 """High-water mark of each queue: one second at 1 kHz before messages are dropped and counted."""
 
@@ -55,6 +58,9 @@ class Guard(Protocol):
 
     def guard(self, writer: zmq.Socket[bytes]) -> None:
         """Admit allowed readers only; called before the socket is bound."""
+
+    def subscribed(self, fd: int) -> None:
+        """Note that a subscription came by a connection, given by its file descriptor."""
 
 
 def make_context() -> zmq.Context[zmq.Socket[bytes]]:
@@ -139,6 +145,7 @@ class Writer:
         self.socket.setsockopt(zmq.XPUB_VERBOSE, 1)
         self.socket.setsockopt(zmq.SNDHWM, QUEUE_FRAMES)
         self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_NOTE_BYTES)
+        self._gate = gate
         if gate is not None:
             gate.guard(self.socket)
         self.socket.bind(endpoint)
@@ -166,8 +173,14 @@ class Writer:
 
     def serve_subscriptions(self) -> None:
         """Process waiting subscriptions: note present readers, repeat latched messages."""
-        while self.socket.poll(0):
-            note = self.socket.recv()
+        for _ in range(MAX_EVENTS):  # a flood must not keep a node from its work
+            if not self.socket.poll(0):
+                return
+            frame = self.socket.recv(copy=False)
+            note = frame.bytes
+            if self._gate is not None:
+                with contextlib.suppress(zmq.ZMQError):  # by no connection, in a process
+                    self._gate.subscribed(frame.get(zmq.SRCFD))
             joins, topic = note[:1] == b"\x01", note[1:]
             self._count(joins)
             if topic.startswith(PRESENCE):

@@ -51,7 +51,10 @@ class FreeMemory:
         self._n_calls += 1
         if self._n_calls == STARTED_CALLS:
             trim(0)
-        resident = resident_bytes(os.getpid())
+        try:
+            resident = resident_bytes(os.getpid())
+        except OSError:  # no descriptor is free
+            return
         if resident <= self._least + GROWN_BYTES:
             self._least = min(self._least, resident)
             self._pause = self._wait = 1

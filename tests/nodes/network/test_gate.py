@@ -212,3 +212,87 @@ def test_a_refused_reader_tries_again_by_itself(
     assert "cannot connect to writer on edge" in lines[0]
     station.gate._allowed[UNLISTED.public] = "mallory"  # somebody has put it on the list
     station.until(served_again, "the reader")
+
+
+def half_open(station: Station) -> socket.socket:
+    """A connection whose peer says nothing."""
+    stranger = socket.create_connection(
+        ("127.0.0.1", int(station.writer.endpoint.rsplit(":", 1)[1]))
+    )
+    stranger.settimeout(PATIENCE_S)
+    return stranger
+
+
+@pytest.fixture
+def tcp_station() -> Iterator[Station]:
+    made = Station("tcp://127.0.0.1:*", SERVER)
+    yield made
+    made.context.destroy(linger=0)
+
+
+def test_the_silent_connection_is_named_and_not_the_reader_that_came_after_it(
+    tcp_station: Station, context: zmq.Context[Any]
+) -> None:
+    with half_open(tcp_station) as stranger:
+        tcp_station.until(lambda: bool(tcp_station.gate._pending), "the stranger")
+        reader, _, _ = listen(context, tcp_station, LISTED, SERVER.public)
+        tcp_station.until(lambda: "reader" in tcp_station.writer.present, "the reader")
+        assert len(tcp_station.gate._pending) == 1
+        tcp_station.until(lambda: bool(tcp_station.lines), "a line")
+        port = stranger.getsockname()[1]
+    reader.socket.close()
+    tcp_station.until(lambda: not tcp_station.gate._open, "the end of the reader")
+    (line,) = tcp_station.lines
+    assert line.startswith(f"turned away 127.0.0.1:{port}: ")
+    assert "sent nothing" in line
+
+
+def test_half_open_connections_are_bounded_and_keep_no_reader_out(
+    tcp_station: Station, context: zmq.Context[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gate_module, "MAX_PENDING", 3)
+    strangers = [half_open(tcp_station) for _ in range(10)]
+    tcp_station.until(lambda: tcp_station.said("(10 times)") or tcp_station.said("too many"), "it")
+    _reader = listen(context, tcp_station, LISTED, SERVER.public)
+    tcp_station.until(lambda: "reader" in tcp_station.writer.present, "the reader")
+    assert len(tcp_station.gate._pending) <= 3
+    for stranger in strangers[:7]:
+        while stranger.recv(100):  # ZeroMQ's greeting, then the end
+            pass
+    assert all("127.0.0.1" in line for line in tcp_station.lines)
+    for stranger in strangers:
+        stranger.close()
+
+
+def test_of_too_many_connections_one_of_the_address_with_the_most_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    station = Station("tcp://127.0.0.1:*", SERVER)
+    closed: list[str] = []
+    monkeypatch.setattr(gate_module, "_shut_down", lambda fd, address: closed.append(address))
+    station.gate._pending = {3: "10.0.0.1:1", 4: "10.0.0.7:1", 5: "10.0.0.7:2", 6: "10.0.0.2:1"}
+    station.gate._close_one()
+    assert closed == ["10.0.0.7:1"]
+    assert list(station.gate._pending) == [3, 5, 6]
+    station.context.destroy(linger=0)
+
+
+def test_no_other_connection_is_closed_under_a_descriptor_that_was_used_again() -> None:
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        gate_module._shut_down(ours.fileno(), "10.0.0.7:1234")
+        theirs.sendall(b"still open")
+        assert ours.recv(100) == b"still open"
+
+
+def test_a_flood_of_subscriptions_leaves_time_for_messages(
+    context: zmq.Context[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sparseskin.nodes.network.sockets.MAX_EVENTS", 5)
+    writer = Writer(context, "inproc://flooded")
+    readers = [Reader(context, f"r{k}", [writer.endpoint], []) for k in range(12)]
+    writer.serve_subscriptions()
+    assert len(writer.present) == 5
+    writer.serve_subscriptions()
+    writer.serve_subscriptions()
+    assert len(writer.present) == len(readers)

@@ -1,0 +1,72 @@
+"""A graph that is short of file descriptors goes on."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import socket
+from pathlib import Path
+
+import pytest
+from conftest import StartProgram, wait_until
+
+from sparseskin.launch.run.running import running_graphs
+from sparseskin.nodes.process.memory import STARTED_CALLS, FreeMemory
+
+GRAPH = """
+[graph]
+transport = "tcp"
+[nodes.sensor]
+type = "sensor"
+source = "endless:frames"
+[nodes.compressor]
+type = "compressor"
+[nodes.reconstructor]
+type = "reconstructor"
+"""
+ENDLESS = """
+import itertools, time
+import numpy as np
+def frames():
+    for k in itertools.count(): time.sleep(0.02); yield k, np.zeros((8, 8))
+"""
+
+
+def test_memory_is_not_looked_through_while_no_file_can_be_opened() -> None:
+    free, limits = FreeMemory(), resource.getrlimit(resource.RLIMIT_NOFILE)
+    free.trim()
+    resource.setrlimit(resource.RLIMIT_NOFILE, (0, limits[1]))
+    try:
+        for _ in range(STARTED_CALLS):
+            free.trim()
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+
+def test_half_open_connections_end_no_node(
+    start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "graph.toml").write_text(GRAPH)
+    (tmp_path / "endless.py").write_text(ENDLESS)
+    limit = ("bash", "-c", 'ulimit -n 64; exec "$@"', "-")
+    program = start("launch", "graph.toml", "--summary", "summary.json", prefix=limit)
+    program.wait_for("[launch] ready")
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
+    wait_until(lambda: bool(running_graphs()), "the note")
+    nodes = running_graphs()[0].nodes
+    strangers = []
+    for node in nodes.values():
+        address = ("127.0.0.1", int(node.endpoint.rpartition(":")[2]))
+        strangers += [socket.create_connection(address) for _ in range(100)]
+    for name in ("sensor", "compressor", "reconstructor"):
+        program.wait_for("] turned away 127.0.0.1:")
+        assert name in nodes
+    pids = {name: program.pid_of(name) for name in nodes}
+    for stranger in strangers:
+        stranger.close()
+    os.kill(program.process.pid, signal.SIGINT)
+    code, _, stderr = program.finish()
+    assert code == 128 + signal.SIGINT, stderr
+    assert len(pids) == 3
+    assert "ended too early" not in stderr
