@@ -1,6 +1,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+# Many tests wait for other processes: two test processes a core.
+WORKERS := $(shell echo $$((2 * $$(nproc))))
+PARALLEL := -n $(WORKERS) --dist loadgroup --no-loadscope-reorder
 
 .PHONY: demo scenes replay-timing page-load introspection-load soak shots charts charts-quick
 .PHONY: test test-all test-kernels check mutants docs hooks clean
@@ -42,12 +45,12 @@ charts charts-quick: .venv/installed-charts
 
 # The tests that take seconds at most.
 test: .venv/installed-dev
-	$(ONE_THREAD) $(BIN)/python -m pytest -q -n auto --dist loadscope -m "not slow"
+	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) -m "not slow"
 
 # All tests, those that are slow by nature too (kills, soak, browser, network namespaces), with the
 # coverage of what runs in the test processes.
 test-all: .venv/installed-dev
-	$(ONE_THREAD) $(BIN)/python -m pytest -q -n auto --dist loadscope --durations=20 \
+	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) --durations=20 \
 	    --cov=messages --cov=nodes --cov=launch --cov=studies --cov=sparseskin --cov-report=term:skip-covered
 
 # Mutation testing: a sample of mutants of each core module, and the share that tests catch.

@@ -12,6 +12,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
@@ -22,7 +23,7 @@ hypothesis.settings.load_profile("busy host")
 # Numpy, the reference, in all processes, unless a test asks for compiled loops.
 os.environ.setdefault("SPARSESKIN_FAST", "off")
 
-PATIENCE_S = 120.0
+PATIENCE_S = 300.0
 """When a wait is given up: far beyond what anything here takes, so it is no claim on speed."""
 
 
@@ -41,8 +42,15 @@ def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
         return int(probe.getsockname()[1])
 
 
+COMMAND = ["-m", "sparseskin.launch.commands.entry"]
+PATIENT_COMMAND = [str(Path(__file__).with_name("patient.py"))]
+
+
 class Program:
-    """One run of the command `sparseskin`, and every process that descends from it."""
+    """One run of the command `sparseskin`, and every process that descends from it.
+
+    Its time limits are those of `patient.py`, or with `limits` its own.
+    """
 
     def __init__(
         self,
@@ -50,6 +58,7 @@ class Program:
         cwd: Path,
         pythonpath: Path | None = None,
         prefix: Sequence[str] = (),
+        limits: bool = False,
     ) -> None:
         self._mark = f"SPARSESKIN_TEST={uuid.uuid4().hex}"
         key, value = self._mark.split("=")
@@ -63,7 +72,7 @@ class Program:
             environment["PYTHONPATH"] = str(pythonpath)
         self._stderr = ""
         self.process = subprocess.Popen(
-            [*prefix, sys.executable, "-m", "sparseskin.launch.commands.entry", *arguments],
+            [*prefix, sys.executable, *(COMMAND if limits else PATIENT_COMMAND), *arguments],
             cwd=cwd,
             env=environment,
             stdout=subprocess.PIPE,
@@ -109,6 +118,24 @@ class Program:
                 os.kill(pid, signal.SIGKILL)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Order of the tests over the processes of pytest-xdist (--dist loadgroup).
+
+    Slow tests come first. They and those that run programs go to any process, one by one; others
+    go by their modules, which share what is costly.
+    """
+
+    def is_slow(item: pytest.Item) -> bool:
+        return item.get_closest_marker("slow") is not None
+
+    for item in items:
+        fixtures = getattr(item, "fixturenames", ())
+        alone = is_slow(item) or "start" in fixtures
+        if not alone and item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(item.location[0]))
+    items.sort(key=lambda item: not is_slow(item))
+
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -136,8 +163,8 @@ def start(tmp_path: Path) -> Iterator[StartProgram]:
     """Start `sparseskin ARGUMENTS` in an empty folder; nothing outlives the test."""
     programs: list[Program] = []
 
-    def run(*arguments: str, pythonpath: Path | None = None, prefix: Sequence[str] = ()) -> Program:
-        programs.append(Program(*arguments, cwd=tmp_path, pythonpath=pythonpath, prefix=prefix))
+    def run(*arguments: str, **options: Any) -> Program:
+        programs.append(Program(*arguments, cwd=tmp_path, **options))
         return programs[-1]
 
     yield run

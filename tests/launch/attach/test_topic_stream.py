@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import uuid
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from conftest import wait_until
 
 from sparseskin.launch.attach.stream import Arrival, Losses, TopicStream
+from sparseskin.launch.commands.cli import main
 from sparseskin.launch.run.running import RunningGraph, RunningNode, announced
 from sparseskin.messages import End, Message, Taxels, decode
 from sparseskin.nodes.network.gate import Gate
@@ -37,10 +39,12 @@ class Publisher:
         self.graph = RunningGraph("graph", 1, offset_ns, "", nodes, str(key_file or ""))
         self.n = 0
 
-    def send(self, n: int, n_rows: int = 4) -> None:
+    def send(self, n: int, n_rows: int = 4, period_ns: int = 0) -> None:
+        """Send `n` messages, stamped by the clock, or with a period from 1 s on."""
         forces = np.zeros((n_rows, 4), dtype=np.float32)
-        for _ in range(n):
-            message = Taxels(stamp_ns=time.time_ns(), patch="skin", forces=forces)
+        for k in range(n):
+            stamp_ns = 10**9 + k * period_ns if period_ns else time.time_ns()
+            message = Taxels(stamp_ns=stamp_ns, patch="skin", forces=forces)
             self._send(message.published(RUN_ID, self.n))
             self.n += 1
 
@@ -173,3 +177,23 @@ def test_it_ends_with_its_graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     with TopicStream(gone.graph, TOPIC) as stream:
         assert [one for arrivals in stream.batches(None) for one in arrivals] == []
     gone.context.destroy(linger=0)
+
+
+def test_echo_for_a_person_shows_some_and_counts_the_others(
+    publisher: Publisher, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sparseskin.launch.commands.topic.give_way", lambda: None)
+
+    def publish() -> None:
+        publisher.wait_for_subscription()
+        publisher.send(30, period_ns=100_000_000)
+        publisher.end()
+
+    with ThreadPoolExecutor(1) as pool:
+        published = pool.submit(publish)
+        assert main(["topic", "echo", "skin/taxels", "--max-hz", "4"]) == 0
+        published.result()
+    printed = capsys.readouterr()
+    assert printed.out.count("---\n") == 1
+    assert printed.out.count("--- (2 not shown)\n") == 9
+    assert printed.err.endswith(f"{TOPIC}: 10 shown, 20 not shown, 0 lost\n")

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Program, wait_until
-from shells import COMMAND, words
+from conftest import PATIENCE_S, PATIENT_COMMAND, Program, wait_until
+from shells import words
 
 from sparseskin.launch.attach.client import Answer, ask_node
 from sparseskin.launch.commands.cli import main
@@ -33,11 +36,12 @@ RunJson = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
-    """A graph of 40 x 40 taxels that records all it does into run.mcap; it lasts 4 minutes."""
+    """A graph of 40 x 40 taxels without an end that records all messages into run.mcap."""
     folder = tmp_path_factory.mktemp("graph")
     program = Program(
         *("launch", "path_40", "--record", "run.mcap", "--set", "monitor.port=0"),
         *("--set", "sensor.rate_hz=50", "--set", "reconstructor.iterations=3"),
+        *("--set", "sensor.source=sparseskin.studies.looped:truth_40"),
         cwd=folder,
     )
     program.wait_for("[launch] ready")
@@ -55,6 +59,7 @@ def folder(graph: Program, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("COLUMNS", "80")
     # These tests run on, in this process.
     monkeypatch.setattr("sparseskin.launch.commands.topic.give_way", lambda: None)
+    monkeypatch.setattr("sparseskin.launch.attach.client.PATIENCE_S", PATIENCE_S)
     wait_until(lambda: main(["node", "list", "--json"]) == 0, "the note of the graph")
     return found
 
@@ -100,9 +105,14 @@ def run_json(run: Run) -> RunJson:
 def test_node_list_tells_every_node_its_condition_and_process(
     graph: Program, run: Run, run_json: RunJson
 ) -> None:
-    nodes = run_json("node", "list")["nodes"]
+    nodes: list[dict[str, Any]] = []
+
+    def all_run() -> bool:
+        nodes[:] = run_json("node", "list")["nodes"]
+        return {node["condition"] for node in nodes} == {"running"}
+
+    wait_until(all_run, "all nodes to answer")
     assert [node["name"] for node in nodes] == NODES
-    assert {node["condition"] for node in nodes} == {"running"}
     assert {node["name"]: node["pid"] for node in nodes} == {
         name: graph.pid_of(name) for name in NODES
     }
@@ -264,22 +274,10 @@ def test_echo_of_a_latched_topic_shows_its_last_message_at_once(run: Run) -> Non
     assert run("topic", "echo", "/skin/skin", "--once", "--field", "n_rows") == "40\n"
 
 
-def test_echo_for_a_person_shows_some_and_counts_the_others(
-    run: Run, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["topic", "echo", "skin/taxels", "--duration", "1.5", "--max-hz", "4"]) == 0
-    printed = capsys.readouterr()
-    shown = printed.out.count("---")
-    counted = printed.err.rpartition(": ")[2].split()
-    assert int(counted[0]) == shown
-    assert 2 <= shown < int(counted[2])
-    assert "not shown)" in printed.out
-
-
 def test_what_echo_shows_of_many_is_evenly_spaced(run_json: RunJson) -> None:
-    command = ("topic", "echo", "skin/taxels", "--duration", "1.5", "--max-hz", "8")
+    command = ("topic", "echo", "skin/taxels", "-n", "5", "--max-hz", "8")
     stamps_ns = [shown["stamp_ns"] for shown in run_json(*command, lines=True)]
-    assert len(stamps_ns) > 2
+    assert len(stamps_ns) == 5
     assert min(np.diff(stamps_ns)) >= 125_000_000
 
 
@@ -330,7 +328,7 @@ def test_delay_is_the_age_of_a_frame(run_json: RunJson) -> None:
 
 
 def test_of_a_latched_topic_one_message_comes_and_no_rate(run: Run) -> None:
-    out = run("topic", "hz", "skin/solver", "--duration", "0.5")
+    out = run("topic", "hz", "skin/solver", "-n", "1")
     assert out == "all 1: too few messages for a rate | lost 0\n"
 
 
@@ -338,8 +336,8 @@ def test_where_nothing_comes_it_says_why(folder: Path, capsys: pytest.CaptureFix
     graph = choose_graph(None)
     assert ask_node(graph, "sensor", "pause", True) == Answer(True, "paused")
     try:
-        main(["topic", "hz", "skin/taxels", "--duration", "1.5"])
-        assert "no message for 1 s (sensor: paused)" in capsys.readouterr().out
+        main(["topic", "hz", "skin/taxels", "--duration", "3"])
+        assert re.search(r"no message for \d+ s \(sensor: paused\)", capsys.readouterr().out)
         assert main(["topic", "echo", "skin/taxels", "--duration", "0.2"]) == 1
         assert capsys.readouterr().err == "/skin/taxels: no message came (sensor: paused)\n"
     finally:
@@ -348,13 +346,13 @@ def test_where_nothing_comes_it_says_why(folder: Path, capsys: pytest.CaptureFix
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_ends_with_a_summary(folder: Path, number: signal.Signals) -> None:
-    command = [*COMMAND, "topic", "delay", "/skin/taxels"]
+    command = [sys.executable, *PATIENT_COMMAND, "topic", "delay", "/skin/taxels"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("delay p50 ")
         process.send_signal(number)
-        out, error = process.communicate(timeout=60)
+        out, error = process.communicate(timeout=PATIENCE_S)
     finally:
         process.kill()
         process.communicate()
@@ -364,10 +362,9 @@ def test_an_interrupt_ends_with_a_summary(folder: Path, number: signal.Signals) 
 
 
 def test_a_pipe_that_closes_is_no_matter(folder: Path) -> None:
-    command = " ".join([*COMMAND, "topic", "delay", "/skin/taxels", "--json", "|", "head", "-1"])
-    done = subprocess.run(
-        ["bash", "-c", command], capture_output=True, text=True, timeout=60, check=True
-    )
+    tool = shlex.join([sys.executable, *PATIENT_COMMAND])
+    command = f"{tool} topic delay /skin/taxels --json | head -1"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
     assert done.stderr == ""
     assert json.loads(done.stdout)["topic"] == "/skin/taxels"
 

@@ -155,7 +155,7 @@ def test_a_player_in_lockstep_without_a_reader_says_so_once(
 
 @pytest.mark.slow
 def test_who_holds_up_the_end_is_named_with_what_waits_for_it(start: StartProgram) -> None:
-    program = start("launch", "path_40", "--set", "monitor.page=false")
+    program = start("launch", "path_40", "--set", "monitor.page=false", limits=True)
     program.wait_for("[launch] ready")
     os.kill(program.pid_of("compressor"), signal.SIGSTOP)
     program.process.send_signal(signal.SIGINT)
@@ -171,11 +171,13 @@ def test_who_holds_up_the_end_is_named_with_what_waits_for_it(start: StartProgra
 @pytest.mark.slow
 def test_a_driver_that_takes_its_time_is_named(start: StartProgram, tmp_path: Any) -> None:
     (tmp_path / "slow.py").write_text(
-        "import time\nimport numpy as np\ndef frames():\n    time.sleep(7)\n"
+        "import pathlib\nimport time\nimport numpy as np\ndef frames():\n"
+        "    while not pathlib.Path('is_open').exists(): time.sleep(0.01)\n"
         "    yield 0, np.zeros((8, 8))\n"
     )
     (tmp_path / "g.toml").write_text('[nodes.sensor]\ntype = "sensor"\nsource = "slow:frames"\n')
     program = start("launch", "g.toml")
     program.wait_for("[launch] sensor has not started: it imports, or opens its device (5 s)")
+    (tmp_path / "is_open").touch()
     program.wait_for("[launch] ready")
     assert program.finish()[1] == ""  # no monitor, no table, not even an empty one
