@@ -84,7 +84,8 @@ def compute(
         }
         _log_known(label, set(keys), [records[k]["code"] != code for k in set(keys) & set(known)])
         names = {"label": label, "function": f"{function.__module__}:{function.__qualname__}"}
-        with tqdm(total=len(missing), desc=label, unit="point", disable=not missing) as bar:
+        bare = not missing or not sys.stderr.isatty()
+        with tqdm(total=len(missing), desc=label, unit="point", disable=bare) as bar:
             for key, figures in _computed(function, missing, executor_name):
                 kept = {"key": key, **names, "version": STUDY_VERSION, "code": code}
                 line = json.dumps({**kept, "point": missing[key], "figures": figures})
@@ -93,6 +94,8 @@ def compute(
                 # As it would be read: lists for tuples, so that a resumed run has the same.
                 known[key] = json.loads(line)["figures"]
                 bar.update()
+        if missing and bare:
+            print(f"{label}: {len(missing)} of {len(set(keys))} points computed", file=sys.stderr)
     return [known[key] for key in keys]
 
 

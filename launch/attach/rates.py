@@ -15,7 +15,15 @@ import numpy.typing as npt
 
 from sparseskin.launch.run.running import RunningGraph
 
-from .stream import EXIT_NOTHING, PATIENCE_S, Arrival, Losses, TopicStream, quiet_reason
+from .stream import (
+    EXIT_NOTHING,
+    PATIENCE_S,
+    Arrival,
+    Losses,
+    TopicStream,
+    latched_note,
+    quiet_reason,
+)
 
 REPORT_S = 1.0
 """Time from one line to the next, seconds."""
@@ -253,6 +261,8 @@ def measure(
                 reports.note(f"{topic}: {quiet}{quiet_reason(graph, topic)}")
     if ended:
         reports.note(f"{topic}: the stream has ended")
+    if samples.n and what.figures is delay_figures and (latched := latched_note(topic)):
+        reports.note(f"{topic}: the delay is the age of its last message{latched}")
     if not samples.n:
         print(f"{topic}: no message came{quiet_reason(graph, topic)}", file=sys.stderr)
         return EXIT_NOTHING

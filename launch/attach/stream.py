@@ -205,6 +205,11 @@ def quiet_reason(graph: RunningGraph, topic: str) -> str:
     (condition,) = (n["condition"] for n in described["nodes"] if n["name"] == publisher)
     if condition != "running":
         return f" ({publisher}: {condition})"
+    return latched_note(topic)
+
+
+def latched_note(topic: str) -> str:
+    """ " (latched: sent when it changes)" of a state; "" of a stream."""
     schema = SCHEMAS.get(split_topic(topic)[1])
     return " (latched: sent when it changes)" if schema is not None and schema.latched else ""
 

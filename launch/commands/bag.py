@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from sparseskin.launch.attach.client import add_command
 from sparseskin.launch.attach.text_table import flowing
+from sparseskin.messages.wire import SCHEMAS
+from sparseskin.nodes.files import make_folder
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX, BagError, TopicInfo
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES
@@ -134,7 +136,7 @@ def _import(arguments: argparse.Namespace) -> int:
         if not out.is_dir():
             if out.suffix == FILE_SUFFIX:
                 raise BagError(f"{out}: several files need a folder, one bag each")
-            _make_folder(out)
+            make_folder(out)
     for file, bag in pairs:
         options = {key: getattr(arguments, key) for key in READ_AS}
         n_frames = import_file(file, bag, **options)
@@ -154,13 +156,6 @@ def _export(arguments: argparse.Namespace) -> int:
         for path in export(bag, out, arguments.topics):
             print(path)
     return 0
-
-
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir()
-    except OSError as error:
-        raise BagError(f"{path}: {error.strerror}") from error
 
 
 def _stem(path: Path) -> str:
@@ -231,7 +226,8 @@ def _row(info: TopicInfo) -> str:
 
 
 def _span(bag: BagReader) -> tuple[int, int]:
-    infos = [info for info in bag.topics.values() if info.n_messages]
+    """First and last stamp of the streams; a state may be older than the recording."""
+    infos = [i for i in bag.topics.values() if i.n_messages and not SCHEMAS[i.schema].latched]
     if not infos:
         return 0, 0
     return min(info.first_ns for info in infos), max(info.last_ns for info in infos)

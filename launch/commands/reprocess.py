@@ -57,7 +57,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="change a setting of the compressor or the reconstructor (may be repeated)",
     )
     parser.add_argument(
-        "--out", metavar="G.mcap", required=True, help="file to write; a folder for several"
+        "--out",
+        metavar="G.mcap",
+        required=True,
+        help="file to write; a folder for several, made if it does not exist",
     )
     parser.add_argument(
         "--from",
@@ -76,9 +79,9 @@ def _reprocess(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.files import check_writable
     from sparseskin.nodes.monitor.table import summary_table
 
-    jobs = _jobs(arguments)
     if arguments.summary is not None:
         check_writable(Path(arguments.summary))
+    jobs = _jobs(arguments)
     outcomes = _run(jobs, arguments.executor)
     for outcome in outcomes:
         if outcome.error:
@@ -106,6 +109,9 @@ def run_job(job: Job, progress: bool = False) -> Outcome:
 
 
 def _jobs(arguments: argparse.Namespace) -> list[Job]:
+    from sparseskin.nodes.files import make_folder
+    from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
+
     for text in arguments.set:
         node = text.partition(".")[0]
         if text.startswith(f"{node}.patch="):
@@ -115,11 +121,13 @@ def _jobs(arguments: argparse.Namespace) -> list[Job]:
             raise SettingsError(f"--set {text}: unknown node '{node}'{hint}")
     out = Path(arguments.out)
     several = len(arguments.files) > 1
-    if several and not out.is_dir():
-        raise SettingsError(f"--out {out}: expected a folder, for several recordings")
     names = [Path(file).name for file in arguments.files]
     if len(set(names)) < len(names):
         raise SettingsError("two recordings have the same name")
+    if several and not out.is_dir():
+        if out.suffix == FILE_SUFFIX:
+            raise SettingsError(f"--out {out}: expected a folder, for several recordings")
+        make_folder(out)
     return [
         Job(
             file,

@@ -167,6 +167,14 @@ def test_figures_are_in_the_order_of_the_points_and_the_same_when_read(tmp_path:
     assert n_lines(tmp_path / POINTS_FILE) == 3
 
 
+def test_off_a_terminal_progress_is_one_line_at_the_end(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    points = [{"k": k} for k in range(3)]
+    compute(double, points, tmp_path, "serial", "some")
+    assert capsys.readouterr().err == "some: 3 of 3 points computed\n"
+
+
 def test_points_of_other_code_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

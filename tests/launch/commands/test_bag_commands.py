@@ -86,6 +86,15 @@ def test_info_as_json_holds_the_same(bag: Bag, capsys: pytest.CaptureFixture[str
     assert found["recovered"] == ""
 
 
+def test_duration_is_that_of_the_streams_whatever_the_age_of_a_state(
+    bag: Bag, capsys: pytest.CaptureFixture[str]
+) -> None:
+    state, *streams = frames(N_FRAMES)
+    make_bag(Path("a.mcap"), [state, *(message.moved(10**10) for message in streams)])
+    assert bag("info", "a.mcap", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["duration_s"] == pytest.approx(0.39)
+
+
 def test_info_of_a_broken_bag_says_what_survived(
     bag: Bag, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -332,6 +332,12 @@ def test_of_a_latched_topic_one_message_comes_and_no_rate(run: Run) -> None:
     assert out == "all 1: too few messages for a rate | lost 0\n"
 
 
+def test_delay_of_a_latched_topic_is_named_an_age(run: Run) -> None:
+    note, figures = run("topic", "delay", "skin/solver", "-n", "1").splitlines()
+    assert note.endswith("is the age of its last message (latched: sent when it changes)")
+    assert figures.startswith("all 1: delay p50 ")
+
+
 def test_where_nothing_comes_it_says_why(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     graph = choose_graph(None)
     assert ask_node(graph, "sensor", "pause", True) == Answer(True, "paused")

@@ -71,7 +71,6 @@ def test_of_several_recordings_the_sound_ones_are_finished(
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(b"no recording")
     out = tmp_path / "out"
-    out.mkdir()
     assert main(["reprocess", str(bad), str(recording), "--out", str(out)]) == 2
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
