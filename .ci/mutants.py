@@ -75,8 +75,12 @@ PER_MODULE = 8
 WANTED_PERCENT = 90
 #: Tests of a module, where they are elsewhere.
 TESTS_OF = {
-    "nodes/graph.py": ("tests/launch/launchfile/test_launchfile.py",),
     "nodes/compressor/quantiser.py": ("tests/messages",),
+    "nodes/compressor/phi/sbhe.py": (
+        "tests/nodes/compressor/phi",
+        "tests/nodes/reconstructor/bases/test_fast_operators.py",
+    ),
+    "nodes/network/peers.py": ("tests/nodes/network",),
 }
 #: Exit codes of the tests under a mutant: passed, or no test reached it.
 SURVIVED, NO_TESTS = 0, 33

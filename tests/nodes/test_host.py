@@ -202,3 +202,31 @@ def test_a_source_that_fails_ends_its_stream_and_says_why() -> None:
     assert [type(m) for m in out] == [Taxels, End]
     assert host.failure == "the driver hung up"
     assert lines == ["error: the driver hung up"]
+
+
+def test_overtaken_messages_are_counted_and_processed_by_no_step() -> None:
+    host, _ = make(Summer)
+    for seq in range(3):
+        assert list(host.receive(taxels(seq), overtaken=True)) == []
+    count = host.counts.inputs["/skin/taxels"]
+    assert (count.received, count.skipped, count.lost) == (3, 3, 0)
+    assert host.node.steps == 0  # type: ignore[attr-defined]
+    (last,) = host.receive(end(3), overtaken=True)
+    assert isinstance(last, End)
+
+
+class Impossible(Summer):
+    """A node that cannot do what its settings ask for."""
+
+    def step(self, message: Message) -> Iterable[Message]:
+        raise SparseskinError(f"frame {message.seq} cannot be measured")
+
+
+def test_the_first_failure_of_a_node_is_its_reason() -> None:
+    host, lines = make(Impossible)
+    assert host.failure == ""
+    for seq in range(2):
+        assert list(host.receive(taxels(seq))) == []
+    assert host.failure == "frame 0 cannot be measured"
+    assert host.counts.refused == {"failed": 2}
+    assert lines == ["failed: frame 0 cannot be measured"]

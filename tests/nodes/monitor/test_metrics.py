@@ -269,6 +269,7 @@ def test_times_and_bytes_and_names() -> None:
     assert summary["latency_ms"]["p50"] == pytest.approx(3.0, rel=0.003)
     assert summary["solve_ms"]["p99"] == pytest.approx(2.0, rel=0.003)
     assert (summary["n"], summary["m"], summary["ratio"]) == (20, 7, 20 / 7)
+    assert (summary["bits"], summary["ratio_bits"]) == (32, 20 / 7)
     assert summary["bytes_in"] == size_bytes(messages[0])
     assert summary["bytes_out"] == size_bytes(messages[2])
     assert (summary["scene"], summary["phi"]) == ("a scene", "sbhe")
@@ -417,5 +418,7 @@ def test_of_one_host_nothing_is_uncertain() -> None:
     assert delay.uncertainty_ns == 0
 
 
-def test_while_a_clock_is_not_known_there_is_no_latency() -> None:
-    assert Delay(lambda topic: None).of(reconstructed(1, 2)) is None
+@pytest.mark.parametrize("unknown", ["/skin/taxels", "/skin/reconstruction"])
+def test_while_either_clock_is_not_known_there_is_no_latency(unknown: str) -> None:
+    delay = Delay(lambda topic: None if topic == unknown else SAME_CLOCK)
+    assert delay.of(reconstructed(1, 2)) is None

@@ -44,6 +44,7 @@ def test_each_topic_has_the_clock_of_its_writers_host(context: zmq.Context[Any])
         )
         for host, ahead_ns in AHEAD_NS.items()
     }
+    assert reader.socket in node.sockets
     assert node.clock_of(LEFT) is None
     assert node.clock_of(HERE) == SAME_CLOCK
     node.connect(
@@ -88,6 +89,7 @@ def test_a_gate_guards_what_has_keys_or_can_be_reached_over_tcp(
     assert len(node.sockets) == (3 if guarded else 1)
     assert bool(node.writer.socket.getsockopt(zmq.ZAP_DOMAIN)) is guarded
     assert node.writer.socket.getsockopt(zmq.CURVE_SERVER) == ("security" in config)
+    assert node.clock_of(HERE) == SAME_CLOCK
 
 
 def test_the_end_is_received_once_every_distant_reader_has_answered(

@@ -12,7 +12,7 @@ from conftest import wait_until
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.nodes.network.peers import Peers
+from sparseskin.nodes.network.peers import ASK_NS, FIRST_NS, N_FIRST, Peers
 from sparseskin.nodes.network.sockets import Peer, Reader, Writer, make_context, read_times
 
 TAXELS = "/skin/taxels"
@@ -62,6 +62,26 @@ def test_the_clock_of_another_host_is_known_within_its_uncertainty(
 
     wait_until(is_silent, "its leaving")
     assert said == ["connected: sensor on edge", "disconnected: sensor on edge"]
+
+
+@pytest.mark.parametrize(
+    ("n_times", "period_ns"), [(0, FIRST_NS), (N_FIRST - 1, FIRST_NS), (N_FIRST, ASK_NS)]
+)
+def test_other_hosts_are_asked_for_the_time_once_a_period_and_oftener_at_first(
+    context: zmq.Context[Any], monkeypatch: pytest.MonkeyPatch, n_times: int, period_ns: int
+) -> None:
+    reader = Reader(context, "monitor", (), [TAXELS])
+    asked: list[int] = []
+    monkeypatch.setattr(reader, "ask_time", asked.append)
+    peers = Peers(reader, lambda line: None)
+    peers.serve(0)
+    assert asked == []  # there is no other host
+    peers.connect([Peer("sensor", "inproc://nobody", "edge")])
+    for k in range(n_times):
+        assert peers.take_time(b"sensor!%d:%d:%d" % (k, k, k), k)
+    for now_ns in (0, 1, period_ns - 1, period_ns, 2 * period_ns):
+        peers.serve(now_ns)
+    assert asked == [0, period_ns, 2 * period_ns]
 
 
 def test_a_writer_tells_the_time_to_those_alone_who_are_there(context: zmq.Context[Any]) -> None:

@@ -58,6 +58,20 @@ def test_the_first_frame_of_a_contact_has_total_and_centre() -> None:
     assert one.row == pytest.approx(SHAPE[0] / 2, abs=3)
 
 
+def test_a_skin_that_is_pressed_from_the_start_has_its_total_in_the_first_frame() -> None:
+    truth = sliding_disc(SHAPE, 1, touch_at=0, peak_n=2.0)
+    (one,) = resultants(truth)
+    assert one.total == pytest.approx(float(truth.sum()), rel=0.15)
+
+
+def test_the_centre_of_a_contact_at_rest_is_known_to_a_third_of_a_taxel() -> None:
+    truth = np.repeat(sliding_disc(SHAPE, 5, touch_at=0, peak_n=1.5)[-1:], 60, axis=0)
+    for one in resultants(truth)[40:]:
+        assert one.row_sd is not None
+        assert one.col_sd is not None
+        assert 0.02 < max(one.row_sd, one.col_sd) < 0.33
+
+
 def test_a_contact_that_jumps_has_its_new_centre_at_once_and_bounded_bands() -> None:
     """Three jumps by 25 taxels between two places, 20 frames each."""
     at = [(10, 10), (30, 25)]

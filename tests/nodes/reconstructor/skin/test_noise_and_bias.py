@@ -31,6 +31,14 @@ def test_the_level_is_the_noises_however_fast_the_forces_change(per_frame_n: flo
     assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.15)
 
 
+@pytest.mark.parametrize("per_frame_n", [0.0, 0.5])
+def test_many_measurements_give_the_level_to_within_2_percent(per_frame_n: float) -> None:
+    level = NoiseLevel(40_000)
+    for y in drifting(12, per_frame_n, m=40_000):
+        level.update(y, e2=1.5 * SIGMA_N**2)
+    assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.02)
+
+
 def test_the_level_is_never_above_the_innovation() -> None:
     level = NoiseLevel(500)
     for y in np.random.default_rng(0).normal(0, 1, (30, 500)).astype(np.float32):
@@ -66,6 +74,20 @@ def test_the_bias_of_an_untouched_skin_is_found() -> None:
         bias.subtract(rows)
         bias.update(float(bias.ones @ rows), nothing, s2=float(rows @ rows) / m)
     assert bias.b == pytest.approx(PAPER_SIGMA_END_N / np.sqrt(2 * np.pi), rel=0.1)
+
+
+def test_the_bias_is_the_mean_of_the_first_medians_and_of_every_32nd_later() -> None:
+    """Medians of c in frames 1 to 8: c (1/2 + 1/3 + ... + 1/9); then 0.05 c in frame 32."""
+    bias = ClipBias(make_projection(make_phi("sbhe", 64, 32, seed=0)), 64)
+    median_n = 0.01
+    found = []
+    for _ in range(32):
+        bias.update(0.0, np.full(64, median_n, dtype=np.float32), s2=1.0)
+        found.append(bias.b / median_n)
+    harmonic = np.cumsum(1 / np.arange(2, 10))
+    np.testing.assert_allclose(found[:8], harmonic, rtol=1e-6)
+    np.testing.assert_allclose(found[8:31], harmonic[-1], rtol=1e-6)
+    assert found[31] == pytest.approx(harmonic[-1] + 0.05)
 
 
 def test_a_force_everywhere_is_not_taken_for_bias() -> None:
