@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import math
+import contextlib
 import os
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -25,7 +25,7 @@ class Study:
     options : tuple of str
         Options that it takes beside those of all studies.
     numpy_only : bool
-        True if its figures are of numpy alone where nothing else is said, with numba installed
+        True if its figures are of numpy alone where nothing else is set, with numba installed
         or not.
     target : str
         "module:callable" of the study, run(out, quick, seed, executor, **options); by default
@@ -57,7 +57,7 @@ STUDIES = {
         "time of Phi, Psi and whole solvers beside the least there can be, and other libraries"
     ),
     "targets": Study(
-        "the default solver against the paper's and the full reading; what each part of it earns",
+        "the default solver against the paper's and the full reading; the gain of each part",
         options=("recordings",),
         numpy_only=True,
     ),
@@ -110,11 +110,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--minutes", metavar="T", type=_minutes, help="soak: how long the graph runs (default: 30)"
     )
-    parser.add_argument(
-        "--anew",
-        action="store_true",
-        help="delete the points of earlier runs",
-    )
+    parser.add_argument("--anew", action="store_true", help="delete the points of earlier runs")
     parser.add_argument("--seed", type=_seed, default=0, help="seed of noise and Phi (default: 0)")
     parser.set_defaults(run=_study)
 
@@ -131,13 +127,10 @@ def _seed(text: str) -> int:
 
 
 def _minutes(text: str) -> float:
-    try:
-        minutes = float(text)
-    except ValueError:
-        minutes = math.nan
-    if not 0.1 <= minutes <= 100_000:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected minutes, 0.1..100000")
-    return minutes
+    with contextlib.suppress(ValueError):
+        if 0.1 <= float(text) <= 100_000:
+            return float(text)
+    raise argparse.ArgumentTypeError(f"{text!r}: expected minutes, 0.1..100000")
 
 
 def _study(arguments: argparse.Namespace) -> int:

@@ -288,9 +288,10 @@ def evaluate(
     return scores
 
 
-def evaluate_into(
-    scores: Scores, estimator: Estimator, frames: Iterable[tuple[Floats, Floats]]
-) -> None:
-    """Run one estimator over further frames; see `evaluate`."""
-    for truth, taxels in frames:
-        scores.add(estimator.reconstruct(taxels), truth)
+def evaluate_one(
+    estimator: Estimator,
+    frames: Iterable[tuple[Floats, Floats]],
+    f_max_n: float = PAPER_F_MAX_N,
+) -> Scores:
+    """Run one estimator over frames; see `evaluate`."""
+    return evaluate({"": estimator}, frames, f_max_n)[""]

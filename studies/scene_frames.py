@@ -11,6 +11,7 @@ import numpy as np
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
+from sparseskin.nodes.sensor.scenes.simulation import Scene
 
 from .evaluate import in_contact
 
@@ -49,26 +50,12 @@ def scene_frames(
 @cache
 def first_contact(scene: str, seed: int) -> int:
     """Number of a scene's first frame in contact."""
-    f_max_n = f_max_of(scene)
+    f_max_n = scene_of(scene).f_max_n
     frames = enumerate(open_scene(scene, seed))
     return next(k for k, (_, truth) in frames if in_contact(truth, f_max_n))
 
 
-def f_max_of(scene: str) -> float:
-    """Upper end of the range of a scene's taxels, in newtons."""
-    return SCENES[scene]().f_max_n
-
-
-def shape_of(scene: str) -> tuple[int, int]:
-    """Rows and columns of a scene's skin."""
-    return SCENES[scene]().shape
-
-
-def n_steps_of(scene: str) -> int:
-    """Number of frames of a scene."""
-    return SCENES[scene]().n_steps
-
-
-def step_s(scene: str) -> float:
-    """Time between two frames of a scene, in seconds."""
-    return SCENES[scene]().dt_ns * 1e-9
+@cache
+def scene_of(scene: str) -> Scene:
+    """A scene by name: its shape, number of frames, time step and range."""
+    return SCENES[scene]()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import log10
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -48,35 +49,25 @@ def write(
 ) -> None:
     """Write tables, charts and the page into a folder.
 
-    Parameters
-    ----------
-    out : Path
-    counted, reconstructed : DataFrame
-        scene, basis (and ratio), and the figures of `coefficients` and `reconstructed`.
-    sampled : DataFrame
-        scene, ratio, sampling, and the figures of `sampled`.
+    Frames have columns scene, basis or sampling, (ratio), and the figures of the functions
+    `coefficients`, `reconstructed` and `sampled`.
     """
     counted = counted.assign(missing_2_percent=counted["missing"].str[SHOWN_PART])
     found = reconstructed.merge(counted, on=["scene", "basis"])
     best = found["mean_db"].map(lambda by_lambda: by_lambda.index(max(by_lambda)))
     found = found.assign(
-        best_db=found["mean_db"].map(max),
+        n_nonzero=found["n_nonzero"].round(1),
+        mean_db=found["mean_db"].map(max),
         min_db=[of[k] for of, k in zip(found["min_db"], best, strict=True)],
         lambda_n=best.map(LAMBDAS_N.__getitem__),
-        papers_db=found["mean_db"].str[PAPERS_LAMBDA],
+        mean_db_papers_lambda=found["mean_db"].str[PAPERS_LAMBDA],
     )
-    table = found[["scene", "basis", "ratio"]].assign(
-        n_nonzero=found["n_nonzero"].round(1),
-        missing_2_percent=found["missing_2_percent"],
-        mean_db=found["best_db"],
-        min_db=found["min_db"],
-        lambda_n=found["lambda_n"],
-        mean_db_papers_lambda=found["papers_db"],
-        n_frames=found["n_frames"],
-    )
+    columns = ["scene", "basis", "ratio", "n_nonzero", "missing_2_percent", "mean_db", "min_db"]
+    table = found[[*columns, "lambda_n", "mean_db_papers_lambda", "n_frames"]]
     n_nonzero = counted.pivot(index="scene", columns="basis", values="n_nonzero")
-    tuned = found.pivot(index=["scene", "ratio"], columns="basis", values="best_db")
-    by_ratio = tuned.groupby("ratio")
+    tuned = found.pivot(index=["scene", "ratio"], columns="basis", values="mean_db")
+    # In the order of the bases where two are equal.
+    ranked = tuned.groupby("ratio").mean()[list(counted["basis"].unique())]
     means = sampled.groupby(["ratio", "sampling"], sort=False)["mean_db"].mean().unstack(sort=False)
     by_sampling = sampled.pivot(index=["ratio", "scene"], columns="sampling", values="mean_db")
     fill_page(
@@ -85,15 +76,8 @@ def write(
         fewer=n_nonzero["haar"] < n_nonzero["db2"],
         times=(n_nonzero["db2"] / n_nonzero["haar"]).mean(),
         ranked={
-            ratio: "; ".join(
-                f"{_named(basis)} {psnr:.1f}"
-                # In the order of the bases where two are equal.
-                for basis, psnr in of[list(counted["basis"].unique())]
-                .mean()
-                .sort_values(ascending=False, kind="stable")
-                .items()
-            )
-            for ratio, of in by_ratio
+            ratio: means_db.sort_values(ascending=False, kind="stable")
+            for ratio, means_db in ranked.rename(columns=NAMES).iterrows()
         },
         gains=[(text, tuned[basis] - tuned[other]) for text, basis, other in COMPARED],
         counted=_counted_table(counted),
@@ -101,10 +85,7 @@ def write(
         reconstructed=_reconstructed_table(found),
         tuned=_draw_reconstructed(out, found),
         bases_csv=write_csv(out, "bases", table),
-        means={
-            ratio: ", ".join(f"{name} {psnr:.1f}" for name, psnr in row.items())
-            for ratio, row in means.sort_index().iterrows()
-        },
+        means=means.sort_index(),
         ahead=(by_sampling["acts"] > by_sampling["paper"]).groupby("ratio").sum(),
         behind=(by_sampling["acts"] < by_sampling["skin"]).groupby("ratio").sum(),
         n_scenes=sampled["scene"].nunique(),
@@ -114,16 +95,12 @@ def write(
     )
 
 
-def _named(basis: str) -> str:
-    return NAMES.get(basis, basis)
-
-
 def _counted_table(counted: pd.DataFrame) -> str:
     decibels = [
         "< -120" if part < LEAST_MISSING else f"{10 * log10(part):.0f}"
         for part in counted["missing_2_percent"]
     ]
-    shown = counted.assign(basis=counted["basis"].map(_named), decibels=decibels)
+    shown = counted.assign(basis=counted["basis"].replace(NAMES), decibels=decibels)
     shown["cell"] = cells(shown, "{n_nonzero:.0f} ({decibels})")
     return markdown(pivot(shown, ["basis"], "scene", "cell"))
 
@@ -132,9 +109,9 @@ def _reconstructed_table(found: pd.DataFrame) -> str:
     order = {name: k for k, name in enumerate(found["basis"].unique())}
     shown = found.sort_values("basis", key=lambda names: names.map(order), kind="stable")
     shown = shown.assign(
-        basis=shown["basis"].map(_named),
+        basis=shown["basis"].replace(NAMES),
         M=cells(shown, "N/{ratio}"),
-        cell=cells(shown, "{best_db:.1f} ({papers_db:.1f})"),
+        cell=cells(shown, "{mean_db:.1f} ({mean_db_papers_lambda:.1f})"),
     )
     return markdown(pivot(shown, ["basis", "M"], "scene", "cell"))
 
@@ -154,13 +131,8 @@ def _draw_missing(out: Path, counted: pd.DataFrame) -> str:
         percent=[100 * part for part in KEPT_PARTS] * len(counted),
     )
     caption = "Energy of the true forces outside the K largest"
-    height_in = 2.4 * -(-len(scenes) // 2) + 1.0
-    with Chart(
-        *(out, "energy", caption, len(scenes), 2),
-        size_in=(8.0, height_in),
-        sharex=True,
-        sharey=True,
-    ) as chart:
+    n, size_in = len(scenes), (8.0, 2.4 * -(-len(scenes) // 2) + 1.0)
+    with Chart(out, "energy", caption, n, 2, size_in=size_in, sharex=True, sharey=True) as chart:
         for axes, scene in zip(chart.panels, scenes, strict=True):
             draw_lines(axes, lines[lines["scene"] == scene], "percent", "missing", "basis")
             axes.set(title=scene, xscale="log", yscale="log")
@@ -173,20 +145,13 @@ def _draw_reconstructed(out: Path, found: pd.DataFrame) -> str:
     bases, ratios = found["basis"].unique()[::-1], sorted(found["ratio"].unique())
     caption = "FISTA with the best lambda, by basis and scene"
     size_in = (8.0, 0.3 * len(bases) + 1.8)
-    with Chart(
-        out,
-        "reconstructed",
-        caption,
-        len(ratios),
-        len(ratios),
-        size_in=size_in,
-        legend_columns=3,
-        sharey=True,
-    ) as chart:
+    n = len(ratios)
+    style: dict[str, Any] = {"size_in": size_in, "legend_columns": 3, "sharey": True}
+    with Chart(out, "reconstructed", caption, n, n, **style) as chart:
         for axes, ratio in zip(chart.panels, ratios, strict=True):
             of_ratio = found[found["ratio"] == ratio]
             for k, (scene, of) in enumerate(of_ratio.groupby("scene", sort=False)):
-                best_db = of.set_index("basis")["best_db"]
+                best_db = of.set_index("basis")["mean_db"]
                 axes.plot(best_db[bases], bases, MARKERS[k], color=PALETTE[k], label=scene)
             axes.set(title=f"M = N/{ratio}", xlabel="mean PSNR, dB")
     return chart.markdown
@@ -196,13 +161,9 @@ def _draw_sampled(out: Path, sampled: pd.DataFrame) -> str:
     scenes = sampled["scene"].unique()
     lines = sampled.assign(percent=100 / sampled["ratio"])
     caption = "PSNR in contact over M: what is measured, and how"
-    height_in = 2.4 * -(-len(scenes) // 2) + 1.0
-    with Chart(
-        *(out, "sampling", caption, len(scenes), 2),
-        size_in=(8.0, height_in),
-        legend_columns=5,
-        sharex=True,
-    ) as chart:
+    size_in = (8.0, 2.4 * -(-len(scenes) // 2) + 1.0)
+    style: dict[str, Any] = {"size_in": size_in, "legend_columns": 5, "sharex": True}
+    with Chart(out, "sampling", caption, len(scenes), 2, **style) as chart:
         for axes, scene in zip(chart.panels, scenes, strict=True):
             of = lines[lines["scene"] == scene]
             reading_db = of[of["sampling"] == "reading"]["mean_db"].iloc[0]

@@ -20,14 +20,9 @@ from sparseskin.nodes.reconstructor.bases.learned import (
 )
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.evaluate import Reading, evaluate, in_contact, make_method
-from sparseskin.studies.points import StudyError, compute
-from sparseskin.studies.scene_frames import (
-    f_max_of,
-    first_contact,
-    n_steps_of,
-    scene_frames,
-    shape_of,
-)
+from sparseskin.studies.points import Function, StudyError, compute
+from sparseskin.studies.report import frame_of
+from sparseskin.studies.scene_frames import first_contact, scene_frames, scene_of
 
 from .page import KEPT_PARTS, LAMBDAS_N, SAMPLINGS, write
 
@@ -84,9 +79,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     }
     registered = {name: name for name in REGISTERED}
     registered[TILED] = _saved(out, "haar_tiles", haar_atoms(TRAINING_TILE))
-    n_frames, n_sampled = (
-        (QUICK_FRAMES, QUICK_SAMPLED_FRAMES) if quick else (N_FRAMES, SAMPLED_FRAMES)
-    )
+    n_frames = QUICK_FRAMES if quick else N_FRAMES
+    n_sampled = QUICK_SAMPLED_FRAMES if quick else SAMPLED_FRAMES
     counting: list[Point] = []
     for scene in scenes:
         files = [file_of[str(point)] for point in training_of(scene, seed)]
@@ -98,23 +92,20 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         for scene in scenes
         for ratio in (QUICK_SAMPLED_RATIOS if quick else SAMPLED_RATIOS)
     ]
+
+    def rows(function: Function, points: list[Point], label: str, by: str) -> pd.DataFrame:
+        """A row a name, with scene and ratio of its point."""
+        found = compute(function, points, out, executor, label)
+        keys: list[Point] = [
+            {key: point[key] for key in ("scene", "ratio") if key in point} for point in points
+        ]
+        return frame_of(keys, found, by)
+
     write(
         out,
-        counted=_frame(counting, compute(coefficients, counting, out, executor, "count")),
-        reconstructed=_frame(solving, compute(reconstructed, solving, out, executor, "solve")),
-        sampled=_frame(sampling, compute(sampled, sampling, out, executor, "sample")).rename(
-            columns={"basis": "sampling"}
-        ),
-    )
-
-
-def _frame(points: list[Point], found: list[dict[str, Any]]) -> pd.DataFrame:
-    """Figures by name, a row each, with scene and ratio of their point."""
-    keys = ("scene", "ratio")
-    return pd.DataFrame(
-        {key: point[key] for key in keys if key in point} | {"basis": name} | figures
-        for point, by_name in zip(points, found, strict=True)
-        for name, figures in by_name.items()
+        counted=rows(coefficients, counting, "count", "basis"),
+        reconstructed=rows(reconstructed, solving, "solve", "basis"),
+        sampled=rows(sampled, sampling, "sample", "sampling"),
     )
 
 
@@ -137,7 +128,7 @@ def _saved(out: Path, name: str, atoms: Any) -> str:
 def spread_frames(scene: str, seed: int, n_frames: int) -> Iterator[tuple[Floats, Floats]]:
     """Yield (truth, taxels) of about n_frames frames, evenly from the first contact to the end."""
     first = first_contact(scene, seed)
-    every = max(1, (n_steps_of(scene) - first) // n_frames)
+    every = max(1, (scene_of(scene).n_steps - first) // n_frames)
     return scene_frames(scene, seed, first, None, every)
 
 
@@ -154,7 +145,7 @@ def learned(point: Point) -> dict[str, Any]:
     rng = np.random.default_rng(point["seed"])
     parts = []
     for scene in point["scenes"]:
-        f_max = f_max_of(scene)
+        f_max = scene_of(scene).f_max_n
         frames = [t for t, _ in spread_frames(scene, point["seed"], TRAINING_FRAMES)]
         drawn = draw_windows(frames, None, TRAINING_TILE, force_threshold(0.0, f_max), rng)
         parts.append(drawn[: len(drawn) // len(point["scenes"])] * (2.5 / f_max))
@@ -173,13 +164,13 @@ def coefficients(point: Point) -> dict[str, Any]:
         By name: n_nonzero: mean number above rounding, over contact frames; missing: mean part of
         the energy outside the largest coefficients, for each of `KEPT_PARTS`; n_frames.
     """
-    rows, cols = shape_of(point["scene"])
+    rows, cols = scene_of(point["scene"]).shape
     bases = {name: make_basis(basis, rows, cols) for name, basis in point["bases"].items()}
     kept = [max(1, round(part * rows * cols)) for part in KEPT_PARTS]
     counts: dict[str, list[int]] = {name: [] for name in bases}
     missing: dict[str, list[list[float]]] = {name: [] for name in bases}
     for truth, _ in spread_frames(point["scene"], point["seed"], point["n_frames"]):
-        if not in_contact(truth, f_max_of(point["scene"])):
+        if not in_contact(truth, scene_of(point["scene"]).f_max_n):
             continue
         for name, basis in bases.items():
             sizes = np.sort(np.abs(basis.analysis(truth)).reshape(-1))[::-1].astype(np.float64)
@@ -213,11 +204,11 @@ def reconstructed(point: Point) -> dict[str, Any]:
         chosen = {"solver": "fista", "basis": basis, "iterations": ITERATIONS}
         methods = {
             str(lambda_n): make_method(
-                chosen | {"lambda_n": lambda_n}, shape_of(scene), ratio, seed
+                {**chosen, "lambda_n": lambda_n}, scene_of(scene).shape, ratio, seed
             )
             for lambda_n in LAMBDAS_N
         }
-        scores = evaluate(methods, frames, f_max_of(scene)).values()
+        scores = evaluate(methods, frames, scene_of(scene).f_max_n).values()
         found[name] = {
             "mean_db": [round(one.mean_db, 3) for one in scores],
             "min_db": [round(one.min_db, 3) for one in scores],
@@ -237,10 +228,12 @@ def sampled(point: Point) -> dict[str, Any]:
         min_db, over contact frames.
     """
     scene, ratio, seed = (point[key] for key in ("scene", "ratio", "seed"))
-    f_max = f_max_of(scene)
+    f_max = scene_of(scene).f_max_n
     chosen = {"interpolation": {"solver": "interpolation", "basis": "identity"}, **PRESETS}
     methods = {
-        name: make_method(chosen[solver], shape_of(scene), ratio, seed, phi=phi, f_max_n=f_max)
+        name: make_method(
+            chosen[solver], scene_of(scene).shape, ratio, seed, phi=phi, f_max_n=f_max
+        )
         for name, (phi, solver) in SAMPLINGS.items()
     }
     first = max(0, first_contact(scene, seed) - BEFORE)

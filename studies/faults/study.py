@@ -17,8 +17,7 @@ import pandas as pd
 from sparseskin.studies.points import StudyError, compute
 from sparseskin.studies.report import fill_page, write_csv
 
-from . import cases as faults_cases
-from . import signals as faults_signals
+from . import cases, signals
 from .observed import RATE_HZ, row_of
 
 REPEATS, MAX_LOTS = 3, 7
@@ -59,8 +58,8 @@ def case_points(quick: bool) -> list[dict[str, Any]]:
     """Every other fault, once."""
     seconds = 3.0 if quick else 10.0
     delays_s = (0, 0.2) if quick else (0.25, 2)
-    cases = [{"fault": name, "seconds": seconds, "delays_s": delays_s} for name in CASES]
-    return [{**case, "seconds": 3.0} if case["fault"] == "rate" else case for case in cases]
+    points = [{"fault": name, "seconds": seconds, "delays_s": delays_s} for name in CASES]
+    return [{**point, "seconds": 3.0} if point["fault"] == "rate" else point for point in points]
 
 
 def strike(out: Path, quick: bool) -> list[dict[str, Any]]:
@@ -79,7 +78,7 @@ def strike(out: Path, quick: bool) -> list[dict[str, Any]]:
         for name, figures in zip(SIGNALS, found, strict=True):
             lots[name].append(figures)
             used_s += figures["took_s"]
-    return [row for name in SIGNALS for row in faults_signals.rows_of(name, lots[name])]
+    return [row for name in SIGNALS for row in signals.rows_of(name, lots[name])]
 
 
 def measure(point: dict[str, Any]) -> dict[str, Any]:
@@ -87,10 +86,10 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="sparseskin-faults-") as name:
         folder = Path(name) / "graph"
         if "signal" in point:
-            return faults_signals.measure(point, folder)
+            return signals.measure(point, folder)
         try:
-            row = faults_cases.CASES[point["fault"]](point, folder)
-        except faults_cases.NotPermittedError as error:
+            row = cases.CASES[point["fault"]](point, folder)
+        except cases.NotPermittedError as error:
             return {"rows": [], "not_made": str(error)}
         except StudyError as error:
             row = {**row_of(str(error), []), "lost": UNKNOWN}
@@ -114,13 +113,13 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         stop_s=STOP_S,
         quick=quick,
         repeats=" to ".join(str(n) for n in sorted({counts[0], counts[-1]})),
-        table=pd.DataFrame([cells(row) for row in rows]),
+        table=pd.DataFrame(map(cells, rows)),
         not_made=[
             f"{CASES[point['fault']]} ({figures['not_made']})"
             for point, figures in zip(made, found, strict=True)
             if "not_made" in figures
         ],
-        csv=write_csv(out, "faults", [csv_row(row) for row in rows]),
+        csv=write_csv(out, "faults", list(map(csv_row, rows))),
     )
 
 

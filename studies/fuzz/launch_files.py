@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 import tempfile
 import time
 from collections import Counter
@@ -45,23 +44,18 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     codes: Counter[str] = Counter()
     faulty: list[str] = []
     longest_s, n_lines, n_faulty = 0.0, 0, 0
-    here = os.getcwd()
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
-        try:
-            for _ in range(point["n"]):
-                text = mutated(texts[rng.integers(len(texts))], texts, rng)
-                Path(NAME).write_bytes(text)
-                began_s = time.perf_counter()
-                code, lines, fault = checked()
-                longest_s = max(longest_s, time.perf_counter() - began_s)
-                codes[str(code)] += 1
-                n_lines += len(lines)
-                if fault:
-                    n_faulty += 1
-                    faulty = [*faulty, f"{fault}\n{text!r}"][:5]
-        finally:
-            os.chdir(here)
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        for _ in range(point["n"]):
+            text = mutated(texts[rng.integers(len(texts))], texts, rng)
+            Path(NAME).write_bytes(text)
+            began_s = time.perf_counter()
+            code, lines, fault = checked()
+            longest_s = max(longest_s, time.perf_counter() - began_s)
+            codes[str(code)] += 1
+            n_lines += len(lines)
+            if fault:
+                n_faulty += 1
+                faulty = [*faulty, f"{fault}\n{text!r}"][:5]
     return {
         "codes": dict(codes),
         "n_lines": n_lines,

@@ -94,14 +94,8 @@ def sound_messages(run_id: str, n_frames: int) -> list[Message]:
 def ends(topics: Iterable[str], run_id: str, n_messages: int) -> list[End]:
     """The end of each topic."""
     return [
-        End(
-            stamp_ns=1,
-            patch=split_topic(topic)[0],
-            run_id=run_id,
-            of=split_topic(topic)[1],
-            n_messages=n_messages,
-        )
-        for topic in topics
+        End(stamp_ns=1, patch=patch, run_id=run_id, of=name, n_messages=n_messages)
+        for patch, name in map(split_topic, topics)
     ]
 
 
@@ -140,21 +134,8 @@ def hostile_subscription(rng: np.random.Generator) -> bytes:
 class Harness:
     """A node in a process of its own, joined to this program alone; to be used in a `with`.
 
-    Parameters
-    ----------
-    type_name : str
-        Registered node type.
-    values : dict
-        Its settings.
-    topics : list of str
-        Its input topics.
-
-    Attributes
-    ----------
-    writer : Writer
-        The writer that it reads.
-    streams : list of str
-        Its topics that are not latched.
+    It has the settings `values` and reads `topics` from `writer`; `streams` are those topics that
+    are not latched.
     """
 
     def __init__(self, type_name: str, values: dict[str, Any], topics: list[str]) -> None:
@@ -165,19 +146,10 @@ class Harness:
         self.topics = topics
         self.streams = [topic for topic in topics if not is_latched(topic)]
         cls = node_class(type_name)
-        self.node = NodeProcess(
-            NodeSpec(type_name, type_name, cls, values, make_settings(cls, values)),
-            {
-                "name": type_name,
-                "type": type_name,
-                "settings": values,
-                "endpoint": ANY,
-                "readers": [],
-                "inputs": topics,
-                "offset_ns": wall_offset_ns(),
-                "max_frames": None,
-            },
-        )
+        spec = NodeSpec(type_name, type_name, cls, values, make_settings(cls, values))
+        settings = {"name": type_name, "type": type_name, "settings": values, "endpoint": ANY}
+        joined = {"readers": [], "inputs": topics, "offset_ns": wall_offset_ns()}
+        self.node = NodeProcess(spec, {**settings, **joined, "max_frames": None})
         self.events: list[dict[str, Any]] = []
         self._selector = selectors.DefaultSelector()
         self._selector.register(self.node.pipes[0], selectors.EVENT_READ)
@@ -202,13 +174,7 @@ class Harness:
         self.context.destroy(linger=0)
 
     def event(self, name: str) -> dict[str, Any]:
-        """Wait for an event of the node.
-
-        Raises
-        ------
-        StudyError
-            If it does not come.
-        """
+        """Wait for an event of the node; Raises StudyError if it does not come."""
 
         def came() -> bool:
             self._selector.select(0.05)

@@ -14,7 +14,7 @@ import pandas as pd
 from sparseskin.nodes.process.proc import cpu_s, host_busy_s
 from sparseskin.studies.graph_run import GraphRun, launch_text, wait_until
 from sparseskin.studies.points import compute
-from sparseskin.studies.report import PALETTE, Chart, fill_page, write_csv
+from sparseskin.studies.report import PALETTE, Chart, fill_page, markdown, write_csv
 
 from .nodes import WATCH
 
@@ -166,22 +166,20 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     """
     made = points(quick, seed)
     found = compute(measure, made, out, "serial", "latency")
-    rows = [row_of(point, figures) for point, figures in zip(made, found, strict=True)]
-    names = ("skin", "preset", "reconstructed", "monitor", "n_frames", "skipped", "lost")
-    frame = pd.DataFrame(rows, dtype=object)
-    table = frame[list(names)].rename(columns={"n_frames": "frames"})
-    for name in QUANTILES:
-        table[f"{name} ms"] = frame[f"{name}_ms"].map("{:.2f}".format)
-    for stage in STAGES:
-        table[stage] = frame[f"p50 {stage}_ms"].map("{:.3f}".format)
-    busiest = max(figures["others"] for figures in found)
+    rows = pd.DataFrame(map(row_of, made, found), dtype=object)
+    names = ["skin", "preset", "reconstructed", "monitor", "n_frames", "skipped", "lost"]
+    headings = {"n_frames": "frames", **{f"{name}_ms": f"{name} ms" for name in QUANTILES}}
+    headings |= {f"p50 {stage}_ms": stage for stage in STAGES}
+    formats = {f"{name} ms": ".2f" for name in QUANTILES} | dict.fromkeys(STAGES, ".3f")
+    table = rows[list(dict.fromkeys([*names, *headings]))].rename(columns=headings)
+    busiest = rows["others_cores"].max()
     fill_page(
         out,
         "latency",
         warm_up=WARM_UP,
         cores=len(os.sched_getaffinity(0)),
         busiest=busiest if busiest > QUIET else None,
-        table=table,
+        table=markdown(table, formats),
         chart=draw(out, rows),
         csv=write_csv(out, "latency", rows),
     )
@@ -195,25 +193,21 @@ def row_of(point: dict[str, Any], figures: dict[str, Any]) -> dict[str, Any]:
         "reconstructed": "newest" if point["depth"] else "all",
         "monitor": "yes" if point["monitor"] else "no",
         "rate_hz": point["rate_hz"],
-        "n_frames": figures["n_frames"],
-        "skipped": figures["skipped"],
-        "lost": figures["lost"],
+        **{name: figures[name] for name in ("n_frames", "skipped", "lost")},
         "others_cores": figures["others"],
     }
     for name in QUANTILES:
         row[f"{name}_ms"] = figures[name]["total_ms"]
-        for stage, ms in zip(STAGES, figures[name]["stages_ms"], strict=True):
-            row[f"{name} {stage}_ms"] = ms
+        stages_ms = zip(STAGES, figures[name]["stages_ms"], strict=True)
+        row |= {f"{name} {stage}_ms": ms for stage, ms in stages_ms}
     return row
 
 
-def draw(out: Path, rows: list[dict[str, Any]]) -> str:
+def draw(out: Path, rows: pd.DataFrame) -> str:
     """Chart of the stages: a bar a graph, for the median and both tails."""
-    labels = [
-        f"{row['skin']}, {row['preset']}{', newest' * (row['reconstructed'] == 'newest')}"
-        f"{', monitor' * (row['monitor'] == 'yes')}"
-        for row in rows
-    ]
+    labels = rows["skin"] + ", " + rows["preset"]
+    labels += rows["reconstructed"].map({"newest": ", newest", "all": ""})
+    labels += rows["monitor"].map({"yes": ", monitor", "no": ""})
     caption = (
         "Stages of a frame at 1 kHz, from its acquisition until it is reconstructed: around the "
         "median, and around the slowest of 100 and of 1000 frames (each panel has its own scale; "
@@ -224,16 +218,10 @@ def draw(out: Path, rows: list[dict[str, Any]]) -> str:
         for axes, name in zip(chart.panels, QUANTILES, strict=True):
             left = np.zeros(len(rows))
             for k, stage in enumerate(STAGES):
-                ms = np.array([row[f"{name} {stage}_ms"] for row in rows])
-                axes.barh(
-                    *(labels, ms),
-                    left=left,
-                    color=PALETTE[k],
-                    hatch="////" if "queue" in stage else None,
-                    edgecolor="white",
-                    linewidth=0.3,
-                    label=stage,
-                )
+                ms = rows[f"{name} {stage}_ms"].to_numpy(float)
+                style: dict[str, Any] = {"color": PALETTE[k], "edgecolor": "white"}
+                style |= {"linewidth": 0.3, "hatch": "////" if "queue" in stage else None}
+                axes.barh(labels, ms, left=left, label=stage, **style)
                 left += ms
             axes.set(title=name, xlabel="ms")
             if name == "p50":

@@ -20,7 +20,7 @@ from sparseskin.studies.report import (
     series_style,
     write_csv,
 )
-from sparseskin.studies.scene_frames import step_s
+from sparseskin.studies.scene_frames import scene_of
 
 from .numbers import ITERATIONS, PAPER, RATIOS, Psnr
 
@@ -251,12 +251,12 @@ def _draw_maps(out: Path, maps: Maps) -> str:
                 drawn = axes.imshow(image, vmin=0, vmax=top, cmap="viridis", origin="lower")
                 axes.set(title=note, xlabel="column")
                 axes.grid(False)
-            row[0].set_ylabel(f"{title}, {frame * step_s(MAPPED) * 1e3:.1f} ms\nrow")
+            row[0].set_ylabel(f"{title}, {frame * scene_of(MAPPED).dt_ns * 1e-6:.1f} ms\nrow")
             chart.figure.colorbar(drawn, ax=row, label="force in N", shrink=0.9)
     return chart.markdown
 
 
-def _draw_sequences(out: Path, results: Results) -> dict[str, str]:
+def _draw_sequences(out: Path, results: Results) -> dict[str, Any]:
     """PSNR over time, by M in DRAG WRENCH and by iterations in LIFT BOX, 64 x 64."""
     by_m = {f"M = N/{ratio}": (ratio, 30) for ratio in RATIOS}
     by_k = {f"{k} iterations": (3, k) for k in ITERATIONS}
@@ -280,7 +280,7 @@ def _draw_sequences(out: Path, results: Results) -> dict[str, str]:
                 for k, (label, values) in enumerate(series.items()):
                     k = -1 if label == "noisy" else k
                     axes.plot(
-                        *(frames * step_s(scene) * 1e3, values[part]),
+                        *(frames * scene_of(scene).dt_ns * 1e-6, values[part]),
                         label=label,
                         color=PALETTE[k],
                         linestyle=LINES[k],

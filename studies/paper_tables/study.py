@@ -11,9 +11,9 @@ import pywt
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.studies.evaluate import Method, evaluate, in_contact, make_method
+from sparseskin.studies.evaluate import Method, evaluate_one, in_contact, make_method
 from sparseskin.studies.points import compute, compute_rows
-from sparseskin.studies.scene_frames import f_max_of, first_contact, scene_frames, shape_of
+from sparseskin.studies.scene_frames import first_contact, scene_frames, scene_of
 
 from .numbers import ITERATIONS, PAPER, RATIOS
 from .page import MAPPED, Results, write
@@ -120,7 +120,7 @@ def scene_figures(point: Point) -> dict[str, Any]:
         d2_shifted: mean count of D2, in contact, with the scene moved by k taxels both ways.
     """
     first, stop = window(point)
-    f_max, side = f_max_of(point["scene"]), shape_of(point["scene"])[0]
+    f_max, side = scene_of(point["scene"]).f_max_n, scene_of(point["scene"]).shape[0]
     per_frame: dict[str, list[Any]] = {
         key: [] for key in ("noisy_db", "contact", "d2", "d4", "d2_exact", "d4_exact")
     }
@@ -161,13 +161,13 @@ def reconstructed(point: Point) -> dict[str, Any]:
         psnr_db: per frame.
     """
     frames = scene_frames(point["scene"], point["seed"], *window(point))
-    scores = evaluate({"paper": method_of(point)}, frames, f_max_of(point["scene"]))["paper"]
+    scores = evaluate_one(method_of(point), frames, scene_of(point["scene"]).f_max_n)
     return {"psnr_db": [round(psnr, 3) for psnr in scores.psnr_db]}
 
 
 def method_of(point: Point) -> Method:
     """Make the method of a point: the paper's, but for the settings of the point."""
-    shape = shape_of(point["scene"])
+    shape = scene_of(point["scene"]).shape
     # On sides of a power of two both bases are the same, and the project's own is quick.
     few = point["few_levels"] and any(side & (side - 1) for side in shape)
     settings = {key: point[key] for key in ("iterations", "lambda_n")}
@@ -187,7 +187,7 @@ def solve_times(point: Point) -> dict[str, Any]:
     """
     contact = first_contact(point["scene"], point["seed"])
     frames = scene_frames(point["scene"], point["seed"], contact, contact + point["n_frames"])
-    scores = evaluate({"paper": method_of(point)}, frames, f_max_of(point["scene"]))["paper"]
+    scores = evaluate_one(method_of(point), frames, scene_of(point["scene"]).f_max_n)
     return {
         "median_ms": round(scores.wall_ms(50), 4),
         "mean_ms": round(1e3 * float(np.mean(scores.wall_s)), 4),
@@ -208,7 +208,7 @@ def frame_maps(point: Point) -> dict[str, Any]:
     """
     frames: list[int] = point["frames"]
     first = max(0, frames[0] - BEFORE_MAPS)
-    f_max = f_max_of(point["scene"])
+    f_max = scene_of(point["scene"]).f_max_n
     method = method_of(point)
     maps, psnr = [], []
     sequence = scene_frames(point["scene"], point["seed"], first, frames[-1] + 1)
@@ -236,6 +236,6 @@ def untouched(point: Point) -> dict[str, Any]:
     rng = np.random.default_rng(point["seed"])
     truth = np.zeros((side, side), dtype=np.float32)
     frames = ((truth, noise.apply(truth, rng)) for _ in range(point["n_frames"]))
-    scores = evaluate({"paper": method}, frames)["paper"]
+    scores = evaluate_one(method, frames)
     # The first frames have no warm start, and PSNR is no better for it.
     return {"highest_db": round(max(scores.psnr_db[5:]), 3)}

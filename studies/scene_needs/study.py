@@ -56,7 +56,10 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         quick_steps=QUICK_STEPS,
         chart=_chart(out, frame),
         summary=summary(rows, quick),
-        scenes={scene: _table(some) for scene, some in frame.groupby("scene", sort=False)},
+        scenes={
+            scene: some.to_dict("records") for scene, some in frame.groupby("scene", sort=False)
+        },
+        reason=reason,
         csv=write_csv(out, "scene-needs", rows),
     )
 
@@ -91,24 +94,14 @@ def summary(rows: Sequence[Row], quick: bool) -> str:
     return "\n".join(lines)
 
 
-def _table(frame: pd.DataFrame) -> pd.DataFrame:
-    lines = []
-    for row in frame.to_dict("records"):
-        name, kind = row["variant"], row["verdict"]
-        why = {"kept": _KEPT.get(name), "left out": _LEFT_OUT.get((row["scene"], name))}.get(kind)
-        cost = 100.0 * (row["variant_us"] / row["scene_us"] - 1.0)
-        lines.append(
-            {
-                "variant": ("without " if row["carried"] else "with ") + name,
-                "change, dB": f"{row['change_db']:.1f}",
-                "noise, dB": f"{row['noise_db']:.1f}",
-                "worst, dB": f"{row['worst_db']:.1f}",
-                "above": f"{100 * row['above_noise']:.1f} %",
-                "time": f"{cost:+.0f} %",
-                "verdict": kind + (f": {why}" if why else ""),
-            }
-        )
-    return pd.DataFrame(lines)
+def reason(row: Row) -> str:
+    """Reason for a verdict, where it needs one; for the table."""
+    reasons = {
+        "kept": _KEPT.get(row["variant"]),
+        "left out": _LEFT_OUT.get((row["scene"], row["variant"])),
+    }
+    found = reasons.get(row["verdict"])
+    return f": {found}" if found else ""
 
 
 def _chart(out: Path, frame: pd.DataFrame) -> str:

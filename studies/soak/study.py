@@ -132,25 +132,10 @@ def run(out: Path, quick: bool, seed: int, executor: str, minutes: float | None 
     samples = found["samples"]
     names = [name for name in samples if name != "time_s"]
     verdicts = {name: verdict(samples, name) for name in names}
-    table = [
-        {
-            "process": name,
-            "memory, MB": f"{v['before_mb']:.1f} to {v['after_mb']:.1f}",
-            "change": f"{100 * v['growth']:+.1f} %" + " (**not flat**)" * (abs(v["growth"]) > FLAT),
-            "highest": f"{v['highest_mb']:.1f}",
-            "MB an hour": f"{v['mb_per_hour']:+.1f}",
-            "files": f"{v['files_before']} to {v['files_after']}",
-            "cores": f"{v['cpu']:.2f}",
-            "lost": str(found["lost"].get(name, "")),
-        }
-        for name, v in verdicts.items()
-    ]
-    rows = [
-        {"time_s": time_s, "process": name}
-        | {what: values[k] for what, values in samples[name].items()}
+    rows = pd.concat(
+        pd.DataFrame({"time_s": samples["time_s"], "process": name, **samples[name]})
         for name in names
-        for k, time_s in enumerate(samples["time_s"])
-    ]
+    )
     fill_page(
         out,
         "soak",
@@ -159,11 +144,10 @@ def run(out: Path, quick: bool, seed: int, executor: str, minutes: float | None 
         minutes=minutes,
         warm_up_s=verdicts[LAUNCHER]["warm_up_s"],
         flat=FLAT,
-        frames=found["frames"],
-        restarts=found["restarts"],
+        found=found,
         load=load,
         n_cores=os.cpu_count(),
-        table=pd.DataFrame(table),
+        verdicts=verdicts,
         chart=_draw(out, samples, names),
         csv=write_csv(out, "soak", rows),
     )

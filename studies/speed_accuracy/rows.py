@@ -12,13 +12,13 @@ import pandas as pd
 from sparseskin.nodes.compressor.phi.rotation import ROTATING
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.evaluate import SUM_SOLVERS
-from sparseskin.studies.scene_frames import shape_of
+from sparseskin.studies.scene_frames import scene_of
 
 PAPER_LABEL = "fista, preset paper"
 CENTRE_RATIO = 3
 #: Dead zones of the full reading, newtons.
 DEAD_ZONES_N = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1)
-#: The paper's lambda that serves it best: a second yardstick.
+#: Best lambda of the paper's solver: a second reference.
 TUNED_LAMBDA_N = 0.0125
 VARIED = {
     "skin, rotating rows": {**PRESETS["skin"], "rows": ROTATING},
@@ -149,7 +149,7 @@ def gather(
 
 def pool_of(scene: str) -> str:
     """The panel that a scene is pooled into."""
-    rows, cols = shape_of(scene)
+    rows, cols = scene_of(scene).shape
     return f"N = {rows * cols}"
 
 
@@ -172,7 +172,7 @@ def _readings(full: Mapping[str, dict[str, Any]]) -> pd.DataFrame:
 
 
 def raw_and_zoned(readings: pd.DataFrame, panel: str) -> tuple[pd.Series, pd.Series]:
-    """The reading of a panel as it is, and with the dead zone that serves it best."""
+    """The reading of a panel as it is, and with its best dead zone."""
     of = readings[readings["panel"] == panel].set_index("dead_zone_n", drop=False)
     return of.loc[0.0], of.loc[of["mean_db"].idxmax()]
 

@@ -30,23 +30,17 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import BASES
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.evaluate import (
+    Method,
     Reading,
     Scores,
     evaluate,
-    evaluate_into,
+    evaluate_one,
     in_contact,
     make_method,
     settings_of,
 )
 from sparseskin.studies.points import compute, compute_rows
-from sparseskin.studies.scene_frames import (
-    f_max_of,
-    first_contact,
-    n_steps_of,
-    scene_frames,
-    shape_of,
-    step_s,
-)
+from sparseskin.studies.scene_frames import first_contact, scene_frames, scene_of
 
 from .page import write
 from .peers import PEERS, Bpdn, Solve, missing_peers
@@ -151,9 +145,9 @@ def sequences(scene: str, seed: int, short: bool) -> tuple[tuple[Floats, Floats]
     tuple of (truth, taxels)
         float32, shape (k, n_rows, n_cols), newtons; frames 1 ms apart.
     """
-    every = max(1, round(PERIOD_S / step_s(scene)))
+    every = max(1, round(PERIOD_S / (scene_of(scene).dt_ns * 1e-9)))
     contact = first_contact(scene, seed)
-    begins = (contact - BEFORE * every, (contact + n_steps_of(scene)) // 2)
+    begins = (contact - BEFORE * every, (contact + scene_of(scene).n_steps) // 2)
     lengths = (BEFORE + (SHORT_AFTER if short else AFTER), SHORT_LATER if short else LATER)
     found = []
     for first, length in zip(begins, lengths, strict=True):
@@ -177,18 +171,22 @@ def timed(point: Point) -> dict[str, Any]:
         the mean number of iterations.
         Or refused: the reason why these do not go together.
     """
-    scene, seed = point["scene"], point["seed"]
+    seed, scene = point["seed"], scene_of(point["scene"])
+    parts = sequences(point["scene"], seed, point["short"])
     chosen = {key: value for key, value in point.items() if key not in _OF_THE_POINT}
-    how = {"phi": point["phi"], "rows": point.get("rows", FIXED), "f_max_n": f_max_of(scene)}
-    try:
-        method = make_method(chosen, shape_of(scene), point["ratio"], seed, **how)
-        scores = Scores(f_max_of(scene))
-        for truths, taxels in sequences(scene, seed, point["short"]):
+    how = {"phi": point["phi"], "rows": point.get("rows", FIXED), "f_max_n": scene.f_max_n}
+
+    def frames(method: Method) -> Iterator[tuple[Floats, Floats]]:
+        for truths, taxels in parts:
             method.reset()
-            evaluate_into(scores, method, zip(truths, taxels, strict=True))
+            yield from zip(truths, taxels, strict=True)
+
+    try:
+        method = make_method(chosen, scene.shape, point["ratio"], seed, **how)
+        scores = evaluate_one(method, frames(method), scene.f_max_n)
     except SparseskinError as error:
         return {"refused": str(error)}
-    y, phi = method.measure(taxels[-1]), method.phi
+    y, phi = method.measure(parts[-1][1][-1]), method.phi
     message = Measurements(stamp_ns=0, patch="skin", y=y, phi=phi.fingerprint)
     return {
         **figures_of(scores),
@@ -231,7 +229,7 @@ def full_reading(point: Point) -> dict[str, Any]:
     parts = sequences(point["scene"], point["seed"], point["short"])
     frames = [pair for part in parts for pair in zip(*part, strict=True)]
     zones = {str(width_n): Reading(width_n) for width_n in DEAD_ZONES_N}
-    scores = evaluate(zones, frames, f_max_of(point["scene"]))
+    scores = evaluate(zones, frames, scene_of(point["scene"]).f_max_n)
     return {
         "bytes": size_bytes(Taxels(stamp_ns=0, patch="skin", forces=parts[0][1][0])),
         "by_dead_zone": [figures_of(one) for one in scores.values()],
@@ -252,7 +250,7 @@ def race(point: Point) -> dict[str, Any]:
         median_ms, processor time a frame; iterations: their median; mean_db, worst_db; objective:
         the largest ratio to the minimum; nonzeros: median; n_frames.
     """
-    problem = Bpdn(shape_of(point["scene"]), point["ratio"], point["seed"], point["lambda_n"])
+    problem = Bpdn(scene_of(point["scene"]).shape, point["ratio"], point["seed"], point["lambda_n"])
     peer = PEERS[point["peer"]]
     spans_ms, counts, ratios, psnr = [], [], [], []
     for truth, taxels in _frames(point):
@@ -269,7 +267,7 @@ def race(point: Point) -> dict[str, Any]:
         spans_ms.append(span_ms)
         counts.append(iterations)
         ratios.append(problem.objective(theta, y) / lowest)
-        psnr.append(psnr_db(problem.image(theta) - truth, f_max_of(point["scene"])))
+        psnr.append(psnr_db(problem.image(theta) - truth, scene_of(point["scene"]).f_max_n))
     return {
         "median_ms": round(float(np.median(spans_ms)), 4),
         "iterations": float(np.median(counts)),
@@ -301,7 +299,7 @@ def _needed(problem: Bpdn, solve: Solve, y: Floats, enough: float) -> int:
 
 def _frames(point: Point) -> list[tuple[Floats, Floats]]:
     """Frames in contact, evenly spread over those of the scene."""
-    f_max = f_max_of(point["scene"])
+    f_max = scene_of(point["scene"]).f_max_n
     pairs = [
         pair
         for truth, taxels in sequences(point["scene"], point["seed"], point["short"])

@@ -13,7 +13,7 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.studies.evaluate import SUM_SOLVERS
 from sparseskin.studies.points import compute_rows
-from sparseskin.studies.report import Chart, write_csv
+from sparseskin.studies.report import Chart, cells, pivot, write_csv
 
 from .frames import contacts, frame_errors, measured, psnr_of, read, reconstruct, solver_for
 from .sweeps import draw_solvers
@@ -89,24 +89,14 @@ def frames_until_settled(errors: list[float]) -> dict[str, int]:
 def section(out: Path, quick: bool, seed: int, executor: str) -> dict[str, Any]:
     """Compute and draw; the values for the page."""
     found = compute_rows(measure, points(quick, seed), out, executor, "sudden change")
-    rows = [row for one in found for row in _rows(one)]
-    frame = pd.DataFrame(rows)
-    frame["cell"] = [
-        f"{row['frames_until_settled']} / {row['below_readings']} "
-        f"({row['first_db']:.1f}, {row['settled_db']:.1f})"
-        for row in rows
-    ]
-    cells = frame.pivot(index=["side", "ratio", "solver"], columns="event", values="cell")
-    order = [(one["side"], one["ratio"], one["solver"]) for one in found]
-    table = cells.loc[sorted(order, key=lambda one: one[:2])][list(EVENTS)].reset_index()
-    table["side"] = [f"{side} x {side}" for side in table["side"]]
-    table["ratio"] = "N/" + table["ratio"].astype(str)
-    return {
-        "n_each": N_EACH,
-        "chart": _chart(out, found),
-        "table": table.rename(columns={"side": "taxels", "ratio": "M"}),
-        "csv": write_csv(out, "change", rows),
-    }
+    frame = pd.DataFrame([row for one in found for row in _rows(one)])
+    csv = write_csv(out, "change", frame)
+    text = "{frames_until_settled} / {below_readings} ({first_db:.1f}, {settled_db:.1f})"
+    sides, ratios = cells(frame, "{side} x {side}"), cells(frame, "N/{ratio}")
+    frame = frame.assign(taxels=sides, M=ratios, cell=cells(frame, text))
+    frame = frame.sort_values(["side", "ratio"], kind="stable")
+    table = pivot(frame, ["taxels", "M", "solver"], "event", "cell")
+    return {"n_each": N_EACH, "chart": _chart(out, found), "table": table, "csv": csv}
 
 
 def _rows(one: dict[str, Any]) -> list[dict[str, Any]]:

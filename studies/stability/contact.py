@@ -41,6 +41,8 @@ IMPACT = 10.0
 NOTHING = 1e-6
 """Growth or energy gain beyond rounding."""
 CHATTER = 0.25
+LABELS = {"growth": "growth a step", "chatter": "chatter", "rebound": "rebound"}
+"""Figures that are drawn, and their labels."""
 EXPLICIT = ("explicit Euler", "semi-implicit Euler")
 
 
@@ -300,32 +302,24 @@ def section(out: Path, quick: bool, seed: int, executor: str) -> dict[str, Any]:
     asked = points(quick, seed)
     pairs = list(zip(asked, compute(measure, asked, out, executor, "contact"), strict=True))
     scenes = {point["scene"]: figures for point, figures in pairs if "scene" in point}
-    rows = [
-        {
-            "method": point["method"],
-            "omega_dt": omega_dt,
-            "c_dt_over_m": point["c_dt_over_m"],
-            **{name: values[j] for name, values in figures.items()},
-        }
+    frame = pd.concat(
+        pd.DataFrame({**point, **figures}).rename(columns={"omega_dts": "omega_dt"})
         for point, figures in pairs
         if "method" in point
-        for j, omega_dt in enumerate(point["omega_dts"])
-    ]
-    frame = pd.DataFrame(rows)
-    for row in rows:
-        row.setdefault("rebound", "")
+    ).reset_index(drop=True)
+    maps = ["method", "omega_dt", "c_dt_over_m", "growth", "reversals", "theory", "rebound"]
+    csv = write_csv(out, "contact", frame[maps])
     # Beyond half a swing a step, the steps of the exact motion do not show its swing.
     exact = frame.loc[frame["method"] == "exact", "reversals"].tolist() * len(INTEGRATORS)
     frame["chatter"] = (frame["reversals"] - exact).where(frame["omega_dt"] < np.pi)
     return {
         "charts": [
-            _chart(out, "contact_growth", "growth a step", frame, "growth", scenes),
-            _chart(out, "contact_chatter", "chatter", frame, "chatter", scenes),
-            _chart(out, "contact_rebound", "rebound", frame, "rebound", scenes),
+            _chart(out, f"contact_{column}", label, frame, column, scenes)
+            for column, label in LABELS.items()
         ],
         "table": pd.DataFrame([_line(*one) for one in frame.groupby("method", sort=False)]),
-        "places": _places_table(scenes),
-        "csv": write_csv(out, "contact", rows),
+        **{"places": scenes, "explicit": EXPLICIT, "growth": growth},
+        "csv": csv,
     }
 
 
@@ -340,21 +334,11 @@ def _line(method: Any, frame: pd.DataFrame) -> dict[str, str]:
     return {
         "integrator": method,
         "unstable": percent(grown),
-        "as theory says": percent(grown == theory, 1),
+        "as in theory": percent(grown == theory, 1),
         "from ω·dt": f"{frame.loc[grown, 'omega_dt'].min():.2f}" if grown.any() else "-",
         "chatters (ω·dt < π)": percent(chatter),
         "makes energy": "-" if method == "exact" else percent(frame["rebound"] > 1 + NOTHING),
     }
-
-
-def _places_table(scenes: Places) -> pd.DataFrame:
-    lines = []
-    for k, (name, place) in enumerate(scenes.items()):
-        at = (place["omega_dt"], place["c_dt_over_m"])
-        holds = {m: "holds" if growth(m, *at) <= 1.0 else "blows up" for m in EXPLICIT}
-        figures = {"ω·dt": f"{at[0]:.3f}", "c·dt/m": f"{at[1]:.3f}"}
-        lines.append({"": k + 1, "scene": name, **figures, **holds})
-    return pd.DataFrame(lines)
 
 
 def _chart(

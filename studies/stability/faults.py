@@ -15,23 +15,20 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
-from sparseskin.studies.evaluate import SUM_SOLVERS
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import write_csv
 
 from .frames import (
-    EXCERPTS,
     SHAPE,
     N,
-    excerpt,
     mean_scores,
     measured,
-    read,
+    read_excerpts,
     reconstruct,
     scores,
     solver_for,
 )
-from .sweeps import Sweep, draw_sweeps, sweep_table
+from .sweeps import Sweep, draw_sweeps, sweep_points, sweep_table
 
 M = N // 3
 BLOCK = 32
@@ -41,22 +38,7 @@ TAXEL_FAULTS = ("dead", "masked", "stuck", "saturated")
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """Every solver under each fault, from none to far too much."""
-    shares = (0.0, 0.02, 0.2) if quick else (0.0, 0.001, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
-    lost = (0.0, 0.5) if quick else (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5)
-    levels: dict[str, Any] = {
-        **dict.fromkeys(TAXEL_FAULTS, shares),
-        "rows": (0, 1, 10) if quick else (0, 1, 2, 5, 10, 20, 50),
-        "lost singly": lost,
-        "lost in bursts": lost,
-        "bits": (4, 8) if quick else (4, 5, 6, 7, 8, 10, 12, 16),
-        "converter": (4, 8, 12) if quick else tuple(range(4, 17)),
-    }
-    return [
-        {"sweep": fault, "value": level, "solver": solver, "seed": seed}
-        for solver in SUM_SOLVERS
-        for fault, values in levels.items()
-        for level in values
-    ]
+    return [{**point, "seed": seed} for point in sweep_points(SWEEPS, quick)]
 
 
 def measure(point: dict[str, Any]) -> dict[str, Any]:
@@ -65,10 +47,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     """
     fault, level = point["sweep"], point["value"]
     found = []
-    for k in range(len(EXCERPTS)):
-        rng = np.random.default_rng((point["seed"], k))
-        truth = excerpt(k)
-        readings = read(truth, rng)
+    for truth, readings, rng in read_excerpts(point["seed"]):
         faulty = readings.copy()
         alive = np.ones(SHAPE, np.bool_)
         if fault in TAXEL_FAULTS:
@@ -139,16 +118,23 @@ def arrivals(
     return arrives
 
 
+SHARES = ((0.0, 0.001, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2), (0.0, 0.02, 0.2))
+LOST = ((0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5), (0.0, 0.5))
 SWEEPS = {
-    "dead": Sweep("share of taxels dead"),
-    "masked": Sweep("share of taxels dead, in the mask"),
-    "stuck": Sweep("share of taxels stuck"),
-    "saturated": Sweep("share of taxels saturated"),
-    "rows": Sweep("measurements that read 0"),
-    "lost singly": Sweep("share of frames lost, singly"),
-    "lost in bursts": Sweep("share of frames lost, in bursts"),
-    "bits": Sweep("bits of a measurement"),
-    "converter": Sweep("bits of the converter", edges={"noise of the skin": bits_of_the_noise()}),
+    "dead": Sweep("share of taxels dead", *SHARES),
+    "masked": Sweep("share of taxels dead, in the mask", *SHARES),
+    "stuck": Sweep("share of taxels stuck", *SHARES),
+    "saturated": Sweep("share of taxels saturated", *SHARES),
+    "rows": Sweep("measurements that read 0", (0, 1, 2, 5, 10, 20, 50), (0, 1, 10)),
+    "lost singly": Sweep("share of frames lost, singly", *LOST),
+    "lost in bursts": Sweep("share of frames lost, in bursts", *LOST),
+    "bits": Sweep("bits of a measurement", (4, 5, 6, 7, 8, 10, 12, 16), (4, 8)),
+    "converter": Sweep(
+        "bits of the converter",
+        range(4, 17),
+        (4, 8, 12),
+        edges={"noise of the skin": bits_of_the_noise()},
+    ),
 }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import Any
 
@@ -42,6 +42,15 @@ def excerpt(k: int) -> Floats:
     frames = np.stack([truth for truth, _ in scene_frames(scene, 0, first, stop, every)])
     frames.setflags(write=False)
     return frames
+
+
+def read_excerpts(
+    seed: int, factor: float = 1.0
+) -> Iterator[tuple[Floats, Floats, np.random.Generator]]:
+    """Yield each excerpt: true forces, readings, and the generator of its noise."""
+    for k in range(len(EXCERPTS)):
+        rng = np.random.default_rng((seed, k))
+        yield excerpt(k), read(excerpt(k), rng, factor), rng
 
 
 def read(truth: Floats, rng: np.random.Generator, factor: float = 1.0) -> Floats:

@@ -199,15 +199,10 @@ def _l1_table(frame: pd.DataFrame) -> pd.DataFrame:
     lines = []
     for (phi, delta), some in frame.groupby(["phi", "delta"], sort=False):
         half = crossing(some["rho"], some["success"], 0.5)
-        lines.append(
-            {
-                "Phi": phi,
-                "M/N": f"{delta:.2f}",
-                "K/M at which half are found": "-" if half is None else f"{half:.2f}",
-                "theory": f"{weak_threshold(delta):.2f}",
-            }
-        )
-    return pd.DataFrame(lines)
+        found = "-" if half is None else f"{half:.2f}"
+        lines.append((phi, f"{delta:.2f}", found, f"{weak_threshold(delta):.2f}"))
+    columns = ["Phi", "M/N", "K/M at which half are found", "theory"]
+    return pd.DataFrame(lines, columns=columns)
 
 
 def _skin_table(frame: pd.DataFrame) -> pd.DataFrame:

@@ -13,54 +13,65 @@ import pandas as pd
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
+from sparseskin.studies.evaluate import settings_of
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import markdown, write_csv
 
 from .frames import (
-    EXCERPTS,
     SCORES,
     SHAPE,
     N,
-    excerpt,
     mean_scores,
     measured,
-    read,
+    read_excerpts,
     reconstruct,
     scores,
     solver_for,
 )
-from .sweeps import Sweep, draw_sweeps, sweep_table
+from .sweeps import Sweep, draw_sweeps, sweep_points, sweep_table
 
 RATIO = 3
+BLOCKS: dict[str, Any] = {
+    "values": tuple(2**k for k in range(1, 9)),
+    "quick": (2, 32, 256),
+    "scale": "log",
+}
 SWEEPS = {
-    "step": Sweep("step, in 1/L", edges={"4/3: momentum": 4 / 3, "2: none": 2.0}),
-    "lambda_n": Sweep("λ, N", scale="log"),
-    "iterations": Sweep("iterations a frame", scale="log"),
-    "noise": Sweep("noise, times the paper's", against_readings=True),
-    "block": Sweep("block size B", scale="log"),
-    "unscrambled": Sweep("block size B, unscrambled", scale="log"),
+    "step": Sweep(
+        "step, in 1/L",
+        np.linspace(0.5, 2.5, 17).tolist(),
+        np.linspace(0.5, 2.5, 5).tolist(),
+        edges={"4/3: momentum": 4 / 3, "2: none": 2.0},
+    ),
+    "lambda_n": Sweep(
+        "λ, N",
+        np.geomspace(1e-4, 1.0, 17).tolist(),
+        np.geomspace(1e-4, 1.0, 5).tolist(),
+        scale="log",
+    ),
+    "iterations": Sweep(
+        "iterations a frame", (1, 2, 3, 5, 7, 10, 15, 20, 30, 50, 100), (1, 5, 20), scale="log"
+    ),
+    "noise": Sweep(
+        "noise, times the paper's",
+        (0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0),
+        (0.0, 1.0, 10.0),
+        against_readings=True,
+    ),
+    "block": Sweep("block size B", **BLOCKS),
+    "unscrambled": Sweep("block size B, unscrambled", **BLOCKS),
 }
 
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """Every solver over each setting that it has, the others as they are in the project."""
     ratios = (RATIO,) if quick else (RATIO, 8)
-    sweeps: dict[str, Any] = {
-        "step": np.linspace(0.5, 2.5, 5 if quick else 17).tolist(),
-        "lambda_n": np.geomspace(1e-4, 1.0, 5 if quick else 17).tolist(),
-        "iterations": (1, 5, 20) if quick else (1, 2, 3, 5, 7, 10, 15, 20, 30, 50, 100),
-        "noise": (0.0, 1.0, 10.0) if quick else (0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0),
-        "block": (2, 32, 256) if quick else tuple(2**k for k in range(1, 9)),
-        "unscrambled": (2, 32, 256) if quick else tuple(2**k for k in range(1, 9)),
-        "subsample": (1,),
-    }
+    sweeps = SWEEPS | {"subsample": Sweep("", (1,), (1,))}
     return [
-        {"sweep": sweep, "value": value, "solver": solver, "ratio": ratio, "seed": seed}
-        for solver in SUM_SOLVERS
-        for sweep, values in sweeps.items()
-        if sweep not in ("lambda_n", "iterations") or sweep in settings_of(solver)
-        for value in values
+        {**point, "ratio": ratio, "seed": seed}
+        for point in sweep_points(sweeps, quick)
+        if point["sweep"] not in ("lambda_n", "iterations")
+        or point["sweep"] in settings_of(point["solver"])
         for ratio in ratios
     ]
 
@@ -74,9 +85,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         changed["max_iterations"] = max(value, settings_of(name)["max_iterations"].default)
     factor = value if sweep == "noise" else 1.0
     found, n_blown_up, n_frames = [], 0, 0
-    for k in range(len(EXCERPTS)):
-        truth = excerpt(k)
-        readings = read(truth, np.random.default_rng((point["seed"], k)), factor)
+    for truth, readings, _ in read_excerpts(point["seed"], factor):
         phi = _phi(sweep, value, m, point["seed"])
         frames = reconstruct(solver_for(name, phi, SHAPE, **changed), measured(phi, readings))
         n_blown_up += int(np.count_nonzero(~np.isfinite(frames).all(axis=(1, 2))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from sparseskin.nodes.compressor.limits import MIN_BITS, MIN_BLOCK
 from sparseskin.nodes.reconstructor.limits import LAMBDAS_N, MIN_ITERATIONS
@@ -21,7 +22,9 @@ SECTIONS = {
 
 def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     """Compute what is not known yet, and write charts, tables and the page `stability.md`."""
-    made = {name: section(out, quick, seed, executor) for name, section in SECTIONS.items()}
+    made: dict[str, Any] = {
+        name: section(out, quick, seed, executor) for name, section in SECTIONS.items()
+    }
     fill_page(
         out,
         "stability",

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from matplotlib.axes import Axes
@@ -19,6 +20,12 @@ FAILS_DB = 3.0
 """Loss from the best of a sweep that counts as failing, in PSNR or over the touched taxels."""
 #: Labels of the scores on the axes, and where they are cut off below.
 _SCORES = {"psnr_db": ("PSNR, dB", FLOOR_DB), "touched_db": ("SNR where touched, dB", 0.0)}
+#: Style of the name of an edge.
+_EDGE: dict[str, Any] = {
+    **{"xycoords": ("data", "axes fraction"), "rotation": 90, "fontsize": 7},
+    **{"ha": "right", "va": "bottom"},
+    "bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
+}
 
 
 @dataclass(frozen=True)
@@ -29,6 +36,8 @@ class Sweep:
     ----------
     label : str
         Label of the axis.
+    values, quick : sequence of float
+        In a full and in a quick run.
     scale : str
         "linear" or "log".
     edges : mapping of str to float
@@ -38,9 +47,21 @@ class Sweep:
     """
 
     label: str
+    values: Sequence[float] = ()
+    quick: Sequence[float] = ()
     scale: str = "linear"
     edges: Mapping[str, float] = field(default_factory=dict)
     against_readings: bool = False
+
+
+def sweep_points(sweeps: Mapping[str, Sweep], quick: bool) -> list[dict[str, Any]]:
+    """Every solver over each quantity."""
+    return [
+        {"sweep": key, "value": value, "solver": solver}
+        for solver in SUM_SOLVERS
+        for key, sweep in sweeps.items()
+        for value in (sweep.quick if quick else sweep.values)
+    ]
 
 
 def draw_solvers(
@@ -73,16 +94,7 @@ def draw_sweeps(
                 axes.set_ylabel("" if k % 3 else title)
                 for edge, at in sweep.edges.items():
                     axes.axvline(at, color="black", lw=1.0, ls=":")
-                    axes.annotate(
-                        edge,
-                        (at, 0.03),
-                        xycoords=("data", "axes fraction"),
-                        rotation=90,
-                        fontsize=7,
-                        ha="right",
-                        va="bottom",
-                        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
-                    )
+                    axes.annotate(edge, (at, 0.03), **_EDGE)
     return chart.markdown
 
 

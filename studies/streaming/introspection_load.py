@@ -29,7 +29,7 @@ COMMANDS = (
     ("topic", "hz", "/skin/taxels"),
     ("topic", "bw", "/skin/measurements"),
 )
-NONE, SUSPENDED, OBSERVED = "nobody there", "suspended", "echo, hz and bw"
+NONE, SUSPENDED, OBSERVED = "no observer", "suspended", "echo, hz and bw"
 SETTLE_S = 0.5
 DEPTH = 16
 """Frames that may wait: on a host that cannot reconstruct them all, the latency is that of those

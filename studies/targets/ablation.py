@@ -17,12 +17,14 @@ from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
 Change = Callable[[Any], None]
 
 
-def _no_bias(solver: Any) -> None:
-    solver._bias.update = lambda left, x, s2: None
+def _with(name: str, value: Any) -> Change:
+    """The change of one attribute, or of an attribute of a part: "part.attribute"."""
+    part, _, attribute = name.rpartition(".")
 
+    def change(solver: Any) -> None:
+        setattr(getattr(solver, part) if part else solver, attribute, value)
 
-def _no_motion(solver: Any) -> None:
-    solver._prediction._move = lambda x, y, innovation, e2, s2: e2
+    return change
 
 
 def _no_memory(solver: Any) -> None:
@@ -99,27 +101,19 @@ def _same_iterations(solver: Any) -> None:
     solver.max_iterations = solver.iterations
 
 
-def _no_row_memory(solver: Any) -> None:
-    solver._memory = None
-
-
-def _no_caution(solver: Any) -> None:
-    solver._adapt_caution = lambda unexplained, free: None
-
-
 WITHOUT: dict[str, Change | None] = {
     "all of it": None,
-    "bias of clipped noise": _no_bias,
+    "bias of clipped noise": _with("_bias.update", lambda left, x, s2: None),
     "shifts": _one_shift,
     "garrote (soft threshold instead)": _soft,
     "x >= 0 in the iteration": _negative_too,
     "momentum": _no_momentum,
-    "motion of the prediction": _no_motion,
+    "motion of the prediction": _with("_prediction._move", lambda x, y, innovation, e2, s2: e2),
     "weight of the prediction (K = 1)": _no_gain,
     "doubt of a lagging filter": _no_doubt,
     "more iterations where surprised": _same_iterations,
-    "caution where too much is explained": _no_caution,
-    "rows of earlier phases": _no_row_memory,
+    "caution where too much is explained": _with("_adapt_caution", lambda unexplained, free: None),
+    "rows of earlier phases": _with("_memory", None),
     "last frame": _no_memory,
 }
 

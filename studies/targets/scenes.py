@@ -11,7 +11,7 @@ import numpy as np
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.sensor.scenes.simulation import MovingAverage
-from sparseskin.studies.scene_frames import shape_of
+from sparseskin.studies.scene_frames import scene_of
 
 #: Names of random scenes begin with it; their number follows.
 RANDOM = "random "
@@ -86,7 +86,7 @@ class Touch:
 def side_of(scene: str) -> int:
     """Rows, as many as columns, of a scene or of a random one ("random 3")."""
     if not scene.startswith(RANDOM):
-        return shape_of(scene)[0]
+        return scene_of(scene).shape[0]
     return SIDES[int(scene.removeprefix(RANDOM)) % 2]
 
 

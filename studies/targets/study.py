@@ -60,7 +60,7 @@ SUFFIXES = (".lst", ".csv", ".asf", ".npy", ".npz")
 BEFORE = 20
 #: Dead zones of the full reading, newtons.
 DEAD_ZONES_N = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08)
-#: FISTA as in the paper, and with the lambda that serves it best at 30 iterations.
+#: FISTA as in the paper, and with its best lambda at 30 iterations.
 SOLVERS: dict[str, dict[str, Any]] = {
     "paper": PRESETS["paper"],
     "fista, tuned": {**PRESETS["paper"], "lambda_n": 0.00625},

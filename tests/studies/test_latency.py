@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sparseskin.studies.latency import study as latency
@@ -62,5 +63,5 @@ def test_a_graph_with_a_stopwatch_is_complete(
         # A stage by itself may be negative: a process can be suspended between sending and noting.
         assert len(found[name]["stages_ms"]) == len(STAGES)
     row = latency.row_of({**point, "monitor": False}, found)
-    assert "latency.png" in latency.draw(tmp_path, [row, row])
+    assert "latency.png" in latency.draw(tmp_path, pd.DataFrame([row, row]))
     assert (tmp_path / "latency.svg").stat().st_size > 1000

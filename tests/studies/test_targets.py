@@ -13,7 +13,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.report import frame_of
 from sparseskin.studies.targets.ablation import WITHOUT
-from sparseskin.studies.targets.page import HELD, METHODS, write
+from sparseskin.studies.targets.page import HELD, METHODS, RENAMED, write
 from sparseskin.studies.targets.scenes import KINDS, random_scene, side_of
 from sparseskin.studies.targets.study import (
     DEAD_ZONES_N,
@@ -141,7 +141,8 @@ def test_the_page_holds_every_scene_and_says_what_is_missing(tmp_path: Path) -> 
     for name in ("gain_skin.png", "gain_skin_rotating.svg", "ablation.png", "scenes.csv"):
         assert (tmp_path / name).stat().st_size > 100
         assert name in page
-    assert all(f"| {name} | -{k}.00 |" in page for k, name in enumerate(WITHOUT) if k)
+    names = [RENAMED.get(name, name) for name in WITHOUT]
+    assert all(f"| {name} | -{k}.00 |" in page for k, name in enumerate(names) if k)
     assert all(f"Gain of {method} over preset paper" in page for method in METHODS)
 
 
