@@ -37,8 +37,8 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise ValueError(f"more than {MAX_DEPTH} tables or lists within each other") from None
     except ValueError as error:  # int() refuses thousands of digits, and names no place
         long = _LONG.search(text)
-        line = text.count("\n", 0, long.start()) + 1 if long else 1
-        raise ValueError(f"a whole number beyond 64 bits (at line {line}, column 1)") from error
+        at = text.count("\n", 0, long.start()) + 1 if long else 1
+        raise ValueError(f"a whole number beyond 64 bits (at line {at}, column 1)") from error
     waiting: list[tuple[tuple[str, ...], Any]] = [((), tree)]
     while waiting:
         place, value = waiting.pop()
@@ -47,7 +47,8 @@ def parse_toml(text: str) -> dict[str, Any]:
             raise ValueError(f"{where[:80]}: more than {MAX_DEPTH} tables or lists in each other")
         if isinstance(value, int) and not -INT64_MAX - 1 <= value <= INT64_MAX:
             raise ValueError(f"{where[:80]}: a whole number beyond 64 bits")
-        parts = value.items() if isinstance(value, dict) else ()
-        parts = enumerate(value) if isinstance(value, list) else parts
-        waiting += [((*place, str(key)), part) for key, part in parts]
+        if isinstance(value, dict):
+            waiting += [((*place, key), part) for key, part in value.items()]
+        elif isinstance(value, list):
+            waiting += [((*place, str(key)), part) for key, part in enumerate(value)]
     return tree

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,12 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 
 from .base import LEARNED, Basis
 from .haar import haar_matrix
 
 MIN_TILE, MAX_TILE = 2, 32
+#: Largest file of atoms: two of the largest tile's, in float64.
+MAX_FILE_BYTES = 16 * MAX_TILE**4
 #: How far atoms may be from orthonormal: float32 keeps about 1e-7, a sum of 1024 of them 1e-5.
 TOLERANCE = 1e-4
 #: Coefficients below this part of the range are set to 0 in training: 0.1 N of 2.5 N.
@@ -89,12 +91,14 @@ def read_atoms(path: str) -> Doubles:
     """
     place = f'basis "{LEARNED}{path}"'
     try:
-        # Opened as the archive it has to be: np.load would take any array, too.
-        with Path(path).open("rb") as file, np.lib.npyio.NpzFile(file) as held:
-            atoms: npt.NDArray[Any] = held["atoms"]
+        with Path(path).open("rb") as file:
+            raw = file.read(MAX_FILE_BYTES + 1)
+        if len(raw) > MAX_FILE_BYTES:
+            raise SolverError(f"{place}: larger than {MAX_FILE_BYTES} bytes")
+        atoms: npt.NDArray[Any] = read_npz(raw, lambda names: ["atoms"], MAX_FILE_BYTES)["atoms"]
     except OSError as error:
         raise SolverError(f"{place}: {error.strerror}") from error
-    except (ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except ArrayFileError as error:
         raise SolverError(f"{place}: no file of learn-basis, an .npz with `atoms`") from error
     try:
         check_atoms(atoms)

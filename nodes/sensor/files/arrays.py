@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -13,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.array_files import ArrayFileError, is_npz, read_npy, read_npz
 from sparseskin.nodes.numerics.arrays import Mask
 
 from .parsed import (
@@ -37,10 +36,10 @@ def parse_npy(raw: bytes, name: str) -> Parsed:
     SourceError
         If the bytes are no .npy file or hold anything else.
     """
-    loaded = _load(raw, name)
-    if isinstance(loaded, np.lib.npyio.NpzFile):
+    if is_npz(raw):
         raise SourceError(f"{name}: holds an archive of arrays; name it .npz")
-    return Parsed(forces=_as_frames(loaded, name))
+    with _refusing(name):
+        return Parsed(forces=_as_frames(read_npy(raw), name))
 
 
 def parse_npz(raw: bytes, name: str) -> Parsed:
@@ -56,11 +55,13 @@ def parse_npz(raw: bytes, name: str) -> Parsed:
     SourceError
         If the bytes are no .npz file, or one of these arrays is not as described.
     """
-    loaded = _load(raw, name)
-    if not isinstance(loaded, np.lib.npyio.NpzFile):
-        raise SourceError(f"{name}: holds a single array; name it .npy")
-    wanted = [key for key in loaded.files if "forces" not in loaded.files or key in NPZ_NAMES]
-    arrays = {key: _member(loaded, key, name) for key in wanted}
+    with _refusing(name):
+        if not is_npz(raw):
+            read_npy(raw)
+            raise SourceError(f"{name}: holds a single array; name it .npy")
+        arrays = read_npz(
+            raw, lambda held: [key for key in held if "forces" not in held or key in NPZ_NAMES]
+        )
     forces_name = _forces_name(arrays, name)
     forces = _as_frames(arrays[forces_name], f"{name}, array {shown(forces_name)}")
     mask = _mask(arrays["mask"], forces.shape[1:], name) if "mask" in arrays else None
@@ -135,36 +136,12 @@ def _stated_shape(
     return (stated, other) if n_rows else (other, stated)
 
 
-def _load(raw: bytes, name: str) -> Any:
-    """Read .npy or .npz bytes; pickled objects, which could run code, are not read."""
-    with _refusing(f"{name}: not a readable NumPy file"):
-        return np.load(io.BytesIO(raw), allow_pickle=False)
-
-
-def _member(archive: Any, key: str, name: str) -> npt.NDArray[Any]:
-    where = f"{name}, array {shown(key)}"
-    with _refusing(f"{where}: cannot be read"):
-        member = archive[key]
-    if not isinstance(member, np.ndarray):
-        raise SourceError(f"{where}: is no NumPy array")
-    return member
-
-
 @contextmanager
-def _refusing(what: str) -> Iterator[None]:
-    """Turn any error of NumPy into a SourceError, and silence its warnings."""
+def _refusing(name: str) -> Iterator[None]:
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    # NumPy, zipfile and zlib raise ten kinds of error at malformed bytes, MemoryError among them.
-    except Exception as error:
-        text = str(error)
-        if "allow_pickle" in text or "Object arrays" in text or "pickled" in text:
-            reason = "it holds Python objects; allowed are arrays of numbers"
-        else:
-            reason = shown(f"{type(error).__name__}: {text}", limit=120).strip("'\"")
-        raise SourceError(f"{what} ({reason})") from error
+        yield
+    except ArrayFileError as error:
+        raise SourceError(f"{name}: {error}") from error
 
 
 def _forces_name(arrays: dict[str, npt.NDArray[Any]], name: str) -> str:

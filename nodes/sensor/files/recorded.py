@@ -36,6 +36,8 @@ SUFFIXES = {
     ".npz": "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted",
 }
 """The file formats that can be read, by suffix."""
+MAX_FRAMES = 1 << 24
+"""Most frames of a recording, chosen: four hours at 1 kHz; each has a stamp, a Python integer."""
 UNTIMED_PERIOD_NS = 10_000_000
 """Time between frames where neither file nor caller states one, chosen: stamps must rise."""
 _MAX_RATE_HZ = 1e9
@@ -136,6 +138,8 @@ def open_file(
     n_frames, rows, cols = parsed.forces.shape
     if n_frames == 0:
         raise SourceError(f"{name}: the recording holds no frame")
+    if n_frames > MAX_FRAMES:
+        raise SourceError(f"{name}: {n_frames} frames; at most {MAX_FRAMES} are allowed")
     check_grid(rows, cols, name)
     for what, stated, actual in (("n_rows", n_rows, rows), ("n_cols", n_cols, cols)):
         if stated is not None and stated != actual:

@@ -1,0 +1,97 @@
+"""Arrays of .npy and .npz files from elsewhere: their sizes are checked before memory is used."""
+
+from __future__ import annotations
+
+import io
+import math
+import warnings
+import zipfile
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+MAX_GROWTH = 100
+"""Size of the arrays of an .npz in that of the file; zeros are compressed to a thousandth."""
+MAX_GROWN_BYTES = 1 << 30
+"""Size of the arrays of an .npz up to which their growth does not matter, bytes."""
+_MAX_HEAD_BYTES = 1 << 17
+_NPY, _ZIP = b"\x93NUMPY", b"PK"
+
+
+class ArrayFileError(ValueError):
+    """Bytes that are no such file, or state more than they hold."""
+
+
+def is_npz(raw: bytes) -> bool:
+    """True if the bytes begin as an archive does."""
+    return raw.startswith(_ZIP)
+
+
+def read_npy(raw: bytes) -> npt.NDArray[np.generic]:
+    """The array of an .npy, a view of its bytes. Raises ArrayFileError if it is none of numbers."""
+    head = io.BytesIO(raw[:_MAX_HEAD_BYTES])
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            version = np.lib.format.read_magic(head)
+            if version == (1, 0):
+                shape, in_columns, dtype = np.lib.format.read_array_header_1_0(head)
+            else:
+                shape, in_columns, dtype = np.lib.format.read_array_header_2_0(head)
+    # NumPy and its parser of Python's literals raise ten kinds of error at malformed bytes.
+    except Exception as error:
+        raise ArrayFileError("no readable NumPy file") from error
+    if dtype.hasobject:
+        raise ArrayFileError("it holds Python objects; allowed are arrays of numbers")
+    held = len(raw) - head.tell()
+    stated = math.prod(shape) * dtype.itemsize
+    if min(shape, default=0) < 0 or stated != held or not dtype.itemsize:
+        text = f"{_shape(shape)} of {str(dtype)[:40]}, but {held} bytes follow"
+        raise ArrayFileError(f"its header states {text}")
+    flat = np.frombuffer(raw, dtype, offset=head.tell()) if held else np.empty(0, dtype)
+    try:
+        return flat.reshape(shape, order="F" if in_columns else "C")
+    except ValueError as error:  # no number, in sides that no index counts
+        raise ArrayFileError(f"its header states {_shape(shape)}") from error
+
+
+def read_npz(
+    raw: bytes, wanted: Callable[[list[str]], list[str]], most_bytes: int | None = None
+) -> dict[str, npt.NDArray[np.generic]]:
+    """Those arrays of an .npz that `wanted` chooses of their names.
+
+    Raises ArrayFileError if it is no archive, such an array cannot be read, or they are larger
+    together than `most_bytes`; by default `MAX_GROWN_BYTES` or `MAX_GROWTH` times the file.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            members = {one.filename.removesuffix(".npy"): one for one in archive.infolist()}
+            names = wanted(list(members))
+            size = sum(members[name].file_size for name in names)
+            most = most_bytes or max(MAX_GROWN_BYTES, MAX_GROWTH * len(raw))
+            if size > most:
+                raise ArrayFileError(
+                    f"its arrays would have {size} bytes, of a file of {len(raw)}; at most {most}"
+                )
+            return {name: _member(archive, members[name], name) for name in names}
+    except ArrayFileError:
+        raise
+    except Exception as error:  # zipfile and zlib have as many
+        raise ArrayFileError("no readable NumPy file") from error
+
+
+def _member(
+    archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str
+) -> npt.NDArray[np.generic]:
+    try:
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ArrayFileError("compressed in a way that NumPy does not write")
+        return read_npy(archive.read(member))
+    except Exception as error:
+        why = str(error) if isinstance(error, ArrayFileError) else "no readable NumPy file"
+        raise ArrayFileError(f"array {ascii(name)[:40]}: {why}") from error
+
+
+def _shape(shape: tuple[int, ...]) -> str:
+    return " x ".join(str(side) if side < 1 << 40 else "2**40.." for side in shape[:8]) or "one"

@@ -1,0 +1,144 @@
+"""Arrays of files from elsewhere: read as NumPy wrote them, or refused before memory is used."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import struct
+import tracemalloc
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparseskin.nodes.errors import SolverError, SourceError, SparseskinError
+from sparseskin.nodes.numerics import array_files
+from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npy, read_npz
+from sparseskin.nodes.reconstructor.bases.learned import haar_atoms, read_atoms
+from sparseskin.nodes.sensor.files.recorded import open_file
+
+MB = 1_000_000
+
+
+def npy(array: Any) -> bytes:
+    made = io.BytesIO()
+    np.save(made, array)
+    return made.getvalue()
+
+
+def npz(**arrays: Any) -> bytes:
+    made = io.BytesIO()
+    np.savez_compressed(made, **arrays)
+    return made.getvalue()
+
+
+@contextlib.contextmanager
+def peak_below(n_bytes: float) -> Iterator[None]:
+    """No more memory than that is allocated within."""
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < n_bytes
+    finally:
+        tracemalloc.stop()
+
+
+def mutated(raw: bytes, rng: np.random.Generator) -> bytes:
+    """Some bytes changed, cut out or put in."""
+    data = bytearray(raw)
+    for _ in range(rng.integers(1, 4)):
+        at, n = int(rng.integers(len(data) + 1)), int(rng.integers(1, 5))
+        put = rng.bytes(n) if rng.integers(2) else b""
+        data[at : at + (n if rng.integers(3) else 0)] = put
+    return bytes(data)
+
+
+@pytest.mark.parametrize("dtype", ["u1", "<i2", ">f4", "<f8", "?", "<U3"])
+@pytest.mark.parametrize("shape", [(), (1,), (3, 4), (2, 3, 4), (0, 4, 4)])
+def test_arrays_are_read_as_numpy_wrote_them(shape: tuple[int, ...], dtype: str) -> None:
+    array = np.arange(np.prod(shape, dtype=int)).astype(dtype).reshape(shape)
+    for written in (array, np.asfortranarray(array)):
+        np.testing.assert_array_equal(read_npy(npy(written)), written)
+        found = read_npz(npz(a=written, b=written), lambda names: ["b"])
+        assert list(found) == ["b"]
+        np.testing.assert_array_equal(found["b"], written)
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_an_array_or_refused(tail: bytes) -> None:
+    for raw in (tail, b"\x93NUMPY\x01\x00" + struct.pack("<H", len(tail)) + tail, b"PK" + tail):
+        with contextlib.suppress(ArrayFileError):
+            read_npy(raw)
+        with contextlib.suppress(ArrayFileError):
+            read_npz(raw, lambda names: names)
+
+
+def test_an_archive_that_would_grow_too_far_is_not_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(array_files, "MAX_GROWN_BYTES", MB)
+    path = tmp_path / "bomb.npz"
+    path.write_bytes(npz(forces=np.zeros((40_000, 32, 32), np.uint8)))
+    assert path.stat().st_size < MB / 10
+    with peak_below(MB), pytest.raises(SourceError, match=r"bomb\.npz: its arrays would have 409"):
+        open_file(path)
+
+
+def test_a_header_in_an_archive_is_not_believed(tmp_path: Path) -> None:
+    head = npy(np.zeros((1, 4, 4)))[:128].replace(b"(1, 4, 4)", b"(1000000, 400, 4)")[:128]
+    path = tmp_path / "lies.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("forces.npy", head + bytes(64))
+    with peak_below(MB), pytest.raises(SourceError, match=r"array 'forces': its header states 10"):
+        open_file(path)
+
+
+def test_a_recording_of_bytes_takes_the_memory_of_its_frames_and_no_more(tmp_path: Path) -> None:
+    path = tmp_path / "bytes.npy"
+    np.save(path, np.ones((4000, 32, 32), np.uint8))
+    # The file, its frames in float32, and a part that is checked.
+    with peak_below(path.stat().st_size * (1 + 4) + 12 * MB):
+        assert open_file(path).n_frames == 4000
+
+
+def refusal(read: Callable[[Path], object], path: Path, error: type[SparseskinError]) -> str:
+    """The text of a refusal, "" for none; anything else that is raised passes."""
+    try:
+        read(path)
+    except error as refused:
+        return str(refused)
+    return ""
+
+
+def test_a_damaged_basis_is_one_line_or_none(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    path = tmp_path / "basis.npz"
+    np.savez(path, atoms=haar_atoms(2))
+    whole, n_refused = path.read_bytes(), 0
+    for _ in range(4000):
+        path.write_bytes(mutated(whole, rng))
+        line = refusal(lambda path: read_atoms(str(path)), path, SolverError)
+        n_refused += line.startswith('basis "learned:')
+        assert line.isprintable()
+    assert n_refused > 1000
+
+
+def test_a_basis_that_would_grow_too_far_is_not_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.npz"
+    path.write_bytes(npz(atoms=np.zeros((4096, 4096))))
+    with peak_below(20 * MB), pytest.raises(SolverError, match=r"no file of learn-basis"):
+        read_atoms(str(path))
+
+
+@pytest.mark.parametrize("raw", [npz(forces=np.ones((2, 3, 4)), unit=np.array("N")), b""])
+def test_a_damaged_recording_is_one_line_or_none(tmp_path: Path, raw: bytes) -> None:
+    rng = np.random.default_rng(1)
+    path = tmp_path / ("skin.npz" if raw else "skin.npy")
+    for _ in range(1000):
+        path.write_bytes(mutated(raw or npy(np.ones((2, 3, 4), np.uint8)), rng))
+        assert refusal(open_file, path, SourceError).isprintable()
