@@ -18,6 +18,11 @@ from .sources import SCENE, check_source, open_source
 
 DEFAULT_RATE_HZ = 100.0
 """Frame rate of scenes and of recordings without a rate of their own."""
+RATE_S = 2.0
+"""Time after which the rate reached is compared with the one asked, in seconds; chosen, so that a
+short delay at the start is made up for before."""
+KEPT_RATE = 0.9
+"""Share of the rate asked below which the sensor logs a warning."""
 _Frame = tuple[Floats, Floats | None]  # taxels, and truth where it is known
 
 
@@ -87,6 +92,7 @@ class Sensor(SourceNode[SensorSettings]):
         self._frames: Iterator[tuple[int, Floats]] = iter(self._source)
         self._next: _Frame | None = None
         self._n_frames = self._n_clipped = self._n_logged = 0
+        self._missed_hz = 0.0
         if not self._live:
             self._prepare()
 
@@ -149,6 +155,7 @@ class Sensor(SourceNode[SensorSettings]):
         if truth is not None:
             yield Truth(stamp_ns=stamp_ns, patch=patch, forces=truth)
         self._n_frames += 1
+        self._watch_rate(stamp_ns)
         if not self._live:
             self._prepare()
 
@@ -177,6 +184,16 @@ class Sensor(SourceNode[SensorSettings]):
                 f"{n_clipped} readings outside 0..{self.skin.f_max:g} {self.skin.unit} were clipped"
             )
         self._n_clipped = n_clipped
+
+    def _watch_rate(self, now_ns: int) -> None:
+        """Log, once for each rate, that frames are acquired more slowly than asked."""
+        passed_s = (now_ns - self._t0_ns) / 1e9
+        if not self._t0_ns or passed_s < RATE_S or self.rate_hz == self._missed_hz:
+            return
+        reached_hz = self._n_ticks / passed_s
+        if reached_hz < KEPT_RATE * self.rate_hz:
+            self._missed_hz = self.rate_hz
+            self.context.log(f"{self.rate_hz:g} Hz asked, {reached_hz:.1f} Hz reached")
 
     def _chosen_noise(self) -> NoiseModel:
         return NoiseModel.for_range(self.skin.f_max, self.settings.noise)

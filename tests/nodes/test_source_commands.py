@@ -82,3 +82,15 @@ def test_a_new_rate_counts_from_the_moment_of_the_change() -> None:
     assert source.next_tick_ns() == 125_000_000
     list(source.change(source.settings.changed({"noise": 0.5})))
     assert source.next_tick_ns() == 125_000_000
+
+
+@pytest.mark.parametrize(("reached_hz", "n_lines"), [(100.0, 0), (91.0, 0), (60.0, 1)])
+def test_a_rate_that_is_not_reached_is_logged_once(reached_hz: float, n_lines: int) -> None:
+    clock, lines = ManualClock(5_000), list[str]()
+    settings = Sensor.Settings(source="scene:path_40", rate_hz=100.0)
+    source = Sensor(settings, Context("s", clock, lines.append))
+    source.begin(clock.now_ns())
+    for k in range(300):
+        clock.advance(round(1e9 / reached_hz))
+        list(source.acquire(Tick(clock.now_ns(), k)))
+    assert lines == n_lines * ["100 Hz asked, 60.0 Hz reached"]
