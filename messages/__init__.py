@@ -1,22 +1,32 @@
-"""Messages between the nodes: typed, versioned, with one wire form."""
+"""Messages between the nodes: typed, versioned, with one wire form.
 
-from .base import Message
-from .errors import (
-    FieldError,
-    MalformedError,
-    MessageError,
-    NotFiniteError,
-    OversizedError,
-    ShapeError,
-    TruncatedError,
-    UnknownSchemaError,
-    VersionError,
-)
-from .frames import Measurements, Reconstruction, Resultant, Taxels, Truth
-from .skin import Skin
-from .state import End, PhiState, SkinState, SolverState
-from .topics import topic_of
-from .wire import MAX_MESSAGE_BYTES, decode, encode, size_bytes
+Each name is imported when it is first used: with most of them comes numpy, for which a program that
+only prints a line must not wait.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .base import Message
+    from .errors import (
+        FieldError,
+        MalformedError,
+        MessageError,
+        NotFiniteError,
+        OversizedError,
+        ShapeError,
+        TruncatedError,
+        UnknownSchemaError,
+        VersionError,
+    )
+    from .frames import Measurements, Reconstruction, Resultant, Taxels, Truth
+    from .skin import Skin
+    from .state import End, PhiState, SkinState, SolverState
+    from .topics import topic_of
+    from .wire import MAX_MESSAGE_BYTES, decode, encode, size_bytes
 
 __all__ = [
     "MAX_MESSAGE_BYTES", "End", "FieldError", "MalformedError", "Measurements", "Message",
@@ -24,3 +34,15 @@ __all__ = [
     "ShapeError", "Skin", "SkinState", "SolverState", "Taxels", "TruncatedError", "Truth",
     "UnknownSchemaError", "VersionError", "decode", "encode", "size_bytes", "topic_of",
 ]  # fmt: skip
+
+_MODULES = ("topics", "errors", "base", "frames", "skin", "state", "wire")
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        for module in _MODULES:
+            found = vars(import_module(f".{module}", __name__)).get(name)
+            if found is not None:
+                globals()[name] = found
+                return found
+    raise AttributeError(f"module 'sparseskin.messages' has no attribute {name!r}")

@@ -24,6 +24,13 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f" (known: {', '.join(names)})" if names else ""
 
 
+def nearest_of(word: str, allowed: Iterable[str]) -> str:
+    """Hint for a value: ' (did you mean 'skin'?); allowed: paper, skin'."""
+    words = list(allowed)
+    hint = did_you_mean(word, words)
+    return (hint if "did you mean" in hint else "") + f"; allowed: {', '.join(words)}"
+
+
 def _distance(word: str, name: str) -> tuple[float, int, int]:
     """Distance by the letters shared in order, then by numbers, then by letters in place."""
     apart = 1.0 - difflib.SequenceMatcher(None, name, word).ratio()

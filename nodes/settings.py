@@ -16,7 +16,7 @@ from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.messages.topics import check_name
 
 from .errors import SettingsError, SparseskinError
-from .lookup import did_you_mean
+from .lookup import did_you_mean, nearest_of
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Settings:
                 # A module of the user's own is imported for a launch file only.
                 raise SettingsError(
                     f"{key}: {changes[key]!r} is not allowed while the graph runs"
-                    f"{did_you_mean(str(changes[key]), known)}"
+                    f"{nearest_of(str(changes[key]), known)}"
                 )
         made = dataclasses.replace(self, **changes)
         made.check()
@@ -192,6 +192,4 @@ def _check_range(name: str, value: Any, allowed: Range) -> None:
             shown = f"{value!r}"[:40]
             raise SettingsError(f"{name}: {shown} is outside {allowed.low}..{allowed.high}")
     elif allowed.choices and isinstance(value, str) and value not in allowed.choices:
-        raise SettingsError(
-            f"{name}: {value!r} is not allowed{did_you_mean(value, allowed.choices)}"
-        )
+        raise SettingsError(f"{name}: {value!r} is not allowed{nearest_of(value, allowed.choices)}")

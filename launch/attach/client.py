@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import select
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from sparseskin.launch.run.running import GraphError, RunningGraph
@@ -26,41 +25,6 @@ class Answer:
 
     done: bool
     text: str
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A topic of a running graph: its name "/PATCH/SCHEMA", the publishing node ("" where that is
-    on another host) and its number of sent messages, and the `COUNTED` messages of each reader.
-    """
-
-    name: str
-    latched: bool
-    publisher: str = ""
-    sent: int = 0
-    readers: dict[str, dict[str, int]] = field(default_factory=dict)
-
-    @property
-    def schema(self) -> str:
-        """Name of the schema of its messages."""
-        return self.name.rpartition("/")[2]
-
-
-def add_command(
-    kinds: Any, name: str, run: Callable[..., int], about: str, description: str
-) -> argparse.ArgumentParser:
-    """Add one command of several, with its line of help and its description."""
-    parser: argparse.ArgumentParser
-    parser = kinds.add_parser(name, help=about, description=description)
-    parser.set_defaults(run=run)
-    return parser
-
-
-def add_graph_option(parser: argparse.ArgumentParser) -> None:
-    """Add --graph, as all commands beside a running graph have it."""
-    parser.add_argument(
-        "--graph", metavar="NAME|PID", help="which graph, where several run on this host"
-    )
 
 
 def describe(graph: RunningGraph, node: str | None = None) -> dict[str, Any]:
@@ -83,17 +47,28 @@ def describe_node(graph: RunningGraph, name: str) -> dict[str, Any]:
     return found
 
 
-def topics_of(described: Mapping[str, Any]) -> dict[str, Topic]:
-    """The topics of a described graph, by name, in the order of their publishers."""
-    topics = {
-        out["topic"]: Topic(out["topic"], out["latched"], node["name"], out["sent"])
-        for node in described["nodes"]
-        for out in node["outputs"]
-    }
-    for node in described["nodes"]:
-        for entry in node["inputs"]:
-            topic = topics.setdefault(entry["topic"], Topic(entry["topic"], entry["latched"]))
-            topic.readers[node["name"]] = {what: entry[what] for what in COUNTED}
+def topics_of(described: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The topics of a described graph, by name, in the order of their publishers.
+
+    Returns
+    -------
+    dict of str to dict
+        topic, schema, latched, publisher (name of the node; "" where that is on another host), sent
+        (number of messages), subscribers (dicts of node and its `COUNTED` messages).
+    """
+    topics: dict[str, dict[str, Any]] = {}
+    for where in ("outputs", "inputs"):
+        for node in described["nodes"]:
+            for entry in node[where]:
+                name = entry["topic"]
+                ends = {"publisher": "", "sent": 0, "subscribers": []}
+                if where == "outputs":
+                    ends |= {"publisher": node["name"], "sent": entry["sent"]}
+                head = {"topic": name, "schema": name.rpartition("/")[2]}
+                topic = topics.setdefault(name, {**head, "latched": entry["latched"], **ends})
+                if where == "inputs":
+                    counts = {what: entry[what] for what in COUNTED}
+                    topic["subscribers"].append({"node": node["name"], **counts})
     return topics
 
 

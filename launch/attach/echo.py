@@ -18,7 +18,7 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 
 from .stream import EXIT_NOTHING, PATIENCE_S, Losses, TopicStream, quiet_reason
-from .text_table import flowing, width, wrapped
+from .text import flowing, width, wrapped
 
 INDENT = "    "
 """Start of the further lines of a field."""

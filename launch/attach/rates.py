@@ -190,35 +190,6 @@ MEASURES = {
 }
 
 
-class _Reports:
-    """Prints the figures of one topic, as text or JSON."""
-
-    def __init__(self, topic: str, measure: Measure, in_json: bool) -> None:
-        self._topic = topic
-        self._measure = measure
-        self._in_json = in_json
-        self.samples = Samples()
-
-    def print(self, window: int, final: bool) -> None:
-        kept = self.samples.last(window)
-        figures = self._measure.figures(kept)
-        counts = {"messages": self.samples.n, "lost": self.samples.lost}
-        if self._in_json:
-            over = {"over": len(kept["seq"]), "final": final}
-            print(json.dumps({"topic": self._topic, **counts, **figures, **over}), flush=True)
-        else:
-            measured = self._measure.text(figures) or "too few messages for a rate"
-            line = f"{measured} | lost {self.samples.lost}"
-            print(f"all {self.samples.n}: {line}" if final else line, flush=True)
-
-    def note(self, line: str) -> None:
-        """Print a line that is no figure."""
-        if self._in_json:
-            print(line, file=sys.stderr, flush=True)
-        else:
-            print(line, flush=True)
-
-
 def measure(
     graph: RunningGraph,
     topic: str,
@@ -232,11 +203,14 @@ def measure(
     """Print the figures of a topic, each line over `window` messages at most, until `n` messages
     came, `duration_s` seconds are over or its stream ends; return the exit code.
     """
-    reports = _Reports(topic, what, in_json)
-    samples = reports.samples
+    samples = Samples()
     ended = False
     reported_n, heard_s = 0, time.monotonic()
     report_at_s = heard_s + REPORT_S
+
+    def note(line: str) -> None:
+        print(line, file=sys.stderr if in_json else sys.stdout, flush=True)
+
     # Of a stated number of messages, the last ones are not to wait for more.
     with TopicStream(graph, topic, what.patience_s if n is None else 0.0) as stream:
         for arrivals in stream.batches(duration_s):
@@ -255,16 +229,29 @@ def measure(
             report_at_s = max(report_at_s, now_s - REPORT_S) + REPORT_S
             if samples.n > reported_n:
                 reported_n = samples.n
-                reports.print(window, final=False)
+                print(_line(topic, what, samples, window, in_json), flush=True)
             else:
                 quiet = f"no message for {now_s - heard_s:.0f} s"
-                reports.note(f"{topic}: {quiet}{quiet_reason(graph, topic)}")
+                note(f"{topic}: {quiet}{quiet_reason(graph, topic)}")
     if ended:
-        reports.note(f"{topic}: the stream has ended")
+        note(f"{topic}: the stream has ended")
     if samples.n and what.figures is delay_figures and (latched := latched_note(topic)):
-        reports.note(f"{topic}: the delay is the age of its last message{latched}")
+        note(f"{topic}: the delay is the age of its last message{latched}")
     if not samples.n:
         print(f"{topic}: no message came{quiet_reason(graph, topic)}", file=sys.stderr)
         return EXIT_NOTHING
-    reports.print(MAX_KEPT, final=True)
+    print(_line(topic, what, samples, None, in_json), flush=True)
     return 0
+
+
+def _line(topic: str, what: Measure, samples: Samples, window: int | None, in_json: bool) -> str:
+    """The figures of the last `window` messages, or of all (None), as a line of text or JSON."""
+    kept = samples.last(MAX_KEPT if window is None else window)
+    figures = what.figures(kept)
+    if in_json:
+        counts = {"messages": samples.n, "lost": samples.lost}
+        over = {"over": len(kept["seq"]), "final": window is None}
+        return json.dumps({"topic": topic, **counts, **figures, **over})
+    measured = what.text(figures) or "too few messages for a rate"
+    line = f"{measured} | lost {samples.lost}"
+    return f"all {samples.n}: {line}" if window is None else line

@@ -201,7 +201,7 @@ def quiet_reason(graph: RunningGraph, topic: str) -> str:
         described = describe(graph)
     except SparseskinError:
         return " (the graph has ended)"
-    publisher = topics_of(described)[topic].publisher
+    publisher = topics_of(described)[topic]["publisher"]
     (condition,) = (n["condition"] for n in described["nodes"] if n["name"] == publisher)
     if condition != "running":
         return f" ({publisher}: {condition})"

@@ -9,13 +9,14 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sparseskin.launch.attach.client import add_command
-from sparseskin.launch.attach.text_table import flowing
+from sparseskin.launch.attach.text import flowing
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.files import make_folder
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX, BagError, TopicInfo
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES
+
+from .options import add_commands
 
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -41,61 +42,30 @@ _NOT_SHOWN = ("lost", "received", "published")
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `bag`."""
-    parser.description = "Work with bags, the recordings that a recorder node writes (.mcap)."
-    kinds = parser.add_subparsers(required=True, metavar="COMMAND")
-    info = add_command(
-        kinds,
-        "info",
-        _info,
-        "print the contents of a bag",
-        "Print the contents of a bag; check all of it.",
-    )
+    add = add_commands(parser, "Work with bags, the recordings of a recorder node (.mcap).")
+    info = add("info", _info, "print the contents of a bag")
     info.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}")
     info.add_argument("--json", action="store_true", help="print JSON in place of a table")
-    recover = add_command(
-        kinds,
-        "recover",
-        _recover,
-        "save the readable part of a broken bag",
-        "Write every message before the break of a bag into a new, whole bag.",
-    )
+    recover = add("recover", _recover, "save the readable part of a broken bag")
     recover.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}[{PART_SUFFIX}]")
-    recover.add_argument(
-        "--out", metavar="NEW", type=Path, help=f"default: NAME_recovered{FILE_SUFFIX}"
-    )
-    formats = "; ".join(f"{suffix}: {what}" for suffix, what in SUFFIXES.items())
-    about = f"Make a bag of a recording in another format, as if a sensor had played it: {formats}."
-    _configure_import(
-        add_command(kinds, "import", _import, "make a bag of a file of frames", about)
-    )
-    export = add_command(
-        kinds,
-        "export",
-        _export,
-        "convert a bag to NumPy, CSV or ROS 2",
-        "Convert the frames of a bag: npz (one file a patch, which `file:` sources read again), "
-        "csv (a folder, one file a topic, one frame a line), or ros2 (a folder with CDR messages "
-        "and metadata.yaml).",
-    )
+    about = f"default: NAME_recovered{FILE_SUFFIX}"
+    recover.add_argument("--out", metavar="NEW", type=Path, help=about)
+    _configure_import(add("import", _import, "make a bag of a file of frames"))
+    export = add("export", _export, "convert a bag to NumPy, CSV or ROS 2")
     export.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}")
     export.add_argument("--to", choices=tuple(EXPORTS), required=True, help="the format")
-    export.add_argument(
-        "--out", metavar="PATH", type=Path, help="default: NAME.npz, NAME_csv or NAME_ros2"
-    )
-    export.add_argument(
-        "--topics", metavar="TOPIC", nargs="+", help="only these topics; default: all with frames"
-    )
+    about = "default: NAME.npz, NAME_csv or NAME_ros2"
+    export.add_argument("--out", metavar="PATH", type=Path, help=about)
+    about = "only these topics; default: all with frames"
+    export.add_argument("--topics", metavar="TOPIC", nargs="+", help=about)
 
 
 def _configure_import(parser: argparse.ArgumentParser) -> None:
+    formats = "; ".join(f"{suffix}: {what}" for suffix, what in SUFFIXES.items())
+    parser.description = f"{parser.description} Formats: {formats}."
     parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="the recording")
-    parser.add_argument(
-        "--out",
-        metavar="PATH",
-        type=Path,
-        required=True,
-        help=f"the bag, NAME{FILE_SUFFIX}; or a folder, for one bag a FILE",
-    )
+    about = f"the bag, NAME{FILE_SUFFIX}; or a folder, for one bag a FILE"
+    parser.add_argument("--out", metavar="PATH", type=Path, required=True, help=about)
     parser.add_argument("--n-rows", metavar="N", type=int, help="rows of a plain .csv's frame")
     parser.add_argument("--n-cols", metavar="N", type=int, help="columns of a plain .csv's frame")
     parser.add_argument("--unit", help="unit of the readings, where the file does not state it")
@@ -104,6 +74,7 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
 
 
 def _info(arguments: argparse.Namespace) -> int:
+    """Print the contents of a bag; check all of it."""
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
     with BagReader(arguments.bag) as bag:
@@ -112,6 +83,7 @@ def _info(arguments: argparse.Namespace) -> int:
 
 
 def _recover(arguments: argparse.Namespace) -> int:
+    """Write every message before the break of a bag into a new, whole bag."""
     from sparseskin.nodes.recorder.bag.reader import BagReader
     from sparseskin.nodes.recorder.convert.to_bag import recover_bag
 
@@ -124,6 +96,7 @@ def _recover(arguments: argparse.Namespace) -> int:
 
 
 def _import(arguments: argparse.Namespace) -> int:
+    """Make a bag of a recording in another format, as if a sensor had played it."""
     from sparseskin.nodes.recorder.convert.to_bag import import_file
 
     out: Path = arguments.out
@@ -145,6 +118,10 @@ def _import(arguments: argparse.Namespace) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
+    """Convert the frames of a bag: npz (one file a patch, which `file:` sources read again), csv (a
+    folder, one file a topic, one frame a line), or ros2 (a folder with CDR messages and
+    metadata.yaml).
+    """
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
     ending, target = EXPORTS[arguments.to]

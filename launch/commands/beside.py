@@ -10,12 +10,11 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from sparseskin.launch.attach.client import add_graph_option
 from sparseskin.launch.run.running import RunningGraph, choose_graph
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 
-from .launch import NO_TOKEN
+from .options import add_graph, add_page
 from .scenes import SCENARIOS, resolve_recording
 
 PLAY_KEYS = {
@@ -33,10 +32,9 @@ def configure_monitor(parser: argparse.ArgumentParser) -> None:
         "Watch a running graph on a live page, or in this terminal, until it ends or Ctrl-C."
     )
     parser.add_argument("--text", action="store_true", help="in this terminal, without a page")
-    parser.add_argument("--open", action="store_true", help="open the page in a browser")
-    parser.add_argument("--no-token", action="store_true", help=NO_TOKEN)
+    add_page(parser)
     parser.add_argument("--port", type=int, help="port of the page on 127.0.0.1; 8470 by default")
-    add_graph_option(parser)
+    add_graph(parser)
     parser.set_defaults(run=_monitor)
 
 
@@ -45,11 +43,10 @@ def configure_record(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Record topics of a running graph into an MCAP file, until it ends or Ctrl-C."
     )
-    parser.add_argument(
-        "topics", metavar="TOPIC", nargs="*", help="topics, all by default; * matches any text"
-    )
+    about = "topics, all by default; * matches any text"
+    parser.add_argument("topics", metavar="TOPIC", nargs="*", help=about)
     parser.add_argument("--out", metavar="F.mcap", help="file to write; named by graph and time")
-    add_graph_option(parser)
+    add_graph(parser)
     parser.set_defaults(run=_record)
 
 
@@ -127,27 +124,18 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
         "up and down change the rate, q ends."
     )
     parser.add_argument("file", metavar="F.mcap|NAME", help=f"recording; or {', '.join(SCENARIOS)}")
-    parser.add_argument(
-        "--rate",
-        type=float,
-        default=1.0,
-        metavar="R",
-        help="times the recorded speed; 0: as fast as it is read",
-    )
+    about = "times the recorded speed; 0: as fast as it is read"
+    parser.add_argument("--rate", type=float, default=1.0, metavar="R", help=about)
     parser.add_argument("--loop", action="store_true", help="start again at the end")
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="seconds to skip")
     parser.add_argument("--duration", type=float, metavar="S", help="seconds to play")
     parser.add_argument("--pause", action="store_true", help="start paused")
     parser.add_argument("--step", action="store_true", help="play one frame a key")
     parser.add_argument("--topics", nargs="+", default=[], metavar="T", help="topics to play")
-    parser.add_argument(
-        "--remap", nargs="+", default=[], metavar="A:=B", help="other names for topics or patches"
-    )
-    parser.add_argument(
-        "--lockstep",
-        action="store_true",
-        help="send no frame before all readers have handled the last",
-    )
+    about = "other names for topics or patches"
+    parser.add_argument("--remap", nargs="+", default=[], metavar="A:=B", help=about)
+    about = "send no frame before all readers have handled the last"
+    parser.add_argument("--lockstep", action="store_true", help=about)
     parser.add_argument("--wait", type=int, default=0, metavar="K", help="wait for K readers first")
     parser.set_defaults(run=_play)
 

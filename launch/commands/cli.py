@@ -4,47 +4,36 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.lookup import did_you_mean, nearest_of
 
 EXIT_USAGE = 2
 
-_HERE = "sparseskin.launch.commands"
 COMMANDS = {
-    "launch": (f"{_HERE}.launch:configure", "start a graph of nodes from a launch file"),
-    "keys": (
-        f"{_HERE}.keys:configure",
-        "make keys, so that only your hosts read and write a graph",
-    ),
-    "monitor": (f"{_HERE}.beside:configure_monitor", "watch a running graph"),
-    "node": (f"{_HERE}.node:configure", "list the nodes of a running graph, describe one"),
-    "param": (
-        f"{_HERE}.node:configure_param",
-        "list, get and set the settings of a running graph's nodes",
-    ),
-    "topic": (
-        f"{_HERE}.topic:configure",
-        "list the topics of a running graph, print and measure the messages of one",
-    ),
-    "record": (f"{_HERE}.beside:configure_record", "record topics of a running graph"),
-    "play": (f"{_HERE}.beside:configure_play", "play a recording"),
-    "bag": (f"{_HERE}.bag:configure", "look into a recording, repair it, convert it"),
-    "reprocess": (f"{_HERE}.reprocess:configure", "put recordings through other settings, offline"),
-    "learn-basis": (f"{_HERE}.learn_basis:configure", "learn a basis from a recording"),
-    "scenes": (f"{_HERE}.scenes:configure", "list the scenes, make short recordings of them"),
-    "study": ("sparseskin.studies.command:configure", "compute tables and charts anew"),
-    "completion": (
-        f"{_HERE}.completion:configure",
-        "print a script that completes words in a shell",
-    ),
+    "launch": (".launch", "start a graph of nodes from a launch file"),
+    "keys": (".keys", "make keys, so that only your hosts read and write a graph"),
+    "monitor": (".beside", "watch a running graph"),
+    "node": (".node", "list the nodes of a running graph, describe one"),
+    "param": (".node", "list, get and set the settings of a running graph's nodes"),
+    "topic": (".topic", "list the topics of a running graph, print and measure their messages"),
+    "record": (".beside", "record topics of a running graph"),
+    "play": (".beside", "play a recording"),
+    "bag": (".bag", "look into a recording, repair it, convert it"),
+    "reprocess": (".reprocess", "put recordings through other settings, offline"),
+    "learn-basis": (".learn_basis", "learn a basis from a recording"),
+    "scenes": (".scenes", "list the scenes, make short recordings of them"),
+    "study": ("sparseskin.studies.command", "compute tables and charts anew"),
+    "completion": (".completion", "print a script that completes words in a shell"),
 }
-"""Of each command the function that adds its arguments to a parser, as "module:function", and one
-line of help.
+"""Of each command the module that adds its arguments to a parser, by `configure_COMMAND` or
+`configure`, and one line of help.
 """
 
 
@@ -65,21 +54,44 @@ def make_parser(words: Sequence[str]) -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     named = next((word for word in words if not word.startswith("-")), None)
-    for name, (target, about) in COMMANDS.items():
+    for name, (home, about) in COMMANDS.items():
         command = commands.add_parser(name, help=about)
         if name == named:
-            module, _, function = target.partition(":")
-            configure: Callable[[argparse.ArgumentParser], None]
-            configure = getattr(import_module(module), function)
+            module = import_module(home, __package__)
+            configure = getattr(module, f"configure_{name}", None) or module.configure
             configure(command)
     return parser
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that refuses in one line, as all commands do; its subparsers are of this class."""
+    """A parser that refuses in one line, as all commands do, with the nearest allowed word, and
+    takes no abbreviated option. Its subparsers are of this class.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options, allow_abbrev=False)
+
+    def parse_known_args(self, *given: Any, **more: Any) -> Any:
+        """Refuse unknown words here, where the command that they belong to is known."""
+        namespace, unknown = super().parse_known_args(*given, **more)
+        if unknown:
+            option = unknown[0].partition("=")[0]
+            known = set(_OPTION.findall(self.format_usage())) | {"--help"}
+            hint = did_you_mean(option, known) if option.startswith("-") else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+        return namespace, unknown
 
     def error(self, message: str) -> NoReturn:
+        if refused := _CHOICE.fullmatch(message):
+            place, word, allowed = refused.groups()
+            hint = nearest_of(word, [one.strip("'") for one in allowed.split(", ")])
+            message = f"{place}: invalid choice: '{word}'{hint}"
         self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)} (see {self.prog} --help)\n")
+
+
+_OPTION = re.compile(r"(?<![\w-])--?[a-z][\w-]*")
+_CHOICE = re.compile(r"(argument .+): invalid choice: '(.*)' \(choose from (.*)\)", re.DOTALL)
+"""The message of argparse for a word that is not among those allowed."""
 
 
 class _Version(argparse.Action):

@@ -9,8 +9,9 @@ from __future__ import annotations
 import argparse
 import ast
 import functools
+import glob
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -259,18 +260,8 @@ def node_types(name: str) -> dict[str, str]:
 def _paths(prefix: str, folders_only: bool) -> dict[str, str]:
     """Files and folders that begin with a path as it was typed; a folder ends in "/"."""
     folder, slash, begun = prefix.rpartition("/")
-    return _bare(sorted(_entries(folder + slash, begun, folders_only)))
-
-
-def _entries(folder: str, begun: str, folders_only: bool) -> Iterator[str]:
-    try:
-        with os.scandir(os.path.expanduser(folder) or ".") as entries:
-            for entry in entries:
-                hidden = entry.name.startswith(".") and not begun.startswith(".")
-                if entry.name.startswith(begun) and not hidden:
-                    if entry.is_dir():
-                        yield f"{folder}{entry.name}/"
-                    elif not folders_only:
-                        yield folder + entry.name
-    except OSError:
-        return
+    place = Path(os.path.expanduser(folder + slash))
+    names = sorted(glob.glob(f"{glob.escape(begun)}*", root_dir=place))
+    folders = {name for name in names if (place / name).is_dir()}
+    shown = folders if folders_only else names
+    return _bare(folder + slash + name + "/" * (name in folders) for name in sorted(shown))

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from .options import add_page, add_set, add_summary, check_summary, whole, write_summary
 
 if TYPE_CHECKING:
     from sparseskin.launch.launchfile.spec import LaunchFile
     from sparseskin.launch.run.run_log import RunLog
 
 LAUNCH_FILES = Path(__file__).parent.parent
-NO_TOKEN = "serve the live page to all users of this host, without a token"
 PICTURES = {
     "dot": "write the graph as DOT text",
     "svg": "draw the graph (needs the program dot of Graphviz)",
@@ -28,30 +28,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = "Start a graph of nodes, watch it, and print what the monitor measured."
     parser.epilog = f"Launch files that come with it: {', '.join(bundled)}."
     parser.add_argument("name", metavar="NAME|FILE.toml", help="launch file")
+    add_set(parser, "one setting of one node")
     parser.add_argument(
-        "--set",
-        metavar="NODE.KEY=VALUE",
-        action="append",
-        default=[],
-        help="change one setting of one node (may be repeated)",
+        "--frames", metavar="K", type=whole(1), help="end each source after K frames"
     )
-    parser.add_argument(
-        "--frames", metavar="K", type=_positive, help="end each source after K frames"
-    )
-    parser.add_argument(
-        "--dry-run", action="store_true", help="check the launch file, print the graph, start none"
-    )
-    parser.add_argument(
-        "--host", metavar="NAME", help="run the part of this host, of a graph of several"
-    )
-    for form, about in PICTURES.items():
-        parser.add_argument(
-            f"--{form}", metavar=f"F.{form}", type=Path, help=f"with --dry-run: {about}"
-        )
+    about = "check the launch file, print the graph, start none"
+    parser.add_argument("--dry-run", action="store_true", help=about)
+    about = "run the part of this host, of a graph of several"
+    parser.add_argument("--host", metavar="NAME", help=about)
+    for form, drawn in PICTURES.items():
+        about = f"with --dry-run: {drawn}"
+        parser.add_argument(f"--{form}", metavar=f"F.{form}", type=Path, help=about)
     parser.add_argument("--record", metavar="F.mcap", help="record all topics into a file")
-    parser.add_argument("--open", action="store_true", help="open the live page in a browser")
-    parser.add_argument("--no-token", action="store_true", help=NO_TOKEN)
-    parser.add_argument("--summary", metavar="OUT.json", help="write the summary to a file")
+    add_page(parser)
+    add_summary(parser)
     parser.add_argument(
         "--log-dir",
         metavar="DIR",
@@ -59,12 +49,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "(default: the launch file's log_dir, or sparseskin/log in $XDG_STATE_HOME)",
     )
     parser.set_defaults(run=_launch)
-
-
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, 1 or more")
-    return int(text)
 
 
 def _launch(arguments: argparse.Namespace) -> int:
@@ -92,13 +76,13 @@ def _launch(arguments: argparse.Namespace) -> int:
 
 
 def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
+    from importlib.metadata import version
+
     from sparseskin.launch.run.launcher import EXIT_FAILED, EXIT_USAGE, Launcher
     from sparseskin.launch.run.terminal import Terminal
-    from sparseskin.nodes.files import check_writable
     from sparseskin.nodes.monitor.table import summary_table
 
-    if arguments.summary is not None:
-        check_writable(Path(arguments.summary))
+    check_summary(arguments.summary)
     run_log = _run_log(launch, arguments.log_dir)
     launcher = Launcher(launch, Terminal(run_log), arguments.frames)
     code = launcher.run()
@@ -115,8 +99,7 @@ def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
         if not patch["frames"]["reconstructed"]:
             print(f"{name}: not one frame was reconstructed", file=sys.stderr)
             code = code or 1
-    if arguments.summary is not None:
-        _write_summary(Path(arguments.summary), summary)
+    write_summary(arguments.summary, {"sparseskin": version("sparseskin"), **summary})
     return code
 
 
@@ -132,15 +115,3 @@ def _run_log(launch: LaunchFile, stated: str | None) -> RunLog | None:
         return RunLog(default_log_dir(), launch.name, time.time())
     except LaunchError:
         return None
-
-
-def _write_summary(path: Path, summary: dict[str, Any]) -> None:
-    from importlib.metadata import version
-
-    from sparseskin.nodes.errors import SettingsError
-
-    text = json.dumps({"sparseskin": version("sparseskin"), **summary}, indent=2)
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SettingsError(f"--summary {path}: {error.strerror}") from error

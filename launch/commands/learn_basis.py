@@ -43,22 +43,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "tile by tile; a launch file names it as basis = 'learned:B.npz'."
     )
     parser.add_argument("bag", metavar="REC.mcap", type=Path, help="recording")
-    parser.add_argument(
-        "--out", metavar="B.npz", type=Path, required=True, help="file to write, a new one"
-    )
-    parser.add_argument(
-        "--tile", metavar="T", type=int, default=8, help="side of a tile, taxels (default: 8)"
-    )
-    parser.add_argument(
-        "--topic", help="topic to learn from (default: the truth where there is one, else taxels)"
-    )
-    parser.add_argument(
-        "--frames",
-        metavar="K",
-        type=int,
-        default=FRAMES,
-        help=f"how many frames, evenly spaced over the recording (default: {FRAMES})",
-    )
+    about = "file to write, a new one"
+    parser.add_argument("--out", metavar="B.npz", type=Path, required=True, help=about)
+    about = "side of a tile, taxels (default: 8)"
+    parser.add_argument("--tile", metavar="T", type=int, default=8, help=about)
+    about = "topic to learn from (default: the truth where there is one, else taxels)"
+    parser.add_argument("--topic", help=about)
+    about = f"how many frames, evenly spaced over the recording (default: {FRAMES})"
+    parser.add_argument("--frames", metavar="K", type=int, default=FRAMES, help=about)
     parser.add_argument("--seed", type=int, default=0, help="which windows are drawn (default: 0)")
     parser.set_defaults(run=_learn_basis)
 

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import socket
 from typing import Any
 
 from sparseskin.launch.attach.client import (
     ELSEWHERE,
-    add_command,
-    add_graph_option,
     ask_node,
     describe,
     describe_node,
     topics_of,
 )
-from sparseskin.launch.attach.setting_text import (
+from sparseskin.launch.attach.text import (
     allowed_text,
+    flowing,
     in_force_text,
     preset_of,
     shown_value,
+    table,
     typed_value,
+    wrapped,
 )
-from sparseskin.launch.attach.text_table import flowing, table, wrapped
 from sparseskin.launch.run.running import GraphError, choose_graph
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError
@@ -32,46 +31,34 @@ from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.control import COUNTED
 from sparseskin.nodes.process.proc import age_s, cpu_s, resident_bytes
 
+from .options import add_commands, add_graph, show
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `node`."""
-    parser.description = "The nodes of a graph that runs on this host."
-    kinds = parser.add_subparsers(required=True, metavar="COMMAND")
-    listing = add_command(
-        kinds,
-        "list",
-        _list,
-        "list the nodes",
-        "List the nodes of a running graph: type, condition, process, restarts.",
-    )
-    info = add_command(
-        kinds,
-        "info",
-        _info,
-        "describe one node",
-        "Describe one node: its process, its topics and what it counted on each, its commands, "
-        "its settings.",
-    )
+    add = add_commands(parser, "The nodes of a graph that runs on this host.")
+    listing = add("list", _list, "list the nodes")
+    info = add("info", _info, "describe one node")
     info.add_argument("node", metavar="NODE", help="name of the node")
-    for parser in (listing, info):
-        parser.add_argument("--json", action="store_true", help="print one JSON document")
-        add_graph_option(parser)
+    for one in (listing, info):
+        add_graph(one, "one JSON document")
 
 
 def _list(arguments: argparse.Namespace) -> int:
+    """List the nodes of a running graph: type, condition, process, restarts."""
     graph = choose_graph(arguments.graph)
     described = describe(graph)
     keys = ("name", "type", "condition", "pid", "restarts")
     nodes = [{key: node[key] for key in keys} for node in described["nodes"]]
-    if arguments.json:
-        print(json.dumps({"graph": graph.label, "nodes": nodes}, indent=2))
-        return 0
-    rows = [list(node.values()) for node in nodes]
-    print("\n".join(table(["NODE", "TYPE", "CONDITION", "PID", "RESTARTS"], rows)))
-    return 0
+    head = ["NODE", "TYPE", "CONDITION", "PID", "RESTARTS"]
+    lines = table(head, [list(node.values()) for node in nodes])
+    return show(arguments, {"graph": graph.label, "nodes": nodes}, lines)
 
 
 def _info(arguments: argparse.Namespace) -> int:
+    """Describe one node: its process, its topics and what it counted on each, its commands, its
+    settings.
+    """
     graph = choose_graph(arguments.graph)
     node = describe_node(graph, arguments.node)
     described = describe(graph)
@@ -79,11 +66,10 @@ def _info(arguments: argparse.Namespace) -> int:
     node |= _resources(node["pid"]) if node["host"] == socket.gethostname() else {}
     topics = topics_of(described)
     for entry in node["inputs"]:
-        entry["publisher"] = topics[entry["topic"]].publisher
+        entry["publisher"] = topics[entry["topic"]]["publisher"]
     for entry in node["outputs"]:
-        entry["subscribers"] = list(topics[entry["topic"]].readers)
-    print(json.dumps(node, indent=2) if arguments.json else "\n".join(_text(node)))
-    return 0
+        entry["subscribers"] = [one["node"] for one in topics[entry["topic"]]["subscribers"]]
+    return show(arguments, node, _text(node))
 
 
 def _resources(pid: int) -> dict[str, float]:
@@ -146,48 +132,32 @@ def _entry(key: str, text: str) -> list[str]:
 
 def configure_param(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `param`."""
-    parser.description = "The settings of the nodes of a graph that runs on this host."
-    kinds = parser.add_subparsers(required=True, metavar="COMMAND")
-    listing = add_command(
-        kinds,
-        "list",
-        _list_settings,
-        "list settings, and what each may be",
-        "List the settings of one node or of all, what each may be and what it means. Those "
-        "marked live can be set while the graph runs.",
-    )
+    add = add_commands(parser, "The settings of the nodes of a graph that runs on this host.")
+    listing = add("list", _list_settings, "list settings, and what each may be")
     listing.add_argument("node", metavar="NODE", nargs="?", help="name of a node; all by default")
-    get = add_command(kinds, "get", _get, "print one setting", "Print the value of one setting.")
-    change = add_command(
-        kinds,
-        "set",
-        _set,
-        "set one setting, or several at once",
-        "Set live settings of a node, all or none of them, between two frames. The node checks "
-        "them; a refusal is one line, with exit code 2.",
-    )
+    get = add("get", _get, "print one setting")
+    change = add("set", _set, "set one setting, or several at once")
     for one in (get, change):
         one.add_argument("node", metavar="NODE", help="name of the node")
         one.add_argument("key", metavar="KEY", help="name of the setting")
     change.add_argument("value", metavar="VALUE", help="as in a launch file; none: not stated")
     change.add_argument("more", metavar="KEY VALUE", nargs="*", help="further settings")
-    for parser in (listing, get, change):
-        parser.add_argument("--json", action="store_true", help="print one JSON document")
-        add_graph_option(parser)
+    for one in (listing, get, change):
+        add_graph(one, "one JSON document")
 
 
 def _list_settings(arguments: argparse.Namespace) -> int:
+    """List the settings of one node or of all, what each may be and what it means. Those marked
+    live can be set while the graph runs.
+    """
     graph = choose_graph(arguments.graph)
     if arguments.node is not None:
         names = [arguments.node]
     else:
         names = [node["name"] for node in describe(graph)["nodes"]]
     settings = {name: describe_node(graph, name)["settings"] for name in names}
-    if arguments.json:
-        print(json.dumps({"graph": graph.label, "nodes": settings}, indent=2))
-        return 0
-    print("\n\n".join("\n".join(_node_lines(name, settings[name])) for name in names))
-    return 0
+    lines = "\n\n".join("\n".join(_node_lines(name, settings[name])) for name in names)
+    return show(arguments, {"graph": graph.label, "nodes": settings}, [lines])
 
 
 def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
@@ -204,21 +174,21 @@ def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
 
 
 def _get(arguments: argparse.Namespace) -> int:
+    """Print the value of one setting."""
     node, key = arguments.node, arguments.key
     settings = describe_node(choose_graph(arguments.graph), node)["settings"]
     entries = {entry["key"]: entry for entry in settings}
     if key not in entries:
         raise GraphError(f"{node}: {key}: no such setting{did_you_mean(key, entries)}")
     value = entries[key]["value"]
-    if arguments.json:
-        print(json.dumps({"node": node, **entries[key]}, indent=2))
-    else:
-        text = value if isinstance(value, str) else shown_value(value)
-        print("\n".join(map(printable, text.split("\n"))))
-    return 0
+    text = value if isinstance(value, str) else shown_value(value)
+    return show(arguments, {"node": node, **entries[key]}, map(printable, text.split("\n")))
 
 
 def _set(arguments: argparse.Namespace) -> int:
+    """Set live settings of a node, all or none of them, between two frames. The node checks them; a
+    refusal is one line, with exit code 2.
+    """
     if len(arguments.more) % 2:
         raise SettingsError(f"{arguments.more[-1]}: a setting without a value")
     typed = dict(zip(arguments.more[::2], arguments.more[1::2], strict=True))
@@ -227,10 +197,8 @@ def _set(arguments: argparse.Namespace) -> int:
     entries = {entry["key"]: entry for entry in describe_node(graph, arguments.node)["settings"]}
     values = {key: typed_value(text, entries.get(key)) for key, text in typed.items()}
     answer = ask_node(graph, arguments.node, "set", values)
+    line = f"{arguments.node}: {flowing(answer.text)}"
     if not answer.done:
-        raise GraphError(f"{arguments.node}: {flowing(answer.text)}")
-    if arguments.json:
-        print(json.dumps({"node": arguments.node, "set": values, "answer": answer.text}, indent=2))
-    else:
-        print(f"{arguments.node}: {flowing(answer.text)}")
-    return 0
+        raise GraphError(line)
+    done = {"node": arguments.node, "set": values, "answer": answer.text}
+    return show(arguments, done, [line])

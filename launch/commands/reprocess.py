@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from concurrent.futures import Future, as_completed
@@ -15,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.executors import FORMS, make_executor
 from sparseskin.nodes.lookup import did_you_mean, one_line
+
+from .options import add_set, add_summary, check_summary, write_summary
 
 if TYPE_CHECKING:
     from sparseskin.launch.launchfile.spec import LaunchFile
@@ -49,38 +50,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "recorded; the result is a recording with the same stamps."
     )
     parser.add_argument("files", metavar="F.mcap", nargs="+", help="recordings")
+    add_set(parser, "a setting of the compressor or the reconstructor")
+    about = "file to write; a folder for several, made if it does not exist"
+    parser.add_argument("--out", metavar="G.mcap", required=True, help=about)
+    about = "recorded stream to start from; auto: measurements, unless the compressor is changed"
     parser.add_argument(
-        "--set",
-        metavar="NODE.KEY=VALUE",
-        action="append",
-        default=[],
-        help="change a setting of the compressor or the reconstructor (may be repeated)",
-    )
-    parser.add_argument(
-        "--out",
-        metavar="G.mcap",
-        required=True,
-        help="file to write; a folder for several, made if it does not exist",
-    )
-    parser.add_argument(
-        "--from",
-        dest="start_from",
-        choices=START_POINTS,
-        default="auto",
-        help="recorded stream to start from; auto: measurements, unless the compressor is changed",
+        "--from", dest="start_from", choices=START_POINTS, default=START_POINTS[0], help=about
     )
     parser.add_argument("--executor", metavar="WHERE", help=FORMS)
-    parser.add_argument("--summary", metavar="OUT.json", help="write the summaries to a file")
+    add_summary(parser)
     parser.set_defaults(run=_reprocess)
 
 
 def _reprocess(arguments: argparse.Namespace) -> int:
     """Reprocess all recordings; those that fail are named, and do not stop the others."""
-    from sparseskin.nodes.files import check_writable
     from sparseskin.nodes.monitor.table import summary_table
 
-    if arguments.summary is not None:
-        check_writable(Path(arguments.summary))
+    check_summary(arguments.summary)
     jobs = _jobs(arguments)
     outcomes = _run(jobs, arguments.executor)
     for outcome in outcomes:
@@ -91,12 +77,8 @@ def _reprocess(arguments: argparse.Namespace) -> int:
         else:
             print(f"{outcome.job.out}:")
             print(summary_table(outcome.patches))
-    if arguments.summary is not None:
-        found = {o.job.out: {"patches": o.patches} for o in outcomes if not o.error}
-        try:
-            Path(arguments.summary).write_text(json.dumps(found, indent=2) + "\n")
-        except OSError as error:
-            raise SettingsError(f"--summary {arguments.summary}: {error.strerror}") from error
+    found = {o.job.out: {"patches": o.patches} for o in outcomes if not o.error}
+    write_summary(arguments.summary, found)
     return 2 if any(outcome.error for outcome in outcomes) else 0
 
 

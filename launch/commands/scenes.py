@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 
+from .options import add_commands
+
 if TYPE_CHECKING:
     from sparseskin.messages import Message
     from sparseskin.nodes.sensor.node import Sensor
@@ -51,20 +53,15 @@ SCENARIOS = {
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `scenes`."""
-    parser.description = "The scenes that can be launched, and short recordings that can be played."
-    kinds = parser.add_subparsers(required=True, metavar="COMMAND")
-    listing = kinds.add_parser("list", help="list scenes and recordings, one line each")
-    listing.set_defaults(run=_list)
-    make = kinds.add_parser(
-        "make",
-        help="make short recordings of scenes",
-        description=f"Make short recordings of scenes: {', '.join(SCENARIOS)}.",
-    )
+    about = "The scenes that can be launched, and short recordings that can be played."
+    add = add_commands(parser, about)
+    add("list", _list, "list scenes and recordings, one line each")
+    make = add("make", _make, "make short recordings of scenes")
+    make.description = f"{make.description} Scenes: {', '.join(SCENARIOS)}."
     make.add_argument("names", metavar="NAME", nargs="*", help="which; all by default")
     make.add_argument(
         "--out", metavar="DIR", type=Path, help=f"folder to write to (default: {_DATA_FOLDER})"
     )
-    make.set_defaults(run=_make)
 
 
 _DATA_FOLDER = "$XDG_DATA_HOME/sparseskin or ~/.local/share/sparseskin"
@@ -185,6 +182,7 @@ def _unknown(name: str) -> ScenarioError:
 
 
 def _list(arguments: argparse.Namespace) -> int:
+    """List scenes and recordings, one line each."""
     from sparseskin.nodes.sensor.scenes.scenes import SCENES
 
     def line(name: str, scene: Scene, n_frames: int, period_ns: int, about: str) -> str:
@@ -205,6 +203,7 @@ def _list(arguments: argparse.Namespace) -> int:
 
 
 def _make(arguments: argparse.Namespace) -> int:
+    """Make short recordings of scenes."""
     names = list(dict.fromkeys(arguments.names or SCENARIOS))
     for name in names:
         if name not in SCENARIOS:

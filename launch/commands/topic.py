@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import json
-import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sparseskin.launch.attach.client import (
     ELSEWHERE,
-    Topic,
-    add_command,
-    add_graph_option,
     describe,
     find_topic,
     topics_of,
 )
 from sparseskin.launch.attach.give_way import give_way
-from sparseskin.launch.attach.text_table import flowing, table, wrapped
+from sparseskin.launch.attach.text import flowing, table, wrapped
 from sparseskin.launch.run.running import choose_graph
 from sparseskin.nodes.process.control import COUNTED
+
+from .options import add_commands, add_graph, real, show, whole
 
 if TYPE_CHECKING:
     from sparseskin.messages import Message
@@ -30,58 +25,34 @@ if TYPE_CHECKING:
 WINDOW = 1000
 FEW_MESSAGES = 100
 """So many messages are over before reading them could disturb a graph."""
+OVER = "A line a second, over the last messages; at the end, or with Ctrl-C, one over all."
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `topic`."""
-    parser.description = (
+    add = add_commands(
+        parser,
         "The topics of a graph that runs on this host. To observe one slows no node down: what is "
-        "not read in time is dropped for the observer alone, and counted."
+        "not read in time is dropped for the observer alone, and counted.",
     )
-    kinds = parser.add_subparsers(required=True, metavar="COMMAND")
-    listing = add_command(
-        kinds,
-        "list",
-        _list,
-        "list the topics",
-        "List the topics of a running graph, named by patch and schema, each with its publisher "
-        "and subscribers. A latched topic is state: who subscribes late is sent the last message.",
-    )
-    info = add_command(
-        kinds,
-        "info",
-        _info,
-        "describe one topic",
-        "Describe one topic: its publisher, how many messages each subscriber received and lost "
-        "(as of half a second ago at most), the fields of its schema.",
-    )
-    echo = add_command(
-        kinds,
-        "echo",
-        _echo,
-        "print messages",
-        "Print the messages of a topic, of arrays a summary. Those that are not shown are counted.",
-    )
-    over = "A line a second, over the last messages; at the end, or with Ctrl-C, one over all."
+    listing = add("list", _list, "list the topics")
+    info = add("info", _info, "describe one topic")
+    echo = add("echo", _echo, "print messages")
     rates = [
-        add_command(kinds, name, _rate, about, f"{description} {over}")
-        for name, (about, description) in RATES.items()
+        add("hz", _hz, "print the rate of messages, sent and arriving"),
+        add("bw", _bw, "print the bytes a second that arrive"),
+        add("delay", _delay, "print the age of messages as they arrive"),
     ]
     for one in (info, echo, *rates):
         one.add_argument("topic", metavar="TOPIC", help="the topic, /PATCH/SCHEMA")
     echo.add_argument("--once", action="store_true", help="end after one message")
     for one in rates:
-        one.set_defaults(measure=one.prog.split()[-1])
-        one.add_argument(
-            "--window",
-            metavar="K",
-            type=_whole(2),
-            default=WINDOW,
-            help=f"how many messages a line is over, at most (default: {WINDOW})",
-        )
+        one.description = f"{one.description} {OVER}"
+        about = f"how many messages a line is over, at most (default: {WINDOW})"
+        one.add_argument("--window", metavar="K", type=whole(2), default=WINDOW, help=about)
     for one in (echo, *rates):
-        one.add_argument("-n", metavar="K", type=_whole(1), help="end after K messages")
-        one.add_argument("--duration", metavar="S", type=_real(True), help="end after S seconds")
+        one.add_argument("-n", metavar="K", type=whole(1), help="end after K messages")
+        one.add_argument("--duration", metavar="S", type=real(True), help="end after S seconds")
     echo.add_argument("--full", action="store_true", help="print all elements of arrays")
     echo.add_argument(
         "--field", metavar="FIELD", help="print one field; FIELD[I,J]: one element of an array"
@@ -89,62 +60,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
     echo.add_argument(
         "--max-hz",
         metavar="R",
-        type=_real(False),
+        type=real(False),
         help="print R messages a second at most, 0: all (default: 10; all with --json or -n)",
     )
     for one in (listing, info, echo, *rates):
         document = "one JSON document" if one in (listing, info) else "one JSON object a line"
-        one.add_argument("--json", action="store_true", help=f"print {document}")
-        add_graph_option(one)
-
-
-RATES = {
-    "hz": (
-        "print the rate of messages, sent and arriving",
-        "Print the rate at which messages are sent and the interval between two, by their numbers "
-        "and stamps, the rate at which they arrive here, and how many were lost on the way.",
-    ),
-    "bw": (
-        "print the bytes a second that arrive",
-        "Print the bytes a second that arrive here, and the size of a message on the wire.",
-    ),
-    "delay": (
-        "print the age of messages as they arrive",
-        "Print the time from a message's stamp, the acquisition of its frame, to its arrival "
-        "here, on the clock of this host. It reads as a node does, and competes with the graph for "
-        "the processor as a node does.",
-    ),
-}
-"""Of each command that measures its help and its description."""
-
-
-def _whole(low: int) -> Callable[[str], int]:
-    def whole(text: str) -> int:
-        if not (text.isascii() and text.isdigit() and len(text) < 16) or int(text) < low:
-            raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, {low} or more")
-        return int(text)
-
-    return whole
-
-
-def _real(above_0: bool) -> Callable[[str], float]:
-    def real(text: str) -> float:
-        with contextlib.suppress(ValueError):
-            value = float(text)
-            if 0 <= value < math.inf and (value or not above_0):
-                return value
-        allowed = "a number above 0" if above_0 else "a number, 0 or more"
-        raise argparse.ArgumentTypeError(f"{text!r}: expected {allowed}")
-
-    return real
+        add_graph(one, document)
 
 
 def _list(arguments: argparse.Namespace) -> int:
+    """List the topics of a running graph, named by patch and schema, each with its publisher and
+    subscribers. A latched topic is state: who subscribes late is sent the last message.
+    """
     graph = choose_graph(arguments.graph)
-    topics = [_plain(topic) for topic in topics_of(describe(graph)).values()]
-    if arguments.json:
-        print(json.dumps({"graph": graph.label, "topics": topics}, indent=2))
-        return 0
+    topics = list(topics_of(describe(graph)).values())
     rows = [
         [
             topic["topic"],
@@ -155,34 +84,21 @@ def _list(arguments: argparse.Namespace) -> int:
         for topic in topics
     ]
     head = ["TOPIC (/PATCH/SCHEMA)", "", "PUBLISHER", "SUBSCRIBERS"]
-    print("\n".join(table(head, rows)))
-    return 0
-
-
-def _plain(topic: Topic) -> dict[str, Any]:
-    return {
-        "topic": topic.name,
-        "schema": topic.schema,
-        "latched": topic.latched,
-        "publisher": topic.publisher,
-        "sent": topic.sent,
-        "subscribers": [{"node": name, **counts} for name, counts in topic.readers.items()],
-    }
+    return show(arguments, {"graph": graph.label, "topics": topics}, table(head, rows))
 
 
 def _info(arguments: argparse.Namespace) -> int:
+    """Describe one topic: its publisher, how many messages each subscriber received and lost (as of
+    half a second ago at most), the fields of its schema.
+    """
     from sparseskin.messages.base import wire_fields
     from sparseskin.messages.wire import SCHEMAS
 
     graph = choose_graph(arguments.graph)
     name = find_topic(graph, arguments.topic)
-    topic = _plain(topics_of(describe(graph))[name])
+    topic = topics_of(describe(graph))[name]
     cls = SCHEMAS[topic["schema"]]
     fields = {field: kind_text(kind) for field, kind in wire_fields(cls).items()}
-    if arguments.json:
-        described = {"graph": graph.label, **topic, "version": cls.version, "about": about(cls)}
-        print(json.dumps({**described, "fields": fields}, indent=2))
-        return 0
     lines = [
         name,
         *wrapped("  schema     ", f"{cls.schema}, version {cls.version}"),
@@ -194,11 +110,12 @@ def _info(arguments: argparse.Namespace) -> int:
     readers = [[one["node"], *(one[what] for what in COUNTED)] for one in topic["subscribers"]]
     lines += table(["SUBSCRIBER", *(what.upper() for what in COUNTED)], readers, "  ")
     lines += ["", *table(["FIELD", "TYPE"], list(fields.items()), "  ")]
-    print("\n".join(lines))
-    return 0
+    described = {"graph": graph.label, **topic, "version": cls.version, "about": about(cls)}
+    return show(arguments, {**described, "fields": fields}, lines)
 
 
 def _echo(arguments: argparse.Namespace) -> int:
+    """Print the messages of a topic, of arrays a summary. Those that are not shown are counted."""
     from sparseskin.launch.attach.echo import FieldPath, echo
     from sparseskin.messages.wire import SCHEMAS
 
@@ -221,12 +138,32 @@ def _echo(arguments: argparse.Namespace) -> int:
     )
 
 
-def _rate(arguments: argparse.Namespace) -> int:
+def _hz(arguments: argparse.Namespace) -> int:
+    """Print the rate at which messages are sent and the interval between two, by their numbers and
+    stamps, the rate at which they arrive here, and how many were lost on the way.
+    """
+    return _measure(arguments, "hz")
+
+
+def _bw(arguments: argparse.Namespace) -> int:
+    """Print the bytes a second that arrive here, and the size of a message on the wire."""
+    return _measure(arguments, "bw")
+
+
+def _delay(arguments: argparse.Namespace) -> int:
+    """Print the time from a message's stamp, the acquisition of its frame, to its arrival here, on
+    the clock of this host. It reads as a node does, and competes with the graph for the processor
+    as a node does.
+    """
+    return _measure(arguments, "delay")
+
+
+def _measure(arguments: argparse.Namespace, name: str) -> int:
     from sparseskin.launch.attach.rates import MEASURES, measure
 
     graph = choose_graph(arguments.graph)
     topic = find_topic(graph, arguments.topic)
-    what = MEASURES[arguments.measure]
+    what = MEASURES[name]
     if what.patience_s:
         give_way()
     return measure(

@@ -67,13 +67,23 @@ class Quality:
 
     every: Extent = field(default_factory=Extent)
     contact: Extent = field(default_factory=Extent)
-    recent: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
+    in_contact: bool = False
+    """True once there was a contact frame; `recent` is then of contact frames."""
+    _recent: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
 
     def add(self, psnr: float, in_contact: bool) -> None:
         self.every.add(psnr)
-        self.recent.append(psnr)
         if in_contact:
             self.contact.add(psnr)
+            if not self.in_contact:
+                self._recent.clear()
+                self.in_contact = True
+        if in_contact == self.in_contact:
+            self._recent.append(psnr)
+
+    def recent(self) -> float | None:
+        """Mean PSNR of the last 100 contact frames, before the first one of all; None of none."""
+        return sum(self._recent) / len(self._recent) if self._recent else None
 
     def summary(self) -> dict[str, Any]:
         return {"all": self.every.summary(), "contact": self.contact.summary()}

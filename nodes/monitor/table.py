@@ -7,32 +7,31 @@ from typing import Any
 
 from sparseskin.messages.text import printable
 
-from .metrics import FLOAT_BITS, PatchMetrics, Quality
+from .metrics import FLOAT_BITS, PatchMetrics
 
 NONE = "-"
 
 
 def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
-    """State of a patch in one line of about 80 columns: PSNR of the taxels and of the
-    reconstruction over the last 100 frames, latency p50 and p99 since the start.
+    """State of a patch in one line: mean PSNR of reconstruction and noisy taxels over the
+    last 100 contact frames, before the first contact over all; latency since the start.
     """
     parts = [
         f"{patch}: {metrics.reconstructed} frames, {rate_hz:.0f} Hz, lost {metrics.lost_so_far}"
     ]
-    if metrics.noisy.recent:
-        parts.append(f"PSNR {_recent(metrics.noisy)} -> {_recent(metrics.reconstruction)} dB")
-    elif metrics.reconstruction.recent:
-        parts.append(f"PSNR to taxels {_recent(metrics.reconstruction)} dB")
+    reconstruction, noisy = metrics.reconstruction.recent(), metrics.noisy.recent()
+    if reconstruction is not None:
+        frames = "contact frames" if metrics.reconstruction.in_contact else "all frames"
+        against = "to taxels " if noisy is None else ""
+        parts.append(f"PSNR of {frames} {against}{reconstruction:.1f} dB")
+        if noisy is not None:
+            parts[-1] += f" (taxels {noisy:.1f})"
     latency = metrics.latency.summary()
     if latency:
-        parts.append(f"latency {latency['p50']:.1f}/{latency['p99']:.1f} ms")
+        parts.append(f"latency p50 {latency['p50']:.1f}, p99 {latency['p99']:.1f} ms")
         if metrics.latency_uncertainty_ms:
             parts[-1] += f" ± {metrics.latency_uncertainty_ms:.1f}"
     return " | ".join(parts)
-
-
-def _recent(quality: Quality) -> str:
-    return f"{sum(quality.recent) / len(quality.recent):.1f}"
 
 
 def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:

@@ -58,7 +58,7 @@ class SensorSettings(PatchSettings):
 
     def check(self) -> None:
         with naming("source"):
-            check_source(self.source)
+            check_source(self.source, self.n_rows, self.n_cols, self.unit)
         if self.source.startswith(SCENE):
             for key in ("n_rows", "n_cols", "unit", "f_max"):
                 if getattr(self, key) is not None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.sensor.files.recorded import SUFFIXES, open_file
+from sparseskin.nodes.sensor.files.recorded import SUFFIXES, check_csv, open_file
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, check_scene, open_scene
 
 from .driver import open_callable
@@ -20,14 +20,17 @@ FILE = "file:"
 FORMS = "scene:NAME, file:PATH or module:callable"
 
 
-def check_source(source: str) -> None:
-    """Check that a source exists, without opening it.
+def check_source(
+    source: str, n_rows: int | None = None, n_cols: int | None = None, unit: str | None = None
+) -> None:
+    """Check that a source exists, without opening it, and that a .csv of numbers is described.
 
     Raises
     ------
     SourceError
         If it has none of the three forms, the scene is unknown, the file is missing or of an
-        unknown format, or the module of the driver is missing.
+        unknown format or a .csv of numbers with neither a stated shape nor unit, or the module of
+        the driver is missing.
     """
     kind, colon, rest = source.partition(":")
     if not (kind and colon and rest):
@@ -46,6 +49,8 @@ def check_source(source: str) -> None:
             raise SourceError(
                 f"{rest}: suffix '{path.suffix}' is not known; allowed are {', '.join(SUFFIXES)}"
             )
+        if path.suffix.lower() == ".csv":
+            check_csv(rest, n_rows, n_cols, unit)
 
 
 def check_module(target: str) -> None:
@@ -95,7 +100,7 @@ def open_source(
     SourceError
         If the source is missing or malformed, or a setting contradicts it.
     """
-    check_source(source)
+    check_source(source, n_rows, n_cols, unit)
     if source.startswith(SCENE):
         stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": unit, "f_max": f_max}
         for name, value in stated.items():

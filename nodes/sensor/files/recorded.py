@@ -173,6 +173,27 @@ def open_file(
     )
 
 
+def check_csv(path: str, n_rows: int | None, n_cols: int | None, unit: str | None) -> None:
+    """Raise SourceError if a file is a .csv of numbers whose shape or unit nobody states; of its
+    content the first lines are read.
+    """
+    try:
+        with open(path, "rb") as file:
+            lines = file.read(_HEAD_BYTES).splitlines()
+    except OSError as error:
+        raise SourceError(f"{path}: cannot be read: {error.strerror}") from error
+    if is_tekscan(b"\n".join(lines)):
+        return
+    if n_rows is None and n_cols is None:
+        parse_plain_csv(b"\n".join(lines[:100]), path, n_rows, n_cols)
+    if unit is None:
+        raise SourceError(path + _NO_UNIT)
+
+
+_HEAD_BYTES = 1 << 16
+_NO_UNIT = ": a .csv of numbers does not state its unit; set unit, e.g. N"
+
+
 def _parse(name: str, n_rows: int | None, n_cols: int | None) -> Parsed:
     suffix = Path(name).suffix.lower()
     if suffix not in SUFFIXES:
@@ -221,7 +242,7 @@ def _unit(stated: str | None, parsed: Parsed, name: str) -> str:
         )
     unit = stated or found
     if unit is None and Path(name).suffix.lower() == ".csv":
-        raise SourceError(f"{name}: a .csv of numbers does not state its unit; set unit, e.g. N")
+        raise SourceError(name + _NO_UNIT)
     return unit or "N"
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.launch.attach.setting_text import (
+from sparseskin.launch.attach.text import (
     MAX_SHOWN,
     allowed_text,
     in_force_text,

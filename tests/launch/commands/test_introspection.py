@@ -208,6 +208,11 @@ def test_a_setting_that_is_not_stated_is_none(run: Run) -> None:
         ("node info sensr", "no such node (did you mean 'sensor'?)"),
         ("param list x", "no such node (known: compressor, monitor, reconstructor, recorder, sens"),
         ("param get sensor nois", "sensor: nois: no such setting (did you mean 'noise'?)"),
+        (
+            "param set reconstructor preset skn",
+            "preset: 'skn' is not allowed while the graph runs (did you mean 'skin'?); "
+            "allowed: paper, skin",
+        ),
         ("param set sensor nois 1", "sensor: nois: unknown key (did you mean 'noise'?)"),
         ("param set sensor seed 1", "sensor: seed: cannot be changed while the graph runs"),
         ("param set compressor ratio many", "compressor: ratio: expected a number, got 'many'"),
@@ -293,7 +298,11 @@ def test_echo_of_so_many_shows_them_one_after_the_other(run: Run) -> None:
         (("topic", "hz", "/skin/taxels", "-n", "0"), "-n: '0': expected a whole number, 1 or more"),
         (("topic", "echo"), "the following arguments are required: TOPIC"),
         (("launch", "path_40", "--frames", "-4"), "argument --frames"),
-        (("tropic",), "argument COMMAND: invalid choice: 'tropic'"),
+        (("tropic",), "argument COMMAND: invalid choice: 'tropic' (did you mean 'topic'?)"),
+        (("topic", "ecko"), "sparseskin topic: argument COMMAND: invalid choice: 'ecko' (did you"),
+        (("launch", "path_40", "--frame", "4"), "--frame 4 (did you mean '--frames'?)"),
+        (("bag", "info", "x.mcap", "--jsn"), "(see sparseskin bag info --help)"),
+        (("scenes", "list", "all"), "sparseskin scenes list: unrecognized arguments: all (see"),
     ],
 )
 def test_a_command_line_is_refused_in_one_line(

@@ -259,3 +259,25 @@ def test_a_launch_file_without_its_recording_says_how_to_name_one(name: str, hin
     with pytest.raises(LaunchError) as refused:
         load(name, [missing])
     assert refused.value.lines == [f"--set {missing}: missing.mcap: no such file"]
+
+
+@pytest.mark.parametrize(
+    ("stated", "lacks"),
+    [
+        (
+            [],
+            "frames.csv, line 1: a .csv of numbers does not state its shape; set n_rows and n_cols",
+        ),
+        (["n_rows=2"], "frames.csv: a .csv of numbers does not state its unit; set unit, e.g. N"),
+    ],
+)
+def test_a_csv_of_numbers_is_described_before_a_process_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stated: list[str], lacks: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "frames.csv").write_text("1,2,3,4\n")
+    changes = [f"sensor.{one}" for one in ["source=file:frames.csv", *stated]]
+    with pytest.raises(LaunchError) as refused:
+        load("replay", changes)
+    assert lacks in str(refused.value)
+    load("replay", [*changes, "sensor.n_rows=2", "sensor.unit=N"])

@@ -29,6 +29,7 @@ from sparseskin.nodes.monitor.metrics import (
     MAX_PENDING,
     Delay,
     PatchMetrics,
+    Quality,
     psnr_db,
     same_clock,
 )
@@ -293,7 +294,20 @@ def test_the_status_line_counts_what_is_missing_so_far() -> None:
     messages = frame(3, 1.0, 1.0, 1.0)
     messages[-1] = dataclasses.replace(messages[-1], seq=1)
     line = status_line("skin", metrics_of(skin(), *messages), 200.0)
-    assert line == "skin: 2 frames, 200 Hz, lost 2 | PSNR 100.0 -> 100.0 dB | latency 3.0/3.0 ms"
+    assert line == (
+        "skin: 2 frames, 200 Hz, lost 2 | PSNR of contact frames 100.0 dB (taxels 100.0) | "
+        "latency p50 3.0, p99 3.0 ms"
+    )
+
+
+def test_recent_quality_is_that_of_contact_frames_once_there_was_one() -> None:
+    quality = Quality()
+    assert quality.recent() is None
+    quality.add(40.0, in_contact=False)
+    assert quality.recent() == 40.0
+    quality.add(30.0, in_contact=True)
+    quality.add(50.0, in_contact=False)
+    assert quality.recent() == 30.0
 
 
 def resultant(k: int) -> Resultant:

@@ -1,13 +1,18 @@
-"""Settings as text: a value, its allowed values, and the value of a typed text."""
+"""Text for a terminal: tables, whose last column is wrapped, and settings with their values."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+import shutil
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from sparseskin.launch.launchfile.toml import parse_toml
+from sparseskin.messages.text import printable
 
+GAP = "  "
+MIN_LAST = 20
+"""A last column is not made narrower than this, however narrow the terminal."""
 MAX_SHOWN = 200
 """Longest value in a table, characters; a longer one (as the text of a launch file) is cut."""
 _TYPES = {
@@ -18,6 +23,45 @@ _TYPES = {
     "None": "none",
     "tuple[str, ...]": "a list of texts",
 }
+
+
+def width() -> int:
+    """Columns of the terminal; 80 where there is none."""
+    return shutil.get_terminal_size().columns
+
+
+def flowing(text: str) -> str:
+    """A text as printable words, one space between them."""
+    return " ".join(printable(text).split())
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[object]], indent: str = "") -> list[str]:
+    """Lines of a table, each after `indent`; columns of whole numbers are flush right."""
+    shown = [[flowing(str(cell)) for cell in row] for row in rows]
+    widths = [max(len(line[k]) for line in [head, *shown]) for k in range(len(head))]
+    right = [
+        bool(rows) and all(isinstance(row[k], int) and not isinstance(row[k], bool) for row in rows)
+        for k in range(len(head))
+    ]
+    lines: list[str] = []
+    for cells in [list(head), *shown]:
+        start = indent + "".join(
+            (cell.rjust(w) if flush else cell.ljust(w)) + GAP
+            for cell, w, flush in zip(cells[:-1], widths[:-1], right[:-1], strict=True)
+        )
+        last = cells[-1]
+        lines += [start + last.rjust(widths[-1])] if right[-1] else wrapped(start, last)
+    return lines
+
+
+def wrapped(start: str, text: str, continued: str | None = None) -> list[str]:
+    """`start` and a text, wrapped to the terminal; further lines begin with `continued`, by
+    default with as many spaces as `start` has characters.
+    """
+    continued = " " * len(start) if continued is None else continued
+    room = max(MIN_LAST, width() - max(len(start), len(continued)))
+    first, *rest = textwrap.wrap(text, room, break_on_hyphens=False, break_long_words=False) or [""]
+    return [(start + first).rstrip(), *(continued + line for line in rest)]
 
 
 def shown_value(value: Any) -> str:
@@ -68,6 +112,8 @@ def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
     """The value of a typed text: TOML, or else the text as it stands, as it does for a setting
     whose described type is a text.
     """
+    from sparseskin.launch.launchfile.toml import parse_toml  # with it comes numpy
+
     types = types_of(entry) if entry is not None else []
     if text == "none" and "None" in types:
         return None

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.launch.attach.text_table import flowing, table, wrapped
+from sparseskin.launch.attach.text import flowing, table, wrapped
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,109 @@
+"""Arguments that several commands share, and what they do with them."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import inspect
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+Run = Callable[[argparse.Namespace], int]
+
+
+def add_commands(
+    parser: argparse.ArgumentParser, description: str
+) -> Callable[[str, Run, str], argparse.ArgumentParser]:
+    """Give a command further commands; return the function that adds one, by its name, the function
+    that runs it, whose docstring is its description, and its line of help.
+    """
+    parser.description = description
+    kinds = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def add(name: str, run: Run, about: str) -> argparse.ArgumentParser:
+        made = kinds.add_parser(name, help=about, description=inspect.getdoc(run))
+        made.set_defaults(run=run)
+        return made
+
+    return add
+
+
+def add_graph(parser: argparse.ArgumentParser, document: str = "") -> None:
+    """Add --graph, as all commands beside a running graph have it, and --json, if it prints one."""
+    if document:
+        parser.add_argument("--json", action="store_true", help=f"print {document}")
+    parser.add_argument(
+        "--graph", metavar="NAME|PID", help="which graph, where several run on this host"
+    )
+
+
+def add_page(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the live page."""
+    parser.add_argument("--open", action="store_true", help="open the live page in a browser")
+    about = "serve the live page to all users of this host, without a token"
+    parser.add_argument("--no-token", action="store_true", help=about)
+
+
+def add_set(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add --set."""
+    about = f"change {what} (may be repeated)"
+    parser.add_argument("--set", metavar="NODE.KEY=VALUE", action="append", default=[], help=about)
+
+
+def add_summary(parser: argparse.ArgumentParser) -> None:
+    """Add --summary."""
+    about = "write the summary as JSON"
+    parser.add_argument("--summary", metavar="OUT.json", type=Path, help=about)
+
+
+def check_summary(path: Path | None) -> None:
+    """Check before a run that its summary can be written, or raise OutputError."""
+    from sparseskin.nodes.files import check_writable
+
+    if path is not None:
+        check_writable(path)
+
+
+def write_summary(path: Path | None, summary: Mapping[str, Any]) -> None:
+    """Write the summary of a run where one is wanted, or raise SettingsError."""
+    from sparseskin.nodes.errors import SettingsError
+
+    if path is not None:
+        try:
+            path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise SettingsError(f"--summary {path}: {error.strerror}") from error
+
+
+def show(arguments: argparse.Namespace, document: Any, lines: Iterable[str]) -> int:
+    """Print a document as JSON where that is asked for, else lines; return the exit code."""
+    print(json.dumps(document, indent=2) if arguments.json else "\n".join(lines))
+    return 0
+
+
+def whole(low: int) -> Callable[[str], int]:
+    """The type of an option: a whole number of at most 15 digits, `low` or more."""
+
+    def read(text: str) -> int:
+        if not (text.isascii() and text.isdigit() and len(text) < 16) or int(text) < low:
+            raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, {low} or more")
+        return int(text)
+
+    return read
+
+
+def real(above_0: bool) -> Callable[[str], float]:
+    """The type of an option: a finite number above 0, or of 0 or more."""
+
+    def read(text: str) -> float:
+        with contextlib.suppress(ValueError):
+            value = float(text)
+            if 0 <= value < math.inf and (value or not above_0):
+                return value
+        allowed = "a number above 0" if above_0 else "a number, 0 or more"
+        raise argparse.ArgumentTypeError(f"{text!r}: expected {allowed}")
+
+    return read
