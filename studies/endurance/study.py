@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -77,13 +76,16 @@ def endured(point: dict[str, Any]) -> dict[str, Any]:
             fresh.reset()
             other.reset()
         y = phi.forward(noise.apply(truth, rng).reshape(-1))
-        forces = _solved(solver, phi, y)
+        solver.use(phi)
+        forces = solver.solve(y)
         largest_n = max(largest_n, float(forces.max()))
         psnr.append(psnr_db(forces - truth, PAPER_F_MAX_N))
         not_finite += not math.isfinite(psnr[-1])
         if since < SETTLED_AFTER:
             since += 1
-            anew, again = _solved(fresh, phi, y), _solved(other, phi, y)
+            fresh.use(phi)
+            other.use(phi)
+            anew, again = fresh.solve(y), other.solve(y)
             if since == SETTLED_AFTER:
                 anew_db = _capped_db(anew, truth)
                 behind[why].append(anew_db - min(psnr[-1], ENOUGH_DB))
@@ -114,11 +116,6 @@ def _stream(scenes: list[Floats], n_frames: int) -> Iterator[tuple[Floats | None
         after_loss = lossy and place == LOST_FROM + LOST
         event = "jump" if place == 0 else "loss" if after_loss else ""
         yield (None if lost else scenes[scene % SCENES][place]), event
-
-
-def _solved(solver: SkinSolver, phi: Phi, y: Floats) -> Floats:
-    solver.use(phi)
-    return solver.solve(y)
 
 
 def _capped_db(forces: Floats, truth: Floats) -> float:

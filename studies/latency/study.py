@@ -13,7 +13,7 @@ import pandas as pd
 
 from sparseskin.nodes.process.proc import cpu_s, host_busy_s
 from sparseskin.studies.graph_run import GraphRun, launch_text, wait_until
-from sparseskin.studies.points import compute
+from sparseskin.studies.points import StudyError, compute
 from sparseskin.studies.report import PALETTE, Chart, fill_page, markdown, write_csv
 
 from .nodes import WATCH
@@ -72,6 +72,8 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         for name in ("sensor", "compressor", "reconstructor")
     )
     stages = stages_ns(sensor, edge, host)[WARM_UP:]
+    if not len(stages):
+        raise StudyError(f"{len(host)} frames were reconstructed; more than {WARM_UP} are needed")
     skipped = sum(nodes["reconstructor"]["skipped"].values())
     return {
         **figures(stages / 1e6),

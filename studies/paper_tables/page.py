@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -22,7 +22,7 @@ from sparseskin.studies.report import (
 )
 from sparseskin.studies.scene_frames import scene_of
 
-from .numbers import ITERATIONS, PAPER, RATIOS, Psnr
+from .numbers import ITERATIONS, PAPER, RATIOS, Counts, Psnr
 
 Row = dict[str, Any]
 SHOWN_FRAMES = 300
@@ -83,13 +83,13 @@ def write(
     out: Path, results: Results, lambdas_n: Sequence[float], highest_db: Highest, maps: Maps
 ) -> None:
     """Write the tables as CSV, the charts and the page; `highest_db` in the order of lambdas_n."""
-    tables = {
-        "table_1": _steps(results),
-        "table_2": _counts(results),
-        "noisy": _noisy(results),
+    tables: dict[str, Iterable[Row]] = {
+        "table_1": (_steps(results, scene) for scene in PAPER),
+        "table_2": (_counts(results, scene, basis) for scene in PAPER for basis in ("D2", "D4")),
+        "noisy": (_psnr(results, scene, paper.noisy, {}, 1) for scene, paper in PAPER.items()),
         "table_3": _by_ratio(results, few=False),
         "table_3_fitted": _by_ratio(results, few=True),
-        "table_4": _by_iterations(results),
+        "table_4": (_time(results, scene, k) for scene in PAPER for k in ITERATIONS),
         "untouched": _untouched(lambdas_n, highest_db),
     }
     frames = {name: pd.DataFrame(rows, dtype=object) for name, rows in tables.items()}
@@ -111,30 +111,24 @@ def _name(scene: str) -> str:
     return f"{PAPER[scene].title} ({PAPER[scene].n})"
 
 
-def _steps(results: Results) -> Iterator[Row]:
-    for scene, paper in PAPER.items():
-        ours = len(results.scenes[scene]["contact"])
-        yield {
-            **{"scenario": _name(scene), "steps paper": paper.steps, "ours": ours},
-            **{"difference": ours - paper.steps},
-            "ours, in contact": int(results.contact(scene).sum()),
-        }
+def _steps(results: Results, scene: str) -> Row:
+    steps, contact = PAPER[scene].steps, results.contact(scene)
+    row = {"scenario": _name(scene), "steps paper": steps, "ours": len(contact)}
+    return {**row, "difference": len(contact) - steps, "ours, in contact": int(contact.sum())}
 
 
-def _counts(results: Results) -> Iterator[Row]:
-    for scene, paper in PAPER.items():
-        for basis, theirs in (("D2", paper.d2), ("D4", paper.d4)):
-            key = basis.lower()
-            counts = results.counts(scene, key)
-            exact = results.counts(scene, f"{key}_exact")
-            yield {
-                **{"scenario": _name(scene), "basis": basis},
-                **_compared("mean", theirs.mean, float(counts.mean())),
-                **_compared("max", theirs.largest, int(counts.max())),
-                "mean in contact": f"{counts[results.contact(scene)].mean():.1f}",
-                "mean, rounding counted": f"{exact.mean():.1f}",
-                "max, rounding counted": int(exact.max()),
-            }
+def _counts(results: Results, scene: str, basis: str) -> Row:
+    key = basis.lower()
+    paper: Counts = getattr(PAPER[scene], key)
+    counts, exact = results.counts(scene, key), results.counts(scene, f"{key}_exact")
+    return {
+        **{"scenario": _name(scene), "basis": basis},
+        **_compared("mean", paper.mean, float(counts.mean())),
+        **_compared("max", paper.largest, int(counts.max())),
+        "mean in contact": f"{counts[results.contact(scene)].mean():.1f}",
+        "mean, rounding counted": f"{exact.mean():.1f}",
+        "max, rounding counted": int(exact.max()),
+    }
 
 
 def _compared(what: str, paper: float, ours: float) -> Row:
@@ -147,12 +141,19 @@ def _compared(what: str, paper: float, ours: float) -> Row:
     }
 
 
-def _psnr_cells(
-    results: Results, scene: str, paper: Psnr, ratio: int, iterations: int = 30, few: bool = False
+def _psnr(
+    results: Results,
+    scene: str,
+    paper: Psnr,
+    named: Row,
+    ratio: int,
+    iterations: int = 30,
+    few: bool = False,
 ) -> Row:
-    """Cells of our frames from M = N / ratio beside the paper's; ratio 1: of the noisy signal."""
+    """PSNR of our frames from M = N / ratio beside the paper's; ratio 1: of the noisy signal."""
     values = results.ours(scene, ratio, iterations, few)
     return {
+        **{"scenario": _name(scene), **named},
         **_compared("mean", paper.mean, float(values.mean())),
         **_compared("min", paper.low, float(values.min())),
         **_compared("max", paper.high, float(values.max())),
@@ -160,29 +161,17 @@ def _psnr_cells(
     }
 
 
-def _noisy(results: Results) -> Iterator[Row]:
-    for scene, paper in PAPER.items():
-        yield {"scenario": _name(scene), **_psnr_cells(results, scene, paper.noisy, 1)}
-
-
 def _by_ratio(results: Results, few: bool) -> Iterator[Row]:
     for scene, paper in PAPER.items():
-        for ratio in RATIOS:
-            cells = _psnr_cells(results, scene, paper.by_ratio[ratio], ratio, few=few)
-            yield {"scenario": _name(scene), "M": paper.n // ratio, **cells}
+        for ratio, psnr in paper.by_ratio.items():
+            yield _psnr(results, scene, psnr, {"M": paper.n // ratio}, ratio, few=few)
 
 
-def _by_iterations(results: Results) -> Iterator[Row]:
-    for scene, paper in PAPER.items():
-        for k in ITERATIONS:
-            cells = _psnr_cells(results, scene, paper.by_iterations[k], 3, k)
-            time_ms = results.times[scene, k]["mean_ms"]
-            yield {
-                **{"scenario": _name(scene), "iterations": k},
-                **{"time paper ms": paper.time_ms[k], "ours ms": f"{time_ms:.2f}"},
-                "times faster": f"{paper.time_ms[k] / time_ms:.0f}",
-                **cells,
-            }
+def _time(results: Results, scene: str, k: int) -> Row:
+    paper, ours_ms = PAPER[scene], results.times[scene, k]["mean_ms"]
+    times = {"time paper ms": paper.time_ms[k], "ours ms": f"{ours_ms:.2f}"}
+    named = {"iterations": k, **times, "times faster": f"{paper.time_ms[k] / ours_ms:.0f}"}
+    return _psnr(results, scene, paper.by_iterations[k], named, 3, k)
 
 
 def _untouched(lambdas_n: Sequence[float], highest_db: Highest) -> Iterator[Row]:
@@ -282,9 +271,7 @@ def _draw_sequences(out: Path, results: Results) -> dict[str, Any]:
                     axes.plot(
                         *(frames * scene_of(scene).dt_ns * 1e-6, values[part]),
                         label=label,
-                        color=PALETTE[k],
-                        linestyle=LINES[k],
-                        marker=MARKERS[k],
+                        **{"color": PALETTE[k], "linestyle": LINES[k], "marker": MARKERS[k]},
                         markersize=4,
                         markevery=(k * 5 % 30, max(1, len(frames) // 8)),
                     )

@@ -105,7 +105,7 @@ def test_the_page_answers_in_words_and_leaves_tables_and_charts(tmp_path: Path) 
     assert "42.5 (41.5)" in page
     assert "Learning from other bodies adds to Haar on the same tiles +0.0 dB" in page
     assert "acts is above paper in 0 of 3 scenes" in page
-    for name in ("bases.csv", "sampling.csv", "energy.png", "restored.svg", "sampling.png"):
+    for name in ("bases.csv", "sampling.csv", "energy.png", "reconstructed.svg", "sampling.png"):
         assert (tmp_path / name).stat().st_size > 100
 
 
