@@ -13,6 +13,9 @@ from typing import Any
 
 from .errors import SparseskinError
 
+USER_MODULES: set[str] = set()
+"""Modules of the user's own that were imported: their code has run."""
+
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Hint for an unknown word: ' (did you mean 'iterations'?)', else the list of known ones."""
@@ -81,6 +84,8 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)
     importlib.invalidate_caches()
+    if parts[0] != "sparseskin":
+        USER_MODULES.add(module_name)
     try:
         found: Any = importlib.import_module(module_name)
     except ModuleNotFoundError as cause:

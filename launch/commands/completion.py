@@ -247,13 +247,13 @@ def node_types(name: str) -> dict[str, str]:
     """Type of each node of a launch file, by its name; none where it cannot be read."""
     import tomllib
 
-    path = Path(name).expanduser()
-    if path.suffix != ".toml" and len(path.parts) < 2:
-        path = LAUNCH_FILES / f"{name}.toml"
     try:
+        path = Path(name).expanduser()
+        if path.suffix != ".toml" and len(path.parts) < 2:
+            path = LAUNCH_FILES / f"{name}.toml"
         tables = tomllib.loads(path.read_text(encoding="utf-8")).get("nodes", {})
         return {name: str(table.get("type", "")) for name, table in tables.items()}
-    except (OSError, ValueError, RecursionError, AttributeError):
+    except (OSError, ValueError, RuntimeError, AttributeError):
         return {}  # the command names the fault when it is run
 
 

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 
 def main() -> int:
     """Run the command; return its exit code."""
+    open_standard_files()
     try:
         keep_bytecode()
         if sys.argv[1:2] == ["study"]:
@@ -31,6 +32,20 @@ def main() -> int:
         return 1
 
 
+def open_standard_files() -> None:
+    """Open /dev/null in place of each of stdin, stdout and stderr that is closed, since the next
+    file to be opened would get its number.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+    for name, number, mode in (("stdin", 0, "r"), ("stdout", 1, "w"), ("stderr", 2, "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, mode, closefd=False))
+
+
 def keep_bytecode() -> None:
     """Store bytecode in the user's cache folder, for this process and those that it starts, where
     modules have none and PYTHONDONTWRITEBYTECODE keeps them from getting any.
@@ -46,6 +61,8 @@ def keep_bytecode() -> None:
     ]
     if not all(path and os.path.exists(path) for path in stored):
         cache_home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+        if not os.path.isabs(cache_home):  # no home is known; code is not loaded from anywhere else
+            return
         sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = f"{cache_home}/sparseskin/bytecode"
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
         sys.dont_write_bytecode = False

@@ -32,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--frames", metavar="K", type=whole(1), help="end each source after K frames"
     )
-    about = "check the launch file, print the graph, start none"
+    about = "check the launch file (modules that it names are imported), print the graph"
     parser.add_argument("--dry-run", action="store_true", help=about)
     about = "run the part of this host, of a graph of several"
     parser.add_argument("--host", metavar="NAME", help=about)
@@ -54,8 +54,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def _launch(arguments: argparse.Namespace) -> int:
     from sparseskin.launch.launchfile.load import load
     from sparseskin.launch.launchfile.spec import LaunchError
+    from sparseskin.nodes.lookup import USER_MODULES
     from sparseskin.nodes.monitor.node import Monitor
 
+    USER_MODULES.clear()
     launch = load(arguments.name, arguments.set, arguments.record)
     wanted = ["browser=true"] * arguments.open + ["token=false"] * arguments.no_token
     if wanted:
@@ -66,6 +68,11 @@ def _launch(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         from sparseskin.launch.launchfile.graph_text import graph_text, write_graph
 
+        if USER_MODULES:
+            print(
+                f"imported, so run, to be checked: {', '.join(sorted(USER_MODULES))}",
+                file=sys.stderr,
+            )
         for form, path in pictures.items():
             write_graph(launch, form, path)
         print(graph_text(launch))
@@ -88,18 +95,20 @@ def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
     code = launcher.run()
     if run_log is not None:
         run_log.close()
-        if code in (EXIT_FAILED, EXIT_USAGE):
-            print(f"logs of the nodes: {run_log.folder}", file=sys.stderr)
     summary = launcher.summary()
     sensed = {name: p for name, p in summary["patches"].items() if p["frames"]["sensed"]}
     patches = sensed or summary["patches"]  # none where the monitor is on another host
-    if patches and (sensed or code != EXIT_USAGE):
-        print(summary_table(patches))
+    try:
+        if patches and (sensed or code != EXIT_USAGE):
+            print(summary_table(patches), flush=True)
+    finally:  # stdout may be on a full disk
+        write_summary(arguments.summary, {"sparseskin": version("sparseskin"), **summary})
+    if run_log is not None and code in (EXIT_FAILED, EXIT_USAGE):
+        print(f"logs of the nodes: {run_log.folder}", file=sys.stderr)
     for name, patch in sensed.items():
         if not patch["frames"]["reconstructed"]:
             print(f"{name}: not one frame was reconstructed", file=sys.stderr)
             code = code or 1
-    write_summary(arguments.summary, {"sparseskin": version("sparseskin"), **summary})
     return code
 
 

@@ -18,7 +18,7 @@ from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.registry import make_settings, node_class
 
 from .hosts import check_exposure, give_ports, read_hosts, read_place, read_security
-from .spec import LaunchError, LaunchFile, NodeSpec
+from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
 from .toml import parse_toml
 
 TRANSPORTS = ("ipc", "tcp")
@@ -161,6 +161,10 @@ class Checker:
                 continue
             if not isinstance(table, dict):
                 self.fault(("nodes", name), f"expected a table [nodes.{name}]")
+                continue
+            if name == LAUNCHER or name.startswith(LIVE_RECORDER):
+                own = f"'{LAUNCHER}' and '{LIVE_RECORDER}...' are names of the launcher's own"
+                self.fault(("nodes", name), own)
                 continue
             good[name] = dict(table)
         return good

@@ -16,6 +16,11 @@ from sparseskin.nodes.node import Node
 
 from .hosts import Credentials, Host, Security, read_credentials
 
+LAUNCHER = "launch"
+"""Name of the launcher itself, as the receiver of requests and in the log."""
+LIVE_RECORDER = "live_recorder_"
+"""Begin of the names of recorders that are started while a graph runs."""
+
 
 class LaunchError(SparseskinError):
     """A launch file that cannot be used; `lines` holds one line an error, each with its place."""

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sparseskin.launch.launchfile.spec import LaunchFile
+from sparseskin.launch.launchfile.spec import LAUNCHER, LaunchFile
 from sparseskin.nodes.errors import RefusedError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.control import MAX_DEPTH, is_shallow
@@ -28,8 +28,6 @@ NEWS_S = 0.5
 Reply = Callable[[dict[str, Any]], None]
 """Called with the answer: {id, node, done, text}."""
 
-LAUNCHER = "launch"
-"""Name of the launcher itself as the receiver of a request."""
 PATIENCE_S = 5.0
 """Longest time that a node may take to answer, seconds."""
 MAX_OPEN = 256

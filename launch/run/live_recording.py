@@ -7,13 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 from sparseskin.launch.launchfile.load import single_node
-from sparseskin.launch.launchfile.spec import LaunchFile
+from sparseskin.launch.launchfile.spec import LIVE_RECORDER, LaunchFile
 from sparseskin.nodes.errors import RefusedError, SparseskinError
 
 from .fleet import Fleet
 from .process import NodeProcess
 
-LIVE_RECORDER = "live_recorder_"
 Say = Callable[[bool, str], None]
 
 

@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import re
-import shutil
 import time
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
-from sparseskin.launch.launchfile.spec import LaunchError
+from sparseskin.launch.launchfile.spec import LAUNCHER, LaunchError
 
 MAX_FILE_BYTES = 2_000_000
 """Size at which a file becomes NAME.log.1, in place of the one before it, bytes."""
 MAX_RUNS = 20
 """Most folders of runs that are kept beside each other; the oldest are removed."""
-LAUNCHER = "launch"
+MARK = ".sparseskin"
+"""File of a run whose text is the name of its folder: without it none is removed."""
+_FILE = re.compile(r"[A-Za-z0-9_.-]+\.log(\.1)?")
 _RUN = re.compile(r".+-\d{8}-\d{6}-\d+")
 _NAMED = re.compile(r"\[([A-Za-z0-9_.-]+)\] (.*)", re.DOTALL)
 
 
 def default_log_dir() -> Path:
-    """Folder of the runs where none is stated."""
+    """Folder of the runs where none is stated.
+    Raises LaunchError if the home directory is not known.
+    """
     state = os.environ.get("XDG_STATE_HOME")
-    return (Path(state) if state else Path.home() / ".local" / "state") / "sparseskin" / "log"
+    try:
+        home = Path(state) if state else Path.home() / ".local" / "state"
+    except RuntimeError as error:
+        raise LaunchError(["log_dir: no home directory is known; set XDG_STATE_HOME"]) from error
+    return home / "sparseskin" / "log"
 
 
 def time_text(now_s: float) -> str:
@@ -53,7 +61,7 @@ class RunLog:
     Raises
     ------
     LaunchError
-        If the folder cannot be made.
+        If the folder cannot be made, or exists already.
     """
 
     def __init__(self, parent: Path, name: str, now_s: float) -> None:
@@ -63,10 +71,12 @@ class RunLog:
         self._files: dict[str, _NodeFile] = {}
         try:
             # Of this user alone: the address of the live page is logged with its token.
-            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self.folder.mkdir(mode=0o700, parents=True)
         except OSError as error:
             raise LaunchError([f"log_dir: {self.folder}: {error.strerror}"]) from error
-        _clear(parent)
+        with contextlib.suppress(OSError):  # the disk is full: the first line reports it
+            (self.folder / MARK).write_text(self.folder.name)
+            _clear(parent)
 
     def write(self, line: str, now_s: float) -> None:
         """Write one line "[NAME] TEXT" into the file of that node, with date and time."""
@@ -87,12 +97,25 @@ class RunLog:
     def close(self) -> None:
         """Close all files."""
         for file in self._files.values():
-            file.close()
+            with contextlib.suppress(OSError):  # the disk is full
+                file.close()
         self._files.clear()
 
 
 def _clear(parent: Path) -> None:
-    """Remove the oldest folders of runs; other folders stay."""
-    runs = [path for path in parent.iterdir() if path.is_dir() and _RUN.fullmatch(path.name)]
-    for path in sorted(runs, key=lambda run: run.stat().st_mtime)[:-MAX_RUNS]:
-        shutil.rmtree(path, ignore_errors=True)
+    """Remove the log files of the oldest runs, and their folders where nothing else is in them."""
+    runs = [path for path in parent.iterdir() if _RUN.fullmatch(path.name) and _is_run(path)]
+    for run in sorted(runs, key=lambda run: run.stat().st_mtime)[:-MAX_RUNS]:
+        with contextlib.suppress(OSError):
+            for path in run.iterdir():
+                if _FILE.fullmatch(path.name) and path.is_file():
+                    path.unlink()
+            if [path.name for path in run.iterdir()] == [MARK]:
+                (run / MARK).unlink()
+                run.rmdir()
+
+
+def _is_run(path: Path) -> bool:
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        return not path.is_symlink() and (path / MARK).read_text() == path.name
+    return False

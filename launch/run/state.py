@@ -8,12 +8,11 @@ import socket
 from collections.abc import Iterable
 from typing import Any
 
-from sparseskin.launch.launchfile.spec import LaunchFile
+from sparseskin.launch.launchfile.spec import LIVE_RECORDER, LaunchFile
 from sparseskin.nodes.host import is_latched
 from sparseskin.nodes.process.control import COUNTED
 
 from .fleet import Fleet
-from .live_recording import LIVE_RECORDER
 from .process import NodeProcess
 
 

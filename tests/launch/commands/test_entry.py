@@ -48,3 +48,12 @@ def test_a_stated_folder_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "pycache_prefix", "/stated")
     entry.keep_bytecode()
     assert sys.pycache_prefix == "/stated"
+
+
+def test_no_bytecode_is_loaded_from_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored_at(tmp_path / "none.pyc", monkeypatch)
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    entry.keep_bytecode()
+    assert sys.pycache_prefix is None

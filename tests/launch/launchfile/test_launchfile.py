@@ -281,3 +281,11 @@ def test_a_csv_of_numbers_is_described_before_a_process_starts(
         load("replay", changes)
     assert lacks in str(refused.value)
     load("replay", [*changes, "sensor.n_rows=2", "sensor.unit=N"])
+
+
+@pytest.mark.parametrize("name", ["launch", "live_recorder_", "live_recorder_1"])
+def test_names_of_the_launchers_own_are_refused(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "g.toml"
+    path.write_text(f'[nodes.{name}]\ntype = "sensor"\n')
+    with pytest.raises(LaunchError, match=rf"g.toml:1: nodes.{name}: 'launch' and 'live_recorder_"):
+        load(str(path))

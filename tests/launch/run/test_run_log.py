@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import os
+import pwd
 import re
 from pathlib import Path
 
 import pytest
-from conftest import StartProgram
+from conftest import MountDisk, StartProgram
 
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.launch.run import run_log
-from sparseskin.launch.run.run_log import RunLog, default_log_dir, time_text
+from sparseskin.launch.run.run_log import MARK, RunLog, default_log_dir, time_text
 from sparseskin.launch.run.terminal import Terminal
 
 NOW_S = 1_700_000_000.125
@@ -23,7 +25,7 @@ def test_each_node_has_a_file_and_each_line_its_time(tmp_path: Path) -> None:
         log.write(line, NOW_S)
     log.close()
     assert re.fullmatch(r"drag-\d{8}-\d{6}-" + str(os.getpid()), log.folder.name)
-    found = {path.name: path.read_text().splitlines() for path in log.folder.iterdir()}
+    found = {path.name: path.read_text().splitlines() for path in log.folder.glob("*.log")}
     assert found.keys() == {"sensor.log", "my.node-2.log", "launch.log"}
     assert [line.split(" ", 2)[2] for line in found["sensor.log"]] == ["hot", "cold"]
     assert [line.split(" ", 2)[2] for line in found["launch.log"]] == ["no name", "[x/y] odd"]
@@ -56,7 +58,7 @@ def test_a_full_file_makes_room_and_one_before_it_is_kept(
     for k in range(500):
         log.write(f"[sensor] line {k}", NOW_S)
     log.close()
-    sizes = {path.name: path.stat().st_size for path in log.folder.iterdir()}
+    sizes = {path.name: path.stat().st_size for path in log.folder.glob("*.log*")}
     assert sizes.keys() == {"sensor.log", "sensor.log.1"}
     assert max(sizes.values()) < 1100
     assert "line 499" in "".join(path.read_text() for path in log.folder.iterdir())
@@ -70,12 +72,72 @@ def test_only_the_newest_runs_are_kept_and_nothing_else_is_touched(
     for k in range(5):
         run = tmp_path / f"drag-20240101-00000{k}-{k}"
         run.mkdir()
+        (run / MARK).write_text(run.name)
+        (run / "sensor.log").touch()
+        (run / "sensor.log.1").touch()
         os.utime(run, (k, k))
     log = RunLog(tmp_path, "drag", NOW_S)
     kept = {path.name for path in tmp_path.iterdir()}
     assert kept == {
         *("holiday-photos", log.folder.name, "drag-20240101-000003-3", "drag-20240101-000004-4"),
     }
+
+
+def test_folders_that_only_look_like_runs_stay_and_so_do_files_of_others_in_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_log, "MAX_RUNS", 1)
+    look, copied, kept, linked = (f"drag-20240101-00000{k}-1" for k in range(4))
+    for name, mark in ((look, None), (copied, look), (kept, kept)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "data.csv").write_text("1")
+        (tmp_path / name / "sensor.log").write_text("2")
+        if mark is not None:
+            (tmp_path / name / MARK).write_text(mark)
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / MARK).write_text(linked)
+    (tmp_path / "elsewhere" / "sensor.log").touch()
+    (tmp_path / linked).symlink_to(tmp_path / "elsewhere")
+    log = RunLog(tmp_path, "drag", NOW_S)
+    there = {path.name: {p.name for p in path.iterdir()} for path in tmp_path.iterdir()}
+    assert there == {
+        look: {"data.csv", "sensor.log"},
+        copied: {"data.csv", "sensor.log", MARK},
+        kept: {"data.csv", MARK},
+        "elsewhere": {MARK, "sensor.log"},
+        linked: {MARK, "sensor.log"},
+        log.folder.name: {MARK},
+    }
+
+
+def test_a_folder_that_another_has_put_there_is_not_used(tmp_path: Path) -> None:
+    folder = RunLog(tmp_path, "drag", NOW_S).folder
+    with pytest.raises(LaunchError, match="File exists"):
+        RunLog(tmp_path, "drag", NOW_S)
+    assert folder.stat().st_mode & 0o077 == 0
+
+
+def test_a_full_disk_keeps_neither_table_nor_summary_back(
+    start: StartProgram, mount_disk: MountDisk, tmp_path: Path
+) -> None:
+    disk = mount_disk("64k")
+    (tmp_path / "wordy.py").write_text(
+        "import time\nimport numpy as np\ndef frames():\n"
+        "    for k in range(100):\n"
+        "        print('word ' * 1000)\n"
+        "        time.sleep(0.02)\n"
+        "        yield k, np.ones((8, 8))\n"
+    )
+    program = start(
+        *("launch", "replay", "--set", "sensor.source=wordy:frames", "--log-dir", str(disk)),
+        *("--set", "monitor.page=false", "--summary", "summary.json"),
+    )
+    code, stdout, stderr = program.finish()
+    assert code == 0, stderr
+    assert "no more logs: " in stderr
+    assert "Traceback" not in stderr
+    assert "sensed 100, reconstructed 100" in stdout
+    assert json.loads((tmp_path / "summary.json").read_text())["patches"]
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
@@ -105,6 +167,19 @@ def test_the_default_folder_is_the_users_own(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.delenv("XDG_STATE_HOME")
     monkeypatch.setenv("HOME", "/h")
     assert default_log_dir() == Path("/h/.local/state/sparseskin/log")
+
+
+def test_where_no_home_directory_is_known_there_are_no_log_files(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def unknown(*_: object) -> None:
+        raise KeyError("uid not found")
+
+    for name in ("HOME", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    with pytest.raises(LaunchError, match="no home directory is known; set XDG_STATE_HOME"):
+        default_log_dir()
 
 
 def test_the_launch_file_names_a_folder(tmp_path: Path) -> None:
