@@ -191,6 +191,8 @@ class PatchMetrics:
         self._sensed, self._reconstructed = StreamCount(late), StreamCount(late)
         self._first_ns: int | None = None if late else 0
         self._joining = late
+        self._answered_ns = 0
+        self._ended = False
         self.bytes_in = self.bytes_out = 0
         self.bits: int | None = None
         self.lost_so_far = self.skipped = 0
@@ -215,7 +217,17 @@ class PatchMetrics:
     @property
     def lost(self) -> int:
         """Number of frames that were sensed, and neither reconstructed nor skipped on purpose."""
-        return max(0, self.sensed - self.reconstructed - self.skipped)
+        return max(0, self.sensed - self.reconstructed - self.skipped - self._under_way)
+
+    @property
+    def _under_way(self) -> int:
+        """Number of frames of the last second that wait for their reconstruction, where a late
+        subscriber stops before the stream ends.
+        """
+        if self._ended or not self._sensed.late:
+            return 0
+        after_ns = max(self._answered_ns, next(reversed(self._pending), 0) - JOINING_NS)
+        return sum(ns > after_ns and frame.n_sensed > 0 for ns, frame in self._pending.items())
 
     def add(self, message: Message) -> FrameMetrics | None:
         """Add one message of the patch; return the frame that it completes, if any."""
@@ -248,6 +260,7 @@ class PatchMetrics:
             case Resultant():
                 self._pair(message.stamp_ns).resultant = message
             case Reconstruction():
+                self._answered_ns = message.stamp_ns
                 self.latency_ns = self._delay.of(message)
                 if self.latency_ns is not None:
                     self.latency.add(self.latency_ns)
@@ -271,6 +284,7 @@ class PatchMetrics:
             self._sensed.end(n_messages)
         elif schema == Reconstruction.schema:
             self._reconstructed.end(n_messages)
+            self._ended = True
 
     def _join(self, stamp_ns: int) -> None:
         """Ignore frames whose taxels came before reconstructions were received."""

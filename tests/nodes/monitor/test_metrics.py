@@ -240,7 +240,7 @@ def test_frames_that_were_skipped_on_purpose_are_not_lost(late: bool) -> None:
             metrics.add(told)
             n_restored += 1
             assert metrics.lost_so_far == (3 if seq == 8 else 0)
-    assert (metrics.skipped, metrics.lost) == (3, 4)  # frame 9 is under way
+    assert (metrics.skipped, metrics.lost) == (3, 3 if late else 4)  # frame 9 is under way
 
 
 def test_frames_that_are_never_reconstructed_do_not_accumulate() -> None:
@@ -436,3 +436,19 @@ def test_of_one_host_nothing_is_uncertain() -> None:
 def test_while_either_clock_is_not_known_there_is_no_latency(unknown: str) -> None:
     delay = Delay(lambda topic: None if topic == unknown else SAME_CLOCK)
     assert delay.of(reconstructed(1, 2)) is None
+
+
+def test_a_late_monitor_that_stops_early_counts_no_frame_under_way_as_lost() -> None:
+    metrics = PatchMetrics(late=True)
+    metrics.add(skin())
+    for seq in range(10):
+        answered = seq < 8 and seq != 4  # 4 is lost; 8 and 9 are under way
+        for message in frame(seq, 1.0, 1.0, 1.0 if answered else None):
+            if not (isinstance(message, Reconstruction) and seq > 4):
+                metrics.add(message)
+                continue
+            metrics.add(dataclasses.replace(message, seq=seq - 1))
+    assert (metrics.sensed, metrics.reconstructed, metrics.lost) == (10, 7, 1)
+    metrics.end("taxels", 10)
+    metrics.end("reconstruction", 7)
+    assert metrics.lost == 3
