@@ -48,32 +48,33 @@ class Tap(Node):
         return ()
 """
 
-SLOW = """
-import time
-from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
-
-class Slow(FistaSolver):
-    def finish(self):
-        time.sleep(0.002)
-        return super().finish()
-"""
-
 FAST = """
 import pathlib
 import time
 import numpy as np
 from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
 
+N = {n_frames}
+FIRST, SENT, GO = map(pathlib.Path, ("first", "sent", "go"))
+
+def wait_for(path):
+    while not path.exists():
+        time.sleep(0.01)
+
 def frames():
     forces = np.full((16, 16), 0.5)
-    for k in range(6000):
+    yield 0, forces
+    if {first_alone}:
+        wait_for(FIRST)
+    for k in range(1, N):
         yield k, forces
-    pathlib.Path("sent").touch()
+    SENT.touch()
 
 class Held(FistaSolver):
     def finish(self):
-        while not pathlib.Path("go").exists():
-            time.sleep(0.01)
+        if not {first_alone} or FIRST.exists():
+            wait_for(GO)
+        FIRST.touch()
         return super().finish()
 """
 
@@ -288,9 +289,10 @@ def test_a_driver_that_blocks_does_not_outlive_a_killed_launcher(
 def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
     start: StartProgram, tmp_path: Path
 ) -> None:
-    (tmp_path / "fast.py").write_text(FAST)
+    (tmp_path / "fast.py").write_text(FAST.format(n_frames=6000, first_alone=False))
     program = start(
         *("launch", "replay", "--set", "sensor.source=fast:frames", "--summary", "out.json"),
+        *("--set", "sensor.rate_hz=4000"),  # one without a rate waits for its readers
         *("--set", "reconstructor.solver=fast:Held", "--set", "reconstructor.iterations=1"),
     )
     # The first frame is solved when all have been sent: three times what the queues hold.
@@ -309,12 +311,17 @@ def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
 def test_one_that_takes_the_newest_alone_says_how_many_it_skipped(
     start: StartProgram, tmp_path: Path
 ) -> None:
-    (tmp_path / "slow.py").write_text(SLOW)
-    code, _, stderr = start(
-        *("launch", "path_40", "--frames", "600", "--summary", "out.json"),
-        *("--set", "sensor.rate_hz=2000", "--set", "reconstructor.solver=slow:Slow"),
-        *("--set", "reconstructor.iterations=1", "--set", "reconstructor.depth=1"),
-    ).finish()
+    (tmp_path / "fast.py").write_text(FAST.format(n_frames=600, first_alone=True))
+    program = start(
+        *("launch", "replay", "--set", "sensor.source=fast:frames", "--summary", "out.json"),
+        *("--set", "sensor.rate_hz=4000"),  # one without a rate waits for its readers
+        *("--set", "reconstructor.solver=fast:Held", "--set", "reconstructor.iterations=1"),
+        *("--set", "reconstructor.depth=1"),
+    )
+    # The second frame is solved when all others wait.
+    wait_until((tmp_path / "sent").exists, "the last frame")
+    (tmp_path / "go").touch()
+    code, _, stderr = program.finish()
     assert code == 0, stderr
     summary = json.loads((tmp_path / "out.json").read_text())
     frames, node = summary["patches"]["skin"]["frames"], summary["nodes"]["reconstructor"]
