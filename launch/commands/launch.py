@@ -69,10 +69,8 @@ def _launch(arguments: argparse.Namespace) -> int:
         from sparseskin.launch.launchfile.graph_text import graph_text, write_graph
 
         if USER_MODULES:
-            print(
-                f"imported, so run, to be checked: {', '.join(sorted(USER_MODULES))}",
-                file=sys.stderr,
-            )
+            modules = ", ".join(sorted(USER_MODULES))
+            print(f"imported, and so run, to be checked: {modules}", file=sys.stderr)
         for form, path in pictures.items():
             write_graph(launch, form, path)
         print(graph_text(launch))
