@@ -153,7 +153,7 @@ def _lay_out(tree: Path, modules: list[str]) -> None:
         "timeout_multiplier = 10.0",
         "timeout_constant = 5.0",
         f"pytest_add_cli_args_test_selection = {json.dumps(tests)}",
-        'pytest_add_cli_args = ["-m", "not slow", "-p", "no:xdist", "--hypothesis-seed=0"]',
+        'pytest_add_cli_args = ["-m", "not slow", "--hypothesis-seed=0"]',
         "[tool.pytest.ini_options]",
         'addopts = ["--import-mode=importlib", "--strict-markers"]',
         f"markers = {json.dumps(CONFIG['pytest']['ini_options']['markers'])}",

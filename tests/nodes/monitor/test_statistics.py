@@ -91,6 +91,12 @@ def test_a_slow_stream_keeps_the_smallest_ring() -> None:
     assert (first, len(rows)) == (1000, MIN_CAPACITY)
 
 
+def test_a_stream_that_fills_the_smallest_ring_in_less_than_a_minute_gets_a_larger_one() -> None:
+    n = MIN_CAPACITY + 10
+    first, rows = filled(n, 59.5 / MIN_CAPACITY).since(0)
+    assert (first, len(rows)) == (0, n)
+
+
 def test_it_grows_no_further_than_its_greatest_size(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(statistics, "MAX_CAPACITY", 2 * MIN_CAPACITY)
     n = 5 * MIN_CAPACITY

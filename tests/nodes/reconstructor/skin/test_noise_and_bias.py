@@ -200,6 +200,26 @@ def test_where_rows_rotate_frames_of_one_row_subset_are_compared() -> None:
     assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.15)
 
 
+@pytest.mark.parametrize(
+    ("n_subsets", "limit", "growth"), [(1, 4.0, 1.4), (3, 4.0, 1.05), (3, 2.5, 1.4)]
+)
+def test_where_rows_rotate_the_level_grows_slowly_unless_it_is_clearly_below_the_innovation(
+    n_subsets: int, limit: float, growth: float
+) -> None:
+    """By 5 % a frame where 0.7 of the squared innovation is all noise, else by 40 %."""
+    level = NoiseLevel(500)
+    frames = np.random.default_rng(0).normal(0, 1, (31, 500)).astype(np.float32)
+    for k, y in enumerate(frames):
+        level.use(k % n_subsets)
+        before = level.s2
+        if k < 30:
+            level.update(y, e2=SIGMA_N**2)
+    level.limit(limit * before)
+    level.update(y, e2=4 * before)
+    assert not level.jumped
+    assert level.s2 == pytest.approx(growth * before)
+
+
 def test_what_a_frame_leaves_unexplained_bounds_the_level_of_the_next() -> None:
     level = NoiseLevel(500)
     for y in np.random.default_rng(0).normal(0, 1, (30, 500)).astype(np.float32):
