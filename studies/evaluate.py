@@ -289,9 +289,7 @@ def evaluate(
 
 
 def evaluate_one(
-    estimator: Estimator,
-    frames: Iterable[tuple[Floats, Floats]],
-    f_max_n: float = PAPER_F_MAX_N,
+    estimator: Estimator, frames: Iterable[tuple[Floats, Floats]], f_max_n: float = PAPER_F_MAX_N
 ) -> Scores:
     """Run one estimator over frames; see `evaluate`."""
     return evaluate({"": estimator}, frames, f_max_n)[""]

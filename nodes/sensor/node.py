@@ -127,12 +127,7 @@ class Sensor(SourceNode[SensorSettings]):
         return SkinState(
             stamp_ns=self.context.clock.now_ns(),
             patch=self.settings.patch,
-            n_rows=skin.n_rows,
-            n_cols=skin.n_cols,
-            f_max=skin.f_max,
-            unit=skin.unit,
-            pitch_m=skin.pitch_m,
-            mask=skin.mask,
+            **vars(skin),
             source=self._source.name,
             seed=self.settings.seed,
             rate_hz=self.rate_hz,

@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from sparseskin.nodes.network.keys import KeyPair, make_key_files, read_key_pair
 from sparseskin.nodes.network.sockets import Reader, make_context
@@ -281,16 +281,34 @@ def _read_without_right(
         context.destroy(linger=0)
 
 
-CASES: dict[str, Callable[[dict[str, Any], Path], dict[str, Any]]] = {
-    "launcher": launcher,
-    "in a row": in_a_row,
-    "given up": given_up,
-    "full disk": full_disk,
-    "rate": ten_times_the_rate,
-    "clock": stepped_clock,
-    "driver": stepped_driver,
-    "subscribers": stalled_subscribers,
-    "keys": refused_readers,
+class Case(NamedTuple):
+    """A fault in words, and the function that makes it in a folder of its own."""
+
+    title: str
+    make: Callable[[dict[str, Any], Path], dict[str, Any]]
+
+
+CASES = {
+    "launcher": Case("kill -9 of the launcher", launcher),
+    "in a row": Case(
+        "kill -9 of the reconstructor 20 times in a row, `max_restarts = 100`", in_a_row
+    ),
+    "given up": Case("the same with the default policy", given_up),
+    "full disk": Case("the recorder's disk (1 MB) is full", full_disk),
+    "rate": Case(
+        "the sensor publishes at 10 times its rate for 3 s, more than the solver can process",
+        ten_times_the_rate,
+    ),
+    "clock": Case("the wall clock steps back by 1 h", stepped_clock),
+    "driver": Case("the stamps of a driver step back by 1 h", stepped_driver),
+    "subscribers": Case(
+        "100 subscribers of the sensor and 100 of the reconstructor never read",
+        stalled_subscribers,
+    ),
+    "keys": Case(
+        "readers with an unlisted key, a wrong key of the host and no key, on a secured graph",
+        refused_readers,
+    ),
 }
 
 

@@ -35,30 +35,19 @@ SIGNALS = {
     "SIGSEGV": "crash (SIGSEGV) of the {node}",
     "SIGSTOP": "SIGSTOP of the {node} for 5 s",
 }
-CASES = {
-    "launcher": "kill -9 of the launcher",
-    "in a row": "kill -9 of the reconstructor 20 times in a row, `max_restarts = 100`",
-    "given up": "the same with the default policy",
-    "full disk": "the recorder's disk (1 MB) is full",
-    "rate": "the sensor publishes at 10 times its rate for 3 s, more than the solver can process",
-    "clock": "the wall clock steps back by 1 h",
-    "driver": "the stamps of a driver step back by 1 h",
-    "subscribers": "100 subscribers of the sensor and 100 of the reconstructor never read",
-    "keys": "readers with an unlisted key, a wrong key of the host and no key, on a secured graph",
-}
 
 
 def signal_point(name: str, lot: int) -> dict[str, Any]:
     """A signal, sent some times to each node; lots differ by their number alone."""
-    common = {"fault": name, "signal": name, "repeats": REPEATS, "lot": lot}
-    return {**common, "stop_s": STOP_S, "rate_hz": RATE_HZ}
+    sent = {"signal": name, "repeats": REPEATS, "lot": lot}
+    return {"fault": name, **sent, "stop_s": STOP_S, "rate_hz": RATE_HZ}
 
 
 def case_points(quick: bool) -> list[dict[str, Any]]:
     """Every other fault, once."""
     seconds = 3.0 if quick else 10.0
     delays_s = (0, 0.2) if quick else (0.25, 2)
-    points = [{"fault": name, "seconds": seconds, "delays_s": delays_s} for name in CASES]
+    points = [{"fault": name, "seconds": seconds, "delays_s": delays_s} for name in cases.CASES]
     return [{**point, "seconds": 3.0} if point["fault"] == "rate" else point for point in points]
 
 
@@ -88,7 +77,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         if "signal" in point:
             return signals.measure(point, folder)
         try:
-            row = cases.CASES[point["fault"]](point, folder)
+            row = cases.CASES[point["fault"]].make(point, folder)
         except cases.NotPermittedError as error:
             return {"rows": [], "not_made": str(error)}
         except StudyError as error:
@@ -115,7 +104,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         repeats=" to ".join(str(n) for n in sorted({counts[0], counts[-1]})),
         table=pd.DataFrame(map(cells, rows)),
         not_made=[
-            f"{CASES[point['fault']]} ({figures['not_made']})"
+            f"{cases.CASES[point['fault']].title} ({figures['not_made']})"
             for point, figures in zip(made, found, strict=True)
             if "not_made" in figures
         ],
@@ -160,7 +149,7 @@ def name_of(row: dict[str, Any]) -> str:
     """The fault in words."""
     if row["fault"] in SIGNALS:
         return SIGNALS[row["fault"]].format(node=row["node"])
-    return CASES[row["fault"]]
+    return cases.CASES[row["fault"]].title
 
 
 def more_of(row: dict[str, Any]) -> str:

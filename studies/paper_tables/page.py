@@ -271,7 +271,9 @@ def _draw_sequences(out: Path, results: Results) -> dict[str, Any]:
                     axes.plot(
                         *(frames * scene_of(scene).dt_ns * 1e-6, values[part]),
                         label=label,
-                        **{"color": PALETTE[k], "linestyle": LINES[k], "marker": MARKERS[k]},
+                        color=PALETTE[k],
+                        linestyle=LINES[k],
+                        marker=MARKERS[k],
                         markersize=4,
                         markevery=(k * 5 % 30, max(1, len(frames) // 8)),
                     )

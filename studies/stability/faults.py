@@ -18,16 +18,7 @@ from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import write_csv
 
-from .frames import (
-    SHAPE,
-    N,
-    mean_scores,
-    measured,
-    read_excerpts,
-    reconstruct,
-    scores,
-    solver_for,
-)
+from .frames import SHAPE, N, mean_scores, measured, read_excerpts, reconstruct, scores, solver_for
 from .sweeps import Sweep, draw_sweeps, sweep_points, sweep_table
 
 M = N // 3

@@ -52,12 +52,7 @@ def import_file(
         state = SkinState(
             stamp_ns=0,
             patch=patch,
-            n_rows=skin.n_rows,
-            n_cols=skin.n_cols,
-            f_max=skin.f_max,
-            unit=skin.unit,
-            pitch_m=skin.pitch_m,
-            mask=skin.mask,
+            **vars(skin),
             source=frames.name,
             seed=0,
             rate_hz=frames.rate_hz if frames.rate_hz is not None else DEFAULT_RATE_HZ,
