@@ -19,7 +19,7 @@ from shells import words
 
 from sparseskin.launch.attach.client import Answer, ask_node
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.run.running import RunningGraph, announced, choose_graph
+from sparseskin.launch.run.running import RunningGraph, RunningNode, announced, choose_graph
 from sparseskin.messages import PhiState, decode
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -401,7 +401,10 @@ def test_two_graphs_are_named_and_one_is_chosen_by_name_or_process(
     graph: Program, folder: Path, run_json: RunJson, refused: Run
 ) -> None:
     label = f"path_40-{graph.process.pid}"
-    with announced(RunningGraph("other", 7, 0, "", {})):
+    nodes = {
+        "sensor": RunningNode("sensor", "ipc://nowhere", [])
+    }  # without one it cannot be joined
+    with announced(RunningGraph("other", 7, 0, "", nodes)):
         line = refused("node", "list")
         assert line == f"several graphs run; choose one with --graph: other-7, {label}"
         for chosen in ("path_40", label, str(graph.process.pid)):
