@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import socket
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -49,6 +50,19 @@ def check_private(folder: Path) -> None:
     else:
         return
     raise SparseskinError(f"{folder}: {fault} (allowed: a folder of your own with mode 0700)")
+
+
+def is_served(path: Path) -> bool:
+    """True if a process listens to the socket at a path, or might."""
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(str(path))
+        except (FileNotFoundError, ConnectionRefusedError):
+            return False
+        except OSError:
+            return True
+    return True
 
 
 def place(part: Path, path: Path) -> None:

@@ -12,7 +12,6 @@ import fcntl
 import json
 import os
 import re
-import socket
 import stat
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -20,10 +19,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.files import check_private
+from sparseskin.nodes.files import check_private, is_served
 from sparseskin.nodes.lookup import did_you_mean
-
-from .control_socket import short_path
 
 MAX_SOCKET_PATH_BYTES = 107
 """Longest path of a socket: sun_path of unix(7), less its end."""
@@ -237,24 +234,12 @@ def _remove(note: Path) -> None:
     for path in note.parent.glob(f"{number}.*sock"):
         named = re.fullmatch(rf"{number}(\.\d+)?\.sock", path.name)
         if named and stat.S_ISSOCK(path.lstat().st_mode):
-            if _is_served(path):
+            if is_served(path):
                 served = True
             else:
                 path.unlink(missing_ok=True)
     if not served:
         note.unlink(missing_ok=True)
-
-
-def _is_served(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
-        try:
-            with short_path(str(path)) as short:
-                probe.connect(short)
-        except ConnectionRefusedError:
-            return False
-        except BlockingIOError:  # its queue is full
-            return True
-    return True
 
 
 def _open(path: Path) -> IO[str]:

@@ -19,11 +19,13 @@ import contextlib
 import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import zmq
 
 from sparseskin.messages import MAX_MESSAGE_BYTES, Message, encode
+from sparseskin.nodes.files import is_served
 
 from .keys import KeyPair
 
@@ -148,6 +150,9 @@ class Writer:
         self._gate = gate
         if gate is not None:
             gate.guard(self.socket)
+        # Unlike all others, a bind to the path of a file replaces the one who listens there.
+        if endpoint.startswith("ipc:///") and is_served(Path(endpoint.removeprefix("ipc://"))):
+            raise zmq.ZMQError(zmq.EADDRINUSE)
         self.socket.bind(endpoint)
         self.endpoint = self.socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()
         if public:

@@ -60,9 +60,9 @@ class Station:
         return any(words in line for line in self.lines)
 
 
-@pytest.fixture(params=["tcp://127.0.0.1:*", "ipc://@sparseskin-gate-*"])
+@pytest.fixture(params=["tcp://127.0.0.1:*", "ipc://{}/s"])
 def endpoint(request: pytest.FixtureRequest, tmp_path: Any) -> str:
-    return str(request.param).replace("gate-*", f"gate-{tmp_path.name}")
+    return str(request.param).format(tmp_path)
 
 
 @pytest.fixture

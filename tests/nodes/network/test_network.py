@@ -73,17 +73,17 @@ def test_each_topic_has_the_clock_of_its_writers_host(context: zmq.Context[Any])
     ("config", "guarded"),
     [
         ({}, False),
-        ({"endpoint": "ipc://@sparseskin-network-{}"}, False),
+        ({"endpoint": "ipc://{}/s"}, False),
         ({"endpoint": "tcp://127.0.0.1:*"}, True),
         ({"public": "tcp://127.0.0.1:*"}, True),
-        ({"endpoint": "ipc://@sparseskin-network-{}", "security": SECURITY}, True),
+        ({"endpoint": "ipc://{}/s", "security": SECURITY}, True),
     ],
     ids=["inproc", "ipc", "tcp", "public", "keys"],
 )
 def test_a_gate_guards_what_has_keys_or_can_be_reached_over_tcp(
     context: zmq.Context[Any], tmp_path: Any, config: dict[str, Any], guarded: bool
 ) -> None:
-    config = {k: v.format(tmp_path.name) if k == "endpoint" else v for k, v in config.items()}
+    config = {k: v.format(tmp_path) if k == "endpoint" else v for k, v in config.items()}
     node, _ = network(context, **config)
     # The writer, and of the gate its authentication socket and its monitor.
     assert len(node.sockets) == (3 if guarded else 1)

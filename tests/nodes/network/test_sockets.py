@@ -16,9 +16,9 @@ from sparseskin.nodes.network.sockets import Reader, Writer, make_context
 TAXELS, PHI = "/skin/taxels", "/skin/phi"
 
 
-@pytest.fixture(params=["inproc://writer", "tcp://127.0.0.1:*", "ipc://@sparseskin-test-*"])
+@pytest.fixture(params=["inproc://writer", "tcp://127.0.0.1:*", "ipc://{}/s"])
 def endpoint(request: pytest.FixtureRequest, tmp_path: Any) -> str:
-    return str(request.param).replace("sparseskin-test-*", f"sparseskin-test-{tmp_path.name}")
+    return str(request.param).format(tmp_path)
 
 
 @pytest.fixture
