@@ -59,8 +59,9 @@ def keep_bytecode() -> None:
         for name in ("numpy", "sparseskin.launch.commands.cli")
         if (spec := find_spec(name))
     ]
-    if not all(path and os.path.exists(path) for path in stored):
-        cache_home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    cache_home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    # Where no home is known, "~" stays.
+    if os.path.isabs(cache_home) and not all(path and os.path.exists(path) for path in stored):
         if not os.path.isabs(cache_home):  # no home is known; code is not loaded from anywhere else
             return
         sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = f"{cache_home}/sparseskin/bytecode"

@@ -57,3 +57,10 @@ def test_no_bytecode_is_loaded_from_the_current_folder(
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     entry.keep_bytecode()
     assert sys.pycache_prefix is None
+
+
+def test_without_a_home_nothing_is_stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stored_at(tmp_path / "none.pyc", monkeypatch)
+    monkeypatch.setenv("XDG_CACHE_HOME", "~/.cache")
+    entry.keep_bytecode()
+    assert sys.pycache_prefix is None
