@@ -210,6 +210,7 @@ def test_a_refused_reader_tries_again_by_itself(
 
     wait_until(lambda: bool(served_again() or lines), "the reader's own line")
     assert "cannot connect to writer on edge" in lines[0]
+    assert "it does not let this host in (the key is not on its list)" in lines[0]
     station.gate._allowed[UNLISTED.public] = "mallory"  # somebody has put it on the list
     station.until(served_again, "the reader")
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from bags import frames, make_bag
 
 from sparseskin.messages import SkinState, Taxels, decode
-from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.convert.to_bag import import_file, recover_bag
@@ -51,6 +52,16 @@ def test_an_imported_bag_describes_the_skin_as_stated(
     assert state.rate_hz == rate_hz
     # The noise of a recording is its own.
     assert (state.has_truth, state.seed, state.sigma_mid, state.sigma_end) == (False, 0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("wrong", [{"n_rows": 4}, {"n_cols": 4}, {"f_max": 4.0}])
+def test_an_import_whose_settings_contradict_the_file_makes_no_bag(
+    tmp_path: Path, wrong: dict[str, Any]
+) -> None:
+    source = write_frames(tmp_path / "a.csv", ["0,1,2,3,4,5"] * 2)
+    with pytest.raises(SourceError, match=r"a\.csv"):
+        import_file(source, tmp_path / "a.mcap", **{"unit": "N", "f_max": 10.0, **SIZE, **wrong})
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
 
 
 def test_an_import_that_fails_half_way_leaves_no_part_of_a_bag(
