@@ -53,10 +53,11 @@ test-all: .venv/installed-dev
 	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) --durations=20 \
 	    --cov=messages --cov=nodes --cov=launch --cov=studies --cov=sparseskin --cov-report=term:skip-covered
 
-# Mutation testing: a sample of mutants of each core module, and the share that tests catch.
+# Mutation testing: a sample of mutants of each core module, and the share that tests catch (an
+# hour); some modules: make mutants MODULES="nodes/clock.py nodes/host.py".
 mutants: .venv/installed-dev
 	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[mutants]'
-	$(ONE_THREAD) $(BIN)/python .ci/mutants.py
+	$(ONE_THREAD) $(BIN)/python .ci/mutants.py $(MODULES)
 
 # The tests of solvers and operators under each kernel of OpenBLAS that this host can run.
 test-kernels: .venv/installed-dev
