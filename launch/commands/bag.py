@@ -13,6 +13,7 @@ from sparseskin.launch.attach.text import flowing
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.files import make_folder
 from sparseskin.nodes.lookup import find_callable
+from sparseskin.nodes.process.control import is_shallow
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX, BagError, TopicInfo
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES
 
@@ -227,7 +228,8 @@ def _entry(key: str, value: str) -> list[str]:
 def _shown(key: str, value: str) -> str:
     if key in _FLAT_JSON:
         try:
-            return _flat(json.loads(value))
+            found = json.loads(value)
+            return _flat(found) if is_shallow(found) else value
         except (ValueError, RecursionError):
             return value
     n_lines = len(value.splitlines())

@@ -41,7 +41,7 @@ def read_npy(raw: bytes) -> npt.NDArray[np.generic]:
                 shape, in_columns, dtype = np.lib.format.read_array_header_2_0(head)
     # NumPy and its parser of Python's literals raise ten kinds of error at malformed bytes.
     except Exception as error:
-        raise ArrayFileError("no readable NumPy file") from error
+        raise ArrayFileError("not a readable NumPy file") from error
     if dtype.hasobject:
         raise ArrayFileError("it holds Python objects; allowed are arrays of numbers")
     held = len(raw) - head.tell()
@@ -78,7 +78,7 @@ def read_npz(
     except ArrayFileError:
         raise
     except Exception as error:  # zipfile and zlib have as many
-        raise ArrayFileError("no readable NumPy file") from error
+        raise ArrayFileError("not a readable NumPy file") from error
 
 
 def _member(
@@ -89,7 +89,7 @@ def _member(
             raise ArrayFileError("compressed in a way that NumPy does not write")
         return read_npy(archive.read(member))
     except Exception as error:
-        why = str(error) if isinstance(error, ArrayFileError) else "no readable NumPy file"
+        why = str(error) if isinstance(error, ArrayFileError) else "not a readable NumPy file"
         raise ArrayFileError(f"array {ascii(name)[:40]}: {why}") from error
 
 

@@ -15,7 +15,7 @@ import mcap.records as mcap
 from mcap.opcode import Opcode
 
 from sparseskin.messages.errors import MessageError
-from sparseskin.messages.ranges import INT64_MAX
+from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
 
@@ -244,8 +244,10 @@ def _read_summary(file: BinaryIO, name: str) -> tuple[BagIndex | None, str]:
         return None, ""
     try:
         return _from_summary(file, name, footer.summary_start, tail_at), ""
-    # Checksums that match and content that does not: another program has changed the file.
-    except (Break, KeyError, TypeError, ValueError, RecursionError):
+    except BagError:
+        raise
+    # Checksums that match and content that does not, in any way: another program has changed it.
+    except Exception:
         return None, ""
 
 
@@ -262,6 +264,8 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
         elif record.opcode == Opcode.CHUNK_INDEX:
             chunk = parse(mcap.ChunkIndex.read, data, record.offset)
             offset, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
+            if index.chunks and offset < index.chunks[-1].record.stop:
+                raise Break(record.offset, "a chunk is listed twice")
             index.chunks.append(
                 ChunkSpan(
                     Record(Opcode.CHUNK, offset, offset + HEAD_BYTES, end),
@@ -276,7 +280,9 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
             index.describe(Opcode.METADATA, metadata, offset)
     topics = json.loads(index.metadata[TOPICS_RECORD][JSON_KEY])
     index.topics = {topic: _topic_info(values) for topic, values in topics.items()}
-    if index.topics.keys() != {channel.topic for channel in index.channels.values()}:
+    channels = set(index.channels.values())
+    stated = {BagChannel(topic, i.schema, i.version) for topic, i in index.topics.items()}
+    if index.topics.keys() != {channel.topic for channel in channels} or not stated <= channels:
         return None
     return index
 
@@ -290,10 +296,11 @@ def _record_at(file: BinaryIO, offset: int, stop: int, opcode: int) -> bytes:
 
 def _topic_info(values: dict[str, Any]) -> TopicInfo:
     for key, value in values.items():
-        if type(value) is not (str if key == "schema" else int):
+        low = -INT64_MAX if key.endswith("lag_ns") else 0
+        if type(value) is not str if key == "schema" else not is_whole(value, low, INT64_MAX):
             raise TypeError(key)
     info = TopicInfo(**values)
-    if dataclasses.asdict(info).keys() != values.keys():
+    if dataclasses.asdict(info).keys() != values.keys() or info.first_ns > info.last_ns:
         raise ValueError("incomplete")
     return info
 

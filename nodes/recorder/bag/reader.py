@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 from mcap.opcode import Opcode
 
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.process.control import is_shallow
 
 from .format import (
     COUNTS_RECORD,
@@ -166,4 +167,4 @@ def _counts(record: dict[str, str]) -> dict[str, Any] | None:
         found = json.loads(record.get(JSON_KEY, ""))
     except (ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return found if isinstance(found, dict) and is_shallow(found) else None

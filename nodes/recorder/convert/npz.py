@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 import zipfile
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -22,6 +24,10 @@ from sparseskin.nodes.recorder.bag.frames import (
     skin_of,
 )
 from sparseskin.nodes.recorder.bag.reader import BagReader
+
+MAX_PADDING = 8
+"""Most numbers with padding, in those recorded, where M changes; up to `MAX_PADDED`, any."""
+MAX_PADDED = 1 << 20
 
 
 def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
@@ -58,19 +64,18 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
 
 def _arrays(bag: BagReader, topics: list[str], folder: Path) -> list[Path]:
     """Write the frames to .npy files: a recording may be larger than the memory."""
-    shapes = _shapes(bag, topics)
+    shapes, counts = _measured(bag, topics)
     arrays: dict[str, npt.NDArray[np.float32]] = {}
     stamps: dict[str, npt.NDArray[np.int64]] = {}
     files = []
     for topic in topics:
-        info = bag.topics[topic]
-        name, stamps_name = array_names(info.schema)
+        name, stamps_name = array_names(bag.topics[topic].schema)
         paths = [folder / f"{name}.npy", folder / f"{stamps_name}.npy"]
         arrays[topic] = np.lib.format.open_memmap(
-            paths[0], mode="w+", dtype=np.float32, shape=(info.n_messages, *shapes[topic])
+            paths[0], mode="w+", dtype=np.float32, shape=(counts[topic], *shapes[topic])
         )
         stamps[topic] = np.lib.format.open_memmap(
-            paths[1], mode="w+", dtype=np.int64, shape=(info.n_messages,)
+            paths[1], mode="w+", dtype=np.int64, shape=(counts[topic],)
         )
         files += paths
     filled = dict.fromkeys(topics, 0)
@@ -84,10 +89,15 @@ def _arrays(bag: BagReader, topics: list[str], folder: Path) -> list[Path]:
     return files
 
 
-def _shapes(bag: BagReader, topics: list[str]) -> dict[str, tuple[int, ...]]:
+def _measured(bag: BagReader, topics: list[str]) -> tuple[dict[str, tuple[int, ...]], Counter[str]]:
+    """Shape and number of the frames of each topic, as they are; the file may state others."""
     shapes: dict[str, tuple[int, ...]] = {}
+    counts: Counter[str] = Counter()
+    sizes: Counter[str] = Counter()
     for frame in frames(bag, topics, "measure"):
         topic, shape = frame.message.topic, frame.array.shape
+        counts[topic] += 1
+        sizes[topic] += frame.array.size
         known = shapes.setdefault(topic, shape)
         if len(shape) == 1:
             shapes[topic] = max(known, shape)
@@ -96,7 +106,16 @@ def _shapes(bag: BagReader, topics: list[str]) -> dict[str, tuple[int, ...]]:
                 f"{bag.path}: {topic}, stamp {frame.message.stamp_ns}: a frame of "
                 f"{shape[0]} x {shape[1]} after some of {known[0]} x {known[1]}"
             )
-    return shapes
+    for topic in topics:
+        if topic not in shapes:
+            raise BagError(f"{bag.path}: {topic}: states messages, but holds none")
+        padded = counts[topic] * math.prod(shapes[topic])
+        if padded > max(MAX_PADDED, MAX_PADDING * sizes[topic]):
+            raise BagError(
+                f"{bag.path}: {topic}: {sizes[topic]} numbers would be padded to {padded}; at most "
+                f"{MAX_PADDING} times as many are allowed; export to csv"
+            )
+    return shapes, counts
 
 
 def _described(skin: SkinState | None, folder: Path) -> list[Path]:

@@ -128,7 +128,7 @@ class TestNpy:
         array[0, 0, 0] = 1.0
         with pytest.raises(SourceError, match="holds Python objects"):
             open_bytes(tmp_path, "skin.npy", npy_bytes(array, allow_pickle=True))
-        with pytest.raises(SourceError, match="no readable NumPy file"):
+        with pytest.raises(SourceError, match="not a readable NumPy file"):
             open_bytes(tmp_path, "skin.npy", b"\x80\x04K\x01.")
 
     def test_an_archive_under_the_other_suffix_is_named(self, tmp_path: Path) -> None:

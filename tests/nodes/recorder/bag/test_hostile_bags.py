@@ -1,0 +1,193 @@
+"""Bags whose checksums are right and whose content is wrong: never believed, never a traceback."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import N_COLS, N_ROWS, PHI, frames, make_bag, record, skin_state
+
+from sparseskin.launch.commands.bag import info_json, info_table
+from sparseskin.messages import Measurements
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.recorder.bag import mcap_writer
+from sparseskin.nodes.recorder.bag.format import BagError
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.recorder.bag.writer import BagWriter
+from sparseskin.nodes.recorder.convert.npz import export_npz
+
+N_FRAMES = 6
+Forge = Callable[[str, dict[str, str]], dict[str, str]]
+
+
+@pytest.fixture
+def forged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Forge], Path]:
+    """A bag whose metadata records are forged; the rest, and all checksums, are right."""
+
+    def make(forge: Forge) -> Path:
+        add = mcap_writer.McapWriter.add_metadata
+        path = tmp_path / "a.mcap"
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                mcap_writer.McapWriter,
+                "add_metadata",
+                lambda self, name, values: add(self, name, forge(name, values)),
+            )
+            make_bag(path, frames(N_FRAMES))
+        return path
+
+    return make
+
+
+def forged_topics(values: dict[str, str], **changes: Any) -> dict[str, str]:
+    topics = json.loads(values["json"])
+    for info in topics.values():
+        info.update(changes)
+    return {"json": json.dumps(topics)}
+
+
+def look(path: Path, out: Path) -> None:
+    """All that a user does with a bag; what is refused is one line that can be printed."""
+    try:
+        with BagReader(path) as bag:
+            assert all(line.isprintable() for line in info_table(bag).split("\n"))
+            json.loads(info_json(bag))
+            for written in export_npz(bag, out):
+                written.unlink()
+    except SparseskinError as error:
+        line = str(error)
+    else:
+        line = ""
+    assert line.isprintable()
+
+
+def resealed(data: bytearray) -> bytes:
+    """A file with its two checksums made right."""
+    start = int.from_bytes(data[-28:-20], "little")
+    if 21 <= start <= len(data) - 37:
+        data[start - 4 : start] = zlib.crc32(data[: start - 13]).to_bytes(4, "little")
+    data[-12:-8] = zlib.crc32(data[max(0, start) : -12]).to_bytes(4, "little")
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("null", "[]", "3", '"x"', "{}", '{"/skin/taxels": null}', '{"/skin/taxels": {}}', ""),
+        *("[" * 100_000, '{"a":' * 900 + "1" + "}" * 900, "9" * 5000, "NaN", "\x1b[2J"),
+    ],
+)
+@pytest.mark.parametrize("which", ["topics", "counts"])
+def test_metadata_of_any_json_are_read_past(
+    forged: Callable[[Forge], Path], tmp_path: Path, which: str, text: str
+) -> None:
+    path = forged(lambda name, values: {"json": text} if name == which else values)
+    with BagReader(path) as bag:
+        assert sum(1 for _ in bag.messages()) == 4 * N_FRAMES + 1
+    look(path, tmp_path / "out.npz")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        *({"n_messages": n} for n in (-5, 2**70, 0.5, True, None, "7")),
+        *({"first_ns": 5, "last_ns": 4}, {"min_lag_ns": 2**70}, {"schema": "truth"}),
+        *({"version": 99}, {"more": 1}),
+    ],
+)
+def test_counts_that_cannot_be_are_counted_anew(
+    forged: Callable[[Forge], Path], changes: dict[str, Any]
+) -> None:
+    path = forged(lambda name, v: forged_topics(v, **changes) if name == "topics" else v)
+    with BagReader(path) as bag:
+        assert bag.topics["/skin/taxels"].n_messages == N_FRAMES
+        assert bag.topics["/skin/taxels"].schema == "taxels"
+
+
+def test_an_export_is_as_large_as_its_frames_whatever_is_stated(
+    forged: Callable[[Forge], Path], tmp_path: Path
+) -> None:
+    path = forged(lambda name, v: forged_topics(v, n_messages=10**6) if name == "topics" else v)
+    with BagReader(path) as bag:
+        assert bag.topics["/skin/taxels"].n_messages == 10**6
+        (out,) = export_npz(bag, tmp_path / "out.npz")
+    with np.load(out) as held:
+        assert held["forces"].shape == (N_FRAMES, N_ROWS, N_COLS)
+        assert held["stamp_ns"].shape == (N_FRAMES,)
+
+
+def test_one_long_frame_among_short_ones_is_not_padded_without_limit(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with BagWriter(path, {}) as writer:
+        record(writer, skin_state())
+        for k, m in enumerate((100_000, *[1] * 100)):
+            y = np.zeros(m, np.float32)
+            record(writer, Measurements(stamp_ns=k, patch="skin", y=y, phi=PHI))
+        writer.close({})
+    text = "/skin/measurements: 100100 numbers would be padded to 10100000"
+    with BagReader(path) as bag, pytest.raises(BagError, match=text):
+        export_npz(bag, tmp_path / "out.npz")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_metadata_beyond_the_end_are_read_past(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finish = mcap_writer.McapWriter.finish
+
+    def elsewhere(self: Any) -> None:
+        self._metadata[-1].offset = 2**60
+        finish(self)
+
+    monkeypatch.setattr(mcap_writer.McapWriter, "finish", elsewhere)
+    payloads = make_bag(tmp_path / "a.mcap", frames(N_FRAMES))
+    with BagReader(tmp_path / "a.mcap") as bag:
+        assert [message.payload for message in bag.messages()] == payloads
+
+
+def test_a_chunk_that_is_listed_again_and_again_is_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    append = mcap_writer._Spool.append
+    monkeypatch.setattr(mcap_writer._Spool, "append", lambda self, data: append(self, 50 * data))
+    payloads = make_bag(tmp_path / "a.mcap", frames(N_FRAMES))
+    with BagReader(tmp_path / "a.mcap") as bag:
+        assert [message.payload for message in bag.messages()] == payloads
+
+
+def test_texts_of_any_length_and_kind_are_a_short_printable_table(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    foreign = "\x1b]0;x\x07\u202e"
+    metadata = {
+        "launch": "w" * 8_000_000,
+        foreign: foreign,
+        "phi": json.dumps({foreign: foreign}),
+        "versions": '{"a":' * 900 + "1" + "}" * 900,
+    }
+    with BagWriter(path, metadata) as writer:
+        record(writer, skin_state())
+        writer.close({foreign: {foreign: 1}, "lost": {"/skin/skin": foreign}})
+    with BagReader(path) as bag:
+        table = info_table(bag)
+    assert len(table) < 10_000
+    assert all(line.isprintable() for line in table.split("\n"))
+
+
+def test_a_mutated_bag_with_right_checksums_is_read_or_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    make_bag(path, frames(2), flush_every=3)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(600):
+        data = bytearray(whole)
+        # The end, of which most is the index, is changed as often as all before it.
+        first = len(data) // 2 if rng.integers(2) else 8
+        for _ in range(rng.integers(1, 4)):
+            data[int(rng.integers(first, len(data) - 8))] = int(rng.integers(256))
+        path.write_bytes(resealed(data))
+        look(path, tmp_path / "out.npz")
