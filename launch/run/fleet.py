@@ -219,6 +219,8 @@ class Fleet:
                 self._died(node, EXIT_FAILED, f"{node.name} ended too early: {exit_text(code)}")
 
     def _listen(self, node: NodeProcess) -> None:
+        if node.closed:
+            return
         events, log = node.read()
         for pipe in node.closed_pipes:
             if pipe in self._selector.get_map():

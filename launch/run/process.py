@@ -170,8 +170,6 @@ class NodeProcess:
     def read(self) -> tuple[list[dict[str, Any]], list[str]]:
         """Waiting (events, log lines): of each pipe a bounded part, for a flood has no end."""
         self.flush()
-        if self.closed:
-            return [], []
         *events, self._rest = (self._rest + self._chunk(self.pipes[0])).split(b"\n")
         chunk = self._chunk(self.pipes[1])
         log = self._log.take(chunk, awake_s(), at_end=self.pipes[1] in self.closed_pipes)
