@@ -5,7 +5,7 @@
 
 mutmut changes one expression at a time and runs the quick tests that reach it, up to the first that
 fails: those in the test file of the module's name, or in all of its folder where there is none
-(`TESTS_OF` has the exceptions). A mutant that runs ten times as long as its tests is caught. Texts
+(`TESTS_OF` has the exceptions). A mutant that runs five times as long as its tests is caught. Texts
 are left out: a changed letter of a message is no fault.
 
 The sample is the same as long as the code is. Survivors that need no test are in mutants.toml, each
@@ -150,8 +150,8 @@ def _lay_out(tree: Path, modules: list[str]) -> None:
         'source_paths = ["sparseskin"]',
         f"only_mutate = {json.dumps([f'sparseskin/{name}' for name in modules])}",
         'also_copy = ["tests"]',
-        "timeout_multiplier = 10.0",
-        "timeout_constant = 5.0",
+        "timeout_multiplier = 5.0",
+        "timeout_constant = 10.0",
         f"pytest_add_cli_args_test_selection = {json.dumps(tests)}",
         'pytest_add_cli_args = ["-m", "not slow", "--hypothesis-seed=0"]',
         "[tool.pytest.ini_options]",
