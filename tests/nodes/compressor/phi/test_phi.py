@@ -268,3 +268,20 @@ def test_measurements_are_the_same_bits_with_any_number_of_blas_threads() -> Non
     )
     one = run_python(code, OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
     assert one == run_python(code, OPENBLAS_NUM_THREADS="2", OMP_NUM_THREADS="2")
+
+
+@pytest.mark.parametrize(
+    ("kind", "parts"),
+    [
+        ("sbhe", ("permutation", "rows")),
+        ("subsample", ("rows",)),
+        ("gaussian", ("matrix",)),
+    ],
+)
+def test_the_numbers_that_a_fingerprint_is_of_cannot_be_changed(
+    kind: str, parts: tuple[str, ...]
+) -> None:
+    phi = make_phi(kind, 64, 20, seed=0)
+    for part in parts:
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(phi, part)[0] = 1
