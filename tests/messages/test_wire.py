@@ -171,7 +171,7 @@ def test_decoding_undoes_encoding(message: Message) -> None:
 
 
 @given(messages)
-def test_an_end_is_told_from_its_payload(message: Message) -> None:
+def test_an_end_is_recognised_by_its_payload(message: Message) -> None:
     assert is_end(encode(message)[1]) is isinstance(message, End)
 
 

@@ -195,7 +195,7 @@ def test_a_source_ends_with_its_last_frame() -> None:
     assert [m.seq for m in out] == [0, 1, 2, 3]
 
 
-def test_a_source_that_fails_ends_its_stream_and_says_why() -> None:
+def test_a_source_that_fails_ends_its_stream_and_reports_why() -> None:
     host, lines = make(Counter)
     host.node.fails_at = 1  # type: ignore[attr-defined]
     out = [m for k in range(2) for m in host.tick(Tick(k, k))]

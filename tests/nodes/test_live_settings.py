@@ -191,7 +191,7 @@ def test_a_refused_change_leaves_everything_as_it_was(node: str, changes: dict[s
         assert forces(frames, kind) == forces(untouched, kind)
 
 
-def test_noise_follows_its_setting_and_the_skin_says_so_first() -> None:
+def test_noise_follows_its_setting_and_the_skin_reports_it_first() -> None:
     frames = run(graph(), 8, 4, "sensor", {"noise": 0.0})
     assert isinstance(frames[4][0], SkinState)
     assert (frames[4][0].sigma_mid, frames[4][0].sigma_end) == (0.0, 0.0)

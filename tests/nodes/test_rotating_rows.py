@@ -55,7 +55,7 @@ def only(messages: Iterable[Message], kind: type[Any]) -> Any:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_frames_take_turns_and_each_is_inverted_by_its_own_matrix(solver: str) -> None:
+def test_row_subsets_alternate_and_each_frame_is_inverted_by_its_own_matrix(solver: str) -> None:
     bus = graph(ROTATING, "compressor.ratio=4", solver)
     frames = frames_of(bus, 10)
     prints = [phi.fingerprint for phi in row_subsets(make_phi("sbhe", 1600, 400, 0), "rotating")]
@@ -85,7 +85,7 @@ def test_frames_that_are_lost_cost_themselves_alone(solver: str) -> None:
             assert restored.residual < 0.05
 
 
-def test_a_matrix_of_none_of_the_turns_is_refused_by_name() -> None:
+def test_a_matrix_of_no_row_subset_is_refused_by_name() -> None:
     bus = graph(ROTATING)
     messages = frames_of(bus, 1)[0]
     node = Reconstructor(ReconstructorSettings(), Context("reconstructor", ManualClock(1)))
@@ -156,7 +156,7 @@ def test_reprocessed_from_its_measurements_a_recording_is_the_same_to_the_bit(
     assert len({m.phi for m in new}) == 3
 
 
-def test_replayed_from_the_middle_it_is_restored_as_by_one_who_joined_there(
+def test_replayed_from_the_middle_it_is_reconstructed_as_by_a_reconstructor_that_joined_there(
     recording: Path,
 ) -> None:
     schemas = ("skin", "phi", "measurements")

@@ -19,7 +19,7 @@ def sensor(clock: ManualClock, rate_hz: float | None = 100.0) -> Sensor:
     return made
 
 
-def test_a_pause_holds_the_source_until_it_is_told_to_go_on() -> None:
+def test_a_pause_holds_the_source_until_it_is_resumed() -> None:
     clock = ManualClock(5_000)
     source = sensor(clock)
     assert source.next_tick_ns() == 10_005_000
@@ -34,13 +34,13 @@ def test_a_pause_holds_the_source_until_it_is_told_to_go_on() -> None:
 
 
 @pytest.mark.parametrize(("stated_hz", "in_force_hz"), [(50.0, 50.0), (0.0, 0.0), (None, 100.0)])
-def test_the_rate_in_force_is_told_where_none_is_stated(
+def test_the_rate_in_force_is_reported_where_none_is_stated(
     stated_hz: float | None, in_force_hz: float
 ) -> None:
     assert sensor(ManualClock(), stated_hz).state()["rate_hz"] == in_force_hz
 
 
-def test_a_driver_has_its_own_pace_and_no_rate_is_told(
+def test_a_driver_has_its_own_pace_and_no_rate_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "paced_skin.py").write_text(

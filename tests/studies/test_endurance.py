@@ -48,7 +48,7 @@ def test_the_page_has_a_line_a_stream(tmp_path: Path, monkeypatch: pytest.Monkey
     assert (tmp_path / "endurance.csv").exists()
 
 
-def test_a_line_says_how_many_are_within_a_decibel() -> None:
+def test_a_line_reports_how_many_are_within_a_decibel() -> None:
     point = {"side": 20, "ratio": 3, "rows": "fixed"}
     figures = {
         **{"n_frames": 1000, "not_finite": 0, "largest_n": 2.0, "frame_ms": 0.25},

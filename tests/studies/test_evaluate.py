@@ -58,7 +58,7 @@ def test_a_method_is_the_solver_on_its_own_measurements() -> None:
     np.testing.assert_array_equal(method.reconstruct(FRAMES[0][1]).forces, expected[0])
 
 
-def test_rotating_rows_take_turns_and_hold_every_row_together() -> None:
+def test_rotating_row_subsets_together_hold_every_row() -> None:
     phis = phis_at(64, 3, ROTATING, seed=0)
     assert [phi.m for phi in phis] == [22, 22, 22]
     method = make_method(PRESETS["skin"], SHAPE, 3, seed=0, rows=ROTATING)

@@ -152,7 +152,7 @@ def test_a_deviation_is_zero_where_the_upper_ends_are_the_papers() -> None:
 CHARTS = ("maps", "psnr_by_m", "psnr_by_iterations", "untouched", "coefficients")
 
 
-def test_the_page_has_every_scenario_and_says_what_differs(tmp_path: Path) -> None:
+def test_the_page_has_every_scenario_and_reports_what_differs(tmp_path: Path) -> None:
     highest = {
         (side, few, ratio): [51.0, 52.0]
         for side, few in ((40, False), (40, True), (64, True))

@@ -107,7 +107,7 @@ def test_the_page_has_every_scene_that_was_looked_at(
         assert (tmp_path / name).stat().st_size > 100
 
 
-def test_a_quick_page_says_that_its_verdicts_are_of_shortened_scenes() -> None:
+def test_a_quick_page_states_that_its_verdicts_are_of_shortened_scenes() -> None:
     row = {"scene": "path_40", "variant": "roll", "verdict": "missing"}
     assert "**missing**: path_40: roll (of its first 1000 steps alone)" in summary(
         [row], quick=True

@@ -147,7 +147,7 @@ def made_up(quick: bool) -> Any:
 
 
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_the_page_shows_every_solver_and_says_what_is_absent(
+def test_the_page_shows_every_solver_and_reports_what_is_absent(
     quick: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # One scene of each size: the others add panels of the same kind.

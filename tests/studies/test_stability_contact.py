@@ -36,7 +36,7 @@ def test_propagator_is_the_matrix_exponential(omega_dt: float, c_dt_over_m: floa
 
 @pytest.mark.parametrize("method", INTEGRATORS)
 @given(omega_dt=decades, c_dt_over_m=decades, angle=st.floats(0.0, 6.3))
-def test_a_step_does_what_its_amplification_matrix_says(
+def test_a_step_does_what_its_amplification_matrix_predicts(
     method: str, omega_dt: float, c_dt_over_m: float, angle: float
 ) -> None:
     mass = Mass(omega_dt / DT_S, c_dt_over_m / DT_S, unilateral=False)

@@ -105,7 +105,7 @@ def test_each_ingredient_can_be_left_out_and_changes_the_result() -> None:
 _INDIFFERENT = (*("all of it", "doubt of a lagging filter", "caution where too much is explained"),)
 
 
-def test_the_page_holds_every_scene_and_says_what_is_missing(tmp_path: Path) -> None:
+def test_the_page_holds_every_scene_and_reports_what_is_missing(tmp_path: Path) -> None:
     times = {"p50_ms": 1.0, "p99_ms": 2.0}
 
     def figures(mean_db: float) -> dict[str, float]:

@@ -35,12 +35,12 @@ def test_an_array_in_full_has_every_element(monkeypatch: pytest.MonkeyPatch) -> 
     assert json.loads(json.dumps(plain(big, full=True)))["data"] == big.tolist()
 
 
-def test_quantised_numbers_tell_their_bits() -> None:
+def test_quantised_numbers_report_their_bits() -> None:
     y = Quantised.of(np.array([250, 255, 260]), 9, 0.5)
     assert text(y, full=False).startswith("float32 of 9 bits, 3: min ")
 
 
-def test_a_mask_tells_how_many_cells_it_has() -> None:
+def test_a_mask_reports_how_many_cells_it_has() -> None:
     assert text(FORCES > 3, full=False) == "bool, 3 x 4: 8 of 12 true"
 
 

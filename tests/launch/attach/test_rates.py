@@ -64,7 +64,7 @@ def test_intervals_are_between_messages_with_none_lost_between() -> None:
 
 
 @pytest.mark.parametrize("window", [2, 50, 990])
-def test_rates_are_the_same_however_late_messages_are_taken_in(window: int) -> None:
+def test_rates_are_the_same_however_late_messages_are_read(window: int) -> None:
     # 1 kHz, every 50 ms what has come since, but for half a second in which nothing is taken in.
     at_ms = [50 * (k // 50 + 1) if not 400 <= k < 900 else 900 for k in range(1000)]
     made = samples(*(arrival(k, at_ms[k], stamp_ms=k, n=93) for k in range(1000)))
@@ -107,7 +107,7 @@ def test_what_was_sent_before_the_first_that_came_is_no_loss() -> None:
     assert samples(arrival(70, 1), arrival(71, 2), arrival(75, 3)).lost == 3
 
 
-def test_an_end_tells_how_many_were_lost_last() -> None:
+def test_an_end_reports_how_many_were_lost_last() -> None:
     made = samples(arrival(70, 1), end(75))
     assert (made.n, made.lost) == (1, 4)
     assert samples(end(75)).lost == 0

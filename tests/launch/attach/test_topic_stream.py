@@ -130,7 +130,7 @@ def test_one_that_does_not_read_holds_up_nobody_and_learns_what_it_lost(
     assert 0 < losses.n == n + 1 - len(found)
 
 
-def test_one_that_is_patient_takes_in_what_waits_with_the_writer(publisher: Publisher) -> None:
+def test_a_patient_reader_receives_what_is_queued_at_the_writer(publisher: Publisher) -> None:
     with TopicStream(publisher.graph, TOPIC, patience_s=0.01) as stream:
         publisher.wait_for_subscription()
         publisher.send(1)
@@ -141,7 +141,7 @@ def test_one_that_is_patient_takes_in_what_waits_with_the_writer(publisher: Publ
 
 
 @pytest.mark.parametrize("payload", [b"", b"nonsense", b"\x80", b"\x81\xa6schema\xa3end", b"\xc1"])
-def test_what_is_no_message_is_counted_and_left_out(publisher: Publisher, payload: bytes) -> None:
+def test_invalid_messages_are_counted_and_skipped(publisher: Publisher, payload: bytes) -> None:
     with TopicStream(publisher.graph, TOPIC) as stream:
         publisher.wait_for_subscription()
         publisher.writer.socket.send_multipart((TOPIC.encode(), payload))

@@ -95,7 +95,7 @@ def test_duration_is_that_of_the_streams_whatever_the_age_of_a_state(
     assert json.loads(capsys.readouterr().out)["duration_s"] == pytest.approx(0.39)
 
 
-def test_info_of_a_broken_bag_says_what_survived(
+def test_info_of_a_broken_bag_reports_what_survived(
     bag: Bag, capsys: pytest.CaptureFixture[str]
 ) -> None:
     make_bag(Path("a.mcap"), frames(N_FRAMES))
@@ -340,7 +340,7 @@ def test_rosbags_reads_the_same_numbers_from_a_ros2_export(bag: Bag) -> None:
     assert len(scalars) == 4
 
 
-def test_without_the_extra_the_ros2_export_says_how_to_install_it(
+def test_without_the_extra_the_ros2_export_names_the_command_that_installs_it(
     bag: Bag, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make_bag(Path("a.mcap"), frames(1))
@@ -366,7 +366,7 @@ def test_a_stamp_beyond_ros_is_refused(bag: Bag) -> None:
     assert [path.name for path in Path().iterdir()] == ["a.mcap"]
 
 
-def test_a_broken_bag_is_exported_as_far_as_it_goes_and_says_so(
+def test_a_broken_bag_is_exported_as_far_as_it_goes_and_reports_it(
     bag: Bag, capsys: pytest.CaptureFixture[str]
 ) -> None:
     make_bag(Path("a.mcap"), frames(N_FRAMES))

@@ -102,7 +102,7 @@ def run_json(run: Run) -> RunJson:
     return done
 
 
-def test_node_list_tells_every_node_its_condition_and_process(
+def test_node_list_reports_condition_and_process_of_every_node(
     graph: Program, run: Run, run_json: RunJson
 ) -> None:
     nodes: list[dict[str, Any]] = []
@@ -121,7 +121,7 @@ def test_node_list_tells_every_node_its_condition_and_process(
     assert [line.split()[0] for line in lines] == NODES
 
 
-def test_node_info_tells_topics_counts_settings_and_what_it_costs(
+def test_node_info_reports_topics_counts_settings_and_what_it_costs(
     run: Run, run_json: RunJson
 ) -> None:
     node = run_json("node", "info", "compressor")
@@ -139,7 +139,7 @@ def test_node_info_tells_topics_counts_settings_and_what_it_costs(
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_param_list_tells_value_range_and_meaning_of_all_settings(
+def test_param_list_reports_value_range_and_meaning_of_all_settings(
     run: Run, run_json: RunJson
 ) -> None:
     assert list(run_json("param", "list")["nodes"]) == NODES
@@ -152,7 +152,7 @@ def test_param_list_tells_value_range_and_meaning_of_all_settings(
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_of_a_setting_that_is_not_stated_the_value_in_force_is_told(
+def test_of_a_setting_that_is_not_stated_the_value_in_force_is_reported(
     run: Run, run_json: RunJson
 ) -> None:
     (entries,) = run_json("param", "list", "reconstructor")["nodes"].values()
@@ -230,7 +230,7 @@ def test_what_is_not_there_is_refused_in_one_line(refused: Run, arguments: str, 
     assert line in refused(*arguments.split())
 
 
-def test_topic_list_tells_publishers_and_subscribers(run: Run, run_json: RunJson) -> None:
+def test_topic_list_reports_publishers_and_subscribers(run: Run, run_json: RunJson) -> None:
     topics = {topic["topic"]: topic for topic in run_json("topic", "list")["topics"]}
     assert list(topics) == TOPICS
     assert [name for name, one in topics.items() if one["latched"]] == [
@@ -242,7 +242,7 @@ def test_topic_list_tells_publishers_and_subscribers(run: Run, run_json: RunJson
     assert max(map(len, run("topic", "list").splitlines())) <= 80
 
 
-def test_topic_info_tells_fields_and_what_each_subscriber_received(
+def test_topic_info_reports_fields_and_what_each_subscriber_received(
     run: Run, run_json: RunJson
 ) -> None:
     topic = run_json("topic", "info", "skin/taxels")
@@ -316,7 +316,7 @@ def test_a_command_line_is_refused_in_one_line(
     assert says in line
 
 
-def test_hz_tells_what_is_sent_and_what_arrives(run_json: RunJson) -> None:
+def test_hz_reports_what_is_sent_and_what_arrives(run_json: RunJson) -> None:
     last = run_json("topic", "hz", "/skin/taxels", "-n", "60", lines=True)[-1]
     assert last["final"]
     assert (last["messages"], last["over"], last["lost"]) == (60, 60, 0)
@@ -325,7 +325,7 @@ def test_hz_tells_what_is_sent_and_what_arrives(run_json: RunJson) -> None:
     assert last["arrives_hz"] > 0
 
 
-def test_bw_tells_the_bytes_of_the_wire(run_json: RunJson) -> None:
+def test_bw_reports_the_bytes_of_the_wire(run_json: RunJson) -> None:
     last = run_json("topic", "bw", "/skin/taxels", "-n", "50", lines=True)[-1]
     assert 1600 * 4 < last["size_bytes"]["min"] <= last["size_bytes"]["max"] < 1600 * 4 + 300
     assert last["bytes_per_s"] > 0
@@ -347,7 +347,9 @@ def test_delay_of_a_latched_topic_is_named_an_age(run: Run) -> None:
     assert figures.startswith("all 1: delay p50 ")
 
 
-def test_where_nothing_comes_it_says_why(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_nothing_comes_it_reports_why(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     graph = choose_graph(None)
     assert ask_node(graph, "sensor", "pause", True) == Answer(True, "paused")
     try:
@@ -413,7 +415,7 @@ def test_two_graphs_are_named_and_one_is_chosen_by_name_or_process(
 
 
 @pytest.mark.parametrize("arguments", ["node list", "param list", "topic list", "topic hz a"])
-def test_where_no_graph_runs_one_line_says_so(
+def test_where_no_graph_runs_it_is_reported_in_one_line(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

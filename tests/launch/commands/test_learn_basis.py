@@ -26,7 +26,7 @@ def learn(bag: Path, out: Path, *more: str) -> int:
     return main(["learn-basis", str(bag), "--out", str(out), "--tile", "2", *more])
 
 
-def test_a_file_says_what_it_was_learned_from(tmp_path: Path) -> None:
+def test_a_file_reports_what_it_was_learned_from(tmp_path: Path) -> None:
     bag, out = recording(tmp_path / "r.mcap"), tmp_path / "b.npz"
     assert learn(bag, out) == 0
     with np.load(out) as held:
@@ -121,7 +121,7 @@ def test_too_few_frames_in_contact_are_counted_beside_what_is_needed(
     assert not (tmp_path / "b.npz").exists()
 
 
-def test_a_stream_is_restored_in_a_learned_basis_and_says_which(tmp_path: Path) -> None:
+def test_a_stream_is_reconstructed_in_a_learned_basis_and_reports_which(tmp_path: Path) -> None:
     out = tmp_path / "tiles.npz"
     assert learn(recording(tmp_path / "r.mcap"), out) == 0
     changes = ["reconstructor.preset=paper", f"reconstructor.basis=learned:{out}"]

@@ -22,7 +22,7 @@ def test_every_fault_of_a_launch_file_is_a_line_that_names_it() -> None:
     assert found["n_lines"] > found["codes"]["2"]
 
 
-def test_what_is_not_as_it_has_to_be_is_told(
+def test_faults_of_the_checker_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -149,7 +149,7 @@ def test_a_fault_is_one_line_with_its_place(check, old: str, new: str, line: str
         assert lines
 
 
-def test_all_faults_are_told_at_once(check) -> None:
+def test_all_faults_are_reported_at_once(check) -> None:
     text = GOOD.replace("iterations", "itertions").replace('"monitor"', '"moniter"')
     lines = check(text, "sensor.sead=3", "senser.seed=3", "nonsense")
     assert len(lines) == 5
@@ -247,7 +247,7 @@ def test_bundled_files_are_beside_the_launcher() -> None:
         ("replay_measurements", "--set player.file=PATH.mcap"),
     ],
 )
-def test_a_launch_file_without_its_recording_says_how_to_name_one(name: str, hint: str) -> None:
+def test_a_launch_file_without_its_recording_is_refused_with_a_hint(name: str, hint: str) -> None:
     for stated in (name, str(BUNDLED / f"{name}.toml")):
         with pytest.raises(LaunchError) as refused:
             load(stated)

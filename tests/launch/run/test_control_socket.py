@@ -118,7 +118,7 @@ def test_a_request_may_come_in_pieces(line: Line) -> None:
     assert line.receive(client) == [{"answer": {"id": "ä"}}]
 
 
-def test_who_watches_is_told_of_the_graph_and_nobody_else(line: Line) -> None:
+def test_only_watchers_receive_the_state_of_the_graph(line: Line) -> None:
     watcher, other = line.client(), line.client()
     assert not line.server.watched
     watcher.send({"watch": True})
@@ -219,7 +219,7 @@ def test_a_path_may_be_longer_than_a_sockets_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["none.sock", "no folder/none.sock", "file", "left.sock"])
-def test_where_nobody_listens_it_says_so(tmp_path: Path, name: str) -> None:
+def test_where_nobody_listens_an_error_is_reported(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").touch()
     with socket.socket(socket.AF_UNIX) as left:
         left.bind(str(tmp_path / "left.sock"))

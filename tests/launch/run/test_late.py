@@ -52,7 +52,7 @@ def nodes(*made: Node) -> Any:
     return list(made)
 
 
-def test_each_node_that_is_not_ready_says_what_it_waits_for() -> None:
+def test_each_node_that_is_not_ready_reports_what_it_waits_for() -> None:
     made = nodes(
         Node("sensor", endpoint=""),
         Node("compressor", lacks=["monitor", "reconstructor"]),
@@ -67,7 +67,7 @@ def test_each_node_that_is_not_ready_says_what_it_waits_for() -> None:
     ]
 
 
-def test_all_is_taken_in_once_the_counts_of_all_stand_still_over_two_heartbeats() -> None:
+def test_all_is_read_once_the_counts_are_the_same_over_two_heartbeats() -> None:
     recorder, monitor, ended = Node("recorder"), Node("monitor"), Node("late", ended=True)
     done = all_read(nodes(recorder, monitor, ended))
     for received in (0, 64, 65):
@@ -95,7 +95,7 @@ def test_who_has_not_ended_waits_for_those_before_it() -> None:
     ]
 
 
-def test_a_start_is_told_of_once_it_is_slow_and_once_only() -> None:
+def test_a_slow_start_is_logged_once() -> None:
     now_s, is_done, lines = 100.0, False, []
     check = or_log(lambda: is_done, nodes(Node("sensor", endpoint="")), lines.append, lambda: now_s)
     assert (check(), lines) == (False, [])
@@ -129,7 +129,7 @@ WAITS = "from another terminal: sparseskin monitor --graph drag, or sparseskin r
         ({}, {}, ""),
     ],
 )
-def test_a_player_that_has_sent_no_frame_says_which_readers_it_waits_for(
+def test_a_player_that_has_sent_no_frame_reports_which_readers_it_waits_for(
     stated: dict[str, Any], fields: dict[str, Any], line: str
 ) -> None:
     (node,) = nodes(Node("player", spec=Spec(PlayerSettings(**stated)), **fields))
@@ -141,7 +141,7 @@ def test_what_is_no_player_waits_for_nobody() -> None:
     assert lacks_readers(node, "drag") == ""
 
 
-def test_a_player_in_lockstep_without_a_reader_says_so_once(
+def test_a_player_in_lockstep_without_a_reader_reports_it_once(
     start: StartProgram, tmp_path: Any
 ) -> None:
     make_bag(tmp_path / "few.mcap", [skin_state(), *frame(0), *frame(1)])

@@ -308,7 +308,7 @@ def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
     assert frames["lost"] == missed[1] + missed[2]  # at the compressor and the reconstructor
 
 
-def test_one_that_takes_the_newest_alone_says_how_many_it_skipped(
+def test_one_that_takes_the_newest_alone_reports_how_many_it_skipped(
     start: StartProgram, tmp_path: Path
 ) -> None:
     (tmp_path / "fast.py").write_text(FAST.format(n_frames=600, first_alone=True))
@@ -379,7 +379,7 @@ def test_compiled_loops_serve_a_graph_from_its_first_frame(start: StartProgram) 
     assert "sensed 50, reconstructed 50, lost 0" in stdout
 
 
-def test_a_graph_that_restores_nothing_has_failed(start: StartProgram, tmp_path: Path) -> None:
+def test_a_graph_that_reconstructs_nothing_has_failed(start: StartProgram, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         "from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver\n"
         "class Broken(FistaSolver):\n"

@@ -93,7 +93,7 @@ def test_it_is_on_once_the_recorder_is_ready_and_the_file_is_named(desk: Desk) -
     assert desk.recording.out == out
 
 
-def test_it_is_off_once_the_recorder_has_ended_and_says_what_it_holds(desk: Desk) -> None:
+def test_it_is_off_once_the_recorder_has_ended_and_reports_what_it_holds(desk: Desk) -> None:
     node = desk.begin()
     out = desk.recording.out
     desk.record(False)
@@ -118,7 +118,7 @@ def test_a_recording_that_went_wrong_is_no_success(desk: Desk) -> None:
     ("refusal", "text"),
     [("", "cannot be recorded; see the log"), ("failed: no space left", "failed: no space left")],
 )
-def test_a_recorder_that_fails_at_the_start_is_told_to_who_asked(
+def test_a_recorder_that_fails_at_the_start_is_reported_in_the_answer(
     desk: Desk, event: str, refusal: str, text: str
 ) -> None:
     desk.record(True)

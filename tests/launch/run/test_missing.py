@@ -60,7 +60,7 @@ def test_a_host_is_heard_where_all_that_is_read_there_is() -> None:
     assert (state["wall"]["heard"], state["wall"]["silent"]) == (False, ["screen"])
 
 
-def test_the_clock_that_is_known_best_is_told() -> None:
+def test_the_clock_that_is_known_best_is_reported() -> None:
     nodes = [
         node(clocks={"desk": (3_000_000, 900_000)}),
         node(clocks={"desk": (2_500_000, 400_000)}),

@@ -125,7 +125,7 @@ def test_two_askers_with_one_number_get_their_own_answers(desk: Desk) -> None:
         ("sensor", None, None, "expected the texts id, node and command"),
     ],
 )
-def test_what_cannot_be_done_is_refused_at_once_and_says_why(
+def test_what_cannot_be_done_is_refused_at_once_and_reports_why(
     desk: Desk, node: Any, command: Any, value: Any, text: str
 ) -> None:
     assert desk.refusal(node, command, value).startswith(text)

@@ -192,7 +192,7 @@ def test_the_launch_file_names_a_folder(tmp_path: Path) -> None:
         load(str(path))
 
 
-def test_a_run_that_fails_says_where_its_logs_are(start: StartProgram, tmp_path: Path) -> None:
+def test_a_run_that_fails_reports_where_its_logs_are(start: StartProgram, tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text(
         "import numpy as np\ndef frames():\n    for k in range(9): yield k, np.zeros((8, 8))\n"
         "    print('a word')\n    1 / 0\n"

@@ -91,7 +91,7 @@ def test_parts_start_in_any_order_and_no_frame_is_lost_from_the_first_to_the_end
 
 
 @pytest.mark.slow
-def test_a_part_that_is_killed_joins_again_and_is_told_what_is_latched(
+def test_a_part_that_is_killed_joins_again_and_receives_latched_messages(
     start: StartProgram, tmp_path: Path
 ) -> None:
     write(tmp_path, rate_hz=100)

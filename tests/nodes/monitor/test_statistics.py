@@ -104,7 +104,7 @@ def test_it_grows_no_further_than_its_greatest_size(monkeypatch: pytest.MonkeyPa
     assert (first, len(rows)) == (3 * MIN_CAPACITY, 2 * MIN_CAPACITY)
 
 
-def test_rows_that_are_gone_are_told_by_the_number_of_the_first() -> None:
+def test_removed_rows_are_identified_by_the_number_of_the_first() -> None:
     n = MIN_CAPACITY + 500
     history = filled(n, 1.0)
     assert history.since(0)[0] == history.since(499)[0] == history.since(500)[0] == 500

@@ -153,7 +153,7 @@ def test_a_handshake_may_take_two_seconds_on_either_side(
         assert side.getsockopt(zmq.HANDSHAKE_IVL) == 2000
 
 
-def test_who_says_nothing_is_let_go(station: Station) -> None:
+def test_a_silent_connection_is_closed(station: Station) -> None:
     if not station.writer.endpoint.startswith("tcp:"):
         pytest.skip("an address of a network is needed")
     port = int(station.writer.endpoint.rsplit(":", 1)[1])

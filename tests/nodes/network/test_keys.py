@@ -73,6 +73,6 @@ def test_what_holds_no_key_is_refused_by_name(tmp_path: Path, text: str) -> None
         read_key_pair(path)
 
 
-def test_a_missing_key_says_how_to_make_it(tmp_path: Path) -> None:
+def test_the_error_of_a_missing_key_names_the_command_that_makes_it(tmp_path: Path) -> None:
     with pytest.raises(KeyFileError, match=r"edge.key: No such file.*sparseskin keys make edge"):
         read_key_pair(tmp_path / "edge.key")

@@ -84,7 +84,7 @@ def test_other_hosts_are_asked_for_the_time_once_a_period_and_oftener_at_first(
     assert asked == [0, period_ns, 2 * period_ns]
 
 
-def test_a_writer_tells_the_time_to_those_alone_who_are_there(context: zmq.Context[Any]) -> None:
+def test_a_writer_reports_the_time_to_those_alone_who_are_there(context: zmq.Context[Any]) -> None:
     writer = Writer(context, "inproc://writer", "sensor", now_ns=there_ns)
     stranger = context.socket(zmq.XSUB)
     stranger.connect(writer.endpoint)

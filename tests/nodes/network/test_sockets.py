@@ -65,7 +65,7 @@ def test_a_present_reader_misses_nothing(context: zmq.Context[Any], endpoint: st
     assert [next_message(reader).seq for _ in range(500)] == list(range(500))
 
 
-def test_who_joins_late_is_told_what_is_latched_and_only_that(
+def test_a_late_subscriber_receives_latched_messages_only(
     context: zmq.Context[Any], endpoint: str
 ) -> None:
     writer = Writer(context, endpoint)

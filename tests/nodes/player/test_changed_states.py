@@ -80,7 +80,7 @@ def test_each_round_of_a_loop_begins_with_the_first_states(recording: str) -> No
 
 
 @pytest.mark.parametrize("verbatim", [False, True])
-def test_a_seek_says_the_states_that_hold_there(recording: str, verbatim: bool) -> None:
+def test_a_seek_reports_the_states_that_hold_there(recording: str, verbatim: bool) -> None:
     bus = graph(recording, verbatim=verbatim)
     ticks = bus.frames()
     for _ in range(15):

@@ -184,7 +184,7 @@ def test_recorded_taxels_through_another_solver_are_judged_by_the_recorded_truth
     assert patch["frames"]["reconstructed"] == N_FRAMES
 
 
-def test_recorded_measurements_restored_by_the_same_solver_give_the_same_bits(
+def test_recorded_measurements_reconstructed_by_the_same_solver_give_the_same_bits(
     recording: tuple[Path, list[Message]],
 ) -> None:
     path, seen = recording

@@ -74,9 +74,7 @@ def recorded(messages: list[Message]) -> int:
 
 
 @pytest.mark.parametrize("values", [{}, {"verbatim": True}, {"lockstep": True}, {"rate": 0.0}])
-def test_it_goes_on_from_where_it_is_told_forward_and_back(
-    bag: Path, values: dict[str, Any]
-) -> None:
+def test_a_seek_goes_forward_and_back(bag: Path, values: dict[str, Any]) -> None:
     deck = Deck(bag, **values)
     assert [recorded(f) for f in deck.play(3)] == [0, 1, 2]
     assert deck.press("seek", 0.15) == "at 0.15 s"
@@ -101,7 +99,7 @@ def test_after_any_seeks_the_frame_that_was_asked_for_is_due_at_once(
         assert deck.due_in_ns() == PERIOD_NS
 
 
-def test_the_position_is_told_in_recorded_seconds(bag: Path) -> None:
+def test_the_position_is_reported_in_recorded_seconds(bag: Path) -> None:
     deck = Deck(bag)
     at_s = {"position_s": 0.0, "length_s": pytest.approx(LENGTH_S, abs=1e-8)}
     assert deck.player.state() == {"paused": False, "rate": 1.0, **at_s}

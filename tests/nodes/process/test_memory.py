@@ -47,7 +47,7 @@ def test_memory_that_is_back_at_its_least_is_looked_through_at_once_when_it_grow
     assert found == [1, 3, 8]
 
 
-def test_what_a_start_took_is_given_back_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_of_the_start_is_freed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     n_looks: list[int] = []
     monkeypatch.setattr(memory, "_trim", lambda: n_looks.append)
     monkeypatch.setattr(memory, "resident_bytes", lambda _pid: LEAST)

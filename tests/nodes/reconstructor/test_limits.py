@@ -209,7 +209,7 @@ def lines_of(phi: str = "", **reconstructor: Any) -> list[str]:
     return bus.lines
 
 
-def test_a_reconstructor_says_it_once_when_it_knows_skin_and_phi() -> None:
+def test_a_reconstructor_logs_it_once_when_it_knows_skin_and_phi() -> None:
     assert lines_of() == []
     (line,) = lines_of(preset="paper", lambda_n=0.1)
     assert line.startswith("[reconstructor] lambda_n = 0.1: forces are shrunk away")

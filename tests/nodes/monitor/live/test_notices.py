@@ -47,7 +47,7 @@ def desk(monkeypatch: pytest.MonkeyPatch) -> Desk:
     return desk
 
 
-def test_before_the_first_frame_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_before_the_first_frame_that_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     desk = Desk(FakeTime(monkeypatch))
     assert desk.look() == [(NOTE, "no frame has arrived yet.")]
     desk.graph.skin()
@@ -115,7 +115,7 @@ def test_a_stream_that_has_ended_is_not_stale_until_it_begins_again(desk: Desk) 
     assert desk.look() == []
 
 
-def test_lost_frames_are_told_for_some_seconds(desk: Desk) -> None:
+def test_lost_frames_are_reported_for_some_seconds(desk: Desk) -> None:
     assert desk.lose(0) == []
     assert desk.lose(3) == [(BAD, "3 frames lost just now.")]
     desk.clock.advance(0.9 * RECENT_S)
@@ -125,7 +125,7 @@ def test_lost_frames_are_told_for_some_seconds(desk: Desk) -> None:
     assert desk.lose(4) == [(BAD, "1 frame lost just now.")]
 
 
-def test_losses_shortly_after_one_another_are_told_together(desk: Desk) -> None:
+def test_losses_shortly_after_one_another_are_reported_together(desk: Desk) -> None:
     desk.lose(0)
     desk.lose(2)
     desk.clock.advance(RECENT_S / 2)
@@ -144,7 +144,7 @@ def test_a_count_that_begins_again_is_no_loss(desk: Desk) -> None:
     assert desk.lose(2) == [(BAD, "2 frames lost just now.")]
 
 
-def test_refusals_are_told_for_some_seconds_with_their_reason(desk: Desk) -> None:
+def test_refusals_are_reported_for_some_seconds_with_their_reason(desk: Desk) -> None:
     def refuse(count: int, reason: str, after_s: float = 0.0) -> list[Notice]:
         desk.clock.advance(after_s)
         desk.news(node_state("reconstructor", refused=count, refusal=reason))
@@ -183,7 +183,7 @@ def test_a_node_that_was_started_again_is_noted_for_some_seconds(desk: Desk) -> 
     assert news(1, "running", RECENT_S) == []
 
 
-def test_old_news_of_the_graph_is_told_with_its_age(desk: Desk) -> None:
+def test_old_news_of_the_graph_is_reported_with_its_age(desk: Desk) -> None:
     desk.news(node_state("sensor"))
     desk.clock.advance(0.99 * GRAPH_S)
     desk.graph.frame()
@@ -199,7 +199,7 @@ def test_where_there_is_no_graph_its_silence_is_no_fault(desk: Desk) -> None:
     assert desk.look() == []
 
 
-def test_a_monitor_that_is_busy_says_so_first(desk: Desk) -> None:
+def test_a_monitor_that_is_busy_reports_it_first(desk: Desk) -> None:
     now_s = desk.clock.advance(3.0)
     assert Notices(desk.feed).all(now_s)[0] == (BAD, "The monitor has not responded for 3.0 s.")
 
@@ -221,7 +221,7 @@ def test_a_span_of_time_in_words(seconds: float, text: str) -> None:
     assert ago(seconds) == text
 
 
-def test_measurements_that_are_left_out_are_told_while_they_are(desk: Desk) -> None:
+def test_measurements_that_are_left_out_are_reported_while_they_are(desk: Desk) -> None:
     left_out = "faulty measurements left out: 2 of 533 (3, 100)"
     desk.news(node_state("reconstructor", state={"left_out": left_out, "swamped": False}))
     assert desk.look() == [(NOTE, f"reconstructor: {left_out}.")]

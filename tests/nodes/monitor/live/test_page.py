@@ -165,7 +165,9 @@ def test_the_overview_has_a_card_of_each_patch_with_its_map(page: Any) -> None:
         assert not [text for text in errors if "ERR_" not in text]
 
 
-def test_a_control_changes_the_solver_and_the_page_says_so(start: StartProgram, page: Any) -> None:
+def test_a_control_changes_the_solver_and_the_page_reports_it(
+    start: StartProgram, page: Any
+) -> None:
     open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
     field = "reconstructor.iterations"
     wait_until(lambda: bool(page.find_elements("id", field)), "the controls")
@@ -184,7 +186,7 @@ def test_a_control_changes_the_solver_and_the_page_says_so(start: StartProgram, 
     wait_until(lambda: text(page, '[data-tile="compression"] strong') == "4.00 : 1", "M = 400")
 
 
-def test_a_stopped_sensor_is_told_and_forgotten_when_it_is_back(
+def test_a_stopped_sensor_is_reported_and_forgotten_when_it_is_back(
     start: StartProgram, page: Any
 ) -> None:
     program = open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")

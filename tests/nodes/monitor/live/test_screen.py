@@ -96,7 +96,7 @@ def test_each_map_has_its_peak_total_and_centre_of_pressure(clock: FakeTime) -> 
     assert "peak (N)" in " ".join(lines)
 
 
-def test_the_resultant_of_the_last_frame_is_a_line_where_it_is_told(clock: FakeTime) -> None:
+def test_the_resultant_of_the_last_frame_is_a_line_where_it_is_reported(clock: FakeTime) -> None:
     graph = filled(clock)
     assert not any(line.startswith("resultant") for line in lines_of(graph))
     told = Resultant(patch="skin", stamp_ns=0, total=3.2, total_sd=0.12, done_ns=0)
@@ -170,7 +170,7 @@ def test_what_is_not_known_is_a_dash(clock: FakeTime) -> None:
     assert not any("nan" in line for line in lines)
 
 
-def test_a_patch_that_has_not_begun_says_so(clock: FakeTime) -> None:
+def test_a_patch_that_has_not_begun_is_reported(clock: FakeTime) -> None:
     lines = lines_of(Graph("left", "right"))
     assert (
         sum("no frame has arrived yet" in line for line in lines) == 4
@@ -210,7 +210,7 @@ def test_long_names_and_many_nodes_still_fit(clock: FakeTime) -> None:
         assert f"!! node_{k}_" in text
 
 
-def test_a_monitor_told_so_has_the_screen_as_its_status() -> None:
+def test_a_monitor_in_text_mode_has_the_screen_as_its_status() -> None:
     settings = Monitor.Settings(screen=True, page=False)
     monitor = Monitor(settings, Context("monitor", ManualClock()))
     list(monitor.start())

@@ -103,7 +103,7 @@ def test_the_resultant_of_the_frame_shown_comes_with_its_maps(clock: FakeTime) -
         assert header.get("resultant") == expected
 
 
-def test_other_hosts_are_told_with_the_graph_in_words(clock: FakeTime) -> None:
+def test_other_hosts_are_reported_with_the_graph_in_words(clock: FakeTime) -> None:
     graph = Graph()
     page = Page(graph, clock)
     graph.feed.update(graph=graph_state())
@@ -114,7 +114,7 @@ def test_other_hosts_are_told_with_the_graph_in_words(clock: FakeTime) -> None:
     assert "hosts" not in page.pull()[0][0]
 
 
-def test_where_nothing_is_restored_the_taxels_are_shown(clock: FakeTime) -> None:
+def test_where_nothing_is_reconstructed_the_taxels_are_shown(clock: FakeTime) -> None:
     graph = Graph()
     graph.skin()
     taxels, truth = graph.frame(upto=2)
@@ -166,7 +166,9 @@ def test_a_page_opened_later_gets_the_figures_of_the_last_minute(clock: FakeTime
         assert len(only(Page(graph, clock).pull(), "rows")[1]["rows"]) == 30
 
 
-def test_an_overview_brings_the_restored_maps_of_all_patches_and_no_rows(clock: FakeTime) -> None:
+def test_an_overview_brings_the_reconstructed_maps_of_all_patches_and_no_rows(
+    clock: FakeTime,
+) -> None:
     graph = Graph("left", "right")
     last = {patch: (graph.skin(patch), graph.frame(patch))[1] for patch in ("left", "right")}
     records = Page(graph, clock, None).pull()
@@ -223,7 +225,7 @@ def test_graph_and_summaries_are_sent_only_when_they_are_new(clock: FakeTime) ->
     assert "summary" not in state["patches"]["skin"]
 
 
-def test_the_state_tells_the_age_of_every_map(clock: FakeTime) -> None:
+def test_the_state_reports_the_age_of_every_map(clock: FakeTime) -> None:
     graph = Graph()
     graph.skin(rate_hz=5.0)
     graph.frame()
@@ -242,7 +244,7 @@ def test_what_is_not_finite_is_null_for_a_page(clock: FakeTime) -> None:
     assert state["patches"]["skin"]["summary"] == {"frames": {}, "gain": None, "best": [None, 1.0]}
 
 
-def test_the_end_is_told_at_once_and_ends_the_stream(clock: FakeTime) -> None:
+def test_the_end_is_reported_at_once_and_ends_the_stream(clock: FakeTime) -> None:
     graph = Graph()
     graph.skin()
     graph.frame()

@@ -37,7 +37,7 @@ def without_nan(value: Any) -> Any:
 
 
 @given(HEADERS.filter(lambda header: "arrays" not in header), ARRAYS)
-def test_a_record_gives_back_header_and_arrays(
+def test_decoding_a_record_returns_its_header_and_arrays(
     header: dict[str, Any], arrays: dict[str, np.ndarray[Any, Any]]
 ) -> None:
     ((found, back),) = parsed(record(header, arrays))

@@ -61,7 +61,7 @@ def test_analysis_is_the_definition(shape: tuple[int, int]) -> None:
 
 @given(n_rows=st.integers(1, 40), n_cols=st.integers(1, 40), seed=st.integers(0, 99))
 @settings(max_examples=60, deadline=None)
-def test_any_size_is_restored_keeps_lengths_and_passes_the_dot_test(
+def test_any_size_is_reconstructed_keeps_lengths_and_passes_the_dot_test(
     n_rows: int, n_cols: int, seed: int
 ) -> None:
     basis = HaarBasis(n_rows, n_cols)

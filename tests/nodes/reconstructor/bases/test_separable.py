@@ -25,7 +25,7 @@ def normal(shape: tuple[int, int], seed: int = 5) -> np.ndarray:
     seed=st.integers(0, 99),
 )
 @settings(max_examples=100, deadline=None)
-def test_every_basis_restores_any_size_and_passes_the_dot_test(
+def test_every_basis_reconstructs_any_size_and_passes_the_dot_test(
     name: str, shape: tuple[int, int], seed: int
 ) -> None:
     basis: Basis = make_basis(name, *shape)

@@ -140,7 +140,7 @@ def test_a_saturated_taxel_is_found_on_an_untouched_skin(phi: Phi) -> None:
     assert forces[10, 14] < 0.05
 
 
-def test_the_hole_of_a_taxel_shows_in_restored_frames(phi: Phi) -> None:
+def test_the_hole_of_a_taxel_shows_in_reconstructed_frames(phi: Phi) -> None:
     # What the watch rests on: sums alone tell that one taxel reads 0.
     truth = np.repeat(block(10, 14)[None], 20, axis=0)
     taxels = noisy(truth)

@@ -43,7 +43,7 @@ def test_a_still_peg_of_one_taxel_and_a_still_edge_are_contacts(phi: Phi, force:
     assert skin.lines == []
 
 
-def test_on_a_skin_that_is_quieter_than_it_says_nothing_is_stuck(phi: Phi) -> None:
+def test_on_a_skin_that_is_quieter_than_stated_no_taxel_is_stuck(phi: Phi) -> None:
     skin = Skin(phi, NoiseModel(2.5, 0.006, 0.0014))
     for _ in range(2 * FRAMES):
         skin.read(pad((slice(5, 6), slice(5, 6)), force=1.3))

@@ -46,7 +46,7 @@ def test_the_level_is_never_above_the_innovation() -> None:
     assert level.s2 <= SIGMA_N**2
 
 
-def test_a_jump_is_told_and_does_not_raise_the_level() -> None:
+def test_a_jump_is_reported_and_does_not_raise_the_level() -> None:
     level = NoiseLevel(500)
     for k, y in enumerate(drifting(30, 0.0)):
         level.update(y, e2=SIGMA_N**2)

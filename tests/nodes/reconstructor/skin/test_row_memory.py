@@ -74,7 +74,7 @@ def test_rows_count_less_the_more_the_skin_has_changed_since_they_were_read() ->
     assert least[0] > least[1] > 5 * least[2]
 
 
-def test_before_a_round_is_over_a_misfit_beyond_the_noise_is_taken_for_change() -> None:
+def test_before_a_round_is_over_an_innovation_beyond_the_noise_counts_as_a_change() -> None:
     setting, taxels = Setting(), taxels_of(0)
     setting.frame(0, taxels)
     surprised = setting.frame(1, taxels, surprise=50.0)

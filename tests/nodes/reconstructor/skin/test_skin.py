@@ -55,7 +55,7 @@ def test_it_is_8_db_better_than_the_paper_and_at_a_third_better_than_the_full_re
 
 @pytest.mark.parametrize("shape", [(28, 28), (33, 47), (12, 32), (95, 64)])
 @pytest.mark.parametrize("kind", ["sbhe", "gaussian", "full"])
-def test_any_skin_and_phi_is_restored_and_missing_taxels_stay_0(
+def test_any_skin_and_phi_is_reconstructed_and_missing_taxels_stay_0(
     shape: tuple[int, int], kind: str
 ) -> None:
     mask = holes(shape)
@@ -72,7 +72,7 @@ def test_any_skin_and_phi_is_restored_and_missing_taxels_stay_0(
     assert psnr_db(restored[15:], truth[15:]) > psnr_db(taxels[15:], truth[15:]) + 4
 
 
-def test_the_plain_way_restores_as_well_as_the_fast_one() -> None:
+def test_the_plain_way_reconstructs_as_well_as_the_fast_one() -> None:
     """Blocks of 128 are beyond what the fast way takes."""
     truth = sliding_disc((40, 40), 25)
     for block in (32, 128):
@@ -183,7 +183,7 @@ def test_nothing_grows_without_bound_where_no_measurement_looks(kind: str) -> No
         assert solve_all(preset("skin", phi, (12, 32)), y).max() < 1.2
 
 
-def test_an_untouched_skin_is_restored_as_untouched() -> None:
+def test_an_untouched_skin_is_reconstructed_as_untouched() -> None:
     """Its noisy reading has a PSNR of 48 dB, limited by noise that cannot be negative."""
     phi = make_phi("sbhe", 4096, 1365, seed=0)
     truth = np.zeros((60, 64, 64), dtype=np.float32)

@@ -41,7 +41,7 @@ SAMPLINGS = pytest.mark.parametrize("sampled", [acts, fixed])
 
 @SAMPLINGS
 @pytest.mark.parametrize("shape", [(40, 40), (12, 32), (33, 17), (2, 2)])
-def test_a_slope_is_restored_from_its_corners_and_some_taxels_between(
+def test_a_slope_is_reconstructed_from_its_corners_and_some_taxels_between(
     shape: tuple[int, int], sampled: Callable[..., SubsamplePhi]
 ) -> None:
     rows, cols = shape

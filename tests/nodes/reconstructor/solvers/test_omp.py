@@ -11,7 +11,7 @@ from sparseskin.nodes.reconstructor.solvers.omp import OmpSolver
 
 
 @pytest.mark.parametrize("kind", ["sbhe", "gaussian"])
-def test_few_taxels_are_restored_exactly(kind: str) -> None:
+def test_few_taxels_are_reconstructed_exactly(kind: str) -> None:
     phi = make_phi(kind, 400, 160, seed=0, block=256)
     rng = np.random.default_rng(1)
     truth = np.zeros(400, dtype=np.float32)

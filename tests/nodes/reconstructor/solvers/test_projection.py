@@ -59,7 +59,7 @@ def test_the_fast_way_is_for_the_built_in_phi_with_small_blocks() -> None:
 
 
 @pytest.mark.parametrize(("kind", "block"), [("sbhe", 32), ("sbhe", 128), ("subsample", 32)])
-def test_it_becomes_the_projection_of_another_phase_and_back(kind: str, block: int) -> None:
+def test_it_becomes_the_projection_of_another_row_subset_and_back(kind: str, block: int) -> None:
     n, m = 300, 100
     phases = row_subsets(make_phi(kind, n, m, seed=1, block=block), "rotating")
     projection = make_projection(phases[0])

@@ -82,7 +82,7 @@ def test_a_large_coefficient_of_the_last_frame_loses_its_bias() -> None:
     assert last < 0.15 * first
 
 
-def test_a_step_is_shrunk_by_what_theory_says() -> None:
+def test_a_step_is_shrunk_as_theory_predicts() -> None:
     """min 1/2 |x - y|^2 + lambda TV: each side of a lone step moves by lambda / its length."""
     y = np.repeat(np.float32([0.2, 0.8]), [6, 10])
     solver = TvSolver(

@@ -41,7 +41,7 @@ def solver_for(name: str, phases: list[Phi], **settings: Any) -> Solver:
 @pytest.mark.parametrize(
     "name", ["skin", "fista", "fista_nonneg", "reweighted", "tv", "oamp", "ista"]
 )
-def test_every_solver_follows_the_phases(name: str) -> None:
+def test_every_solver_follows_the_row_subsets(name: str) -> None:
     phases = phases_for(3)
     truth = sliding_disc(SHAPE, 40)
     solver = solver_for(name, phases)
@@ -65,7 +65,7 @@ def test_what_fixed_rows_cannot_see_rotating_ones_do(ratio: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["skin", "fista"])
-def test_a_warm_start_carries_from_phase_to_phase(name: str) -> None:
+def test_a_warm_start_carries_from_one_row_subset_to_the_next(name: str) -> None:
     phases = phases_for(4)
     truth = np.repeat(sliding_disc(SHAPE, 12, touch_at=0)[-1:], 12, axis=0)
     settings = {"iterations": 3} if name == "fista" else {}
@@ -73,11 +73,11 @@ def test_a_warm_start_carries_from_phase_to_phase(name: str) -> None:
     assert psnr_db(found[-1], truth[-1]) > psnr_db(found[0], truth[0]) + 6
 
 
-def test_one_phase_is_the_solver_itself() -> None:
+def test_one_row_subset_is_the_solver_itself() -> None:
     assert not isinstance(solver_for("fista", phases_for(3)[:1]), RotatingSolver)
 
 
-def test_a_phase_that_it_was_not_made_for_is_refused() -> None:
+def test_a_row_subset_that_it_was_not_made_for_is_refused() -> None:
     other = make_phi("sbhe", N, N // 3, seed=9)
     for name in ("fista", "tv"):
         with pytest.raises(SolverError, match=f"was not made for phi {other.fingerprint}"):

@@ -245,7 +245,7 @@ def test_stamps_that_are_recorded_out_of_order_are_all_found(
         assert bag.topics["/skin/taxels"].last_ns == max(stamps)
 
 
-def test_topics_say_how_many_how_long_and_how_fast(
+def test_topics_report_how_many_how_long_and_how_fast(
     whole: tuple[bytes, list[bytes]], tmp_path: Path
 ) -> None:
     data, _ = whole
@@ -396,7 +396,7 @@ def test_messages_that_no_checksum_protects_are_not_delivered(tmp_path: Path) ->
         assert bag.recovered.endswith("a message outside the chunks, which no checksum protects")
 
 
-def test_a_newer_version_is_refused_also_where_our_own_index_says_it(tmp_path: Path) -> None:
+def test_a_newer_version_is_refused_also_where_our_own_index_states_it(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "a.mcap", {}) as writer:
         writer.write("/skin/taxels", b"x", schema="taxels", version=2, log_time_ns=0, stamp_ns=0)
     with pytest.raises(BagError, match="recorded with taxels version 2; this program reads 1"):

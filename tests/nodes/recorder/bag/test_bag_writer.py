@@ -40,7 +40,7 @@ def test_what_was_written_is_read_back_byte_for_byte_and_in_order(tmp_path: Path
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
 
 
-def test_it_is_an_mcap_that_says_itself_how_to_read_it(tmp_path: Path) -> None:
+def test_it_is_an_mcap_that_describes_its_own_schemas(tmp_path: Path) -> None:
     make_bag(tmp_path / "a.mcap", frames(3))
     with open(tmp_path / "a.mcap", "rb") as file:
         reader = mcap.reader.make_reader(file, validate_crcs=True)

@@ -164,7 +164,7 @@ def test_box_covers_a_square_of_20_x_20_taxels_evenly(name: str) -> None:
     assert np.ptp(forces[forces > 0]) <= 1e-6
 
 
-def test_box_touches_down_when_free_fall_says_so() -> None:
+def test_box_touches_down_when_free_fall_predicts_it() -> None:
     touched = [bool(f.any()) for f in frames("lift_box_40", 0, 400)]
     fall_s = math.sqrt(2 * 0.5 / GRAVITY_M_S2)
     assert touched.index(True) == math.ceil(fall_s / 1e-3)
