@@ -41,10 +41,7 @@ class Desk:
         self.own: list[tuple[str, Any]] = []
         self.now_s = 100.0
         self.requests = Requests(self.nodes, self._own)  # type: ignore[arg-type]
-        monkeypatch.setattr(controls, "time", self)
-
-    def monotonic(self) -> float:
-        return self.now_s
+        monkeypatch.setattr(controls, "awake_s", lambda: self.now_s)
 
     def _own(self, command: str, value: Any, say: Any) -> None:
         if command != "record":
