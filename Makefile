@@ -3,7 +3,7 @@ BIN := .venv/bin
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 # Many tests wait for other processes: two test processes a core.
 WORKERS := $(shell echo $$((2 * $$(nproc))))
-PARALLEL := -n $(WORKERS) --dist loadgroup --no-loadscope-reorder
+PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder
 
 .PHONY: demo scenes replay-timing page-load introspection-load soak shots charts charts-quick
 .PHONY: test test-all test-kernels check mutants docs hooks clean

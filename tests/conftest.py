@@ -119,21 +119,29 @@ class Program:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Order of the tests over the processes of pytest-xdist (--dist loadgroup).
+    """Run slow tests first, so that none is left for the end of a parallel run."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
-    Slow tests come first. They and those that run programs go to any process, one by one; others
-    go by their modules, which share what is costly.
-    """
 
-    def is_slow(item: pytest.Item) -> bool:
-        return item.get_closest_marker("slow") is not None
+ONE_BY_ONE = (
+    "tests/docs/test_examples",
+    "tests/launch/run/",
+    "tests/nodes/recorder/",
+    "tests/studies/",
+)
+"""Tests that take long and share no fixture of their module."""
 
-    for item in items:
-        fixtures = getattr(item, "fixturenames", ())
-        alone = is_slow(item) or "start" in fixtures
-        if not alone and item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(item.location[0]))
-    items.sort(key=lambda item: not is_slow(item))
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Distribute tests over processes by their modules, and those of `ONE_BY_ONE` singly."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return nodeid if nodeid.startswith(ONE_BY_ONE) else nodeid.partition("::")[0]
+
+    return Scheduling(config, log) if config.getoption("dist") == "loadscope" else None
 
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

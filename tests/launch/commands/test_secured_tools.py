@@ -19,8 +19,6 @@ from sparseskin.launch.run.running import RunningGraph, announced, running_graph
 from sparseskin.nodes.network.keys import make_key_files, read_public_key
 from sparseskin.nodes.recorder.bag.reader import BagReader
 
-pytestmark = pytest.mark.xdist_group("secured graph")
-
 GRAPH = """\
 [hosts.edge]
 address = "127.0.0.1"

@@ -22,7 +22,6 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.xdist_group("browser"),
     pytest.mark.skipif(bool(lack()), reason=lack() or "a browser is installed"),
 ]
 
