@@ -150,31 +150,6 @@ def unpyramid(v: A, n_rows: int, n_cols: int, scratch: A) -> None:
                     v[(rows - 1) * n_cols + j] = _ROOT_2 * scratch[half * n_cols + j]
 
 
-@compiled(f"void({M}, {P}, {V}, {P}, {G}, {V}, {M})")
-def sbhe_forward(x: A, deal: A, scale: A, kept: A, groups: A, v: A, y: A) -> None:
-    """y = Phi x of k frames: v[p] = x[deal[p]], transformed, y[i] = scale[i] v[kept[i]]."""
-    for f in range(x.shape[0]):
-        one, result = x[f], y[f]
-        for p in range(deal.size):
-            v[p] = one[deal[p]]
-        hadamard(v, groups)
-        for i in range(kept.size):
-            result[i] = scale[i] * v[kept[i]]
-
-
-@compiled(f"void({M}, {P}, {V}, {P}, {G}, {V}, {M})")
-def sbhe_adjoint(y: A, deal: A, scale: A, kept: A, groups: A, v: A, x: A) -> None:
-    """x = Phi^T y of k frames, the transpose of `sbhe_forward`."""
-    for f in range(y.shape[0]):
-        one, result = y[f], x[f]
-        v[:] = np.float32(0)
-        for i in range(kept.size):
-            v[kept[i]] = scale[i] * one[i]
-        hadamard(v, groups)
-        for p in range(deal.size):
-            result[deal[p]] = v[p]
-
-
 @compiled(sums_in_any_order=True)
 def dot(a: A, b: A) -> Any:
     """Product of two vectors, float32."""
@@ -239,12 +214,6 @@ def shrink(v: A, lambda2: A) -> None:
         e = v[k]
         v[k] = e * (w2 - lambda2 / max(e * e, limit))
     double(v, 3)
-
-
-@compiled(f"void({V}, float64)")
-def shrink_tiled(v: A, lambda2: float) -> None:
-    """`shrink` by itself."""
-    shrink(v, np.float32(lambda2))
 
 
 @compiled(
@@ -445,36 +414,14 @@ def add_bias(x: A, place_of_cell: A, bias: float, forces: A) -> None:
             forces[k] += b * (np.float32(1) - e)
 
 
-@compiled(f"void({M}, {P}, {P}, {V}, {L}, {V}, {V}, {M})")
-def haar_analysis(
-    images: A, order: A, cells: A, weights: A, grid: A, v: A, scratch: A, thetas: A
-) -> None:
-    """Coefficients of k images at full depth; element p of the tiled v is pixel order[p]."""
-    rest = v[: grid[1] * grid[2]]
-    for f in range(images.shape[0]):
-        image, theta = images[f], thetas[f]
-        for p in range(v.size):
-            v[p] = image[order[p]]
-        halve(v, grid[0])
-        pyramid(rest, grid[1], grid[2], scratch)
-        for p in range(v.size):
-            theta[cells[p]] = weights[p] * v[p]
-
-
-@compiled(f"void({M}, {P}, {P}, {V}, {L}, {V}, {V}, {M})")
-def haar_synthesis(
-    thetas: A, order: A, cells: A, weights: A, grid: A, v: A, scratch: A, images: A
-) -> None:
-    """Images of k sets of coefficients, the transpose of `haar_analysis`."""
-    rest = v[: grid[1] * grid[2]]
-    for f in range(images.shape[0]):
-        image, theta = images[f], thetas[f]
-        for p in range(v.size):
-            v[p] = weights[p] * theta[cells[p]]
-        unpyramid(rest, grid[1], grid[2], scratch)
-        double(v, grid[0])
-        for p in range(v.size):
-            image[order[p]] = v[p]
+@compiled(f"void({V}, {P}, {L}, {V}, {V}, {V})")
+def tiled_image(w: A, order: A, grid: A, v: A, scratch: A, image: A) -> None:
+    """Image of Haar coefficients w of a tiled vector; element p of it is pixel order[p]."""
+    v[:] = w
+    unpyramid(v[: grid[1] * grid[2]], grid[1], grid[2], scratch)
+    double(v, grid[0])
+    for p in range(v.size):
+        image[order[p]] = v[p]
 
 
 LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
@@ -482,6 +429,6 @@ LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
         *(dealt_rows, dealt_forward, dealt_adjoint, stay, move, skin_step, add_bias),
         *(compare_rows, follow_rows),
     ),
-    "fista": (fista, haar_synthesis),
+    "fista": (fista, tiled_image),
 }
 """Loops of each solver, by its name."""

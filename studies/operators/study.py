@@ -17,7 +17,6 @@ import pandas as pd
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.programs import run as run_calls
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
@@ -135,8 +134,6 @@ def time_operators(point: dict[str, Any]) -> dict[str, Any]:
     frames = rng.random((batch, side, side), dtype=np.float32)
     flops_per_us, bytes_per_us = measured_speeds(n, windows)
     libraries: dict[str, Calls] = {NUMPY: _numpy_calls(phi, basis, frames)}
-    if has_numba():
-        libraries[NUMBA] = _numba_calls(phi, basis, frames)
     for peer in point["peers"]:
         libraries[peer] = peer_calls(peer, phi, basis, frames)
     rows = []
@@ -197,32 +194,6 @@ def _numpy_calls(phi: SbhePhi, basis: HaarBasis, frames: Floats) -> Calls:
 def _shifted(basis: HaarBasis) -> ShiftedHaar:
     shape = (basis.n_rows, basis.n_cols)
     return ShiftedHaar(shape, np.arange(math.prod(shape)).reshape(shape), math.prod(shape))
-
-
-def _numba_calls(phi: SbhePhi, basis: HaarBasis, frames: Floats) -> Calls:
-    from sparseskin.nodes.compressor.phi.sbhe import CompiledSbhe
-    from sparseskin.nodes.numerics.kernels import shrink_tiled
-    from sparseskin.nodes.reconstructor.bases.fast_haar import CompiledHaar
-
-    k, n = len(frames), phi.n
-    sbhe, haar = CompiledSbhe(phi), CompiledHaar(basis.n_rows, basis.n_cols)
-    x, back = frames.reshape(k, n), np.empty((k, n), np.float32)
-    y = sbhe.forward(x, np.empty((k, phi.m), np.float32))
-    ready(shrink_tiled)
-    canvas = np.zeros(_shifted(basis).size, np.float32)
-    applied: dict[str, tuple[Callable[..., object], Floats, Floats]] = {
-        FORWARD: (sbhe.forward, x, y),
-        ADJOINT: (sbhe.adjoint, y, back),
-        ANALYSIS: (haar.analysis, x, back),
-        SYNTHESIS: (haar.synthesis, x, back),
-    }
-    return {
-        SHRINK: {1: partial(shrink_tiled, canvas, 0.01)},
-        **{
-            operator: {1: partial(apply, given[:1], out[:1]), k: partial(apply, given, out)}
-            for operator, (apply, given, out) in applied.items()
-        },
-    }
 
 
 def time_solvers(point: dict[str, Any]) -> dict[str, Any]:

@@ -1,19 +1,15 @@
-"""The scrambled block Hadamard ensemble, the paper's measurement matrix: in numpy, and compiled."""
+"""The scrambled block Hadamard ensemble, the paper's measurement matrix."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices
-from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.programs import run
 
 from .base import fingerprint_of
-from .hadamard import BlockHadamard, hadamard_matrix, side_by_side
+from .hadamard import BlockHadamard, hadamard_matrix
 from .rotation import RotatingPhi
 
 
@@ -103,42 +99,3 @@ class SbhePhi(RotatingPhi):
         self._y_and_zero.take(self._spread, None, self._result, "clip")
         run(self._transposed)
         self._a.take(self._unscramble, None, out, "clip")
-
-
-class CompiledSbhe:
-    """Phi and its transpose of an `SbhePhi` in compiled loops; neither allocates anything.
-
-    It needs numba, and owns its work array: use one per thread. Both methods raise PhiError if
-    an array has another shape or type, or is not contiguous.
-    """
-
-    def __init__(self, phi: SbhePhi) -> None:
-        from sparseskin.nodes.numerics import kernels  # needs numba, which the edge may lack
-
-        self._loops = (kernels.sbhe_forward, kernels.sbhe_adjoint)
-        ready(*self._loops)
-        self.n, self.m = phi.n, phi.m
-        columns, groups = side_by_side(phi.hadamard.sizes)
-        taxel_of_place = phi.permutation[columns].astype(np.uint32)
-        place_of_row = np.argsort(columns)[phi.rows].astype(np.uint32)
-        work = np.zeros(phi.n, dtype=np.float32)
-        self._arguments = (taxel_of_place, phi.scale.copy(), place_of_row, groups, work)
-
-    def forward(self, x: Floats, out: Floats) -> Floats:
-        """Write Phi x of k frames, float32 (k, n), to out, float32 (k, m); return out."""
-        return self._run(self._loops[0], x, self.n, out, self.m)
-
-    def adjoint(self, y: Floats, out: Floats) -> Floats:
-        """Write Phi^T y of k frames, float32 (k, m), to out, float32 (k, n); return out."""
-        return self._run(self._loops[1], y, self.m, out, self.n)
-
-    def _run(self, loop: Any, given: Floats, n_in: int, out: Floats, n_out: int) -> Floats:
-        k = len(given)
-        for array, shape in ((given, (k, n_in)), (out, (k, n_out))):
-            if array.shape != shape or array.dtype != np.float32 or not array.flags.carray:
-                raise PhiError(
-                    f"sbhe: an array is {array.dtype} of shape {array.shape}; "
-                    f"expected contiguous, writable float32 of shape {shape}"
-                )
-        loop(given, *self._arguments, out)
-        return out

@@ -7,17 +7,17 @@ import numpy as np
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.hadamard import side_by_side
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
-from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
 from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.kernels import (
     dealt_adjoint,
     dealt_forward,
     dealt_rows,
     fista,
-    haar_synthesis,
+    tiled_image,
 )
-from sparseskin.nodes.reconstructor.bases.fast_haar import Tiling
-from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
+from sparseskin.nodes.reconstructor.bases.haar import HaarBasis, level_sizes
+from sparseskin.nodes.reconstructor.bases.shifted_haar import in_planes
 
 from .descent import Descent
 from .projection import Projection
@@ -85,16 +85,75 @@ class CompiledProjection(Projection):
             self.weights = np.multiply(weights, self.scale, self._weighted)
 
 
+class Tiling:
+    """The order of a grid's samples and coefficients in which a level of Haar is a few long runs.
+
+    Both sides are halved as long as both are even; partners stand a quarter of a part apart, and
+    the sums of a level lie in the first quarter of its part. The rest lies at the begin,
+    row by row, and is transformed by itself.
+
+    Attributes
+    ----------
+    order : ndarray of uint32, shape (n,)
+        Place p of a tiled vector holds the sample order[p] of the flat grid.
+    cells : ndarray of intp, shape (n,)
+        Place p holds the coefficient cells[p] of the flat pyramid that `HaarBasis` gives.
+    weights : ndarray of float32, shape (n,)
+        Scale of each coefficient, as halvings are not scaled.
+    grid : ndarray of int64, shape (3,)
+        Number of halvings, rows and columns of the rest.
+    n_scratch : int
+        Length of the work array that the rest needs.
+    """
+
+    def __init__(self, n_rows: int, n_cols: int) -> None:
+        sides = n_rows | n_cols
+        levels = (sides & -sides).bit_length() - 1
+        rows, cols = n_rows >> levels, n_cols >> levels
+        self.grid = np.array([levels, rows, cols], dtype=np.int64)
+        self.n_scratch = rows * cols
+        index = np.arange(n_rows * n_cols).reshape(n_rows, n_cols)
+        self.order = in_planes(index, levels).astype(np.uint32)
+        self.cells: Indices = np.empty(index.size, dtype=np.intp)
+        self.weights: Floats = np.empty(index.size, dtype=np.float32)
+        for level in range(1, levels + 1):
+            # The part of a level: its four bands, of which the first is the next level's part.
+            here, q = index[: n_rows >> (level - 1), : n_cols >> (level - 1)], 0
+            middle = here.shape[0] // 2, here.shape[1] // 2
+            for band in (
+                here[: middle[0], : middle[1]],
+                here[: middle[0], middle[1] :],
+                here[middle[0] :, : middle[1]],
+                here[middle[0] :, middle[1] :],
+            ):
+                self.cells[q : q + band.size] = in_planes(band, levels - level)
+                q += band.size
+            self.weights[:q] = 0.5**level
+        self.cells[: rows * cols] = index[:rows, :cols].ravel()
+        self.weights[: rows * cols] = 0.5**levels * _scale_of_sums(rows, cols).ravel()
+
+
+def _scale_of_sums(rows: int, cols: int) -> Doubles:
+    """Return the scale of each coefficient of a pyramid of sums and differences, (rows, cols).
+
+    In such a pyramid a level adds and subtracts without the factor 1 / sqrt(2), and a sample
+    without a partner goes on sqrt(2) times as large.
+    """
+    scale = np.ones((rows, cols))
+    for r, c in level_sizes(rows, cols):
+        scale[:r, :c] *= np.sqrt(0.5) ** ((r > 1) + (c > 1))
+    return scale
+
+
 class CompiledDescent(Descent):
     """As `SbheHaarDescent`, of fewer than `MAX_PLACES` cells; one or all iterations in a call."""
 
     def __init__(self, phi: SbhePhi, basis: HaarBasis, taxels: Indices) -> None:
-        ready(fista, haar_synthesis)
+        ready(fista, tiled_image)
         self._phi, self._basis = phi, basis
         self.step_size = 1.0
         tiling = Tiling(basis.n_rows, basis.n_cols)
         self.weights = tiling.weights
-        self._cells = tiling.cells.astype(np.intp)
         columns, groups = side_by_side(phi.hadamard.sizes)
         self._kept = np.argsort(columns)[phi.rows]
         place_of_cell = np.argsort(tiling.order)
@@ -112,9 +171,6 @@ class CompiledDescent(Descent):
         )
         self._weights2 = self.weights * self.weights
         self._tiling = tiling
-        self._w = np.zeros((1, tiling.order.size), dtype=np.float32)
-        self._in_place = np.arange(tiling.order.size, dtype=np.uint32)
-        self._ones = np.ones(tiling.order.size, dtype=np.float32)
 
     def set_measurements(self, y: Floats) -> None:
         self._measured[self._kept] = y * self._phi.scale
@@ -122,13 +178,10 @@ class CompiledDescent(Descent):
     def image_of(self, w: Floats, out: Floats) -> None:
         # w is in the order and scale of the loops already.
         t, (v, *_, scratch) = self._tiling, self._arrays
-        np.copyto(self._w[0], w)
-        haar_synthesis(
-            *(self._w, t.order, self._in_place, self._ones, t.grid, v, scratch), out.reshape(1, -1)
-        )
+        tiled_image(w, t.order, t.grid, v, scratch, out.reshape(-1))
 
     def coefficients_of(self, image: Floats, out: Floats) -> None:
-        np.multiply(self._basis.analysis(image).reshape(-1)[self._cells], self.weights, out)
+        np.multiply(self._basis.analysis(image).reshape(-1)[self._tiling.cells], self.weights, out)
 
     def prepare(self, thetas: Floats, threshold: Floats) -> None:
         self._thetas, self._threshold = thetas, threshold
