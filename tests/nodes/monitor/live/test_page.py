@@ -287,6 +287,34 @@ def test_the_address_with_its_token_opens_the_page_and_is_not_kept(
     wait_until(lambda: asked in text(page, "#notices"), "the way to the next graph")
 
 
+def test_the_file_that_a_browser_is_given_leads_to_the_page_and_a_frame_does_not(
+    page: Any, tmp_path: Path
+) -> None:
+    graph = Graph()
+    graph.skin()
+    graph.frame()
+    notices = Notices(graph.feed)
+    with contextlib.closing(
+        PageServer(graph.feed, notices, 0, lambda request: None, "secret")
+    ) as server:
+        opener, frame = tmp_path / "opener.html", tmp_path / "frame.html"
+        opener.write_text(f'<meta http-equiv="refresh" content="0; url={server.url}">')
+        page.get(opener.as_uri())
+        wait_until(lambda: int(drawn(page)) > 0, "the first frame")
+        assert page.current_url.startswith(f"http://127.0.0.1:{server.port}/#")
+        assert page.execute_script("return document.cookie") == ""
+        page.get_log("browser")
+        frame.write_text(f'<iframe src="{server.url}"></iframe>')
+        page.get(frame.as_uri())
+        refused: list[str] = []
+
+        def is_refused() -> bool:
+            refused.extend(entry["message"] for entry in page.get_log("browser"))
+            return any("frame-ancestors" in line for line in refused)
+
+        wait_until(is_refused, "the refusal of a frame")
+
+
 def test_a_page_without_a_token_that_is_left_open_finds_the_next_graph(
     start: StartProgram, page: Any
 ) -> None:
