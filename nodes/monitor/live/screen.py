@@ -58,7 +58,8 @@ def _patch_lines(name: str, patch: PatchFeed, now_s: float) -> list[str]:
         return [f" {name} ".center(WIDTH, "-"), "no frame has arrived yet"]
     title = f" {name}: {skin.source}, {skin.n_rows} x {skin.n_cols} "
     psnr = summary["psnr_db"]
-    noisy, recon = psnr["noisy"]["all"], psnr["reconstruction"]["all"]
+    which = "contact" if psnr["reconstruction"]["contact"] else "all"
+    noisy, recon = psnr["noisy"][which], psnr["reconstruction"][which]
     gain = shown(recon["mean"] - noisy["mean"], "+.1f") if noisy and recon else NONE
     rows = patch.history.since(0)[1]
     rows = rows[rows[:, 0] > now_s - SPAN_S]
@@ -67,7 +68,7 @@ def _patch_lines(name: str, patch: PatchFeed, now_s: float) -> list[str]:
     frames = summary["frames"]
     left = [
         f"compression  {shown(summary['ratio'], '.2f')} : 1 (N {summary['n']}, M {summary['m']})",
-        f"PSNR mean    {_mean(noisy)} -> {_mean(recon)} dB ({gain} dB)",
+        f"{f'PSNR {which}':<12} {_mean(noisy)} -> {_mean(recon)} dB ({gain} dB)",
         f"rate         {rate} Hz of {skin.rate_hz:g} Hz requested",
     ]
     right = [

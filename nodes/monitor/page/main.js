@@ -102,8 +102,13 @@ function tile(title, value, note, id) {
     element("strong", {}, value), element("span", {}, note));
 }
 
+// The frames that PSNR is shown of: those in contact, before the first one all.
+function shownFrames(summary) {
+  return summary?.psnr_db?.reconstruction?.contact ? "contact" : "all";
+}
+
 function mean(summary, which) {
-  return summary?.psnr_db?.[which]?.all?.mean ?? NaN;
+  return summary?.psnr_db?.[which]?.[shownFrames(summary)]?.mean ?? NaN;
 }
 
 // The rate that was asked for: the skin's own, times that of a replay.
@@ -124,7 +129,8 @@ function tiles(name) {
         ? `N/M ${s.n}/${s.m}, ${s.bits} bits: ${s.ratio_bits.toFixed(1)} : 1`
         : `N = ${s.n}, M = ${s.m}`],
     ["traffic", "Data rate of the edge", `${bytes(after)}`, `instead of ${bytes(before)}`],
-    ["gain", "PSNR gain, all frames", Number.isFinite(gain) ? `${gain >= 0 ? "+" : "−"}${Math.abs(gain).toFixed(1)} dB`
+    ["gain", `PSNR gain, ${shownFrames(s)} frames`, Number.isFinite(gain)
+      ? `${gain >= 0 ? "+" : "−"}${Math.abs(gain).toFixed(1)} dB`
       : fixed(mean(s, "reconstruction"), 1, "dB"),
       Number.isFinite(gain) ? `mean ${fixed(mean(s, "noisy"), 1)} → ${fixed(
         mean(s, "reconstruction"), 1, "dB")}` : "against the taxels; the truth is not known"],
@@ -145,6 +151,7 @@ function drawHeadline() {
     const found = root.querySelector(`[data-tile="${id}"]`);
     if (!found) root.append(tile(title, value, note, id));
     else {
+      setText(found.querySelector("h2"), title);
       setText(found.querySelector("strong"), value);
       setText(found.querySelector("span"), note);
     }

@@ -66,13 +66,18 @@ def test_the_figures_are_those_of_the_frames(clock: FakeTime) -> None:
     lines = lines_of(filled(clock))
     assert " skin: a scene, 4 x 6 " in line_with(lines, "---")
     assert "3.00 : 1 (N 24, M 8)" in line_with(lines, "compression")
-    assert "20.0 -> 40.0 dB (+20.0 dB)" in line_with(lines, "PSNR mean")
+    assert "20.0 -> 40.0 dB (+20.0 dB)" in line_with(lines, "PSNR contact")
     assert "50 of 50 frames, 0 lost" in line_with(lines, "rate")
     assert "50 Hz of 100 Hz requested" in line_with(
         lines, "rate"
     )  # as many as there were within 1 s
-    solve = re.search(r"latency 5\.0 / 5\.0 ms, solve 2\.0 ms", line_with(lines, "PSNR mean"))
+    solve = re.search(r"latency 5\.0 / 5\.0 ms, solve 2\.0 ms", line_with(lines, "PSNR contact"))
     assert solve
+
+
+def test_psnr_is_of_all_frames_before_the_first_contact(clock: FakeTime) -> None:
+    lines = lines_of(filled(clock, contact=False))
+    assert "20.0 -> 40.0 dB (+20.0 dB)" in line_with(lines, "PSNR all")
 
 
 def test_bytes_are_those_of_measurements_and_taxels(clock: FakeTime) -> None:
@@ -165,7 +170,7 @@ def test_what_is_not_known_is_a_dash(clock: FakeTime) -> None:
     graph.take(taxels)
     graph.summarise()
     lines = lines_of(graph)
-    assert "- -> - dB (- dB)" in line_with(lines, "PSNR mean")
+    assert "- -> - dB (- dB)" in line_with(lines, "PSNR all")
     assert "compression  - : 1" in line_with(lines, "compression")
     assert not any("nan" in line for line in lines)
 
