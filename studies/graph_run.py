@@ -125,7 +125,8 @@ class GraphRun:
 
         def is_there() -> bool:
             with contextlib.suppress(ValueError, OSError):
-                found.extend(json.loads(p.read_text()) for p in self.notes.glob("*.json"))
+                notes = [json.loads(path.read_text()) for path in self.notes.glob("*.json")]
+                found.extend(note for note in notes if note["nodes"])  # none while it starts
             return bool(found)
 
         wait_until(is_there, "the graph's note")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import socket
@@ -44,6 +45,20 @@ def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
 
 COMMAND = ["-m", "sparseskin.launch.commands.entry"]
 PATIENT_COMMAND = [str(Path(__file__).with_name("patient.py"))]
+
+
+def note_of_graph(folder: Path) -> Path:
+    """The note of the graph whose runtime folder this is, once the graph can be joined."""
+    found: list[Path] = []
+
+    def is_there() -> bool:
+        for path in folder.glob("*.json"):
+            with contextlib.suppress(ValueError, OSError):  # it is being written
+                found.extend([path] if json.loads(path.read_text())["nodes"] else [])
+        return bool(found)
+
+    wait_until(is_there, "the note of the graph")
+    return found[0]
 
 
 class Program:

@@ -9,7 +9,7 @@ import socket
 from pathlib import Path
 
 import pytest
-from conftest import StartProgram, wait_until
+from conftest import StartProgram, note_of_graph
 
 from sparseskin.launch.run.running import running_graphs
 from sparseskin.nodes.process.memory import STARTED_CALLS, FreeMemory
@@ -53,7 +53,7 @@ def test_half_open_connections_end_no_node(
     program = start("launch", "graph.toml", "--summary", "summary.json", prefix=limit)
     program.wait_for("[launch] ready")
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
-    wait_until(lambda: bool(running_graphs()), "the note")
+    note_of_graph(tmp_path / "graphs")
     nodes = running_graphs()[0].nodes
     strangers = []
     for node in nodes.values():

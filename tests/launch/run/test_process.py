@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from conftest import StartProgram, wait_until
+from conftest import StartProgram, note_of_graph, wait_until
 
 from sparseskin.launch.launchfile.load import load
 from sparseskin.launch.run.awake import MAX_STEP_S, AwakeClock, awake_s
@@ -130,7 +130,7 @@ def test_a_live_recording_leaves_no_descriptor_open(
     program.wait_for("[launch] ready")
     pid = program.process.pid
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
-    wait_until(lambda: bool(running_graphs()), "the note")
+    note_of_graph(tmp_path / "graphs")
     client = ControlClient(running_graphs()[0].control)
     answers: list[dict[str, Any]] = []
 

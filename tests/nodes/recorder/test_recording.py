@@ -9,7 +9,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from conftest import MountDisk, StartProgram, wait_until
+from conftest import MountDisk, StartProgram, note_of_graph, wait_until
 
 from sparseskin.messages import decode
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -44,7 +44,7 @@ def test_played_in_lockstep_and_recorded_again_it_is_the_same_to_the_bit(
     assert launched.finish()[0] == 0
     player = start("play", "first.mcap", "--lockstep", "--rate", "0")
     player.wait_for("[launch] ready")
-    wait_until(lambda: any((tmp_path / "graphs").glob("*.json")), "the graph's note")
+    note_of_graph(tmp_path / "graphs")
     code, stdout, stderr = start("record", "--out", "second.mcap").finish()
     assert code == 0, stderr
     assert "0 dropped" in stdout

@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from conftest import StartProgram, wait_until
+from conftest import StartProgram, note_of_graph, wait_until
 from feeds import Graph, read_records
 
 from sparseskin.messages import Reconstruction, Taxels
@@ -332,9 +332,7 @@ def test_the_token_is_for_the_user_alone(start: StartProgram, tmp_path: Path) ->
     program = start("launch", "path_40", *settings)
     place = urlsplit(program.wait_for("live page: "))
     program.wait_for("ready:")
-    wait_until(lambda: bool(list((tmp_path / "graphs").glob("*.json"))), "the note of the graph")
-    (note,) = (tmp_path / "graphs").glob("*.json")
-    wait_until(lambda: note.read_text().endswith("}"), "all of the note")
+    note = note_of_graph(tmp_path / "graphs")
     assert place.query == f"token={json.loads(note.read_text())['page_token']}"
     (folder,) = (tmp_path / "logs").iterdir()
     assert [path.stat().st_mode & 0o777 for path in (folder, note.parent)] == [0o700, 0o700]
