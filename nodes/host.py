@@ -64,11 +64,12 @@ class InputCount:
 
 @dataclass
 class Counts:
-    """All counters of a node; `refused` by reason."""
+    """All counters of a node; `refused` by reason; `errors` that it raised at messages."""
 
     inputs: dict[str, InputCount] = field(default_factory=dict)
     published: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
+    errors: int = 0
 
     def as_dict(self) -> dict[str, Any]:
         """Counters as plain data, for status lines and summaries."""
@@ -76,7 +77,8 @@ class Counts:
             what: {topic: getattr(count, what) for topic, count in self.inputs.items()}
             for what in COUNTED
         }
-        return counts | {"published": dict(self.published), "refused": dict(self.refused)}
+        counts |= {"published": dict(self.published), "refused": dict(self.refused)}
+        return counts | ({"errors": self.errors} if self.errors else {})
 
 
 class NodeHost:
@@ -219,14 +221,14 @@ class NodeHost:
             self._refuse("refused", str(error))
         except MessageError as error:
             self._refuse(error.reason, f"not published: {error}")
+            self._count_error(error)
         except SparseskinError as error:
             # The node cannot do what its settings ask for; no later message changes that.
             self.failure = self.failure or str(error)
             self._refuse("failed", str(error))
         except Exception as error:  # a user's own solver may raise anything
             self._refuse("failed", one_line(error))
-            if is_due(self.counts.refused["failed"]):
-                self.raised(error)
+            self._count_error(error)
 
     def _publish(self, messages: Iterable[Message]) -> Iterator[Message]:
         for message in messages:
@@ -236,6 +238,11 @@ class NodeHost:
                 message = message.published(self.run_id, seq)
             self._sent[message.topic] = (message.run_id, message.seq + 1)
             yield message
+
+    def _count_error(self, error: Exception) -> None:
+        self.counts.errors += 1
+        if is_due(self.counts.errors):
+            self.raised(error)
 
     def _refuse(self, reason: str, text: str) -> None:
         """Count a refusal and log some of them."""

@@ -117,8 +117,7 @@ class Launcher:
                 signal.signal(number, handler)
             self._terminal.status("")
         for node in self._fleet:
-            n_errors = node.counts.get("refused", {}).get("failed", 0)
-            if n_errors and not node.failed:
+            if n_errors := node.counts.get("errors", 0):
                 self._terminal.log(f"[launch] {node.name} raised {n_errors} errors (see its log)")
         return self._exit_code or self._fleet.late_code
 

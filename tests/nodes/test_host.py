@@ -153,6 +153,32 @@ def test_refused_and_failed_messages_end_no_node() -> None:
     assert re.fullmatch(text, failure)
 
 
+def test_errors_that_a_node_raises_are_counted_and_reported_now_and_then() -> None:
+    host, _ = make(Summer)
+    raised: list[Exception] = []
+    host.raised = raised.append
+    assert "errors" not in host.counts.as_dict()
+    for seq in range(12):
+        # Of four taxels: above 40 N it refuses, above 20 N it raises.
+        list(host.receive(taxels(seq, value=(1.0, 8.0, 100.0)[seq % 3])))
+    assert host.counts.refused == {"refused": 4, "failed": 4}
+    assert host.counts.as_dict()["errors"] == 4
+    assert [type(error) for error in raised] == [ZeroDivisionError]
+
+
+def test_a_message_that_cannot_be_made_is_an_error_of_its_node() -> None:
+    class Short(Summer):
+        def step(self, message: Message) -> Iterable[Message]:
+            yield Measurements(stamp_ns=-1, patch="skin", y=np.ones(1, np.float32), phi="0" * 16)
+
+    host, lines = make(Short)
+    raised: list[Exception] = []
+    host.raised = raised.append
+    assert list(host.receive(taxels(0))) == []
+    assert host.counts.errors == len(raised) == 1
+    assert "not published" in lines[0]
+
+
 def test_a_flood_of_refusals_is_counted_whole_but_said_seldom() -> None:
     host, lines = make(Summer)
     for seq in range(1000):

@@ -413,6 +413,7 @@ def test_a_run_in_which_a_node_raised_errors_is_no_success(
     assert "Traceback" not in stderr
     summary = json.loads((tmp_path / "out.json").read_text())
     assert summary["nodes"]["own"]["refused"] == {"failed": 20}
+    assert summary["nodes"]["own"]["errors"] == 20
     (log,) = (tmp_path / "logs").glob("*/own.log")
     assert "Traceback (most recent call last):" in log.read_text()
     assert f'mine.py", line {number}, in step' in log.read_text()
