@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +10,6 @@ import pytest
 from sparseskin.studies.faults import cases as faults_cases
 from sparseskin.studies.faults import signals as faults_signals
 from sparseskin.studies.faults import study as faults
-from sparseskin.studies.faults.observed import Probe
-
-
-@pytest.fixture(autouse=True)
-def any_latency(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Accept a frame acquired after the fault, however late a busy host reconstructs it."""
-    monkeypatch.setattr(Probe.wait_for_frame, "__defaults__", (None, math.inf))
-
 
 SMALL = {"seconds": 0.5, "delays_s": (0, 0.05)}
 
