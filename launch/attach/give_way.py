@@ -23,6 +23,7 @@ AUTOGROUP_ENABLED = Path("/proc/sys/kernel/sched_autogroup_enabled")
 TRIES = 20
 TRY_S = 0.05
 PR_SET_PDEATHSIG = 1
+PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP)
 
 
 def give_way() -> None:
@@ -40,9 +41,12 @@ def give_way() -> None:
         return
     sys.stdout.flush()
     parent = os.getpid()
+    # A signal that comes before its handler is there would not reach the child.
+    unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, PASSED_ON)
     child = os.fork()
     if child:
-        _stand_for(child)
+        _stand_for(child, unblocked)
+    signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
         os._exit(128 + signal.SIGTERM)
@@ -73,8 +77,8 @@ def _weigh_session(nice: int) -> None:
             return
 
 
-def _stand_for(child: int) -> NoReturn:
-    """Pass signals on to a child, and end as it ends."""
+def _stand_for(child: int, unblocked: set[signal.Signals | int]) -> NoReturn:
+    """Pass signals on to a child, with that signal mask, and end as it ends."""
 
     def pass_on(number: int, _frame: object) -> None:
         os.kill(child, number)  # not reaped yet, so the number is still its own
@@ -88,6 +92,7 @@ def _stand_for(child: int) -> NoReturn:
         if number != signal.SIGHUP or signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, pass_on)
     signal.signal(signal.SIGTSTP, stop)
+    signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
     _, status = os.waitpid(child, 0)
     code = os.waitstatus_to_exitcode(status)
     if code < 0:
