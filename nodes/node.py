@@ -108,6 +108,17 @@ class Node(Generic[S]):
         return ()
 
     @classmethod
+    def facts(cls, settings: S) -> Mapping[str, Any]:
+        """What the settings alone state of output topics: of a skin its number of taxels, of a
+        Phi its kind.
+        """
+        return {}
+
+    @classmethod
+    def check_inputs(cls, settings: S, facts: Mapping[str, Any]) -> None:
+        """Raise SparseskinError if a setting contradicts the facts of the topics of the graph."""
+
+    @classmethod
     def values_again(cls, settings: S, n_restarts: int) -> dict[str, Any]:
         """Settings to change when the node is restarted after its n-th failure."""
         return {}

@@ -24,7 +24,7 @@ class Range:
     """Meaning and allowed values of a setting, ends included.
 
     `known` are values to propose where others are allowed too; `live` is True if the setting can
-    be changed while the graph runs.
+    be changed while the graph runs, `decides` if it decides what others may be.
     """
 
     doc: str
@@ -33,6 +33,7 @@ class Range:
     choices: tuple[str, ...] = ()
     known: tuple[str, ...] = ()
     live: bool = False
+    decides: bool = False
 
 
 def setting(
@@ -44,9 +45,10 @@ def setting(
     choices: tuple[str, ...] = (),
     known: Iterable[str] = (),
     live: bool = False,
+    decides: bool = False,
 ) -> Any:
     """Declare one setting: its default and its `Range`."""
-    allowed = Range(doc, low, high, tuple(choices), tuple(known), live)
+    allowed = Range(doc, low, high, tuple(choices), tuple(known), live, decides)
     return dataclasses.field(default=default, metadata={"range": allowed})
 
 
@@ -162,6 +164,9 @@ def _checked(name: str, value: Any, hint: Any) -> Any:
         elif typing.get_origin(option) is tuple:
             if isinstance(value, list | tuple) and all(isinstance(v, str) for v in value):
                 return tuple(value)
+        elif typing.get_origin(option) is dict:
+            if isinstance(value, Mapping):
+                return dict(value)
         elif option is float:
             if isinstance(value, float):
                 return value
@@ -183,6 +188,7 @@ _TYPE_NAMES: dict[Any, str] = {
     str: "a text",
     type(None): "nothing",
     tuple[str, ...]: "a list of texts",
+    dict[str, Any]: "a table",
 }
 
 

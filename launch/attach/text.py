@@ -22,6 +22,7 @@ _TYPES = {
     "str": "a text",
     "None": "none",
     "tuple[str, ...]": "a list of texts",
+    "dict[str, Any]": "a table {KEY = VALUE}",
 }
 
 
@@ -121,7 +122,7 @@ def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
         value = parse_toml(f"value = {text}")["value"]
     except ValueError:
         return text
-    plain = isinstance(value, str | bool | int | float | list)
+    plain = isinstance(value, str | bool | int | float | list | dict)
     if not plain or (not isinstance(value, str) and set(types) <= {"str", "None"} and types):
         return text
     return value

@@ -58,7 +58,12 @@ def _launch(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.monitor.node import Monitor
 
     USER_MODULES.clear()
-    launch = load(arguments.name, arguments.set, arguments.record)
+    try:
+        launch = load(arguments.name, arguments.set, arguments.record)
+    finally:  # also where the file is refused
+        if arguments.dry_run and USER_MODULES:
+            modules = ", ".join(sorted(USER_MODULES))
+            print(f"imported, and so run, to be checked: {modules}", file=sys.stderr)
     wanted = ["browser=true"] * arguments.open + ["token=false"] * arguments.no_token
     if wanted:
         monitors = [node.name for node in launch.nodes.values() if issubclass(node.cls, Monitor)]
@@ -68,9 +73,6 @@ def _launch(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         from sparseskin.launch.launchfile.graph_text import graph_text, write_graph
 
-        if USER_MODULES:
-            modules = ", ".join(sorted(USER_MODULES))
-            print(f"imported, and so run, to be checked: {modules}", file=sys.stderr)
         for form, path in pictures.items():
             write_graph(launch, form, path)
         print(graph_text(launch))

@@ -6,6 +6,7 @@ import dataclasses
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,7 @@ class Checker:
         self.tree = tree
         self.name = name
         self.errors: list[str] = []
-        self.overridden: dict[tuple[str, str], str] = {}
+        self.overridden: dict[tuple[str, ...], str] = {}
         self.launched = text
         self.restart = RestartPolicy()
 
@@ -79,6 +80,14 @@ class Checker:
             spec = self.node(node_name, table)
             if spec is not None:
                 nodes[node_name] = spec
+        facts: dict[str, Any] = {}
+        for spec in nodes.values():
+            facts |= spec.cls.facts(spec.settings)
+        for spec in nodes.values():
+            try:
+                spec.cls.check_inputs(spec.settings, facts)
+            except SparseskinError as error:
+                self.node_fault(spec.name, spec.values, error)
         links: list[Link] = []
         if not self.errors:
             try:
@@ -170,11 +179,11 @@ class Checker:
         return good
 
     def override(self, text: str, tables: dict[str, dict[str, Any]]) -> None:
-        match = re.fullmatch(r"([^.=]+)\.([^.=]+)=(.*)", text, re.DOTALL)
+        match = re.fullmatch(r"([^.=]+)\.([^.=]+)(?:\.([^.=]+))?=(.*)", text, re.DOTALL)
         if match is None:
             self.errors.append(f"--set {text}: expected NODE.KEY=VALUE")
             return
-        node, key, raw = match.groups()
+        node, key, part, raw = match.groups()
         if node not in tables:
             self.errors.append(f"--set {text}: unknown node '{node}'{did_you_mean(node, tables)}")
             return
@@ -182,8 +191,11 @@ class Checker:
             value = parse_toml(f"value = {raw}")["value"]
         except ValueError:
             value = raw
+        if part is not None:
+            table = tables[node].get(key)
+            value = {**(table if isinstance(table, dict) else {}), part: value}
         tables[node][key] = value
-        self.overridden[node, key] = text
+        self.overridden[(node, key) if part is None else (node, key, part)] = text
 
     def node(self, name: str, table: dict[str, Any]) -> NodeSpec | None:
         values = dict(table)
@@ -201,23 +213,48 @@ class Checker:
         # A recorder, recognised by its settings: importing its class loads the writers of files.
         if {"launch", "source", "out"} <= {f.name for f in dataclasses.fields(cls.Settings)}:
             values = {"launch": self.launched, "source": self.name} | values
-        try:
-            settings = make_settings(cls, values)
-            settings.check()
-        except SparseskinError as error:
-            key, _, rest = str(error).partition(":")
-            what = rest.strip() if key in values else str(error)
-            if key not in values:  # the line may begin with a value, as the name of a file
-                key = next((k for k, value in values.items() if value and value == key), "")
-            place = ("nodes", name, key) if key else ("nodes", name)
-            self.fault(place, what + (_to_name(name, values) if TO_NAME in what else ""))
-            return None
-        return NodeSpec(name, type_name, cls, values, settings, restart)
+        deciding = [f.name for f in dataclasses.fields(cls.Settings) if f.metadata["range"].decides]
+        right, decided = dict(values), True
+        while True:
+            try:
+                settings = make_settings(cls, right)
+                if decided:
+                    settings.check()
+            except SparseskinError as error:
+                if str(error).partition(":")[0] in values.keys() - right.keys():
+                    return None  # it has to be stated
+                key, part = self.node_fault(name, right, error)
+                if not key:
+                    return None
+                # With the fault left out, the others are found, but for those that follow from it.
+                decided = decided and not get_close_matches(key, deciding)
+                if part:
+                    right[key] = {k: value for k, value in right[key].items() if k != part}
+                else:
+                    del right[key]
+                continue
+            return NodeSpec(name, type_name, cls, values, settings, restart) if decided else None
+
+    def node_fault(self, name: str, values: dict[str, Any], error: Exception) -> tuple[str, str]:
+        """Note an error that begins with the key of a node; return the key and, of a table, its
+        part; "" where it names none.
+        """
+        named, _, rest = str(error).partition(":")
+        key, _, part = named.partition(".")
+        what = rest.strip() if key in values else str(error)
+        if key not in values:  # the line may begin with a value, as the name of a file
+            key = next((k for k, value in values.items() if value and value == named), "")
+            part = ""
+        if part and part not in values[key]:
+            part = ""
+        place = tuple(filter(None, ("nodes", name, key, part)))
+        self.fault(place, what + (_to_name(name, values) if TO_NAME in what else ""))
+        return key, part
 
     def fault(self, place: tuple[str, ...], what: str) -> None:
         """Note an error at a place, with the line of the file or the --set it comes from."""
-        if len(place) == 3 and place[1:] in self.overridden:
-            self.errors.append(f"--set {self.overridden[place[1], place[2]]}: {what}")
+        if place[0] == "nodes" and place[1:] in self.overridden:
+            self.errors.append(f"--set {self.overridden[place[1:]]}: {what}")
             return
         line = _line_of(self.text, place)
         where = f"{self.shown}:{line}" if line else self.shown

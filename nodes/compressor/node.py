@@ -15,12 +15,13 @@ from sparseskin.nodes.compressor.phi.acts import (
     force_threshold,
     packed_places,
 )
-from sparseskin.nodes.compressor.phi.base import KINDS, Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import KINDS, Phi, check_parameters, make_phi
 from sparseskin.nodes.compressor.phi.rotation import (
     FIXED,
     ROTATING,
     ROWS,
     check_rotates,
+    check_subsets,
     m_of,
     row_subsets,
 )
@@ -42,6 +43,7 @@ class CompressorSettings(PatchSettings):
         "measurement matrix: sbhe, full, subsample, gaussian, acts (taxels chosen anew in each "
         "frame, for the solver interpolation) or module:Class",
         known=KINDS,
+        decides=True,
     )
     ratio: float = setting(
         3.0,
@@ -67,12 +69,12 @@ class CompressorSettings(PatchSettings):
     seed: int = setting(0, "seed of the measurement matrix", low=0, high=2**32 - 1)
 
     def check(self) -> None:
+        if self.block & (self.block - 1):
+            raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
         with naming("phi"):
             made_by = find_class("phi", self.phi, KINDS, PhiError)
         if self.rows == ROTATING and isinstance(made_by, type):
             check_rotates(made_by, self.phi)
-        if self.block & (self.block - 1):
-            raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
 
     def changed(self, changes: Mapping[str, Any]) -> Self:
         """As in `Settings`; a newly stated ratio replaces an earlier M."""
@@ -85,7 +87,9 @@ class CompressorSettings(PatchSettings):
         if self.m is not None:
             return self.m
         if self.ratio > n:
-            raise PhiError(f"ratio: {self.ratio:g} leaves no measurement of {n} taxels")
+            raise PhiError(
+                f"ratio: {self.ratio:g} leaves no measurement of {n} taxels; allowed: 1..{n}"
+            )
         return m_of(n, self.ratio, self.rows)
 
 
@@ -110,6 +114,24 @@ class Compressor(Node[CompressorSettings]):
     @classmethod
     def outputs(cls, settings: CompressorSettings) -> tuple[str, ...]:
         return tuple(topic_of(settings.patch, cls.schema) for cls in (PhiState, Measurements))
+
+    @classmethod
+    def facts(cls, settings: CompressorSettings) -> Mapping[str, Any]:
+        return {topic_of(settings.patch, PhiState.schema): settings.phi}
+
+    @classmethod
+    def check_inputs(cls, settings: CompressorSettings, facts: Mapping[str, Any]) -> None:
+        s, n = settings, facts.get(topic_of(settings.patch, SkinState.schema))
+        if n is None:
+            return
+        m = s.n_measurements(n)
+        made_by = find_class("phi", s.phi, KINDS, PhiError)
+        with naming("ratio" if s.m is None else "m"):
+            check_parameters(n, m, s.seed, s.block)
+            if isinstance(made_by, type) and issubclass(made_by, Phi):
+                made_by.check_size(n, m, s.seed, s.block)
+        if s.rows == ROTATING:
+            check_subsets(n, m)
 
     def step(self, message: Message) -> Iterable[Message]:
         if isinstance(message, SkinState):

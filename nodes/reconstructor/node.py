@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -73,6 +73,12 @@ class Reconstructor(Node[ReconstructorSettings]):
     def outputs(cls, settings: ReconstructorSettings) -> tuple[str, ...]:
         written = (SolverState, *((Resultant,) if settings.resultant else ()), Reconstruction)
         return tuple(topic_of(settings.patch, cls.schema) for cls in written)
+
+    @classmethod
+    def check_inputs(cls, settings: ReconstructorSettings, facts: Mapping[str, Any]) -> None:
+        kind = facts.get(topic_of(settings.patch, PhiState.schema))
+        if kind is not None:
+            settings.check_phi(kind)
 
     @property
     def depth(self) -> int:

@@ -7,17 +7,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from sparseskin.nodes.compressor.phi.base import KINDS
+from sparseskin.messages.ranges import is_real
+from sparseskin.nodes.compressor.phi.base import KINDS, make_phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROWS
 from sparseskin.nodes.errors import PhiError, SettingsError, SolverError
-from sparseskin.nodes.lookup import did_you_mean, find_class
+from sparseskin.nodes.lookup import did_you_mean, find_class, nearest_of
 from sparseskin.nodes.numerics.compiled import FAST, check_fast
-from sparseskin.nodes.reconstructor.bases.base import BASES, find_basis
+from sparseskin.nodes.reconstructor.bases.base import BASES, find_basis, make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import RESULTANT_SOLVERS
-from sparseskin.nodes.reconstructor.solvers.base import SOLVERS
+from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads, make_solver
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 ANNOUNCED = "announced"
+#: Parameters of a solver that are no options: the node gives them, or they have settings.
+_NO_OPTIONS = ("phi", "basis", "mask", "fast", "solver", "iterations", "lambda_n")
 #: Named sets of settings. "paper": exactly the method of the paper, sections IV and V-A, for a
 #: "sbhe" phi with orthonormal rows of block 32; lambda_n is its 0.1 on rows of +1 and -1. "skin":
 #: the most accurate one; it estimates noise and threshold from the measurements.
@@ -32,10 +35,18 @@ class ReconstructorSettings(PatchSettings):
     """Settings of the reconstructor node."""
 
     preset: str = setting(
-        "skin", f"named set of the settings below: {', '.join(PRESETS)}", known=PRESETS, live=True
+        "skin",
+        f"named set of the settings below: {', '.join(PRESETS)}",
+        known=PRESETS,
+        live=True,
+        decides=True,
     )
     solver: str | None = setting(
-        None, "solver, in place of the preset's; or module:Class", known=SOLVERS, live=True
+        None,
+        "solver, in place of the preset's; or module:Class",
+        known=SOLVERS,
+        live=True,
+        decides=True,
     )
     basis: str | None = setting(
         None,
@@ -44,7 +55,12 @@ class ReconstructorSettings(PatchSettings):
         live=True,
     )
     iterations: int | None = setting(
-        None, "iterations a frame, in place of the preset's", low=1, high=1000, live=True
+        None,
+        "iterations a frame, in place of the preset's: with solver skin the least number (the "
+        "most: options.max_iterations), with omp the most coefficients",
+        low=1,
+        high=1000,
+        live=True,
     )
     lambda_n: float | None = setting(
         None,
@@ -53,6 +69,9 @@ class ReconstructorSettings(PatchSettings):
         low=0.0,
         high=1e6,
         live=True,
+    )
+    options: dict[str, Any] | None = setting(
+        None, "further parameters of the solver, as max_iterations of skin, by name", live=True
     )
     budget_ms: float | None = setting(
         None,
@@ -98,37 +117,75 @@ class ReconstructorSettings(PatchSettings):
     phi_rows: str = setting(FIXED, "rows of a stated phi: fixed or rotating", choices=ROWS)
 
     def check(self) -> None:
+        check_fast(self.fast)
+        if self.phi != ANNOUNCED:
+            with naming("phi"):
+                find_class("phi", self.phi, KINDS, PhiError)
         if self.preset not in PRESETS:
             raise SettingsError(
                 f"preset: '{self.preset}' is not known{did_you_mean(self.preset, PRESETS)}; "
                 f"allowed: {', '.join(PRESETS)}"
             )
-        check_fast(self.fast)
         chosen = self.chosen()
+        with naming("basis"):
+            find_basis(chosen["basis"])
         with naming("solver"):
             solver = find_class("solver", chosen["solver"], SOLVERS, SolverError)
         self._check_known_to(solver)
-        with naming("basis"):
-            find_basis(chosen["basis"])
         if self.resultant and chosen["solver"] not in RESULTANT_SOLVERS:
             raise SettingsError(
                 f"resultant: is not available with solver {chosen['solver']}, whose frames are "
                 f"biased; allowed: {', '.join(RESULTANT_SOLVERS)}"
             )
-        if self.phi != ANNOUNCED:
-            with naming("phi"):
-                find_class("phi", self.phi, KINDS, PhiError)
 
     def _check_known_to(self, solver: Callable[..., Any]) -> None:
+        name = self.chosen()["solver"]
         parameters = inspect.signature(solver).parameters
-        if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
-            return
-        for name in ("iterations", "lambda_n"):
-            if getattr(self, name) is not None and name not in parameters:
+        takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+        for key in ("iterations", "lambda_n"):
+            if getattr(self, key) is not None and key not in parameters and not takes_any:
                 raise SettingsError(
-                    f"{name}: solver {self.chosen()['solver']} has none; allowed: to leave it out, "
+                    f"{key}: solver {name} has none; allowed: to leave it out, "
                     "or a solver that has it (preset paper)"
                 )
+        known = [
+            key
+            for key, p in parameters.items()
+            if key not in _NO_OPTIONS and p.kind is not p.VAR_KEYWORD
+        ]
+        small, basis = make_phi("sbhe", n=64, m=21, seed=0), make_basis("haar", 8, 8)
+        for key, value in (self.options or {}).items():
+            if key in ("iterations", "lambda_n"):
+                raise SettingsError(f"options.{key}: is a setting of its own; allowed: {key}")
+            if key in _NO_OPTIONS or (key not in known and not takes_any):
+                allowed = nearest_of(key, known) if known else "; allowed: none"
+                raise SettingsError(f"options.{key}: is no option of solver {name}{allowed}")
+            if not (isinstance(value, str | bool) or is_real(value)):
+                raise SettingsError(
+                    f"options.{key}: {value!r} is not allowed; allowed: a finite number, a text, "
+                    "true or false"
+                )
+            if name in SOLVERS:
+                with naming(f"options.{key}"):
+                    make_solver(name, small, basis, None, fast="off", **{key: value})
+
+    def check_phi(self, kind: str) -> None:
+        """Check that measurements by an announced kind of phi can be reconstructed.
+        Raises SettingsError.
+        """
+        if self.phi != ANNOUNCED:
+            kind = self.phi
+        elif kind not in KINDS:
+            raise SettingsError(
+                f"phi: '{kind}' of the compressor is not built in, and what is announced is not "
+                f"imported; allowed: phi = '{kind}' with its M as phi_m, or built-in kinds"
+            )
+        chosen = self.chosen()["solver"]
+        solver = find_class("solver", chosen, SOLVERS, SolverError)
+        phi = find_class("phi", kind, KINDS, PhiError)
+        if isinstance(phi, type):
+            with naming("solver"):
+                check_reads(chosen, solver, kind, phi)
 
     def chosen(self) -> dict[str, Any]:
         """Return the preset with the settings that are stated in place of its own."""
@@ -142,4 +199,4 @@ class ReconstructorSettings(PatchSettings):
         if self.solver not in (None, preset["solver"]):
             # The numbers of a preset belong to its solver.
             preset = {"basis": preset["basis"]}
-        return preset | {k: v for k, v in stated.items() if v is not None}
+        return (self.options or {}) | preset | {k: v for k, v in stated.items() if v is not None}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,7 +31,9 @@ class SensorSettings(PatchSettings):
     """Settings of the sensor node."""
 
     source: str = setting(
-        "scene:drag_wrench_64", "where frames come from: scene:NAME, file:PATH or module:callable"
+        "scene:drag_wrench_64",
+        "where frames come from: scene:NAME, file:PATH or module:callable",
+        decides=True,
     )
     rate_hz: float | None = setting(
         None,
@@ -103,6 +105,13 @@ class Sensor(SourceNode[SensorSettings]):
     @classmethod
     def outputs(cls, settings: SensorSettings) -> tuple[str, ...]:
         return tuple(topic_of(settings.patch, cls.schema) for cls in (SkinState, Taxels, Truth))
+
+    @classmethod
+    def facts(cls, settings: SensorSettings) -> Mapping[str, Any]:
+        if not settings.source.startswith(SCENE):
+            return {}  # known once the file is read, or the driver runs
+        skin = open_source(settings.source, seed=settings.seed).skin
+        return {topic_of(settings.patch, SkinState.schema): skin.n_taxels}
 
     def start(self) -> Iterable[Message]:
         yield self._describe()

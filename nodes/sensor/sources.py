@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
+import symtable
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.lookup import USER_MODULES, did_you_mean
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES, check_csv, open_file
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, check_scene, open_scene
 
@@ -54,25 +56,51 @@ def check_source(
 
 
 def check_module(target: str) -> None:
-    """Check that the module of a driver exists, without importing it.
+    """Check that the module of a driver exists and that its source names the callable, without
+    importing it; the packages that it is in are imported.
 
     Raises
     ------
     SourceError
         If it does not.
     """
-    module = target.partition(":")[0]
+    module, _, attribute = target.partition(":")
+    if "." in module and not module.startswith("sparseskin."):
+        USER_MODULES.add(module.rpartition(".")[0])
     here = os.getcwd()
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)
     try:
-        found = find_spec(module) is not None
+        found = find_spec(module)
     except (ImportError, ValueError):
-        found = False
-    if not found:
+        found = None
+    if found is None:
         hint = did_you_mean(module, ("scene", "file")) if len(module) < 8 else ""
         hint = hint if "did you mean" in hint else ""
         raise SourceError(f"{target}: there is no module {module!r}, installed or in {here}{hint}")
+    names = _names_of(Path(found.origin)) if found.origin else None
+    if names is not None and attribute.partition(".")[0] not in names:
+        near = did_you_mean(attribute, names)
+        hint = near if "did you mean" in near else "; allowed: a callable of that module"
+        raise SourceError(f"{target}: {module} has no {attribute!r}{hint}")
+
+
+def _names_of(path: Path) -> set[str] | None:
+    """Names that the source of a module binds; None where it cannot be read, or binds more than its
+    statements show.
+    """
+    if path.name == "__init__.py":
+        return None  # its modules are names of it, too
+    try:
+        table = symtable.symtable(path.read_bytes(), str(path), "exec")  # type: ignore[arg-type]
+        source = path.read_text(encoding="utf-8")
+    except (OSError, ValueError, SyntaxError):
+        return None
+    if re.search(r"import +\*|__getattr__|global|vars\(|setattr|exec\(|__dict__|modules", source):
+        return None
+    return {
+        name.get_name() for name in table.get_symbols() if name.is_assigned() or name.is_imported()
+    }
 
 
 def open_source(

@@ -62,12 +62,17 @@ class Phi(ABC):
     kind: str
 
     def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
-        check_parameters(n, m, seed, block)
+        self.check_size(n, m, seed, block)
         self.n = int(n)
         self.m = int(m)
         self.seed = int(seed)
         self.block = int(block)
         self.fingerprint = ""
+
+    @classmethod
+    def check_size(cls, n: int, m: int, seed: int, block: int) -> None:
+        """Raise PhiError if a parameter is not allowed, before any matrix is made."""
+        check_parameters(n, m, seed, block)
 
     @property
     def ratio(self) -> float:

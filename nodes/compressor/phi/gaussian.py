@@ -36,12 +36,16 @@ class GaussianPhi(Phi):
 
     kind = "gaussian"
 
-    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
-        super().__init__(n, m, seed, block)
+    @classmethod
+    def check_size(cls, n: int, m: int, seed: int, block: int) -> None:
+        super().check_size(n, m, seed, block)
         if n > N_MAX:
             raise PhiError(
                 f'phi "gaussian": n = {n} is not allowed; allowed: 1..{N_MAX} (dense matrix)'
             )
+
+    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+        super().__init__(n, m, seed, block)
         normal = np.random.default_rng(seed).standard_normal((m, n))
         self.matrix: Floats = (normal / math.sqrt(n)).astype(np.float32)
         self.matrix.setflags(write=False)

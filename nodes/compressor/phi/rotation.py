@@ -81,13 +81,18 @@ def row_subsets(phi: Phi, rows: str) -> list[Phi]:
     if rows == FIXED:
         return [phi]
     check_rotates(phi, phi.kind)
-    if phi.n > MAX_SUBSETS * phi.m:
-        raise PhiError(
-            f'rows: "rotating" is not allowed for m = {phi.m} of n = {phi.n}; allowed: m of '
-            f"{-(-phi.n // MAX_SUBSETS)} or more (N/{MAX_SUBSETS})"
-        )
+    check_subsets(phi.n, phi.m)
     subsets: list[Phi] = getattr(phi, "row_subsets")()  # noqa: B009
     return subsets
+
+
+def check_subsets(n: int, m: int) -> None:
+    """Raise PhiError if rotating rows of m of n would have too many subsets."""
+    if n > MAX_SUBSETS * m:
+        raise PhiError(
+            f'rows: "rotating" is not allowed for m = {m} of n = {n}; allowed: m of '
+            f"{-(-n // MAX_SUBSETS)} or more (N/{MAX_SUBSETS})"
+        )
 
 
 def check_rotates(phi: object, kind: str) -> None:

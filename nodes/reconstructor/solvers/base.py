@@ -72,6 +72,8 @@ class Solver(ABC):
     rotates: bool = False
     #: True if it follows a phi that chooses its taxels anew each frame.
     follows_choice: bool = False
+    #: Class of the phi that it can use.
+    reads: type = object
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:
         shape = (basis.n_rows, basis.n_cols)
@@ -236,10 +238,7 @@ def make_solver(
         If fast is none of these, or "on" without numba.
     """
     cls = find_class("solver", name, SOLVERS, SolverError)
-    if isinstance(phi, ActsPhi) and not getattr(cls, "follows_choice", False):
-        raise SolverError(
-            f'solver "{name}": phi "acts" reads other taxels each frame; allowed: interpolation'
-        )
+    check_reads(name, cls, phi.kind, type(phi))
     parameters = inspect.signature(cls).parameters
     known = [p for p in parameters if p not in ("phi", "basis", "mask", "fast")]
     takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
@@ -260,6 +259,16 @@ def make_solver(
         raise SolverError(f'solver "{name}" is no solver: it lacks {", ".join(missing)}')
     solver: Solver = made
     return solver
+
+
+def check_reads(name: str, solver: object, kind: str, phi: type) -> None:
+    """Raise SolverError if a solver cannot use a class of phi."""
+    if issubclass(phi, ActsPhi) and not getattr(solver, "follows_choice", False):
+        raise SolverError(
+            f'solver "{name}": phi "acts" reads other taxels each frame; allowed: interpolation'
+        )
+    if not issubclass(phi, getattr(solver, "reads", object)):
+        raise SolverError(f'solver "{name}": phi "{kind}" mixes taxels; allowed: acts, subsample')
 
 
 def whole_number(solver: str, name: str, value: Any, low: int, high: int) -> int:

@@ -8,11 +8,10 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 from sparseskin.nodes.compressor.phi.acts import ActsPhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
-from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis
 
-from .base import Solver
+from .base import Solver, check_reads
 
 
 class InterpolationSolver(Solver):
@@ -47,13 +46,12 @@ class InterpolationSolver(Solver):
 
     name = "interpolation"
     follows_choice = True
+    reads = SubsamplePhi
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:
         super().__init__(phi, basis, mask)
-        if not isinstance(phi, SubsamplePhi):
-            raise SolverError(
-                f'solver "interpolation": phi "{phi.kind}" mixes taxels; allowed: acts, subsample'
-            )
+        check_reads(self.name, self, phi.kind, type(phi))
+        assert isinstance(phi, SubsamplePhi)
         self._rows_of: SubsamplePhi = phi
         self._cells = np.argwhere(self.mask).astype(np.float64)
         self._y = np.zeros(phi.m, dtype=np.float32)

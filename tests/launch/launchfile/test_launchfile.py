@@ -149,6 +149,150 @@ def test_a_fault_is_one_line_with_its_place(check, old: str, new: str, line: str
         assert lines
 
 
+RECONSTRUCTOR = "f.toml:11: nodes.reconstructor: "
+
+
+@pytest.fixture
+def own_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A driver that must not be imported, and a Phi."""
+    (tmp_path / "driver_of_check.py").write_text("def frames(): yield\nraise SystemExit\n")
+    phi = "from sparseskin.nodes.compressor.phi.sbhe import SbhePhi\nclass Own(SbhePhi): pass\n"
+    (tmp_path / "phi_of_check.py").write_text(phi)
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+@pytest.mark.usefixtures("own_modules")
+@pytest.mark.parametrize(
+    ("overrides", "lines"),
+    [
+        (
+            ["compressor.ratio=5000"],
+            ["{0}: 5000 leaves no measurement of 1600 taxels; allowed: 1..1600"],
+        ),
+        (
+            ["compressor.m=1601"],
+            ["{0}: phi: m = 1601 is not allowed; allowed: 1..1600 (n = 1600 taxels)"],
+        ),
+        (
+            ["compressor.rows=rotating", "compressor.m=3"],
+            [
+                '{0}: "rotating" is not allowed for m = 3 of n = 1600; '
+                "allowed: m of 25 or more (N/64)"
+            ],
+        ),
+        (
+            ["compressor.phi=phi_of_check:Own"],
+            [
+                f"{RECONSTRUCTOR}phi: 'phi_of_check:Own' of the compressor is not built in, and "
+                "what is announced is not imported; allowed: phi = 'phi_of_check:Own' with its M "
+                "as phi_m, or built-in kinds"
+            ],
+        ),
+        (
+            ["reconstructor.solver=interpolation"],
+            [
+                "f.toml:13: nodes.reconstructor.iterations: solver interpolation has none; "
+                "allowed: to leave it out, or a solver that has it (preset paper)",
+                '{0}: solver "interpolation": phi "sbhe" mixes taxels; allowed: acts, subsample',
+            ],
+        ),
+        (
+            ["compressor.phi=acts"],
+            [
+                f'{RECONSTRUCTOR}solver: solver "skin": phi "acts" reads other taxels each frame; '
+                "allowed: interpolation"
+            ],
+        ),
+        (
+            ["sensor.source=driver_of_check:frame"],
+            ["{0}: driver_of_check:frame: driver_of_check has no 'frame' (did you mean 'frames'?)"],
+        ),
+    ],
+)
+def test_faults_between_nodes_are_found_before_any_starts(check, overrides, lines) -> None:
+    assert check(GOOD, *overrides) == [line.format(f"--set {overrides[0]}") for line in lines]
+
+
+@pytest.mark.usefixtures("own_modules")
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["compressor.phi=phi_of_check:Own", "reconstructor.phi=phi_of_check:Own"],
+        ["sensor.source=driver_of_check:frames"],
+        ["compressor.ratio=1600"],
+    ],
+)
+def test_what_nodes_can_use_is_not_refused(tmp_path, monkeypatch, overrides) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("f.toml").write_text(GOOD)
+    assert load("f.toml", overrides).links
+
+
+def test_all_faults_of_a_node_are_reported_but_none_that_follows_from_another(check) -> None:
+    text = GOOD.replace("iterations = 20", 'depth = -1\nlambda_n = 1\npreset = "papr"\nfast = "no"')
+    assert check(text, "compressor.ratio=2000", "compressor.block=33", "sensor.noise=-1") == [
+        "--set sensor.noise=-1: -1.0 is outside 0.0..100.0",
+        "--set compressor.block=33: 33 is not a power of two (1, 2, 4 ...)",
+        "f.toml:13: nodes.reconstructor.depth: -1 is outside 0..1000",
+        "f.toml:16: nodes.reconstructor.fast: 'no' is not allowed; allowed: auto, on, off",
+        "f.toml:15: nodes.reconstructor.preset: 'papr' is not known (did you mean 'paper'?); "
+        "allowed: paper, skin",
+        "--set compressor.ratio=2000: 2000 leaves no measurement of 1600 taxels; allowed: 1..1600",
+    ]
+
+
+OPTION = "f.toml:16: nodes.reconstructor.options.max_iterations: "
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "fault"),
+    [
+        (
+            "max_iteration",
+            "3",
+            "is no option of solver skin (did you mean 'max_iterations'?); "
+            "allowed: max_iterations, seed",
+        ),
+        ("basis", "3", "is no option of solver skin; allowed: max_iterations, seed"),
+        ("lambda_n", "3", "is a setting of its own; allowed: lambda_n"),
+        ("seed", "[3]", "[3] is not allowed; allowed: a finite number, a text, true or false"),
+        ("seed", "nan", "nan is not allowed; allowed: a finite number, a text, true or false"),
+        ("seed", "-1", "skin: seed = -1 is not allowed; allowed: an integer 0..4294967295"),
+    ],
+)
+def test_an_option_is_checked_by_its_solver(check, key: str, value: str, fault: str) -> None:
+    options = "[nodes.reconstructor.options]\nmax_iterations = 0\n\n[nodes.monitor]"
+    text = GOOD.replace("[nodes.monitor]", options)
+    assert sorted(check(text, f"reconstructor.options.{key}={value}")) == sorted(
+        [
+            f"{OPTION}skin: max_iterations = 0 is not allowed; allowed: an integer 1..1000",
+            f"--set reconstructor.options.{key}={value}: {fault}",
+        ]
+    )
+
+
+def test_a_solver_of_ones_own_has_options_too(check, tmp_path, monkeypatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "solver_of_check.py").write_text("class Own:\n def __init__(s, phi, gain): pass\n")
+    solver = "reconstructor.solver=solver_of_check:Own"
+    text = GOOD.replace("iterations = 20", "")
+    assert check(text, solver, "reconstructor.options.gian=3") == [
+        "--set reconstructor.options.gian=3: is no option of solver solver_of_check:Own (did you "
+        "mean 'gain'?); allowed: gain"
+    ]
+    reconstructor = load("f.toml", [solver, "reconstructor.options.gain=3"]).nodes["reconstructor"]
+    assert reconstructor.settings.chosen()["gain"] == 3
+
+
+def test_options_of_a_solver_are_set(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("f.toml").write_text(f"{GOOD}[nodes.reconstructor.options]\nmax_iterations = 30\n")
+    reconstructor = load("f.toml", ["reconstructor.options.seed=2"]).nodes["reconstructor"]
+    assert reconstructor.settings.options == {"max_iterations": 30, "seed": 2}
+    chosen = {"solver": "skin", "basis": "haar", "iterations": 20, "max_iterations": 30, "seed": 2}
+    assert reconstructor.settings.chosen() == chosen
+
+
 def test_all_faults_are_reported_at_once(check) -> None:
     text = GOOD.replace("iterations", "itertions").replace('"monitor"', '"moniter"')
     lines = check(text, "sensor.sead=3", "senser.seed=3", "nonsense")
