@@ -148,6 +148,7 @@ def full_disk(point: dict[str, Any], folder: Path) -> dict[str, Any]:
         with ObservedGraph(graph_text(), "--record", str(out), folder=folder) as graph:
             line = graph.wait_for("No space left on device").replace(str(disk), "disk")
             time.sleep(point["seconds"])
+            graph.probe.wait_for_frame(max_age_ns=math.inf)
             row = graph.row("", "recorder")
         n_recorded = _n_recorded(out.with_name("run.mcap.part"))
     return {**row, "told": f"{n_recorded} messages can be read; {line}"}
@@ -212,7 +213,8 @@ def stepped_driver(point: dict[str, Any], folder: Path) -> dict[str, Any]:
 def stalled_subscribers(point: dict[str, Any], folder: Path) -> dict[str, Any]:
     """`N_STALLED` subscribers of the sensor and as many of the reconstructor never read."""
     with ObservedGraph(graph_text(), folder=folder) as graph, contextlib.ExitStack() as stack:
-        graph.probe.wait_for_frame()  # each node has allocated by now what it needs at first
+        # By then each node has allocated what it needs at first.
+        graph.probe.wait_for_frame(max_age_ns=math.inf)
         nodes = graph.nodes()
         before = {name: own_bytes(pid) for name, pid in nodes.items()}
         graph.begin()
@@ -250,11 +252,12 @@ def refused_readers(point: dict[str, Any], folder: Path) -> dict[str, Any]:
     named_s, n_got = {}, 0
     launch = graph_text({"transport": "tcp"}) + _SECURITY
     with ObservedGraph(launch, folder=folder) as graph:
-        graph.probe.wait_for_frame()
+        graph.probe.wait_for_frame(max_age_ns=math.inf)
         graph.begin()
         for kind, (own, server_key) in keys.items():
             named_s[kind], got = _read_without_right(graph, own, server_key, _REFUSED[kind])
             n_got += got
+        graph.probe.wait_for_frame(max_age_ns=math.inf)
         times = ", ".join(f"{kind} {seconds:.2f} s" for kind, seconds in named_s.items())
         return graph.row(f"{n_got} messages came to them; named after: {times}")
 
