@@ -96,6 +96,13 @@ def ask_node(graph: RunningGraph, node: str, command: str, value: Any) -> Answer
     return Answer(answer["done"], answer["text"])
 
 
+def stop(graph: RunningGraph) -> None:
+    """End a graph as an interrupt does.
+    Raises GraphError if the graph does not answer.
+    """
+    _exchange(graph, {"stop": True}, "stopping")
+
+
 def _exchange(graph: RunningGraph, request: Mapping[str, Any], key: str) -> Any:
     """Send one request, and wait for the object that answers it."""
     from sparseskin.launch.run.control_socket import ControlClient

@@ -19,6 +19,8 @@ EXIT_USAGE = 2
 COMMANDS = {
     "launch": (".launch", "start a graph of nodes from a launch file"),
     "keys": (".keys", "make keys, so that only your hosts read and write a graph"),
+    "graph": (".graph", "list the running graphs"),
+    "stop": (".graph", "end a running graph"),
     "monitor": (".beside", "watch a running graph"),
     "node": (".node", "list the nodes of a running graph, describe one"),
     "param": (".node", "list, get and set the settings of a running graph's nodes"),
@@ -31,6 +33,7 @@ COMMANDS = {
     "scenes": (".scenes", "list the scenes, make short recordings of them"),
     "study": ("sparseskin.studies.command", "compute tables and charts anew"),
     "completion": (".completion", "print a script that completes words in a shell"),
+    "help": (".cli", "describe a command"),
 }
 """Of each command the module that adds its arguments to a parser, by `configure_COMMAND` or
 `configure`, and one line of help.
@@ -61,6 +64,19 @@ def make_parser(words: Sequence[str]) -> argparse.ArgumentParser:
             configure = getattr(module, f"configure_{name}", None) or module.configure
             configure(command)
     return parser
+
+
+def configure_help(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `help`."""
+    parser.description = "Describe a command, as its --help does."
+    parser.add_argument("words", metavar="COMMAND", nargs="*", help="as launch, or bag info")
+    parser.set_defaults(run=_help)
+
+
+def _help(arguments: argparse.Namespace) -> NoReturn:
+    words = [*arguments.words, "--help"]
+    make_parser(words).parse_args(words)
+    raise AssertionError("--help has ended the program")
 
 
 class _Parser(argparse.ArgumentParser):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 import socket
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -93,6 +94,9 @@ class ControlServer:
                 client.watches = True
             elif "describe" in request:
                 self._send(client, {"description": self._describe(request["describe"])})
+            elif request.get("stop") is True:
+                self._send(client, {"stopping": True})
+                signal.raise_signal(signal.SIGINT)
             else:
                 self._take(request, lambda answer: self._send(client, {"answer": answer}))
 

@@ -2,7 +2,8 @@
 
 It lies in the folder of the notes, which no other user may enter. A client writes requests
 {id, node, command, value} and reads their answers {"answer": ...}; {"watch": true} brings
-{"graph": ...} too, again and again; {"describe": NODE or null} brings {"description": ...}, once.
+{"graph": ...} too, again and again; {"describe": NODE or null} brings {"description": ...}, once;
+{"stop": true} ends the graph as Ctrl-C does, and brings {"stopping": true}.
 """
 
 from __future__ import annotations

@@ -185,8 +185,17 @@ def is_running(graph: RunningGraph) -> bool:
         return True
 
 
-def choose_graph(name: str | None) -> RunningGraph:
-    """The graph of that name, label or process number, or the only one there is.
+def wait_for_end(graph: RunningGraph) -> None:
+    """Wait until the launcher of a graph has ended, and with it its nodes."""
+    with (
+        contextlib.suppress(FileNotFoundError),
+        _open(runtime_folder() / f"{graph.label}.json") as note,
+    ):
+        fcntl.flock(note, fcntl.LOCK_SH)
+
+
+def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
+    """The graph of that name, label or process number, stated with an option, or the only one.
     Raises GraphError if there is none, or more than one.
     """
     graphs = running_graphs()
@@ -195,10 +204,12 @@ def choose_graph(name: str | None) -> RunningGraph:
     matching = [g for g in graphs if name in (None, g.name, g.label, str(g.pid))]
     labels = [graph.label for graph in graphs]
     if not matching:
-        raise GraphError(f"--graph {name}: no such graph runs{did_you_mean(str(name), labels)}")
+        hint = did_you_mean(str(name), labels)
+        raise GraphError(f"{option} {name}: no such graph runs{hint}".strip())
     if len(matching) > 1:
         choices = ", ".join(graph.label for graph in matching)
-        raise GraphError(f"several graphs run; choose one with --graph: {choices}")
+        which = f" with {option}" if option else ""
+        raise GraphError(f"several graphs run; choose one{which}: {choices}")
     return matching[0]
 
 

@@ -1,0 +1,90 @@
+"""The commands `graph list`, `stop` and `help`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from conftest import PATIENCE_S, Program, wait_until
+from shells import words
+
+from sparseskin.launch.commands.cli import COMMANDS, main
+from sparseskin.launch.run.running import RunningGraph, RunningNode, announced
+
+NODES = {"sensor": RunningNode("sensor", "ipc://none", ["/skin/skin"])}
+
+
+@pytest.fixture(autouse=True)
+def runtime_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
+    monkeypatch.setattr("sparseskin.launch.attach.client.PATIENCE_S", PATIENCE_S)
+
+
+def test_stop_ends_a_graph_as_ctrl_c_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program = Program(
+        *("launch", "path_40", "--set", "monitor.page=false", "--set", "sensor.rate_hz=20"),
+        *("--set", "sensor.source=sparseskin.studies.looped:truth_40"),
+        cwd=tmp_path,
+    )
+    try:
+        program.wait_for("[launch] ready")
+        wait_until(lambda: main(["node", "list"]) == 0, "the note of the graph")
+        capsys.readouterr()
+        assert main(["stop"]) == 0
+        label = f"path_40-{program.process.pid}"
+        nodes = "sensor, compressor, reconstructor, monitor"
+        assert capsys.readouterr().out == f"{label} has ended: {nodes}\n"
+        code, stdout, _ = program.finish()
+        assert code == 130
+        assert "skin: " in stdout  # the table
+        assert program.survivors() == {}
+        assert main(["stop"]) == 2
+        assert "no graph runs" in capsys.readouterr().err
+    finally:
+        program.kill_all()
+
+
+def test_graphs_are_listed_and_which_to_stop_has_to_be_said(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["graph", "list"]) == 0
+    assert capsys.readouterr().out == "no graph runs on this host\n"
+    one, other = (RunningGraph("path_40", pid, 0, "", NODES) for pid in (7, 8))
+    with announced(one), announced(other):
+        assert main(["graph", "list", "--json"]) == 0
+        graphs = json.loads(capsys.readouterr().out)["graphs"]
+        assert graphs == [{"name": "path_40", "pid": p, "nodes": ["sensor"]} for p in (7, 8)]
+        assert main(["graph", "list"]) == 0
+        assert capsys.readouterr().out.splitlines()[1].split() == ["path_40", "7", "sensor"]
+        for stated, line in (
+            ([], "several graphs run; choose one: path_40-7, path_40-8"),
+            (["path_40-9"], "path_40-9: no such graph runs (did you mean 'path_40-8'?)"),
+        ):
+            assert main(["stop", *stated]) == 2
+            assert capsys.readouterr().err == f"{line}\n"
+        assert words("stop pa") == ["path_40-7", "path_40-8"]
+
+
+@pytest.mark.parametrize("command", [[], ["launch"], ["bag", "info"], ["help"]])
+def test_help_describes_a_command_as_its_option_does(
+    command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    texts = []
+    for line in (["help", *command], [*command, "--help"]):
+        with pytest.raises(SystemExit) as ended:
+            main(line)
+        assert ended.value.code == 0
+        texts.append(capsys.readouterr().out)
+    assert texts[0] == texts[1]
+
+
+def test_help_completes_commands_and_refuses_others(capsys: pytest.CaptureFixture[str]) -> None:
+    assert sorted(words("help ")) == sorted(COMMANDS)
+    assert words("help st") == ["stop", "study"]
+    with pytest.raises(SystemExit) as refusal:
+        main(["help", "lanch"])
+    assert refusal.value.code == 2
+    assert "(did you mean 'launch'?)" in capsys.readouterr().err
