@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -363,6 +363,10 @@ class TaxelWatch:
 
     def _names(self, places: Iterable[int]) -> str:
         n_cols = self._mask.shape[1]
-        named = [f"({place // n_cols}, {place % n_cols})" for place in sorted(places)]
-        more = f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
-        return ", ".join(named[:MOST_NAMED]) + more
+        return listed([f"({place // n_cols}, {place % n_cols})" for place in sorted(places)])
+
+
+def listed(names: Sequence[object]) -> str:
+    """The first `MOST_NAMED` of some names, and how many more there are."""
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return ", ".join(map(str, names[:MOST_NAMED])) + more
