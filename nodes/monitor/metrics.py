@@ -344,25 +344,17 @@ class PatchMetrics:
 
     def summary(self) -> dict[str, Any]:
         """The patch's part of the summary; unknown figures are None."""
-        skin, phi, solver = self.skin, self.phi, self.solver
-        n = phi.n if phi else None
-        m = phi.m if phi else None
+        skin, phi = self.skin, self.phi
+        n, m = (phi.n, phi.m) if phi else (0, 0)
         return {
             "scene": skin.source if skin else None,
             "phi": phi.kind if phi else None,
-            "rows": phi.rows if phi else None,
-            "basis": solver.basis if solver else None,
-            "solver": solver.solver if solver else None,
-            "preset": solver.preset if solver else None,
-            "iterations": solver.iterations if solver else None,
-            "max_iterations": solver.max_iterations if solver else None,
-            "n": n,
-            "m": m,
-            "ratio": n / m if n and m else None,
+            **_fields(self.solver, "basis", "solver", "preset", "iterations", "max_iterations"),
+            **_fields(phi, "rows", "n", "m"),
+            **_fields(skin, "f_max", "unit"),
+            "ratio": n / m if m else None,
             "bits": self.bits,
-            "ratio_bits": FLOAT_BITS * n / (m * self.bits) if n and m and self.bits else None,
-            "f_max": skin.f_max if skin else None,
-            "unit": skin.unit if skin else None,
+            "ratio_bits": FLOAT_BITS * n / (m * self.bits) if m and self.bits else None,
             "frames": {
                 "sensed": self.sensed,
                 "reconstructed": self.reconstructed,
@@ -382,3 +374,8 @@ class PatchMetrics:
             "bytes_in": self.bytes_in,
             "bytes_out": self.bytes_out,
         }
+
+
+def _fields(state: Message | None, *names: str) -> dict[str, Any]:
+    """Fields of a state message; None while it has not arrived."""
+    return {name: getattr(state, name, None) for name in names}

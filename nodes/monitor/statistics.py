@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import struct
+from collections import deque
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
 
 SPAN_S = 60.0
 COLUMNS = ("time_s", "psnr_noisy_db", "psnr_db", "latency_ms", "solve_ms", "lost")
+_ROW = struct.Struct(f"{len(COLUMNS)}d")
 MIN_CAPACITY = 2048
 MAX_CAPACITY = 1 << 17
 """60 s at 2.2 kHz; of a faster stream less than 60 s is kept."""
@@ -70,30 +74,26 @@ class Quantiles:
 
 
 class History:
-    """A ring of rows, one a frame, that grows until it holds the last `SPAN_S` seconds.
+    """Rows, one a frame, of the last `SPAN_S` seconds, and `MIN_CAPACITY` ones at least.
 
     Attributes
     ----------
     n : int
-        Number of rows added so far, the overwritten ones included.
+        Number of rows added so far, the removed ones included.
     """
 
     def __init__(self) -> None:
         self.n = 0
-        self._oldest = 0
-        self._rows = np.zeros((MIN_CAPACITY, len(COLUMNS)))
+        self._rows: deque[bytes] = deque()
 
     def add(self, *row: float) -> None:
         """Add one row with the values of `COLUMNS`; time must not decrease."""
-        capacity = len(self._rows)
-        k = self.n % capacity
-        full = self.n >= capacity
-        if full and capacity < MAX_CAPACITY and row[0] - self._rows[k, 0] < SPAN_S:
-            self._oldest, kept = self.since(0)
-            self._rows = np.zeros((2 * capacity, len(COLUMNS)))
-            self._rows[np.arange(self._oldest, self.n) % len(self._rows)] = kept
-            k = self.n % len(self._rows)
-        self._rows[k] = row
+        rows = self._rows
+        while len(rows) >= MIN_CAPACITY and (
+            len(rows) >= MAX_CAPACITY or row[0] - _ROW.unpack(rows[1])[0] >= SPAN_S
+        ):
+            rows.popleft()
+        rows.append(_ROW.pack(*row))
         self.n += 1
 
     def since(self, n: int) -> tuple[int, npt.NDArray[np.float64]]:
@@ -102,10 +102,10 @@ class History:
         Returns
         -------
         first : int
-            Number of the first returned row: `n`, or more if that is overwritten.
+            Number of the first returned row: `n`, or more if that is removed.
         rows : ndarray of float64, shape (k, 6)
             A copy.
         """
-        capacity = len(self._rows)
-        first = max(n, self._oldest, self.n - capacity)
-        return first, self._rows[np.arange(first, self.n) % capacity]
+        first = max(n, self.n - len(self._rows))
+        newest = [*islice(reversed(self._rows), max(0, self.n - first))]
+        return first, np.frombuffer(bytearray().join(reversed(newest))).reshape(-1, len(COLUMNS))

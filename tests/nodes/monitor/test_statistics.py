@@ -87,7 +87,7 @@ def test_the_last_minute_is_whole_at_every_rate(rate_hz: int) -> None:
 
 def test_a_slow_stream_keeps_the_smallest_ring() -> None:
     n = MIN_CAPACITY + 1000
-    first, rows = filled(n, 60 / MIN_CAPACITY).since(0)
+    first, rows = filled(n, 60.1 / MIN_CAPACITY).since(0)
     assert (first, len(rows)) == (1000, MIN_CAPACITY)
 
 
