@@ -1,4 +1,4 @@
-"""Figures of a process from /proc: processor time, memory, age, open files, children."""
+"""Figures of a process from /proc: processor time, memory, age, open files."""
 
 from __future__ import annotations
 
@@ -51,11 +51,6 @@ def own_bytes(pid: int) -> int:
 def n_files(pid: int) -> int:
     """Number of open file descriptors of a process."""
     return len(list(Path(f"/proc/{pid}/fd").iterdir()))
-
-
-def children(pid: int) -> list[int]:
-    """Process numbers of the children that the main thread of a process has started."""
-    return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
 def command(pid: int) -> list[str]:

@@ -99,10 +99,6 @@ class Sensor(SourceNode[SensorSettings]):
             self._prepare()
 
     @classmethod
-    def inputs(cls, settings: SensorSettings) -> tuple[str, ...]:
-        return ()
-
-    @classmethod
     def outputs(cls, settings: SensorSettings) -> tuple[str, ...]:
         return tuple(topic_of(settings.patch, cls.schema) for cls in (SkinState, Taxels, Truth))
 

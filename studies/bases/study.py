@@ -12,10 +12,10 @@ import pandas as pd
 from sparseskin.nodes.compressor.phi.acts import force_threshold
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import LEARNED, make_basis
+from sparseskin.nodes.reconstructor.bases.haar import haar_matrix
 from sparseskin.nodes.reconstructor.bases.learned import (
     KEPT_FRACTION,
     draw_windows,
-    haar_atoms,
     learn_atoms,
 )
 from sparseskin.nodes.reconstructor.settings import PRESETS
@@ -78,7 +78,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         for k, (point, found) in enumerate(zip(distinct, learnt, strict=True))
     }
     registered = {name: name for name in REGISTERED}
-    registered[TILED] = _saved(out, "haar_tiles", haar_atoms(TRAINING_TILE))
+    registered[TILED] = _saved(out, "haar_tiles", haar_matrix((TRAINING_TILE, TRAINING_TILE)))
     n_frames = QUICK_FRAMES if quick else N_FRAMES
     n_sampled = QUICK_SAMPLED_FRAMES if quick else SAMPLED_FRAMES
     counting: list[Point] = []

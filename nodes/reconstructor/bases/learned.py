@@ -247,7 +247,8 @@ def learn_atoms(
     Processing 61(5), 2013; Lesage, Gribonval, Bimbot, Benaroya, "Learning unions of orthonormal
     bases with thresholded singular value decomposition", ICASSP 2005.
     """
-    atoms = haar_atoms(round(windows.shape[1] ** 0.5))
+    tile = round(windows.shape[1] ** 0.5)
+    atoms = haar_matrix((tile, tile))
     before = np.inf
     for _ in range(MAX_ROUNDS):
         coefficients = windows @ atoms.T
@@ -263,8 +264,3 @@ def learn_atoms(
         atoms = u @ v
     energy = np.square(windows @ atoms.T).sum(axis=0)
     return atoms[np.argsort(-energy, kind="stable")]
-
-
-def haar_atoms(tile: int) -> Doubles:
-    """Return the atoms of Haar on one tile, with which learning begins, shape (t * t, t * t)."""
-    return haar_matrix((tile, tile))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -43,6 +44,7 @@ UNTIMED_PERIOD_NS = 10_000_000
 _MAX_RATE_HZ = 1e9
 
 
+@dataclass(eq=False)
 class RecordedSource:
     """The frames of a recording, in memory and checked; may be iterated any number of times.
 
@@ -50,29 +52,22 @@ class RecordedSource:
     the patch after the crop.
     """
 
-    def __init__(
-        self,
-        name: str,
-        skin: Skin,
-        frames: Floats,
-        stamp_ns: Sequence[int],
-        *,
-        rate_hz: float | None = None,
-        delivers: Literal["truth", "taxels"] = "taxels",
-    ) -> None:
-        self.name = name
-        self.skin = skin
-        self.delivers: Literal["truth", "taxels"] = delivers
-        self.rate_hz: float | None = rate_hz
-        self.n_frames: int | None = len(frames)
-        self._frames = frames
-        self._stamp_ns = tuple(stamp_ns)
+    name: str
+    skin: Skin
+    frames: Floats
+    stamp_ns: Sequence[int]
+    rate_hz: float | None = None
+    delivers: Literal["truth", "taxels"] = "taxels"
+    n_frames: int | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.n_frames = len(self.frames)
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
         """Yield (stamp_ns, forces): nanoseconds since the first frame, and a new float32 array
         of shape (n_rows, n_cols) in [0, f_max], 0 in masked cells.
         """
-        for stamp, frame in zip(self._stamp_ns, self._frames, strict=True):
+        for stamp, frame in zip(self.stamp_ns, self.frames, strict=True):
             yield stamp, frame.copy()
 
 

@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 from sparseskin.nodes.errors import SolverError, SourceError, SparseskinError
 from sparseskin.nodes.numerics import array_files
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npy, read_npz
-from sparseskin.nodes.reconstructor.bases.learned import haar_atoms, read_atoms
+from sparseskin.nodes.reconstructor.bases.haar import haar_matrix
+from sparseskin.nodes.reconstructor.bases.learned import read_atoms
 from sparseskin.nodes.sensor.files.recorded import open_file
 
 MB = 1_000_000
@@ -118,7 +119,7 @@ def refusal(read: Callable[[Path], object], path: Path, error: type[SparseskinEr
 def test_a_damaged_basis_is_one_line_or_none(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     path = tmp_path / "basis.npz"
-    np.savez(path, atoms=haar_atoms(2))
+    np.savez(path, atoms=haar_matrix((2, 2)))
     whole, n_refused = path.read_bytes(), 0
     for _ in range(4000):
         path.write_bytes(mutated(whole, rng))

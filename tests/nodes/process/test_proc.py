@@ -26,14 +26,12 @@ def test_figures_of_this_process_agree_with_the_system_calls() -> None:
     assert proc.host_busy_s() > 0
 
 
-def test_a_child_is_found_by_its_parent_with_its_state_and_command() -> None:
+def test_a_child_is_found_with_its_state_and_command() -> None:
     wait = "import sys; print(flush=True); sys.stdin.read()"
     with subprocess.Popen(
         [sys.executable, "-c", wait, "a word"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as child:
         assert child.stdout is not None
         child.stdout.readline()
-        assert child.pid in proc.children(os.getpid())
         assert proc.command(child.pid)[-1] == "a word"
         assert proc.state(child.pid) in "RSD"
-    assert child.pid not in proc.children(os.getpid())
