@@ -52,8 +52,8 @@ class Message:
 
     def __post_init__(self) -> None:
         values = self.__dict__
-        for name, check in checks_of(type(self)):
-            values[name] = check(name, values[name])
+        for name, kind in wire_fields(type(self)).items():
+            values[name] = kind.check(name, values[name])
         self.validate()
 
     def validate(self) -> None:
@@ -117,9 +117,3 @@ def wire_fields(cls: type[Message]) -> dict[str, FieldKind]:
 def omitted_fields(cls: type[Message]) -> dict[str, Any]:
     """Name and default of the fields that are sent only where they differ from the default."""
     return {f.name: f.default for f in dataclasses.fields(cls) if f.metadata["omitted"]}
-
-
-@once_a_class
-def checks_of(cls: type[Message]) -> tuple[tuple[str, Callable[[str, Any], Any]], ...]:
-    """Name and check of each field."""
-    return tuple((name, kind.check) for name, kind in wire_fields(cls).items())

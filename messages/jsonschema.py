@@ -49,47 +49,37 @@ def _property(kind: FieldKind) -> dict[str, Any]:
     if isinstance(kind, Text):
         return {"type": "string", "maxLength": kind.longest, "pattern": f"^(?:{kind.pattern})$"}
     if isinstance(kind, Samples):
-        return {"oneOf": [_array(kind), _quantised()]}
+        codes = _array(
+            kind,
+            {"type": "string", "pattern": "^int[0-9]+$"},
+            "msgpack bin: for dtype intB, B bits each, the highest first and "
+            "nothing between them: k + 2^(B-1) - 1 of the values k * step",
+            step={"type": "number", "exclusiveMinimum": 0},
+        )
+        return {"oneOf": [_array(kind), codes]}
     if isinstance(kind, Array):
         return _array(kind)
     raise TypeError(f"no JSON Schema for a field of kind {type(kind).__name__}")
 
 
-def _array(kind: Array) -> dict[str, Any]:
-    schema = _array_map(
-        {"const": kind.dtype},
-        kind.ndim,
-        MAX_SIDE if kind.ndim > 1 else MAX_ELEMENTS,
-        "msgpack bin: the elements in C order, "
-        f"each as numpy's dtype {kind.dtype} in that byte order, nothing between them",
-    )
-    return schema | {"type": ["object", "null"] if kind.optional else "object"}
-
-
-def _quantised() -> dict[str, Any]:
-    return _array_map(
-        {"type": "string", "pattern": "^int[0-9]+$"},
-        1,
-        MAX_ELEMENTS,
-        "msgpack bin: for dtype intB, B bits each, the highest first and "
-        "nothing between them: k + 2^(B-1) - 1 of the values k * step",
-        step={"type": "number", "exclusiveMinimum": 0},
-    )
-
-
-def _array_map(
-    dtype: dict[str, str], ndim: int, side: int, data: str, **more: dict[str, Any]
+def _array(
+    kind: Array, dtype: dict[str, str] | None = None, data: str = "", **more: dict[str, Any]
 ) -> dict[str, Any]:
+    side = MAX_SIDE if kind.ndim > 1 else MAX_ELEMENTS
     sides = {"type": "integer", "minimum": 1, "maximum": side}
+    values = (
+        "msgpack bin: the elements in C order, "
+        f"each as numpy's dtype {kind.dtype} in that byte order, nothing between them"
+    )
     fields: dict[str, Any] = {
-        "dtype": dtype,
-        "shape": {"type": "array", "items": sides, "minItems": ndim, "maxItems": ndim},
+        "dtype": dtype or {"const": kind.dtype},
+        "shape": {"type": "array", "items": sides, "minItems": kind.ndim, "maxItems": kind.ndim},
         "order": {"const": "C"},
         **more,
-        "data": {"description": data},
+        "data": {"description": data or values},
     }
     return {
-        "type": "object",
+        "type": ["object", "null"] if kind.optional else "object",
         "properties": fields,
         "required": list(fields),
         "additionalProperties": False,
