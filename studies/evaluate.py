@@ -18,8 +18,7 @@ from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, Solver
-from sparseskin.nodes.reconstructor.solvers.row_subsets import make_rotating_solver
+from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, Solver, make_rotating_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 #: Solvers of sums of taxels: all but those that need a phi which chooses its taxels in each frame.

@@ -32,8 +32,7 @@ from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
 from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED, Uncertainty
 from sparseskin.nodes.reconstructor.faults.watch import FaultWatch
-from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
-from sparseskin.nodes.reconstructor.solvers.row_subsets import make_rotating_solver
+from sparseskin.nodes.reconstructor.solvers.base import Solver, make_rotating_solver, make_solver
 
 from .limits import OWN_BASIS, check_lambda, check_phi, reconstruction_warnings
 from .settings import ANNOUNCED, PRESETS, ReconstructorSettings

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -206,6 +207,47 @@ class Solver(ABC):
         return warm
 
 
+class RotatingSolver(Solver):
+    """One solver of any kind for each row subset; each starts from the estimate of the last frame.
+
+    `solvers` are by the fingerprint of their phi; phi is the first row subset.
+    """
+
+    rotates = True
+
+    def __init__(
+        self, solvers: dict[str, Solver], phi: Phi, basis: Basis, mask: Mask | None = None
+    ) -> None:
+        super().__init__(phi, basis, mask)
+        self._solvers = solvers
+        self._chosen = solvers[phi.fingerprint]
+        self._last: Floats | None = None
+        self.n_steps = self._chosen.n_steps
+
+    def use(self, phi: Phi) -> None:
+        if phi.fingerprint not in self._solvers:
+            raise SolverError(f"solver: was not made for phi {phi.fingerprint}")
+        self.phi, self._chosen = phi, self._solvers[phi.fingerprint]
+
+    def setup(self, y: Floats, warm: Floats | None = None) -> None:
+        self._chosen.setup(y, self._last if warm is None else warm)
+        self.n_steps = self._chosen.n_steps
+
+    def step(self) -> None:
+        self._chosen.step()
+
+    def finish(self) -> Floats:
+        self._last = None
+        forces = self._chosen.finish()
+        self._last = forces.copy()
+        return forces
+
+    def reset(self) -> None:
+        self._last = None
+        for solver in self._solvers.values():
+            solver.reset()
+
+
 def make_solver(
     name: str,
     phi: Phi,
@@ -269,6 +311,23 @@ def check_reads(name: str, solver: object, kind: str, phi: type) -> None:
         )
     if not issubclass(phi, getattr(solver, "reads", object)):
         raise SolverError(f'solver "{name}": phi "{kind}" mixes taxels; allowed: acts, subsample')
+
+
+def make_rotating_solver(
+    name: str, subsets: Sequence[Phi], basis: Basis, mask: Mask | None = None, **settings: Any
+) -> Solver:
+    """Make a solver by name for one Phi of fixed rows, or the row subsets of rotating ones.
+
+    Other parameters and Raises as in `make_solver`. `use` of the solver chooses the row subset of
+    the next frame; the first one is chosen.
+    """
+    solver = make_solver(name, subsets[0], basis, mask, **settings)
+    if len(subsets) == 1 or getattr(solver, "rotates", False):
+        return solver
+    solvers = {subsets[0].fingerprint: solver}
+    for phi in subsets[1:]:
+        solvers[phi.fingerprint] = make_solver(name, phi, basis, mask, **settings)
+    return RotatingSolver(solvers, subsets[0], basis, mask)
 
 
 def whole_number(solver: str, name: str, value: Any, low: int, high: int) -> int:

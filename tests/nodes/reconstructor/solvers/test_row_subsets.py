@@ -15,8 +15,7 @@ from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
-from sparseskin.nodes.reconstructor.solvers.base import Solver
-from sparseskin.nodes.reconstructor.solvers.row_subsets import RotatingSolver, make_rotating_solver
+from sparseskin.nodes.reconstructor.solvers.base import RotatingSolver, Solver, make_rotating_solver
 
 SHAPE, N = (24, 24), 576
 
