@@ -15,7 +15,28 @@ from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from .base import Basis
 
 
-class DctBasis(Basis):
+class SeparableBasis(Basis):
+    """A matrix along each axis, at each level on the approximation of the last one.
+
+    `_levels` holds rows, columns and both matrices of each level; a subclass sets it.
+    """
+
+    _levels: list[tuple[int, int, Floats, Floats]]
+
+    def _analysis(self, image: Floats, out: Floats) -> None:
+        pyramid = out.reshape(self.n_rows, self.n_cols)
+        np.copyto(pyramid, image.reshape(pyramid.shape))
+        for rows, cols, along_rows, along_cols in self._levels:
+            pyramid[:rows, :cols] = along_rows @ pyramid[:rows, :cols] @ along_cols.T
+
+    def _synthesis(self, coefficients: Floats, out: Floats) -> None:
+        pyramid = out.reshape(self.n_rows, self.n_cols)
+        np.copyto(pyramid, coefficients.reshape(pyramid.shape))
+        for rows, cols, along_rows, along_cols in reversed(self._levels):
+            pyramid[:rows, :cols] = along_rows.T @ pyramid[:rows, :cols] @ along_cols
+
+
+class DctBasis(SeparableBasis):
     """Psi = the orthonormal two-dimensional cosine basis (DCT-II) of the whole grid.
 
     Source: Ahmed, Natarajan, Rao, "Discrete cosine transform", IEEE Trans. Computers C-23(1),
@@ -24,21 +45,10 @@ class DctBasis(Basis):
 
     def __init__(self, n_rows: int, n_cols: int) -> None:
         super().__init__(n_rows, n_cols)
-        self._rows, self._cols = _dct_matrix(self.n_rows), _dct_matrix(self.n_cols)
-        self._half = np.zeros((self.n_rows, self.n_cols), dtype=np.float32)
-
-    def _analysis(self, image: Floats, out: Floats) -> None:
-        shape = self._half.shape
-        np.matmul(self._rows, image.reshape(shape), out=self._half)
-        np.matmul(self._half, self._cols.T, out=out.reshape(shape))
-
-    def _synthesis(self, coefficients: Floats, out: Floats) -> None:
-        shape = self._half.shape
-        np.matmul(self._rows.T, coefficients.reshape(shape), out=self._half)
-        np.matmul(self._half, self._cols, out=out.reshape(shape))
+        self._levels = [(n_rows, n_cols, _dct_matrix(n_rows), _dct_matrix(n_cols))]
 
 
-class WaveletBasis(Basis):
+class WaveletBasis(SeparableBasis):
     """Psi = an orthonormal 2-D wavelet basis of PyWavelets, periodic, full depth, any size.
 
     At each level one matrix acts along either axis on the approximation of the last level; the
@@ -64,25 +74,13 @@ class WaveletBasis(Basis):
 
     def __init__(self, n_rows: int, n_cols: int, wavelet: str) -> None:
         super().__init__(n_rows, n_cols)
-        self._levels: list[tuple[int, int, Floats, Floats]] = []
+        self._levels = []
         rows, cols = self.n_rows, self.n_cols
         while rows > 1 or cols > 1:
             self._levels.append(
                 (rows, cols, _level_matrix(wavelet, rows), _level_matrix(wavelet, cols))
             )
             rows, cols = (rows + 1) // 2, (cols + 1) // 2
-
-    def _analysis(self, image: Floats, out: Floats) -> None:
-        pyramid = out.reshape(self.n_rows, self.n_cols)
-        np.copyto(pyramid, image.reshape(pyramid.shape))
-        for rows, cols, along_rows, along_cols in self._levels:
-            pyramid[:rows, :cols] = along_rows @ pyramid[:rows, :cols] @ along_cols.T
-
-    def _synthesis(self, coefficients: Floats, out: Floats) -> None:
-        pyramid = out.reshape(self.n_rows, self.n_cols)
-        np.copyto(pyramid, coefficients.reshape(pyramid.shape))
-        for rows, cols, along_rows, along_cols in reversed(self._levels):
-            pyramid[:rows, :cols] = along_rows.T @ pyramid[:rows, :cols] @ along_cols
 
 
 @lru_cache(maxsize=64)
