@@ -21,52 +21,132 @@ from sparseskin.nodes.sensor.files.parsed import (
 )
 
 
-class FrameCheck:
-    """Converts what a driver yields into a stamp and forces, or refuses it.
+class DriverSource:
+    """The frames of a user's driver, each checked as it is yielded.
 
-    Attributes
-    ----------
-    f_max : float
-        Upper end of the range. Readings outside [0, f_max] are clipped, as a sensor saturates.
-    skin : Skin or None
-        Once set, gives the shape that each frame must have, and the mask.
-    n_clipped : int
-        Number of readings clipped so far; 1 a taxel and frame.
+    Readings outside [0, f_max] are clipped, as a sensor saturates at the ends of its range. Its
+    attributes are those of a `Source`: the driver's own where it has them, or else the name
+    `module:callable`, a skin of the first frame's shape, and "taxels" to deliver. `n_clipped` is
+    the number of readings clipped so far, 1 a taxel and frame.
     """
 
-    def __init__(self, target: str, f_max: float) -> None:
-        self.f_max = f_max
-        self.skin: Skin | None = None
-        self.n_clipped = 0
+    def __init__(
+        self,
+        target: str,
+        driver: Iterable[object],
+        *,
+        f_max: float | None,
+        unit: str | None,
+        rate_hz: float | None,
+    ) -> None:
         self._target = target
-        self.restart()
+        self._driver = driver
+        self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
+        self._skin: Skin | None = None
+        self.n_clipped = 0
+        self._pending: tuple[int, Floats] | None = None
+        self._is_one_shot = False
+        self._iterator: Iterator[object] | None = None
+        try:
+            own_skin = getattr(driver, "skin", None)
+            own_name = getattr(driver, "name", None)
+            own_delivers = getattr(driver, "delivers", "taxels")
+            own_rate = getattr(driver, "rate_hz", None)
+            own_length = getattr(driver, "n_frames", None)
+        except Exception as error:
+            raise _failure(target, error) from error
+        self.name: str = own_name if isinstance(own_name, str) and own_name else target
+        self.delivers: Literal["truth", "taxels"] = _delivers(own_delivers, target)
+        self.rate_hz: float | None = rate_hz if rate_hz is not None else _rate(own_rate, target)
+        self.n_frames: int | None = _length(own_length, target)
+        if own_skin is not None:
+            self.skin: Skin = self._own_skin(own_skin, f_max, unit)
+        else:
+            self._pending = self._pull_first()
+            n_rows, n_cols = self._pending[1].shape
+            self.skin = Skin(n_rows, n_cols, self._f_max, "N" if unit is None else unit)
+        self._skin = self.skin
 
-    def restart(self) -> None:
-        """Count frames and time from 0 again."""
-        self._n_frames = 0
-        self._first_stamp_ns = 0
-        self._last_stamp_ns: int | None = None
-
-    def __call__(self, item: object) -> tuple[int, Floats]:
-        """Return nanoseconds since the first frame, and the forces of an item: a new float32 array
-        of shape (n_rows, n_cols) in [0, f_max], 0 in masked cells.
+    def __iter__(self) -> Iterator[tuple[int, Floats]]:
+        """Yield (stamp_ns, forces): nanoseconds since the first frame, and float32 forces of
+        shape (n_rows, n_cols) in [0, f_max], 0 in masked cells. The driver is closed at the end.
 
         Raises
         ------
         SourceError
-            If it is not a pair (stamp_ns, forces), the stamp is no int or not after the one
-            before it, or the forces are not 2-D, of another shape than the skin, of no real
-            numeric dtype or not finite.
+            If the driver raises, yields a bad frame, or is a generator that was read before.
         """
+        try:
+            if self._pending is None:
+                self._start()
+            while True:
+                frame = self._pending or self._pull()
+                self._pending = None
+                if frame is None:
+                    return
+                yield frame
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Close the driver, so that its `finally` blocks run; may be called more than once.
+
+        Raises
+        ------
+        SourceError
+            If the driver raises as it closes.
+        """
+        iterator, self._iterator = self._iterator, None
+        self._pending = None
+        close = getattr(iterator, "close", None)
+        if callable(close):
+            try:
+                close()
+            except Exception as error:
+                raise _failure(self._target, error) from error
+
+    def _start(self) -> None:
+        if self._is_one_shot:
+            raise SourceError(f"{self._target}: is a generator and was read before; open it anew")
+        try:
+            self._iterator = iter(self._driver)
+        except Exception as error:
+            raise _failure(self._target, error) from error
+        self._is_one_shot = self._iterator is self._driver
+        self._n_frames = 0
+        self._first_stamp_ns = 0
+        self._last_stamp_ns: int | None = None
+
+    def _pull_first(self) -> tuple[int, Floats]:
+        """Return the first frame, pulled to learn the shape; close the driver if there is none."""
+        try:
+            self._start()
+            frame = self._pull()
+            if frame is None:
+                raise SourceError(f"{self._target}: ended before its first frame")
+        except SourceError:
+            with contextlib.suppress(SourceError):
+                self.close()
+            raise
+        return frame
+
+    def _pull(self) -> tuple[int, Floats] | None:
+        """Return the next frame, checked; None at the end."""
+        assert self._iterator is not None
+        try:
+            item = next(self._iterator)
+        except StopIteration:
+            return None
+        except Exception as error:
+            raise _failure(self._target, error) from error
         where = f"{self._target}, frame {self._n_frames}"
         if not isinstance(item, tuple | list) or len(item) != 2:
             raise SourceError(
                 f"{where}: delivered {type(item).__name__}; expected a pair (stamp_ns, forces)"
             )
-        stamp_ns = self._checked_stamp(item[0], where)
-        forces = self._checked_forces(item[1], where)
+        frame = self._checked_stamp(item[0], where), self._checked_forces(item[1], where)
         self._n_frames += 1
-        return stamp_ns, forces
+        return frame
 
     def _checked_stamp(self, stamp: object, where: str) -> int:
         if not is_whole(stamp):
@@ -103,15 +183,15 @@ class FrameCheck:
             )
         check_grid(array.shape[0], array.shape[1], where)
         mask = None
-        if self.skin is not None:
-            mask = self.skin.mask
-            if array.shape != self.skin.shape:
+        if self._skin is not None:
+            mask = self._skin.mask
+            if array.shape != self._skin.shape:
                 raise SourceError(
-                    f"{where}: forces have shape {array.shape}, but the skin has {self.skin.shape}"
+                    f"{where}: forces have shape {array.shape}, but the skin has {self._skin.shape}"
                 )
         is_float = array.dtype in (np.float32, np.float64)
         # The common case; the comparison is false for a NaN.
-        if mask is None and is_float and 0 <= array.min() <= array.max() <= self.f_max:
+        if mask is None and is_float and 0 <= array.min() <= array.max() <= self._f_max:
             return array.astype(np.float32)
         with np.errstate(all="ignore"):
             values = array.astype(np.float64)
@@ -124,129 +204,8 @@ class FrameCheck:
                 f"{where}, row {row}, column {col}: {values[row, col]} is no force; "
                 "a fault of the sensor or its driver"
             )
-        self.n_clipped += int(np.count_nonzero((values < 0) | (values > self.f_max)))
-        return np.clip(values, 0, self.f_max).astype(np.float32)
-
-
-class DriverSource:
-    """The frames of a user's driver, each checked as it is yielded.
-
-    Readings outside [0, f_max] are clipped, as a sensor saturates at the ends of its range. Its
-    attributes are those of a `Source`: the driver's own where it has them, or else the name
-    `module:callable`, a skin of the first frame's shape, and "taxels" to deliver.
-    """
-
-    def __init__(
-        self,
-        target: str,
-        driver: Iterable[object],
-        *,
-        f_max: float | None,
-        unit: str | None,
-        rate_hz: float | None,
-    ) -> None:
-        self._target = target
-        self._driver = driver
-        self._check = FrameCheck(target, PAPER_F_MAX_N if f_max is None else float(f_max))
-        self._pending: tuple[int, Floats] | None = None
-        self._is_one_shot = False
-        self._iterator: Iterator[object] | None = None
-        try:
-            own_skin = getattr(driver, "skin", None)
-            own_name = getattr(driver, "name", None)
-            own_delivers = getattr(driver, "delivers", "taxels")
-            own_rate = getattr(driver, "rate_hz", None)
-            own_length = getattr(driver, "n_frames", None)
-        except Exception as error:
-            raise _failure(target, error) from error
-        self.name: str = own_name if isinstance(own_name, str) and own_name else target
-        self.delivers: Literal["truth", "taxels"] = _delivers(own_delivers, target)
-        self.rate_hz: float | None = rate_hz if rate_hz is not None else _rate(own_rate, target)
-        self.n_frames: int | None = _length(own_length, target)
-        if own_skin is not None:
-            self.skin: Skin = self._own_skin(own_skin, f_max, unit)
-        else:
-            self._pending = self._pull_first()
-            n_rows, n_cols = self._pending[1].shape
-            self.skin = Skin(n_rows, n_cols, self._check.f_max, "N" if unit is None else unit)
-        self._check.skin = self.skin
-
-    def __iter__(self) -> Iterator[tuple[int, Floats]]:
-        """Yield (stamp_ns, forces): nanoseconds since the first frame, and float32 forces of
-        shape (n_rows, n_cols) in [0, f_max], 0 in masked cells. The driver is closed at the end.
-
-        Raises
-        ------
-        SourceError
-            If the driver raises, yields a bad frame, or is a generator that was read before.
-        """
-        try:
-            if self._pending is None:
-                self._start()
-            while True:
-                frame = self._pending or self._pull()
-                self._pending = None
-                if frame is None:
-                    return
-                yield frame
-        finally:
-            self.close()
-
-    @property
-    def n_clipped(self) -> int:
-        """Number of readings clipped to [0, f_max] so far; 1 a taxel and frame."""
-        return self._check.n_clipped
-
-    def close(self) -> None:
-        """Close the driver, so that its `finally` blocks run; may be called more than once.
-
-        Raises
-        ------
-        SourceError
-            If the driver raises as it closes.
-        """
-        iterator, self._iterator = self._iterator, None
-        self._pending = None
-        close = getattr(iterator, "close", None)
-        if callable(close):
-            try:
-                close()
-            except Exception as error:
-                raise _failure(self._target, error) from error
-
-    def _start(self) -> None:
-        if self._is_one_shot:
-            raise SourceError(f"{self._target}: is a generator and was read before; open it anew")
-        try:
-            self._iterator = iter(self._driver)
-        except Exception as error:
-            raise _failure(self._target, error) from error
-        self._is_one_shot = self._iterator is self._driver
-        self._check.restart()
-
-    def _pull_first(self) -> tuple[int, Floats]:
-        """Return the first frame, pulled to learn the shape; close the driver if there is none."""
-        try:
-            self._start()
-            frame = self._pull()
-            if frame is None:
-                raise SourceError(f"{self._target}: ended before its first frame")
-        except SourceError:
-            with contextlib.suppress(SourceError):
-                self.close()
-            raise
-        return frame
-
-    def _pull(self) -> tuple[int, Floats] | None:
-        """Return the next frame, checked; None at the end."""
-        assert self._iterator is not None
-        try:
-            item = next(self._iterator)
-        except StopIteration:
-            return None
-        except Exception as error:
-            raise _failure(self._target, error) from error
-        return self._check(item)
+        self.n_clipped += int(np.count_nonzero((values < 0) | (values > self._f_max)))
+        return np.clip(values, 0, self._f_max).astype(np.float32)
 
     def _own_skin(self, skin: object, f_max: float | None, unit: str | None) -> Skin:
         if not isinstance(skin, Skin):
@@ -260,7 +219,7 @@ class DriverSource:
                 raise SourceError(
                     f"{self._target}: {what} = {stated} is stated, but the driver's skin has {own}"
                 )
-        self._check.f_max = float(skin.f_max)
+        self._f_max = float(skin.f_max)
         return skin
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.driver import DriverSource, FrameCheck, open_callable
+from sparseskin.nodes.sensor.driver import DriverSource, open_callable
 
 Writer = Callable[[str], str]
 
@@ -279,12 +279,17 @@ def test_a_frame_is_a_copy_of_what_was_delivered_clipped_and_finite(
 ) -> None:
     delivered = np.linspace(0.0, 2.5, 12, dtype=dtype).reshape(3, 4)
     delivered[1, 2] = worst
-    check = FrameCheck("skin:frames", f_max=2.5)
+
+    def source() -> DriverSource:
+        frames = [(0, delivered)]
+        return DriverSource("skin:frames", frames, f_max=2.5, unit=None, rate_hz=None)
+
     if not np.isfinite(worst):
         with pytest.raises(SourceError, match="row 1, column 2"):
-            check((0, delivered))
+            source()
         return
-    _, forces = check((0, delivered))
+    check = source()
+    ((_, forces),) = check
     assert forces.dtype == np.float32
     assert not np.shares_memory(forces, delivered)
     np.testing.assert_array_equal(forces, delivered.clip(0, 2.5).astype(np.float32))
