@@ -78,40 +78,48 @@ def double(v: A, levels: int) -> None:
 
 
 @compiled()
-def pyramid(v: A, n_rows: int, n_cols: int, scratch: A) -> None:
-    """Haar transform at full depth of a grid of any sides, row by row, in place; not scaled.
+def split_line(v: A, at: int, step: int, n: int, scratch: A) -> None:
+    """One level of Haar of n samples, `step` apart from place `at` on, in place; not scaled.
 
     A sample without a partner is multiplied by sqrt(2), as large as the sums of the others.
     """
+    half, left = n // 2, n - n // 2
+    for k in range(n):
+        scratch[k] = v[at + k * step]
+    for k in range(half):
+        a, b = scratch[2 * k], scratch[2 * k + 1]
+        v[at + k * step] = a + b
+        v[at + (left + k) * step] = a - b
+    if left > half:
+        v[at + half * step] = _ROOT_2 * scratch[n - 1]
+
+
+@compiled()
+def join_line(v: A, at: int, step: int, n: int, scratch: A) -> None:
+    """The transpose of `split_line`."""
+    half, left = n // 2, n - n // 2
+    for k in range(n):
+        scratch[k] = v[at + k * step]
+    for k in range(half):
+        s, d = scratch[k], scratch[left + k]
+        v[at + 2 * k * step] = s + d
+        v[at + (2 * k + 1) * step] = s - d
+    if left > half:
+        v[at + (n - 1) * step] = _ROOT_2 * scratch[half]
+
+
+@compiled()
+def pyramid(v: A, n_rows: int, n_cols: int, scratch: A) -> None:
+    """Haar transform at full depth of a grid of any sides, row by row, in place; not scaled."""
     rows, cols = n_rows, n_cols
     while rows > 1 or cols > 1:
-        half, left = rows // 2, rows - rows // 2
-        for i in range(rows):
-            for j in range(cols):
-                scratch[i * n_cols + j] = v[i * n_cols + j]
         if rows > 1:
-            for i in range(half):
-                for j in range(cols):
-                    a, b = scratch[2 * i * n_cols + j], scratch[(2 * i + 1) * n_cols + j]
-                    v[i * n_cols + j] = a + b
-                    v[(left + i) * n_cols + j] = a - b
-            if left > half:
-                for j in range(cols):
-                    v[half * n_cols + j] = _ROOT_2 * scratch[(rows - 1) * n_cols + j]
+            for j in range(cols):
+                split_line(v, j, n_cols, rows, scratch)
         if cols > 1:
-            half_cols, left_cols = cols // 2, cols - cols // 2
             for i in range(rows):
-                at = i * n_cols
-                for j in range(cols):
-                    scratch[j] = v[at + j]
-                for j in range(half_cols):
-                    a, b = scratch[2 * j], scratch[2 * j + 1]
-                    v[at + j] = a + b
-                    v[at + left_cols + j] = a - b
-                if left_cols > half_cols:
-                    v[at + half_cols] = _ROOT_2 * scratch[cols - 1]
-            cols = left_cols
-        rows = left
+                split_line(v, i * n_cols, 1, cols, scratch)
+        rows, cols = (rows + 1) // 2, (cols + 1) // 2
 
 
 @compiled()
@@ -124,30 +132,11 @@ def unpyramid(v: A, n_rows: int, n_cols: int, scratch: A) -> None:
         # Sides at a level: n / 2^level, rounded up.
         rows, cols = ((n_rows - 1) >> level) + 1, ((n_cols - 1) >> level) + 1
         if cols > 1:
-            half_cols, left_cols = cols // 2, cols - cols // 2
             for i in range(rows):
-                at = i * n_cols
-                for j in range(cols):
-                    scratch[j] = v[at + j]
-                for j in range(half_cols):
-                    s, d = scratch[j], scratch[left_cols + j]
-                    v[at + 2 * j] = s + d
-                    v[at + 2 * j + 1] = s - d
-                if left_cols > half_cols:
-                    v[at + cols - 1] = _ROOT_2 * scratch[half_cols]
+                join_line(v, i * n_cols, 1, cols, scratch)
         if rows > 1:
-            half, left = rows // 2, rows - rows // 2
-            for i in range(rows):
-                for j in range(cols):
-                    scratch[i * n_cols + j] = v[i * n_cols + j]
-            for i in range(half):
-                for j in range(cols):
-                    s, d = scratch[i * n_cols + j], scratch[(left + i) * n_cols + j]
-                    v[2 * i * n_cols + j] = s + d
-                    v[(2 * i + 1) * n_cols + j] = s - d
-            if left > half:
-                for j in range(cols):
-                    v[(rows - 1) * n_cols + j] = _ROOT_2 * scratch[half * n_cols + j]
+            for j in range(cols):
+                join_line(v, j, n_cols, rows, scratch)
 
 
 @compiled(sums_in_any_order=True)
@@ -249,14 +238,6 @@ def skin_step(
     if summed:
         for p in range(n):
             total[p] += x[p]
-
-
-@compiled(f"void({V}, {P}, {V})")
-def dealt_rows(y: A, places: A, rows: A) -> None:
-    """Write measurements to their places, and 0 to all others."""
-    rows[:] = np.float32(0)
-    for i in range(y.size):
-        rows[places[i]] = y[i]
 
 
 @compiled(f"void({M}, {V}, {G}, {M})")
@@ -426,7 +407,7 @@ def tiled_image(w: A, order: A, grid: A, v: A, scratch: A, image: A) -> None:
 
 LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
     "skin": (
-        *(dealt_rows, dealt_forward, dealt_adjoint, stay, move, skin_step, add_bias),
+        *(dealt_forward, dealt_adjoint, stay, move, skin_step, add_bias),
         *(compare_rows, follow_rows),
     ),
     "fista": (fista, tiled_image),

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Floats, Indices
 from sparseskin.nodes.numerics.compiled import ready
@@ -21,64 +20,51 @@ from sparseskin.nodes.numerics.kernels import (
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, ShiftedHaar
 from sparseskin.nodes.reconstructor.solvers.fast import CompiledProjection
 
-from .prediction import SIGNIFICANT, Neighbours, Prediction
+from .prediction import SIGNIFICANT, Prediction
 from .row_memory import RowMemory
 
-Places = npt.NDArray[np.uint16]
 
-
-class CompiledIteration:
-    """The iteration of `SkinSolver` on its vectors, which are bound once.
+def compiled_iteration(
+    projection: CompiledProjection,
+    haar: ShiftedHaar,
+    vectors: tuple[Floats, ...],
+    m: int,
+    momentum: float,
+) -> Callable[[int, float, float, bool], None]:
+    """Return the function that does the iteration of `SkinSolver` on its vectors.
 
     `haar` is of fewer than `MAX_PLACES` cells; the vectors, float32 (n,), are x, z, r, the target
     of r, the sum of the iterates, the canvas, and u with a 0 behind it.
     """
+    ready(skin_step)
+    x, z, r, target, total, canvas, u = vectors
+    root_m = math.sqrt(m)
+    tables = [
+        [places.astype(np.uint16) for places in haar.tables(shift)] for shift in range(len(SHIFTS))
+    ]
 
-    def __init__(
-        self,
-        projection: CompiledProjection,
-        haar: ShiftedHaar,
-        vectors: tuple[Floats, ...],
-        m: int,
-        momentum: float,
-    ) -> None:
-        ready(skin_step)
-        self._projection = projection
-        self._vectors = vectors
-        self._root_m = math.sqrt(m)
-        self._momentum = momentum
-        self._tables: list[tuple[Places, Places]] = []
-        for shift in range(len(SHIFTS)):
-            to_canvas, from_canvas = haar.tables(shift)
-            self._tables.append((to_canvas.astype(np.uint16), from_canvas.astype(np.uint16)))
-
-    def __call__(self, shift: int, threshold: float, least: float, summed: bool) -> None:
-        """Do one iteration under a shift, the number of one of `SHIFTS`.
-
-        The threshold is in RMS of r, the least one in newtons; if `summed`, x is added to the sum.
-        """
-        x, z, r, target, total, canvas, u = self._vectors
-        to_canvas, from_canvas = self._tables[shift]
+    def iterate(shift: int, threshold: float, least: float, summed: bool) -> None:
+        to_canvas, from_canvas = tables[shift]
         skin_step(
             *(x, z, r, target, total, to_canvas, from_canvas, canvas, u),
-            *(self._projection.weights, self._projection.groups),
-            threshold / self._root_m,
+            *(projection.weights, projection.groups),
+            threshold / root_m,
             least,
-            self._momentum,
+            momentum,
             summed,
         )
+
+    return iterate
 
 
 class CompiledPrediction(Prediction):
     """As `Prediction`."""
 
-    def __init__(
-        self, projection: CompiledProjection, neighbours: Neighbours, n: int, m: int
-    ) -> None:
+    def __init__(self, projection: CompiledProjection, neighbours: Indices, n: int, m: int) -> None:
         super().__init__(projection, neighbours, n, m)
         ready(stay, move)
         self._compiled = projection
-        self._after, self._before = (places.astype(np.uint32) for places in neighbours.places)
+        self._places = neighbours.astype(np.uint32)
 
     def _stay(self, x: Floats, y: Floats, innovation: Floats) -> float:
         projection = self._compiled
@@ -88,9 +74,9 @@ class CompiledPrediction(Prediction):
         )
 
     def _move(self, x: Floats, y: Floats, innovation: Floats, e2: float, s2: float) -> float:
-        projection = self._compiled
+        projection, (after, before) = self._compiled, self._places
         return move(
-            *(x, y, innovation, e2, SIGNIFICANT * s2, self._after, self._before),
+            *(x, y, innovation, e2, SIGNIFICANT * s2, after, before),
             *(self._terms, self._rows, projection.measured, projection.groups),
             *(self._moved, self._moved_innovation),
         )

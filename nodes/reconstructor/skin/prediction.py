@@ -36,11 +36,12 @@ class Prediction:
         W x of the last frame, if the projection `has_whole`.
     """
 
-    def __init__(self, projection: Projection, neighbours: Neighbours, n: int, m: int) -> None:
+    def __init__(self, projection: Projection, neighbours: Indices, n: int, m: int) -> None:
         self._m = m
         self.failed = self.moved = False
         self._projection = projection
-        self._neighbours = neighbours
+        self._after, self._before = neighbours
+        self._shifted = np.zeros((2, 2, n), dtype=np.float32)
         self._terms = np.zeros((3, n), dtype=np.float32)
         self._rows = np.zeros((3, projection.n_rows), dtype=np.float32)
         self._moved = np.zeros(n, dtype=np.float32)
@@ -90,10 +91,11 @@ class Prediction:
 
     def _fill_terms(self, x: Floats) -> None:
         """Set `_terms` to x and its differences along rows and columns."""
-        terms, neighbours = self._terms, self._neighbours
-        neighbours.gather(x)
-        np.copyto(terms[0], x)
-        np.subtract(neighbours.after, neighbours.before, terms[1:])
+        after, before = self._shifted
+        x.take(self._after, None, after, "clip")
+        x.take(self._before, None, before, "clip")
+        np.copyto(self._terms[0], x)
+        np.subtract(after, before, self._terms[1:])
 
     def _move(self, x: Floats, y: Floats, innovation: Floats, e2: float, s2: float) -> float:
         """Fit and add the terms to x; return the squared length of the innovation then."""
@@ -137,40 +139,17 @@ def _solve(gram: list[list[float]], right: list[float], ridge: float) -> list[fl
     ]
 
 
-class Neighbours:
-    """Gathers the four neighbours of each taxel; a missing neighbour is the taxel itself.
+def neighbours_of(place_of_cell: Indices, n: int) -> Indices:
+    """Return the places of the next and the last neighbour of each taxel along rows and columns.
 
+    The result is intp (next or last, rows or columns, n); a missing neighbour is the taxel itself.
     place_of_cell and n are as in `ShiftedHaar`.
-
-    Attributes
-    ----------
-    after, before : ndarray of float32, shape (2, n)
-        Values of the next and of the last neighbour along rows, and columns, as of `gather`.
-    places : tuple of ndarray of intp, shape (2, n)
-        Places of these neighbours, for `after` and `before`.
     """
-
-    def __init__(self, place_of_cell: Indices, n: int) -> None:
-        self.places = _places(place_of_cell, n, -1), _places(place_of_cell, n, 1)
-        self.after = np.zeros((2, n), dtype=np.float32)
-        self.before = np.zeros((2, n), dtype=np.float32)
-
-    def gather(self, x: Floats) -> None:
-        """Fill `after` and `before` from a vector of taxels, float32 (n,)."""
-        after, before = self.places
-        x.take(after, None, self.after, "clip")
-        x.take(before, None, self.before, "clip")
-
-
-def _places(place_of_cell: Indices, n: int, shift: int) -> Indices:
-    """Return the place of the neighbour of each place along rows and columns, (2, n)."""
-    found = np.empty((2, n), dtype=np.intp)
+    found = np.empty((2, 2, n), dtype=np.intp)
     exists = place_of_cell < n
-    for axis in (0, 1):
-        other = np.roll(place_of_cell, shift, axis=axis)
-        edge = [slice(None), slice(None)]
-        edge[axis] = slice(-1, None) if shift < 0 else slice(0, 1)
-        other[tuple(edge)] = n
-        other = np.where(other < n, other, place_of_cell)
-        found[axis, place_of_cell[exists]] = other[exists]
+    edged = np.pad(place_of_cell, 1, constant_values=n)
+    sides = ((edged[2:, 1:-1], edged[1:-1, 2:]), (edged[:-2, 1:-1], edged[1:-1, :-2]))
+    for which, axis in np.ndindex(2, 2):
+        other = np.where(sides[which][axis] < n, sides[which][axis], place_of_cell)
+        found[which, axis, place_of_cell[exists]] = other[exists]
     return found

@@ -11,7 +11,7 @@ import numpy as np
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import TINY, Floats, Mask
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
 from sparseskin.nodes.numerics.compiled import MAX_PLACES, use_compiled
 from sparseskin.nodes.numerics.programs import run
 from sparseskin.nodes.reconstructor.bases.base import Basis
@@ -22,7 +22,7 @@ from sparseskin.nodes.reconstructor.solvers.projection import make_projection
 from .clip_bias import ClipBias
 from .gain import AdaptiveGain
 from .noise_level import NoiseLevel
-from .prediction import Neighbours, Prediction
+from .prediction import Prediction, neighbours_of
 from .row_memory import RowMemory
 
 N_DRAWN = 4093
@@ -159,7 +159,7 @@ class SkinSolver(Solver):
         self._place_of_cell[self.taxels[self._projection.order]] = np.arange(n)
         places = self._place_of_cell.reshape(self.mask.shape)
         self._haar = ShiftedHaar(self.mask.shape, places, n)
-        neighbours = Neighbours(places, n)
+        neighbours = neighbours_of(places, n)
         self._prediction = Prediction(self._projection, neighbours, n, phi.m)
         self._noise = NoiseLevel(phi.m)
         self._bias = ClipBias(self._projection, n)
@@ -194,7 +194,7 @@ class SkinSolver(Solver):
         self.n_steps = self.iterations
         self.reset()
 
-    def _compile(self, neighbours: Neighbours) -> None:
+    def _compile(self, neighbours: Indices) -> None:
         """Replace the parts that take most of the time by compiled loops."""
         # Imported here: they need numba.
         from sparseskin.nodes.reconstructor.solvers.fast import CompiledProjection
@@ -206,7 +206,7 @@ class SkinSolver(Solver):
         vectors = (self._x, self._z, self._r, self._target, self._sum, self._canvas)
         self._prediction = fast.CompiledPrediction(projection, neighbours, self.phi.n, m)
         self._memory = fast.CompiledRowMemory(projection, m, self._prediction.whole)
-        self._iterate = fast.CompiledIteration(
+        self._iterate = fast.compiled_iteration(
             projection, self._haar, (*vectors, self._u_and_zero), m, TUNING.momentum
         )
         self._forces_of = fast.compiled_forces(self._place_of_cell)

@@ -12,7 +12,6 @@ from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.kernels import (
     dealt_adjoint,
     dealt_forward,
-    dealt_rows,
     fista,
     tiled_image,
 )
@@ -41,7 +40,7 @@ class CompiledProjection(Projection):
     has_whole = True
 
     def __init__(self, phi: SbhePhi) -> None:
-        ready(dealt_rows, dealt_forward, dealt_adjoint)
+        ready(dealt_forward, dealt_adjoint)
         columns, self.groups = side_by_side(phi.hadamard.sizes)
         self._place_of_row = np.argsort(columns)
         self.order = phi.permutation[columns]
@@ -51,14 +50,13 @@ class CompiledProjection(Projection):
         self._weighted = np.zeros(phi.n, dtype=np.float32)
         self.n_rows = phi.n
         self.step_size = 1.0
-        self._y = np.zeros(phi.m, dtype=np.float32)
-        self._tables: dict[str, tuple[Floats, np.ndarray[tuple[int], np.dtype[np.uint32]]]] = {}
+        self._tables: dict[str, tuple[Floats, Indices]] = {}
         self.use(phi)
 
     def use(self, phi: Phi) -> None:
         if phi.fingerprint not in self._tables:
             assert isinstance(phi, SbhePhi)
-            places = self._place_of_row[phi.rows].astype(np.uint32)
+            places = self._place_of_row[phi.rows]
             measured = np.zeros(phi.n, dtype=np.float32)
             measured[places] = phi.scale
             self._tables[phi.fingerprint] = measured, places
@@ -66,9 +64,8 @@ class CompiledProjection(Projection):
         self.weights = self.measured
 
     def rows_of(self, y: Floats, out: Floats) -> None:
-        # A copy, as measurements may be read-only, which compiled loops do not take.
-        np.copyto(self._y, y)
-        dealt_rows(self._y, self._places, out)
+        out.fill(0)
+        out[self._places] = y
 
     def forward(self, x: Floats, out: Floats) -> None:
         dealt_forward(x, self.weights, self.groups, out)

@@ -7,7 +7,7 @@ import pytest
 
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.reconstructor.skin.prediction import Neighbours, Prediction
+from sparseskin.nodes.reconstructor.skin.prediction import Prediction, neighbours_of
 from sparseskin.nodes.reconstructor.solvers.projection import make_projection
 
 SIDE, N, M = 32, 1024, 341
@@ -21,7 +21,7 @@ class Setting:
         self.projection = make_projection(make_phi("sbhe", N, m, seed=0))
         place_of_cell = np.empty(N, dtype=np.intp)
         place_of_cell[self.projection.order] = np.arange(N)
-        neighbours = Neighbours(place_of_cell.reshape(SIDE, SIDE), N)
+        neighbours = neighbours_of(place_of_cell.reshape(SIDE, SIDE), N)
         self.prediction = Prediction(self.projection, neighbours, N, m)
         self.innovation = np.zeros(self.projection.n_rows, dtype=np.float32)
 
@@ -84,7 +84,7 @@ def test_a_contact_that_vanished_while_another_came_predicts_nothing() -> None:
 def test_what_no_measurement_sees_does_not_grow_beyond_the_largest_force() -> None:
     projection = make_projection(make_phi("subsample", N, 128, seed=0))
     place = np.arange(N).reshape(SIDE, SIDE)
-    prediction = Prediction(projection, Neighbours(place, N), N, 128)
+    prediction = Prediction(projection, neighbours_of(place, N), N, 128)
     x = bump(16, 16).ravel()
     target = (5 * bump(17, 16)).ravel()
     y = np.zeros((1, 128), dtype=np.float32)
