@@ -23,7 +23,7 @@ def make_executor(spec: str) -> Executor:
     if spec == "serial":
         return ThreadPoolExecutor(1)
     kind, colon, rest = spec.partition(":")
-    if not (kind and colon and rest):
+    if not (kind and colon and rest) or (rest.isdecimal() and kind not in KINDS):
         raise SettingsError(f"--executor {spec}: expected {FORMS}{did_you_mean(kind, KINDS)}")
     if kind in KINDS:
         if not rest.isdecimal() or not 1 <= int(rest) <= MAX_WORKERS:
@@ -35,8 +35,6 @@ def make_executor(spec: str) -> Executor:
             os.environ.setdefault(threads, "1")
         # Spawned: a forked worker would inherit locks held by threads of this process.
         return ProcessPoolExecutor(int(rest), mp_context=get_context("spawn"))
-    if rest.isdecimal():
-        raise SettingsError(f"--executor {spec}: expected {FORMS}{did_you_mean(kind, KINDS)}")
     factory = find_callable(spec, SettingsError)
     try:
         made = factory()

@@ -13,8 +13,8 @@ from tqdm import tqdm
 from sparseskin.messages import Message, MessageError, SkinState, Truth, decode, topic_of
 from sparseskin.messages.ranges import is_real
 from sparseskin.messages.topics import split_topic
-from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import RefusedError, SparseskinError
+from sparseskin.nodes.host import is_latched
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.recorder.bag.reader import BagReader
 
@@ -54,8 +54,8 @@ class Player(SourceNode[PlayerSettings]):
         self.min_readers = settings.wait or int(settings.lockstep)
         if settings.lockstep:
             self.window = 1
-        self._states = [topic for topic in self._names if _latched(topic)]
-        self._streams = [topic for topic in self._names if not _latched(topic)]
+        self._states = [topic for topic in self._names if is_latched(topic)]
+        self._streams = [topic for topic in self._names if not is_latched(topic)]
         infos = [self._bag.topics[topic] for topic in self._streams]
         first_ns = min((info.first_ns for info in infos if info.n_messages), default=0)
         last_ns = max((info.last_ns for info in infos if info.n_messages), default=0)
@@ -70,7 +70,7 @@ class Player(SourceNode[PlayerSettings]):
         self._shift_ns = 0
         # States that change within the recording are published again after a jump.
         self._has_changes = any(
-            info.n_messages > 1 for t, info in self._bag.topics.items() if _latched(t)
+            info.n_messages > 1 for t, info in self._bag.topics.items() if is_latched(t)
         )
         self._renumbering: _Renumbering | None = None
         self._messages = self._read(self._start_ns)
@@ -271,7 +271,3 @@ def _number(name: str, value: Any, low: float, high: float) -> float:
     if not is_real(value, low, high):
         raise RefusedError(f"{name}: {value!r} is not allowed (allowed: {low:g}..{high:g})")
     return float(value)
-
-
-def _latched(topic: str) -> bool:
-    return SCHEMAS[split_topic(topic)[1]].latched

@@ -100,13 +100,9 @@ class Recorder(Node[RecorderSettings]):
 
     def close(self, counts: dict[str, Any]) -> None:
         self._closed = True
-        if self._error:
-            if self._writer is not None:
-                self._writer.close()
-            return
-        if self._writer is None and self._waiting:
+        if self._writer is None and self._waiting and not self._error:
             self._begin()
-        if self._writer is not None and not self._error:
+        if self._writer is not None:
             writer = self._writer
             self._guard(lambda: writer.close(counts))
 
