@@ -58,9 +58,9 @@ def side_by_side(sizes: Sequence[int]) -> tuple[Indices, npt.NDArray[np.int64]]:
 class BlockHadamard:
     """W: block-diagonal, each block a Hadamard matrix of +1 and -1, not scaled; W W = diag(size).
 
-    Sums and differences only, always in the same order: the same bits on every BLAS. All stages
-    are alike: sums and differences of the halves of a buffer, one beside the other. numpy is quick
-    with such evenly spaced runs; the order of the output differs from that of the input.
+    Sums and differences only, always in the same order: the same bits on every BLAS. numpy is
+    quick where operands are one evenly spaced run of numbers, so the buffers are kept in orders
+    that make every step such a run; the order of the output differs from that of the input.
 
     Attributes
     ----------
@@ -76,16 +76,20 @@ class BlockHadamard:
 
     def __init__(self, n: int, block: int) -> None:
         self.sizes = block_sizes(n, block)
-        self.size_at: Floats = np.array(self.sizes, dtype=np.float32).repeat(self.sizes)
-        self._parts: list[tuple[slice, int]] = []  # blocks of one size, and their stages
-        orders = []
+        self._groups: list[tuple[int, int, int]] = []  # start, stop, log2 of the block size
+        self.order_in: Indices = np.empty(n, dtype=np.intp)
+        self.order_out: Indices = np.empty(n, dtype=np.intp)
+        self.size_at: Floats = np.empty(n, dtype=np.float32)
+        start = 0
         for size in dict.fromkeys(self.sizes):
-            columns = np.flatnonzero(self.size_at == size)
-            self._parts.append((slice(columns[0], columns[-1] + 1), size.bit_length() - 1))
-            # The stages are those of the last bit of the index within a block, then the first ...
-            index = columns.reshape(-1, max(1, size // 2), min(2, size))
-            orders.append((index.transpose(2, 1, 0).ravel(), index.transpose(0, 2, 1).ravel()))
-        self.order_in, self.order_out = map(np.concatenate, zip(*orders, strict=True))
+            count = self.sizes.count(size)
+            stop = start + size * count
+            order_in, order_out = _orders(size, count)
+            self.order_in[start:stop] = start + order_in
+            self.order_out[start:stop] = start + order_out
+            self.size_at[start:stop] = size
+            self._groups.append((start, stop, size.bit_length() - 1))
+            start = stop
 
     def program(self, a: Floats, b: Floats) -> tuple[list[Call], Floats]:
         """Return the calls that transform buffer a, and the buffer of the result, a or b.
@@ -96,16 +100,27 @@ class BlockHadamard:
             Input and scratch, both overwritten; places beyond n are left alone.
         """
         calls: list[Call] = []
-        moves = self._parts[0][1]
-        for part, stages in self._parts:
-            here, there = a[part], b[part]
-            for _ in range(stages):
-                low, high = np.split(here, 2)
-                calls.append((np.add, (low, high, there[0::2])))
-                calls.append((np.subtract, (low, high, there[1::2])))
+        moves = self._moves(self._groups[0])
+        for group in self._groups:
+            start, stop, stages = group
+            here, there = a[start:stop], b[start:stop]
+            change = self._moves(group) % 2 != moves % 2
+            if stages == 0:
+                if change:
+                    calls.append((np.copyto, (there, here)))
+                continue
+            # Neighbours as one complex number: (p + iq)(1 + i) = (p - q) + i(p + q).
+            target = there if change else here
+            calls.append((np.multiply, (_pairs(here), _ONE_PLUS_I, _pairs(target))))
+            if change:
                 here, there = there, here
-            if stages % 2 != moves % 2:
-                calls.append((np.copyto, (there, here)))
+            for _ in range(stages - 2):
+                low, high = np.split(_pairs(here), 2)
+                calls.append((np.add, (low, high, _pairs(there)[0::2])))
+                calls.append((np.subtract, (low, high, _pairs(there)[1::2])))
+                here, there = there, here
+            if stages > 1:
+                calls += _halves(here, there)
         return calls, (b if moves % 2 else a)
 
     def transposed(self, a: Floats, b: Floats) -> list[Call]:
@@ -115,18 +130,34 @@ class BlockHadamard:
         theirs in a.
         """
         calls: list[Call] = []
-        moves = self._parts[0][1]
-        for part, stages in self._parts:
-            here, there = (b[part], a[part]) if moves % 2 else (a[part], b[part])
-            if stages % 2 != moves % 2:
-                calls.append((np.copyto, (there, here)))
+        moves = self._moves(self._groups[0])
+        for group in self._groups:
+            start, stop, stages = group
+            here, there = a[start:stop], b[start:stop]
+            if moves % 2:
                 here, there = there, here
-            for _ in range(stages):
-                low, high = np.split(there, 2)
-                calls.append((np.add, (here[0::2], here[1::2], low)))
-                calls.append((np.subtract, (here[0::2], here[1::2], high)))
+            change = self._moves(group) % 2 != moves % 2
+            if stages == 0:
+                if change:
+                    calls.append((np.copyto, (there, here)))
+                continue
+            if stages > 1:
+                calls += _halves(here, there)
                 here, there = there, here
+            for _ in range(stages - 2):
+                low, high = np.split(_pairs(there), 2)
+                calls.append((np.add, (_pairs(here)[0::2], _pairs(here)[1::2], low)))
+                calls.append((np.subtract, (_pairs(here)[0::2], _pairs(here)[1::2], high)))
+                here, there = there, here
+            # (d + is)(1 - i) = (s + d) + i(s - d).
+            target = there if change else here
+            calls.append((np.multiply, (_pairs(here), _ONE_MINUS_I, _pairs(target))))
         return calls
+
+    @staticmethod
+    def _moves(group: tuple[int, int, int]) -> int:
+        """Return how often a group changes buffers; its first stage is done in place."""
+        return max(group[2] - 1, 0)
 
 
 class HadamardProducts:
@@ -160,3 +191,34 @@ class HadamardProducts:
             given, result = (buffer[part].reshape(size, count) for buffer in (source, target))
             calls.append((np.dot, (hadamard_matrix(size).astype(np.float32), given, result)))
         return calls
+
+
+_ONE_PLUS_I = np.array(1 + 1j, dtype=np.complex64)
+_ONE_MINUS_I = np.array(1 - 1j, dtype=np.complex64)
+
+
+def _pairs(run: Floats) -> npt.NDArray[np.complex64]:
+    pairs: npt.NDArray[np.complex64] = run.view(np.complex64)
+    return pairs
+
+
+def _halves(source: Floats, target: Floats) -> list[Call]:
+    half = source.size // 2
+    low, high = source[:half], source[half:]
+    return [
+        (np.add, (low, high, target[:half])),
+        (np.subtract, (low, high, target[half:])),
+    ]
+
+
+def _orders(size: int, count: int) -> tuple[Indices, Indices]:
+    """Return the orders of input and output of `count` blocks of one size."""
+    index = np.arange(size * count, dtype=np.intp).reshape(count, size)
+    if size == 1:
+        return index.ravel(), index.ravel()
+    # Neighbours are the last bit of the index within a block; the others come before the block.
+    order_in: Indices = index.reshape(count, size // 2, 2).transpose(1, 0, 2).reshape(-1, 2)
+    order_out = order_in
+    for _ in range(size.bit_length() - 3):
+        order_out = np.stack(np.split(order_out, 2), axis=1).reshape(-1, 2)
+    return order_in.ravel(), order_out[:, ::-1].ravel()
