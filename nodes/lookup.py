@@ -89,7 +89,7 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
     try:
         found: Any = importlib.import_module(module_name)
     except ModuleNotFoundError as cause:
-        if cause.name is not None and f"{module_name}.".startswith(f"{cause.name}."):
+        if is_missing(module_name, cause):
             raise error(
                 f"{target}: there is no module {cause.name!r}, installed or in {here}"
             ) from cause
@@ -107,6 +107,19 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
         raise error(f"{target}: is {type(found).__name__}, which cannot be called")
     named: Callable[..., Any] = found
     return named
+
+
+def is_missing(module: str, cause: ModuleNotFoundError) -> bool:
+    """True if an import failed as there is no such module, nor code of it that has run; False if
+    the module was there, and imports another that is not.
+    """
+    if cause.name is None or not f"{module}.".startswith(f"{cause.name}."):
+        return False
+    USER_MODULES.discard(module)
+    package = cause.name.rpartition(".")[0]
+    if package and package.partition(".")[0] != "sparseskin":
+        USER_MODULES.add(package)
+    return True
 
 
 def find_class(

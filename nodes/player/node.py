@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import secrets
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -10,7 +11,7 @@ from typing import Any, ClassVar
 
 from tqdm import tqdm
 
-from sparseskin.messages import Message, MessageError, SkinState, Truth, decode, topic_of
+from sparseskin.messages import Message, MessageError, PhiState, SkinState, Truth, decode, topic_of
 from sparseskin.messages.ranges import is_real
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.errors import RefusedError, SparseskinError
@@ -80,6 +81,20 @@ class Player(SourceNode[PlayerSettings]):
     @classmethod
     def outputs(cls, settings: PlayerSettings) -> tuple[str, ...]:
         return tuple(renamed_topics(settings).values())
+
+    @classmethod
+    def facts(cls, settings: PlayerSettings) -> Mapping[str, Any]:
+        facts: dict[str, Any] = {}
+        # What cannot be read is reported as it is played.
+        with BagReader(settings.file) as bag, contextlib.suppress(SparseskinError, MessageError):
+            names = {old: new for old, new in renamed_topics(settings).items() if old in bag.topics}
+            for recorded in bag.messages(filter(is_latched, names)):
+                state = decode(recorded.topic.encode(), recorded.payload)
+                if isinstance(state, SkinState):
+                    facts.setdefault(names[recorded.topic], state.skin.n_taxels)
+                elif isinstance(state, PhiState):
+                    facts.setdefault(names[recorded.topic], state.kind)
+        return facts
 
     def start(self) -> Iterable[Message]:
         return self._states_at(self._start_ns)

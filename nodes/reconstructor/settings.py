@@ -177,7 +177,7 @@ class ReconstructorSettings(PatchSettings):
             kind = self.phi
         elif kind not in KINDS:
             raise SettingsError(
-                f"phi: '{kind}' of the compressor is not built in, and what is announced is not "
+                f"phi: the announced '{kind}' is not built in, and nothing that is announced is "
                 f"imported; allowed: phi = '{kind}' with its M as phi_m, or built-in kinds"
             )
         chosen = self.chosen()["solver"]

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.lookup import USER_MODULES, did_you_mean
+from sparseskin.nodes.lookup import USER_MODULES, did_you_mean, is_missing, one_line
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES, check_csv, open_file
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, check_scene, open_scene
 
@@ -65,15 +65,20 @@ def check_module(target: str) -> None:
         If it does not.
     """
     module, _, attribute = target.partition(":")
-    if "." in module and not module.startswith("sparseskin."):
-        USER_MODULES.add(module.rpartition(".")[0])
+    package = module.rpartition(".")[0]
+    if package and not module.startswith("sparseskin."):
+        USER_MODULES.add(package)
     here = os.getcwd()
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)
+    found = None
     try:
         found = find_spec(module)
-    except (ImportError, ValueError):
-        found = None
+    except ModuleNotFoundError as cause:
+        is_missing(package, cause)
+    except (Exception, SystemExit) as cause:
+        if package in USER_MODULES:
+            raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause
     if found is None:
         hint = did_you_mean(module, ("scene", "file")) if len(module) < 8 else ""
         hint = hint if "did you mean" in hint else ""

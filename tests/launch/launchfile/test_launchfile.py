@@ -183,9 +183,9 @@ def own_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (
             ["compressor.phi=phi_of_check:Own"],
             [
-                f"{RECONSTRUCTOR}phi: 'phi_of_check:Own' of the compressor is not built in, and "
-                "what is announced is not imported; allowed: phi = 'phi_of_check:Own' with its M "
-                "as phi_m, or built-in kinds"
+                f"{RECONSTRUCTOR}phi: the announced 'phi_of_check:Own' is not built in, and "
+                "nothing that is announced is imported; allowed: phi = 'phi_of_check:Own' with "
+                "its M as phi_m, or built-in kinds"
             ],
         ),
         (

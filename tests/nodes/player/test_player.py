@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.messages import Message, Reconstruction, Taxels, Truth, encode
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
@@ -146,6 +147,23 @@ def test_a_wrong_setting_is_named(
 ) -> None:
     with pytest.raises(SparseskinError, match=text):
         Player.Settings(**({"file": str(recording[0])} | settings)).check()
+
+
+@pytest.mark.parametrize(
+    ("name", "override", "text"),
+    [
+        ("replay_taxels", "compressor.ratio=2000", "leaves no measurement of 1600 taxels"),
+        ("replay_measurements", "reconstructor.solver=interpolation", 'phi "sbhe" mixes taxels'),
+    ],
+)
+def test_what_does_not_go_with_a_recording_is_found_before_it_is_played(
+    recording: tuple[Path, list[Message]], name: str, override: str, text: str
+) -> None:
+    with pytest.raises(LaunchError) as refused:
+        load(name, [f"player.file={recording[0]}", override])
+    (line,) = refused.value.lines
+    assert line.startswith(f"--set {override}: ")
+    assert text in line
 
 
 def test_commands(recording: tuple[Path, list[Message]]) -> None:
