@@ -195,7 +195,15 @@ def _set(arguments: argparse.Namespace) -> int:
     typed = {arguments.key: arguments.value} | typed
     graph = choose_graph(arguments.graph)
     entries = {entry["key"]: entry for entry in describe_node(graph, arguments.node)["settings"]}
-    values = {key: typed_value(text, entries.get(key)) for key, text in typed.items()}
+    values: dict[str, Any] = {}
+    for key, text in typed.items():
+        table, dot, part = key.partition(".")
+        if dot and table in entries:  # one value of a table: the others stay
+            before = values.get(table, entries[table]["value"])
+            kept = before if isinstance(before, dict) else {}
+            values[table] = {**kept, part: typed_value(text, None)}
+        else:
+            values[key] = typed_value(text, entries.get(key))
     answer = ask_node(graph, arguments.node, "set", values)
     line = f"{arguments.node}: {flowing(answer.text)}"
     if not answer.done:

@@ -202,9 +202,23 @@ def test_a_setting_that_is_not_stated_is_none(run: Run) -> None:
     assert run("param", "get", "reconstructor", "iterations") == "none\n"
 
 
+def test_options_of_the_solver_are_set_one_by_one(run: Run, refused: Run) -> None:
+    options = ["param", "set", "reconstructor", "options.max_iterations"]
+    answer = run(*options, "20", "options.seed", "3")
+    assert answer == 'reconstructor: options = {"max_iterations": 20, "seed": 3}\n'
+    run(*options, "30")
+    assert json.loads(run("param", "get", "reconstructor", "options")) == {
+        "max_iterations": 30,
+        "seed": 3,
+    }
+    assert refused(*options, "0").endswith("allowed: an integer 1..1000")
+    run("param", "set", "reconstructor", "options", "none")
+
+
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
+        ("param set compressor ratio.x 3", "compressor: ratio: expected a number, got {'x': 3}"),
         ("node info sensr", "no such node (did you mean 'sensor'?)"),
         ("param list x", "no such node (known: compressor, monitor, reconstructor, recorder, sens"),
         ("param get sensor nois", "sensor: nois: no such setting (did you mean 'noise'?)"),
