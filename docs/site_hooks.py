@@ -67,7 +67,9 @@ def on_files(files: Files, config: Any, **_: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Replace each formula of a page by its MathML, and links to examples by links to pages."""
+    """Replace each formula of a page by its MathML, and links out of docs/ by links to pages."""
+    for source, page in TOP_PAGES.items():
+        markdown = markdown.replace(f"](../{source}", f"]({page}")
     markdown = re.sub(r"\]\(\.\./examples/(\w+)\.py\)", r"](examples/\1.md)", markdown)
     markdown = _BLOCK.sub(lambda m: f"\n{_mathml(m[1], 'block')}\n", markdown)
     return _INLINE.sub(lambda m: m["code"] or _mathml(m["tex"], "inline"), markdown)
