@@ -16,6 +16,7 @@ from .errors import SparseskinError
 
 TAKEN = "exists already, and is not written over"
 NO_FOLDER = "its folder does not exist"
+NO_WRITING = "cannot be written to"
 
 
 class OutputError(SparseskinError):
@@ -30,7 +31,7 @@ def check_writable(path: Path) -> None:
     if not folder.is_dir():
         raise OutputError(f"--summary {path}: {NO_FOLDER}")
     if not os.access(path if path.exists() else folder, os.W_OK):
-        raise OutputError(f"--summary {path}: cannot be written to")
+        raise OutputError(f"--summary {path}: {NO_WRITING}")
 
 
 def check_private(folder: Path) -> None:

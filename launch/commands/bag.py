@@ -10,11 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sparseskin.launch.attach.text import flowing
-from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.files import make_folder
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.process.control import is_shallow
-from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX, BagError, TopicInfo
+from sparseskin.nodes.recorder.bag.format import (
+    FILE_SUFFIX,
+    PART_SUFFIX,
+    BagError,
+    TopicInfo,
+    span_ns,
+)
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES
 
 from .options import add_commands
@@ -149,7 +154,7 @@ def info_json(bag: BagReader) -> str:
     topics = {
         topic: {key: getattr(info, key) for key in _OF_TOPIC} for topic, info in bag.topics.items()
     }
-    first_ns, last_ns = _span(bag)
+    first_ns, last_ns = span_ns(bag.topics.values()) or (0, 0)
     return json.dumps(
         {
             "bag": str(bag.path),
@@ -166,7 +171,7 @@ def info_json(bag: BagReader) -> str:
 
 def info_table(bag: BagReader) -> str:
     """A table of at most 80 columns: the file, its topics, its metadata."""
-    first_ns, last_ns = _span(bag)
+    first_ns, last_ns = span_ns(bag.topics.values()) or (0, 0)
     n_messages = sum(info.n_messages for info in bag.topics.values())
     lines = _entry("bag", str(bag.path))
     lines += _entry("size", f"{bag.path.stat().st_size / 1e6:.3f} MB, {n_messages} messages")
@@ -201,14 +206,6 @@ def _row(info: TopicInfo) -> str:
     seconds = (info.last_ns - info.first_ns) / 1e9
     rate = f"{info.rate_hz:.2f}" if info.rate_hz else "-"
     return f"{info.n_messages:>9} {rate:>9} {seconds:>9.3f}"
-
-
-def _span(bag: BagReader) -> tuple[int, int]:
-    """First and last stamp of the streams; a state may be older than the recording."""
-    infos = [i for i in bag.topics.values() if i.n_messages and not SCHEMAS[i.schema].latched]
-    if not infos:
-        return 0, 0
-    return min(info.first_ns for info in infos), max(info.last_ns for info in infos)
 
 
 def _entry(key: str, value: str) -> list[str]:

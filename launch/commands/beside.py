@@ -14,7 +14,7 @@ from sparseskin.launch.run.running import RunningGraph, choose_graph
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 
-from .options import add_graph, add_page
+from .options import add_graph, add_page, naming_options, real, whole
 from .scenes import SCENARIOS, resolve_recording
 
 PLAY_KEYS = {
@@ -24,6 +24,15 @@ PLAY_KEYS = {
     "down": ("player", "slower"),
 }
 STEP_KEYS = PLAY_KEYS | {" ": ("player", "step"), "\n": ("player", "step")}
+PLAY_OPTIONS = {
+    "rate": "--rate",
+    "start_s": "--start",
+    "duration_s": "--duration",
+    "topics": "--topics",
+    "remap": "--remap",
+    "wait": "--wait",
+}
+"""Settings of the player, and the options that state them."""
 
 
 def configure_monitor(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +42,8 @@ def configure_monitor(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--text", action="store_true", help="in this terminal, without a page")
     add_page(parser)
-    parser.add_argument("--port", type=int, help="port of the page on 127.0.0.1; 8470 by default")
+    about = "port of the page on 127.0.0.1; 8470 by default"
+    parser.add_argument("--port", type=whole(0), help=about)
     add_graph(parser)
     parser.set_defaults(run=_monitor)
 
@@ -88,7 +98,8 @@ def _monitor(arguments: argparse.Namespace) -> int:
     }
     if arguments.port is not None:
         values["port"] = arguments.port
-    code, summary = _run_beside(graph, "monitor", f"monitor_{os.getpid()}", values, topics)
+    with naming_options({"port": "--port"}):
+        code, summary = _run_beside(graph, "monitor", f"monitor_{os.getpid()}", values, topics)
     if summary["patches"]:
         print(summary_table(summary["patches"]))
     return code
@@ -106,7 +117,8 @@ def _record(arguments: argparse.Namespace) -> int:
     out = arguments.out or f"{graph.name}-{time.strftime('%Y%m%d-%H%M%S')}.mcap"
     name = f"record_{os.getpid()}"
     values = {"out": out, "topics": topics, "launch": graph.launch, "source": graph.name}
-    code, summary = _run_beside(graph, "recorder", name, values, topics)
+    with naming_options({"out": "--out"}):
+        code, summary = _run_beside(graph, "recorder", name, values, topics)
     found = summary["nodes"][name]
     recording = found.get("recording", {})
     lost = sum(found.get("lost", {}).values())
@@ -125,10 +137,12 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("file", metavar="F.mcap|NAME", help=f"recording; or {', '.join(SCENARIOS)}")
     about = "times the recorded speed; 0: as fast as it is read"
-    parser.add_argument("--rate", type=float, default=1.0, metavar="R", help=about)
+    parser.add_argument("--rate", type=real(False), default=1.0, metavar="R", help=about)
     parser.add_argument("--loop", action="store_true", help="start again at the end")
-    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="seconds to skip")
-    parser.add_argument("--duration", type=float, metavar="S", help="seconds to play")
+    parser.add_argument(
+        "--start", type=real(False), default=0.0, metavar="S", help="seconds to skip"
+    )
+    parser.add_argument("--duration", type=real(False), metavar="S", help="seconds to play")
     parser.add_argument("--pause", action="store_true", help="start paused")
     parser.add_argument("--step", action="store_true", help="play one frame a key")
     parser.add_argument("--topics", nargs="+", default=[], metavar="T", help="topics to play")
@@ -136,7 +150,9 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--remap", nargs="+", default=[], metavar="A:=B", help=about)
     about = "send no frame before all readers have handled the last"
     parser.add_argument("--lockstep", action="store_true", help=about)
-    parser.add_argument("--wait", type=int, default=0, metavar="K", help="wait for K readers first")
+    parser.add_argument(
+        "--wait", type=whole(0), default=0, metavar="K", help="wait for K readers first"
+    )
     parser.set_defaults(run=_play)
 
 
@@ -161,6 +177,7 @@ def _play(arguments: argparse.Namespace) -> int:
     }
     if arguments.duration is not None:
         values["duration_s"] = arguments.duration
-    launch = replace(single_node("player", "player", values), name=path.stem)
+    with naming_options(PLAY_OPTIONS):
+        launch = replace(single_node("player", "player", values), name=path.stem)
     keys = STEP_KEYS if arguments.step else PLAY_KEYS
     return Launcher(launch, Terminal(), keys=keys).run()

@@ -8,7 +8,15 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .options import add_page, add_set, add_summary, check_summary, whole, write_summary
+from .options import (
+    add_page,
+    add_set,
+    add_summary,
+    check_summary,
+    naming_options,
+    whole,
+    write_summary,
+)
 
 if TYPE_CHECKING:
     from sparseskin.launch.launchfile.spec import LaunchFile
@@ -57,6 +65,11 @@ def _launch(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.lookup import USER_MODULES
     from sparseskin.nodes.monitor.node import Monitor
 
+    if arguments.record is not None:
+        from sparseskin.nodes.recorder.node import RecorderSettings
+
+        with naming_options({"out": "--record"}):
+            RecorderSettings(out=arguments.record).check()
     USER_MODULES.clear()
     try:
         launch = load(arguments.name, arguments.set, arguments.record)
@@ -117,9 +130,9 @@ def _run_log(launch: LaunchFile, stated: str | None) -> RunLog | None:
     from sparseskin.launch.launchfile.spec import LaunchError
     from sparseskin.launch.run.run_log import RunLog, default_log_dir
 
-    wanted = stated or launch.log_dir
-    if wanted:
-        return RunLog(Path(wanted), launch.name, time.time())
+    if wanted := stated or launch.log_dir:
+        with naming_options({"log_dir": "--log-dir"} if stated else {}):
+            return RunLog(Path(wanted), launch.name, time.time())
     try:
         return RunLog(default_log_dir(), launch.name, time.time())
     except LaunchError:

@@ -7,7 +7,7 @@ import contextlib
 import inspect
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +76,20 @@ def write_summary(path: Path | None, summary: Mapping[str, Any]) -> None:
             path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
         except OSError as error:
             raise SettingsError(f"--summary {path}: {error.strerror}") from error
+
+
+@contextlib.contextmanager
+def naming_options(options: Mapping[str, str]) -> Iterator[None]:
+    """Let an error that begins with the name of a setting name the option that states it."""
+    from sparseskin.nodes.errors import SettingsError, SparseskinError
+
+    try:
+        yield
+    except SparseskinError as error:
+        key, colon, rest = str(error).partition(":")
+        if key not in options:
+            raise
+        raise SettingsError(f"{options[key]}{colon}{rest}") from error
 
 
 def show(arguments: argparse.Namespace, document: Any, lines: Iterable[str]) -> int:

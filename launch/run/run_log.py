@@ -73,7 +73,7 @@ class RunLog:
             # Of this user alone: the address of the live page is logged with its token.
             self.folder.mkdir(mode=0o700, parents=True)
         except OSError as error:
-            raise LaunchError([f"log_dir: {self.folder}: {error.strerror}"]) from error
+            raise LaunchError([f"log_dir: {parent}: {error.strerror}"]) from error
         with contextlib.suppress(OSError):  # the disk is full: the first line reports it
             (self.folder / MARK).write_text(self.folder.name)
             _clear(parent)

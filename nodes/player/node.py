@@ -17,6 +17,7 @@ from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.errors import RefusedError, SparseskinError
 from sparseskin.nodes.host import is_latched
 from sparseskin.nodes.node import Context, SourceNode, Tick
+from sparseskin.nodes.recorder.bag.format import span_ns
 from sparseskin.nodes.recorder.bag.reader import BagReader
 
 from .schedule import Schedule
@@ -57,9 +58,7 @@ class Player(SourceNode[PlayerSettings]):
             self.window = 1
         self._states = [topic for topic in self._names if is_latched(topic)]
         self._streams = [topic for topic in self._names if not is_latched(topic)]
-        infos = [self._bag.topics[topic] for topic in self._streams]
-        first_ns = min((info.first_ns for info in infos if info.n_messages), default=0)
-        last_ns = max((info.last_ns for info in infos if info.n_messages), default=0)
+        first_ns, last_ns = span_ns(self._bag.topics[topic] for topic in self._names) or (0, 0)
         self._start_ns = first_ns + round(settings.start_s * 1e9)
         self._stop_ns = last_ns + 1
         if settings.duration_s is not None:

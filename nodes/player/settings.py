@@ -11,7 +11,7 @@ from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.recorder.bag.format import TopicInfo
+from sparseskin.nodes.recorder.bag.format import TopicInfo, span_ns
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.settings import Settings, setting
 
@@ -56,7 +56,12 @@ class PlayerSettings(Settings):
             raise SettingsError("verbatim: cannot be combined with loop or remap")
 
     def check(self) -> None:
-        renamed_topics(self)
+        names = renamed_topics(self)
+        present = _topics_of(self.file)
+        first_ns, last_ns = span_ns(present[topic] for topic in names if topic in present) or (0, 0)
+        length_s = (last_ns - first_ns) / 1e9
+        if self.start_s > length_s:
+            raise SettingsError(f"start_s: {self.start_s:g}: the recording lasts {length_s:.3f} s")
 
 
 @lru_cache(maxsize=8)
@@ -76,19 +81,24 @@ def renamed_topics(settings: PlayerSettings) -> dict[str, str]:
     present = _topics_of(settings.file)
     for topic in settings.topics:
         if topic not in present:
-            raise SettingsError(f"topics: {topic}: not in the file{did_you_mean(topic, present)}")
+            raise SettingsError(f"topics: {topic}: not in the file{_known(present)}")
     chosen = list(settings.topics or _of_schemas(present, settings) or present)
     names = {topic: topic for topic in chosen}
     for pair in settings.remap:
         old, new = (side.strip().rstrip("/") for side in pair.split(":="))
         matching = [topic for topic in chosen if topic == old or topic.startswith(old + "/")]
         if not matching:
-            raise SettingsError(f"remap: {old}: not in the file{did_you_mean(old, chosen)}")
+            raise SettingsError(f"remap: {old}: not in the file{_known(chosen)}")
         for topic in matching:
             names[topic] = _renamed(topic, new + topic.removeprefix(old))
     if len(set(names.values())) < len(names):
         raise SettingsError("remap: two topics would have one name")
     return names
+
+
+def _known(topics: Iterable[str]) -> str:
+    """All topics: their names are too alike for a nearest one."""
+    return f" (known: {', '.join(sorted(topics))})"
 
 
 def _of_schemas(present: Iterable[str], settings: PlayerSettings) -> list[str]:

@@ -7,13 +7,15 @@ index at the end, which is missing if the recorder was killed.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 from sparseskin.messages import End
+from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.files import NO_FOLDER
+from sparseskin.nodes.files import NO_FOLDER, NO_WRITING
 
 FILE_SUFFIX = ".mcap"
 PART_SUFFIX = ".part"
@@ -39,7 +41,7 @@ def check_new_bag(path: Path) -> Path:
     """Path of a new bag while it is incomplete.
 
     Raises BagError if the name does not end in .mcap, the bag exists, complete or not, or its
-    folder does not.
+    folder does not or cannot be written to.
     """
     if path.suffix != FILE_SUFFIX:
         raise BagError(f"{path}: expected a name that ends in {FILE_SUFFIX}")
@@ -49,6 +51,8 @@ def check_new_bag(path: Path) -> Path:
             raise BagError(f"{taken}: exists already, and is not written over")
     if not path.parent.is_dir():
         raise BagError(f"{path}: {NO_FOLDER}")
+    if not os.access(path.parent, os.W_OK):
+        raise BagError(f"{path}: {NO_WRITING}")
     return part
 
 
@@ -107,6 +111,16 @@ class TopicInfo:
         self.first_ns = min(self.first_ns, stamp_ns) if self.n_messages else stamp_ns
         self.last_ns = max(self.last_ns, stamp_ns) if self.n_messages else stamp_ns
         self.n_messages += 1
+
+
+def span_ns(infos: Iterable[TopicInfo]) -> tuple[int, int] | None:
+    """First and last stamp of streams, None without a message; a latched topic may be older than
+    the recording, and is left out.
+    """
+    streams = [info for info in infos if info.n_messages and not SCHEMAS[info.schema].latched]
+    if not streams:
+        return None
+    return min(info.first_ns for info in streams), max(info.last_ns for info in streams)
 
 
 class Closing:

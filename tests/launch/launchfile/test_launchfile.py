@@ -372,6 +372,36 @@ def test_the_command_ends_with_2_and_one_line_for_a_usage_error(
         assert (code, out, err.count("\n")) == (2, "", 1), arguments
 
 
+@pytest.mark.parametrize(
+    ("option", "text"),
+    [
+        ("--record none/a.mcap", "--record: none/a.mcap: its folder does not exist"),
+        ("--record a.bag", "--record: a.bag: expected a name that ends in .mcap"),
+        ("--log-dir file", "--log-dir: file: Not a directory"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_refused_under_the_name_of_its_option(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    option: str,
+    text: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    assert run(capsys, "launch", "path_40", *option.split()) == (2, "", f"{text}\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_recording_in_a_read_only_folder_is_refused_before_the_start(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "a.mcap"
+    monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)  # root may write anywhere
+    expected = (2, "", f"--record: {out}: cannot be written to\n")
+    assert run(capsys, "launch", "path_40", "--record", str(out)) == expected
+
+
 def test_a_dry_run_shows_the_graph_and_starts_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = run(capsys, "launch", "drag_wrench_64", "--dry-run")
     assert (code, err) == (0, "")
