@@ -9,6 +9,7 @@ from typing import Any
 from sparseskin.messages import Message
 
 from .clock import Clock, SystemClock
+from .errors import SparseskinError
 from .graph import NodeSpecs, join
 from .host import Log, NodeHost
 from .node import Context, Tick
@@ -87,6 +88,12 @@ class Bus:
         """Let the nodes finish their files; call it once, after the last frame."""
         for host in self.hosts.values():
             host.close()
+
+    def check(self) -> None:
+        """Raise SparseskinError if a node has failed, or has refused a message."""
+        for name, host in self.hosts.items():
+            if host.failure or host.refusal:
+                raise SparseskinError(f"{name}: {host.failure or host.refusal}")
 
     def reports(self) -> dict[str, dict[str, Any]]:
         """Reports by node name, of the nodes that have one."""

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from sparseskin.launch.launchfile.load import load
 from sparseskin.launch.launchfile.spec import LaunchFile
 from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth
+from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.errors import SolverError, SparseskinError
@@ -166,19 +167,19 @@ def simulate(scene: str, n_frames: int, seed: int = 0) -> tuple[Floats, Floats]:
         Name of a scene: "lift_box_40", "lift_wrench_40", "drag_wrench_40", "path_40",
         "lift_box_64", "drag_wrench_64".
     n_frames : int
-        Number of frames, at most the scene's length.
+        Number of frames, 1 or more; a scene ends after its last frame, and delivers fewer then.
     seed : int
         Seed of the noise, and of what the scene draws at random.
 
     Returns
     -------
-    truth, taxels : ndarray of float32, shape (n_frames, n_rows, n_cols)
+    truth, taxels : ndarray of float32, shape (k, n_rows, n_cols), k at most n_frames
         Forces that act, and what noisy taxels read, newtons, in [0, 2.5].
 
     Raises
     ------
     SparseskinError
-        If there is no such scene.
+        If there is no such scene, or `n_frames` or `seed` is not allowed.
 
     Examples
     --------
@@ -190,11 +191,19 @@ def simulate(scene: str, n_frames: int, seed: int = 0) -> tuple[Floats, Floats]:
     # Imported here: other functions of this module need no scene.
     from sparseskin.nodes.sensor.node import Sensor
 
+    _check_frames("simulate", n_frames)
     bus = Bus({"sensor": (Sensor, Sensor.Settings(source=f"scene:{scene}", seed=seed))})
     made = [message for messages in bus.frames(n_frames) for message in messages]
+    bus.check()
     truth = [message.forces for message in made if isinstance(message, Truth)]
     taxels = [message.forces for message in made if isinstance(message, Taxels)]
     return np.stack(truth), np.stack(taxels)
+
+
+def _check_frames(function: str, n_frames: object) -> None:
+    if not is_whole(n_frames, 1):
+        allowed = "allowed: a whole number, 1 or more"
+        raise SparseskinError(f"{function}: n_frames = {n_frames!r} is not allowed; {allowed}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +246,7 @@ def run_launch(
     launch : LaunchFile or str
         What `load_launch` returned, or the name or path of a launch file.
     n_frames : int, optional
-        Number of frames; by default until the source ends.
+        Number of frames, 1 or more; by default until the source ends.
     settings : sequence of str
         "NODE.KEY=VALUE" each; only with a name or path.
 
@@ -252,7 +261,7 @@ def run_launch(
     LaunchError
         If the launch file is refused.
     SparseskinError
-        If a node cannot work.
+        If a node fails, or refuses a message; or `n_frames` is not allowed.
 
     Examples
     --------
@@ -262,6 +271,8 @@ def run_launch(
     skin (40, 40) (400,) (40, 40)
     skin (40, 40) (400,) (40, 40)
     """
+    if n_frames is not None:
+        _check_frames("run_launch", n_frames)
     if isinstance(launch, str):
         launch = load(launch, settings)
     elif settings:
@@ -269,9 +280,11 @@ def run_launch(
     bus = Bus({node.name: (node.cls, node.settings) for node in launch.nodes.values()})
     try:
         for messages in bus.frames(n_frames):
+            bus.check()
             yield from _frames_of(messages)
     finally:
         bus.close()
+    bus.check()
 
 
 _PARTS = {Truth: "truth", Taxels: "taxels", Measurements: "measurements", Reconstruction: "forces"}

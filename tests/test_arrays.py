@@ -14,7 +14,7 @@ import sparseskin
 from sparseskin.messages import Reconstruction
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.errors import SolverError, SparseskinError
 
 
 def test_every_name_is_there_and_listed() -> None:
@@ -97,3 +97,45 @@ def test_a_bag_is_read_into_arrays(tmp_path: Path) -> None:
     np.testing.assert_array_equal(recording["mask"], bags.MASK)
     with pytest.raises(SparseskinError, match="has no patch 'palm'"):
         sparseskin.read_recording(path, patch="palm")
+
+
+def test_a_node_that_fails_or_refuses_ends_a_run_with_its_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "log.npy"
+    np.save(file, np.ones((3, 8, 8), np.float32))
+    source = f"sensor.source=file:{file}"
+    failing = [source, "sensor.rate_hz=100", "sensor.unit=N", "compressor.ratio=5000"]
+    with pytest.raises(SparseskinError, match=r"^compressor: .*leaves no measurement of 64 taxels"):
+        list(sparseskin.run_launch("replay", 3, failing))
+    (tmp_path / "own_raising.py").write_text(
+        "from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver\n"
+        "class Raising(FistaSolver):\n"
+        "    def setup(self, *arguments): raise ZeroDivisionError('of its own')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    raising = ["reconstructor.solver=own_raising:Raising"]
+    with pytest.raises(SparseskinError, match=r"^reconstructor: .*ZeroDivisionError: of its own"):
+        list(sparseskin.run_launch("path_40", 3, raising))
+
+
+@pytest.mark.parametrize("n_frames", [0, -3, 2.0, True])
+def test_a_number_of_frames_that_is_none_is_named(n_frames: object) -> None:
+    with pytest.raises(SparseskinError, match=r"^simulate: n_frames = .* is not allowed"):
+        sparseskin.simulate("lift_box_40", n_frames)  # type: ignore[arg-type]
+    with pytest.raises(SparseskinError, match=r"^run_launch: n_frames = .* is not allowed"):
+        next(sparseskin.run_launch("path_40", n_frames))  # type: ignore[arg-type]
+
+
+def test_settings_as_one_text_are_one_error() -> None:
+    with pytest.raises(SparseskinError, match=r"^settings: expected a list, .* not a text$"):
+        next(sparseskin.run_launch("path_40", 3, "compressor.ratio=4"))
+
+
+def test_swapped_arguments_of_a_solver_are_named() -> None:
+    phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
+    basis = sparseskin.make_basis("haar", 40, 40)
+    with pytest.raises(SolverError, match=r"^phi: got .*; expected what make_phi returns"):
+        sparseskin.make_solver("fista", basis, phi)  # type: ignore[arg-type]
+    with pytest.raises(SolverError, match=r"^basis: got str; expected what make_basis returns"):
+        sparseskin.make_solver("fista", phi, "haar")  # type: ignore[arg-type]

@@ -72,7 +72,7 @@ def _reprocess(arguments: argparse.Namespace) -> int:
     for outcome in outcomes:
         if outcome.error:
             source = outcome.job.source
-            named = outcome.error.startswith((source, "--"))
+            named = outcome.error.startswith("--") or source in outcome.error
             print(outcome.error if named else f"{source}: {outcome.error}", file=sys.stderr)
         else:
             print(f"{outcome.job.out}:")
@@ -161,8 +161,7 @@ def _stream(job: Job, launch: LaunchFile, progress: bool) -> dict[str, Any]:
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
     clock = ManualClock()
-    lines: list[str] = []
-    bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, clock, lines.append)
+    bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, clock)
     with BagReader(job.source) as bag:
         total = max((info.n_messages for info in bag.topics.values()), default=0)
     bar = tqdm(total=total, disable=not progress, unit="frame", desc=Path(job.source).name)
@@ -172,9 +171,7 @@ def _stream(job: Job, launch: LaunchFile, progress: bool) -> dict[str, Any]:
             newest_ns = max((message.stamp_ns for message in messages), default=0)
             clock.advance(max(0, newest_ns - clock.now_ns()))
             bar.update()
-    for host in bus.hosts.values():
-        if host.failure or host.counts.refused:
-            raise SparseskinError(host.failure or lines[0])
+    bus.check()
     patches: dict[str, Any] = bus.reports()["monitor"]["patches"]
     return {name: patch | {"latency_ms": None} for name, patch in patches.items()}
 

@@ -79,6 +79,8 @@ def load(name: str, overrides: Sequence[str] = (), record: str | None = None) ->
     LaunchError
         With every error that was found, one line each.
     """
+    if isinstance(overrides, str):
+        raise LaunchError([f'settings: expected a list, as ["{overrides}"], not a text'])
     path = find_launch_file(name)
     shown = path.name if path.parent == BUNDLED else str(path)
     try:

@@ -279,6 +279,11 @@ def make_solver(
     SettingsError
         If fast is none of these, or "on" without numba.
     """
+    for what, given, method in (("phi", phi, "forward"), ("basis", basis, "synthesis")):
+        if not hasattr(given, method):
+            raise SolverError(
+                f"{what}: got {type(given).__name__}; expected what make_{what} returns"
+            )
     cls = find_class("solver", name, SOLVERS, SolverError)
     check_reads(name, cls, phi.kind, type(phi))
     parameters = inspect.signature(cls).parameters
