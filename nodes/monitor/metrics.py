@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict, deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -37,8 +37,14 @@ JOINING_NS = 1_000_000_000
 """A late subscriber receives one topic before another: frames missed for this long are not lost."""
 MAX_PENDING = 512
 """Most frames that wait for their reconstruction; the oldest is dropped as unpaired."""
+MAX_CHANGES = 100
+"""Changes of settings that are kept for the summary; later ones are not."""
 RECENT = 100
 """Frames of the recent mean PSNR."""
+
+_OF_SKIN = ("sigma_mid",)
+_OF_PHI = ("kind", "m", "rows")
+_OF_SOLVER = ("preset", "solver", "basis", "iterations", "lambda_n", "max_iterations")
 
 ClockOf = Callable[[str], ClockEstimate | None]
 
@@ -183,6 +189,7 @@ class PatchMetrics:
         self.skin: SkinState | None = None
         self.phi: PhiState | None = None
         self.solver: SolverState | None = None
+        self.changes: list[dict[str, Any]] = []
         self.noisy = Quality()
         self.reconstruction = Quality()
         self.relative_error = Extent()
@@ -233,15 +240,23 @@ class PatchMetrics:
         """Add one message of the patch; return the frame that it completes, if any."""
         match message:
             case SkinState():
+                self._note_changes(_fields(self.skin, *_OF_SKIN), _fields(message, *_OF_SKIN))
                 self.skin = message
             case PhiState():
+                self._note_changes(_fields(self.phi, *_OF_PHI), _fields(message, *_OF_PHI))
                 self.phi = message
             case SolverState():
+                before, after = _fields(self.solver, *_OF_SOLVER), _fields(message, *_OF_SOLVER)
+                if before["preset"] and after["preset"]:  # it states the others
+                    before, after = {"preset": before["preset"]}, {"preset": after["preset"]}
+                self._note_changes(before, after)
                 self.solver = message
             case Measurements():
                 self.bytes_out += size_bytes(message)
                 y = message.y
-                self.bits = y.bits if isinstance(y, Quantised) else 8 * y.itemsize
+                bits = y.bits if isinstance(y, Quantised) else 8 * y.itemsize
+                self._note_changes({"bits": self.bits}, {"bits": bits})
+                self.bits = bits
             case Taxels():
                 self.bytes_in += size_bytes(message) - self._absent_bytes(message)
                 if self._first_ns is None:
@@ -277,6 +292,16 @@ class PatchMetrics:
                 frame.n_answered = self._reconstructed.add(message) + self.skipped
                 return self._evaluate(message.stamp_ns)
         return None
+
+    def _note_changes(self, before: Mapping[str, Any], after: Mapping[str, Any]) -> None:
+        """Note settings that change after the first frame, but none that are or become empty."""
+        for name, value in after.items():
+            old = before[name]
+            room = self.reconstructed > 0 and len(self.changes) < MAX_CHANGES
+            if room and old != value and old not in (None, "") and value != "":
+                self.changes.append(
+                    {"frame": self.reconstructed, "setting": name, "from": old, "to": value}
+                )
 
     def end(self, schema: str, n_messages: int) -> None:
         """End a topic after n_messages: the publisher's own count is the right one."""
@@ -354,6 +379,7 @@ class PatchMetrics:
             **_fields(skin, "f_max", "unit"),
             "ratio": n / m if m else None,
             "bits": self.bits,
+            "changes": [*self.changes],
             "ratio_bits": FLOAT_BITS * n / (m * self.bits) if m and self.bits else None,
             "frames": {
                 "sensed": self.sensed,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sparseskin.messages.text import printable
@@ -10,6 +11,10 @@ from sparseskin.messages.text import printable
 from .metrics import FLOAT_BITS, PatchMetrics
 
 NONE = "-"
+WIDTH = 78
+LABELS = {"m": "M", "kind": "phi", "sigma_mid": "noise sigma"}
+MAX_CHANGES = 4
+"""Changes of settings that the table lists."""
 
 
 def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
@@ -45,10 +50,12 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
         for key, value in patch.items()
     }
     frames, psnr = patch["frames"], patch["psnr_db"]
+    if not frames["sensed"] and not frames["reconstructed"]:
+        return f"{printable(name)}: ended before the first frame"
     against = {"truth": "against the truth", "taxels": "against the recorded taxels"}
     title = f" {printable(name)}: {patch['scene']} "
     rows = [
-        title.center(78, "="),
+        title.center(WIDTH, "="),
         f"frames      sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
         + (f"skipped {frames['skipped']}, " if frames["skipped"] else "")
         + f"lost {frames['lost']}",
@@ -78,8 +85,27 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
     error = patch["relative_error"]
     if error != NONE and patch["reference"] == "taxels":  # where PSNR has no noise beside it
         rows.append(f"{'relative error':<24}{'contact frames':<17}" + _extent(error, ".3f"))
-    rows.append("=" * 78)
+    if patch["changes"]:
+        rows.insert(1, _changes(patch["changes"]))
+    rows.append("=" * WIDTH)
     return "\n".join(rows)
+
+
+def _changes(changes: Sequence[Mapping[str, Any]]) -> str:
+    """The settings that changed during the run, which the lines below state as they were last."""
+    parts = [
+        f"{LABELS.get(change['setting'], change['setting'])} {_plain(change['from'])} -> "
+        f"{_plain(change['to'])} at frame {change['frame']}"
+        for change in changes[:MAX_CHANGES]
+    ]
+    if len(changes) > MAX_CHANGES:
+        parts.append(f"{len(changes) - MAX_CHANGES} more")
+    text = f"settings changed during the run: {', '.join(parts)}; figures cover all of them"
+    return textwrap.fill(text, WIDTH)
+
+
+def _plain(value: float | str) -> str:
+    return printable(value) if isinstance(value, str) else f"{value:g}"
 
 
 def _iterations(patch: Mapping[str, Any]) -> str:

@@ -21,6 +21,7 @@ from sparseskin.messages import (
     Truth,
     size_bytes,
 )
+from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate, ManualClock
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.errors import SettingsError
@@ -42,6 +43,10 @@ from sparseskin.nodes.sensor.node import Sensor
 SHAPE = (4, 5)
 MS = 1_000_000
 HEAD: dict[str, Any] = {"patch": "skin", "run_id": "0" * 16}
+PHI = PhiState(**HEAD, stamp_ns=0, kind="sbhe", n=20, m=7, block=4, seed=0, fingerprint="0" * 16)
+SOLVER = SolverState(
+    **HEAD, stamp_ns=0, solver="fista", basis="haar", preset="paper", iterations=30, lambda_n=0.1
+)
 
 
 def skin(has_truth: bool = True, mask: np.ndarray | None = None, f_max: float = 2.5) -> SkinState:
@@ -253,20 +258,8 @@ def test_frames_that_are_never_reconstructed_do_not_accumulate() -> None:
 
 
 def test_times_and_bytes_and_names() -> None:
-    phi = PhiState(
-        **HEAD, stamp_ns=0, kind="sbhe", n=20, m=7, block=4, seed=0, fingerprint="0" * 16
-    )
-    solver = SolverState(
-        **HEAD,
-        stamp_ns=0,
-        solver="fista",
-        basis="haar",
-        preset="paper",
-        iterations=30,
-        lambda_n=0.1,
-    )
     messages = frame(0, 1.0, 1.0, 1.0)
-    summary = metrics_of(skin(), phi, solver, *messages).summary()
+    summary = metrics_of(skin(), PHI, SOLVER, *messages).summary()
     assert summary["latency_ms"]["p50"] == pytest.approx(3.0, rel=0.003)
     assert summary["solve_ms"]["p99"] == pytest.approx(2.0, rel=0.003)
     assert (summary["n"], summary["m"], summary["ratio"]) == (20, 7, 20 / 7)
@@ -284,10 +277,38 @@ def test_the_table_fits_80_columns_and_shows_every_figure_that_is_known() -> Non
         assert text in table
 
 
-def test_the_table_of_a_graph_that_saw_nothing_is_whole() -> None:
+def test_a_graph_that_saw_nothing_has_a_line_in_place_of_a_table() -> None:
     table = summary_table({"skin": PatchMetrics().summary()})
-    assert "sensed 0, reconstructed 0, lost 0" in table
-    assert "None" not in table
+    assert table == "skin: ended before the first frame"
+
+
+def test_settings_that_change_during_the_run_are_listed() -> None:
+    phi = dataclasses.replace(PHI, m=5)
+    preset = dataclasses.replace(SOLVER, solver="skin", basis="", preset="skin", iterations=4)
+    metrics = metrics_of(skin(), phi, PHI, SOLVER, *frame(0, 1.0, 1.0, 1.0), phi)
+    metrics.add(preset)
+    metrics.add(dataclasses.replace(preset, preset="", iterations=9))
+    for message in frame(1, 1.0, 1.0, 1.0):
+        quantised = isinstance(message, Measurements)
+        y = Quantised.of(np.ones(7, np.int32), 8, 1.0) if quantised else None
+        metrics.add(dataclasses.replace(message, y=y) if quantised else message)
+    metrics.add(dataclasses.replace(skin(), sigma_mid=0.5))
+    summary = metrics.summary()
+    found = [tuple(change.values()) for change in summary["changes"]]
+    assert found == [
+        (1, "m", 7, 5),
+        (1, "preset", "paper", "skin"),
+        (1, "iterations", 4, 9),
+        (1, "bits", 32, 8),
+        (2, "sigma_mid", 0.0, 0.5),
+    ]
+    table = summary_table({"skin": summary})
+    listed = (
+        "settings changed during the run: M 7 -> 5 at frame 1, preset paper -> skin at frame 1, "
+        "iterations 4 -> 9 at frame 1, bits 32 -> 8 at frame 1, 1 more; figures cover all of them"
+    )
+    assert listed in " ".join(table.split())
+    assert max(map(len, table.splitlines())) <= 80
 
 
 def test_the_status_line_counts_what_is_missing_so_far() -> None:
