@@ -72,7 +72,8 @@ def _reprocess(arguments: argparse.Namespace) -> int:
     for outcome in outcomes:
         if outcome.error:
             source = outcome.job.source
-            named = outcome.error.startswith("--") or source in outcome.error
+            places = (source, outcome.job.out)
+            named = outcome.error.startswith("--") or any(p in outcome.error for p in places)
             print(outcome.error if named else f"{source}: {outcome.error}", file=sys.stderr)
         else:
             print(f"{outcome.job.out}:")
@@ -92,8 +93,13 @@ def run_job(job: Job, progress: bool = False) -> Outcome:
 
 def _jobs(arguments: argparse.Namespace) -> list[Job]:
     from sparseskin.nodes.files import make_folder
-    from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
+    from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
 
+    for file in arguments.files:
+        if not file.removesuffix(PART_SUFFIX).endswith(FILE_SUFFIX):
+            raise SettingsError(f"{file}: no recording ({FILE_SUFFIX})")
+        if not Path(file).is_file():
+            raise SettingsError(f"{file}: no such file")
     for text in arguments.set:
         node = text.partition(".")[0]
         if text.startswith(f"{node}.patch="):
@@ -146,10 +152,11 @@ def _run_job(job: Job, progress: bool) -> dict[str, Any]:
     """Run one job; its result appears under its name when it is complete, or not at all."""
     from sparseskin.nodes.files import whole_file
     from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
+    from sparseskin.nodes.recorder.bag.writer import removing
 
     if Path(job.out).suffix != FILE_SUFFIX:
         raise SettingsError(f"--out {job.out}: expected a name that ends in {FILE_SUFFIX}")
-    with whole_file(Path(job.out)) as draft:
+    with whole_file(Path(job.out)) as draft, removing(draft, Path(job.out)):
         return _stream(job, _graph(job, draft), progress)
 
 

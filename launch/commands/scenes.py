@@ -104,6 +104,7 @@ def make_scenario(name: str, folder: Path) -> Path:
     no two runs share, are left at 0.
     """
     from sparseskin.nodes.files import OutputError, whole_file
+    from sparseskin.nodes.recorder.bag.writer import removing
 
     if name not in SCENARIOS:
         raise _unknown(name)
@@ -115,7 +116,7 @@ def make_scenario(name: str, folder: Path) -> Path:
     except OSError as error:
         raise ScenarioError(f"{folder}: {error.strerror}") from error
     try:
-        with whole_file(path) as draft:
+        with whole_file(path) as draft, removing(draft, path):
             _record(name, SCENARIOS[name], draft)
     except OutputError:
         # Another process that made the same was done first.

@@ -17,6 +17,7 @@ from sparseskin.messages.jsonschema import json_schema
 from sparseskin.messages.ranges import INT64_MAX
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS
+from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.files import place
 from sparseskin.nodes.lookup import did_you_mean
 
@@ -26,6 +27,7 @@ from .format import (
     GRAPH_RECORD,
     JSON_KEY,
     LIBRARY_PREFIX,
+    PART_SUFFIX,
     SCHEMA_PREFIX,
     TOPICS_RECORD,
     VERSION_KEY,
@@ -35,6 +37,21 @@ from .format import (
     check_new_bag,
 )
 from .mcap_writer import McapWriter
+
+KEPT = "recording ended, what it holds can be read"
+NOT_KEPT = "nothing was written"
+
+
+@contextlib.contextmanager
+def removing(draft: Path, out: Path) -> Iterator[None]:
+    """Let an error of the writer of `draft`, which is removed then, name `out` in its place."""
+    try:
+        yield
+    except SparseskinError as error:
+        _, part, fault = str(error).partition(f"{draft}{PART_SUFFIX}")
+        if not part:
+            raise
+        raise BagError(f"{out}{fault.replace(KEPT, NOT_KEPT)}") from error
 
 
 class BagWriter(Closing):
@@ -92,7 +109,7 @@ class BagWriter(Closing):
             self._file.flush()
         except OSError as error:
             self.discard()
-            raise BagError(f"{self.part}: {error.strerror}") from error
+            raise BagError(f"{self.part}: {error.strerror}; {NOT_KEPT}") from error
 
     def write(
         self,
@@ -242,9 +259,7 @@ class BagWriter(Closing):
         try:
             yield
         except OSError as error:
-            self._failure = (
-                f"{self.part}: {error.strerror}; recording ended, what it holds can be read"
-            )
+            self._failure = f"{self.part}: {error.strerror}; {KEPT}"
             raise BagError(self._failure) from error
 
     def _finish(self, counts: Mapping[str, Any] | None) -> None:

@@ -12,7 +12,7 @@ from sparseskin.messages import MessageError, SkinState, Taxels
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import progress
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.recorder.bag.writer import BagWriter
+from sparseskin.nodes.recorder.bag.writer import BagWriter, removing
 from sparseskin.nodes.recorder.node import metadata_of
 from sparseskin.nodes.sensor.files.recorded import open_file
 from sparseskin.nodes.sensor.node import DEFAULT_RATE_HZ
@@ -99,10 +99,11 @@ def _whole_bag(
     out: Path, metadata: Mapping[str, str], counts: Mapping[str, Any] | None
 ) -> Iterator[BagWriter]:
     """Yield a bag to write into; if an exception is raised it is removed, as its source remains."""
-    writer = BagWriter(out, metadata)
-    try:
-        yield writer
-        writer.close(counts)
-    except BaseException:
-        writer.discard()
-        raise
+    with removing(out, out):
+        writer = BagWriter(out, metadata)
+        try:
+            yield writer
+            writer.close(counts)
+        except BaseException:
+            writer.discard()
+            raise

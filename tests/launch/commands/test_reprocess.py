@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from conftest import MountDisk
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.commands.scenes import make_scenario
@@ -77,6 +78,26 @@ def test_of_several_recordings_the_sound_ones_are_finished(
     assert str(bad) in captured.err
     assert "drag_wrench.mcap:" in captured.out
     assert [path.name for path in out.iterdir()] == ["drag_wrench.mcap"]
+
+
+def test_inputs_that_are_no_recordings_are_refused_before_the_first_is_read(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for file, fault in (("log.csv", "no recording (.mcap)"), ("none.mcap", "no such file")):
+        arguments = [str(recording), file, "--out", str(tmp_path / "out")]
+        assert main(["reprocess", *arguments]) == 2
+        assert capsys.readouterr() == ("", f"{file}: {fault}\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_one_line_that_names_the_output(
+    recording: Path, mount_disk: MountDisk, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = mount_disk("400k") / "q.mcap"
+    assert main(["reprocess", str(recording), "--out", str(out)]) == 2
+    expected = f"{out}: No space left on device; nothing was written\n"
+    assert capsys.readouterr().err == expected
+    assert list(out.parent.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import frames, make_bag
+from conftest import MountDisk
 
 from sparseskin.messages import SkinState, Taxels, decode
 from sparseskin.nodes.errors import SourceError, SparseskinError
@@ -81,6 +82,18 @@ def test_an_import_that_fails_half_way_leaves_no_part_of_a_bag(
         import_file(source, tmp_path / "out.mcap", unit="N", f_max=10.0, **SIZE)
     assert seen == ["out.mcap.part"]  # it had begun
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_an_import_to_a_full_disk_names_the_bag_and_leaves_nothing(
+    tmp_path: Path, mount_disk: MountDisk
+) -> None:
+    rng = np.random.default_rng(0)
+    np.save(tmp_path / "a.npy", rng.random((200, 40, 40)))
+    out = mount_disk("400k") / "q.mcap"
+    with pytest.raises(BagError) as refused:
+        import_file(tmp_path / "a.npy", out)
+    assert str(refused.value) == f"{out}: No space left on device; nothing was written"
+    assert list(out.parent.iterdir()) == []
 
 
 def test_a_recovery_that_fails_half_way_leaves_no_part_of_a_bag(tmp_path: Path) -> None:
