@@ -17,6 +17,7 @@ from sparseskin.nodes.numerics.arrays import Mask
 from .parsed import (
     Parsed,
     check_grid,
+    is_number,
     parse_number,
     parse_reading,
     shown,
@@ -104,6 +105,11 @@ def parse_plain_csv(raw: bytes, name: str, n_rows: int | None, n_cols: int | Non
             continue
         where = f"{name}, line {index + 1}"
         tokens = [token.strip() for token in line.split(",")]
+        if not frames and not is_number(tokens[0]):
+            raise SourceError(
+                f"{where}: {shown(tokens[0])} is not a number; allowed: a Tekscan export, or "
+                "numbers with one frame a line; exports of XSENSOR are not read"
+            )
         if n_rows is None or n_cols is None:
             n_rows, n_cols = _stated_shape(len(tokens), n_rows, n_cols, where)
         if not frames:

@@ -110,6 +110,15 @@ def parse_number(token: str, where: str, low: float = -math.inf, high: float = m
     return value
 
 
+def is_number(token: str) -> bool:
+    """True if a text is a number, finite or not."""
+    try:
+        float(token)
+    except ValueError:
+        return False
+    return True
+
+
 def parse_reading(token: str, where: str, row: int, col: int) -> float:
     """Read the reading of a cell (row, col), from 0; SourceError if it is not in [0, 1e30]."""
     where = f"{where}, row {row}, column {col}"

@@ -264,7 +264,16 @@ class TestPlainCsv:
             (b"1,2\n3,4,\n", {"n_rows": 1}, "line 2: holds 3 cells"),
             (b"1,,2,3\n", {"n_rows": 2}, "row 0, column 1: '' is not a number"),
             (b"1,NaN\n", {"n_rows": 1}, "'NaN' is not a finite number"),
-            (b"a,b\n1,2\n", {"n_rows": 1}, "line 1, row 0, column 0: 'a' is not a number"),
+            (
+                b"a,b\n1,2\n",
+                {"n_rows": 1},
+                "line 1: 'a' is not a number; allowed: a Tekscan export",
+            ),
+            (
+                b'\xef\xbb\xbfFile:,"a.XSN"\n',
+                {},
+                "line 1: 'File:' is not a number; .*XSENSOR are not",
+            ),
             (b"1,1e31\n", {"n_rows": 1}, r"'1e31' is above 1e\+30"),
             (b"\xff\xfe1\x00,\x002\x00", {"n_rows": 1}, "is not a number"),
             (b"\n# only\n", {"n_rows": 1}, "holds no frame"),
