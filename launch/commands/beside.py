@@ -14,7 +14,7 @@ from sparseskin.launch.run.running import RunningGraph, choose_graph
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 
-from .options import add_graph, add_page, naming_options, real, whole
+from .options import add_graph, add_page, naming_options, print_ends, real, whole
 from .scenes import SCENARIOS, resolve_recording
 
 PLAY_KEYS = {
@@ -119,12 +119,8 @@ def _record(arguments: argparse.Namespace) -> int:
     values = {"out": out, "topics": topics, "launch": graph.launch, "source": graph.name}
     with naming_options({"out": "--out"}):
         code, summary = _run_beside(graph, "recorder", name, values, topics)
-    found = summary["nodes"][name]
-    recording = found.get("recording", {})
-    lost = sum(found.get("lost", {}).values())
-    if recording and not recording["error"]:
-        print(f"{out}: {recording['n_messages']} messages recorded, {lost} dropped")
-    elif not recording and code > 128:
+    print_ends(summary["nodes"])
+    if "recording" not in summary["nodes"][name] and code > 128:
         print(f"{out}: nothing was recorded: the recorder had not started yet", file=sys.stderr)
     return code
 
@@ -180,4 +176,7 @@ def _play(arguments: argparse.Namespace) -> int:
     with naming_options(PLAY_OPTIONS):
         launch = replace(single_node("player", "player", values), name=path.stem)
     keys = STEP_KEYS if arguments.step else PLAY_KEYS
-    return Launcher(launch, Terminal(), keys=keys).run()
+    launcher = Launcher(launch, Terminal(), keys=keys)
+    code = launcher.run()
+    print_ends(launcher.summary()["nodes"])
+    return code

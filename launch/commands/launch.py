@@ -14,6 +14,7 @@ from .options import (
     add_summary,
     check_summary,
     naming_options,
+    print_ends,
     whole,
     write_summary,
 )
@@ -112,8 +113,11 @@ def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
     sensed = {name: p for name, p in summary["patches"].items() if p["frames"]["sensed"]}
     patches = sensed or summary["patches"]  # none where the monitor is on another host
     try:
-        if patches and (sensed or code != EXIT_USAGE):
-            print(summary_table(patches), flush=True)
+        if sensed or code != EXIT_USAGE:
+            if patches:
+                print(summary_table(patches))
+            print_ends(summary["nodes"])
+            sys.stdout.flush()
     finally:  # stdout may be on a full disk
         write_summary(arguments.summary, {"sparseskin": version("sparseskin"), **summary})
     if run_log is not None and code in (EXIT_FAILED, EXIT_USAGE):

@@ -92,6 +92,26 @@ def naming_options(options: Mapping[str, str]) -> Iterator[None]:
         raise SettingsError(f"{options[key]}{colon}{rest}") from error
 
 
+def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
+    """Print what sensors clipped, recorders wrote and players played, from their reports."""
+    from sparseskin.messages.text import printable
+
+    for name, node in nodes.items():
+        if node["type"] == "sensor" and node.get("clipped"):
+            unit = printable(node["unit"])
+            print(
+                f"{name}: {node['clipped']} readings outside 0..{node['f_max']:g} {unit} were "
+                f"clipped; lowest {node['lowest']:g}, highest {node['highest']:g} {unit}"
+            )
+        elif node["type"] == "recorder" and (recording := node.get("recording")):
+            dropped = sum(node.get("lost", {}).values())
+            if not recording["error"]:
+                count = f"{recording['n_messages']} messages recorded, {dropped} dropped"
+                print(f"{printable(recording['out'])}: {count}")
+        elif node["type"] == "player" and "played" in node:
+            print(f"{printable(node['played']['file'])}: {node['played']['frames']} frames played")
+
+
 def show(arguments: argparse.Namespace, document: Any, lines: Iterable[str]) -> int:
     """Print a document as JSON where that is asked for, else lines; return the exit code."""
     print(json.dumps(document, indent=2) if arguments.json else "\n".join(lines))

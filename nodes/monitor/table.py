@@ -51,7 +51,8 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
     }
     frames, psnr = patch["frames"], patch["psnr_db"]
     if not frames["sensed"] and not frames["reconstructed"]:
-        return f"{printable(name)}: ended before the first frame"
+        scene = "" if patch["scene"] == NONE else f"{patch['scene']}: "
+        return f"{printable(name)}: {scene}ended before the first frame"
     against = {"truth": "against the truth", "taxels": "against the recorded taxels"}
     title = f" {printable(name)}: {patch['scene']} "
     rows = [

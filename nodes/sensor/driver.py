@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterable, Iterator
 from typing import Any, Literal
 
@@ -27,7 +28,8 @@ class DriverSource:
     Readings outside [0, f_max] are clipped, as a sensor saturates at the ends of its range. Its
     attributes are those of a `Source`: the driver's own where it has them, or else the name
     `module:callable`, a skin of the first frame's shape, and "taxels" to deliver. `n_clipped` is
-    the number of readings clipped so far, 1 a taxel and frame.
+    the number of readings clipped so far, 1 a taxel and frame; `lowest` and `highest` are the
+    extremes of the frames that had such, before they were clipped.
     """
 
     def __init__(
@@ -44,6 +46,7 @@ class DriverSource:
         self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
         self._skin: Skin | None = None
         self.n_clipped = 0
+        self.lowest, self.highest = math.inf, -math.inf
         self._pending: tuple[int, Floats] | None = None
         self._is_one_shot = False
         self._iterator: Iterator[object] | None = None
@@ -204,7 +207,11 @@ class DriverSource:
                 f"{where}, row {row}, column {col}: {values[row, col]} is no force; "
                 "a fault of the sensor or its driver"
             )
-        self.n_clipped += int(np.count_nonzero((values < 0) | (values > self._f_max)))
+        n_clipped = int(np.count_nonzero((values < 0) | (values > self._f_max)))
+        if n_clipped:
+            self.n_clipped += n_clipped
+            self.lowest = min(self.lowest, float(values.min()))
+            self.highest = max(self.highest, float(values.max()))
         return np.clip(values, 0, self._f_max).astype(np.float32)
 
     def _own_skin(self, skin: object, f_max: float | None, unit: str | None) -> Skin:

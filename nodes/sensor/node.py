@@ -173,7 +173,12 @@ class Sensor(SourceNode[SensorSettings]):
             self._source.close()
 
     def report(self) -> dict[str, Any]:
-        return {"clipped": self._n_clipped}
+        source = self._source
+        if not isinstance(source, DriverSource) or not self._n_clipped:
+            return {"clipped": 0}
+        read = {"lowest": source.lowest, "highest": source.highest}
+        allowed = {"f_max": self.skin.f_max, "unit": self.skin.unit}
+        return {"clipped": self._n_clipped, **read, **allowed}
 
     def _watch_range(self) -> None:
         """Log clipped readings, each time their number has doubled: a wrong sign, unit or range."""

@@ -358,15 +358,17 @@ def test_readings_outside_the_range_are_clipped_but_not_silently(
     (tmp_path / "upside.py").write_text(
         "import numpy as np\n"
         "def frames():\n"
-        "    for k in range(10): yield k, np.full((5, 4), -1.0)\n"
+        "    for k in range(10): yield k, np.full((5, 4), 3.5 if k == 7 else -1.0 - k)\n"
     )
-    code, _, stderr = start(
+    code, stdout, stderr = start(
         *("launch", "replay", "--set", "sensor.source=upside:frames", "--summary", "out.json")
     ).finish()
     assert code == 0
     assert "readings outside 0..2.5 N were clipped" in stderr
     summary = json.loads((tmp_path / "out.json").read_text())
     assert summary["nodes"]["sensor"]["clipped"] == 200
+    line = "sensor: 200 readings outside 0..2.5 N were clipped; lowest -10, highest 3.5 N"
+    assert stdout.splitlines()[-1] == line
 
 
 @pytest.mark.slow

@@ -280,6 +280,8 @@ def test_the_table_fits_80_columns_and_shows_every_figure_that_is_known() -> Non
 def test_a_graph_that_saw_nothing_has_a_line_in_place_of_a_table() -> None:
     table = summary_table({"skin": PatchMetrics().summary()})
     assert table == "skin: ended before the first frame"
+    table = summary_table({"skin": metrics_of(skin(), PHI).summary()})
+    assert table == "skin: a scene: ended before the first frame"
 
 
 def test_settings_that_change_during_the_run_are_listed() -> None:

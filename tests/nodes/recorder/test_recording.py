@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import signal
 from pathlib import Path
 
@@ -41,14 +42,16 @@ def test_played_in_lockstep_and_recorded_again_it_is_the_same_to_the_bit(
         *("launch", scene, "--frames", "300", "--record", "first.mcap"),
         *("--set", "sensor.rate_hz=0", "--set", "reconstructor.iterations=5"),
     )
-    assert launched.finish()[0] == 0
+    code, stdout, stderr = launched.finish()
+    assert code == 0, stderr
+    assert re.fullmatch(r"first.mcap: \d+ messages recorded, 0 dropped", stdout.splitlines()[-1])
     player = start("play", "first.mcap", "--lockstep", "--rate", "0")
     player.wait_for("[launch] ready")
     note_of_graph(tmp_path / "graphs")
     code, stdout, stderr = start("record", "--out", "second.mcap").finish()
     assert code == 0, stderr
     assert "0 dropped" in stdout
-    assert player.finish()[0] == 0
+    assert player.finish()[:2] == (0, "first.mcap: 300 frames played\n")
     first, second = contents(tmp_path / "first.mcap"), contents(tmp_path / "second.mcap")
     assert first == second
     assert len(first["/skin/reconstruction"]) == 300

@@ -1,0 +1,37 @@
+"""What commands share: the lines at the end of a run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from sparseskin.launch.commands.options import print_ends
+
+
+def test_the_end_of_a_run_states_what_was_clipped_recorded_and_played(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    extremes = {"lowest": -0.5, "highest": 7.25, "f_max": 2.5, "unit": "N\x1b"}
+    nodes: dict[str, dict[str, Any]] = {
+        "sensor": {"type": "sensor", "clipped": 12, **extremes},
+        "good": {"type": "sensor", "clipped": 0},
+        "own": {"type": "mine:Sensor", "clipped": "some", "played": 3},
+        "dead": {"type": "sensor"},
+        "recorder": {
+            "type": "recorder",
+            "lost": {"/skin/taxels": 2, "/skin/truth": 1},
+            "recording": {"out": "drag.mcap", "n_messages": 4803, "error": None},
+        },
+        "full": {
+            "type": "recorder",
+            "recording": {"out": "full.mcap", "n_messages": 7, "error": "full.mcap: no space"},
+        },
+        "player": {"type": "player", "played": {"file": "drag.mcap", "frames": 1200}},
+    }
+    print_ends(nodes)
+    assert capsys.readouterr().out.splitlines() == [
+        r"sensor: 12 readings outside 0..2.5 N\x1b were clipped; lowest -0.5, highest 7.25 N\x1b",
+        "drag.mcap: 4803 messages recorded, 3 dropped",
+        "drag.mcap: 1200 frames played",
+    ]
