@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.executors import FORMS
-from sparseskin.nodes.lookup import did_you_mean, find_callable
+from sparseskin.nodes.lookup import find_callable, nearest_of
 from sparseskin.nodes.numerics.compiled import ENVIRONMENT
 
 
@@ -50,14 +50,15 @@ STUDIES = {
         numpy_only=True,
     ),
     "stability": Study(
-        "where integrators of a contact hold and where they blow up", numpy_only=True
+        "stable and unstable step sizes, contact parameters and settings of solvers",
+        numpy_only=True,
     ),
-    "scene-needs": Study("what a scene has to model for its tables to come out"),
+    "scene-needs": Study("which degrees of freedom and terms each scene needs"),
     "operators": Study(
-        "time of Phi, Psi and whole solvers beside the least there can be, and other libraries"
+        "time of Phi, Psi and whole solvers beside the lower bound, and other libraries"
     ),
     "targets": Study(
-        "the default solver against the paper's and the full reading; the gain of each part",
+        "the default solver against the paper's and the full reading; effect of each part",
         options=("recordings",),
         numpy_only=True,
     ),
@@ -66,14 +67,12 @@ STUDIES = {
         numpy_only=True,
     ),
     "endurance": Study(
-        "the default solver over a million frames: nothing grows, drifts or locks in"
+        "the default solver over a million frames: memory, drift, recovery after changes"
     ),
-    "latency": Study("from acquisition to reconstruction at 1 kHz, and where the time goes"),
-    "soak": Study(
-        "a graph that runs for long: memory, open files, lost frames", options=("minutes",)
-    ),
+    "latency": Study("time from acquisition to reconstruction at 1 kHz, by stage"),
+    "soak": Study("a long run: memory, open files, lost frames", options=("minutes",)),
     "fuzz": Study("hostile messages on the sockets of nodes that run, and mutated launch files"),
-    "faults": Study("what a graph does when something breaks: what is lost, how soon it recovers"),
+    "faults": Study("a graph under faults: frames lost, and time to recover"),
 }
 #: Packages of the extra `charts`, which each study needs.
 EXTRA = ("matplotlib", "jinja2", "pandas")
@@ -82,8 +81,8 @@ EXTRA = ("matplotlib", "jinja2", "pandas")
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `study`."""
     parser.description = (
-        "Compute the tables and charts of a study. A run that was interrupted continues where it "
-        "was."
+        "Compute the tables and charts of a study. A run that was interrupted continues\n"
+        "where it was."
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = "\n".join(f"{name:<15} {study.summary}" for name, study in STUDIES.items())
@@ -136,13 +135,12 @@ def _minutes(text: str) -> float:
 def _study(arguments: argparse.Namespace) -> int:
     name: str = arguments.name
     if name not in STUDIES:
-        raise SettingsError(f"study {name!r} is not known{did_you_mean(name, STUDIES)}")
+        raise SettingsError(f"study {name!r} is not known{nearest_of(name, STUDIES)}")
     study = STUDIES[name]
     absent = [package for package in EXTRA if find_spec(package) is None]
     if absent:
-        raise SettingsError(
-            f"study {name}: {' and '.join(absent)} not installed: pip install 'sparseskin[charts]'"
-        )
+        missing = f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
+        raise SettingsError(f"study {name}: {missing}: pip install 'sparseskin[charts]'")
     options = {}
     for option in ("recordings", "minutes"):
         value = getattr(arguments, option)

@@ -124,7 +124,7 @@ def _import(arguments: argparse.Namespace) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    """Convert the frames of a bag: npz (one file a patch, which `file:` sources read again), csv (a
+    """Convert the frames of a bag: npz (one file a patch, which a source file:PATH reads), csv (a
     folder, one file a topic, one frame a line), or ros2 (a folder with CDR messages and
     metadata.yaml).
     """

@@ -32,7 +32,7 @@ COMMANDS = {
     "learn-basis": (".learn_basis", "learn a basis from a recording"),
     "scenes": (".scenes", "list the scenes, make short recordings of them"),
     "study": ("sparseskin.studies.command", "compute tables and charts anew"),
-    "completion": (".completion", "print a script that completes words in a shell"),
+    "completion": (".completion", "print the completion script of a shell"),
     "help": (".cli", "describe a command"),
 }
 """Of each command the module that adds its arguments to a parser, by `configure_COMMAND` or

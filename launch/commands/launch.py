@@ -35,7 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `launch`."""
     bundled = sorted(path.stem for path in LAUNCH_FILES.glob("*.toml"))
     parser.description = "Start a graph of nodes, watch it, and print what the monitor measured."
-    parser.epilog = f"Launch files that come with it: {', '.join(bundled)}."
+    parser.epilog = f"Bundled launch files: {', '.join(bundled)}."
     parser.add_argument("name", metavar="NAME|FILE.toml", help="launch file")
     add_set(parser, "one setting of one node")
     parser.add_argument(

@@ -272,7 +272,9 @@ def _to_name(node: str, values: dict[str, Any]) -> str:
 
 
 def _line_of(text: str, place: tuple[str, ...]) -> int:
-    """Number of the line that holds a key of a table, or the table's header; 0 if not found."""
+    """Number of the line that holds a key of a table, or the header of the table or of the first
+    table in it; 0 if not found.
+    """
     header = re.compile(r"\s*\[\s*([^\]]+?)\s*\]")
     table: tuple[str, ...] = ()
     found = 0
@@ -282,7 +284,7 @@ def _line_of(text: str, place: tuple[str, ...]) -> int:
             table = tuple(part.strip(" \"'") for part in match[1].split("."))
             if table == place:
                 return number
-            if table == place[:-1]:
+            if table == place[:-1] or table[: len(place)] == place:
                 found = found or number
         else:
             key = line.partition("=")[0].strip(" \"'\t")

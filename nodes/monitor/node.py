@@ -49,7 +49,9 @@ class MonitorSettings(Settings):
     )
     token: bool = setting(True, "ask for the random token in the address of the page")
     browser: bool = setting(False, "open the page in a browser")
-    screen: bool = setting(False, "show a whole screen of text in place of one line")
+    screen: bool = setting(
+        False, "update a full screen of text in the terminal, in place of one status line"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,4 +1,4 @@
-"""A graph that runs for long: memory, open files and processor time of each of its processes."""
+"""A long run of a graph: memory, open files and processor time of each of its processes."""
 
 from __future__ import annotations
 

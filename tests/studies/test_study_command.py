@@ -28,7 +28,7 @@ def test_without_a_package_of_the_extra_one_line_names_it_and_the_extra(
     monkeypatch.setattr(command, "find_spec", lambda name: None if name == package else name)
     assert main(["study", "paper-tables"]) == 2
     error = capsys.readouterr().err
-    assert f"{package} not installed" in error
+    assert f"{package} is not installed" in error
     assert "pip install 'sparseskin[charts]'" in error
     assert error.count("\n") == 1
 

@@ -103,6 +103,11 @@ def test_all_bundled_files_are_known() -> None:
         ),
         ("[graph]", "[grap]", "f.toml:1: grap: unknown table (did you mean 'graph'?)"),
         (
+            "[nodes.compressor]",
+            "[node.compressor]",
+            "f.toml:8: node: unknown table (did you mean 'nodes'?)",
+        ),
+        (
             "description",
             "descripton",
             "f.toml:2: graph.descripton: unknown key (did you mean 'description'?)",
