@@ -185,7 +185,7 @@ def test_a_full_disk_is_one_clear_line_and_the_graph_is_unharmed(
         (["play", "none.mcap"], "none.mcap"),
         (["play", "text.mcap"], "text.mcap"),
         (["play", "empty.mcap"], "empty.mcap"),
-        (["play", "none.mcap", "--rate", "-1"], "rate: -1.0 is outside"),
+        (["play", "none.mcap", "--rate", "-1"], "--rate: '-1': expected a number, 0 or more"),
     ],
 )
 def test_bad_input_is_one_line(
