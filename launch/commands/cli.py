@@ -69,8 +69,18 @@ def make_parser(words: Sequence[str]) -> argparse.ArgumentParser:
 def configure_help(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `help`."""
     parser.description = "Describe a command, as its --help does."
-    parser.add_argument("words", metavar="COMMAND", nargs="*", help="as launch, or bag info")
+    words = parser.add_argument(
+        "words", metavar="COMMAND", nargs="*", help="as launch, or bag info"
+    )
+    words.completer = _commands  # type: ignore[attr-defined]
     parser.set_defaults(run=_help)
+
+
+def _commands(*, prefix: str, parsed_args: argparse.Namespace, **_: Any) -> dict[str, str]:
+    """Commands that begin with what has been typed, and their lines of help."""
+    if parsed_args.words:
+        return {}
+    return {name: about for name, (_, about) in COMMANDS.items() if name.startswith(prefix)}
 
 
 def _help(arguments: argparse.Namespace) -> NoReturn:

@@ -80,10 +80,6 @@ def _values(prefix: str, metavar: str, typed: argparse.Namespace) -> Words:
             graphs = running_graphs()
             names = [one.name for one in graphs]
             return _bare(one.name if names.count(one.name) == 1 else one.label for one in graphs)
-        case "COMMAND":
-            from .cli import COMMANDS
-
-            return {} if typed.words else {name: about for name, (_, about) in COMMANDS.items()}
         case "KEY" | "VALUE" | "KEY VALUE":
             return _parameters(metavar, typed)
         case "FIELD":

@@ -27,7 +27,7 @@ from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import PhiError, RefusedError, SolverError, SparseskinError
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.numerics.compiled import compile_loops
+from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
 from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED, Uncertainty

@@ -11,7 +11,6 @@ from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Floats, Indices
-from sparseskin.nodes.numerics.compiled import MAX_PLACES
 from sparseskin.nodes.numerics.programs import Call, gather, run
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
@@ -196,15 +195,3 @@ class SbheHaarDescent(NumpyDescent):
         image.reshape(-1).take(self._basis.order, None, self._x, "clip")
         run(self._to_w)
         np.copyto(out, self._w)
-
-
-def make_descent(phi: Phi, basis: Basis, taxels: Indices, compiled: bool = False) -> Descent:
-    """Return the fastest iterations of FISTA; those of compiled loops only if `compiled`."""
-    # Types are compared exactly: a subclass may have changed what the operators do.
-    if type(phi) is not SbhePhi or type(basis) is not HaarBasis:
-        return PlainDescent(phi, basis, taxels)
-    if compiled and basis.n_rows * basis.n_cols < MAX_PLACES:
-        from .fast import CompiledDescent  # needs numba
-
-        return CompiledDescent(phi, basis, taxels)
-    return SbheHaarDescent(phi, basis, taxels)

@@ -14,8 +14,8 @@ from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.reconstructor.bases.base import Basis
 
+from .backends import make_descent
 from .base import MAX_ITERATIONS, Solver, newtons, whole_number
-from .descent import make_descent
 
 
 def fista(

@@ -160,15 +160,3 @@ class SbheProjection(Projection):
             whole = one[: self._whole].reshape(-1, block)
             np.dot(whole, self._hadamard, result[: self._whole].reshape(-1, block))
             np.dot(self._rest, one[self._whole :], result[self._whole :])
-
-
-def make_projection(phi: Phi, compiled: bool = False) -> Projection:
-    """Return the fastest projection of a phi; one of compiled loops only if `compiled`."""
-    # Types are compared exactly: a subclass may have changed what the operators do.
-    if compiled and type(phi) is SbhePhi:
-        from .fast import CompiledProjection  # needs numba
-
-        return CompiledProjection(phi)
-    if type(phi) is SbhePhi and phi.block <= MAX_BLOCK:
-        return SbheProjection(phi)
-    return PlainProjection(phi)

@@ -11,9 +11,9 @@ from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis
 
+from .backends import make_projection
 from .base import MAX_ITERATIONS, Solver, newtons, whole_number
 from .fista import momenta
-from .projection import make_projection
 
 #: A coefficient of this many lambdas in the last frame has half its weight.
 REWEIGHTED_HALF = 3.0

@@ -15,7 +15,8 @@ import pytest
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics import compiled as fast
-from sparseskin.nodes.numerics.compiled import compile_loops, ready, use_compiled
+from sparseskin.nodes.numerics.compiled import ready, use_compiled
+from sparseskin.nodes.numerics.warm_up import compile_loops
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 needs_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed (extra fast)")
@@ -133,7 +134,7 @@ def test_where_nothing_is_on_disk_compiling_is_logged_before_numba_is_imported(
     """The first line ends the process here."""
     code = (
         "import sys\n"
-        "from sparseskin.nodes.numerics.compiled import compile_loops\n"
+        "from sparseskin.nodes.numerics.warm_up import compile_loops\n"
         "def log(line):\n"
         "    print(line, 'numba' in sys.modules)\n"
         "    raise SystemExit\n"

@@ -10,7 +10,7 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.reconstructor.skin.clip_bias import ClipBias
 from sparseskin.nodes.reconstructor.skin.gain import LEAST_GAIN, AdaptiveGain
 from sparseskin.nodes.reconstructor.skin.noise_level import JUMP, NoiseLevel
-from sparseskin.nodes.reconstructor.solvers.projection import make_projection
+from sparseskin.nodes.reconstructor.solvers.backends import make_projection
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
 
 SIGMA_N = 0.02

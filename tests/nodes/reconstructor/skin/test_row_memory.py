@@ -9,7 +9,8 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.skin.row_memory import MOST, RowMemory
-from sparseskin.nodes.reconstructor.solvers.projection import Projection, make_projection
+from sparseskin.nodes.reconstructor.solvers.backends import make_projection
+from sparseskin.nodes.reconstructor.solvers.projection import Projection
 
 N, RATIO = 256, 4
 M = N // RATIO

@@ -16,12 +16,9 @@ from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis, make_basis
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.solvers.backends import make_descent
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
-from sparseskin.nodes.reconstructor.solvers.descent import (
-    PlainDescent,
-    SbheHaarDescent,
-    make_descent,
-)
+from sparseskin.nodes.reconstructor.solvers.descent import PlainDescent, SbheHaarDescent
 from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver, fista
 
 
