@@ -164,7 +164,9 @@ def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(
     assert len(list(folder.glob(f"{program.process.pid}.*.sock"))) == 4
     program.kill_all()
     program.process.communicate()
-    assert len(list(folder.iterdir())) == 6  # the note, the control socket, four nodes
+    # The launcher's note and socket; a node that notices its end first may remove its own.
+    left = {path.name for path in folder.iterdir()}
+    assert {f"replay-{program.process.pid}.json", f"{program.process.pid}.sock"} <= left
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(folder))
 
     def removed() -> bool:  # a process that is being killed still holds its socket
