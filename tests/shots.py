@@ -36,8 +36,8 @@ def n_drawn(page: Any) -> int:
 
 def touched(page: Any) -> bool:
     """True if a body presses on the skin now and there is some history to show."""
-    found = re.search(r"peak ([0-9.]+) N", text(page, '[data-panel="truth"] figcaption'))
-    return found is not None and float(found[1]) > 0.2 and n_drawn(page) > 800
+    found = re.search(r"total ([0-9.]+) N", text(page, '[data-panel="truth"] figcaption'))
+    return found is not None and float(found[1]) > 8 and n_drawn(page) > 800
 
 
 def one_patch(page: Any, folder: Path) -> None:

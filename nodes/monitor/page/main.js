@@ -129,9 +129,9 @@ function tiles(name) {
         ? `N/M ${s.n}/${s.m}, ${s.bits} bits: ${s.ratio_bits.toFixed(1)} : 1`
         : `N = ${s.n}, M = ${s.m}`],
     ["traffic", "Data rate of the edge", `${bytes(after)}`, `instead of ${bytes(before)}`],
-    ["gain", `PSNR gain, ${shownFrames(s)} frames`, Number.isFinite(gain)
-      ? `${gain >= 0 ? "+" : "−"}${Math.abs(gain).toFixed(1)} dB`
-      : fixed(mean(s, "reconstruction"), 1, "dB"),
+    ["gain", `PSNR gain${shownFrames(s) === "contact" ? " in contact" : ", all frames"}`,
+      Number.isFinite(gain) ? `${gain >= 0 ? "+" : "−"}${Math.abs(gain).toFixed(1)} dB`
+        : fixed(mean(s, "reconstruction"), 1, "dB"),
       Number.isFinite(gain) ? `mean ${fixed(mean(s, "noisy"), 1)} → ${fixed(
         mean(s, "reconstruction"), 1, "dB")}` : "against the taxels; the truth is not known"],
     ["latency", "Latency, all frames", `${fixed(s.latency_ms?.p50, 1, "ms")}`

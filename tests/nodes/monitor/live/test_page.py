@@ -215,7 +215,7 @@ def test_the_numbers_of_the_page_are_those_of_the_summary(
     wait_until(lambda: "The graph has ended" in text(page, "#notices"), "the end on the page")
     patch = json.loads(summary.read_text())["patches"]["skin"]
     noisy, restored = (patch["psnr_db"][k]["contact"]["mean"] for k in ("noisy", "reconstruction"))
-    assert text(page, '[data-tile="gain"] h2') == "PSNR gain, contact frames"
+    assert text(page, '[data-tile="gain"] h2') == "PSNR gain in contact"
     assert text(page, '[data-tile="frames"] strong') == "1000"
     assert text(page, '[data-tile="frames"] span') == "of 1000, 0 lost"
     assert text(page, '[data-tile="gain"] span') == f"mean {noisy:.1f} → {restored:.1f} dB"
