@@ -162,6 +162,7 @@ def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(
     program.wait_for("[launch] ready")
     folder = tmp_path / "graphs"
     assert len(list(folder.glob(f"{program.process.pid}.*.sock"))) == 4
+    wait_until((folder / f"{program.process.pid}.sock").exists, "the control socket")
     program.kill_all()
     program.process.communicate()
     # The launcher's note and socket; a node that notices its end first may remove its own.
