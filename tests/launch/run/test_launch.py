@@ -7,6 +7,7 @@ import os
 import signal
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -286,21 +287,30 @@ def test_a_driver_that_blocks_does_not_outlive_a_killed_launcher(
     wait_until(lambda: not program.survivors(), "the nodes to notice")
 
 
-def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
-    start: StartProgram, tmp_path: Path
-) -> None:
-    (tmp_path / "fast.py").write_text(FAST.format(n_frames=6000, first_alone=False))
+def summary_of_a_held_graph(
+    start: StartProgram, folder: Path, n_frames: int, first_alone: bool, *settings: str
+) -> dict[str, Any]:
+    """The summary of a graph whose solver waits until its source has sent all frames."""
+    (folder / "fast.py").write_text(FAST.format(n_frames=n_frames, first_alone=first_alone))
     program = start(
         *("launch", "replay", "--set", "sensor.source=fast:frames", "--summary", "out.json"),
         *("--set", "sensor.rate_hz=4000"),  # one without a rate waits for its readers
         *("--set", "reconstructor.solver=fast:Held", "--set", "reconstructor.iterations=1"),
+        *settings,
     )
-    # The first frame is solved when all have been sent: three times what the queues hold.
-    wait_until((tmp_path / "sent").exists, "the last frame")
-    (tmp_path / "go").touch()
+    wait_until((folder / "sent").exists, "the last frame")
+    (folder / "go").touch()
     code, _, stderr = program.finish()
     assert code == 0, stderr
-    summary = json.loads((tmp_path / "out.json").read_text())
+    summary: dict[str, Any] = json.loads((folder / "out.json").read_text())
+    return summary
+
+
+def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    # The first frame is solved when all have been sent: three times what the queues hold.
+    summary = summary_of_a_held_graph(start, tmp_path, 6000, False)
     frames = summary["patches"]["skin"]["frames"]
     assert frames["sensed"] == 6000
     assert frames["lost"] > 0
@@ -311,19 +321,9 @@ def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
 def test_one_that_takes_the_newest_alone_reports_how_many_it_skipped(
     start: StartProgram, tmp_path: Path
 ) -> None:
-    (tmp_path / "fast.py").write_text(FAST.format(n_frames=500, first_alone=True))
-    program = start(
-        *("launch", "replay", "--set", "sensor.source=fast:frames", "--summary", "out.json"),
-        *("--set", "sensor.rate_hz=4000"),  # one without a rate waits for its readers
-        *("--set", "reconstructor.solver=fast:Held", "--set", "reconstructor.iterations=1"),
-        *("--set", "reconstructor.depth=1"),
-    )
     # The second frame is solved when all others wait: fewer than the monitor keeps unpaired.
-    wait_until((tmp_path / "sent").exists, "the last frame")
-    (tmp_path / "go").touch()
-    code, _, stderr = program.finish()
-    assert code == 0, stderr
-    summary = json.loads((tmp_path / "out.json").read_text())
+    settings = ("--set", "reconstructor.depth=1")
+    summary = summary_of_a_held_graph(start, tmp_path, 500, True, *settings)
     frames, node = summary["patches"]["skin"]["frames"], summary["nodes"]["reconstructor"]
     n_skipped = node["skipped"]["/skin/measurements"]
     assert n_skipped > 0
