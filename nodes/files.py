@@ -23,17 +23,6 @@ class OutputError(SparseskinError):
     """A file that cannot be written where it was asked for."""
 
 
-def check_writable(path: Path) -> None:
-    """Check before a run that its summary can be written, or raise OutputError."""
-    folder = path.resolve().parent
-    if path.is_dir():
-        raise OutputError(f"--summary {path}: is a folder")
-    if not folder.is_dir():
-        raise OutputError(f"--summary {path}: {NO_FOLDER}")
-    if not os.access(path if path.exists() else folder, os.W_OK):
-        raise OutputError(f"--summary {path}: {NO_WRITING}")
-
-
 def check_private(folder: Path) -> None:
     """Check that no other user can enter a folder or has put a link in its place.
     Raises SparseskinError if it is no folder, belongs to another user, or its mode is not 0700.

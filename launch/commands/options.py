@@ -7,6 +7,7 @@ import contextlib
 import inspect
 import json
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -61,10 +62,17 @@ def add_summary(parser: argparse.ArgumentParser) -> None:
 
 def check_summary(path: Path | None) -> None:
     """Check before a run that its summary can be written, or raise OutputError."""
-    from sparseskin.nodes.files import check_writable
+    from sparseskin.nodes.files import NO_FOLDER, NO_WRITING, OutputError
 
-    if path is not None:
-        check_writable(path)
+    if path is None:
+        return
+    folder = path.resolve().parent
+    if path.is_dir():
+        raise OutputError(f"--summary {path}: is a folder")
+    if not folder.is_dir():
+        raise OutputError(f"--summary {path}: {NO_FOLDER}")
+    if not os.access(path if path.exists() else folder, os.W_OK):
+        raise OutputError(f"--summary {path}: {NO_WRITING}")
 
 
 def write_summary(path: Path | None, summary: Mapping[str, Any]) -> None:

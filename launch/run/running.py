@@ -178,7 +178,7 @@ def is_running(graph: RunningGraph) -> bool:
     try:
         folder = runtime_folder()
         with _locked(folder), _open(folder / f"{graph.label}.json") as note:
-            return _is_locked(note) and bool(_graph(json.load(note)).nodes)
+            return _is_locked(note) and bool(_graph(note).nodes)
     except FileNotFoundError:
         return False
     except OSError:  # no descriptor is free
@@ -228,7 +228,7 @@ def _remove_stale() -> list[RunningGraph]:
     found = []
     for path in sorted(runtime_folder().glob("*.json")):
         with contextlib.suppress(*_NO_NOTE), _open(path) as note:
-            graph = _graph(json.loads(note.read(MAX_NOTE_BYTES)))
+            graph = _graph(note)
             if graph.label != path.stem or not isinstance(graph.pid, int):
                 continue  # not written by this program
             if _is_locked(note):
@@ -273,6 +273,8 @@ def _is_locked(note: IO[str]) -> bool:
     return False
 
 
-def _graph(fields: dict[str, Any]) -> RunningGraph:
+def _graph(note: IO[str]) -> RunningGraph:
+    """The graph that a note describes; any of `_NO_NOTE` if it describes none."""
+    fields: dict[str, Any] = json.loads(note.read(MAX_NOTE_BYTES))
     nodes = {name: RunningNode(**node) for name, node in fields.pop("nodes").items()}
     return RunningGraph(**fields, nodes=nodes)
