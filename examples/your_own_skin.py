@@ -2,7 +2,8 @@
 
 python examples/your_own_skin.py [OUT.png]
 
-Replace `write_recording` by a file of yours: Novel emed .lst, Tekscan .csv or .asf, .npy, .npz.
+Replace `write_recording` by a file of yours: Novel emed .lst, Tekscan .csv or .asf, XSENSOR .csv,
+.npy, .npz.
 """
 
 import sys

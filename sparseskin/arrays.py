@@ -309,7 +309,7 @@ def read_recording(
     ----------
     path : str or path
         A bag (.mcap, .mcap.part), or any file that the sensor reads: Novel .lst, Tekscan .csv and
-        .asf, .npy, .npz, plain .csv.
+        .asf, XSENSOR .csv, .npy, .npz, plain .csv.
     patch : str, optional
         Patch to read; needed where a bag has several.
     **stated

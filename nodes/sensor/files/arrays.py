@@ -107,8 +107,8 @@ def parse_plain_csv(raw: bytes, name: str, n_rows: int | None, n_cols: int | Non
         tokens = [token.strip() for token in line.split(",")]
         if not frames and not is_number(tokens[0]):
             raise SourceError(
-                f"{where}: {shown(tokens[0])} is not a number; allowed: a Tekscan export, or "
-                "numbers with one frame a line; exports of XSENSOR are not read"
+                f"{where}: {shown(tokens[0])} is not a number; allowed: an export of Tekscan or "
+                "XSENSOR, or numbers with one frame a line"
             )
         if n_rows is None or n_cols is None:
             n_rows, n_cols = _stated_shape(len(tokens), n_rows, n_cols, where)

@@ -28,11 +28,12 @@ from .parsed import (
     shown,
 )
 from .tekscan import is_tekscan, parse_tekscan
+from .xsensor import is_xsensor, parse_xsensor
 
 SUFFIXES = {
     ".lst": "Novel emed text export",
     ".asf": "Tekscan ASCII movie export",
-    ".csv": "Tekscan ASCII movie export, or numbers with one frame a line",
+    ".csv": "Tekscan ASCII movie or XSENSOR export, or numbers with one frame a line",
     ".npy": "array (frames, rows, columns)",
     ".npz": "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted",
 }
@@ -177,7 +178,8 @@ def check_csv(path: str, n_rows: int | None, n_cols: int | None, unit: str | Non
             lines = file.read(_HEAD_BYTES).splitlines()
     except OSError as error:
         raise SourceError(f"{path}: cannot be read: {error.strerror}") from error
-    if is_tekscan(b"\n".join(lines)):
+    head = b"\n".join(lines)
+    if is_tekscan(head) or is_xsensor(head):
         return
     if n_rows is None and n_cols is None:
         parse_plain_csv(b"\n".join(lines[:100]), path, n_rows, n_cols)
@@ -197,6 +199,8 @@ def _parse(name: str, n_rows: int | None, n_cols: int | None) -> Parsed:
         )
     raw = read_bytes(name)
     if suffix == ".csv" and not is_tekscan(raw):
+        if is_xsensor(raw):
+            return parse_xsensor(raw, name)
         return parse_plain_csv(raw, name, n_rows, n_cols)
     parsers = {".lst": parse_emed, ".npy": parse_npy, ".npz": parse_npz}
     return parsers.get(suffix, parse_tekscan)(raw, name)

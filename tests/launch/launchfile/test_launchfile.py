@@ -409,13 +409,13 @@ def test_a_recording_in_a_read_only_folder_is_refused_before_the_start(
 
 def test_a_vendor_export_that_is_not_read_is_refused_by_its_first_line(tmp_path: Path) -> None:
     export = tmp_path / "foot.csv"
-    export.write_text('\ufeffFile:,"foot 8,16,2022.XSN",,\n,,,\nUnits:,mmHg,,\n', encoding="utf-8")
+    export.write_text("\ufeffPatient:,A. N. Other,,\n,,,\nUnits:,mmHg,,\n", encoding="utf-8")
     override = f"sensor.source=file:{export}"
     with pytest.raises(LaunchError) as refused:
         load("replay", [override])
     assert refused.value.lines == [
-        f"--set {override}: {export}, line 1: 'File:' is not a number; allowed: a Tekscan export, "
-        "or numbers with one frame a line; exports of XSENSOR are not read"
+        f"--set {override}: {export}, line 1: 'Patient:' is not a number; allowed: an export "
+        "of Tekscan or XSENSOR, or numbers with one frame a line"
     ]
 
 

@@ -1,0 +1,200 @@
+"""Exports of XSENSOR: what is read of them, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from recordings import recording
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.files.recorded import RecordedSource, open_file
+
+Opener = Callable[..., RecordedSource]
+
+#: An insole of 3 x 4 cells of which 7 exist, printed as 0 where there is none.
+FRAMES = [
+    ["0,10.5,20,0", "3,0,7.25,0", "0,1,0,0"],
+    ["0,0,30,0", "0,12,0,0", "0,2.5,0,5"],
+    ["0,11,0,0", "0,0,8,0", "0,0,0,0"],
+]
+
+
+def sensor(name: str, rows: Sequence[str], area: float, pad: str) -> list[str]:
+    peak = max(float(cell) for row in rows for cell in row.split(",") if cell)
+    return [
+        f"SENSOR,{name}",
+        f"Rows,{len(rows)}",
+        f"Columns,{rows[0].count(',') + 1}",
+        "Sensel Width (cm),0.86",
+        "Sensel Height (cm),0.86",
+        f"Peak Pressure (mmHg),{peak:g}",
+        f"Total Area (cm\xb2),{area:.2f}",
+        "SENSELS",
+        *(row + pad for row in rows),
+    ]
+
+
+def export(
+    frames: Sequence[Sequence[str]] = FRAMES,
+    times: Sequence[str] = ("08:21:17.982", "08:21:17.995", "08:21:18.008"),
+    area: float = 7 * 0.86 * 0.86,
+    pad: str = ",,,",
+    unit: str = "mmHg",
+) -> str:
+    """An export of two sensors and a group, as the software lays it out."""
+    lines = ['\xef\xbb\xbfFile:,"C:\\foot-8,16.XSN",,', f"Units:,{unit},,", "Threshold:,0.5,,"]
+    for number, (rows, time) in enumerate(zip(frames, times, strict=True), start=1464):
+        lines += [f"FRAME,{number},,", "Date, 2022 Aug 16,,", f"Time, {time},,"]
+        lines += sensor("LF", rows, area, pad)
+        lines += sensor("RF", ["9,9,9,9"], area, pad)
+        lines += ["GROUP,1,,", "Name,Left Heel", "Cells,2", "SENSELS", "5,6,,"]
+    return "\n,,,\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Opener:
+    """Write a text to a file and open it."""
+
+    def write_and_open(text: str, **stated: Any) -> RecordedSource:
+        path = tmp_path / "foot.csv"
+        path.write_bytes(text.encode("latin-1"))
+        return open_file(path, **stated)
+
+    return write_and_open
+
+
+class TestReal:
+    def test_size_rate_unit_pitch_and_mask(self) -> None:
+        source = open_file(recording("xsensor_L.csv"))
+        assert source.frames.shape == (101, 31, 11)
+        assert source.skin.unit == "mmHg"
+        assert source.skin.f_max == pytest.approx(2957.46)
+        assert source.skin.pitch_m == pytest.approx(0.0086)
+        assert source.skin.n_taxels == 228
+        # 101 frames in 1.331 s by the times of the file.
+        assert source.rate_hz == pytest.approx(100 / 1.331)
+        assert list(source.stamp_ns)[-1] == 1_331_000_000
+
+    def test_the_first_frame_is_the_left_foot_of_the_file(self) -> None:
+        source = open_file(recording("xsensor_L.csv"))
+        assert source.frames[0].max() == np.float32(2674.44)
+        # The stated contact area, of sensels of 0.741 cm2.
+        assert np.count_nonzero(source.frames[0]) == 92
+
+
+class TestXsensor:
+    def test_frames_of_the_first_sensor_in_the_unit_of_the_file(self, opened: Opener) -> None:
+        source = opened(export())
+        expected = [[[float(cell) for cell in row.split(",")] for row in rows] for rows in FRAMES]
+        assert np.array_equal(source.frames, np.array(expected, dtype=np.float32))
+        assert (source.skin.unit, source.skin.f_max) == ("mmHg", 30)
+        assert source.skin.pitch_m == pytest.approx(0.0086)
+
+    def test_cells_never_pressed_are_masked_where_the_area_is_less_than_the_grid(
+        self, opened: Opener
+    ) -> None:
+        mask = opened(export()).skin.mask
+        assert mask is not None
+        assert mask.tolist() == [
+            [False, True, True, False],
+            [True, True, True, False],
+            [False, True, False, True],
+        ]
+
+    def test_a_mat_whose_area_is_its_grid_has_no_mask(self, opened: Opener) -> None:
+        assert opened(export(area=12 * 0.86 * 0.86)).skin.mask is None
+
+    def test_empty_cells_are_masked_and_zeros_beside_them_are_readings(
+        self, opened: Opener
+    ) -> None:
+        mask = opened(export([[",1,2", "0,0,"]] * 3, pad="")).skin.mask
+        assert mask is not None
+        assert mask.tolist() == [[False, True, True], [True, True, False]]
+
+    def test_stamps_are_the_times_of_the_frames_over_midnight(self, opened: Opener) -> None:
+        source = opened(export(times=("23:59:59.990", "00:00:00.000", "00:00:00.020")))
+        assert list(source.stamp_ns) == [0, 10_000_000, 30_000_000]
+        assert source.rate_hz == pytest.approx(2 / 0.03)
+
+    def test_repeated_times_are_no_stamps(self, opened: Opener) -> None:
+        source = opened(export(times=("08:00:00",) * 3))
+        assert source.rate_hz is None
+        assert list(source.stamp_ns) == [0, 10_000_000, 20_000_000]
+
+    def test_windows_line_ends_and_no_blank_lines_are_read_the_same(self, opened: Opener) -> None:
+        plain = opened(export())
+        text = export().replace("\n,,,\n", "\r\n")
+        assert np.array_equal(opened(text).frames, plain.frames)
+
+    def test_an_export_cut_anywhere_is_refused_or_loses_whole_frames(self, opened: Opener) -> None:
+        text, whole = export(), opened(export()).frames
+        for stop in range(len(text)):
+            try:
+                frames = opened(text[:stop], f_max=30).frames
+            except SourceError:
+                continue
+            assert np.array_equal(frames, whole[: len(frames)])
+
+    @pytest.mark.parametrize(
+        ("old", "new", "message"),
+        [
+            ("Units:,mmHg", "", "the header states no Units"),
+            ("Rows,3", "Rows,3000000", "3000000 is outside 1..4096"),
+            ("Rows,3", "", "frame 1464 states no Rows"),
+            ("Columns,4", "Columns,3", "row 0 has 4 cells, Columns is 3"),
+            ("FRAME,1465", "FRAME,1466", "frame 1466 comes where frame 1465 should"),
+            ("FRAME,1465", "FRAME,x", "'x' is not a whole number"),
+            ("7.25", "-7.25", "frame 1464, row 1, column 2: '-7.25' is below 0"),
+            ("7.25", "nan", "row 1, column 2: 'nan' is not a finite number"),
+            ("7.25", "72.5", "states a peak of 20, but its largest reading is 72.5"),
+            ("08:21:17.995", "08:21:17.905", "time of frame 2 .* before that of the frame before"),
+            ("08:21:17.995", "8.21", "'8.21' is no time of day"),
+            ("SENSOR,LF", "SENSOR,LX", "frame 1465 is 3 x 4 of sensor 'LF', the first one"),
+            ("SENSELS", "SENSELLS", "frame 1464 has no line SENSELS"),
+        ],
+    )
+    def test_a_broken_export_is_refused_with_its_place(
+        self, opened: Opener, old: str, new: str, message: str
+    ) -> None:
+        text = export()
+        assert old in text
+        with pytest.raises(SourceError, match=message) as caught:
+            opened(text.replace(old, new, 1))
+        assert "foot.csv" in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    def test_a_mask_that_changes_is_refused(self, opened: Opener) -> None:
+        with pytest.raises(SourceError, match="elsewhere than the first frame"):
+            opened(export([[",1", "2,3"], ["1,1", "2,3"], [",1", "2,3"]], pad=""))
+
+    def test_an_export_without_frames_is_refused(self, opened: Opener) -> None:
+        with pytest.raises(SourceError, match="holds no line FRAME"):
+            opened('File:,"a.XSN"\nUnits:,mmHg\n')
+
+    @settings(
+        max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    )
+    @given(data=st.data())
+    def test_mutated_exports_never_raise_anything_else(
+        self, opened: Opener, data: st.DataObject
+    ) -> None:
+        text = export()
+        for _ in range(data.draw(st.integers(1, 4))):
+            start = data.draw(st.integers(0, len(text) - 1))
+            stop = start + data.draw(st.integers(0, 6))
+            new = data.draw(
+                st.sampled_from(["", "9", "-", ",", "\n", "nan", "SENSELS\n", "FRAME,"])
+            )
+            text = text[:start] + new + text[stop:]
+        try:
+            source = opened(text)
+        except SourceError:
+            return
+        assert np.isfinite(source.frames).all()
+        assert source.frames.min() >= 0
