@@ -7,6 +7,7 @@ import math
 import warnings
 import zipfile
 from collections.abc import Callable
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,8 @@ MAX_GROWTH = 100
 """Size of the arrays of an .npz in that of the file; zeros are compressed to a thousandth."""
 MAX_GROWN_BYTES = 1 << 30
 """Size of the arrays of an .npz up to which their growth does not matter, bytes."""
-_MAX_HEAD_BYTES = 1 << 17
+MAX_HEAD_BYTES = 1 << 17
+"""Longest header of an .npy, bytes; that of NumPy is a hundred."""
 _NPY, _ZIP = b"\x93NUMPY", b"PK"
 
 
@@ -30,18 +32,8 @@ def is_npz(raw: bytes) -> bool:
 
 def read_npy(raw: bytes) -> npt.NDArray[np.generic]:
     """The array of an .npy, a view of its bytes. Raises ArrayFileError if it is none of numbers."""
-    head = io.BytesIO(raw[:_MAX_HEAD_BYTES])
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            version = np.lib.format.read_magic(head)
-            if version == (1, 0):
-                shape, in_columns, dtype = np.lib.format.read_array_header_1_0(head)
-            else:
-                shape, in_columns, dtype = np.lib.format.read_array_header_2_0(head)
-    # NumPy and its parser of Python's literals raise ten kinds of error at malformed bytes.
-    except Exception as error:
-        raise ArrayFileError("not a readable NumPy file") from error
+    head = io.BytesIO(raw[:MAX_HEAD_BYTES])
+    shape, in_columns, dtype = _header(head)
     if dtype.hasobject:
         raise ArrayFileError("it holds Python objects; allowed are arrays of numbers")
     held = len(raw) - head.tell()
@@ -56,6 +48,49 @@ def read_npy(raw: bytes) -> npt.NDArray[np.generic]:
         raise ArrayFileError(f"its header states {_shape(shape)}") from error
 
 
+def npy_shape(file: IO[bytes]) -> tuple[int, ...]:
+    """The shape that the header of an .npy states, of which no more is read.
+    Raises ArrayFileError if it is none.
+    """
+    return _header(io.BytesIO(file.read(MAX_HEAD_BYTES)))[0]
+
+
+def npz_shapes(
+    file: IO[bytes], wanted: Callable[[list[str]], list[str]]
+) -> dict[str, tuple[int, ...]]:
+    """The shapes of those arrays of an .npz that `wanted` chooses of their names; no more than
+    their headers is read.
+    Raises ArrayFileError if it is no archive, or one of them is no .npy.
+    """
+    found = {}
+    try:
+        with zipfile.ZipFile(file) as archive:
+            members = _members(archive)
+            for name in wanted(list(members)):
+                with archive.open(members[name]) as one:
+                    found[name] = npy_shape(one)
+    except Exception as error:  # as in `read_npz`
+        raise ArrayFileError("not a readable NumPy file") from error
+    return found
+
+
+def npz_member(file: IO[bytes], name: str, most_bytes: int) -> npt.NDArray[np.generic]:
+    """One array of an .npz.
+    Raises ArrayFileError as `read_npz` does.
+    """
+    try:
+        with zipfile.ZipFile(file) as archive:
+            member = _members(archive)[name]
+            if member.file_size > most_bytes:
+                text = f"array {ascii(name)[:40]}: it would have {member.file_size} bytes"
+                raise ArrayFileError(f"{text}; at most {most_bytes}")
+            return _member(archive, member, name)
+    except ArrayFileError:
+        raise
+    except Exception as error:  # as in `read_npz`
+        raise ArrayFileError("not a readable NumPy file") from error
+
+
 def read_npz(
     raw: bytes, wanted: Callable[[list[str]], list[str]], most_bytes: int | None = None
 ) -> dict[str, npt.NDArray[np.generic]]:
@@ -66,7 +101,7 @@ def read_npz(
     """
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-            members = {one.filename.removesuffix(".npy"): one for one in archive.infolist()}
+            members = _members(archive)
             names = wanted(list(members))
             size = sum(members[name].file_size for name in names)
             most = most_bytes or max(MAX_GROWN_BYTES, MAX_GROWTH * len(raw))
@@ -79,6 +114,25 @@ def read_npz(
         raise
     except Exception as error:  # zipfile and zlib have as many
         raise ArrayFileError("not a readable NumPy file") from error
+
+
+def _header(head: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, order and dtype of the header of an .npy; True for an order by columns."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            version = np.lib.format.read_magic(head)
+            if version == (1, 0):
+                return np.lib.format.read_array_header_1_0(head)
+            return np.lib.format.read_array_header_2_0(head)
+    # NumPy and its parser of Python's literals raise ten kinds of error at malformed bytes.
+    except Exception as error:
+        raise ArrayFileError("not a readable NumPy file") from error
+
+
+def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """The arrays of an .npz by name."""
+    return {one.filename.removesuffix(".npy"): one for one in archive.infolist()}
 
 
 def _member(

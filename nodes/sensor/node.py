@@ -13,8 +13,9 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .driver import DriverSource
+from .files.head import n_taxels
 from .noise import NoiseModel
-from .sources import SCENE, check_source, open_source
+from .sources import FILE, SCENE, check_source, open_source
 
 DEFAULT_RATE_HZ = 100.0
 """Frame rate of scenes and of recordings without a rate of their own."""
@@ -51,8 +52,18 @@ class SensorSettings(PatchSettings):
         high=100.0,
         live=True,
     )
-    n_rows: int | None = setting(None, "rows of a plain CSV's frame", low=1, high=4096)
-    n_cols: int | None = setting(None, "columns of a plain CSV's frame", low=1, high=4096)
+    n_rows: int | None = setting(
+        None,
+        "rows of a plain CSV's frame, or those that a file or driver must have",
+        low=1,
+        high=4096,
+    )
+    n_cols: int | None = setting(
+        None,
+        "columns of a plain CSV's frame, or those that a file or driver must have",
+        low=1,
+        high=4096,
+    )
     unit: str | None = setting(None, "unit of a file's or driver's readings")
     f_max: float | None = setting(
         None, "upper end of a file's or driver's range, in its unit", low=1e-9, high=1e9
@@ -104,10 +115,15 @@ class Sensor(SourceNode[SensorSettings]):
 
     @classmethod
     def facts(cls, settings: SensorSettings) -> Mapping[str, Any]:
-        if not settings.source.startswith(SCENE):
-            return {}  # known once the file is read, or the driver runs
-        skin = open_source(settings.source, seed=settings.seed).skin
-        return {topic_of(settings.patch, SkinState.schema): skin.n_taxels}
+        source, n_rows, n_cols = settings.source, settings.n_rows, settings.n_cols
+        n: int | None
+        if source.startswith(SCENE):
+            n = open_source(source, seed=settings.seed).skin.n_taxels
+        elif source.startswith(FILE):
+            n = n_taxels(source.removeprefix(FILE), n_rows, n_cols, settings.unit)
+        else:  # otherwise known once the driver runs
+            n = n_rows * n_cols if n_rows and n_cols else None
+        return {} if n is None else {topic_of(settings.patch, SkinState.schema): n}
 
     def start(self) -> Iterable[Message]:
         yield self._describe()

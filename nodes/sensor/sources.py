@@ -11,7 +11,9 @@ from pathlib import Path
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import USER_MODULES, did_you_mean, is_missing, one_line
-from sparseskin.nodes.sensor.files.recorded import SUFFIXES, check_csv, open_file
+from sparseskin.nodes.sensor.files.head import n_taxels
+from sparseskin.nodes.sensor.files.parsed import check_stated_shape
+from sparseskin.nodes.sensor.files.recorded import SUFFIXES, open_file
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, check_scene, open_scene
 
 from .driver import open_callable
@@ -25,14 +27,13 @@ FORMS = "scene:NAME, file:PATH or module:callable"
 def check_source(
     source: str, n_rows: int | None = None, n_cols: int | None = None, unit: str | None = None
 ) -> None:
-    """Check that a source exists, without opening it, and that a .csv of numbers is described.
+    """Check that a source exists, without opening it; of a file the begin is read.
 
     Raises
     ------
     SourceError
-        If it has none of the three forms, the scene is unknown, the file is missing or of an
-        unknown format or a .csv of numbers with neither a stated shape nor unit, or the module of
-        the driver is missing.
+        If it has none of the three forms, the scene is unknown, the file is missing, of an unknown
+        format or refused by `n_taxels`, or the module of the driver is missing.
     """
     kind, colon, rest = source.partition(":")
     if not (kind and colon and rest):
@@ -51,8 +52,7 @@ def check_source(
             raise SourceError(
                 f"{rest}: suffix '{path.suffix}' is not known; allowed are {', '.join(SUFFIXES)}"
             )
-        if path.suffix.lower() == ".csv":
-            check_csv(rest, n_rows, n_cols, unit)
+        n_taxels(rest, n_rows, n_cols, unit)
 
 
 def check_module(target: str) -> None:
@@ -143,7 +143,10 @@ def open_source(
     if source.startswith(FILE):
         path = source.removeprefix(FILE)
         return open_file(path, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
-    for name, side in (("n_rows", n_rows), ("n_cols", n_cols)):
-        if side is not None:
-            raise SourceError(f"{source}: {name} is stated, but a driver has its own shape")
-    return open_callable(source, f_max=f_max, unit=unit)
+    driver = open_callable(source, f_max=f_max, unit=unit)
+    try:
+        check_stated_shape(*driver.skin.shape, n_rows, n_cols, source)
+    except SourceError:
+        driver.close()
+        raise
+    return driver

@@ -213,3 +213,21 @@ def test_a_graph_runs_on_the_example_and_logs_when_the_skin_falls_silent(
     assert code == 2
     assert "udp_skin:frames: the driver failed: TimeoutError: no packet for 2 s" in stderr
     assert "Traceback" not in stderr
+
+
+def test_m_that_the_first_frame_of_a_driver_does_not_allow_ends_the_graph_with_one_line(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "small.py").write_text(
+        "def frames():\n    for k in range(10**9):\n        yield k, [[0.0] * 4] * 3\n"
+    )
+    code, _, stderr = start(
+        *("launch", "replay", "--set", "sensor.source=small:frames"),
+        *("--set", "compressor.ratio=5000", "--set", "monitor.page=false"),
+    ).finish()
+    assert code == 2
+    (line,) = (line for line in stderr.splitlines() if "failed" in line)
+    assert line.endswith(
+        "[compressor] failed: ratio: 5000 leaves no measurement of 12 taxels; allowed: 1..12"
+    )
+    assert "Traceback" not in stderr

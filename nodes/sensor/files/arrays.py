@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import pairwise
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.array_files import ArrayFileError, is_npz, read_npy, read_npz
+from sparseskin.nodes.numerics.array_files import (
+    MAX_HEAD_BYTES,
+    ArrayFileError,
+    is_npz,
+    npy_shape,
+    npz_member,
+    npz_shapes,
+    read_npy,
+    read_npz,
+)
 from sparseskin.nodes.numerics.arrays import Mask
 
 from .parsed import (
@@ -25,6 +35,8 @@ from .parsed import (
     text_lines,
 )
 
+_MOST = 64
+"""Arrays of an .npz without `forces` whose shapes are looked at."""
 NPZ_NAMES = ("forces", "stamp_ns", "rate_hz", "mask", "f_max", "unit", "pitch_m")
 """Names of the arrays that are read from an .npz; all others are ignored."""
 
@@ -63,7 +75,7 @@ def parse_npz(raw: bytes, name: str) -> Parsed:
         arrays = read_npz(
             raw, lambda held: [key for key in held if "forces" not in held or key in NPZ_NAMES]
         )
-    forces_name = _forces_name(arrays, name)
+    forces_name = _forces_name({key: array.ndim for key, array in arrays.items()}, name)
     forces = _as_frames(arrays[forces_name], f"{name}, array {shown(forces_name)}")
     mask = _mask(arrays["mask"], forces.shape[1:], name) if "mask" in arrays else None
     if mask is not None:
@@ -85,6 +97,41 @@ def parse_npz(raw: bytes, name: str) -> Parsed:
         mask=mask,
         f_max=_scalar(arrays, "f_max", name),
     )
+
+
+def npy_file_shape(file: IO[bytes], name: str) -> tuple[int, ...]:
+    """Shape of the array of an .npy, from its header.
+
+    Raises
+    ------
+    SourceError
+        If it has no such header.
+    """
+    with _refusing(name):
+        shape = npy_shape(file)
+    _check_dimensions(shape, name)
+    return shape
+
+
+def npz_file_shape(file: IO[bytes], name: str) -> tuple[tuple[int, ...], int | None]:
+    """Shape of the frames of an .npz, from their header, and the number of taxels by its mask;
+    None where it has none.
+
+    Raises
+    ------
+    SourceError
+        If it is no archive, does not hold frames, or the mask is malformed.
+    """
+    with _refusing(name):
+        shapes = npz_shapes(file, lambda held: ["forces"] if "forces" in held else held[:_MOST])
+        forces_name = _forces_name({key: len(one) for key, one in shapes.items()}, name)
+        shape = shapes[forces_name]
+        _check_dimensions(shape, f"{name}, array {shown(forces_name)}")
+        masked = npz_shapes(file, lambda held: ["mask"] if "mask" in held else [])
+        if not masked:
+            return shape, None
+        mask = npz_member(file, "mask", 8 * MAX_ELEMENTS + MAX_HEAD_BYTES)
+        return shape, int(_mask(mask, shape[1:], name).sum())
 
 
 def parse_plain_csv(raw: bytes, name: str, n_rows: int | None, n_cols: int | None) -> Parsed:
@@ -150,13 +197,14 @@ def _refusing(name: str) -> Iterator[None]:
         raise SourceError(f"{name}: {error}") from error
 
 
-def _forces_name(arrays: dict[str, npt.NDArray[Any]], name: str) -> str:
-    if "forces" in arrays:
+def _forces_name(dimensions: Mapping[str, int], name: str) -> str:
+    """The array that holds the frames, by the number of dimensions of each."""
+    if "forces" in dimensions:
         return "forces"
-    candidates = [key for key, array in arrays.items() if array.ndim == 3]
+    candidates = [key for key, n in dimensions.items() if n == 3]
     if len(candidates) == 1:
         return candidates[0]
-    held = ", ".join(f"{shown(key)} {array.ndim}-D" for key, array in list(arrays.items())[:8])
+    held = ", ".join(f"{shown(key)} {n}-D" for key, n in list(dimensions.items())[:8])
     raise SourceError(
         f"{name}: expected an array 'forces' or exactly one 3-D array; it holds {held or 'nothing'}"
     )
@@ -167,12 +215,16 @@ def _as_frames(array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
         raise SourceError(
             f"{where}: dtype {shown(array.dtype)}; allowed are integers and floating point"
         )
-    if array.ndim != 3:
+    _check_dimensions(array.shape, where)
+    return array
+
+
+def _check_dimensions(shape: tuple[int, ...], where: str) -> None:
+    if len(shape) != 3:
         raise SourceError(
-            f"{where}: has {array.ndim} dimensions, shape {array.shape}; "
+            f"{where}: has {len(shape)} dimensions, shape {shape}; "
             "expected three: (frames, rows, columns)"
         )
-    return array
 
 
 def _mask(array: npt.NDArray[Any], shape: tuple[int, ...], name: str) -> Mask:

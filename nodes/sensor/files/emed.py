@@ -132,17 +132,35 @@ def _parse_header(lines: list[str], start: int, stop: int, name: str) -> _Header
             raise SourceError(f"{where}: {what} in {shown(found)}; allowed is {unit}")
         return [parse_number(number, where, 1e-6, 1e6) for number in numbers]
 
-    match, where = find(_MATRIX, "Matrix: COLUMNSxROWS")
-    n_cols_text, _, n_rows_text = match[1].partition("x")
-    n_rows = parse_whole(n_rows_text, f"{where}, Matrix", 1, MAX_SIDE)
-    n_cols = parse_whole(n_cols_text, f"{where}, Matrix", 1, MAX_SIDE)
-    check_grid(n_rows, n_cols, where)
+    n_rows, n_cols = _shape(*find(_MATRIX, "Matrix: COLUMNSxROWS"))
     (area_cm2,) = quantity(_AREA, "Sensor area: ...", "sensor area", "cm2")
     (period_ms,) = quantity(_PERIOD, "Time/picture: ...", "time per picture", "ms")
     width_cm, height_cm = quantity(_SIZE, "Sensor size: ...x...", "sensor size", "cm")
     # A skin has one pitch; oblong sensors have two.
     pitch_m = width_cm / 100 if width_cm == height_cm else None
     return _Header(n_rows, n_cols, area_cm2, period_ms, pitch_m)
+
+
+def emed_shape(raw: bytes, name: str) -> tuple[int, int] | None:
+    """Rows and columns of a recording, from the begin of its file; None where it states none.
+
+    Raises
+    ------
+    SourceError
+        If the size of the matrix is malformed or too large.
+    """
+    for index, line in enumerate(text_lines(raw)[:-1]):  # the last one may be cut
+        if match := _MATRIX.search(line):
+            return _shape(match, f"{name}, line {index + 1}")
+    return None
+
+
+def _shape(match: re.Match[str], where: str) -> tuple[int, int]:
+    n_cols_text, _, n_rows_text = match[1].partition("x")
+    n_rows = parse_whole(n_rows_text, f"{where}, Matrix", 1, MAX_SIDE)
+    n_cols = parse_whole(n_cols_text, f"{where}, Matrix", 1, MAX_SIDE)
+    check_grid(n_rows, n_cols, where)
+    return n_rows, n_cols
 
 
 def _parse_page(lines: list[str], start: int, header: _Header, number: int, name: str) -> Doubles:

@@ -19,6 +19,10 @@ MAX_READING = 1e30
 """Largest reading, chosen: float32 holds it, and the sum of a frame of such readings."""
 
 
+NO_UNIT = ": a .csv of numbers does not state its unit; set unit, e.g. N"
+"""Refusal of a plain .csv, after its name."""
+
+
 @dataclass(frozen=True, eq=False)
 class Parsed:
     """A recording as its file states it; None where the file does not state a property.
@@ -167,6 +171,15 @@ def check_grid(n_rows: int, n_cols: int, where: str) -> None:
         raise SourceError(
             f"{where}: {n_rows} x {n_cols} = {n_rows * n_cols} cells; at most {MAX_ELEMENTS}"
         )
+
+
+def check_stated_shape(
+    rows: int, cols: int, n_rows: int | None, n_cols: int | None, where: str
+) -> None:
+    """Raise SourceError if a stated side, `n_rows` or `n_cols`, is not that of the frames."""
+    for what, stated, actual in (("n_rows", n_rows, rows), ("n_cols", n_cols, cols)):
+        if stated is not None and stated != actual:
+            raise SourceError(f"{where}: {what} = {stated} is stated, but the frames have {actual}")
 
 
 def check_readings(forces: npt.NDArray[Any], where: str) -> None:

@@ -19,10 +19,12 @@ from sparseskin.nodes.numerics.arrays import Floats
 from .arrays import parse_npy, parse_npz, parse_plain_csv
 from .emed import parse_emed
 from .parsed import (
+    NO_UNIT,
     Parsed,
     check_grid,
     check_number,
     check_readings,
+    check_stated_shape,
     check_unit,
     read_bytes,
     shown,
@@ -137,9 +139,7 @@ def open_file(
     if n_frames > MAX_FRAMES:
         raise SourceError(f"{name}: {n_frames} frames; at most {MAX_FRAMES} are allowed")
     check_grid(rows, cols, name)
-    for what, stated, actual in (("n_rows", n_rows, rows), ("n_cols", n_cols, cols)):
-        if stated is not None and stated != actual:
-            raise SourceError(f"{name}: {what} = {stated} is stated, but the file has {actual}")
+    check_stated_shape(rows, cols, n_rows, n_cols, name)
     check_readings(parsed.forces, name)
     forces, mask = parsed.forces, parsed.mask
     if crop is not None:
@@ -167,28 +167,6 @@ def open_file(
         rate_hz=rate_hz if rate_hz is not None else parsed.rate_hz,
         delivers=delivers,
     )
-
-
-def check_csv(path: str, n_rows: int | None, n_cols: int | None, unit: str | None) -> None:
-    """Raise SourceError if a file is a .csv of numbers whose shape or unit nobody states; of its
-    content the first lines are read.
-    """
-    try:
-        with open(path, "rb") as file:
-            lines = file.read(_HEAD_BYTES).splitlines()
-    except OSError as error:
-        raise SourceError(f"{path}: cannot be read: {error.strerror}") from error
-    head = b"\n".join(lines)
-    if is_tekscan(head) or is_xsensor(head):
-        return
-    if n_rows is None and n_cols is None:
-        parse_plain_csv(b"\n".join(lines[:100]), path, n_rows, n_cols)
-    if unit is None:
-        raise SourceError(path + _NO_UNIT)
-
-
-_HEAD_BYTES = 1 << 16
-_NO_UNIT = ": a .csv of numbers does not state its unit; set unit, e.g. N"
 
 
 def _parse(name: str, n_rows: int | None, n_cols: int | None) -> Parsed:
@@ -241,7 +219,7 @@ def _unit(stated: str | None, parsed: Parsed, name: str) -> str:
         )
     unit = stated or found
     if unit is None and Path(name).suffix.lower() == ".csv":
-        raise SourceError(name + _NO_UNIT)
+        raise SourceError(name + NO_UNIT)
     return unit or "N"
 
 

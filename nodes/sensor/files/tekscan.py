@@ -74,9 +74,7 @@ def parse_tekscan(raw: bytes, name: str) -> Parsed:
     """
     lines = text_lines(raw)
     header, start, terminator = _parse_header(lines, name)
-    n_rows = parse_whole(*_entry(header, "ROWS", name), 1, MAX_SIDE)
-    n_cols = parse_whole(*_entry(header, "COLS", name), 1, MAX_SIDE)
-    check_grid(n_rows, n_cols, name)
+    n_rows, n_cols = _shape(header, name)
     unit, _ = _entry(header, "UNITS", name)
     first, last = (
         parse_whole(*header[keyword], 0, 999_999_999) if keyword in header else None
@@ -137,6 +135,33 @@ def parse_tekscan(raw: bytes, name: str) -> Parsed:
         pitch_m=_pitch(header),
         mask=None if mask is None or mask.all() else mask,
     )
+
+
+def tekscan_shape(raw: bytes, name: str) -> tuple[int, int, int | None]:
+    """Rows, columns and number of sensels of a recording, from the begin of its file; None where
+    the first frame is not complete there.
+
+    Raises
+    ------
+    SourceError
+        If the header or the first frame is malformed.
+    """
+    lines = text_lines(raw)[:-1]  # the last one may be cut
+    header, start, _ = _parse_header(lines, name)
+    shape = _shape(header, name)
+    frames = (k for k in range(start, len(lines)) if _FRAME.match(lines[k].strip(", \t")))
+    first = next(frames, None)
+    if first is None or first + 1 + shape[0] > len(lines):
+        return *shape, None
+    _, exists = _parse_frame(lines, first + 1, shape, "the first frame", name)
+    return *shape, int(exists.sum())
+
+
+def _shape(header: Header, name: str) -> tuple[int, int]:
+    n_rows = parse_whole(*_entry(header, "ROWS", name), 1, MAX_SIDE)
+    n_cols = parse_whole(*_entry(header, "COLS", name), 1, MAX_SIDE)
+    check_grid(n_rows, n_cols, name)
+    return n_rows, n_cols
 
 
 def _parse_header(lines: list[str], name: str) -> tuple[Header, int, str]:

@@ -131,6 +131,25 @@ def parse_xsensor(raw: bytes, name: str) -> Parsed:
     )
 
 
+def xsensor_shape(raw: bytes, name: str) -> tuple[int, int, int | None]:
+    """Rows, columns and number of sensels of a recording, from the first frame of its file; None
+    where other frames decide which cells are sensels.
+
+    Raises
+    ------
+    SourceError
+        If header or first frame are malformed.
+    """
+    reader = _Reader(text_lines(raw), name)
+    reader.header_unit()
+    number = reader.next_frame()
+    if number is None:
+        raise SourceError(f"{name}: the recording holds no frame")
+    sensor, _, _, exists = reader.frame(number)
+    decided = not (exists.all() and _is_part(sensor))
+    return sensor.n_rows, sensor.n_cols, int(exists.sum()) if decided else None
+
+
 def _is_part(sensor: _Sensor) -> bool:
     """True if the stated area is less than that of the whole grid."""
     if sensor.width_cm is None or sensor.height_cm is None or sensor.area_cm2 is None:

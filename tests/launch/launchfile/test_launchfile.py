@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.graph_text import graph_text
 from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, bundled_names, load
+from sparseskin.nodes.sensor.files.arrays import npy_file_shape
 
 SCENES = [
     *("lift_box_40", "lift_wrench_40", "drag_wrench_40"),
@@ -480,3 +482,84 @@ def test_names_of_the_launchers_own_are_refused(tmp_path: Path, name: str) -> No
     path.write_text(f'[nodes.{name}]\ntype = "sensor"\n')
     with pytest.raises(LaunchError, match=rf"g.toml:1: nodes.{name}: 'launch' and 'live_recorder_"):
         load(str(path))
+
+
+def _graph_of(source: str, **compressor: object) -> str:
+    """A launch file that compresses the frames of a source."""
+    settings = "".join(f"{key} = {value!r}\n" for key, value in compressor.items())
+    text = GOOD.replace("scene:path_40", source)
+    return text.replace('type = "compressor"\n', f'type = "compressor"\n{settings}')
+
+
+def _write_recordings() -> None:
+    """Recordings of 6 x 8 taxels, of each format that has a shape; 40 of them exist in two."""
+    frames = np.full((2, 6, 8), 0.5, np.float32)
+    mask = np.ones((6, 8), np.bool_)
+    mask[:, 0] = mask[0, 1] = mask[0, 2] = False
+    np.save("whole.npy", frames)
+    np.savez("masked.npz", forces=frames, mask=mask)
+    np.savetxt("plain.csv", frames.reshape(2, -1), delimiter=",", fmt="%.2f")
+    cells = np.where(mask, "1", "B")
+    frame = "\n".join(",".join(row) for row in cells)
+    header = "DATA_TYPE MOVIE\nROWS 6\nCOLS 8\nUNITS N\nASCII_DATA @@\n"
+    Path("movie.asf").write_text(f"{header}Frame 1\n{frame}\n@@\n")
+    page = "Matrix: 8x6\nSensor area: 0.25 cm2\nTime/picture: 20 ms\nSensor size: 0.5x0.5 cm\n"
+    Path("emed.lst").write_text(f"{page}Pict-No.: 1\n\t1\n1\t10.0\n\f")
+    Path("driver.py").write_text("def frames():\n    yield 0, [[0.0]]\n")
+
+
+@pytest.mark.parametrize(
+    ("source", "n"),
+    [
+        ('file:whole.npy"\n#"', 48),
+        ('file:masked.npz"\n#"', 40),
+        ('file:movie.asf"\n#"', 40),
+        ('file:emed.lst"\n#"', 48),
+        ('file:plain.csv"\nn_rows = 6\nunit = "N', 48),
+        ('driver:frames"\nn_rows = 6\nn_cols = 8\nunit = "N', 48),
+    ],
+)
+def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
+    check, source: str, n: int
+) -> None:
+    _write_recordings()
+    (line,) = check(_graph_of(source, m=n + 1))
+    assert line.endswith(
+        f"nodes.compressor.m: phi: m = {n + 1} is not allowed; allowed: 1..{n} (n = {n} taxels)"
+    )
+    (line,) = check(_graph_of(source, ratio=5000.0))
+    assert line.endswith(
+        f"nodes.compressor.ratio: 5000 leaves no measurement of {n} taxels; allowed: 1..{n}"
+    )
+    Path("f.toml").write_text(_graph_of(source, m=n))
+    load("f.toml")
+
+
+@pytest.mark.parametrize(
+    ("source", "refused"),
+    [
+        ('file:whole.npy"\nn_rows = 7\nunit = "N', "n_rows = 7 is stated, but the frames have 6"),
+        ("file:flat.npy", "has 2 dimensions"),
+        ("file:text.npz", "not a readable NumPy file"),
+        ("file:empty.csv", "holds no frame"),
+    ],
+)
+def test_a_recording_with_a_faulty_begin_is_refused_before_the_start(
+    check, source: str, refused: str
+) -> None:
+    _write_recordings()
+    np.save("flat.npy", np.zeros((4, 6)))
+    Path("text.npz").write_text("no archive")
+    Path("empty.csv").write_text("")
+    (line,) = check(_graph_of(source))
+    assert "nodes.sensor.source" in line
+    assert refused in line
+
+
+def test_begin_of_a_recording_is_read_and_no_more(tmp_path: Path) -> None:
+    frames = np.zeros((50_000, 6, 8), np.uint8)
+    np.save(tmp_path / "long.npy", frames)
+    rest = frames.nbytes
+    with (tmp_path / "long.npy").open("rb") as file:
+        assert npy_file_shape(file, "long.npy") == frames.shape
+        assert file.tell() < rest / 10

@@ -12,6 +12,7 @@ import pytest
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.driver import DriverSource, open_callable
+from sparseskin.nodes.sensor.sources import open_source
 
 Writer = Callable[[str], str]
 
@@ -53,6 +54,13 @@ class TestFrames:
         assert source.rate_hz is None
         assert source.n_frames is None
         assert source.name.endswith(":frames")
+
+    def test_a_first_frame_of_another_shape_than_stated_is_refused(self, module: Writer) -> None:
+        name = module("def frames():\n    yield 0, np.zeros((2, 3))\n")
+        opened = open_source(f"{name}:frames", seed=0, n_rows=2, n_cols=3)
+        assert opened.skin.shape == (2, 3)
+        with pytest.raises(SourceError, match="n_cols = 4 is stated, but the frames have 3"):
+            open_source(f"{name}:frames", seed=0, n_rows=2, n_cols=4)
 
     def test_settings_give_range_unit_and_rate(self, module: Writer) -> None:
         name = module("def frames():\n    yield 0, np.full((1, 2), 90)\n")

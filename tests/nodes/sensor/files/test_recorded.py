@@ -424,7 +424,7 @@ class TestOpenFile:
             ({"f_max": "9"}, "f_max = '9'"),
             ({"rate_hz": -1.0}, "rate_hz = '-1.0'"),
             ({"rate_hz": 10**400}, "rate_hz"),
-            ({"n_rows": 3}, "n_rows = 3 is stated, but the file has 2"),
+            ({"n_rows": 3}, "n_rows = 3 is stated, but the frames have 2"),
             ({"n_cols": 0}, "n_cols = '0'; expected a whole number in 1..4096"),
             ({"n_cols": True}, "n_cols = 'True'"),
             ({"unit": "N"}, "unit = 'N' is stated, but the file states 'raw'"),

@@ -1,0 +1,110 @@
+"""The number of taxels of a recording, from the begin of its file."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import IO
+
+from sparseskin.messages.fields import MAX_ELEMENTS
+from sparseskin.nodes.errors import SourceError
+
+from .arrays import npy_file_shape, npz_file_shape, parse_plain_csv
+from .emed import emed_shape
+from .parsed import NO_UNIT, check_grid, check_stated_shape, text_lines
+from .tekscan import is_tekscan, tekscan_shape
+from .xsensor import is_xsensor, xsensor_shape
+
+HEAD_BYTES = 1 << 16
+"""Begin of a text file that states its shape, bytes: the header, or a line of numbers."""
+FRAME_BYTES = 16 * MAX_ELEMENTS
+"""Most that is read of a frame in text, bytes; 16 a cell at its largest shape."""
+
+
+def n_taxels(
+    path: str, n_rows: int | None = None, n_cols: int | None = None, unit: str | None = None
+) -> int | None:
+    """Number of taxels of a recording.
+
+    Parameters
+    ----------
+    path : str
+        A file with a suffix that `open_file` knows.
+    n_rows, n_cols, unit
+        As in `open_file`.
+
+    Returns
+    -------
+    int or None
+        Number of cells that exist; None where the begin of the file does not show it.
+
+    Raises
+    ------
+    SourceError
+        If the file cannot be read, its begin is malformed, its shape is not allowed or not the
+        one that is stated, or it is a .csv of numbers with neither a stated shape nor unit.
+    """
+    try:
+        file_s = Path(path).stat()
+        return _n_taxels(path, n_rows, n_cols, unit, (file_s.st_mtime_ns, file_s.st_size))
+    except OSError as error:
+        raise SourceError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+@lru_cache(maxsize=8)
+def _n_taxels(
+    path: str, n_rows: int | None, n_cols: int | None, unit: str | None, _of: tuple[int, int]
+) -> int | None:
+    """As above, of one form of the file."""
+    suffix = Path(path).suffix.lower()
+    masked: int | None = None
+    with open(path, "rb") as file:
+        if suffix == ".npy":
+            shape = npy_file_shape(file, path)
+        elif suffix == ".npz":
+            shape, masked = npz_file_shape(file, path)
+        else:
+            shape, masked = _of_text(file, suffix, path, n_rows, n_cols, unit)
+    if not shape:
+        return None
+    rows, cols = shape[-2:]
+    check_grid(rows, cols, path)
+    check_stated_shape(rows, cols, n_rows, n_cols, path)
+    return rows * cols if masked is None else masked or None  # no taxel: refused as it is read
+
+
+def _of_text(
+    file: IO[bytes],
+    suffix: str,
+    path: str,
+    n_rows: int | None,
+    n_cols: int | None,
+    unit: str | None,
+) -> tuple[tuple[int, ...], int | None]:
+    """Shape of a recording or its frames, () where it is not known, and the number of taxels where
+    some cells are none.
+    """
+    head = file.read(HEAD_BYTES)
+    if suffix == ".lst":
+        return emed_shape(head, path) or (), None
+    if suffix == ".asf" or is_tekscan(head):
+        rows, cols, masked = tekscan_shape(head + file.read(FRAME_BYTES - len(head)), path)
+        return ((), None) if masked is None else ((rows, cols), masked)
+    if is_xsensor(head):
+        begin = head + file.read(FRAME_BYTES - len(head))
+        if len(begin) == FRAME_BYTES:  # its first frame may be cut
+            return (), None
+        rows, cols, masked = xsensor_shape(begin, path)
+        return ((), None) if masked is None else ((rows, cols), masked)
+    lines = text_lines(head + file.readline(FRAME_BYTES))  # the last line of the head may be cut
+    first = next((k for k, line in enumerate(lines) if _holds_frame(line)), len(lines))
+    line = "\n".join(lines[: first + 1]).encode("latin-1")
+    shape = parse_plain_csv(line, path, n_rows, n_cols).forces.shape
+    if unit is None:
+        raise SourceError(path + NO_UNIT)
+    return shape, None
+
+
+def _holds_frame(line: str) -> bool:
+    """True if a line of a plain .csv is neither blank nor a comment."""
+    return bool(line.strip()) and not line.lstrip().startswith("#")
