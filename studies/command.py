@@ -73,6 +73,10 @@ STUDIES = {
     "soak": Study("a long run: memory, open files, lost frames", options=("minutes",)),
     "fuzz": Study("hostile messages on the sockets of nodes that run, and mutated launch files"),
     "faults": Study("a graph under faults: frames lost, and time to recover"),
+    "attacks": Study(
+        "a graph under half-open connections, open pages and commands in a loop",
+        options=("minutes",),
+    ),
 }
 #: Packages of the extra `charts`, which each study needs.
 EXTRA = ("matplotlib", "jinja2", "pandas")
@@ -107,7 +111,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--recordings", metavar="DIR", type=Path, help="targets: folder of real skins' recordings"
     )
     parser.add_argument(
-        "--minutes", metavar="T", type=_minutes, help="soak: how long the graph runs (default: 30)"
+        "--minutes",
+        metavar="T",
+        type=_minutes,
+        help="how long the graph of soak runs (default: 30), the commands of attacks (60)",
     )
     parser.add_argument("--anew", action="store_true", help="delete the points of earlier runs")
     parser.add_argument("--seed", type=_seed, default=0, help="seed of noise and Phi (default: 0)")

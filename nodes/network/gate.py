@@ -28,10 +28,15 @@ MAX_PENDING = 64
 """Largest number of connections that have not subscribed yet. Of more, the oldest of the address
 with the most is closed, so that others are let in whatever one address opens.
 """
+MAX_REFUSALS = 256
+"""Largest number of pairs of address and reason whose refusals are counted, and logged, one by one.
+All further ones are counted together: many addresses or keys fill neither memory nor log.
+"""
 PATIENCE_NS = 1_000_000_000
 """Time for which a line waits for the address: a short connection has none when it is asked for,
 but a refused peer tries again."""
 UNKNOWN, LOCAL = "unknown address", "this host"
+OTHERS = ("", "")
 
 _OTHER_SERVER_KEY = zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC
 _NO_KEY = zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH
@@ -172,6 +177,8 @@ class Gate:
     def _log_refusal(self, address: str, reason: str) -> None:
         """Log some of the refusals: a refused peer may try without end."""
         kind = (_host(address), reason)
+        if kind not in self._refused and len(self._refused) >= MAX_REFUSALS:
+            kind, address = OTHERS, f"{address}, one of many"
         self._refused[kind] += 1
         log_some(self._log, f"turned away {address}: {reason}", self._refused[kind])
 

@@ -95,6 +95,9 @@ def test_minutes_are_a_number_in_range(minutes: str) -> None:
     assert ended.value.code == 2
 
 
-def test_only_the_soak_takes_minutes(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
+def test_only_some_studies_take_minutes(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
     assert main(["study", "stability", "--minutes", "1", "--out", str(tmp_path)]) == 2
-    assert capsys.readouterr().err == "--minutes: study 'stability' takes none; allowed: soak\n"
+    assert (
+        capsys.readouterr().err
+        == "--minutes: study 'stability' takes none; allowed: soak, attacks\n"
+    )

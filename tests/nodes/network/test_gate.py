@@ -172,6 +172,30 @@ def test_a_flood_of_refusals_is_said_ever_less_often(station: Station) -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("address", "reason"), [("10.0.{}.7:1234", "it uses no key"), ("10.0.0.7:1", "key {}")]
+)
+def test_refusals_of_many_addresses_or_keys_fill_neither_memory_nor_log(
+    station: Station, address: str, reason: str
+) -> None:
+    n_more = 10_000
+    for k in range(gate_module.MAX_REFUSALS + n_more):
+        station.gate._log_refusal(address.format(k), reason.format(k))
+    assert len(station.gate._refused) == gate_module.MAX_REFUSALS + 1
+    one_by_one, together = (
+        [line for line in station.lines if ("one of many" in line) == is_other]
+        for is_other in (False, True)
+    )
+    assert len(one_by_one) == gate_module.MAX_REFUSALS
+    assert [line.partition("(")[2] for line in together] == [
+        *("", *(f"{10**k} times)" for k in range(1, 5))),
+    ]
+    known = address.format(0), reason.format(0)
+    for _ in range(9):
+        station.gate._log_refusal(*known)
+    assert station.lines[-1] == f"turned away {known[0]}: {known[1]} (10 times)"
+
+
 def test_more_connections_than_there_may_be_are_turned_away(
     context: zmq.Context[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
