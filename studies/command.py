@@ -62,6 +62,11 @@ STUDIES = {
         options=("recordings",),
         numpy_only=True,
     ),
+    "real": Study(
+        "the default solver on recordings of real skins, beside what a user would try first",
+        options=("recordings", "seeds"),
+        numpy_only=True,
+    ),
     "bases": Study(
         "in which basis forces are sparse: D2, D4 and others, learned ones; adaptive sampling",
         numpy_only=True,
@@ -108,7 +113,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help=f"where points are computed: {FORMS} (default: %(default)s)",
     )
     parser.add_argument(
-        "--recordings", metavar="DIR", type=Path, help="targets: folder of real skins' recordings"
+        "--recordings",
+        metavar="DIR",
+        type=Path,
+        help="real, targets: folder of real skins' recordings",
     )
     parser.add_argument(
         "--minutes",
@@ -118,6 +126,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--anew", action="store_true", help="delete the points of earlier runs")
     parser.add_argument("--seed", type=_seed, default=0, help="seed of noise and Phi (default: 0)")
+    parser.add_argument(
+        "--seeds",
+        metavar="K",
+        type=_count,
+        help="real: number of seeds, from --seed on (default: 1)",
+    )
     parser.set_defaults(run=_study)
 
 
@@ -129,6 +143,12 @@ def target_of(name: str) -> str:
 def _seed(text: str) -> int:
     if not text.isdecimal() or int(text) >= 2**32:
         raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, 0 or more")
+    return int(text)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 1000:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, 1..1000")
     return int(text)
 
 
@@ -149,7 +169,7 @@ def _study(arguments: argparse.Namespace) -> int:
         missing = f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
         raise SettingsError(f"study {name}: {missing}: pip install 'sparseskin[charts]'")
     options = {}
-    for option in ("recordings", "minutes"):
+    for option in ("recordings", "minutes", "seeds"):
         value = getattr(arguments, option)
         if value is None:
             continue
