@@ -8,13 +8,55 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 from .errors import SparseskinError
 
-USER_MODULES: set[str] = set()
-"""Modules of the user's own that were imported: their code has run."""
+_IMPORTED: ContextVar[set[str] | None] = ContextVar("imported", default=None)
+_SEARCHED: list[str] = []
+"""Folders of launch files in which modules are searched; as `sys.path`, of the whole process."""
+
+
+@contextmanager
+def imported_modules() -> Iterator[set[str]]:
+    """Collect the user's own modules that are imported in the context: their code has run."""
+    found: set[str] = set()
+    token = _IMPORTED.set(found)
+    try:
+        yield found
+    finally:
+        _IMPORTED.reset(token)
+
+
+def note_import(module: str, ran: bool = True) -> None:
+    """Add a module to those that the context collects, if any; remove it where it has not run."""
+    if (found := _IMPORTED.get()) is not None and module.partition(".")[0] not in (
+        "",
+        "sparseskin",
+    ):
+        (found.add if ran else found.discard)(module)
+
+
+def search_in(folder: str) -> None:
+    """Search modules in a folder too, as in that of a script; last, so that it hides no installed
+    module.
+    """
+    for known in (sys.path, _SEARCHED):
+        if folder not in known:
+            known.append(folder)
+
+
+def search_here() -> str:
+    """Search modules in the current directory too, after those of `search_in`; return all these
+    folders, for an error.
+    """
+    here = os.getcwd()
+    if here not in sys.path and "" not in sys.path:
+        sys.path.append(here)
+    return " or ".join(dict.fromkeys([*_SEARCHED, here]))
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -73,19 +115,16 @@ def trace_of(error: BaseException) -> str:
 def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., Any]:
     """Import "module:attribute" and return that callable; raise `error` if that fails.
 
-    The current directory is searched last, so that the user's own files are found but hide no
-    installed module.
+    The folders of `search_in` and the current directory are searched last, so that the user's own
+    files are found but hide no installed module.
     """
     module_name, colon, attribute = target.partition(":")
     parts = [*module_name.split("."), *attribute.split(".")]
     if not colon or not all(part.isidentifier() for part in parts):
         raise error(f"{target[:80]!r}: expected module:callable, e.g. my_skin:frames")
-    here = os.getcwd()
-    if here not in sys.path and "" not in sys.path:
-        sys.path.append(here)
+    here = search_here()
     importlib.invalidate_caches()
-    if parts[0] != "sparseskin":
-        USER_MODULES.add(module_name)
+    note_import(module_name)
     try:
         found: Any = importlib.import_module(module_name)
     except ModuleNotFoundError as cause:
@@ -115,10 +154,8 @@ def is_missing(module: str, cause: ModuleNotFoundError) -> bool:
     """
     if cause.name is None or not f"{module}.".startswith(f"{cause.name}."):
         return False
-    USER_MODULES.discard(module)
-    package = cause.name.rpartition(".")[0]
-    if package and package.partition(".")[0] != "sparseskin":
-        USER_MODULES.add(package)
+    note_import(module, ran=False)
+    note_import(cause.name.rpartition(".")[0])
     return True
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+
+TYPE_CHECKING = False  # as of `typing`, without its import: the command imports this first
 
 # In a checkout (an editable installation) the subpackages stand beside this folder. `launch` has
 # no __init__.py, lest it shadow the package `launch` of ROS 2, and is found by the path alone.
@@ -17,6 +18,8 @@ if not os.path.isdir(os.path.join(_here, "launch")):
     __path__.append(os.path.dirname(_here))
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from sparseskin.launch.launchfile.load import load as load_launch
     from sparseskin.nodes.compressor.phi.base import make_phi
     from sparseskin.nodes.reconstructor.bases.base import make_basis

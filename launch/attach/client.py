@@ -12,8 +12,9 @@ from sparseskin.launch.run.running import GraphError, RunningGraph
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.control import COUNTED
 
-PATIENCE_S = 8.0
-"""The launcher answers after 5 s in place of a node that does not."""
+PATIENCE_S = 30.0
+"""Longest time that a launcher may take to answer, seconds; after 20 s it answers in place of a
+node that does not."""
 
 ELSEWHERE = "(another host)"
 """Shown for a publisher whose name is not known here."""

@@ -77,6 +77,7 @@ def _run_beside(
 
 
 def _monitor(arguments: argparse.Namespace) -> int:
+    from sparseskin.launch.attach.stream import EXIT_NOTHING
     from sparseskin.messages.topics import split_topic
     from sparseskin.nodes.monitor.node import WATCHED
     from sparseskin.nodes.monitor.table import summary_table
@@ -102,10 +103,13 @@ def _monitor(arguments: argparse.Namespace) -> int:
         code, summary = _run_beside(graph, "monitor", f"monitor_{os.getpid()}", values, topics)
     if summary["patches"]:
         print(summary_table(summary["patches"]))
-    return code
+    read = any(any(patch["frames"].values()) for patch in summary["patches"].values())
+    return code if read else code or EXIT_NOTHING
 
 
 def _record(arguments: argparse.Namespace) -> int:
+    from sparseskin.launch.attach.stream import EXIT_NOTHING
+
     graph = choose_graph(arguments.graph)
     writers = graph.writers()
     patterns = arguments.topics or ["*"]
@@ -120,8 +124,9 @@ def _record(arguments: argparse.Namespace) -> int:
     with naming_options({"out": "--out"}):
         code, summary = _run_beside(graph, "recorder", name, values, topics)
     print_ends(summary["nodes"])
-    if "recording" not in summary["nodes"][name] and code > 128:
+    if code == 0 and "recording" not in summary["nodes"][name]:
         print(f"{out}: nothing was recorded: the recorder had not started yet", file=sys.stderr)
+        return EXIT_NOTHING
     return code
 
 

@@ -1,16 +1,19 @@
-"""The entry point of the command: nothing a user does to it ends in a traceback."""
+"""The entry point of the command: nothing a user does to it ends in a traceback.
+
+All modules but those that Python has imported already are imported in `main`, which handles a
+Ctrl-C; one before that, while Python itself starts, is Python's to report.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
-from importlib.util import find_spec
 
 
 def main() -> int:
     """Run the command; return its exit code."""
-    open_standard_files()
     try:
+        open_standard_files()
         keep_bytecode()
         if sys.argv[1:2] == ["study"]:
             # Read as numpy is imported: the times that a study reports are those of one core.
@@ -54,10 +57,12 @@ def keep_bytecode() -> None:
     """
     if not sys.dont_write_bytecode or sys.pycache_prefix:
         return
+    import importlib.util
+
     stored = [
         spec.cached
         for name in ("numpy", "sparseskin.launch.commands.cli")
-        if (spec := find_spec(name))
+        if (spec := importlib.util.find_spec(name))
     ]
     cache_home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     # Where no home is known, "~" stays.

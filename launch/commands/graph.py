@@ -17,13 +17,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    """List the running graphs of this user: name, process of the launcher, nodes."""
+    """List the running graphs of this user: name, process of the launcher, nodes; "(starting)" of
+    one that is not ready.
+    """
     from sparseskin.launch.attach.text import table
 
+    # In this order: one that has started in between is among those that run.
+    starting = running_graphs(starting=True)
     graphs = running_graphs()
-    rows = [[graph.name, graph.pid, ", ".join(graph.nodes)] for graph in graphs]
+    running = {graph.pid for graph in graphs}
+    graphs += [graph for graph in starting if graph.pid not in running]
+    rows = [[g.name, g.pid, ", ".join(g.nodes) or "(starting)"] for g in graphs]
     lines = table(["GRAPH", "PID", "NODES"], rows) if graphs else ["no graph runs on this host"]
-    described = [{"name": g.name, "pid": g.pid, "nodes": list(g.nodes)} for g in graphs]
+    described = [
+        {"name": g.name, "pid": g.pid, "nodes": list(g.nodes), "starting": not g.nodes}
+        for g in graphs
+    ]
     return show(arguments, {"graphs": described}, lines)
 
 

@@ -63,7 +63,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def _launch(arguments: argparse.Namespace) -> int:
     from sparseskin.launch.launchfile.load import load
     from sparseskin.launch.launchfile.spec import LaunchError
-    from sparseskin.nodes.lookup import USER_MODULES
+    from sparseskin.nodes.lookup import imported_modules
     from sparseskin.nodes.monitor.node import Monitor
 
     if arguments.record is not None:
@@ -71,13 +71,13 @@ def _launch(arguments: argparse.Namespace) -> int:
 
         with naming_options({"out": "--record"}):
             RecorderSettings(out=arguments.record).check()
-    USER_MODULES.clear()
-    try:
-        launch = load(arguments.name, arguments.set, arguments.record)
-    finally:  # also where the file is refused
-        if arguments.dry_run and USER_MODULES:
-            modules = ", ".join(sorted(USER_MODULES))
-            print(f"imported, and so run, to be checked: {modules}", file=sys.stderr)
+    with imported_modules() as modules:
+        try:
+            launch = load(arguments.name, arguments.set, arguments.record)
+        finally:  # also where the file is refused
+            if arguments.dry_run and modules:
+                names = ", ".join(sorted(modules))
+                print(f"imported, and so run, to be checked: {names}", file=sys.stderr)
     wanted = ["browser=true"] * arguments.open + ["token=false"] * arguments.no_token
     if wanted:
         monitors = [node.name for node in launch.nodes.values() if issubclass(node.cls, Monitor)]
@@ -130,7 +130,7 @@ def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
 
 
 def _run_log(launch: LaunchFile, stated: str | None) -> RunLog | None:
-    """The log files of a run; None if none were asked for and the default folder cannot be made."""
+    """The log files of a run; None, with a warning, if the default folder cannot be made."""
     from sparseskin.launch.launchfile.spec import LaunchError
     from sparseskin.launch.run.run_log import RunLog, default_log_dir
 
@@ -139,5 +139,7 @@ def _run_log(launch: LaunchFile, stated: str | None) -> RunLog | None:
             return RunLog(Path(wanted), launch.name, time.time())
     try:
         return RunLog(default_log_dir(), launch.name, time.time())
-    except LaunchError:
+    except LaunchError as error:
+        reason = str(error).removeprefix("log_dir: ")
+        print(f"warning: no log files: {reason}; --log-dir states another folder", file=sys.stderr)
         return None

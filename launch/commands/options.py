@@ -101,10 +101,15 @@ def naming_options(options: Mapping[str, str]) -> Iterator[None]:
 
 
 def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
-    """Print what sensors clipped, recorders wrote and players played, from their reports."""
+    """Print, from the reports of nodes, which were restarted, and what sensors clipped, recorders
+    wrote and players played.
+    """
     from sparseskin.messages.text import printable
 
     for name, node in nodes.items():
+        if n := node["restarts"]:
+            times, last = "time" if n == 1 else "times", printable(node["failures"][-1])
+            print(f"{name}: restarted {n} {times} after a failure; the last: {last}")
         if node["type"] == "sensor" and node.get("clipped"):
             unit = printable(node["unit"])
             print(

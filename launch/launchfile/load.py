@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.lookup import did_you_mean, search_in
 from sparseskin.nodes.registry import make_settings, node_class
 
 from .check import Checker, one_line_of
@@ -63,7 +64,7 @@ def find_launch_file(name: str) -> Path:
 
 
 def load(name: str, overrides: Sequence[str] = (), record: str | None = None) -> LaunchFile:
-    """Read and check a launch file.
+    """Read and check a launch file; modules that it names are searched in its folder too.
 
     Parameters
     ----------
@@ -89,7 +90,11 @@ def load(name: str, overrides: Sequence[str] = (), record: str | None = None) ->
         tree = parse_toml(text)
     except (OSError, ValueError) as error:
         raise LaunchError([_unreadable(shown, error)]) from error
-    return Checker(shown, text, tree, path.stem, path.parent).check(overrides, record)
+    folder = "" if path.parent == BUNDLED else str(path.resolve().parent)
+    if folder:
+        search_in(folder)
+    launch = Checker(shown, text, tree, path.stem, path.parent).check(overrides, record)
+    return replace(launch, folder=folder)
 
 
 def _unreadable(shown: str, error: Exception) -> str:

@@ -62,7 +62,8 @@ class NodeSpec:
 
 @dataclass(frozen=True)
 class LaunchFile:
-    """A checked launch file; `text` is the file as it stands, with the changes of --set.
+    """A checked launch file; `text` is the file as it stands, with the changes of --set, `folder`
+    the one in which its nodes search modules, "" for none.
 
     Of a graph of several hosts, `host` is the one whose part this is, `nodes` are those that run
     there and `elsewhere` the others; "" and none as long as no host was chosen.
@@ -81,6 +82,7 @@ class LaunchFile:
     elsewhere: dict[str, NodeSpec] = field(default_factory=dict)
     credentials: Credentials | None = None
     log_dir: str = ""
+    folder: str = ""
 
     def part(self, host: str | None) -> LaunchFile:
         """The part of a graph that runs on one host, with the keys that it needs there; `host` is

@@ -39,6 +39,7 @@ def node_config(
         "name": spec.name,
         "type": spec.type_name,
         "settings": spec.values,
+        "folder": launch.folder,
         "endpoint": _endpoint(launch.transport, number),
         "inputs": [link.topic for link in read],
         "readers": sorted(readers),

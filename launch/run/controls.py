@@ -28,8 +28,9 @@ NEWS_S = 0.5
 Reply = Callable[[dict[str, Any]], None]
 """Called with the answer: {id, node, done, text}."""
 
-PATIENCE_S = 5.0
-"""Longest time that a node may take to answer, seconds."""
+PATIENCE_S = 20.0
+"""Longest time that a node may take to answer, seconds. Chosen: a dense matrix of 4096 taxels takes
+some seconds to make, compiled loops as long to compile, and more where the host is busy."""
 MAX_OPEN = 256
 """Most requests without an answer."""
 
@@ -94,7 +95,11 @@ class Requests:
             gone = node is None or node.exit_code() is not None
             if gone or asked.deadline_s < now_s:
                 del self._open[key]
-                why = "has ended" if gone else f"has not answered within {PATIENCE_S:g} s"
+                why = (
+                    "has ended"
+                    if gone
+                    else f"has not answered within {PATIENCE_S:g} s, and may still do it"
+                )
                 _answer(asked, False, f"{asked.node} {why}")
 
     def _fault(self, node: str, command: str, value: Any) -> str:

@@ -24,6 +24,9 @@ GRACE_S = 2.0
 """Time from one request to end to the next, more forceful one, seconds."""
 POLL_S = 0.1
 
+MAX_FAILURES = 10
+"""Failures of a node whose reasons are kept."""
+
 EXIT_FAILED = 1
 EXIT_USAGE = 2
 
@@ -64,6 +67,7 @@ class Fleet:
         self._joined = joined
         self._selector = selectors.DefaultSelector()
         self._restarts = {name: Restarts(spec.restart) for name, spec in launch.nodes.items()}
+        self._failures: dict[str, list[str]] = {}
         self._due_s: dict[str, float] = {}
         self._endpoints: dict[str, str] = {}
         self._to_pause: set[str] = set()
@@ -110,6 +114,10 @@ class Fleet:
 
     def n_restarts(self, name: str) -> int:
         return self._restarts[name].total
+
+    def failures(self, name: str) -> list[str]:
+        """Why a node failed each time that it was started again; the last `MAX_FAILURES`."""
+        return list(self._failures.get(name, ()))
 
     def watch(self, fd: Any, on_ready: Callable[[], None]) -> None:
         """Wait for another file descriptor than a pipe, too."""
@@ -278,6 +286,9 @@ class Fleet:
             due_s = restarts.next_s(awake_s())
             if due_s is not None:
                 self._due_s[node.name] = due_s
+                why = text.removeprefix(f"[{node.name}] ").removeprefix(f"{node.name} ")
+                self._failures.setdefault(node.name, []).append(why)
+                del self._failures[node.name][:-MAX_FAILURES]
                 self._log(line)
                 return
             line += restarts.spent

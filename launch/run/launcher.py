@@ -6,6 +6,7 @@ import contextlib
 import os
 import signal
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import FrameType
 from typing import Any
 
@@ -75,14 +76,15 @@ class Launcher:
 
     def run(self) -> int:
         """Run the graph until its streams end; return the exit code: 0, 1 for a node that
-        failed, 2 for one that refused its settings, 128 + the signal for an interrupt.
+        failed, 2 for one that refused its settings, 128 + the signal for an interrupt. An interrupt
+        is the intended end of nodes that have joined another graph: 0.
         Raises SparseskinError before any node starts if the runtime folder cannot be used.
         """
-        starting = RunningGraph(self._launch.name, os.getpid(), self._offset_ns, "", {})
-        with announced(starting) as note:
-            return self._run(note, starting)
+        unjoinable = RunningGraph(self._launch.name, os.getpid(), self._offset_ns, "", {})
+        with announced(replace(unjoinable, starting=self._joined is None)) as note:
+            return self._run(note, unjoinable)
 
-    def _run(self, note: Note, starting: RunningGraph) -> int:
+    def _run(self, note: Note, unjoinable: RunningGraph) -> int:
         old = {
             number: signal.signal(number, self._on_signal)
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -111,7 +113,7 @@ class Launcher:
             if self._controls is not None:
                 self._controls.close()
             with contextlib.suppress(SparseskinError):
-                note.announce(starting)  # without nodes: nobody can join it any more
+                note.announce(unjoinable)  # without nodes: nobody can join it any more
             self._fleet.end_all()
             for number, handler in old.items():
                 signal.signal(number, handler)
@@ -133,6 +135,7 @@ class Launcher:
             merged["nodes"][node.name] = {
                 "type": node.spec.type_name,
                 "restarts": self._fleet.n_restarts(node.name),
+                "failures": self._fleet.failures(node.name),
                 **node.counts,
                 **found,
             }
@@ -144,7 +147,7 @@ class Launcher:
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
         self._interrupts += 1
-        if not self._fleet.exit_code:
+        if self._joined is None and not self._fleet.exit_code:
             self._signal_code = self._signal_code or 128 + number
 
     def _serve_controls(self) -> None:
@@ -188,7 +191,7 @@ class Launcher:
                 self._interrupts += 1
 
     def _name_late(self, what: str, is_late: Callable[[NodeProcess], bool]) -> bool:
-        if not self._exit_code:
+        if not self._exit_code and not self._interrupts:
             self._fleet.exit_code = EXIT_FAILED
             for node in filter(is_late, self._fleet):
                 lack = f": no subscription from {', '.join(node.lacks)}" if node.lacks else ""

@@ -13,6 +13,8 @@ import json
 import os
 import re
 import stat
+import sys
+import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,6 +27,9 @@ from sparseskin.nodes.lookup import did_you_mean
 MAX_SOCKET_PATH_BYTES = 107
 """Longest path of a socket: sun_path of unix(7), less its end."""
 MAX_NOTE_BYTES = 1 << 24
+PATIENCE_S = 30.0
+"""Longest time that a command waits for a graph that is starting, seconds."""
+POLL_S = 0.1
 _NO_NOTE = (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError)
 _ELSEWHERE = "; SPARSESKIN_RUNTIME_DIR names another"
 
@@ -59,6 +64,8 @@ class RunningGraph:
     """File of the secret key with which programs of this user may read; "" without keys."""
     page_token: str = ""
     """Token that its live pages ask for."""
+    starting: bool = False
+    """True until it can be joined."""
 
     @property
     def label(self) -> str:
@@ -166,11 +173,13 @@ def announced(graph: RunningGraph) -> Iterator[Note]:
         note.remove()
 
 
-def running_graphs() -> list[RunningGraph]:
-    """All graphs that run and can be joined; what graphs that are gone have left is removed."""
+def running_graphs(starting: bool = False) -> list[RunningGraph]:
+    """All graphs that run and can be joined, or those that are starting; what graphs that are gone
+    have left is removed.
+    """
     folder = runtime_folder()
     with _locked(folder):
-        return [graph for graph in _remove_stale() if graph.nodes]
+        return [graph for graph in _remove_stale() if (graph.starting if starting else graph.nodes)]
 
 
 def is_running(graph: RunningGraph) -> bool:
@@ -195,13 +204,14 @@ def wait_for_end(graph: RunningGraph) -> None:
 
 
 def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
-    """The graph of that name, label or process number, stated with an option, or the only one.
+    """The graph of that name, label or process number, stated with an option, or the only one; one
+    that is starting is waited for, `PATIENCE_S` at most.
     Raises GraphError if there is none, or more than one.
     """
-    graphs = running_graphs()
+    graphs = _wait_for_start(name)
     if not graphs:
         raise GraphError("no graph runs on this host (start one: sparseskin launch NAME)")
-    matching = [g for g in graphs if name in (None, g.name, g.label, str(g.pid))]
+    matching = _named(graphs, name)
     labels = [graph.label for graph in graphs]
     if not matching:
         hint = did_you_mean(str(name), labels)
@@ -211,6 +221,31 @@ def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
         which = f" with {option}" if option else ""
         raise GraphError(f"several graphs run; choose one{which}: {choices}")
     return matching[0]
+
+
+def _named(graphs: list[RunningGraph], name: str | None) -> list[RunningGraph]:
+    return [g for g in graphs if name in (None, g.name, g.label, str(g.pid))]
+
+
+def _wait_for_start(name: str | None) -> list[RunningGraph]:
+    """The running graphs, once one of them has that name or none of those that start has it."""
+    given_up_s = None
+    while True:
+        # In this order: one that has started in between is among those that run.
+        starting = _named(running_graphs(starting=True), name)
+        graphs = running_graphs()
+        if _named(graphs, name) or not starting:
+            return graphs
+        label, now_s = starting[0].label, time.monotonic()
+        if given_up_s is None:
+            given_up_s = now_s + PATIENCE_S
+            print(f"{label}: is starting; waiting until it runs", file=sys.stderr, flush=True)
+        elif now_s >= given_up_s:
+            raise GraphError(
+                f"{label}: is still starting after {PATIENCE_S:g} s; its terminal shows what it "
+                "waits for"
+            )
+        time.sleep(POLL_S)
 
 
 @contextlib.contextmanager

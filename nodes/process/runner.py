@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import zmq
@@ -18,7 +18,7 @@ from sparseskin.messages import Message
 from sparseskin.nodes.clock import ClockEstimate, SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.host import NodeHost
-from sparseskin.nodes.lookup import one_line, trace_of
+from sparseskin.nodes.lookup import one_line, search_in, trace_of
 from sparseskin.nodes.network.network import Network
 from sparseskin.nodes.network.sockets import FAREWELL_MS, Peer, Reader, make_context
 from sparseskin.nodes.node import Context, SourceNode, Tick
@@ -35,6 +35,8 @@ SPIN_NS = 1_500_000
 """Shorter waits are sleeps, because the poller counts whole milliseconds."""
 BATCH = 64
 """Largest number of messages or ticks between two checks for commands."""
+BATCH_NS = 50_000_000
+"""Time after which none is begun before that check: a frame may take a second."""
 
 EXIT_CRASH = 1
 EXIT_USAGE = 2
@@ -48,14 +50,16 @@ class Runner:
     control, config
         Control channel to the launcher; dict of name, type, settings, endpoint, inputs (topics),
         readers (names of the nodes that read this one), offset_ns (of the graph's clock); optional
-        max_frames (of a source), late (the node joins a running graph), page_token, and the keys of
-        `Network`.
+        max_frames (of a source), folder (in which modules are searched too), late (the node joins a
+        running graph), page_token, and the keys of `Network`.
     """
 
     def __init__(self, control: Control, config: dict[str, Any]) -> None:
         self.control = control
         self.name: str = config["name"]
         self.clock = SystemClock(config["offset_ns"])
+        if folder := config.get("folder"):
+            search_in(folder)
         cls = node_class(config["type"])
         settings = make_settings(cls, config["settings"])
         late = bool(config.get("late"))
@@ -116,7 +120,7 @@ class Runner:
             self.writer.serve_subscriptions()
             self._receive()
             self._answer()
-            for _ in range(BATCH):
+            for _ in _batch():
                 if not self._tick_due():
                     break
                 self._tick()
@@ -240,7 +244,7 @@ class Runner:
     def _receive(self) -> None:
         if self.reader is None or self.backlog is None:
             return
-        for _ in range(BATCH):
+        for _ in _batch():
             waiting = self.backlog.take(self.host.node.depth)
             self.caught_up = waiting is None
             if waiting is None:
@@ -312,3 +316,12 @@ class Runner:
             failure=self.host.failure,
             clocks=self.network.state()["clocks"],
         )
+
+
+def _batch() -> Iterator[int]:
+    """Count messages or ticks, to `BATCH` or until `BATCH_NS` are over."""
+    last_ns = time.monotonic_ns() + BATCH_NS
+    for k in range(BATCH):
+        yield k
+        if time.monotonic_ns() >= last_ns:
+            return

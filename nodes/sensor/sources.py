@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import re
 import symtable
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.lookup import USER_MODULES, did_you_mean, is_missing, one_line
+from sparseskin.nodes.lookup import (
+    did_you_mean,
+    is_missing,
+    note_import,
+    one_line,
+    search_here,
+)
 from sparseskin.nodes.sensor.files.head import n_taxels
 from sparseskin.nodes.sensor.files.parsed import check_stated_shape
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES, open_file
@@ -66,18 +70,16 @@ def check_module(target: str) -> None:
     """
     module, _, attribute = target.partition(":")
     package = module.rpartition(".")[0]
-    if package and not module.startswith("sparseskin."):
-        USER_MODULES.add(package)
-    here = os.getcwd()
-    if here not in sys.path and "" not in sys.path:
-        sys.path.append(here)
+    note_import(package)
+    here = search_here()
     found = None
     try:
         found = find_spec(module)
     except ModuleNotFoundError as cause:
-        is_missing(package, cause)
+        if not is_missing(package, cause) and cause.name != module:
+            raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause
     except (Exception, SystemExit) as cause:
-        if package in USER_MODULES:
+        if package:
             raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause
     if found is None:
         hint = did_you_mean(module, ("scene", "file")) if len(module) < 8 else ""

@@ -17,7 +17,7 @@ const SETTINGS = [
   ["sensor", "noise", "Noise (× paper)"],
   ["sensor", "rate_hz", "Rate (Hz)"],
 ];
-const PATIENCE_MS = 8000;
+const PATIENCE_MS = 30000; // the launcher answers after 20 s in place of a node
 
 export class Controls {
   constructor(root) {
@@ -148,7 +148,7 @@ export class Controls {
 
   async ask(node, command, value, line) {
     const id = Array.from(crypto.getRandomValues(new Uint32Array(3)), (n) => n.toString(16)).join("");
-    const timer = setTimeout(() => this.answer({ id, done: false, text: "no answer within 8 s" }),
+    const timer = setTimeout(() => this.answer({ id, done: false, text: `no answer within ${PATIENCE_MS / 1000} s` }),
       PATIENCE_MS);
     this.waiting.set(id, { line, timer });
     this.say(line, "asking", "…");

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
+import textwrap
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,7 +24,7 @@ def no_bytecode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def stored_at(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(entry, "find_spec", lambda _: SimpleNamespace(cached=str(path)))
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: SimpleNamespace(cached=str(path)))
 
 
 def test_modules_without_bytecode_get_it_in_the_users_cache_folder(
@@ -64,3 +66,40 @@ def test_without_a_home_nothing_is_stored(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv("XDG_CACHE_HOME", "~/.cache")
     entry.keep_bytecode()
     assert sys.pycache_prefix is None
+
+
+@pytest.mark.parametrize("module", ["argparse", "sparseskin.launch.commands.cli"])
+def test_an_interrupt_of_the_imports_ends_with_130_and_no_traceback(
+    module: str, tmp_path: Path
+) -> None:
+    # Importing the module interrupts, as Ctrl-C would at that moment.
+    (tmp_path / "sitecustomize.py").write_text(
+        textwrap.dedent(f"""
+        import os, signal, sys
+
+        class Interrupting:
+            def find_spec(self, name, path=None, target=None):
+                if name == "{module}":
+                    os.kill(os.getpid(), signal.SIGINT)
+
+        sys.meta_path.insert(0, Interrupting())
+        """)
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "sparseskin", "--version"],
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_next_to_nothing_is_imported_before_an_interrupt_is_handled() -> None:
+    code = (
+        "import sys; before = set(sys.modules); import sparseskin.launch.commands.entry; "
+        "print(*set(sys.modules) - before)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    others = {name for name in done.stdout.split() if not name.startswith("sparseskin")}
+    assert others <= {"__future__", "importlib", "warnings"}

@@ -54,7 +54,6 @@ COMMANDS = {
     "monitor": ("monitor", "--text"),
 }
 N_BYTES = 50_000
-INTERRUPTED = 128 + signal.SIGINT
 REFUSED = {
     "not listed": "its key is that of lab_{tool}, and not on the list of those allowed",
     "unknown": "is not known here, and not on the list of those allowed",
@@ -140,12 +139,12 @@ def test_a_listed_host_is_served_by_every_tool(
         wait_until(lambda: part.exists() and part.stat().st_size > N_BYTES, "a recording")
         for program in (recorded, monitor):
             program.process.send_signal(signal.SIGINT)
-        assert recorded.finish()[0] == INTERRUPTED
+        assert recorded.finish()[0] == 0
         with BagReader(tmp_path / "some.mcap") as bag:
             assert bag.topics["/skin/phi"].n_messages == 1
             assert bag.topics["/skin/measurements"].n_messages > 0
         code, out, _ = monitor.finish()
-        assert code == INTERRUPTED
+        assert code == 0
         assert n_reconstructed(out) > 0
 
 

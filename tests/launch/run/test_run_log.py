@@ -214,3 +214,19 @@ def test_a_run_that_fails_reports_where_its_logs_are(start: StartProgram, tmp_pa
     assert "Traceback" not in stderr
     assert all(re.match(r"\d\d:\d\d:\d\d\.\d{3} \[sensor\] ", line) for line in stderr.splitlines()
                if "[sensor]" in line)  # fmt: skip
+
+
+def test_a_default_folder_that_cannot_be_made_is_one_warning_and_the_graph_runs(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "state").touch()  # XDG_STATE_HOME of the program
+    code, stdout, stderr = start(
+        *("launch", "path_40", "--frames", "3", "--set", "monitor.page=false")
+    ).finish()
+    assert code == 0
+    assert "sensed 3" in stdout
+    folder = tmp_path / "state" / "sparseskin" / "log"
+    (line,) = (line for line in stderr.splitlines() if "log files" in line)
+    assert line == (
+        f"warning: no log files: {folder}: Not a directory; --log-dir states another folder"
+    )

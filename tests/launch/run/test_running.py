@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from sparseskin.launch.commands.cli import main
+from sparseskin.launch.run import running
 from sparseskin.launch.run.running import (
     GraphError,
     RunningGraph,
@@ -91,3 +93,42 @@ def test_a_graph_that_ends_as_it_is_joined_is_said_to_have_ended(
     with announced(graph()):  # its control socket is gone
         assert main(["record", "--out", "a.mcap"]) == 2
     assert capsys.readouterr().err.splitlines()[-1] == "path_40-7: has just ended"
+
+
+def test_a_graph_that_is_starting_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    starting = replace(graph(), nodes={}, starting=True)
+    with announced(starting) as note:
+        assert running_graphs() == []
+        assert running_graphs(starting=True) == [starting]
+        assert main(["graph", "list"]) == 0
+        assert capsys.readouterr().out.split() == [
+            "GRAPH",
+            "PID",
+            "NODES",
+            "path_40",
+            "7",
+            "(starting)",
+        ]
+        monkeypatch.setattr(running.time, "sleep", lambda _: note.announce(graph()))
+        assert choose_graph("path_40") == graph()
+        assert capsys.readouterr().err == "path_40-7: is starting; waiting until it runs\n"
+        assert running_graphs(starting=True) == []
+
+
+def test_a_start_that_takes_too_long_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(running, "PATIENCE_S", 0.0)
+    with announced(replace(graph(), nodes={}, starting=True)):
+        with pytest.raises(GraphError, match="path_40-7: is still starting after 0 s"):
+            choose_graph(None)
+        with pytest.raises(GraphError, match="no graph runs"):
+            choose_graph("lift")
+        # One that runs is not held up by another that starts.
+        with announced(graph("lift", 9)):
+            assert choose_graph(None).pid == 9
+
+
+def test_a_launcher_that_has_joined_another_graph_is_not_waited_for() -> None:
+    with announced(replace(graph(), nodes={})), pytest.raises(GraphError, match="no graph runs"):
+        choose_graph(None)

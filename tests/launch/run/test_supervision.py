@@ -197,14 +197,20 @@ def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(
     wait_for("sensor", condition="running", restarts=1)
     client.close()
 
-    code, _, stderr = program.finish()
+    code, stdout, stderr = program.finish()
     assert code == 0, stderr
+    # The end states it, as the exit code does not.
+    for node in ("sensor", "compressor", "reconstructor"):
+        cause = "ended too early: killed by SIGKILL"
+        assert f"\n{node}: restarted 1 time after a failure; the last: {cause}\n" in stdout
     assert "[launch] reconstructor is started again (restart 1)" in stderr
     assert "[launch] sensor is started again (restart 1)" in stderr
     assert "Traceback" not in stderr
     summary: dict[str, Any] = json.loads((tmp_path / "out.json").read_text())
     restarts = {name: node["restarts"] for name, node in summary["nodes"].items()}
     assert restarts == {"sensor": 1, "compressor": 1, "reconstructor": 1, "monitor": 0}
+    assert summary["nodes"]["sensor"]["failures"] == ["ended too early: killed by SIGKILL"]
+    assert summary["nodes"]["monitor"]["failures"] == []
     frames = summary["patches"]["skin"]["frames"]
     # The second sensor goes through all its frames, whatever the first one had sent.
     assert frames["sensed"] >= 1000

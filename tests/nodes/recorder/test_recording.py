@@ -128,7 +128,7 @@ def test_an_interrupted_recorder_completes_its_file(start: StartProgram, tmp_pat
     wait_until(lambda: part.exists() and part.stat().st_size > 20_000, "some messages")
     recorder.process.send_signal(signal.SIGINT)
     code, stdout, stderr = recorder.finish()
-    assert code == 130
+    assert code == 0
     assert "messages recorded, 0 dropped" in stdout
     assert "not drained" not in stderr
     assert len(contents(tmp_path / "cut.mcap")["/skin/taxels"]) > 1
