@@ -1,0 +1,383 @@
+"""Analytic presses on a skin of any size, fast enough for tests: no physics, known forces.
+
+Bodies of `BODIES` press a skin, move by a stated part of a taxel a frame and turn slowly. Forces
+are closed expressions of place and time, so that a body may lie between taxels. The readings may
+have the errors of a real skin (`SkinErrors`) and the noise of `NoiseModel`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparseskin.messages.ranges import is_real, is_whole
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
+from sparseskin.nodes.sensor.noise import NoiseModel
+
+BODIES = ("plate", "wrench", "peg", "fingertips", "gaussian")
+COURSES = ("moving", "ramped", "sudden")
+SKINS = ((1, 16), (4, 4), (5, 5), (8, 8), (10, 10), (1, 128), (40, 40), (64, 64))
+"""Shapes from the smallest skins that are sold to the largest of the paper."""
+
+N_BEFORE = 10
+"""Untouched frames at the begin."""
+RAMP, PAUSE = 20, 10
+"""Frames of a ramp from 0 to the full force, and of a pause between two contacts."""
+HELD = 20
+"""Frames that a sudden contact lasts."""
+_CHUNK = 32
+_LEAST_SIZE = 0.4
+"""Least size of a body in taxels: a smaller one would vanish between two of them."""
+_LEAST_GAUSSIAN = 0.02
+"""Part of the peak of a Gaussian press below which nothing touches: a skin has a threshold."""
+Field = Callable[[Doubles, Doubles, float], Doubles]
+"""Force of a part in units of its peak, at (u, v) taxels from its middle, of a body of a size."""
+
+
+@dataclass(frozen=True)
+class SkinErrors:
+    """Errors of a skin's readings that are constant or slow, each drawn once a taxel.
+
+    Attributes
+    ----------
+    offset : float
+        Readings are |N(0, offset)| too high, in the unit of the forces.
+    gain : float
+        Readings are multiplied by N(1, gain), at least 0.
+    drift : float
+        Readings rise or fall by N(0, drift) a frame, in the unit of the forces.
+    dead : float
+        Part of the taxels that read 0, in [0, 1).
+
+    Raises
+    ------
+    SettingsError
+        If a value is negative or not finite, or `dead` is not below 1.
+    """
+
+    offset: float = 0.0
+    gain: float = 0.0
+    drift: float = 0.0
+    dead: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not is_real(value, 0.0) or (name == "dead" and value >= 1):
+                raise SettingsError(
+                    f"skin errors: {name} is {value!r}; allowed is a finite number, 0 or more"
+                    f"{', below 1' if name == 'dead' else ''}"
+                )
+
+    def applied(self, n: int, seed: int, f_max: float) -> Callable[[Floats, int], Floats]:
+        """Return what makes the readings of n taxels from their true forces and frame number."""
+        # Each from a generator of its own: one error does not change the draws of another.
+        draws = [np.random.default_rng([seed, 1, k]) for k in range(4)]
+        offset = np.abs(self.offset * draws[0].standard_normal(n))
+        gain = np.maximum(0, 1 + self.gain * draws[1].standard_normal(n))
+        drift = self.drift * draws[2].standard_normal(n)
+        gain[draws[3].permutation(n)[: round(self.dead * n)]] = np.nan
+
+        def reading(truth: Floats, k: int) -> Floats:
+            found = np.clip(gain * truth + offset + k * drift, 0, f_max)
+            return np.nan_to_num(found, copy=False).astype(np.float32)
+
+        return reading
+
+
+def press_frames(
+    body: str,
+    shape: tuple[int, int],
+    n_frames: int,
+    seed: int,
+    *,
+    course: str = "moving",
+    speed: float = 0.3,
+    active: float = 0.1,
+    mask: Mask | None = None,
+    f_max: float = PAPER_F_MAX_N,
+    errors: SkinErrors | None = None,
+    noise: NoiseModel | None = None,
+) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the true forces and the readings of a skin that a body presses.
+
+    Parameters
+    ----------
+    body : str
+        "plate": a rectangle, flat and a little tilted; "wrench": a handle and an open jaw; "peg": a
+        disc, flat; "fingertips": three to five round tips, each with a course of its own;
+        "gaussian": one to three smooth presses.
+    shape : (int, int)
+        Rows and columns of the skin, 1..4096 each.
+    n_frames : int
+        Number of frames; the first `N_BEFORE` are untouched.
+    seed : int
+        Of all that is drawn: size ratios, places, directions, forces, errors and noise.
+    course : str
+        "moving": after a ramp, the body moves on a straight path and turns back near the edges of
+        the skin; "ramped": it rests, and its force rises and falls; "sudden": it presses with its
+        full force from one frame to the next for `HELD` frames, then somewhere else.
+    speed : float
+        Taxels a frame, of a moving body; the outer parts of a turning one are up to 1.5 times as
+        fast.
+    active : float
+        Part of the existing taxels that the whole body touches, about, 0.01 to 0.6; at least one
+        taxel. A body near the edge touches fewer.
+    mask : ndarray of bool, shape `shape`, optional
+        True where a taxel exists. None: everywhere.
+    f_max : float
+        Upper end of the range; peaks are 0.2 to 0.9 of it.
+    errors : SkinErrors, optional
+        Of the readings. None: none.
+    noise : NoiseModel, optional
+        Applied to the readings last. None: none.
+
+    Yields
+    ------
+    truth, reading : ndarray of float32, shape `shape`
+        In [0, f_max], 0 where no taxel exists; fresh arrays.
+
+    Raises
+    ------
+    SettingsError
+        If a parameter is not allowed, or the mask leaves no taxel.
+    """
+    mask = _checked(body, shape, n_frames, course, speed, active, mask, f_max)
+    frames = _Press(body, mask, seed, course, speed, active, f_max).frames(n_frames)
+    taxels = np.flatnonzero(mask)
+    make = (errors or SkinErrors()).applied(taxels.size, seed, f_max)
+    rng = np.random.default_rng([seed, 2])
+    for k, truth in enumerate(frames):
+        values = make(truth.reshape(-1)[taxels], k)
+        reading = np.zeros_like(truth)
+        reading.reshape(-1)[taxels] = values if noise is None else noise.apply(values, rng)
+        yield truth, reading
+
+
+def scattered_mask(shape: tuple[int, int], n: int, seed: int) -> Mask:
+    """Return a mask of n cells at random places of a grid, where alone taxels exist."""
+    size = math.prod(shape)
+    if not is_whole(n, 1, size):
+        raise SettingsError(f"scattered mask: n is {n!r}; allowed is a whole number 1..{size}")
+    mask = np.zeros(size, dtype=np.bool_)
+    mask[np.random.default_rng([seed, 3]).permutation(size)[:n]] = True
+    return mask.reshape(shape)
+
+
+def _checked(
+    body: str,
+    shape: tuple[int, int],
+    n_frames: int,
+    course: str,
+    speed: float,
+    active: float,
+    mask: Mask | None,
+    f_max: float,
+) -> Mask:
+    for what, name, known in (("body", body, BODIES), ("course", course, COURSES)):
+        if name not in known:
+            raise SettingsError(f"presses: {what} is {name!r}; allowed: {', '.join(known)}")
+    if len(shape) != 2 or not all(is_whole(side, 1, 4096) for side in shape):
+        raise SettingsError(f"presses: shape is {shape!r}; allowed: two whole numbers 1..4096")
+    if not is_whole(n_frames, 1, 2**31):
+        raise SettingsError(f"presses: n_frames is {n_frames!r}; allowed: a whole number from 1")
+    for what, value, low, high in (
+        ("speed", speed, 0.0, 1e3),
+        ("active", active, 0.01, 0.6),
+        ("f_max", f_max, 1e-9, 1e30),
+    ):
+        if not is_real(value, low, high):
+            raise SettingsError(f"presses: {what} is {value!r}; allowed: {low:g}..{high:g}")
+    if mask is None:
+        return np.ones(shape, dtype=np.bool_)
+    if mask.shape != tuple(shape) or mask.dtype != np.bool_ or not mask.any():
+        raise SettingsError(
+            f"presses: the mask is {mask.dtype} {list(mask.shape)} with {np.count_nonzero(mask)} "
+            f"taxels; allowed: bool {list(shape)} with one or more"
+        )
+    return mask
+
+
+class _Press:
+    """A body of a size that touches a part of the skin, with its course."""
+
+    def __init__(
+        self,
+        body: str,
+        mask: Mask,
+        seed: int,
+        course: str,
+        speed: float,
+        active: float,
+        f_max: float,
+    ) -> None:
+        rng = np.random.default_rng([seed, 0])
+        self._mask, self._course, self._f_max = mask, course, f_max
+        self._sides = np.array(mask.shape, dtype=np.float64)
+        cells: Doubles = np.indices(mask.shape).astype(np.float64)
+        self._i, self._j = cells[:1], cells[1:]
+        self._fields, self._beside = _make(body, rng)
+        n = len(self._fields)
+        self._peaks = f_max * rng.uniform(0.2, 0.9, n)
+        # A path and a place of its own for each fingertip; one for all parts of another body.
+        self._n_paths = n if body == "fingertips" else 1
+        spread = np.linspace(0, 2 * np.pi, self._n_paths, endpoint=False) + rng.uniform(0, 7)
+        self._anchors = 0.28 * self._sides * np.stack([np.sin(spread), np.cos(spread)], axis=-1)
+        self._anchors *= self._n_paths > 1
+        angle = rng.uniform(0, 2 * np.pi, self._n_paths)
+        along = np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+        along[:, self._sides == 1] = 0
+        along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
+        self._velocity = speed * along
+        self._turned = rng.uniform(0, np.pi)
+        is_line = min(mask.shape) == 1
+        if is_line:
+            # What lies beside a line of taxels is not felt.
+            self._turned = 0.0 if mask.shape[0] == 1 else np.pi / 2
+            self._beside[:, 1] = 0
+            self._anchors[:, self._sides == 1] = 0
+        self._size = self._fitted(active)
+        highest = float(self._at_middle().max())
+        # A body smaller than a taxel covers a part of it alone.
+        self._peaks *= min(3.0, self._peaks.max() / max(highest, 1e-9 * f_max))
+        # Half of the way that a body may move, so that most of it stays on the skin.
+        self._reach = np.maximum(1.0, 0.5 * self._sides * (1 - math.sqrt(active)))
+        self._start = rng.uniform(0, 4, (1, 2)) * self._reach
+        self._turning = float(rng.choice([-1, 1])) * 0.5 * speed / max(1.0, self._size)
+        self._turning *= not is_line
+        self._jumps = rng.uniform(-0.7, 0.7, (997, 1, 2)) * self._reach
+        for along_line in (self._start, self._jumps):
+            along_line[..., self._sides == 1] = 0
+
+    def frames(self, n_frames: int) -> Iterator[Floats]:
+        """Yield the true forces, some frames computed at once."""
+        for first in range(0, n_frames, _CHUNK):
+            k = np.arange(first, min(first + _CHUNK, n_frames))
+            for force in self._forces(self._places(k), self._angles(k), self._strength(k)):
+                yield np.where(self._mask, force, 0).astype(np.float32)
+
+    def _strength(self, k: Indices) -> Doubles:
+        """Part of the full force in frames k."""
+        since = k - N_BEFORE
+        if self._course == "moving":
+            part = np.clip((since + 1) / RAMP, 0, 1)
+        elif self._course == "ramped":
+            phase = since % (2 * RAMP + PAUSE)
+            part = np.clip(np.minimum(phase + 1, 2 * RAMP - phase - 1) / RAMP, 0, 1)
+        else:
+            part = np.where(since % (HELD + PAUSE) < HELD, 1.0, 0.0)
+        found: Doubles = np.where(since < 0, 0.0, part)
+        return found
+
+    def _places(self, k: Indices) -> Doubles:
+        """Middle of each path in frames k, (frames, paths, 2): rows and columns of a taxel."""
+        middle = (self._sides - 1) / 2
+        if self._course == "moving":
+            # A triangle wave has the same speed all the way.
+            way = self._start + self._velocity * k[:, None, None]
+            period = 4 * self._reach
+            bent = np.abs((way + self._reach) % period - 2 * self._reach)
+            moved: Doubles = middle + bent - self._reach
+            return moved
+        turn = np.maximum(k - N_BEFORE, 0) // (HELD + PAUSE) if self._course == "sudden" else 0 * k
+        places = middle + self._jumps[turn % len(self._jumps)]
+        return np.broadcast_to(places, (len(k), self._n_paths, 2))
+
+    def _angles(self, k: Indices) -> Doubles:
+        turning = self._turning if self._course == "moving" else 0.0
+        found: Doubles = self._turned + turning * k.astype(np.float64)
+        return found
+
+    def _forces(self, places: Doubles, angles: Doubles, strength: Doubles) -> Doubles:
+        """Forces on all cells, (frames, rows, columns)."""
+        cos, sin = (of(angles)[:, None, None] for of in (np.cos, np.sin))
+        force = np.zeros((len(places), *self._mask.shape))
+        for part, (field, peak) in enumerate(zip(self._fields, self._peaks, strict=True)):
+            path = part if self._n_paths > 1 else 0
+            place = places[:, path] + self._anchors[path]
+            i = self._i - place[:, 0, None, None]
+            j = self._j - place[:, 1, None, None]
+            u, v = cos * j + sin * i, cos * i - sin * j
+            u, v = (u / self._size - self._beside[part, 0], v / self._size - self._beside[part, 1])
+            np.maximum(force, peak * field(u * self._size, v * self._size, self._size), out=force)
+        force *= strength[:, None, None]
+        return np.minimum(force, self._f_max, out=force)
+
+    def _fitted(self, active: float) -> float:
+        """Return the size in taxels at which the body touches a part of the existing taxels."""
+        wanted = max(1.0, active * np.count_nonzero(self._mask))
+        low, high = _LEAST_SIZE, 2.0 * float(self._sides.max())
+        for _ in range(14):
+            self._size = math.sqrt(low * high)
+            if np.count_nonzero(self._at_middle() > 0) < wanted:
+                low = self._size
+            else:
+                high = self._size
+        return high
+
+    def _at_middle(self) -> Doubles:
+        """Full forces of the existing taxels with the body in the middle of the skin."""
+        middle = np.broadcast_to((self._sides - 1) / 2, (1, self._n_paths, 2))
+        forces: Doubles = self._forces(middle, np.array([self._turned]), np.ones(1))[0]
+        of_taxels: Doubles = forces[self._mask]
+        return of_taxels
+
+
+def _edge(distance: Doubles) -> Doubles:
+    """Part of a taxel that a flat body covers whose edge is so many taxels away, inside below 0."""
+    return np.clip(0.5 - distance, 0, 1)
+
+
+def _make(body: str, rng: np.random.Generator) -> tuple[list[Field], Doubles]:
+    """Return the parts of a body, and the middle of each in units of the body's size."""
+    if body == "plate":
+        return [_box(1.0, rng.uniform(0.4, 1.0), rng.uniform(-0.3, 0.3))], np.zeros((1, 2))
+    if body == "peg":
+        return [_disc(1.0)], np.zeros((1, 2))
+    if body == "wrench":
+        parts = [_box(1.0, 0.12, 0.2), _box(0.1, 0.3, 0.0), _box(0.15, 0.09, 0.0)]
+        parts.append(_box(0.15, 0.09, 0.0))
+        return parts, np.array([[0.0, 0.0], [1.0, 0.0], [1.2, 0.22], [1.2, -0.22]])
+    if body == "fingertips":
+        n = int(rng.integers(3, 6))
+        return [_dome(rng.uniform(0.5, 1.0)) for _ in range(n)], np.zeros((n, 2))
+    n = int(rng.integers(1, 4))
+    fields = [_gaussian(rng.uniform(0.4, 1.0), rng.uniform(0.4, 1.0)) for _ in range(n)]
+    return fields, rng.uniform(-1.0, 1.0, (n, 2)) * (n > 1)
+
+
+def _box(a: float, b: float, tilt: float) -> Field:
+    def field(u: Doubles, v: Doubles, size: float) -> Doubles:
+        flat = _edge(np.abs(u) - a * size) * _edge(np.abs(v) - b * size)
+        slope = np.clip(u / max(a * size, 0.5), -1, 1)
+        return flat * (1 - abs(tilt) + tilt * slope)
+
+    return field
+
+
+def _disc(radius: float) -> Field:
+    return lambda u, v, size: _edge(np.hypot(u, v) - radius * size)
+
+
+def _dome(radius: float) -> Field:
+    def field(u: Doubles, v: Doubles, size: float) -> Doubles:
+        # Pressure under a sphere, Hertz 1881; at least half a taxel wide, so that it is not lost.
+        r2 = (u * u + v * v) / max(radius * size, 0.75) ** 2
+        found: Doubles = np.sqrt(np.maximum(0, 1 - r2))
+        return found
+
+    return field
+
+
+def _gaussian(a: float, b: float) -> Field:
+    def field(u: Doubles, v: Doubles, size: float) -> Doubles:
+        wide, high = max(a * size, 0.3), max(b * size, 0.3)
+        bell = np.exp(-0.5 * ((u / wide) ** 2 + (v / high) ** 2))
+        found: Doubles = np.maximum(0, bell - _LEAST_GAUSSIAN) / (1 - _LEAST_GAUSSIAN)
+        return found
+
+    return field

@@ -1,0 +1,160 @@
+"""Analytic presses: their size, speed and course, the errors of readings, and what is refused."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.scenes.presses import (
+    BODIES,
+    COURSES,
+    HELD,
+    N_BEFORE,
+    PAUSE,
+    RAMP,
+    SKINS,
+    SkinErrors,
+    press_frames,
+    scattered_mask,
+)
+
+Frames = npt.NDArray[np.float32]
+
+
+def frames_of(
+    body: str = "peg", shape: tuple[int, int] = (20, 20), n: int = 80, seed: int = 0, **chosen: Any
+) -> tuple[Frames, Frames]:
+    pairs = list(press_frames(body, shape, n, seed, **chosen))
+    return np.array([truth for truth, _ in pairs]), np.array([reading for _, reading in pairs])
+
+
+@pytest.mark.parametrize("shape", SKINS)
+@pytest.mark.parametrize("body", BODIES)
+def test_every_body_presses_every_skin_within_its_range(body: str, shape: tuple[int, int]) -> None:
+    for course in COURSES:
+        truth, reading = frames_of(body, shape, 70, course=course)
+        assert truth.dtype == reading.dtype == np.float32
+        assert truth.shape == (70, *shape)
+        np.testing.assert_array_equal(truth, reading)
+        assert truth.min() == 0
+        assert 0.2 < truth.max() <= 2.5
+        assert not truth[:N_BEFORE].any()
+        assert truth[N_BEFORE + RAMP // 2].any()
+
+
+@pytest.mark.parametrize("active", [0.01, 0.1, 0.3, 0.6])
+@pytest.mark.parametrize("body", BODIES)
+def test_a_body_touches_about_the_stated_part_of_the_skin(body: str, active: float) -> None:
+    truth, _ = frames_of(body, (40, 40), 120, active=active)
+    touched = np.count_nonzero(truth[N_BEFORE + RAMP :], axis=(1, 2)) / 1600
+    assert 0.6 * active < np.median(touched) < 1.25 * active + 0.005
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.3, 1.0])
+def test_a_moving_body_moves_by_its_speed_in_each_frame_but_where_it_turns_back(
+    speed: float,
+) -> None:
+    truth, _ = frames_of("peg", (64, 64), 150, speed=speed, active=0.02)
+    i, j = np.indices((64, 64))
+    pressed = truth[N_BEFORE + 1 :].astype(np.float64)
+    totals = pressed.sum(axis=(1, 2))
+    centres = np.stack([(pressed * of).sum(axis=(1, 2)) / totals for of in (i, j)], axis=1)
+    steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
+    assert np.median(steps) == pytest.approx(speed, rel=0.05)
+
+
+def test_a_ramped_contact_rests_while_its_force_rises_and_falls() -> None:
+    truth, _ = frames_of("gaussian", course="ramped", n=N_BEFORE + 2 * RAMP + PAUSE)
+    totals = truth.sum(axis=(1, 2))
+    top = N_BEFORE + RAMP - 1
+    assert all(after > before for before, after in pairwise(totals[N_BEFORE - 1 : top + 1]))
+    assert all(after < before for before, after in pairwise(totals[top : top + RAMP]))
+    np.testing.assert_allclose(truth[top - 9], truth[top] * 0.55, rtol=1e-5)
+    assert not truth[-PAUSE:].any()
+
+
+def test_a_sudden_contact_is_whole_in_its_first_frame_and_the_next_one_elsewhere() -> None:
+    truth, _ = frames_of("peg", course="sudden", n=N_BEFORE + 2 * (HELD + PAUSE))
+    first, second = N_BEFORE, N_BEFORE + HELD + PAUSE
+    assert not truth[first - 1].any()
+    np.testing.assert_array_equal(truth[first], truth[first + HELD - 1])
+    assert not truth[first + HELD].any()
+    assert truth[second].any()
+    assert not np.array_equal(truth[first] > 0, truth[second] > 0)
+
+
+def test_frames_follow_from_the_seed_and_not_from_their_number() -> None:
+    chosen = {"errors": SkinErrors(0.1, 0.05, 1e-3, 0.1), "noise": NoiseModel()}
+    longer, shorter = (frames_of("wrench", n=n, seed=3, **chosen) for n in (70, 40))
+    for of_longer, of_shorter in zip(longer, shorter, strict=True):
+        np.testing.assert_array_equal(of_longer[:40], of_shorter)
+    assert not np.array_equal(frames_of("wrench", n=70, seed=4, **chosen)[0], longer[0])
+
+
+def test_errors_and_noise_leave_the_truth_as_it_is() -> None:
+    plain, _ = frames_of()
+    truth, reading = frames_of(errors=SkinErrors(0.1, 0.05), noise=NoiseModel())
+    np.testing.assert_array_equal(truth, plain)
+    assert not np.array_equal(reading, plain)
+
+
+def test_offsets_are_above_0_gains_about_1_and_dead_taxels_read_0() -> None:
+    truth, offset = frames_of(shape=(64, 64), n=60, active=0.6, errors=SkinErrors(offset=0.1))
+    # The mean of |N(0, s)| is s sqrt(2 / pi).
+    assert offset[0].mean() == pytest.approx(0.1 * np.sqrt(2 / np.pi), rel=0.05)
+    _, gained = frames_of(shape=(64, 64), n=60, active=0.6, errors=SkinErrors(gain=0.05))
+    pressed = truth[-1] > 0.5
+    assert np.std(gained[-1][pressed] / truth[-1][pressed]) == pytest.approx(0.05, rel=0.1)
+    _, dead = frames_of(shape=(64, 64), n=60, errors=SkinErrors(offset=0.1, dead=0.25))
+    assert np.count_nonzero(dead.max(axis=0) == 0) == 1024
+
+
+def test_drift_is_proportional_to_the_frame() -> None:
+    _, reading = frames_of(n=N_BEFORE, errors=SkinErrors(drift=0.01))
+    np.testing.assert_array_equal(reading[0], 0)
+    np.testing.assert_allclose(reading[8], 8 * reading[1], rtol=1e-5)
+    assert 0.3 < np.mean(reading[1] > 0) < 0.7  # those that fall are clipped at 0
+
+
+def test_cells_without_a_taxel_bear_no_force_and_read_0() -> None:
+    mask = scattered_mask((20, 20), 42, seed=1)
+    assert np.count_nonzero(mask) == 42
+    truth, reading = frames_of(
+        active=0.5, mask=mask, errors=SkinErrors(offset=0.1), noise=NoiseModel()
+    )
+    assert not truth[:, ~mask].any()
+    assert not reading[:, ~mask].any()
+    touched = np.count_nonzero(truth[N_BEFORE + RAMP :], axis=(1, 2)) / 42
+    assert 0.3 < np.median(touched) < 0.7
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"body": "ball"}, "body is 'ball'; allowed: plate, wrench"),
+        ({"course": "still"}, "course is 'still'; allowed: moving, ramped, sudden"),
+        ({"shape": (0, 5)}, r"shape is \(0, 5\)"),
+        ({"n": 0}, "n_frames is 0"),
+        ({"active": 0.9}, r"active is 0.9; allowed: 0.01..0.6"),
+        ({"speed": float("nan")}, "speed is nan"),
+        ({"mask": np.zeros((20, 20), dtype=np.bool_)}, "with 0 taxels"),
+        ({"mask": np.ones((20, 19), dtype=np.bool_)}, r"the mask is bool \[20, 19\]"),
+    ],
+)
+def test_what_is_no_press_is_refused(changed: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        frames_of(**changed)
+
+
+def test_errors_that_cannot_be_are_refused() -> None:
+    for chosen in ({"offset": -1.0}, {"gain": float("inf")}, {"dead": 1.0}):
+        with pytest.raises(SettingsError, match=f"skin errors: {next(iter(chosen))} is"):
+            SkinErrors(**chosen)
+    with pytest.raises(SettingsError, match=r"n is 401; allowed is a whole number 1..400"):
+        scattered_mask((20, 20), 401, seed=0)
