@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import shutil
@@ -53,6 +54,22 @@ def is_served(path: Path) -> bool:
         except OSError:
             return True
     return True
+
+
+def check_link(path: Path) -> None:
+    """Check that a path is no link of another user, who could choose which file is written.
+    Raises OSError.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        found = path.lstat()
+        if stat.S_ISLNK(found.st_mode) and found.st_uid not in (0, os.geteuid()):
+            raise OSError(errno.EPERM, f"is a link of user {found.st_uid}")
+
+
+def overwrite(path: Path, data: bytes) -> None:
+    """Write a file in place of what it held, if `check_link` allows it. Raises OSError."""
+    check_link(path)
+    path.write_bytes(data)
 
 
 def place(part: Path, path: Path) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import importlib.util
 import os
 import re
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Any
 
@@ -41,22 +42,34 @@ def note_import(module: str, ran: bool = True) -> None:
 
 
 def search_in(folder: str) -> None:
-    """Search modules in a folder too, as in that of a script; last, so that it hides no installed
-    module.
-    """
-    for known in (sys.path, _SEARCHED):
-        if folder not in known:
-            known.append(folder)
+    """Search modules that are not installed in a folder too, as in that of a script."""
+    if folder not in _SEARCHED:
+        _SEARCHED.append(folder)
 
 
-def search_here() -> str:
-    """Search modules in the current directory too, after those of `search_in`; return all these
-    folders, for an error.
+def search_here(module: str) -> str:
+    """Search a module that is not installed in the folders of `search_in` and in the current
+    directory; return these folders, for an error.
+
+    They are searched last, and from then on, so that the module finds those beside it and none
+    that is installed is hidden. For any other module they are not searched: with a file `numba.py`,
+    whoever can write to a folder would have code run by all who start a graph there without numba.
     """
     here = os.getcwd()
-    if here not in sys.path and "" not in sys.path:
-        sys.path.append(here)
-    return " or ".join(dict.fromkeys([*_SEARCHED, here]))
+    folders = list(dict.fromkeys([*_SEARCHED, here]))
+    if not _is_installed(module.partition(".")[0]):
+        known = {folder or here for folder in sys.path}
+        sys.path += [folder for folder in folders if folder not in known]
+    return " or ".join(folders)
+
+
+def _is_installed(package: str) -> bool:
+    if package in sys.modules:
+        return True
+    with suppress(ImportError, ValueError):
+        found = importlib.util.find_spec(package)
+        return found is not None and found.origin is not None  # a folder alone is no module
+    return False
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -115,14 +128,13 @@ def trace_of(error: BaseException) -> str:
 def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., Any]:
     """Import "module:attribute" and return that callable; raise `error` if that fails.
 
-    The folders of `search_in` and the current directory are searched last, so that the user's own
-    files are found but hide no installed module.
+    A module that is not installed is searched as by `search_here`.
     """
     module_name, colon, attribute = target.partition(":")
     parts = [*module_name.split("."), *attribute.split(".")]
     if not colon or not all(part.isidentifier() for part in parts):
         raise error(f"{target[:80]!r}: expected module:callable, e.g. my_skin:frames")
-    here = search_here()
+    here = search_here(module_name)
     importlib.invalidate_caches()
     note_import(module_name)
     try:

@@ -42,6 +42,9 @@ class Context:
         `clock`, None while there is none.
     page_token : str
         Random text, the same for one run of a graph, that its live pages ask for.
+    page_file : str
+        Path in a folder that no other user can enter, where a page that opens a live page may be
+        written; the launcher removes it. "": none.
     """
 
     name: str
@@ -51,6 +54,7 @@ class Context:
     late: bool = False
     clock_of: Callable[[str], ClockEstimate | None] = field(default=lambda topic: SAME_CLOCK)
     page_token: str = ""
+    page_file: str = ""
 
     def rng(self, seed: int) -> np.random.Generator:
         """Random generator of a seed: the same numbers wherever the node runs."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -17,3 +19,43 @@ def test_a_module_that_another_test_imported_is_imported_anew(
     (tmp_path / "a_module_of_a_user.py").write_text(f"def value(): return {value}\n")
     monkeypatch.chdir(tmp_path)
     assert find_callable("a_module_of_a_user:value", SourceError)() == value
+
+
+def searched(code: str, folder: Path) -> bool:
+    """True if code that runs in a folder lets modules of that folder be found."""
+    end = "; import os, sys; print(os.getcwd() in sys.path)"
+    command = [sys.executable, "-P", "-c", code + end]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    return done.stdout.strip() == "True"
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("sensor", False),
+        ("sparseskin.nodes.compressor.node:Compressor", False),
+        ("own_node:Own", True),
+        ("own_package.node:Own", True),
+    ],
+)
+def test_the_current_directory_is_searched_for_a_module_that_is_not_installed_alone(
+    name: str, found: bool, tmp_path: Path
+) -> None:
+    text = "from sparseskin.nodes.node import Node\nclass Own(Node): pass\n"
+    (tmp_path / "own_node.py").write_text(text)
+    (tmp_path / "own_package").mkdir()
+    (tmp_path / "own_package/node.py").write_text(text)
+    code = f"from sparseskin.nodes.registry import node_class; node_class({name!r})"
+    assert searched(code, tmp_path) == found
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [("sparseskin.studies.looped:path_40", False), ("own_driver:frames", True)],
+)
+def test_a_driver_is_looked_for_in_the_current_directory_where_it_is_not_installed(
+    source: str, found: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "own_driver.py").write_text("def frames(): yield\n")
+    code = f"from sparseskin.nodes.sensor.sources import check_source; check_source({source!r})"
+    assert searched(code, tmp_path) == found

@@ -62,10 +62,14 @@ def add_summary(parser: argparse.ArgumentParser) -> None:
 
 def check_summary(path: Path | None) -> None:
     """Check before a run that its summary can be written, or raise OutputError."""
-    from sparseskin.nodes.files import NO_FOLDER, NO_WRITING, OutputError
+    from sparseskin.nodes.files import NO_FOLDER, NO_WRITING, OutputError, check_link
 
     if path is None:
         return
+    try:
+        check_link(path)
+    except OSError as error:
+        raise OutputError(f"--summary {path}: {error.strerror}") from error
     folder = path.resolve().parent
     if path.is_dir():
         raise OutputError(f"--summary {path}: is a folder")
@@ -78,10 +82,11 @@ def check_summary(path: Path | None) -> None:
 def write_summary(path: Path | None, summary: Mapping[str, Any]) -> None:
     """Write the summary of a run where one is wanted, or raise SettingsError."""
     from sparseskin.nodes.errors import SettingsError
+    from sparseskin.nodes.files import overwrite
 
     if path is not None:
         try:
-            path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+            overwrite(path, (json.dumps(summary, indent=2) + "\n").encode())
         except OSError as error:
             raise SettingsError(f"--summary {path}: {error.strerror}") from error
 

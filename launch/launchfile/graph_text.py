@@ -10,6 +10,7 @@ from pathlib import Path
 from sparseskin.messages.text import printable
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.files import overwrite
 
 from .spec import LaunchFile, NodeSpec
 
@@ -87,7 +88,7 @@ def write_graph(launch: LaunchFile, form: str, path: Path) -> None:
             raise SettingsError(f"--{form}: dot: {drawn.stderr.decode(errors='replace').strip()}")
         data = drawn.stdout
     try:
-        path.write_bytes(data)
+        overwrite(path, data)
     except OSError as error:
         raise SettingsError(f"--{form} {path}: {error.strerror}") from error
 

@@ -13,7 +13,7 @@ from sparseskin.nodes.graph import Link
 from sparseskin.nodes.network.keys import read_key_pair
 from sparseskin.nodes.network.sockets import Peer
 
-from .running import RunningGraph, RunningNode, socket_path
+from .running import RunningGraph, RunningNode, page_path, socket_path
 
 
 def node_config(
@@ -47,6 +47,7 @@ def node_config(
         "max_frames": max_frames,
         "late": late,
         "page_token": page_token,
+        "page_file": page_path(number),
         "public": spec.public,
         "distant_readers": sorted(name for name in readers if name in elsewhere),
         "distant_inputs": {

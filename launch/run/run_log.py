@@ -6,7 +6,9 @@ import contextlib
 import logging
 import os
 import re
+import stat
 import time
+from collections.abc import Iterator
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
@@ -20,6 +22,8 @@ MARK = ".sparseskin"
 """File of a run whose text is the name of its folder: without it none is removed."""
 _FILE = re.compile(r"[A-Za-z0-9_.-]+\.log(\.1)?")
 _RUN = re.compile(r".+-\d{8}-\d{6}-\d+")
+_READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
+_MAX_NAME = 4096
 _NAMED = re.compile(r"\[([A-Za-z0-9_.-]+)\] (.*)", re.DOTALL)
 
 
@@ -72,10 +76,15 @@ class RunLog:
         try:
             # Of this user alone: the address of the live page is logged with its token.
             self.folder.mkdir(mode=0o700, parents=True)
+            self._fd = os.open(self.folder, _READ | os.O_DIRECTORY)
         except OSError as error:
             raise LaunchError([f"log_dir: {parent}: {error.strerror}"]) from error
+        if os.fstat(self._fd).st_uid != os.geteuid():
+            raise LaunchError([f"log_dir: {parent}: another user changes what is in it"])
+        # Whoever may change `parent` can put a folder with links in the place of this one.
+        self._opened = Path(f"/proc/self/fd/{self._fd}")
         with contextlib.suppress(OSError):  # the disk is full: the first line reports it
-            (self.folder / MARK).write_text(self.folder.name)
+            (self._opened / MARK).write_text(self.folder.name)
             _clear(parent)
 
     def write(self, line: str, now_s: float) -> None:
@@ -86,7 +95,7 @@ class RunLog:
         text = f"{date} {time_text(now_s)} {text}"
         try:
             if name not in self._files:
-                path = self.folder / f"{name}.log"
+                path = self._opened / f"{name}.log"
                 self._files[name] = _NodeFile(
                     path, maxBytes=MAX_FILE_BYTES, backupCount=1, encoding="utf-8", errors="replace"
                 )
@@ -95,27 +104,44 @@ class RunLog:
             self.error = f"{self.folder}: {error.strerror}"
 
     def close(self) -> None:
-        """Close all files."""
+        """Close all files; nothing more can be written."""
         for file in self._files.values():
             with contextlib.suppress(OSError):  # the disk is full
                 file.close()
         self._files.clear()
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
 
 
 def _clear(parent: Path) -> None:
     """Remove the log files of the oldest runs, and their folders where nothing else is in them."""
     runs = [path for path in parent.iterdir() if _RUN.fullmatch(path.name) and _is_run(path)]
-    for run in sorted(runs, key=lambda run: run.stat().st_mtime)[:-MAX_RUNS]:
-        with contextlib.suppress(OSError):
-            for path in run.iterdir():
-                if _FILE.fullmatch(path.name) and path.is_file():
-                    path.unlink()
-            if [path.name for path in run.iterdir()] == [MARK]:
-                (run / MARK).unlink()
+    for run in sorted(runs, key=lambda run: run.lstat().st_mtime)[:-MAX_RUNS]:
+        with contextlib.suppress(OSError), _opened(run) as folder:
+            for name in os.listdir(folder):
+                found = os.stat(name, dir_fd=folder, follow_symlinks=False)
+                if _FILE.fullmatch(name) and stat.S_ISREG(found.st_mode):
+                    os.unlink(name, dir_fd=folder)
+            if os.listdir(folder) == [MARK]:
+                os.unlink(MARK, dir_fd=folder)
                 run.rmdir()
 
 
 def _is_run(path: Path) -> bool:
-    with contextlib.suppress(OSError, UnicodeDecodeError):
-        return not path.is_symlink() and (path / MARK).read_text() == path.name
+    """True if a folder is that of a run, of this user."""
+    with contextlib.suppress(OSError, UnicodeDecodeError), _opened(path) as folder:
+        if os.fstat(folder).st_uid == os.geteuid():
+            with open(os.open(MARK, _READ, dir_fd=folder), encoding="utf-8") as file:
+                return file.read(_MAX_NAME) == path.name
     return False
+
+
+@contextlib.contextmanager
+def _opened(folder: Path) -> Iterator[int]:
+    """A folder itself, whatever is put in its place meanwhile; no link to one."""
+    fd = os.open(folder, _READ | os.O_DIRECTORY)
+    try:
+        yield fd
+    finally:
+        os.close(fd)

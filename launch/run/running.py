@@ -1,8 +1,9 @@
 """The graphs that run on this host: notes and sockets in the runtime folder of the user.
 
 A launcher leaves a note of its graph while it runs, and locks it. A lock ends with its process,
-however that ends, so a note that is not locked is of a graph that is gone: it and the sockets of
-that process are removed. Whoever makes, locks or removes a note holds the lock of the folder.
+however that ends, so a note that is not locked is of a graph that is gone: it and the sockets
+and pages of that process are removed. Whoever makes, locks or removes a note holds the lock of the
+folder.
 """
 
 from __future__ import annotations
@@ -117,6 +118,11 @@ def socket_path(number: int) -> str:
     return str(runtime_folder() / f"{os.getpid()}.{number}.sock")
 
 
+def page_path(number: int) -> str:
+    """Path of the file with which a node opens its live page in a browser."""
+    return str(runtime_folder() / f"{os.getpid()}.{number}.html")
+
+
 class Note:
     """The note of a graph of this process, locked from its creation on.
 
@@ -157,7 +163,7 @@ class Note:
         self._file.flush()
 
     def remove(self) -> None:
-        """Remove the note, and the sockets that nodes which were killed have left."""
+        """Remove the note, and the sockets and pages that nodes which were killed have left."""
         with _locked(self._path.parent):
             _remove(self._path)
             self._file.close()
@@ -274,8 +280,11 @@ def _remove_stale() -> list[RunningGraph]:
 
 
 def _remove(note: Path) -> None:
-    """Remove a note and the sockets of its process, once nobody listens to them."""
+    """Remove a note, the sockets of its process once nobody listens to them, and its pages."""
     number = note.stem.rpartition("-")[2]
+    for path in note.parent.glob(f"{number}.*.html"):
+        if re.fullmatch(rf"{number}\.\d+\.html", path.name) and stat.S_ISREG(path.lstat().st_mode):
+            path.unlink(missing_ok=True)
     served = False
     for path in note.parent.glob(f"{number}.*sock"):
         named = re.fullmatch(rf"{number}(\.\d+)?\.sock", path.name)

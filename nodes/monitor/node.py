@@ -170,15 +170,16 @@ class Monitor(Node[MonitorSettings]):
         return {"patches": {name: metrics.summary() for name, metrics in self._patches.items()}}
 
     def _open_browser(self, url: str) -> bool:
-        import tempfile
         import webbrowser
 
         # Without a display a text browser would occupy the terminal of the graph.
-        if not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        has_display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+        if not has_display or not self.context.page_file:
             return False
         # Any user can list the arguments of a browser: its token is in a file of this user's.
-        fd, name = tempfile.mkstemp(prefix="sparseskin-", suffix=".html")
-        self._opener = Path(name)
-        with os.fdopen(fd, "w") as file:
+        self._opener = Path(self.context.page_file)
+        self._opener.unlink(missing_ok=True)  # the monitor has been killed and started again
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
+        with os.fdopen(os.open(self._opener, flags, 0o600), "w") as file:
             file.write(f'<meta http-equiv="refresh" content="0; url={url}">\n')
         return webbrowser.open(self._opener.as_uri())

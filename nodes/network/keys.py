@@ -92,9 +92,16 @@ def read_key_pair(path: Path) -> KeyPair:
 
 
 def read_public_key(path: Path) -> str:
-    """Read the key of a public file, 40 characters, or raise KeyFileError."""
+    """Read the key of a public file, 40 characters.
+
+    KeyFileError if it cannot be read, holds no key, or can be replaced by another user, who could
+    then read the graph: it and its folder belong to this user or to root, and are not writable by
+    all (a folder may be with the sticky bit).
+    """
     try:
         with path.open("rb") as file:
+            _check_owner(path, os.fstat(file.fileno()))
+            _check_owner(path.parent, path.parent.stat())
             return _key_in(path, file.read(MAX_KEY_FILE_BYTES))
     except OSError as error:
         raise KeyFileError(f"{path}: {error.strerror}{_hint(path)}") from error
@@ -109,6 +116,20 @@ def known_names(folder: Path) -> Mapping[str, str]:
         except KeyFileError:
             continue  # where it is needed it is read by name, with the error
     return names
+
+
+def _check_owner(path: Path, found: os.stat_result) -> None:
+    if found.st_uid not in (0, os.geteuid()):
+        raise KeyFileError(
+            f"{path}: belongs to user {found.st_uid}, who can replace the key "
+            "(allowed: files of your own or of root)"
+        )
+    sticky = stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX
+    if found.st_mode & stat.S_IWOTH and not sticky:
+        mode = stat.S_IMODE(found.st_mode)
+        raise KeyFileError(
+            f"{path}: mode {mode:04o} lets other users replace the key (chmod o-w {path})"
+        )
 
 
 def _write(path: Path, mode: int, comment: str, key: str) -> None:

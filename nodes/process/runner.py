@@ -51,7 +51,7 @@ class Runner:
         Control channel to the launcher; dict of name, type, settings, endpoint, inputs (topics),
         readers (names of the nodes that read this one), offset_ns (of the graph's clock); optional
         max_frames (of a source), folder (in which modules are searched too), late (the node joins a
-        running graph), page_token, and the keys of `Network`.
+        running graph), page_token, page_file, and the keys of `Network`.
     """
 
     def __init__(self, control: Control, config: dict[str, Any]) -> None:
@@ -66,6 +66,7 @@ class Runner:
         context = Context(
             *(self.name, self.clock, self.log, self._ask, late, self._clock_of),
             page_token=config.get("page_token", ""),
+            page_file=config.get("page_file", ""),
         )
         node = cls(settings, context)
         run_id = secrets.token_hex(8)

@@ -71,7 +71,7 @@ def check_module(target: str) -> None:
     module, _, attribute = target.partition(":")
     package = module.rpartition(".")[0]
     note_import(package)
-    here = search_here()
+    here = search_here(module)
     found = None
     try:
         found = find_spec(module)

@@ -91,6 +91,8 @@ def read_atoms(path: str) -> Doubles:
     """
     place = f'basis "{LEARNED}{path}"'
     try:
+        if Path(path).is_fifo():  # to open it would wait for its writer
+            raise SolverError(f"{place}: is no regular file")
         with Path(path).open("rb") as file:
             raw = file.read(MAX_FILE_BYTES + 1)
         if len(raw) > MAX_FILE_BYTES:

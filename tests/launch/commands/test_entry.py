@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from other_user import give
 
 from sparseskin.launch.commands import entry
 
@@ -44,6 +45,39 @@ def test_bytecode_that_is_there_is_used(tmp_path: Path, monkeypatch: pytest.Monk
     entry.keep_bytecode()
     assert sys.pycache_prefix is None
     assert sys.dont_write_bytecode
+
+
+@pytest.mark.parametrize(
+    ("made", "mode", "is_own"),
+    [
+        (".", 0o755, True),
+        (".", 0o775, True),
+        (".", 0o777, False),
+        (".", 0o1777, False),  # whoever is first makes the folder in it
+        ("sparseskin", 0o755, True),
+        ("sparseskin", 0o1777, False),
+    ],
+)
+def test_code_is_loaded_from_no_folder_that_others_can_write_to(
+    made: str, mode: int, is_own: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored_at(tmp_path / "none.pyc", monkeypatch)
+    (tmp_path / made).mkdir(exist_ok=True)
+    (tmp_path / made).chmod(mode)
+    entry.keep_bytecode()
+    assert sys.pycache_prefix == (f"{tmp_path}/sparseskin/bytecode" if is_own else None)
+    assert sys.dont_write_bytecode == (not is_own)
+
+
+@pytest.mark.parametrize("above", [False, True])
+def test_code_is_loaded_from_no_folder_of_another_user(
+    above: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored_at(tmp_path / "none.pyc", monkeypatch)
+    (tmp_path / "sparseskin/bytecode").mkdir(parents=True)
+    give(tmp_path / "sparseskin" if above else tmp_path / "sparseskin/bytecode")
+    entry.keep_bytecode()
+    assert sys.pycache_prefix is None
 
 
 def test_a_stated_folder_stays(monkeypatch: pytest.MonkeyPatch) -> None:

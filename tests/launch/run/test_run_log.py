@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from conftest import MountDisk, StartProgram
+from other_user import give
 
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.launch.run import run_log
@@ -108,6 +109,61 @@ def test_folders_that_only_look_like_runs_stay_and_so_do_files_of_others_in_them
         linked: {MARK, "sensor.log"},
         log.folder.name: {MARK},
     }
+
+
+def test_runs_of_another_user_in_a_shared_folder_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_log, "MAX_RUNS", 1)
+    run = tmp_path / "drag-20240101-000000-1"
+    run.mkdir()
+    for name, text in ((MARK, run.name), ("sensor.log", "theirs")):
+        (run / name).write_text(text)
+    give(run)
+    log = RunLog(tmp_path, "drag", NOW_S)
+    log.close()
+    assert {path.name for path in run.iterdir()} == {MARK, "sensor.log"}
+    give(log.folder)  # and the same for one that has become another user's meanwhile
+    assert not run_log._is_run(log.folder)
+
+
+def test_lines_stay_in_the_folder_of_the_run_whatever_is_put_in_its_place(tmp_path: Path) -> None:
+    log = RunLog(tmp_path / "logs", "drag", NOW_S)
+    kept = tmp_path / "kept"
+    log.folder.rename(kept)
+    log.folder.mkdir()
+    (tmp_path / "profile").write_text("mine\n")
+    (log.folder / "sensor.log").symlink_to(tmp_path / "profile")
+    log.write("[sensor] hot", NOW_S)
+    log.close()
+    assert log.error == ""
+    assert (tmp_path / "profile").read_text() == "mine\n"
+    assert (kept / "sensor.log").read_text().endswith(" hot\n")
+
+
+def test_a_link_in_the_place_of_a_run_is_not_followed_as_old_runs_are_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_log, "MAX_RUNS", 1)
+    run = tmp_path / "logs" / "drag-20240101-000000-1"
+    run.mkdir(parents=True)
+    (tmp_path / "sensor.log").write_text("mine\n")
+    is_run = run_log._is_run
+
+    def replaced(path: Path) -> bool:
+        """The other user waits until the folder was looked at."""
+        if path == run and not run.is_symlink():
+            (run / MARK).write_text(run.name)
+            assert is_run(run)
+            run.rename(tmp_path / "was")
+            run.symlink_to(tmp_path)
+            return True
+        return is_run(path)
+
+    monkeypatch.setattr(run_log, "_is_run", replaced)
+    RunLog(tmp_path / "logs", "drag", NOW_S).close()
+    assert run.is_symlink()
+    assert (tmp_path / "sensor.log").read_text() == "mine\n"
 
 
 def test_a_folder_that_another_has_put_there_is_not_used(tmp_path: Path) -> None:

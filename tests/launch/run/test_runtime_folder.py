@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
-import shutil
 import socket
 import subprocess
-import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
-from conftest import StartProgram, wait_until
+from conftest import Program, StartProgram, note_of_graph, wait_until
+from other_user import NOBODY, Run, become_nobody, give
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.run import running
@@ -35,7 +36,6 @@ from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.network.network import Network
 from sparseskin.nodes.network.sockets import make_context
 
-NOBODY = 65534
 GRAPH = RunningGraph("path_40", 7, 0, "", {"sensor": RunningNode("sensor", "ipc://x", [])})
 LAUNCH = ("launch", "drag_wrench_40", "--set", "monitor.page=false", "--frames", "1")
 
@@ -46,29 +46,14 @@ def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="ss-") as name:
         os.chmod(name, 0o755)
         monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", f"{name}/run")
+        monkeypatch.setenv("XDG_STATE_HOME", f"{name}/state")
         yield Path(name) / "run"
-
-
-Run = Callable[[str], str]
 
 
 @pytest.fixture
 def as_nobody() -> Run:
-    """Run Python code as another user of the host; the error that it raises, by name."""
-    if os.geteuid() != 0:
-        pytest.skip("only root can act as another user")
-    if shutil.which("setpriv") is None:
-        pytest.skip("setpriv (util-linux) is not installed")
-    become = ("setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups")
-
-    def run(python: str, code: str) -> subprocess.CompletedProcess[str]:
-        command = [*become, python, "-I", "-c", code]
-        return subprocess.run(command, capture_output=True, text=True, check=False, cwd="/")
-
-    for python in (sys.executable, "/usr/bin/python3", "/usr/local/bin/python3"):
-        if run(python, "pass").returncode == 0:
-            return lambda code: run(python, code).stderr.strip().split("\n")[-1].split(":")[0]
-    pytest.skip("the other user can start no Python")
+    """Run Python code as another user of the host."""
+    return become_nobody()
 
 
 def put_link(path: Path) -> None:
@@ -83,10 +68,7 @@ def open_to_all(path: Path) -> None:
 
 def give_away(path: Path) -> None:
     path.mkdir(mode=0o700)
-    try:
-        os.chown(path, NOBODY, NOBODY)
-    except PermissionError:
-        pytest.skip("only root can give a folder to another user")
+    give(path)
 
 
 @pytest.mark.parametrize(
@@ -155,12 +137,58 @@ def test_another_user_neither_reads_nor_takes_the_address_of_a_node(
     assert as_nobody(use % "bind") == "PermissionError"
 
 
+def test_another_user_gets_at_nothing_of_a_running_graph(as_nobody: Run) -> None:
+    with tempfile.TemporaryDirectory(prefix="ss-") as name, contextlib.ExitStack() as stack:
+        os.chmod(name, 0o755)  # unlike folders of tests, every user may enter it
+        settings = ("--set", "monitor.port=0", "--log-dir", "logs", "--record", "run.mcap")
+        program = Program("launch", "replay", *settings, *_source(Path(name)), cwd=Path(name))
+        stack.callback(program.process.communicate)
+        stack.callback(program.kill_all)
+        url = urlsplit(program.wait_for("live page: "))
+        program.wait_for("[launch] ready")
+        (logs,) = Path(name, "logs").iterdir()
+        note = note_of_graph(Path(name, "graphs"))
+        pids = list(program.survivors())
+        assert len(pids) == 6
+        assert (logs / "monitor.log").is_file()
+        assert as_nobody(f"import os; print(os.path.isdir({name!r}))") == "True"
+        denied = [
+            *(f"open({str(path)!r})" for path in (logs / "monitor.log", note)),
+            *(f"import os; os.listdir({str(path)!r})" for path in (logs, note.parent)),
+            f"open({name + '/run.mcap.part'!r}, 'r+')",
+            f"import os; os.link({name + '/run.mcap.part'!r}, {name + '/mine'!r})",
+            f"import os; os.rename({str(logs)!r}, {name + '/mine'!r})",
+            *(f"open('/proc/{pid}/{what}').read()" for pid in pids for what in ("environ", "mem")),
+            *(f"import os; os.listdir('/proc/{pid}/fd')" for pid in pids),
+            *(f"import os; os.kill({pid}, 0)" for pid in pids),
+        ]
+        assert {code: as_nobody(code) for code in denied} == dict.fromkeys(
+            denied, "PermissionError"
+        )
+        token = url.query.removeprefix("token=")
+        assert len(token) > 20
+        listed = "import pathlib; print(b' '.join(p.read_bytes() for p in pathlib.Path('/proc')"
+        listed += ".glob('[0-9]*/cmdline')).count(b'run_node'))"
+        assert int(as_nobody(listed)) >= 5
+        assert as_nobody(listed.replace("run_node", f"{token[:9]}' + b'{token[9:]}")) == "0"
+        for query, status in (("", 403), (f"?{url.query}", 200)):
+            ask = f"import http.client as c; p = c.HTTPConnection({url.netloc!r}); "
+            ask += f"p.request('GET', '/{query}'); print(p.getresponse().status)"
+            assert as_nobody(ask) == str(status)
+
+
 def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(
     start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    program = start("launch", "replay", "--set", "monitor.page=false", *_source(tmp_path))
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setenv("BROWSER", "true")  # the program, which shows no page
+    settings = ("--open", "--set", "monitor.port=0")
+    program = start("launch", "replay", *settings, *_source(tmp_path))
     program.wait_for("[launch] ready")
     folder = tmp_path / "graphs"
+    (page,) = folder.glob(f"{program.process.pid}.*.html")
+    assert page.stat().st_mode & 0o777 == 0o600
+    assert "?token=" in page.read_text()
     assert len(list(folder.glob(f"{program.process.pid}.*.sock"))) == 4
     wait_until((folder / f"{program.process.pid}.sock").exists, "the control socket")
     program.kill_all()
@@ -196,6 +224,8 @@ def test_what_others_wrote_stays(folder: Path) -> None:
         "text-7.json": '"a"',
         "deep-7.json": "[" * 100_000,
         "7.sock": "no socket",
+        "7.mine.html": "no page of a graph",
+        "8.page.html": "nor this",
     }
     for name, text in texts.items():
         (folder / name).write_text(text)

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
+from other_user import NOBODY, give
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.network.keys import (
@@ -60,6 +61,34 @@ def test_a_secret_of_another_user_is_refused(tmp_path: Path) -> None:
     os.chown(secret, 12345, -1)
     with pytest.raises(KeyFileError, match=r"edge.key: belongs to user 12345, not to you"):
         read_key_pair(secret)
+
+
+@pytest.mark.parametrize(("what", "mode"), [("file", 0o646), ("file", 0o666), ("folder", 0o777)])
+def test_a_public_key_that_others_can_replace_is_refused(
+    tmp_path: Path, what: str, mode: int
+) -> None:
+    _, public = make_key_files("edge", tmp_path)
+    (public if what == "file" else tmp_path).chmod(mode)
+    with pytest.raises(KeyFileError, match=rf": mode {mode:04o} lets other users replace the key"):
+        read_public_key(public)
+    assert known_names(tmp_path) == {}
+
+
+@pytest.mark.parametrize("mode", [0o755, 0o775, 0o1777])
+def test_a_public_key_that_others_cannot_replace_is_read(tmp_path: Path, mode: int) -> None:
+    secret, public = make_key_files("edge", tmp_path)
+    tmp_path.chmod(mode)
+    public.chmod(0o664)
+    assert read_public_key(public) == read_key_pair(secret).public
+
+
+@pytest.mark.parametrize("what", ["file", "folder"])
+def test_a_public_key_of_another_user_is_refused(tmp_path: Path, what: str) -> None:
+    _, public = make_key_files("edge", tmp_path)
+    given = public if what == "file" else tmp_path
+    give(given)
+    with pytest.raises(KeyFileError, match=rf"^{given}: belongs to user {NOBODY}, who can"):
+        read_public_key(public)
 
 
 @pytest.mark.parametrize(

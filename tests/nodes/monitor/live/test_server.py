@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
-import tempfile
 from collections.abc import Callable, Iterator
 from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
@@ -314,9 +313,15 @@ def test_a_browser_is_started_without_the_token_in_its_arguments(
 ) -> None:
     opened: list[str] = []
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr("webbrowser.open", lambda url: bool(opened.append(url)) or True)
-    context = Context("monitor", ManualClock(), ask=lambda request: None, page_token=TOKEN)
+    page = tmp_path / "7.0.html"
+    page.write_text("left by a monitor that was killed")
+    context = Context(
+        *("monitor", ManualClock()),
+        ask=lambda request: None,
+        page_token=TOKEN,
+        page_file=str(page),
+    )
     monitor = Monitor(MonitorSettings(port=0, browser=True), context)
     monitor.start()
     (path,) = tmp_path.iterdir()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -91,8 +92,10 @@ def test_a_file_that_is_none_is_named_in_one_line(tmp_path: Path) -> None:
     nan, off = some_atoms(2), some_atoms(2)
     nan[1, 1] = np.nan
     off[0] *= 1.01
+    os.mkfifo(tmp_path / "pipe.npz")
     cases = {
         str(tmp_path / "missing.npz"): "No such file",
+        str(tmp_path / "pipe.npz"): "is no regular file",
         str(tmp_path): "Is a directory",
         str(text): "no file of learn-basis",
         str(array): "no file of learn-basis",

@@ -1,0 +1,46 @@
+"""Files that are written: no link of another user chooses which."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from other_user import NOBODY, give
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.nodes.files import overwrite
+from sparseskin.nodes.recorder.bag.format import BagError
+from sparseskin.nodes.recorder.bag.writer import BagWriter
+
+
+def test_a_file_is_written_over_and_a_link_of_ones_own_followed(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("long before")
+    (tmp_path / "link").symlink_to("file")
+    for name, data in (("file", b"now"), ("link", b"then"), ("new", b"first")):
+        overwrite(tmp_path / name, data)
+        assert (tmp_path / name).read_bytes() == data
+    assert (tmp_path / "file").read_bytes() == b"then"
+
+
+@pytest.mark.parametrize("option", ["--summary", "--dot"])
+def test_a_link_of_another_user_is_not_followed(
+    option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    Path("profile").write_text("mine\n")
+    Path("out").symlink_to("profile")
+    give(Path("out"), link=True)
+    words = ["--dry-run"] if option == "--dot" else ["--frames", "1"]
+    assert main(["launch", "path_40", option, "out", *words]) == 2
+    assert f"{option} out: is a link of user {NOBODY}\n" in capsys.readouterr().err
+    assert Path("profile").read_text() == "mine\n"
+
+
+@pytest.mark.parametrize("name", ["run.mcap", "run.mcap.part"])
+def test_a_recording_is_written_through_no_link(name: str, tmp_path: Path) -> None:
+    (tmp_path / "profile").write_text("mine\n")
+    (tmp_path / name).symlink_to("profile")
+    with pytest.raises(BagError, match=f"{name}: exists already"):
+        BagWriter(tmp_path / "run.mcap", {})
+    assert (tmp_path / "profile").read_text() == "mine\n"
