@@ -62,6 +62,14 @@ STUDIES = {
         options=("recordings",),
         numpy_only=True,
     ),
+    "rates": Study(
+        "gain of the default solver by the frame rate, beside filters of the full reading",
+        numpy_only=True,
+    ),
+    "moving": Study(
+        "bodies that move a quarter of a taxel a frame, ramps and sudden contacts",
+        numpy_only=True,
+    ),
     "real": Study(
         "the default solver on recordings of real skins, beside what a user would try first",
         options=("recordings", "seeds"),

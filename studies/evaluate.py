@@ -135,6 +135,23 @@ class Method:
         return self.solve(self.measure(taxels))
 
 
+class Alone:
+    """Estimator of a method that forgets all earlier frames before each one.
+
+    Parameters
+    ----------
+    method : Method
+    """
+
+    def __init__(self, method: Method) -> None:
+        self.method = method
+
+    def reconstruct(self, taxels: Floats) -> Solved:
+        """Measure and reconstruct a frame as if it were the first; see `Estimator`."""
+        self.method.reset()
+        return self.method.reconstruct(taxels)
+
+
 def phis_at(n: int, ratio: float, rows: str, seed: int, kind: str = "sbhe") -> list[Phi]:
     """Matrices that frames take in turn at a ratio N / M.
 

@@ -21,7 +21,7 @@ from sparseskin.nodes.reconstructor.solvers.interpolation import (
     LineInterpolation,
     interpolated_from,
 )
-from sparseskin.studies.evaluate import Estimator, Method, Solved, make_method
+from sparseskin.studies.evaluate import Alone, Estimator, Method, Solved, make_method
 
 VALUE_BYTES = 2
 """Bytes of a value that is sent, measurement or reading. Chosen: sensors have 8 to 16 bits."""
@@ -55,18 +55,6 @@ class Skin:
     def n(self) -> int:
         """Number of taxels that exist."""
         return int(np.count_nonzero(self.mask))
-
-
-class Alone:
-    """Estimator that forgets all frames before each one."""
-
-    def __init__(self, method: Method) -> None:
-        self.method = method
-
-    def reconstruct(self, taxels: Floats) -> Solved:
-        """See `Estimator`."""
-        self.method.reset()
-        return self.method.reconstruct(taxels)
 
 
 class Lattice:

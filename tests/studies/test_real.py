@@ -11,13 +11,12 @@ import pytest
 from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.studies.evaluate import Solved
+from sparseskin.studies.evaluate import Alone, Solved
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.real.methods import (
     CODECS,
     SIMPLE,
     VALUE_BYTES,
-    Alone,
     Codec,
     Compared,
     Hold,

@@ -1,0 +1,150 @@
+"""Study `moving`: bodies that move far from frame to frame, ramps, and sudden contacts."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
+from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES, press_frames
+from sparseskin.studies.evaluate import Estimator, Reading, Scores, evaluate, make_method
+from sparseskin.studies.points import compute
+from sparseskin.studies.report import (
+    Chart,
+    cells,
+    draw_lines,
+    fill_page,
+    frame_of,
+    markdown,
+    pivot,
+    write_csv,
+)
+
+SIDES = (40, 64)
+RATIOS = (3, 4, 8)
+#: Taxels a frame, and part of the skin that a body touches.
+SPEED, ACTIVE = 0.25, 0.1
+N_FRAMES = 160
+QUICK_BODIES = ("wrench", "peg")
+
+RAW, PAPER, SKIN, ROTATED = "raw reading", "paper", "skin", f"skin, {ROTATING}"
+METHODS = (PAPER, SKIN, ROTATED)
+
+Point = dict[str, Any]
+
+
+def run(out: Path, quick: bool, seed: int, executor: str) -> None:
+    """Compute the study and write its page; see `command.Study`."""
+    points = [
+        {"side": side, "course": course, "body": body, "ratio": ratio, "seed": seed}
+        for side in SIDES
+        for course in COURSES
+        for body in (QUICK_BODIES if quick else BODIES)
+        for ratio in RATIOS
+    ]
+    frame = frame_of(points, compute(pressed, points, out, executor, "presses"), "method")
+    keys = ["side", "course", "ratio", "method"]
+    means = frame.groupby(keys, sort=False)[["mean_db", "first_db"]].mean().reset_index()
+    fill_page(
+        out,
+        "moving",
+        speed=SPEED,
+        active=100 * ACTIVE,
+        n_frames=N_FRAMES,
+        chart=_draw(out, means),
+        overall=_table(means, ["side"], "mean_db"),
+        courses=_table(means, ["side", "course"], "mean_db"),
+        first=_table(means, ["side", "course"], "first_db"),
+        bodies=_table(frame, ["side", "course", "body"], "mean_db"),
+        csv=write_csv(out, "methods", frame),
+    )
+
+
+def pressed(point: Point) -> dict[str, Any]:
+    """Reconstruct presses by each method at one ratio N / M, on the same readings.
+
+    `point`: side, course, body, ratio, seed.
+
+    Returns
+    -------
+    dict
+        "methods": by method mean_db and min_db, mean and least PSNR of contact frames, and
+        first_db, the mean of the first frames of contacts.
+    """
+    side, ratio, seed = point["side"], point["ratio"], point["seed"]
+    shape = (side, side)
+    estimators: dict[str, Estimator] = {
+        RAW: Reading(),
+        PAPER: make_method(PRESETS["paper"], shape, ratio, seed),
+        SKIN: make_method(PRESETS["skin"], shape, ratio, seed, rows=FIXED),
+        ROTATED: make_method(PRESETS["skin"], shape, ratio, seed, rows=ROTATING),
+    }
+    frames = press_frames(
+        point["body"],
+        shape,
+        N_FRAMES,
+        seed,
+        course=point["course"],
+        speed=SPEED,
+        active=ACTIVE,
+        noise=NoiseModel.for_range(PAPER_F_MAX_N),
+    )
+    scores = evaluate(estimators, frames)
+    return {
+        "methods": {
+            name: {"mean_db": one.mean_db, "min_db": one.min_db, "first_db": first_db(one)}
+            for name, one in scores.items()
+        }
+    }
+
+
+def first_db(scores: Scores) -> float:
+    """Mean PSNR of the frames in contact whose last one was not, dB."""
+    touches = [False, *scores.contact]
+    first = [now and not before for before, now in pairwise(touches)]
+    return float(np.mean(np.array(scores.psnr_db)[first]))
+
+
+def _table(frame: pd.DataFrame, keys: list[str], value: str) -> str:
+    """PSNR of the raw reading, and by ratio those of the other methods, in the mean."""
+    means = frame.groupby([*keys, "ratio", "method"], sort=False)[value].mean().reset_index()
+    raw = means[means["method"] == RAW].groupby(keys, sort=False)[value].first()
+    some = means[means["method"] != RAW]
+    some = some.assign(cell=cells(some, f"{{{value}:.1f}}"), M=cells(some, "N/{ratio}"))
+    rows = some.groupby([*keys, "method"], sort=False)["cell"].agg(" / ".join).reset_index()
+    table = pivot(rows, keys, "method", "cell")
+    table.insert(len(keys), RAW, [f"{db:.1f}" for db in raw])
+    table["side"] = cells(table, "{side} x {side}")
+    return markdown(table.rename(columns={"side": "taxels"}))
+
+
+def _draw(out: Path, means: pd.DataFrame) -> str:
+    caption = "Mean PSNR above that of the raw reading of all taxels; contact frames"
+    n_panels = len(SIDES) * len(COURSES)
+    keys = ["side", "course", "ratio"]
+    raw = means[means["method"] == RAW].set_index(keys)["mean_db"]
+    above = means[means["method"] != RAW]
+    above = above.assign(
+        above_db=above["mean_db"].to_numpy()
+        - raw.loc[pd.MultiIndex.from_frame(above[keys])].to_numpy()
+    )
+    with Chart(
+        out, "above", caption, n_panels, len(COURSES), size_in=(9.0, 6.2), sharex=True, sharey=True
+    ) as chart:
+        panels = ((side, course) for side in SIDES for course in COURSES)
+        for axes, (side, course) in zip(chart.panels, panels, strict=True):
+            some = above[(above["side"] == side) & (above["course"] == course)]
+            some = some.assign(place=[RATIOS.index(ratio) for ratio in some["ratio"]])
+            draw_lines(axes, some, "place", "above_db", "method", METHODS)
+            axes.axhline(0, color="black", linewidth=1.2)
+            axes.set_xticks(range(len(RATIOS)), [f"N/{ratio}" for ratio in RATIOS])
+            axes.set_title(f"{course}, {side} x {side}")
+        chart.label("measurements a frame", "above the raw reading, dB")
+    return chart.markdown
