@@ -11,11 +11,11 @@ from sparseskin.nodes.numerics.arrays import TINY, Floats
 #: Normalised innovation squared up to which all of it is noise.
 EXPECTED = 0.9
 LEAST_GAIN = 0.05
-#: Correlation of successive innovations beyond which the estimate lags behind.
-LAGGING = 0.3
+#: Correlation of an innovation with the last correction beyond which the estimate lags behind.
+LAGGING = 0.1
 #: Rate at which the trust in the noise level then falls, its growth per frame otherwise, and its
 #: least value.
-DISTRUST, RECOVERY, LEAST_TRUST = 0.3, 1.05, 0.05
+DISTRUST, RECOVERY, LEAST_TRUST = 0.5, 1.05, 0.05
 
 
 class AdaptiveGain:
@@ -25,9 +25,10 @@ class AdaptiveGain:
     nothing moves, K falls no faster than 1, 1/2, 1/3, which makes the estimate the mean of all
     frames since the last change. With rotating rows, the frames of one row subset count.
 
-    The innovations of an optimal filter are white. Where successive ones are correlated, the
-    estimate lags behind: apparent noise is motion, and R is multiplied by a trust below 1 until K
-    is high enough. So scenes are followed whose frames have little in common.
+    The innovation of an optimal filter is orthogonal to its past. Where it points along the last
+    correction, x - x_p, that correction was too small: apparent noise is motion, and R is
+    multiplied by a trust below 1 until K is high enough. As the correction is known in all taxels,
+    frames of different row subsets can be compared.
 
     Attributes
     ----------
@@ -42,50 +43,49 @@ class AdaptiveGain:
     Trans. Automatic Control 15(2), 1970, for the whiteness of innovations.
     """
 
-    def __init__(self, n_rows: int) -> None:
-        self._n_rows = n_rows
+    def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
         """Forget all frames."""
         self.gain, self.nis, self.noise, self._trust = 1.0, math.inf, 0.0, 1.0
-        self._subsets: dict[int, _Past] = {}
+        self._gains: dict[int, float] = {}
         self.use(0)
 
     def use(self, subset: int) -> None:
-        """Expect innovations of this row subset; only frames of the same one are compared."""
-        self._past = self._subsets.setdefault(subset, _Past(self._n_rows))
+        """Expect innovations of this row subset."""
+        self._subset = subset
+        self._gains.setdefault(subset, 1.0)
 
-    def update(self, innovation: Floats, m: int, s2: float, jumped: bool) -> None:
-        """Process the innovation of a frame, float32 (n_rows,), newtons, of m measurements.
+    def update(
+        self, innovation: Floats, correction: Floats, m: int, s2: float, jumped: bool
+    ) -> None:
+        """Process the innovation of a frame of m measurements.
 
-        s2 is the noise level, squared newtons; `jumped` if the prediction is worth nothing.
+        Parameters
+        ----------
+        innovation, correction : ndarray of float32, shape (n_rows,)
+            Innovation, and Phi (x - x_p) of the frame before, newtons.
+        m : int
+            Number of measurements.
+        s2 : float
+            Noise level, squared newtons.
+        jumped : bool
+            True if the prediction is worth nothing.
         """
-        energy, past = float(np.dot(innovation, innovation)), self._past
-        both = energy * past.energy
-        if both > 0:
-            alike = float(np.dot(innovation, past.innovation)) / math.sqrt(both)
+        energy = float(np.dot(innovation, innovation))
+        both = energy * float(np.dot(correction, correction))
+        if both > 0 and not jumped:
+            alike = float(np.dot(innovation, correction)) / math.sqrt(both)
             change = math.exp(DISTRUST * (LAGGING - alike)) if alike > LAGGING else RECOVERY
             self._trust = min(max(self._trust * change, LEAST_TRUST), 1.0)
-        np.copyto(past.innovation, innovation)
-        past.energy = energy
 
-        e2 = energy / m
         self.noise = s2 * self._trust
-        self.nis = e2 / (self.noise + TINY)
+        self.nis = energy / m / (self.noise + TINY)
         signal = max(0.0, self.nis - EXPECTED)
-        still = past.gain / (1 + past.gain)
+        last = self._gains[self._subset]
+        still = last / (1 + last)
         self.gain = 1.0 if jumped else max(LEAST_GAIN, still, signal / (1 + signal))
-        past.gain = self.gain
         if jumped:
-            for other in self._subsets.values():
-                other.gain = 1.0
-
-
-class _Past:
-    """The last innovation of one row subset, and its gain."""
-
-    def __init__(self, n_rows: int) -> None:
-        self.innovation = np.zeros(n_rows, dtype=np.float32)
-        self.energy = 0.0
-        self.gain = 1.0
+            self._gains = dict.fromkeys(self._gains, 1.0)
+        self._gains[self._subset] = self.gain

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import Floats
@@ -30,7 +28,7 @@ class NoiseLevel:
     least is used, and at most the mean squared innovation.
 
     With rotating rows, comparable frames are far apart, and at few frames a second their
-    differences are all motion. The residual of the last frame is then the better bound (`limit`).
+    differences are all motion: the level is then too high, which `AdaptiveGain` notices.
 
     Attributes
     ----------
@@ -54,7 +52,6 @@ class NoiseLevel:
         self.jumped = True
         self.since_jump = 0
         self._settled = self._begun = False
-        self._limit = math.inf
         self._subsets: dict[int, _Past] = {}
         self.use(0)
 
@@ -62,17 +59,12 @@ class NoiseLevel:
         """Expect measurements of this row subset; only frames of the same one are compared."""
         self._past = self._subsets.setdefault(subset, _Past(self._m))
 
-    def limit(self, s2: float) -> None:
-        """Bound the level of the next frame, squared newtons."""
-        self._limit = s2
-
     def update(self, y: Floats, e2: float, jumped: bool = False) -> None:
         """Process the measurements of a frame, float32 (m,), newtons.
 
         e2 is the mean squared innovation; `jumped` if the scene is known to have jumped.
         """
-        seen, past = min(e2, self._limit), self._past
-        self._limit = math.inf
+        seen, past = e2, self._past
         if past.n_differences >= 0:
             difference = np.subtract(y, past.y, self._difference)
             seen = min(seen, float(np.dot(difference, difference)) / (2 * self._m))

@@ -49,16 +49,6 @@ class Tuning:
     #: Frames after a jump that have all iterations, too: errors that no measurement observes would
     #: be kept otherwise.
     settling: int = 2
-    #: Part of the noise energy that an estimate should leave in the residual: at most, and times
-    #: M / N. With less, noise was reconstructed as force, and the threshold is raised by the factor
-    #: (part / actual)^exponent, up to a limit, which decays by a factor a frame.
-    left: float = 0.65
-    left_by_ratio: float = 2.0
-    caution_exponent: float = 0.3
-    most_caution: float = 1.5
-    caution_decay: float = 0.9
-    #: Part of the noise energy below which the noise level is wrong: motion at few frames a second.
-    doubted: float = 0.1
     momentum: float = 0.7
     #: The estimate is the mean of this many last iterates, each with its own shift.
     averaged: int = 3
@@ -84,9 +74,6 @@ class SkinSolver(Solver):
        RMS of r, bounded from below by noise and innovation. The number of iterations grows with
        the normalised innovation squared.
     5. The mean of the last iterates, and the bias added back to touched taxels.
-
-    A residual far below the noise shows that noise was reconstructed as force: the thresholds of
-    the next frame are then raised, up to 1.5 times.
 
     With rotating rows, one solver serves all row subsets (`use`): the prediction carries over, and
     noise, bias and gain are kept for each. A wrong estimate that fits the rows of one frame is
@@ -138,7 +125,7 @@ class SkinSolver(Solver):
         mask: Mask | None = None,
         *,
         iterations: int | None = None,
-        max_iterations: int = 16,
+        max_iterations: int = 30,
         seed: int = 0,
         fast: str = "auto",
     ) -> None:
@@ -163,7 +150,7 @@ class SkinSolver(Solver):
         self._prediction = Prediction(self._projection, neighbours, n, phi.m)
         self._noise = NoiseLevel(phi.m)
         self._bias = ClipBias(self._projection, n)
-        self._gain = AdaptiveGain(self._projection.n_rows)
+        self._gain = AdaptiveGain()
         self._memory: RowMemory | None = None
         if self._projection.has_whole:
             self._memory = RowMemory(self._projection, phi.m, self._prediction.whole)
@@ -177,6 +164,7 @@ class SkinSolver(Solver):
         self._x_and_zero, self._u_and_zero = floats(n + 1), floats(n + 1)
         self._x, self._u = self._x_and_zero[:n], self._u_and_zero[:n]
         self._before, self._z, self._sum = floats(n), floats(n), floats(n)
+        self._correction = floats(n)
         rows = (floats(self._projection.n_rows) for _ in range(4))
         self._y, self._innovation, self._target, self._r = rows
         self._canvas = floats(self._haar.size)
@@ -218,7 +206,7 @@ class SkinSolver(Solver):
         self._gain.reset()
         if self._memory is not None:
             self._memory.forget()
-        self._caution = 1.0
+        self._correction.fill(0)
         self._last_phi = self.phi
         self._rotating = self._begun = False
         subset = self._subsets[self.phi.fingerprint]
@@ -250,6 +238,7 @@ class SkinSolver(Solver):
             cells = self.taxels[self._projection.order]
             self._checked_warm(warm).reshape(-1).take(cells, None, self._x, "clip")
             np.maximum(self._x, 0, out=self._x)
+            self._correction.fill(0)
         self._projection.rows_of(y, self._y)
         self._bias.subtract(self._y)
         if self._projection.has_whole:
@@ -258,16 +247,16 @@ class SkinSolver(Solver):
         e2 /= self.phi.m
         self._noise.update(y, e2, self._prediction.failed)
         jumped, settling = self._noise.jumped, self._noise.since_jump <= TUNING.settling
-        self._gain.update(self._innovation, self.phi.m, self._noise.s2, settling)
+        self._projection.forward(self._correction[None], self._r[None])
+        self._gain.update(self._innovation, self._r, self.phi.m, self._noise.s2, settling)
         gain = self._gain.gain
 
-        noise = 0.0 if jumped else TUNING.least_threshold * math.sqrt(self._gain.noise * gain)
         held = TUNING.held_rotating if self._rotating else TUNING.held_threshold
-        self._least = max(noise, held * math.sqrt(e2) * gain) * self._projection.step_size
+        noise = TUNING.least_threshold * math.sqrt(self._gain.noise * gain)
+        least = 0.0 if jumped else max(noise, held * math.sqrt(e2) * gain)
+        self._least = least * self._projection.step_size
         cold = TUNING.cold_threshold / math.sqrt(self.phi.ratio)
-        if jumped:
-            self._caution = 1.0
-        threshold = min(TUNING.threshold, cold) if jumped else TUNING.threshold * self._caution
+        threshold = min(TUNING.threshold, cold) if jumped else TUNING.threshold
         self._threshold = threshold * self._projection.step_size
         more = TUNING.iterations_per_nis * max(0.0, self._gain.nis - TUNING.expected_nis)
         more = self.max_iterations if settling else min(more, self.max_iterations)
@@ -280,6 +269,7 @@ class SkinSolver(Solver):
             np.multiply(self._innovation, self._factor, self._target)
             np.subtract(self._y, self._target, self._target)
         np.copyto(self._z, self._x)
+        np.copyto(self._correction, self._x)
         self._sum.fill(0)
         self._steps_left, self._n_summed = self.n_steps, 0
 
@@ -326,10 +316,7 @@ class SkinSolver(Solver):
             ones, kept = self._bias.ones, 1 - self._gain.gain
             left = float(np.dot(ones, self._r)) + kept * float(np.dot(ones, self._innovation))
             self._bias.update(left, self._x, self._noise.s2)
-            unexplained, free = self._unexplained(), int(np.count_nonzero(self._x))
-            self._adapt_caution(unexplained, free)
-            if self._rotating:
-                self._noise.limit(self._noise_of(unexplained, free))
+        np.subtract(self._x, self._correction, self._correction)
         self._steps_left = 0
         return self._forces_of(self._x_and_zero, self._bias.b).reshape(self.mask.shape)
 
@@ -341,35 +328,10 @@ class SkinSolver(Solver):
         memory.recall(
             self._subsets[self.phi.fingerprint],
             self._x if self._prediction.moved else None,
-            *(self._y, self._target, self._gain.gain, self._noise.s2, self._gain.nis),
+            *(self._y, self._target, self._gain.gain, self._gain.noise, self._gain.nis),
         )
         # Thresholds are in RMS of r over the weighted rows.
         self._threshold *= math.sqrt(self.phi.m / memory.m_counted)
-
-    def _unexplained(self) -> float:
-        """Return the energy of the frame's residual, as it would be with K = 1."""
-        r = self._r
-        if self._memory is not None and self._rotating:
-            r = np.multiply(r, self._memory.read, self._target)
-        return float(np.dot(r, r)) / self._gain.gain**2
-
-    def _adapt_caution(self, unexplained: float, free: int) -> None:
-        """Raise the threshold of the next frame if this one explains too much."""
-        noise = self.phi.m * self._noise.s2
-        if free > self.phi.m or unexplained < TUNING.doubted * noise:
-            # So many free parameters explain everything, right or wrong.
-            self._caution = max(1.0, TUNING.caution_decay * self._caution)
-        elif unexplained > 0 and noise > 0:
-            left = min(TUNING.left, TUNING.left_by_ratio / self.phi.ratio)
-            caution = self._caution * (left * noise / unexplained) ** TUNING.caution_exponent
-            self._caution = min(max(caution, 1.0), TUNING.most_caution)
-
-    def _noise_of(self, unexplained: float, free: int) -> float:
-        """Return the variance of the noise by the residual of the frame.
-
-        The free parameters, one a pressed taxel, absorb a part of it; infinite if too many.
-        """
-        return unexplained / (self.phi.m - free) if free <= self.phi.m / 2 else math.inf
 
     def _numpy_forces(self, x_and_zero: Floats, bias: float) -> Floats:
         """Return forces of all cells, from a vector of means above the bias with a 0 behind it."""
