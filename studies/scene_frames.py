@@ -55,6 +55,11 @@ def first_contact(scene: str, seed: int) -> int:
     return next(k for k, (_, truth) in frames if in_contact(truth, f_max_n))
 
 
+def spacing_ms(scene: str, every: int = 1) -> float:
+    """Time between every k-th frame of a scene, ms."""
+    return 1e-6 * every * scene_of(scene).dt_ns
+
+
 @cache
 def scene_of(scene: str) -> Scene:
     """A scene by name: its shape, number of frames, time step and range."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import log10
 from pathlib import Path
 from typing import Any
@@ -45,12 +46,17 @@ COMPARED = (
 
 
 def write(
-    out: Path, counted: pd.DataFrame, reconstructed: pd.DataFrame, sampled: pd.DataFrame
+    out: Path,
+    counted: pd.DataFrame,
+    reconstructed: pd.DataFrame,
+    sampled: pd.DataFrame,
+    spacing: Mapping[str, tuple[float, float]],
 ) -> None:
     """Write tables, charts and the page into a folder.
 
     Frames have columns scene, basis or sampling, (ratio), and the figures of the functions
-    `coefficients`, `reconstructed` and `sampled`.
+    `coefficients`, `reconstructed` and `sampled`. `spacing` is by scene the time between frames in
+    ms, of those of bases and of those of samplings.
     """
     counted = counted.assign(missing_2_percent=counted["missing"].str[SHOWN_PART])
     found = reconstructed.merge(counted, on=["scene", "basis"])
@@ -80,6 +86,7 @@ def write(
             for ratio, means_db in ranked.rename(columns=NAMES).iterrows()
         },
         gains=[(text, tuned[basis] - tuned[other]) for text, basis, other in COMPARED],
+        spacing=spacing,
         counted=_counted_table(counted),
         energy=_draw_missing(out, counted),
         reconstructed=_reconstructed_table(found),
@@ -90,7 +97,7 @@ def write(
         behind=(by_sampling["acts"] < by_sampling["skin"]).groupby("ratio").sum(),
         n_scenes=sampled["scene"].nunique(),
         sampled=_sampled_table(sampled),
-        sampling=_draw_sampled(out, sampled),
+        sampling=_draw_sampled(out, sampled, spacing),
         sampling_csv=write_csv(out, "sampling", sampled),
     )
 
@@ -143,7 +150,7 @@ def _draw_missing(out: Path, counted: pd.DataFrame) -> str:
 
 def _draw_reconstructed(out: Path, found: pd.DataFrame) -> str:
     bases, ratios = found["basis"].unique()[::-1], sorted(found["ratio"].unique())
-    caption = "FISTA with the best lambda, by basis and scene"
+    caption = "FISTA with the best lambda, by basis and scene; frame spacing: see the page"
     size_in = (8.0, 0.3 * len(bases) + 1.8)
     n = len(ratios)
     style: dict[str, Any] = {"size_in": size_in, "legend_columns": 3, "sharey": True}
@@ -157,7 +164,9 @@ def _draw_reconstructed(out: Path, found: pd.DataFrame) -> str:
     return chart.markdown
 
 
-def _draw_sampled(out: Path, sampled: pd.DataFrame) -> str:
+def _draw_sampled(
+    out: Path, sampled: pd.DataFrame, spacing: Mapping[str, tuple[float, float]]
+) -> str:
     scenes = sampled["scene"].unique()
     lines = sampled.assign(percent=100 / sampled["ratio"])
     caption = "PSNR in contact over M: what is measured, and how"
@@ -169,7 +178,7 @@ def _draw_sampled(out: Path, sampled: pd.DataFrame) -> str:
             reading_db = of[of["sampling"] == "reading"]["mean_db"].iloc[0]
             axes.axhline(reading_db, color="grey", linewidth=1.0, label="all taxels read")
             draw_lines(axes, of[of["sampling"] != "reading"], "percent", "mean_db", "sampling")
-            axes.set_title(scene)
+            axes.set_title(f"{scene}, frames {spacing[scene][1]:g} ms apart")
         chart.label("measurements, % of N", "")
         chart.figure.supylabel("mean PSNR, dB")
     return chart.markdown

@@ -22,7 +22,7 @@ from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.evaluate import Reading, evaluate, in_contact, make_method
 from sparseskin.studies.points import Function, StudyError, compute
 from sparseskin.studies.report import frame_of
-from sparseskin.studies.scene_frames import first_contact, scene_frames, scene_of
+from sparseskin.studies.scene_frames import first_contact, scene_frames, scene_of, spacing_ms
 
 from .page import KEPT_PARTS, LAMBDAS_N, SAMPLINGS, write
 
@@ -106,6 +106,10 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         counted=rows(coefficients, counting, "count", "basis"),
         reconstructed=rows(reconstructed, solving, "solve", "basis"),
         sampled=rows(sampled, sampling, "sample", "sampling"),
+        spacing={
+            scene: (spacing_ms(scene, spread_by(scene, seed, n_frames)), spacing_ms(scene))
+            for scene in scenes
+        },
     )
 
 
@@ -127,9 +131,13 @@ def _saved(out: Path, name: str, atoms: Any) -> str:
 
 def spread_frames(scene: str, seed: int, n_frames: int) -> Iterator[tuple[Floats, Floats]]:
     """Yield (truth, taxels) of about n_frames frames, evenly from the first contact to the end."""
-    first = first_contact(scene, seed)
-    every = max(1, (scene_of(scene).n_steps - first) // n_frames)
-    return scene_frames(scene, seed, first, None, every)
+    every = spread_by(scene, seed, n_frames)
+    return scene_frames(scene, seed, first_contact(scene, seed), None, every)
+
+
+def spread_by(scene: str, seed: int, n_frames: int) -> int:
+    """Stride of about n_frames frames, evenly from a scene's first contact to its end."""
+    return max(1, (scene_of(scene).n_steps - first_contact(scene, seed)) // n_frames)
 
 
 def learned(point: Point) -> dict[str, Any]:

@@ -33,7 +33,7 @@ from sparseskin.studies.report import (
     pivot,
     write_csv,
 )
-from sparseskin.studies.scene_frames import first_contact, scene_frames, scene_of
+from sparseskin.studies.scene_frames import first_contact, scene_frames, scene_of, spacing_ms
 
 SCENES = ("drag_wrench_40", "path_40", "drag_wrench_64")
 RATES_HZ = (1000, 300, 100, 30)
@@ -138,7 +138,7 @@ def at_rate(point: Point) -> dict[str, Any]:
     }
     scores = evaluate(estimators, scene_frames(name, seed, first, stop, every))
     return {
-        "spacing_ms": 1e3 * every * step_s,
+        "spacing_ms": spacing_ms(name, every),
         "n_contact": len(scores[RAW].contact_db),
         "methods": {
             of: {"mean_db": one.mean_db, "min_db": one.min_db} for of, one in scores.items()

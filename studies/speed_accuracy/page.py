@@ -43,15 +43,15 @@ SWEPT = {
         "speed",
         "solve time a frame in ms (median, one core)",
         swept_iterations,
-        "Solve time against PSNR, M = N/3: along each line the iterations grow; open marks: other "
-        "M, of the solvers with a preset; grey: the Pareto front at M = N/3",
+        "Solve time against PSNR, frames 1 ms apart, M = N/3: along each line the iterations grow; "
+        "open marks: other M, of the solvers with a preset; grey: the Pareto front at M = N/3",
     ),
     "n_bytes": (
         "bytes",
         "bytes sent a frame",
         swept_m,
-        "Bytes of a frame's message against PSNR: along each line M grows, from N/16 (quick: "
-        "N/8) to N/2 (N/3), each solver with its own iterations; grey: the Pareto front",
+        "Bytes of a frame's message against PSNR, frames 1 ms apart: along each line M grows, from "
+        "N/16 (quick: N/8) to N/2 (N/3), each solver with its iterations; grey: the Pareto front",
     ),
 }
 _BLACK = PALETTE[-1]

@@ -99,10 +99,13 @@ def made_up() -> dict[str, pd.DataFrame]:
 
 
 def test_the_page_answers_in_words_and_leaves_tables_and_charts(tmp_path: Path) -> None:
-    write(tmp_path, **made_up())
+    scenes = ("lift_box_40", "path_40", "drag_wrench_64")
+    write(tmp_path, **made_up(), spacing=dict.fromkeys(scenes, (33.3, 0.1)))
     page = (tmp_path / "bases.md").read_text()
     assert "Haar (D2) needs fewer coefficients than D4 in 3 of 3 scenes; D4 needs 2.00" in page
     assert "42.5 (41.5)" in page
+    assert "end of a scene: lift_box_40 33.3 ms apart, path_40" in page
+    assert "first contact: lift_box_40 0.1 ms apart, path_40" in page
     assert "Learning from other bodies adds to Haar on the same tiles +0.0 dB" in page
     assert "acts is above paper in 0 of 3 scenes" in page
     for name in ("bases.csv", "sampling.csv", "energy.png", "reconstructed.svg", "sampling.png"):
