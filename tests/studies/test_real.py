@@ -11,6 +11,7 @@ import pytest
 from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.recorder.convert.to_bag import import_file
 from sparseskin.studies.evaluate import Alone, Solved
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.real.methods import (
@@ -210,6 +211,15 @@ def test_the_part_of_a_recording_is_the_loaded_one_next_to_its_middle(tmp_path: 
     assert (part.first, len(part.frames), part.n_recorded) == (20, 30, 100)
     whole = part_of(str(tmp_path / "a.npy"), 100)
     assert (whole.first, whole.norm, whole.total) == (0, 4, 16)
+
+
+def test_a_bag_of_a_recording_is_the_same_as_its_file(folder: Path) -> None:
+    import_file(folder / "press.npz", folder / "copy.mcap")
+    assert [path.name for path in readable(files_in(folder), 60)] == ["copy.mcap", "press.npz"]
+    bag, file = (part_of(str(folder / name), 60) for name in ("copy.mcap", "press.npz"))
+    np.testing.assert_array_equal(bag.frames, file.frames)
+    np.testing.assert_array_equal(bag.skin.mask, file.skin.mask)
+    assert (bag.skin.f_max, bag.unit, bag.norm) == (file.skin.f_max, file.unit, file.norm)
 
 
 def test_unusable_files_get_one_line_each_and_are_skipped(
