@@ -82,7 +82,7 @@ class Bus:
             done += 1
             yield messages
         for host in sources:
-            self._deliver(host.finish(self._last_stamp_ns))
+            self._deliver(host.finish_frames(self._last_stamp_ns))
 
     def close(self) -> None:
         """Let the nodes finish their files; call it once, after the last frame."""

@@ -190,6 +190,12 @@ class NodeHost:
         self.ends = list(self._ends(stamp_ns))
         yield from self.ends
 
+    def finish_frames(self, stamp_ns: int) -> Iterator[Message]:
+        """End the stream of a source after all messages of the frames it has acquired."""
+        if isinstance(self.node, SourceNode) and not self.finished:
+            yield from self._guarded(self.node.rest)
+        yield from self.finish(stamp_ns)
+
     def _ends(self, stamp_ns: int) -> Iterator[End]:
         for topic in self.outputs:
             if is_latched(topic):

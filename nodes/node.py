@@ -243,3 +243,9 @@ class SourceNode(Node[S]):
     def tick(self, tick: Tick) -> Iterable[Message]:
         """Acquire one frame and return its messages; set `exhausted` with the last one."""
         raise NotImplementedError
+
+    def rest(self) -> Iterable[Message]:
+        """Messages of the frames acquired so far that are still to come, where a source is ended
+        after a number of frames.
+        """
+        return ()

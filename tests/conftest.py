@@ -77,6 +77,7 @@ class Program:
     ) -> None:
         self._mark = f"SPARSESKIN_TEST={uuid.uuid4().hex}"
         key, value = self._mark.split("=")
+        self.cwd = cwd
         # Graphs of a test are told apart from all others on the host.
         environment = {
             **os.environ,

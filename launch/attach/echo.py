@@ -17,6 +17,7 @@ from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 
+from .formats import formatted
 from .stream import EXIT_NOTHING, PATIENCE_S, Losses, TopicStream, quiet_reason
 from .text import flowing, width, wrapped
 
@@ -134,7 +135,7 @@ class _Printer:
             line = json.dumps(plain(self._field.of(message), self._full))
         elif self._in_json:
             values = {name: plain(getattr(message, name), self._full) for name in names}
-            line = json.dumps({"topic": message.topic, **values})
+            line = json.dumps(formatted("topic-echo", {"topic": message.topic, **values}))
         elif self._field is not None:
             line = text(self._field.of(message), self._full)
         else:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from sparseskin.launch.run.running import RunningGraph
 
+from .formats import formatted
 from .stream import (
     EXIT_NOTHING,
     PATIENCE_S,
@@ -173,6 +174,8 @@ class Measure:
 
     Attributes
     ----------
+    format : str
+        Name of the JSON's format.
     patience_s : float
         How long messages may wait to be read together, seconds, which saves processor time; 0 for
         a measure of the arrival itself, which does not yield the processor to the graph either.
@@ -181,12 +184,13 @@ class Measure:
     figures: Callable[..., dict[str, Any]]
     text: Callable[[dict[str, Any]], str]
     patience_s: float
+    format: str
 
 
 MEASURES = {
-    "hz": Measure(hz_figures, hz_text, PATIENCE_S),
-    "bw": Measure(bw_figures, bw_text, PATIENCE_S),
-    "delay": Measure(delay_figures, delay_text, 0.0),
+    "hz": Measure(hz_figures, hz_text, PATIENCE_S, "topic-hz"),
+    "bw": Measure(bw_figures, bw_text, PATIENCE_S, "topic-bw"),
+    "delay": Measure(delay_figures, delay_text, 0.0, "topic-delay"),
 }
 
 
@@ -251,7 +255,7 @@ def _line(topic: str, what: Measure, samples: Samples, window: int | None, in_js
     if in_json:
         counts = {"messages": samples.n, "lost": samples.lost}
         over = {"over": len(kept["seq"]), "final": window is None}
-        return json.dumps({"topic": topic, **counts, **figures, **over})
+        return json.dumps(formatted(what.format, {"topic": topic, **counts, **figures, **over}))
     measured = what.text(figures) or "too few messages for a rate"
     line = f"{measured} | lost {samples.lost}"
     return f"all {samples.n}: {line}" if window is None else line

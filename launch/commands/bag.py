@@ -9,6 +9,7 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sparseskin.launch.attach.formats import formatted
 from sparseskin.launch.attach.text import flowing
 from sparseskin.nodes.files import make_folder
 from sparseskin.nodes.lookup import find_callable
@@ -156,15 +157,18 @@ def info_json(bag: BagReader) -> str:
     }
     first_ns, last_ns = span_ns(bag.topics.values()) or (0, 0)
     return json.dumps(
-        {
-            "bag": str(bag.path),
-            "size_bytes": bag.path.stat().st_size,
-            "recovered": bag.recovered,
-            "duration_s": (last_ns - first_ns) / 1e9,
-            "topics": topics,
-            "counts": bag.counts,
-            "metadata": bag.metadata,
-        },
+        formatted(
+            "bag-info",
+            {
+                "bag": str(bag.path),
+                "size_bytes": bag.path.stat().st_size,
+                "recovered": bag.recovered,
+                "duration_s": (last_ns - first_ns) / 1e9,
+                "topics": topics,
+                "counts": bag.counts,
+                "metadata": bag.metadata,
+            },
+        ),
         indent=2,
     )
 

@@ -33,7 +33,7 @@ def _list(arguments: argparse.Namespace) -> int:
         {"name": g.name, "pid": g.pid, "nodes": list(g.nodes), "starting": not g.nodes}
         for g in graphs
     ]
-    return show(arguments, {"graphs": described}, lines)
+    return show(arguments, "graph-list", {"graphs": described}, lines)
 
 
 def configure_stop(parser: argparse.ArgumentParser) -> None:

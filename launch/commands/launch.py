@@ -39,7 +39,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("name", metavar="NAME|FILE.toml", help="launch file")
     add_set(parser, "one setting of one node")
     parser.add_argument(
-        "--frames", metavar="K", type=whole(1), help="end each source after K frames"
+        "--frames",
+        metavar="K",
+        type=whole(1),
+        help="end each source after K frames of the sensor; a player plays all messages of these",
     )
     about = "check the launch file (modules that it names are imported), print the graph"
     parser.add_argument("--dry-run", action="store_true", help=about)
@@ -97,8 +100,6 @@ def _launch(arguments: argparse.Namespace) -> int:
 
 
 def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
-    from importlib.metadata import version
-
     from sparseskin.launch.run.launcher import EXIT_FAILED, EXIT_USAGE, Launcher
     from sparseskin.launch.run.terminal import Terminal
     from sparseskin.nodes.monitor.table import summary_table
@@ -119,7 +120,7 @@ def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
             print_ends(summary["nodes"])
             sys.stdout.flush()
     finally:  # stdout may be on a full disk
-        write_summary(arguments.summary, {"sparseskin": version("sparseskin"), **summary})
+        write_summary(arguments.summary, "launch-summary", summary)
     if run_log is not None and code in (EXIT_FAILED, EXIT_USAGE):
         print(f"logs of the nodes: {run_log.folder}", file=sys.stderr)
     for name, patch in sensed.items():

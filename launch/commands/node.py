@@ -52,7 +52,7 @@ def _list(arguments: argparse.Namespace) -> int:
     nodes = [{key: node[key] for key in keys} for node in described["nodes"]]
     head = ["NODE", "TYPE", "CONDITION", "PID", "RESTARTS"]
     lines = table(head, [list(node.values()) for node in nodes])
-    return show(arguments, {"graph": graph.label, "nodes": nodes}, lines)
+    return show(arguments, "node-list", {"graph": graph.label, "nodes": nodes}, lines)
 
 
 def _info(arguments: argparse.Namespace) -> int:
@@ -69,7 +69,7 @@ def _info(arguments: argparse.Namespace) -> int:
         entry["publisher"] = topics[entry["topic"]]["publisher"]
     for entry in node["outputs"]:
         entry["subscribers"] = [one["node"] for one in topics[entry["topic"]]["subscribers"]]
-    return show(arguments, node, _text(node))
+    return show(arguments, "node-info", node, _text(node))
 
 
 def _resources(pid: int) -> dict[str, float]:
@@ -157,7 +157,7 @@ def _list_settings(arguments: argparse.Namespace) -> int:
         names = [node["name"] for node in describe(graph)["nodes"]]
     settings = {name: describe_node(graph, name)["settings"] for name in names}
     lines = "\n\n".join("\n".join(_node_lines(name, settings[name])) for name in names)
-    return show(arguments, {"graph": graph.label, "nodes": settings}, [lines])
+    return show(arguments, "param-list", {"graph": graph.label, "nodes": settings}, [lines])
 
 
 def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
@@ -182,7 +182,8 @@ def _get(arguments: argparse.Namespace) -> int:
         raise GraphError(f"{node}: {key}: no such setting{did_you_mean(key, entries)}")
     value = entries[key]["value"]
     text = value if isinstance(value, str) else shown_value(value)
-    return show(arguments, {"node": node, **entries[key]}, map(printable, text.split("\n")))
+    document = {"node": node, **entries[key]}
+    return show(arguments, "param-get", document, map(printable, text.split("\n")))
 
 
 def _set(arguments: argparse.Namespace) -> int:
@@ -209,4 +210,4 @@ def _set(arguments: argparse.Namespace) -> int:
     if not answer.done:
         raise GraphError(line)
     done = {"node": arguments.node, "set": values, "answer": answer.text}
-    return show(arguments, done, [line])
+    return show(arguments, "param-set", done, [line])

@@ -79,14 +79,20 @@ def check_summary(path: Path | None) -> None:
         raise OutputError(f"--summary {path}: {NO_WRITING}")
 
 
-def write_summary(path: Path | None, summary: Mapping[str, Any]) -> None:
-    """Write the summary of a run where one is wanted, or raise SettingsError."""
+def write_summary(path: Path | None, name: str, summary: Mapping[str, Any]) -> None:
+    """Write the summary of a run in the format `name` where one is wanted, or raise
+    SettingsError.
+    """
+    from importlib.metadata import version
+
+    from sparseskin.launch.attach.formats import formatted
     from sparseskin.nodes.errors import SettingsError
     from sparseskin.nodes.files import overwrite
 
     if path is not None:
+        document = formatted(name, {"sparseskin": version("sparseskin"), **summary})
         try:
-            overwrite(path, (json.dumps(summary, indent=2) + "\n").encode())
+            overwrite(path, (json.dumps(document, indent=2) + "\n").encode())
         except OSError as error:
             raise SettingsError(f"--summary {path}: {error.strerror}") from error
 
@@ -112,7 +118,7 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
     from sparseskin.messages.text import printable
 
     for name, node in nodes.items():
-        if n := node["restarts"]:
+        if n := node.get("restarts", 0):
             times, last = "time" if n == 1 else "times", printable(node["failures"][-1])
             print(f"{name}: restarted {n} {times} after a failure; the last: {last}")
         if node["type"] == "sensor" and node.get("clipped"):
@@ -130,9 +136,18 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
             print(f"{printable(node['played']['file'])}: {node['played']['frames']} frames played")
 
 
-def show(arguments: argparse.Namespace, document: Any, lines: Iterable[str]) -> int:
-    """Print a document as JSON where that is asked for, else lines; return the exit code."""
-    print(json.dumps(document, indent=2) if arguments.json else "\n".join(lines))
+def show(
+    arguments: argparse.Namespace, name: str, document: Mapping[str, Any], lines: Iterable[str]
+) -> int:
+    """Print a document of the format `name` as JSON where that is asked for, else lines; return the
+    exit code.
+    """
+    from sparseskin.launch.attach.formats import formatted
+
+    if arguments.json:
+        print(json.dumps(formatted(name, document), indent=2))
+    else:
+        print("\n".join(lines))
     return 0
 
 

@@ -79,7 +79,7 @@ def _reprocess(arguments: argparse.Namespace) -> int:
             print(f"{outcome.job.out}:")
             print(summary_table(outcome.patches))
     found = {o.job.out: {"patches": o.patches} for o in outcomes if not o.error}
-    write_summary(arguments.summary, found)
+    write_summary(arguments.summary, "reprocess-summary", {"recordings": found})
     return 2 if any(outcome.error for outcome in outcomes) else 0
 
 

@@ -84,7 +84,8 @@ def _list(arguments: argparse.Namespace) -> int:
         for topic in topics
     ]
     head = ["TOPIC (/PATCH/SCHEMA)", "", "PUBLISHER", "SUBSCRIBERS"]
-    return show(arguments, {"graph": graph.label, "topics": topics}, table(head, rows))
+    document = {"graph": graph.label, "topics": topics}
+    return show(arguments, "topic-list", document, table(head, rows))
 
 
 def _info(arguments: argparse.Namespace) -> int:
@@ -111,7 +112,7 @@ def _info(arguments: argparse.Namespace) -> int:
     lines += table(["SUBSCRIBER", *(what.upper() for what in COUNTED)], readers, "  ")
     lines += ["", *table(["FIELD", "TYPE"], list(fields.items()), "  ")]
     described = {"graph": graph.label, **topic, "version": cls.version, "about": about(cls)}
-    return show(arguments, {**described, "fields": fields}, lines)
+    return show(arguments, "topic-info", {**described, "fields": fields}, lines)
 
 
 def _echo(arguments: argparse.Namespace) -> int:

@@ -133,11 +133,11 @@ class Launcher:
             found = dict(node.report)
             merged["patches"].update(found.pop("patches", {}))
             merged["nodes"][node.name] = {
+                **found,
                 "type": node.spec.type_name,
                 "restarts": self._fleet.n_restarts(node.name),
                 "failures": self._fleet.failures(node.name),
                 **node.counts,
-                **found,
             }
         return merged
 

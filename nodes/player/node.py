@@ -66,6 +66,7 @@ class Player(SourceNode[PlayerSettings]):
         self._schedule = Schedule(self._start_ns, settings.rate, settings.paused)
         self._stamps: dict[int, int] = {}
         self._n_frames = 0
+        self._frame_ns: int | None = None
         self._started_ns = 0
         self._shift_ns = 0
         # States that change within the recording are published again after a jump.
@@ -124,12 +125,27 @@ class Player(SourceNode[PlayerSettings]):
         """Publish the messages of the next frame, which are consecutive in the recording."""
         if self._next is None:
             return
-        frame_ns = self._next.stamp_ns
+        frame_ns = self._frame_ns = self._next.stamp_ns
         self._schedule.stepped(frame_ns)
         while self._next is not None and self._next.stamp_ns <= frame_ns:
             yield self._as_played(self._next, tick.stamp_ns)
             self._advance()
         self._n_frames += 1
+
+    def rest(self) -> Iterable[Message]:
+        """The messages of the frames played that were recorded after a later frame, as measurements
+        and reconstructions are; they are looked for until each stream has passed the last frame.
+        """
+        frame_ns, behind = self._frame_ns, {self._names[topic] for topic in self._streams}
+        for _ in range(MAX_STAMPS):
+            message = self._next
+            if message is None or frame_ns is None or not behind:
+                return
+            if message.stamp_ns <= frame_ns:
+                yield self._as_played(message, self.context.clock.now_ns())
+            else:
+                behind.discard(message.topic)
+            self._advance()
 
     def command(self, name: str, value: Any) -> str:
         now_ns = self.context.clock.now_ns()

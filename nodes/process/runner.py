@@ -273,7 +273,7 @@ class Runner:
         if source is not None and source.follows_readers:
             self.asks.append(self.writer.ask())
         if self.max_frames is not None and self.n_ticks >= self.max_frames:
-            self._publish(self.host.finish(stamp_ns))
+            self._publish(self.host.finish_frames(stamp_ns))
 
     def _publish(self, messages: Iterable[Message]) -> None:
         for message in messages:

@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import sparseskin
@@ -68,8 +69,12 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
-    for name in ("step.lst", "log.csv", "log.npy"):
-        (tmp_path / name).touch()
+    page = "Matrix: 32x12\nSensor area: 0.25 cm2\nTime/picture: 20 ms\nSensor size: 0.5x0.5 cm\n"
+    (tmp_path / "step.lst").write_text(f"{page}Pict-No.: 1\n\t1\n1\t10.0\n\f")
+    frame = np.full((12, 32), 0.5)
+    np.save(tmp_path / "log.npy", frame[None])
+    np.savetxt(tmp_path / "log.csv", frame.reshape(1, -1), delimiter=",")
+    (tmp_path / "my_skin.py").write_text("def frames():\n    yield 0, [[0.5] * 32] * 12\n")
     return tmp_path
 
 

@@ -45,8 +45,10 @@ def n_taxels(
         one that is stated, or it is a .csv of numbers with neither a stated shape nor unit.
     """
     try:
-        file_s = Path(path).stat()
-        return _n_taxels(path, n_rows, n_cols, unit, (file_s.st_mtime_ns, file_s.st_size))
+        found = Path(path).stat()
+        if not found.st_size:
+            raise SourceError(f"{path}: the file is empty")
+        return _n_taxels(path, n_rows, n_cols, unit, (found.st_mtime_ns, found.st_size))
     except OSError as error:
         raise SourceError(f"{path}: cannot be read: {error.strerror}") from error
 
@@ -86,7 +88,10 @@ def _of_text(
     """
     head = file.read(HEAD_BYTES)
     if suffix == ".lst":
-        return emed_shape(head, path) or (), None
+        shape = emed_shape(head, path)
+        if shape is None and len(head) < HEAD_BYTES:
+            raise SourceError(f"{path}: no line 'Matrix: COLUMNSxROWS'; not an emed text export")
+        return shape or (), None
     if suffix == ".asf" or is_tekscan(head):
         rows, cols, masked = tekscan_shape(head + file.read(FRAME_BYTES - len(head)), path)
         return ((), None) if masked is None else ((rows, cols), masked)

@@ -56,7 +56,9 @@ def test_graphs_are_listed_and_which_to_stop_has_to_be_said(
     with announced(one), announced(other):
         assert main(["graph", "list", "--json"]) == 0
         graphs = json.loads(capsys.readouterr().out)["graphs"]
-        assert graphs == [{"name": "path_40", "pid": p, "nodes": ["sensor"]} for p in (7, 8)]
+        assert graphs == [
+            {"name": "path_40", "pid": p, "nodes": ["sensor"], "starting": False} for p in (7, 8)
+        ]
         assert main(["graph", "list"]) == 0
         assert capsys.readouterr().out.splitlines()[1].split() == ["path_40", "7", "sensor"]
         for stated, line in (

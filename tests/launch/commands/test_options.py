@@ -9,12 +9,13 @@ import pytest
 from sparseskin.launch.commands.options import print_ends
 
 
-def test_the_end_of_a_run_states_what_was_clipped_recorded_and_played(
+def test_the_end_of_a_run_states_what_was_clipped_restarted_recorded_and_played(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     extremes = {"lowest": -0.5, "highest": 7.25, "f_max": 2.5, "unit": "N\x1b"}
     nodes: dict[str, dict[str, Any]] = {
         "sensor": {"type": "sensor", "clipped": 12, **extremes},
+        "flaky": {"type": "x:Y", "restarts": 2, "failures": ["exit code 1", "killed\x1b"]},
         "good": {"type": "sensor", "clipped": 0},
         "own": {"type": "mine:Sensor", "clipped": "some", "played": 3},
         "dead": {"type": "sensor"},
@@ -32,6 +33,7 @@ def test_the_end_of_a_run_states_what_was_clipped_recorded_and_played(
     print_ends(nodes)
     assert capsys.readouterr().out.splitlines() == [
         r"sensor: 12 readings outside 0..2.5 N\x1b were clipped; lowest -0.5, highest 7.25 N\x1b",
+        r"flaky: restarted 2 times after a failure; the last: killed\x1b",
         "drag.mcap: 4803 messages recorded, 3 dropped",
         "drag.mcap: 1200 frames played",
     ]

@@ -541,7 +541,8 @@ def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
         ('file:whole.npy"\nn_rows = 7\nunit = "N', "n_rows = 7 is stated, but the frames have 6"),
         ("file:flat.npy", "has 2 dimensions"),
         ("file:text.npz", "not a readable NumPy file"),
-        ("file:empty.csv", "holds no frame"),
+        ("file:empty.csv", "the file is empty"),
+        ("file:text.lst", "not an emed text export"),
     ],
 )
 def test_a_recording_with_a_faulty_begin_is_refused_before_the_start(
@@ -550,6 +551,7 @@ def test_a_recording_with_a_faulty_begin_is_refused_before_the_start(
     _write_recordings()
     np.save("flat.npy", np.zeros((4, 6)))
     Path("text.npz").write_text("no archive")
+    Path("text.lst").write_text("no export")
     Path("empty.csv").write_text("")
     (line,) = check(_graph_of(source))
     assert "nodes.sensor.source" in line

@@ -10,7 +10,7 @@ import pytest
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.load import LaunchError, load
-from sparseskin.messages import Message, Reconstruction, Taxels, Truth, encode
+from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth, decode, encode
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
@@ -20,6 +20,7 @@ from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.player.node import Player
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.recorder.bag.writer import BagWriter
 from sparseskin.nodes.recorder.node import Recorder
 from sparseskin.nodes.sensor.node import Sensor
 
@@ -266,3 +267,33 @@ def test_the_recording_names_scene_seed_and_phi(recording: tuple[Path, list[Mess
         assert '"numpy"' in bag.metadata["versions"]
         assert bag.counts is not None
         assert not any(bag.counts["lost"].values())
+
+
+@pytest.mark.parametrize("n_frames", [1, 5, N_FRAMES])
+def test_a_number_of_frames_is_played_with_all_their_messages(
+    recording: tuple[Path, list[Message]], tmp_path: Path, n_frames: int
+) -> None:
+    # As in a running graph, measurements are recorded after the taxels of later frames.
+    lags = {Measurements: 3, Reconstruction: 4}
+    period_ns = 10 * MS
+    with BagReader(recording[0]) as bag:
+        recorded = [decode(one.topic.encode(), one.payload) for one in bag.messages()]
+    late = sorted(recorded, key=lambda m: m.stamp_ns + lags.get(type(m), 0) * period_ns)
+    path = tmp_path / "late.mcap"
+    with BagWriter(path, {}) as writer:
+        for k, message in enumerate(late):
+            writer.record(message, BEGIN_NS + k)
+    launch = load("replay_measurements", [f"player.file={path}"])
+    bus = Bus({node.name: (node.cls, node.settings) for node in launch.nodes.values()})
+    bus.run(n_frames)
+    bus.check()
+    frames = bus.reports()["monitor"]["patches"]["skin"]["frames"]
+    assert frames == {
+        "sensed": n_frames,
+        "reconstructed": n_frames,
+        "skipped": 0,
+        "lost": 0,
+        "unpaired": 0,
+    }
+    assert bus.reports()["player"]["played"]["frames"] == n_frames
+    assert bus.hosts["player"].counts.published["/skin/measurements"] == n_frames
