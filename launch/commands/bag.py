@@ -81,7 +81,9 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    """Print the contents of a bag; check all of it."""
+    """Print the contents of a bag; check all of it. Of a topic: its messages, their rate, the
+    seconds from the first to the last, and how many the recorder lost.
+    """
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
     with BagReader(arguments.bag) as bag:

@@ -24,6 +24,12 @@ if TYPE_CHECKING:
     from sparseskin.launch.run.run_log import RunLog
 
 LAUNCH_FILES = Path(__file__).parent.parent
+STATUS_LINE = (
+    "The status line has for each patch: frames reconstructed so far and a second (Hz), frames "
+    "lost; the mean PSNR of the last 100 contact frames (of all before the first contact), and "
+    "that of the taxels themselves; the latency from acquisition to reconstruction, median (p50) "
+    "and 99th percentile (p99)."
+)
 PICTURES = {
     "dot": "write the graph as DOT text",
     "svg": "draw the graph (needs the program dot of Graphviz)",
@@ -35,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `launch`."""
     bundled = sorted(path.stem for path in LAUNCH_FILES.glob("*.toml"))
     parser.description = "Start a graph of nodes, watch it, and print what the monitor measured."
-    parser.epilog = f"Bundled launch files: {', '.join(bundled)}."
+    parser.epilog = f"Bundled launch files: {', '.join(bundled)}. {STATUS_LINE}"
     parser.add_argument("name", metavar="NAME|FILE.toml", help="launch file")
     add_set(parser, "one setting of one node")
     parser.add_argument(

@@ -66,23 +66,23 @@ def _patch_lines(name: str, patch: PatchFeed, now_s: float) -> list[str]:
     rate = int(np.count_nonzero(rows[:, 0] > now_s - 1.0))
     latency, solve = summary["latency_ms"] or {}, summary["solve_ms"] or {}
     frames = summary["frames"]
-    left = [
-        f"compression  {shown(summary['ratio'], '.2f')} : 1 (N {summary['n']}, M {summary['m']})",
-        f"{f'PSNR {which}':<12} {_mean(noisy)} -> {_mean(recon)} dB ({gain} dB)",
-        f"rate         {rate} Hz of {skin.rate_hz:g} Hz requested",
-    ]
-    right = [
+    within = summary["latency_uncertainty_ms"]
+    lines = [
+        title.center(WIDTH, "-"),
+        f"compression  {shown(summary['ratio'], '.2f')} : 1 (N {summary['n']}, M {summary['m']}), "
         f"sent {_bytes(summary['bytes_out'])} instead of {_bytes(summary['bytes_in'])}",
-        f"latency {shown(latency.get('p50'), '.1f')} / {shown(latency.get('p99'), '.1f')}"
-        + (f" ± {within:.1f} ms, " if (within := summary["latency_uncertainty_ms"]) else " ms, ")
-        + f"solve {shown(solve.get('p50'), '.1f')} ms",
-        f"{frames['reconstructed']} of {frames['sensed']}"
-        + (f", {frames['skipped']} skipped, " if frames["skipped"] else " frames, ")
-        + f"{patch.lost} lost",
+        f"frames       {frames['reconstructed']} of {frames['sensed']} reconstructed, "
+        + (f"{frames['skipped']} skipped, " if frames["skipped"] else "")
+        + f"{patch.lost} lost; {rate} Hz of {skin.rate_hz:g} Hz requested",
+        f"mean PSNR    taxels {_mean(noisy)}, reconstruction {_mean(recon)}, gain {gain} dB "
+        f"({which} frames)",
+        f"time         latency p50 {shown(latency.get('p50'), '.1f')}, "
+        f"p99 {shown(latency.get('p99'), '.1f')}"
+        + (f" ± {within:.1f}" if within else "")
+        + f" ms; solve p50 {shown(solve.get('p50'), '.1f')} ms",
     ]
-    lines = [title.center(WIDTH, "-")]
-    lines += [f"{a:<42} {b}" for a, b in zip(left, right, strict=True)]
     lines += _map_lines(patch)
+    lines.append(f"{'':<8} {f'means of the last {SPAN_S:g} s':<{N_BARS}}  least .. largest")
     for title, column in (("PSNR", 2), ("latency", 3)):
         line, low, high = _sparkline(rows, column, now_s)
         unit = "dB" if column == 2 else "ms"

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+from pathlib import Path
 from typing import Any
 
 import bags
 import numpy as np
 import pytest
 
+from sparseskin.launch.commands.cli import main
 from sparseskin.messages import (
     Measurements,
     Message,
@@ -321,6 +324,17 @@ def test_the_status_line_counts_what_is_missing_so_far() -> None:
         "skin: 2 frames, 200 Hz, lost 2 | PSNR of contact frames 100.0 dB (taxels 100.0) | "
         "latency p50 3.0, p99 3.0 ms"
     )
+
+
+def test_the_figures_of_the_status_line_are_explained(capsys: pytest.CaptureFixture[str]) -> None:
+    line = status_line("skin", metrics_of(skin(), *frame(3, 1.0, 1.0, 1.0)), 200.0)
+    labels = set(re.findall(r"[A-Za-z]+\d*", line)) - {"skin", "of", "ms", "dB"}
+    with pytest.raises(SystemExit):
+        main(["launch", "--help"])
+    page = (Path(__file__).parents[3] / "docs" / "graph.md").read_text()
+    (section,) = re.findall("## Status line.*?\n## ", page, re.DOTALL)
+    for explained in (capsys.readouterr().out, section):
+        assert labels <= set(re.findall(r"[A-Za-z]+\d*", explained))
 
 
 def test_recent_quality_is_that_of_contact_frames_once_there_was_one() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from typing import Any
 
@@ -66,18 +65,19 @@ def test_the_figures_are_those_of_the_frames(clock: FakeTime) -> None:
     lines = lines_of(filled(clock))
     assert " skin: a scene, 4 x 6 " in line_with(lines, "---")
     assert "3.00 : 1 (N 24, M 8)" in line_with(lines, "compression")
-    assert "20.0 -> 40.0 dB (+20.0 dB)" in line_with(lines, "PSNR contact")
-    assert "50 of 50 frames, 0 lost" in line_with(lines, "rate")
-    assert "50 Hz of 100 Hz requested" in line_with(
-        lines, "rate"
-    )  # as many as there were within 1 s
-    solve = re.search(r"latency 5\.0 / 5\.0 ms, solve 2\.0 ms", line_with(lines, "PSNR contact"))
-    assert solve
+    psnr = line_with(lines, "mean PSNR")
+    assert "taxels 20.0, reconstruction 40.0, gain +20.0 dB (contact frames)" in psnr
+    assert "50 of 50 reconstructed, 0 lost" in line_with(lines, "frames")
+    # As many as there were within 1 s.
+    assert "; 50 Hz of 100 Hz requested" in line_with(lines, "frames")
+    time = line_with(lines, "time")
+    assert time.split("  ")[-1].strip() == "latency p50 5.0, p99 5.0 ms; solve p50 2.0 ms"
 
 
 def test_psnr_is_of_all_frames_before_the_first_contact(clock: FakeTime) -> None:
     lines = lines_of(filled(clock, contact=False))
-    assert "20.0 -> 40.0 dB (+20.0 dB)" in line_with(lines, "PSNR all")
+    psnr = line_with(lines, "mean PSNR")
+    assert "taxels 20.0, reconstruction 40.0, gain +20.0 dB (all frames)" in psnr
 
 
 def test_bytes_are_those_of_measurements_and_taxels(clock: FakeTime) -> None:
@@ -170,7 +170,8 @@ def test_what_is_not_known_is_a_dash(clock: FakeTime) -> None:
     graph.take(taxels)
     graph.summarise()
     lines = lines_of(graph)
-    assert "- -> - dB (- dB)" in line_with(lines, "PSNR all")
+    psnr = line_with(lines, "mean PSNR")
+    assert "taxels -, reconstruction -, gain - dB (all frames)" in psnr
     assert "compression  - : 1" in line_with(lines, "compression")
     assert not any("nan" in line for line in lines)
 
