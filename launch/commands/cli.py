@@ -101,10 +101,12 @@ class _Parser(argparse.ArgumentParser):
         """Refuse unknown words here, where the command that they belong to is known."""
         namespace, unknown = super().parse_known_args(*given, **more)
         if unknown:
-            option = unknown[0].partition("=")[0]
-            known = set(_OPTION.findall(self.format_usage())) | {"--help"}
-            hint = did_you_mean(option, known) if option.startswith("-") else ""
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+            options = [word for word in unknown if word.startswith("-")]
+            if options:  # what else is unknown may be the value of one
+                known = set(_OPTION.findall(self.format_usage())) | {"--help"}
+                hint = did_you_mean(options[0].partition("=")[0], known)
+                self.error(f"unrecognized arguments: {options[0]}{hint}")
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return namespace, unknown
 
     def error(self, message: str) -> NoReturn:

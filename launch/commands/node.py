@@ -141,7 +141,7 @@ def configure_param(parser: argparse.ArgumentParser) -> None:
         one.add_argument("node", metavar="NODE", help="name of the node")
         one.add_argument("key", metavar="KEY", help="name of the setting")
     change.add_argument("value", metavar="VALUE", help="as in a launch file; none: not stated")
-    change.add_argument("more", metavar="KEY VALUE", nargs="*", help="further settings")
+    change.add_argument("more", metavar="KEY VALUE", nargs="*", default=[], help="further settings")
     for one in (listing, get, change):
         add_graph(one, "one JSON document")
 

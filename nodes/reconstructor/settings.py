@@ -177,8 +177,9 @@ class ReconstructorSettings(PatchSettings):
             kind = self.phi
         elif kind not in KINDS:
             raise SettingsError(
-                f"phi: the announced '{kind}' is not built in, and nothing that is announced is "
-                f"imported; allowed: phi = '{kind}' with its M as phi_m, or built-in kinds"
+                f"phi: the compressor's '{kind}' is not built in, and is not imported because a "
+                f"message names it; state phi = '{kind}' here too, and its M as phi_m (default: "
+                "N // 3)"
             )
         chosen = self.chosen()["solver"]
         solver = find_class("solver", chosen, SOLVERS, SolverError)

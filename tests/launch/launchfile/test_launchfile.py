@@ -190,9 +190,9 @@ def own_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (
             ["compressor.phi=phi_of_check:Own"],
             [
-                f"{RECONSTRUCTOR}phi: the announced 'phi_of_check:Own' is not built in, and "
-                "nothing that is announced is imported; allowed: phi = 'phi_of_check:Own' with "
-                "its M as phi_m, or built-in kinds"
+                f"{RECONSTRUCTOR}phi: the compressor's 'phi_of_check:Own' is not built in, and "
+                "is not imported because a message names it; state phi = 'phi_of_check:Own' here "
+                "too, and its M as phi_m (default: N // 3)"
             ],
         ),
         (
