@@ -114,7 +114,7 @@ class Node(Generic[S]):
     @classmethod
     def facts(cls, settings: S) -> Mapping[str, Any]:
         """What the settings alone state of output topics: of a skin its number of taxels, of a
-        Phi its kind.
+        Phi its kind, of measurements a function that returns their number M for N taxels.
         """
         return {}
 

@@ -117,7 +117,10 @@ class Compressor(Node[CompressorSettings]):
 
     @classmethod
     def facts(cls, settings: CompressorSettings) -> Mapping[str, Any]:
-        return {topic_of(settings.patch, PhiState.schema): settings.phi}
+        return {
+            topic_of(settings.patch, PhiState.schema): settings.phi,
+            topic_of(settings.patch, Measurements.schema): settings.n_measurements,
+        }
 
     @classmethod
     def check_inputs(cls, settings: CompressorSettings, facts: Mapping[str, Any]) -> None:

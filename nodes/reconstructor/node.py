@@ -24,7 +24,13 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.acts import follow
 from sparseskin.nodes.compressor.phi.base import KINDS, Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
-from sparseskin.nodes.errors import PhiError, RefusedError, SolverError, SparseskinError
+from sparseskin.nodes.errors import (
+    PhiError,
+    RefusedError,
+    SettingsError,
+    SolverError,
+    SparseskinError,
+)
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.warm_up import compile_loops
@@ -78,6 +84,16 @@ class Reconstructor(Node[ReconstructorSettings]):
         kind = facts.get(topic_of(settings.patch, PhiState.schema))
         if kind is not None:
             settings.check_phi(kind)
+        n = facts.get(topic_of(settings.patch, SkinState.schema))
+        m_of = facts.get(topic_of(settings.patch, Measurements.schema))
+        if n is None or m_of is None:
+            return
+        with contextlib.suppress(PhiError):  # of the compressor, which reports it
+            m, stated = m_of(n), settings.stated_m(n)
+            if stated not in (None, m):
+                raise SettingsError(
+                    f"phi_m: {stated}, but the compressor's M is {m}; state phi_m = {m}"
+                )
 
     @property
     def depth(self) -> int:
@@ -176,6 +192,13 @@ class Reconstructor(Node[ReconstructorSettings]):
         )
         return None
 
+    def _other_m(self, fingerprint: str) -> str:
+        """The M of a stated Phi and of the announced one, where they differ; else ""."""
+        m, announced = self._subsets[fingerprint].m, self._announced
+        if announced is None or announced.m == m:
+            return ""
+        return f"; phi_m is {m}, M of the announced Phi {announced.m}"
+
     def _reconstruct(self, measurements: Measurements) -> Iterator[Message]:
         if self._solver is None:
             raise RefusedError(f"{measurements.topic}: skin or Phi is not known yet")
@@ -185,7 +208,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             rotating = f" and {len(others)} other row subsets" if others else ""
             raise RefusedError(
                 f"{measurements.topic}: Phi mismatch: made by Phi {measurements.phi}, "
-                f"this reconstructor inverts Phi {first}{rotating}"
+                f"this reconstructor inverts Phi {first}{rotating}{self._other_m(first)}"
             )
         try:
             follow(phi, measurements.places)
@@ -297,7 +320,7 @@ def phis_to_invert(settings: ReconstructorSettings, n: int, announced: PhiState)
     """
     s = settings
     if s.phi != ANNOUNCED:
-        m = s.phi_m or max(1, n // 3)
+        m = s.stated_m(n) or 1
         stated = make_phi(s.phi, n=n, m=m, seed=s.phi_seed, block=s.phi_block)
         return row_subsets(stated, s.phi_rows)
     # Nothing named over the wire is ever imported: a Phi of the user's own has to be stated.

@@ -188,6 +188,10 @@ class ReconstructorSettings(PatchSettings):
             with naming("solver"):
                 check_reads(chosen, solver, kind, phi)
 
+    def stated_m(self, n: int) -> int | None:
+        """M of a stated phi for `n` taxels; None where the announced phi is used."""
+        return None if self.phi == ANNOUNCED else self.phi_m or max(1, n // 3)
+
     def chosen(self) -> dict[str, Any]:
         """Return the preset with the settings that are stated in place of its own."""
         stated = {

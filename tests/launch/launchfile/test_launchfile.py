@@ -565,3 +565,22 @@ def test_begin_of_a_recording_is_read_and_no_more(tmp_path: Path) -> None:
     with (tmp_path / "long.npy").open("rb") as file:
         assert npy_file_shape(file, "long.npy") == frames.shape
         assert file.tell() < rest / 10
+
+
+@pytest.mark.parametrize(("ratio", "m"), [(4, 400), (3, 533)])
+def test_m_of_a_stated_phi_is_that_of_the_compressor(
+    check, tmp_path: Path, ratio: int, m: int
+) -> None:
+    Path("phi_of_m.py").write_text(
+        "from sparseskin.nodes.compressor.phi.sbhe import SbhePhi as Own\n"
+    )
+    phi = [f"{node}.phi=phi_of_m:Own" for node in ("compressor", "reconstructor")]
+    Path("f.toml").write_text(GOOD)
+    load("f.toml", [*phi, f"compressor.ratio={ratio}", f"reconstructor.phi_m={m}"])
+    (line,) = check(GOOD, *phi, f"compressor.ratio={ratio}", "reconstructor.phi_m=99")
+    assert line == (
+        f"--set reconstructor.phi_m=99: 99, but the compressor's M is {m}; state phi_m = {m}"
+    )
+    if ratio != 3:  # the default of phi_m is N // 3
+        (line,) = check(GOOD, *phi, f"compressor.ratio={ratio}")
+        assert line.endswith(f"phi_m: 533, but the compressor's M is {m}; state phi_m = {m}")
