@@ -75,6 +75,12 @@ class Solver(ABC):
     follows_choice: bool = False
     #: Class of the phi that it can use.
     reads: type = object
+    #: Estimated RMS error of a taxel of the last frame, in the unit of the forces; None where the
+    #: solver does not estimate it.
+    error: float | None = None
+    #: False if the last frame is not to be trusted: its estimated error is a large part of its
+    #: forces.
+    trusted: bool = True
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:
         shape = (basis.n_rows, basis.n_cols)
@@ -240,10 +246,11 @@ class RotatingSolver(Solver):
         self._last = None
         forces = self._chosen.finish()
         self._last = forces.copy()
+        self.error, self.trusted = error_of(self._chosen), trust_in(self._chosen)
         return forces
 
     def reset(self) -> None:
-        self._last = None
+        self._last, self.error, self.trusted = None, None, True
         for solver in self._solvers.values():
             solver.reset()
 
@@ -306,6 +313,16 @@ def make_solver(
         raise SolverError(f'solver "{name}" is no solver: it lacks {", ".join(missing)}')
     solver: Solver = made
     return solver
+
+
+def error_of(solver: Solver) -> float | None:
+    """Return `error` of a solver; None for one of the user's own that has no such attribute."""
+    return getattr(solver, "error", None)
+
+
+def trust_in(solver: Solver) -> bool:
+    """Return `trusted` of a solver; True for one of the user's own without that attribute."""
+    return getattr(solver, "trusted", True)
 
 
 def check_reads(name: str, solver: object, kind: str, phi: type) -> None:
