@@ -276,25 +276,42 @@ def _remove_stale() -> list[RunningGraph]:
                 found.append(graph)
             else:
                 _remove(path)
+    with contextlib.suppress(OSError):
+        _remove_orphans(runtime_folder())
     return found
+
+
+def _remove_orphans(folder: Path) -> None:
+    """Remove sockets and pages of processes that are gone and have no note: a node that was still
+    starting as its launcher was killed makes them after the note was removed.
+    """
+    noted = {path.stem.rpartition("-")[2] for path in folder.glob("*.json")}
+    for path in folder.iterdir():
+        number = path.name.partition(".")[0]
+        known = not number.isdecimal() or number in noted or os.path.exists(f"/proc/{number}")
+        if not known:
+            _remove_own(path, number)
 
 
 def _remove(note: Path) -> None:
     """Remove a note, the sockets of its process once nobody listens to them, and its pages."""
     number = note.stem.rpartition("-")[2]
-    for path in note.parent.glob(f"{number}.*.html"):
-        if re.fullmatch(rf"{number}\.\d+\.html", path.name) and stat.S_ISREG(path.lstat().st_mode):
-            path.unlink(missing_ok=True)
-    served = False
-    for path in note.parent.glob(f"{number}.*sock"):
-        named = re.fullmatch(rf"{number}(\.\d+)?\.sock", path.name)
-        if named and stat.S_ISSOCK(path.lstat().st_mode):
-            if is_served(path):
-                served = True
-            else:
-                path.unlink(missing_ok=True)
-    if not served:
+    removed = [_remove_own(path, number) for path in note.parent.glob(f"{number}.*")]
+    if all(removed):
         note.unlink(missing_ok=True)
+
+
+def _remove_own(path: Path, number: str) -> bool:
+    """Remove a file if it is a socket or page of a process; False if somebody listens to it."""
+    with contextlib.suppress(FileNotFoundError):  # its process ends
+        mode = path.lstat().st_mode
+        if stat.S_ISSOCK(mode) and re.fullmatch(rf"{number}(\.\d+)?\.sock", path.name):
+            if is_served(path):
+                return False
+            path.unlink()
+        elif stat.S_ISREG(mode) and re.fullmatch(rf"{number}\.\d+\.html", path.name):
+            path.unlink()
+    return True
 
 
 def _open(path: Path) -> IO[str]:

@@ -31,6 +31,8 @@ LONGEST_S = 4.0
 ENDS = ("by itself", "Ctrl-C", "stop", "kill -9 of the launcher", "kill -9 of all")
 FOREIGN = {"settings.json": '{"colour": 1}', "other-7.json": '{"pid": 8}', "7.sock": "no socket"}
 """Files of others in the runtime folder, which have to stay."""
+_ENDED = ("no such graph runs", "no graph runs on this host", "has ended")
+"""Answers to a `stop` that comes before the graph can be joined, or as it ends."""
 _INTERRUPTED = 128 + signal.SIGINT
 _MAX_RUNS = 20
 
@@ -47,7 +49,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         behind after the end of all.
     """
     nodes: dict[str, dict[str, Any]] = {
-        "sensor": {"source": "scene:path_40", "rate_hz": STEADY_HZ},
+        "sensor": {"source": "sparseskin.studies.looped:path_40", "rate_hz": STEADY_HZ},
         **{"compressor": {}, "reconstructor": {}, "monitor": {"port": 0}},
     }
     with GraphRun(launch_text(nodes)) as graph:
@@ -184,7 +186,7 @@ class _Loop:
         """Stop a graph as soon as a command finds it; it may have ended by then."""
         while process.poll() is None:
             code, _, err = self._run("stop", str(process.pid))
-            if code == 0 or "no such graph runs" not in err:
+            if code == 0 or not any(words in err for words in _ENDED):
                 break
         if process.poll() is None and code != 0:
             self.faults.append(f"stop: exit code {code}: {err[-300:]}")
@@ -220,6 +222,8 @@ class _Loop:
 
     def left(self) -> list[str]:
         """What is left behind once one more command has looked: it is to be empty."""
+        # A node that was starting as its launcher was killed notices that once it has started.
+        wait_until(lambda: not self._graph.processes(), "the end of all nodes")
         code, out, err = self._run("graph", "list")
         if (code, out.strip(), err) != (0, "no graph runs on this host", ""):
             self.faults.append(f"graph list, after the end of all: {code}: {out}{err}")

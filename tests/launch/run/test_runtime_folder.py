@@ -245,6 +245,26 @@ def test_what_others_wrote_stays(folder: Path) -> None:
     assert all((folder / name).read_text() == text for name, text in texts.items())
 
 
+def test_what_a_node_made_after_the_note_was_removed_is_removed_too(folder: Path) -> None:
+    runtime_folder()
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    here, served = os.getpid(), f"{gone.pid}.1.sock"
+    with contextlib.ExitStack() as stack:
+        for name in (f"{gone.pid}.sock", f"{gone.pid}.0.sock", served, f"{here}.0.sock"):
+            made = stack.enter_context(socket.socket(socket.AF_UNIX))
+            made.bind(str(folder / name))
+            if name == served:
+                made.listen()
+        (folder / f"{gone.pid}.2.html").touch()
+        (folder / "(.0.sock").touch()  # of others
+        assert running_graphs() == []
+        others = {"(.0.sock", f"{here}.0.sock"}
+        assert {path.name for path in folder.iterdir()} == {served, *others}
+    assert running_graphs() == []
+    assert {path.name for path in folder.iterdir()} == others
+
+
 def test_a_note_is_at_no_moment_there_and_unlocked(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
