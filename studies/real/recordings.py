@@ -36,6 +36,8 @@ class Recording(NamedTuple):
         them, or else the readings.
     skin : Skin
     unit : str
+    spacing_ms : float or None
+        Time between frames, where the recording states its rate.
     first, n_recorded : int
         Number of the first of these frames, and of all that were recorded.
     norm, total : float
@@ -47,6 +49,7 @@ class Recording(NamedTuple):
     truth: Floats
     skin: Skin
     unit: str
+    spacing_ms: float | None
     first: int
     n_recorded: int
     norm: float
@@ -109,7 +112,11 @@ def part_of(path: str, n_most: int) -> Recording:
     first = _busiest(norms > LOADED * norm, n_most)
     part = slice(first, first + n_most)
     skin = Skin(mask, float(read["f_max"]))
-    return Recording(frames[part], truth[part], skin, read["unit"], first, len(frames), norm, total)
+    spacing_ms = 1e3 / float(read["rate_hz"]) if "rate_hz" in read else None
+    return Recording(
+        *(frames[part], truth[part], skin, read["unit"], spacing_ms),
+        *(first, len(frames), norm, total),
+    )
 
 
 def _busiest(loaded: np.ndarray[tuple[int], np.dtype[np.bool_]], n_most: int) -> int:

@@ -265,8 +265,9 @@ def test_the_study_prints_its_table_and_writes_page_chart_and_figures(
     assert "\npress " in printed
     assert "\ntiny " in printed
     assert "the best simple method beats" in printed
+    assert "all taxels in 8 bits, packed by zstd, are fewer bytes than" in printed
     page = (out / "real.md").read_text()
-    assert "| press | 12 x 10 | 114 | kPa | 0..39 of 40 | 20 | 12 |" in page
+    assert "| press | 12 x 10 | 114 | kPa | 0..39 of 40 | 20 | 12 | - | 32 | 2.0 |" in page
     assert "Means over 2 seeds." in page
     assert "| press | N/8 |" in page
     assert "| tiny | N/8 |" not in page  # five taxels
