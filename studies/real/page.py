@@ -161,7 +161,9 @@ def _means(frame: pd.DataFrame) -> pd.DataFrame:
 
 def _table(rows: pd.DataFrame, text: str) -> pd.DataFrame:
     rows = rows.assign(cell=[cell.replace("nan", "-") for cell in cells(rows, text)])
-    table = pivot(rows, _KEYS, "method", "cell")
+    # In the order of the rows: a pivot keeps that of recordings, or of M, but not of both.
+    keys = rows[_KEYS].drop_duplicates()
+    table = keys.merge(pivot(rows, _KEYS, "method", "cell"), on=_KEYS)
     return table[[*_KEYS, *(name for name in METHODS if name in table)]].fillna("-")
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sparseskin.launch.commands.cli import main
@@ -30,6 +31,7 @@ from sparseskin.studies.real.methods import (
     make_methods,
     replayed,
 )
+from sparseskin.studies.real.page import show
 from sparseskin.studies.real.recordings import digest_of, files_in, part_of
 from sparseskin.studies.real.study import compared, figures_of, readable
 
@@ -273,6 +275,22 @@ def test_the_study_prints_its_table_and_writes_page_chart_and_figures(
     assert "| tiny | N/8 |" not in page  # five taxels
     for name in ("quotients.png", "quotients.svg", "methods.csv", "points.jsonl"):
         assert (out / name).stat().st_size > 100
+
+
+def test_tables_have_the_ratios_of_each_recording_in_order() -> None:
+    figures = dict.fromkeys(("mean", "ghosts", "n_values", "n_bytes", "cpu_ms"), 1.0)
+    # Only at N/8 a contact of the first recording is lost, and at all ratios one of the second.
+    rows = [
+        {"recording": name, "ratio": ratio, "method": replayed(), "median": 9.0, "flagged": None}
+        | {"vanished": 100.0 * (name == "b" or ratio == 8)}
+        | figures
+        for name in ("a", "b")
+        for ratio in (3, 4, 8)
+    ]
+    lines = show(pd.DataFrame(rows))
+    (begin,) = (k for k, line in enumerate(lines) if line.startswith("loaded frames with"))
+    shown = [line.split()[-2] for line in lines[begin + 2 : begin + 6]]
+    assert shown == ["N/8", "N/3", "N/4", "N/8"]
 
 
 def test_without_recordings_one_line_names_the_option(
