@@ -189,7 +189,9 @@ class ResultantEstimator:
         self._slow_total += T.drift_rate * (total - self._slow_total)
         if total > 0:
             centre = self._sums[1:, 0] / total
-            slow = centre if self._slow_centre is None else self._slow_centre
+            # The mean over frames before a jump is that of another contact.
+            begins = self._slow_centre is None or self._jumped_by is not None
+            slow = centre if begins else self._slow_centre
             self._slow_centre = slow + T.drift_rate * (centre - slow)
         else:
             self._slow_centre = None

@@ -66,7 +66,7 @@ def test_fista_finds_the_forces_of_numpy_to_within_10_micronewtons(
 def test_skin_finds_the_forces_of_numpy_to_within_10_micronewtons(
     shape: tuple[int, int], n_missing: int
 ) -> None:
-    """A frame of 16 iterations from nothing at first contact may be off by some more."""
+    """A frame of 30 iterations from nothing at first contact may be off by some more."""
     on, off = streams("skin", mask_of(shape, n_missing), 3)
     assert on.max() > 0.1
     error = np.abs(on - off).max(axis=(1, 2))
@@ -78,18 +78,28 @@ def test_skin_finds_the_forces_of_numpy_to_within_10_micronewtons(
 def test_skin_finds_the_forces_of_numpy_where_rows_rotate(
     shape: tuple[int, int], n_missing: int
 ) -> None:
-    """Rows of earlier frames count in either way, blocks of the last taxels included."""
+    """Rows of earlier frames count in either way, blocks of the last taxels included.
+
+    Frames of nearly 30 iterations amplify rounding: there, compiled loops are as near to numpy as
+    numpy is to itself with measurements that differ by 1e-7 N, and within the documented 1e-5 N
+    times some units.
+    """
     mask = mask_of(shape, n_missing)
     n = int(mask.sum())
     phases = row_subsets(SbhePhi(n, -(-n // 3), 0), "rotating")
-    solvers = [made("skin", phases[0], mask, how) for how in ("on", "off")]
-    errors = []
+    solvers = [made("skin", phases[0], mask, how) for how in ("on", "off", "off")]
+    rng = np.random.default_rng(0)
+    errors, by_rounding = [], []
     for k, frame in enumerate(noisy(sliding_disc(shape, 25)) * mask):
         phi = phases[k % 3]
-        on, off = (_solved(solver, phi, phi.forward(frame[mask])) for solver in solvers)
+        y = phi.forward(frame[mask])
+        nudged = y + rng.normal(scale=1e-7, size=y.shape).astype(np.float32)
+        on, off, other = map(_solved, solvers, [phi] * 3, [y, y, nudged])
         errors.append(float(np.abs(on - off).max()))
+        by_rounding.append(float(np.abs(other - off).max()))
     assert np.median(errors) < 1e-5
-    assert max(errors) < 5e-5
+    assert max(errors) < 10 * max(by_rounding)
+    assert max(errors) < 1e-4
 
 
 def _solved(solver: Solver, phi: Phi, y: Floats) -> Floats:
@@ -101,7 +111,8 @@ def test_where_numpy_itself_depends_on_rounding_skin_is_as_near_as_numpy_is_to_i
     """At N/8 measurements that differ by 1e-7 N give other thresholds, and other forces."""
     mask = np.ones((40, 40), dtype=np.bool_)
     phi = SbhePhi(1600, 200, 0)
-    y = phi.forward(noisy(sliding_disc((40, 40), 25)).reshape(-1, 1600))
+    truth = sliding_disc((40, 40), 25)
+    y = phi.forward(noisy(truth).reshape(-1, 1600))
     nudge = np.random.default_rng(0).normal(scale=1e-7, size=y.shape).astype(np.float32)
     on, off, nudged = (made("skin", phi, mask, how) for how in ("on", "off", "off"))
     found = np.array(
@@ -113,7 +124,8 @@ def test_where_numpy_itself_depends_on_rounding_skin_is_as_near_as_numpy_is_to_i
     error = np.sqrt(np.mean((found[:, 0] - found[:, 1]) ** 2))
     by_rounding = np.sqrt(np.mean((found[:, 2] - found[:, 1]) ** 2))
     assert error < 10 * by_rounding
-    assert error < 1e-3
+    # Rounding is no relevant part of the error of a reconstruction: 1 % of its energy at most.
+    assert error < 0.1 * np.sqrt(np.mean((found[:, 1] - truth) ** 2))
 
 
 @pytest.mark.parametrize("name", ["skin", "fista"])
