@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from .base import Message
 from .errors import FieldError, ShapeError
-from .fields import Array, Integer, Real, Samples, Text, wire
+from .fields import Array, Flag, Integer, Real, Samples, Text, wire
 
 Floats = npt.NDArray[np.float32]
 FINGERPRINT_PATTERN = r"[0-9a-f]{16}"
@@ -87,6 +87,10 @@ class Reconstruction(Message):
         true forces lie within 1.645 of it.
     skipped : int
         Number of frames skipped since the last reconstruction because newer ones waited.
+    error : float or None
+        Estimated RMS error of a taxel, in the skin's unit, where the solver estimates it.
+    trusted : bool
+        False if that error is a large part of the forces; True also where it is not estimated.
     """
 
     schema: ClassVar[str] = "reconstruction"
@@ -100,6 +104,8 @@ class Reconstruction(Message):
     done_ns: int = wire(Integer())
     sd: Floats | None = wire(Array("<f4", 2, optional=True), default=None, omitted=True)
     skipped: int = wire(Integer(), default=0, omitted=True)
+    error: float | None = wire(Real(0.0, optional=True), default=None, omitted=True)
+    trusted: bool = wire(Flag(), default=True, omitted=True)
 
     def validate(self) -> None:
         if self.sd is not None and self.sd.shape != self.forces.shape:

@@ -36,9 +36,15 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
+from sparseskin.nodes.reconstructor.estimates.trust import TrustLog
 from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED, Uncertainty
 from sparseskin.nodes.reconstructor.faults.watch import FaultWatch
-from sparseskin.nodes.reconstructor.solvers.base import Solver, make_rotating_solver, make_solver
+from sparseskin.nodes.reconstructor.solvers.base import (
+    Solver,
+    estimated_error,
+    make_rotating_solver,
+    make_solver,
+)
 
 from .limits import OWN_BASIS, check_lambda, check_phi, reconstruction_warnings
 from .settings import ANNOUNCED, PRESETS, ReconstructorSettings
@@ -65,6 +71,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._warm: Floats | None = None
         self._skipped = 0
         self._watch = FaultWatch(settings.watch_rows, settings.watch_taxels, context.log)
+        self._trust_log = TrustLog(context.log)
         self._uncertainty: Uncertainty | None = None
         self._resultant: ResultantEstimator | None = None
 
@@ -226,6 +233,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         begin_ns = time.perf_counter_ns()
         try:
             forces, n_steps = self._solve(self._solver, y)
+            estimated, trusted = estimated_error(self._solver)
         except SolverError as error:
             raise RefusedError(f"{measurements.topic}: {error}") from error
         solve_ns = time.perf_counter_ns() - begin_ns
@@ -245,8 +253,11 @@ class Reconstructor(Node[ReconstructorSettings]):
             done_ns=done_ns,
             sd=None if self._uncertainty is None else self._uncertainty.update(forces, residual),
             skipped=self._skipped,
+            error=estimated,
+            trusted=trusted,
         )
         self._skipped = 0
+        self._log_trust(measurements.stamp_ns, forces, estimated, trusted)
         if watched and self._watch.update(phi, given, y, forces, fitted):
             # The effect of faulty measurements on the estimate would last for long.
             self._warm, self._last = np.zeros_like(forces), None
@@ -255,6 +266,13 @@ class Reconstructor(Node[ReconstructorSettings]):
             following = fingerprints[(fingerprints.index(phi.fingerprint) + 1) % len(fingerprints)]
             self._resultant.learn(phi, y, forces.reshape(-1)[self._solver.taxels], fitted)
             self._resultant.prepare(self._subsets[following])
+
+    def _log_trust(self, stamp_ns: int, forces: Floats, error: float | None, trusted: bool) -> None:
+        assert self._skin is not None
+        assert self._solver is not None
+        unit, rotating = self._skin.unit, len(self._subsets) > 1
+        of_taxels = forces.reshape(-1)[self._solver.taxels]
+        self._trust_log.update(stamp_ns, of_taxels, error, trusted, unit=unit, rotating=rotating)
 
     def _resultant_of(self, found: Estimate, stamp_ns: int) -> Resultant:
         row, col = found.centre or (None, None)

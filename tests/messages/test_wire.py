@@ -109,6 +109,8 @@ messages: st.SearchStrategy[Message] = st.one_of(
         solve_ns=numbers,
         done_ns=numbers,
         skipped=numbers,
+        error=st.none() | positive,
+        trusted=st.booleans(),
     ),
     reconstructions_with_sd(),
     st.builds(Resultant, **headers, total=positive, total_sd=positive, done_ns=numbers),

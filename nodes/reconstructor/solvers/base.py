@@ -246,7 +246,7 @@ class RotatingSolver(Solver):
         self._last = None
         forces = self._chosen.finish()
         self._last = forces.copy()
-        self.error, self.trusted = error_of(self._chosen), trust_in(self._chosen)
+        self.error, self.trusted = estimated_error(self._chosen)
         return forces
 
     def reset(self) -> None:
@@ -315,14 +315,22 @@ def make_solver(
     return solver
 
 
-def error_of(solver: Solver) -> float | None:
-    """Return `error` of a solver; None for one of the user's own that has no such attribute."""
-    return getattr(solver, "error", None)
+def estimated_error(solver: Solver) -> tuple[float | None, bool]:
+    """Return `error` and `trusted` of a solver; None and True for one without these attributes.
 
-
-def trust_in(solver: Solver) -> bool:
-    """Return `trusted` of a solver; True for one of the user's own without that attribute."""
-    return getattr(solver, "trusted", True)
+    Raises
+    ------
+    SolverError
+        If one of them is no such value.
+    """
+    error, trusted = getattr(solver, "error", None), getattr(solver, "trusted", True)
+    if error is not None and not is_real(error, 0.0):
+        allowed = "a finite number, 0 or more; or None"
+        raise SolverError(f"{solver.name}: error = {error!r} is not allowed; allowed: {allowed}")
+    if not isinstance(trusted, bool | np.bool_):
+        allowed = "allowed: True, False"
+        raise SolverError(f"{solver.name}: trusted = {trusted!r} is not allowed; {allowed}")
+    return None if error is None else float(error), bool(trusted)
 
 
 def check_reads(name: str, solver: object, kind: str, phi: type) -> None:

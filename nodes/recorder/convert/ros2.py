@@ -19,6 +19,7 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 
 INSTALL = 'writing for ROS 2 needs mcap-ros2-support; pip install "sparseskin[ros2]"'
 _MAX_SECONDS = (1 << 31) - 1
+BOOL = "std_msgs/msg/Bool"
 IMAGE = "sensor_msgs/msg/Image"
 FLOAT = "std_msgs/msg/Float32"
 _LINE = "=" * 80
@@ -42,6 +43,7 @@ int32 sec
 uint32 nanosec
 """,
     FLOAT: "float32 data\n",
+    BOOL: "bool data\n",
 }
 """Definitions of the exported messages, as in common_interfaces of ROS 2."""
 
@@ -52,7 +54,8 @@ def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
     /PATCH/SCHEMA becomes sensor_msgs/msg/Image, encoding 32FC1: n_rows x n_cols, measurements
     1 x M; its header has the stamp, and the patch as frame_id. Beside it stand, each a
     std_msgs/msg/Float32, /PATCH/SCHEMA/total_force (the sum over the taxels, in the skin's unit;
-    not of measurements) and /PATCH/reconstruction/residual.
+    not of measurements) and /PATCH/reconstruction/residual; where the solver estimates its error,
+    /PATCH/reconstruction/error, and /PATCH/reconstruction/trusted, a std_msgs/msg/Bool.
 
     Raises BagError if mcap-ros2-support is not installed, the bag has no such frames, or a stamp
     does not fit into ROS's 31 bits of seconds; OutputError if the folder exists or cannot be
@@ -96,6 +99,10 @@ def _messages(frame: Frame, path: Path) -> Iterator[tuple[str, str, dict[str, An
         yield f"{topic}/total_force", FLOAT, {"data": float(array.sum(dtype=np.float64))}
     if isinstance(message, Reconstruction):
         yield f"{topic}/residual", FLOAT, {"data": message.residual}
+        if message.error is not None:
+            yield f"{topic}/error", FLOAT, {"data": message.error}
+        if message.error is not None or not message.trusted:
+            yield f"{topic}/trusted", BOOL, {"data": message.trusted}
 
 
 def _image(patch: str, stamp_ns: int, array: npt.NDArray[np.float32], path: Path) -> dict[str, Any]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import builtins
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from bags import MASK, N_COLS, N_ROWS, PERIOD_NS, M, frame, frames, make_bag, skin_state
+from bags import LAG_NS, MASK, N_COLS, N_ROWS, PERIOD_NS, M, frame, frames, make_bag, skin_state
 from recordings import NAMES, recording
 
 from sparseskin.launch.commands.cli import make_parser
@@ -338,6 +339,32 @@ def test_rosbags_reads_the_same_numbers_from_a_ros2_export(bag: Bag) -> None:
     residuals = [np.float32(message.residual) for message in of_kind(messages, Reconstruction)]
     assert scalars["/skin/reconstruction/residual"] == residuals
     assert len(scalars) == 4
+
+
+def test_a_ros2_export_holds_estimated_errors_where_there_are_some(bag: Bag) -> None:
+    pytest.importorskip("mcap_ros2", reason="the extra ros2 is not installed")
+    rosbags = pytest.importorskip("rosbags.rosbag2", reason="rosbags is not installed")
+    typesys = pytest.importorskip("rosbags.typesys")
+    stated: list[tuple[float | None, bool]] = [(0.5, False), (None, True), (0.25, True)]
+    messages = [
+        replace(frame(k)[-1], error=error, trusted=trusted)
+        for k, (error, trusted) in enumerate(stated)
+    ]
+    make_bag(Path("a.mcap"), messages)
+    assert bag("export", "a.mcap", "--to", "ros2") == 0
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    found: dict[str, list[tuple[int, Any]]] = {"error": [], "trusted": []}
+    with rosbags.Reader(Path("a_ros2")) as reader:
+        for connection, stamp_ns, raw in reader.messages():
+            name = connection.topic.rpartition("/")[2]
+            if name in found:
+                data = store.deserialize_cdr(raw, connection.msgtype).data
+                found[name].append((stamp_ns, data))
+    stamps = [messages[k].stamp_ns + LAG_NS for k in (0, 2)]
+    assert found == {
+        "error": list(zip(stamps, (0.5, 0.25), strict=True)),
+        "trusted": list(zip(stamps, (False, True), strict=True)),
+    }
 
 
 def test_without_the_extra_the_ros2_export_names_the_command_that_installs_it(

@@ -1,0 +1,71 @@
+"""Log lines on frames whose estimated error is a large part of their forces."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import Floats
+
+EVERY_NS = 10_000_000_000
+"""Least time between two lines, nanoseconds of the frames' stamps. Chosen: readable by a person."""
+
+
+class TrustLog:
+    """Logs that frames are not to be trusted: at the first of them, then at most every 10 s.
+
+    Time is that of the stamps, so that a replay logs the same lines at any rate.
+
+    Parameters
+    ----------
+    log : callable
+        Receives one line of text.
+    """
+
+    def __init__(self, log: Callable[[str], None]) -> None:
+        self._log = log
+        self._logged_ns: int | None = None
+        self._n_frames = self._n_untrusted = 0
+
+    def update(
+        self,
+        stamp_ns: int,
+        forces: Floats,
+        error: float | None,
+        trusted: bool,
+        *,
+        unit: str,
+        rotating: bool,
+    ) -> None:
+        """Process a frame: forces of its existing taxels, and what its solver estimates of them.
+
+        `error` and `trusted` are as in `Solver`; `rotating`: True if the rows of Phi rotate.
+        """
+        self._n_frames += 1
+        self._n_untrusted += not trusted
+        # Stamps go back where a recording is played again.
+        if trusted or (self._logged_ns is not None and abs(stamp_ns - self._logged_ns) < EVERY_NS):
+            return
+        count = "" if self._logged_ns is None else self._count()
+        better = "more measurements" if rotating else 'more measurements or rows = "rotating"'
+        self._log(
+            f"{_described(error, forces, unit)}: frames are not to be trusted{count}; "
+            f'{better} may help (docs/method.md, "Estimated error")'
+        )
+        self._logged_ns = stamp_ns
+        self._n_frames = self._n_untrusted = 0
+
+    def _count(self) -> str:
+        return f" ({self._n_untrusted} of {self._n_frames} since the last such line)"
+
+
+def _described(error: float | None, forces: Floats, unit: str) -> str:
+    """Return the estimate in words."""
+    if error is None:
+        return "the solver doubts its estimate"
+    rms = math.sqrt(float(np.mean(np.square(forces, dtype=np.float64))))
+    if error >= 10 * rms:
+        return f"estimated error {error:.2g} {unit} a taxel, more than the forces"
+    return f"estimated error {100 * error / rms:.0f} % of the forces"

@@ -1,0 +1,168 @@
+"""A solver's estimate of its own error is published with each frame, and doubts are logged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from doubting import DOUBTING, ERROR
+from watched import Desk, N
+
+from sparseskin.messages import Measurements, Reconstruction, decode, encode
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
+from sparseskin.nodes.errors import RefusedError
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.estimates.trust import EVERY_NS, TrustLog
+from sparseskin.nodes.reconstructor.solvers.base import (
+    RotatingSolver,
+    Solver,
+    make_rotating_solver,
+    make_solver,
+)
+
+FORCES = np.full(10, 0.5, np.float32)
+PHI = make_phi("sbhe", N, N // 3, seed=0)
+S = 1_000_000_000
+
+
+def reconstructions(desk: Desk, n_frames: int) -> list[Reconstruction]:
+    found = desk.messages(np.zeros((n_frames, PHI.m), np.float32))
+    return [message for message in found if isinstance(message, Reconstruction)]
+
+
+def test_the_message_carries_what_the_solver_estimates() -> None:
+    desk = Desk(PHI, solver=DOUBTING, options={"n_doubted": 2, "period": 3})
+    found = reconstructions(desk, 6)
+    assert [message.trusted for message in found] == [False, False, True] * 2
+    assert {message.error for message in found} == {ERROR}
+    for message in found:
+        assert decode(*encode(message)) == message
+
+
+def test_a_message_without_the_fields_states_no_error_and_is_trusted() -> None:
+    (message,) = reconstructions(Desk(PHI, solver="ista"), 1)
+    topic, payload = encode(message)
+    assert not {"error", "trusted"} & msgpack.unpackb(payload).keys()
+    read = decode(topic, payload)
+    assert isinstance(read, Reconstruction)
+    assert (read.error, read.trusted) == (None, True)
+
+
+@pytest.mark.parametrize("wrong", [{"error": -0.1}, {"error": float("nan")}, {"trusted": 1}])
+def test_an_estimate_that_is_none_is_refused(
+    wrong: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = Desk(PHI, solver=DOUBTING)
+    solver = desk.node._solver
+    assert solver is not None
+    finish = solver.finish
+
+    def finish_wrongly() -> Any:
+        forces = finish()
+        for name, value in wrong.items():
+            setattr(solver, name, value)
+        return forces
+
+    monkeypatch.setattr(solver, "finish", finish_wrongly)
+    with pytest.raises(RefusedError, match=rf"doubting: {next(iter(wrong))} = .*; allowed: "):
+        reconstructions(desk, 1)
+
+
+def test_a_solver_with_neither_attribute_is_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("error", "trusted"):
+        monkeypatch.delattr(Solver, name)
+    (message,) = reconstructions(Desk(PHI, solver="ista"), 1)
+    assert (message.error, message.trusted) == (None, True)
+
+
+def test_solvers_of_row_subsets_pass_on_that_of_the_last_frame() -> None:
+    phi = make_phi("sbhe", n=64, m=16, seed=0)
+    subsets = row_subsets(phi, "rotating")
+    solver = make_rotating_solver(
+        DOUBTING, subsets, make_basis("haar", 8, 8), n_doubted=1, period=2
+    )
+    assert isinstance(solver, RotatingSolver)
+    assert (solver.error, solver.trusted) == (None, True)
+    found = []
+    for one in [*subsets, *subsets]:
+        solver.use(one)
+        solver.solve(np.zeros(one.m, np.float32))
+        found.append((solver.error, solver.trusted))
+    # Each of them doubts its own first frame.
+    assert found == [(ERROR, False)] * len(subsets) + [(ERROR, True)] * len(subsets)
+    solver.reset()
+    assert (solver.error, solver.trusted) == (None, True)
+
+
+def test_a_solver_estimates_nothing_unless_it_states_so() -> None:
+    solver = make_solver("ista", make_phi("sbhe", n=64, m=16, seed=0), make_basis("haar", 8, 8))
+    solver.solve(np.zeros(16, np.float32))
+    assert (solver.error, solver.trusted) == (None, True)
+
+
+def test_one_line_at_the_first_doubt_and_one_every_10_s() -> None:
+    lines: list[str] = []
+    log = TrustLog(lines.append)
+
+    def feed(stamps_s: list[float], trusted: bool) -> int:
+        before = len(lines)
+        for stamp_s in stamps_s:
+            stamp_ns = round(stamp_s * S)
+            log.update(stamp_ns, FORCES, 0.31, trusted, unit="N", rotating=False)
+        return len(lines) - before
+
+    assert feed([0, 1, 2], trusted=True) == 0
+    assert feed([3], trusted=False) == 1
+    assert feed([4, 5, 6], trusted=False) == 0
+    assert feed([7], trusted=True) == 0
+    assert feed([8, 3 + EVERY_NS / S - 1e-3], trusted=False) == 0
+    assert feed([3 + EVERY_NS / S], trusted=False) == 1
+    assert feed([20, 40, 60], trusted=True) == 0
+    assert feed([61, 62], trusted=False) == 1
+    assert feed([3, 4], trusted=False) == 1  # the recording is played again
+    first, second, *_ = lines
+    assert first == (
+        "estimated error 62 % of the forces: frames are not to be trusted; more measurements or "
+        'rows = "rotating" may help (docs/method.md, "Estimated error")'
+    )
+    assert "not to be trusted (6 of 7 since the last such line); more" in second
+
+
+@pytest.mark.parametrize(
+    ("error", "forces", "words"),
+    [
+        (None, 0.5, "the solver doubts its estimate: "),
+        (0.02, 0.0, "estimated error 0.02 kPa a taxel, more than the forces: "),
+        (6.0, 0.5, "estimated error 6 kPa a taxel, more than the forces: "),
+        (0.6, 0.5, "estimated error 120 % of the forces: "),
+    ],
+)
+def test_the_line_states_the_estimate(error: float | None, forces: float, words: str) -> None:
+    lines: list[str] = []
+    uniform = np.full(4, forces, np.float32)
+    TrustLog(lines.append).update(0, uniform, error, False, unit="kPa", rotating=True)
+    assert lines[0].startswith(words)
+    assert "trusted; more measurements may help" in lines[0]
+
+
+def test_the_node_logs_a_run_of_doubted_frames_once() -> None:
+    desk = Desk(PHI, solver=DOUBTING, options={"n_doubted": 4, "period": 4})
+    reconstructions(desk, 5)
+    (line,) = desk.lines
+    assert line.startswith("estimated error 50 % of the forces: ")
+    assert 'rows = "rotating"' in line
+    assert reconstructions(Desk(PHI, solver=DOUBTING), 5)
+
+
+def test_the_times_of_the_lines_are_those_of_the_stamps() -> None:
+    desk = Desk(PHI, solver=DOUBTING, options={"n_doubted": 1, "period": 1})
+    frame = Measurements(
+        stamp_ns=0, patch="skin", y=np.zeros(PHI.m, np.float32), phi=PHI.fingerprint
+    )
+    for stamp_s in range(25):
+        list(desk.node.step(replace(frame, stamp_ns=stamp_s * S)))
+    assert len(desk.lines) == 3  # at 0, 10 and 20 s
