@@ -106,6 +106,12 @@ def test_a_node_that_fails_or_refuses_ends_a_run_with_its_error(
     np.save(file, np.ones((3, 8, 8), np.float32))
     source = f"sensor.source=file:{file}"
     failing = [source, "sensor.rate_hz=100", "sensor.unit=N", "compressor.ratio=5000"]
+    line = r"^--set compressor.ratio=5000: 5000 leaves no measurement of 64 taxels"
+    with pytest.raises(SparseskinError, match=line):  # before the run: the file states its shape
+        list(sparseskin.run_launch("replay", 3, failing))
+    (tmp_path / "own_driver.py").write_text("def frames():\n    yield 0, [[0.5] * 8] * 8\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    failing[0] = "sensor.source=own_driver:frames"
     with pytest.raises(SparseskinError, match=r"^compressor: .*leaves no measurement of 64 taxels"):
         list(sparseskin.run_launch("replay", 3, failing))
     (tmp_path / "own_raising.py").write_text(
@@ -113,7 +119,6 @@ def test_a_node_that_fails_or_refuses_ends_a_run_with_its_error(
         "class Raising(FistaSolver):\n"
         "    def setup(self, *arguments): raise ZeroDivisionError('of its own')\n"
     )
-    monkeypatch.syspath_prepend(tmp_path)
     raising = ["reconstructor.solver=own_raising:Raising"]
     with pytest.raises(SparseskinError, match=r"^reconstructor: .*ZeroDivisionError: of its own"):
         list(sparseskin.run_launch("path_40", 3, raising))
