@@ -94,13 +94,13 @@ class CompiledRowMemory(RowMemory):
         projection = self._compiled
         return compare_rows(
             *(y if x is None else x, x is not None, y, self.read),
-            *(projection.scale, projection.groups, self._whole, self._values, self._rows),
+            *(projection.scale, projection.groups, self._whole, self.values, self._rows),
         )
 
     def _follow(self, gain: float, counted: float, target: Floats) -> None:
         projection = self._compiled
         follow_rows(
-            *(gain, counted, self.read, self._known, self._values, self._whole),
+            *(gain, counted, self.read, self.known, self.values, self._whole),
             *(projection.scale, self._weights, target),
         )
         projection.weights = self._weights

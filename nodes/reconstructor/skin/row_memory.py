@@ -14,6 +14,11 @@ from sparseskin.nodes.reconstructor.solvers.projection import Projection
 MOST = 0.3
 #: Change since a row was read, in noise variances, that may be noise; decay of the weight beyond.
 NOISE_CHANGE, DECAY = 1.05, 10.0
+#: Variance of a remembered row for the smooth model, in its mean squared change: changes have a
+#: structure, and independent rows that agree on it would prove it.
+DOUBT = 10.0
+#: Part of the drift that is left a frame later: a change is followed by others.
+DRIFT_DECAY = 0.5
 
 
 class RowMemory:
@@ -41,6 +46,8 @@ class RowMemory:
         1 for the rows of this frame, 0 for others.
     m_counted : float
         Sum of the squared weights: the equivalent number of measurements.
+    values, known : ndarray of float32, shape (n_rows,)
+        Last measurement of each row, moved along, newtons; 1 where there is one, 0 where not.
     """
 
     def __init__(self, projection: Projection, m: int, whole: Floats) -> None:
@@ -49,16 +56,19 @@ class RowMemory:
         self.m_counted = float(m)
         self._read_by: dict[int, Floats] = {}
         floats = [np.zeros(projection.n_rows, dtype=np.float32) for _ in range(5)]
-        self.read, self._known, self._values, self._rows, self._weights = floats
+        self.read, self.known, self.values, self._rows, self._weights = floats
         self._whole = whole
         self._factors = np.zeros(3, dtype=np.float32)
         self.forget()
 
     def forget(self) -> None:
         """Forget the measurements of all earlier frames."""
-        self._subsets: set[int] = set()
-        self._known.fill(0)
-        self._values.fill(0)
+        #: Number of the frame that each row subset was last read in, the latest last.
+        self._read_in: dict[int, int] = {}
+        self._n_frames = 0
+        self._drift = 0.0
+        self.known.fill(0)
+        self.values.fill(0)
 
     def recall(
         self,
@@ -69,6 +79,7 @@ class RowMemory:
         gain: float,
         s2: float,
         nis: float,
+        settling: bool,
     ) -> None:
         """Set the weights of the projection, and the target of the iterations.
 
@@ -83,22 +94,39 @@ class RowMemory:
         gain, s2, nis : float
             K, noise variance, and normalised innovation squared: the change D of a row subset that
             is read for the first time.
+        settling : bool
+            True if only the rows of this frame are to have a weight.
         """
         if subset not in self._read_by:
             self._read_by[subset] = (self._projection.measured > 0).astype(np.float32)
         self.read = self._read_by[subset]
         change2 = self._compare(x, y)
-        change = nis - NOISE_CHANGE
-        if subset in self._subsets:
+        self._n_frames += 1
+        change, age = nis - NOISE_CHANGE, 1
+        if subset in self._read_in:
             change = change2 / (self._m * s2 + TINY) - 2 * NOISE_CHANGE
-        counted = MOST / math.sqrt(1 + DECAY * max(0.0, change))
-        self._subsets.add(subset)
-        self.m_counted = self._m * (1 + counted**2 * (len(self._subsets) - 1))
+            age = self._n_frames - self._read_in.pop(subset)
+        change = max(0.0, change)
+        self._drift = max(change * s2 / age, DRIFT_DECAY * self._drift)
+        counted = 0.0 if settling else MOST / math.sqrt(1 + DECAY * change)
+        self._read_in[subset] = self._n_frames
+        self.m_counted = self._m * (1 + counted**2 * (len(self._read_in) - 1))
         self._follow(gain, counted, target)
+
+    def variances(self, noise: float) -> Floats:
+        """Return the variance of each row, float32 (n_rows,), squared newtons.
+
+        `noise` is that of a row of this frame; for earlier ones their expected change is added.
+        """
+        variances = np.zeros_like(self.values)
+        for subset, frame in self._read_in.items():
+            changed = DOUBT * self._drift * (self._n_frames - frame)
+            variances[self._read_by[subset] > 0] = noise + changed
+        return variances
 
     def _compare(self, x: Floats | None, y: Floats) -> float:
         """Move the known rows along, replace those of y; return their squared change."""
-        whole, rows, values = self._whole, self._rows, self._values
+        whole, rows, values = self._whole, self._rows, self.values
         if x is not None:
             self._projection.whole(x, rows)
             np.subtract(rows, whole, whole)
@@ -113,11 +141,11 @@ class RowMemory:
         """Set the target and the weights of rows, `counted` for those of earlier frames."""
         self._factors[:] = gain, counted, 1 - counted
         k, w, rest = self._factors[:, None]
-        np.maximum(self._known, self.read, out=self._known)
-        np.multiply(self._known, w, self._weights)
+        np.maximum(self.known, self.read, out=self.known)
+        np.multiply(self.known, w, self._weights)
         np.multiply(self.read, rest, self._rows)
         np.add(self._weights, self._rows, self._weights)
-        np.subtract(self._values, self._whole, target)
+        np.subtract(self.values, self._whole, target)
         np.multiply(target, k, target)
         np.add(target, self._whole, target)
         np.multiply(target, self._weights, target)

@@ -1,4 +1,4 @@
-"""The default solver: randomly shifted Haar, and a prediction from the last frame."""
+"""The default solver: randomly shifted Haar or a smooth model, and a prediction from the past."""
 
 from __future__ import annotations
 
@@ -20,10 +20,12 @@ from sparseskin.nodes.reconstructor.solvers.backends import make_projection
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
 
 from .clip_bias import ClipBias
+from .evidence import COMPARABLE, HAAR, SMOOTH, HeldOut
 from .gain import AdaptiveGain
 from .noise_level import NoiseLevel
 from .prediction import Prediction, neighbours_of
 from .row_memory import RowMemory
+from .smooth import KEPT_FIXED, KEPT_ROTATING, LEAST_NOISE, MOST_DIRECT, SmoothModel
 
 N_DRAWN = 4093
 """Number of shifts drawn in advance; a prime, so that their sequence is in step with nothing."""
@@ -55,6 +57,13 @@ class Tuning:
     #: Normalised innovation squared beyond which iterations are added, and how many per unit.
     expected_nis: float = 1.05
     iterations_per_nis: float = 20.0
+    #: Mean squared error of an estimate whose held-out rows show noise alone, in K R and the root
+    #: of the part of the taxels that are touched.
+    filtered_error: float = 2.2
+    #: Largest error that is trusted, as a part of the forces (both RMS); and the power of forces
+    #: and of errors, in noise variances, up to which nothing touches the skin.
+    trusted: float = 0.25
+    untouched: float = 0.5
 
 
 TUNING = Tuning()
@@ -150,6 +159,10 @@ class SkinSolver(Solver):
         self._prediction = Prediction(self._projection, neighbours, n, phi.m)
         self._noise = NoiseLevel(phi.m)
         self._bias = ClipBias(self._projection, n)
+        few = phi.m < COMPARABLE and n <= MOST_DIRECT
+        self._held_out = HeldOut(self._projection, phi.m, one_by_one=few)
+        cells = self.taxels[self._projection.order]
+        self._smooth = SmoothModel(self._projection, cells, self.mask, direct=few)
         self._gain = AdaptiveGain()
         self._memory: RowMemory | None = None
         if self._projection.has_whole:
@@ -167,6 +180,7 @@ class SkinSolver(Solver):
         self._correction = floats(n)
         rows = (floats(self._projection.n_rows) for _ in range(4))
         self._y, self._innovation, self._target, self._r = rows
+        self._fitted = {name: floats(self._projection.n_rows) for name in (HAAR, SMOOTH)}
         self._canvas = floats(self._haar.size)
         # An array of them: numpy compares with a single number three times as slowly.
         self._zeros = floats(n)
@@ -204,14 +218,17 @@ class SkinSolver(Solver):
         self._noise.reset()
         self._bias.reset()
         self._gain.reset()
+        self._held_out.reset()
+        self.error, self.trusted = None, True
         if self._memory is not None:
             self._memory.forget()
         self._correction.fill(0)
         self._last_phi = self.phi
-        self._rotating = self._begun = False
+        self._rotating = self._begun = self._has_estimate = False
         subset = self._subsets[self.phi.fingerprint]
         self._noise.use(subset)
         self._gain.use(subset)
+        self._held_out.use(subset)
         self._next_shift = 0
         self._steps_left = 0
 
@@ -228,6 +245,7 @@ class SkinSolver(Solver):
         self._noise.use(subset)
         self._bias.use(subset)
         self._gain.use(subset)
+        self._held_out.use(subset)
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         y = self._checked_y(y)
@@ -260,22 +278,53 @@ class SkinSolver(Solver):
         self._threshold = threshold * self._projection.step_size
         more = TUNING.iterations_per_nis * max(0.0, self._gain.nis - TUNING.expected_nis)
         more = self.max_iterations if settling else min(more, self.max_iterations)
-        self.n_steps = min(self.max_iterations, self.iterations + int(more))
-        if self._memory is not None and self._rotating:
-            self._recall(self._memory)
+        models = self._held_out.models(self._nothing_known)
+        self._n_haar = (
+            min(self.max_iterations, self.iterations + int(more)) if HAAR in models else 0
+        )
+        rotating = self._memory is not None and self._rotating
+        if rotating:
+            self._recall(settling)
         else:
             # y' = Phi x_p + K e
             self._factor[()] = 1 - gain
             np.multiply(self._innovation, self._factor, self._target)
             np.subtract(self._y, self._target, self._target)
+        kept = self._held_out.kept
+        self._projection.leave_out(kept)
+        np.multiply(self._target, kept, self._target)
+        self._n_rounds = 0
+        if SMOOTH in models:
+            self._begin_smooth(e2, rotating)
+        self.n_steps = self._n_haar + self._n_rounds
         np.copyto(self._z, self._x)
         np.copyto(self._correction, self._x)
         self._sum.fill(0)
         self._steps_left, self._n_summed = self.n_steps, 0
 
+    def _begin_smooth(self, e2: float, rotating: bool) -> None:
+        """Hand the rows that are known to the smooth model."""
+        y = self._y
+        y2 = float(np.dot(y, y)) / self.phi.m
+        cold = self._nothing_known
+        least = self._known_noise + LEAST_NOISE * y2
+        power = (y2 if cold else e2) - least
+        known, values, variance = self._projection.measured, y, np.full_like(y, least)
+        if rotating and self._memory is not None:
+            known, values = self._memory.known, self._memory.values
+            variance = self._memory.variances(least)
+        used = np.where(known > 0, self._held_out.kept, np.float32(0))
+        kept = KEPT_ROTATING if rotating else KEPT_FIXED
+        self._smooth.setup(self._x, values, variance, used, max(power, TINY), cold, kept)
+        self._n_rounds = self._smooth.rounds_left
+
     def step(self) -> None:
-        summed = self._steps_left <= TUNING.averaged
+        done = self.n_steps - self._steps_left
         self._count_step()
+        if done >= self._n_haar:
+            self._smooth.round()
+            return
+        summed = done >= self._n_haar - TUNING.averaged
         shift = self._shifts[self._next_shift]
         self._iterate(shift, self._threshold, self._least, summed)
         self._next_shift = (self._next_shift + 1) % N_DRAWN
@@ -305,30 +354,75 @@ class SkinSolver(Solver):
             np.add(self._sum, x, self._sum)
 
     def finish(self) -> Floats:
-        if self._n_summed:
-            self._factor[()] = 1 / self._n_summed
-            np.multiply(self._sum, self._factor, self._x)
+        if self._steps_left < self.n_steps:
+            self._choose()
         if not math.isfinite(float(np.dot(self._x, self._x))):
             self.reset()
             raise SolverError("skin: the iteration diverged: is phi.lipschitz too small?")
-        if self._steps_left < self.n_steps:
-            # y - Phi x = r of the last iteration + (1 - K) innovation.
-            ones, kept = self._bias.ones, 1 - self._gain.gain
-            left = float(np.dot(ones, self._r)) + kept * float(np.dot(ones, self._innovation))
-            self._bias.update(left, self._x, self._noise.s2)
         np.subtract(self._x, self._correction, self._correction)
         self._steps_left = 0
         return self._forces_of(self._x_and_zero, self._bias.b).reshape(self.mask.shape)
 
-    def _recall(self, memory: RowMemory) -> None:
+    def _choose(self) -> None:
+        """Set x to the better estimate of those that were made, and its error."""
+        done = self.n_steps - self._steps_left
+        estimates = {}
+        if self._n_haar:
+            if self._n_summed:
+                self._factor[()] = 1 / self._n_summed
+                np.multiply(self._sum, self._factor, self._x)
+            estimates[HAAR] = self._x
+        # A model that a budget cut short is not compared, but better than none.
+        if self._n_rounds and (done == self.n_steps or not self._n_haar):
+            estimates[SMOOTH] = self._smooth.x
+        residuals = {}
+        for name, x in estimates.items():
+            self._projection.whole(x, self._fitted[name])
+            left_out = self._smooth.left_out
+            if left_out is not None:
+                residuals[name] = left_out[self._projection.measured > 0]
+            else:
+                residuals[name] = self._held_out.residual(self._y, self._fitted[name])
+        chosen = self._held_out.choose(residuals, self._known_noise, self._nothing_known)
+        np.copyto(self._x, estimates[chosen])
+        # The bias is that of this frame's rows alone.
+        residual = np.subtract(self._y, self._fitted[chosen], self._r)
+        self._bias.update(float(np.dot(self._bias.ones, residual)), self._x, self._noise.s2)
+        self._has_estimate = True
+        self._judge()
+
+    @property
+    def _nothing_known(self) -> bool:
+        """True if the past says nothing of this frame."""
+        return self._prediction.failed or not self._has_estimate
+
+    @property
+    def _known_noise(self) -> float:
+        """Variance of the noise on a measurement, squared newtons; 0 before it is known."""
+        return self._gain.noise if self._noise.known else 0.0
+
+    def _judge(self) -> None:
+        """Set the error of the estimate, and whether it is trusted."""
+        noise, x, n = self._known_noise, self._x, self.phi.n
+        touched = math.sqrt(np.count_nonzero(x) / n)
+        filtered = TUNING.filtered_error * touched * self._gain.gain * noise
+        beyond = max(self._held_out.mean_square - noise, 0.0)
+        error2, power = max(beyond, filtered), float(np.dot(x, x)) / n
+        self.error = math.sqrt(error2)
+        nothing = max(power, beyond) <= TUNING.untouched * noise
+        self.trusted = nothing or error2 <= TUNING.trusted**2 * power
+
+    def _recall(self, settling: bool) -> None:
         """Use the rows of earlier frames as well, as far as they still hold."""
-        # While the estimate settles after a jump, earlier rows would preserve its errors.
-        if self._noise.since_jump <= TUNING.settling:
+        memory = self._memory
+        assert memory is not None
+        if self._prediction.failed:
             memory.forget()
+        # While the estimate settles after a jump, earlier rows would preserve its errors.
         memory.recall(
             self._subsets[self.phi.fingerprint],
             self._x if self._prediction.moved else None,
-            *(self._y, self._target, self._gain.gain, self._gain.noise, self._gain.nis),
+            *(self._y, self._target, self._gain.gain, self._gain.noise, self._gain.nis, settling),
         )
         # Thresholds are in RMS of r over the weighted rows.
         self._threshold *= math.sqrt(self.phi.m / memory.m_counted)

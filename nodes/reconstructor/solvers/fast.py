@@ -47,7 +47,7 @@ class CompiledProjection(Projection):
         self.scale = np.empty(phi.n, dtype=np.float32)
         for start, size, count in self.groups:
             self.scale[start : start + size * count] = 1 / np.sqrt(size)
-        self._weighted = np.zeros(phi.n, dtype=np.float32)
+        self._weighted, self._left = np.zeros((2, phi.n), dtype=np.float32)
         self.n_rows = phi.n
         self.step_size = 1.0
         self._tables: dict[str, tuple[Floats, Indices]] = {}
@@ -75,6 +75,12 @@ class CompiledProjection(Projection):
 
     def whole(self, x: Floats, out: Floats) -> None:
         dealt_forward(x[None], self.scale, self.groups, out[None])
+
+    def whole_adjoint(self, rows: Floats, out: Floats) -> None:
+        dealt_adjoint(rows, self.scale, self.groups, out)
+
+    def leave_out(self, kept: Floats) -> None:
+        self.weights = np.multiply(self.weights, kept, self._left)
 
     def weigh(self, weights: Floats | None) -> None:
         self.weights = self.measured

@@ -27,7 +27,7 @@ class Projection(ABC):
     step_size : float
         1 / L, L the largest eigenvalue of Phi Phi^T.
     has_whole : bool
-        True if there are `whole`, `weigh` and `measured`.
+        True if W has rows that are not measured, and there is `weigh`.
     measured : ndarray of float32, shape (n_rows,)
         Factor of each row of W: above 0 where it is measured, 0 where not.
     """
@@ -54,9 +54,17 @@ class Projection(ABC):
     def adjoint(self, rows: Floats, out: Floats) -> None:
         """Write Phi^T rows / L to out: float32 (n_rows,) to float32 (n,)."""
 
+    @abstractmethod
     def whole(self, x: Floats, out: Floats) -> None:
         """Write W x to out, rows that are not measured included: float32 (n,) to (n_rows,)."""
-        raise NotImplementedError
+
+    @abstractmethod
+    def whole_adjoint(self, rows: Floats, out: Floats) -> None:
+        """Write W^T rows / L to out: float32 (n_rows,) to float32 (n,)."""
+
+    @abstractmethod
+    def leave_out(self, kept: Floats) -> None:
+        """Multiply the weights of rows by 0 or 1, float32 (n_rows,), until `use` or `weigh`."""
 
     def weigh(self, weights: Floats | None) -> None:
         """Multiply the rows of W by weights, float32 (n_rows,), in both directions, until `use`.
@@ -75,19 +83,33 @@ class PlainProjection(Projection):
         self.n_rows = phi.m
         self.step_size = 1 / phi.lipschitz
         self._step = np.array(self.step_size, dtype=np.float32)
+        self.measured = np.ones(phi.m, dtype=np.float32)
+        self._weighted = np.zeros(phi.m, dtype=np.float32)
+        self.use(phi)
 
     def use(self, phi: Phi) -> None:
         self._phi = phi
+        self._kept = self.measured
 
     def rows_of(self, y: Floats, out: Floats) -> None:
         np.copyto(out, y)
 
     def forward(self, x: Floats, out: Floats) -> None:
         self._phi.forward(x, out)
+        np.multiply(out, self._kept, out)
 
     def adjoint(self, rows: Floats, out: Floats) -> None:
+        self.whole_adjoint(np.multiply(rows, self._kept, self._weighted), out)
+
+    def whole(self, x: Floats, out: Floats) -> None:
+        self._phi.forward(x, out)
+
+    def whole_adjoint(self, rows: Floats, out: Floats) -> None:
         self._phi.adjoint(rows, out)
         np.multiply(out, self._step, out)
+
+    def leave_out(self, kept: Floats) -> None:
+        self._kept = kept
 
 
 class SbheProjection(Projection):
@@ -102,7 +124,7 @@ class SbheProjection(Projection):
     def __init__(self, phi: SbhePhi) -> None:
         self.order = phi.permutation
         self.n_rows = phi.n
-        self._weighted = np.zeros(phi.n, dtype=np.float32)
+        self._weighted, self._left = np.zeros((2, phi.n), dtype=np.float32)
         self.step_size = 1.0
         self._tables: dict[str, tuple[Indices, Floats]] = {}
         self.use(phi)
@@ -146,8 +168,14 @@ class SbheProjection(Projection):
     def whole(self, x: Floats, out: Floats) -> None:
         self._transform(x, out)
 
+    def whole_adjoint(self, rows: Floats, out: Floats) -> None:
+        self._transform(rows, out)
+
     def weigh(self, weights: Floats | None) -> None:
         self._weights = self.measured if weights is None else weights
+
+    def leave_out(self, kept: Floats) -> None:
+        self._weights = np.multiply(self._weights, kept, self._left)
 
     def _transform(self, given: Floats, out: Floats) -> None:
         """Write W given to out; W is symmetric, as its blocks are."""

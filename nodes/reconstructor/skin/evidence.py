@@ -1,0 +1,140 @@
+"""Measurements held out of a solve: the error of an estimate, and the choice between two models."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices
+from sparseskin.nodes.reconstructor.solvers.projection import Projection
+
+HAAR, SMOOTH = "haar", "smooth"
+#: One measurement of this many is held out, and at most this number.
+ONE_OF, MOST = 16, 32
+#: Measurements with which two models can be compared: with fewer, the smooth one is used.
+COMPARABLE = 128
+#: Weight of the past in the running mean of squared errors.
+MEMORY = 0.7
+#: Advantage that the smooth model needs, in standard deviations of the compared means; and the
+#: least mean squared error of the other, in noise variances.
+MARGIN, BEYOND_NOISE = 1.0, 1.5
+#: Frames between comparisons of two models at most; the number doubles while one is clearly better.
+SELDOM = 64
+#: Ratio of squared errors that is clear, and growth of an error that asks for a comparison.
+CLEAR, WORSE = 1.3, 2.0
+
+
+class HeldOut:
+    """Error of estimates, by measurements that they were not made from, and the choice of a model.
+
+    Of each row subset the same measurements are held out in every frame: with fixed rows, what an
+    earlier frame was fitted to would prove nothing. The mean square of their residuals is the
+    mean squared error of a taxel plus the noise.
+
+    Where there are few measurements, none is held out: the smooth model itself predicts each from
+    all others.
+
+    Parameters
+    ----------
+    projection, m
+        The projection, and its number of measurements.
+    one_by_one : bool
+        True if each measurement is predicted from all others.
+
+    Attributes
+    ----------
+    model : str
+        The model in use, `HAAR` or `SMOOTH`.
+    kept : ndarray of float32, shape (n_rows,)
+        0 for the rows that are held out of the current subset, else 1.
+    mean_square : float
+        Mean of the squared residuals of the held-out measurements, squared newtons: the running
+        mean, or that of the last frame if it is larger.
+
+    Notes
+    -----
+    Source: Ward, "Compressed sensing with cross validation", IEEE Trans. Information Theory
+    55(12), 2009.
+    """
+
+    def __init__(self, projection: Projection, m: int, one_by_one: bool) -> None:
+        self._projection = projection
+        self._one_by_one = one_by_one
+        self._n_held = 0 if one_by_one else min(max(1, m // ONE_OF), MOST)
+        self.comparable = m >= COMPARABLE
+        self._subsets: dict[int, tuple[Floats, Indices]] = {}
+        self.reset()
+        self.use(0)
+
+    def reset(self) -> None:
+        """Forget all frames."""
+        self.model = HAAR if self.comparable else SMOOTH
+        self._errors: dict[str, float] = {}
+        self._wait, self._period = 0, 4
+
+    def use(self, subset: int) -> None:
+        """Hold out measurements of this row subset, which the projection now is of."""
+        if subset not in self._subsets:
+            rows = np.flatnonzero(self._projection.measured)
+            rng = np.random.default_rng(subset)
+            held = np.sort(rng.choice(rows, size=self._n_held, replace=False))
+            kept = np.ones(self._projection.n_rows, dtype=np.float32)
+            kept[held] = 0
+            self._subsets[subset] = kept, held
+        self.kept, self._held = self._subsets[subset]
+
+    def models(self, failed: bool) -> tuple[str, ...]:
+        """Return the models that this frame is to be estimated by.
+
+        `failed` if the prediction of the frame is worth nothing.
+        """
+        self._wait -= 1
+        if self.comparable and (failed or self._wait <= 0):
+            return HAAR, SMOOTH
+        return (self.model,)
+
+    def residual(self, y: Floats, fitted: Floats) -> Floats:
+        """Return the held-out part of y - fitted; all are vectors of rows, float32."""
+        residual: Floats = y[self._held] - fitted[self._held]
+        return residual
+
+    def choose(self, residuals: dict[str, Floats], noise: float, failed: bool) -> str:
+        """Process the estimates of a frame; return the model whose estimate is used.
+
+        Parameters
+        ----------
+        residuals : dict
+            Of each model, those of the measurements that its estimate was not made from, float32,
+            newtons.
+        noise : float
+            Variance of the noise on a measurement, squared newtons; 0 where it is not known.
+        failed : bool
+            True if errors of earlier frames say nothing of this one.
+        """
+        errors, now = self._errors, {}
+        for model, residual in residuals.items():
+            now[model] = float(np.dot(residual, residual)) / max(1, residual.size)
+            last = now[model] if failed else errors.get(model, now[model])
+            errors[model] = MEMORY * last + (1 - MEMORY) * now[model]
+            if len(residuals) == 1 and now[model] > WORSE * last:
+                self._wait = 0
+        if len(residuals) == 2:
+            self._compare(noise)
+        chosen = self.model if self.model in residuals else next(iter(residuals))
+        self.mean_square = max(errors[chosen], now[chosen])
+        return chosen
+
+    def _compare(self, noise: float) -> None:
+        """Choose a model by the errors of both, and when to compare them again."""
+        haar, smooth = self._errors[HAAR], self._errors[SMOOTH]
+        # Independent residuals that the running means are of.
+        count = self._n_held * (1 + MEMORY) / (1 - MEMORY)
+        clearly = 1 + 2 * MARGIN / math.sqrt(count)
+        better = SMOOTH if haar > max(clearly * smooth, BEYOND_NOISE * noise) else HAAR
+        ratio = max(haar, smooth) / (min(haar, smooth) + TINY)
+        if better != self.model:
+            self._period = 2
+        else:
+            self._period = min(2 * self._period, SELDOM) if ratio > CLEAR else 4
+        self.model, self._wait = better, self._period

@@ -1,0 +1,253 @@
+"""The smooth model of a frame: pressure whose variance and correlation length are known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
+from sparseskin.nodes.reconstructor.solvers.projection import Projection
+
+#: Standard deviations of the Gaussians whose mean is the correlation of two taxels, in taxels.
+#: Chosen: from one taxel to a fingertip.
+LENGTHS = (0.5, 1.0, 2.0)
+#: Blur of an estimate before it becomes the deviation of the next, in taxels; and the deviation of
+#: a taxel without contact, as a part of the largest. Fitted on five recordings of real skins.
+BLUR, FLOOR = 1.0, 0.07
+#: Part of the mean variance that is added to each measurement: the model is never exact.
+MODEL_ERROR = 1e-3
+#: Least noise variance of a measurement, as a part of its mean square.
+LEAST_NOISE = 1e-6
+#: Part of the prediction that is kept: with fixed rows what no row measures would stay for ever.
+KEPT_FIXED, KEPT_ROTATING = 0.5, 0.9
+#: Rounds of a frame, each with the deviation of the last, and of one that starts from nothing.
+ROUNDS, COLD_ROUNDS = 2, 5
+#: Conjugate gradients of a round.
+GRADIENTS, COLD_GRADIENTS = 20, 30
+#: Part of the squared right side at which conjugate gradients end.
+PRECISE = 1e-6
+#: Measurements by which the fitted deviation makes the error of a left-out one too small: its
+#: square is multiplied by 1 + this / their number. Fitted on presses on 16 to 300 taxels.
+FITTED = 32.0
+#: Taxels up to which a system can be solved by its inverse, which costs their number cubed.
+MOST_DIRECT = 512
+
+
+class SmoothModel:
+    """Estimates a frame as a Gaussian field whose deviation follows the last estimate.
+
+    x = k x_p + C W^T (W C W^T + V)^-1 (y - k W x_p),  C = s^2 diag(d) K diag(d)
+
+    K is the correlation of taxels by their distance, d the last estimate, blurred, as the
+    deviation of each taxel, s^2 fits the mean square of the right side, V is the variance of the
+    rows: noise for those of this frame, growing with the age of a remembered one. The system is
+    solved by conjugate gradients, and d by iterating: taxels outside the contact lose their
+    variance. A step along the residual follows, each row weighted by its variance, and x >= 0.
+
+    It suits what Haar does not: dense smooth pressure, and skins of few taxels. Where noise
+    dominates or edges are sharp, Haar is better.
+
+    Parameters
+    ----------
+    projection : Projection
+        W, in the order of its vectors.
+    taxels : ndarray of intp, shape (n,)
+        Cell of the grid that each place of a vector holds.
+    mask : ndarray of bool, shape (n_rows, n_cols)
+        True where a taxel exists.
+    direct : bool
+        True to solve by the inverse of the system, for at most `MOST_DIRECT` taxels. Each
+        measurement is then also predicted from all others (`left_out`).
+
+    Attributes
+    ----------
+    x : ndarray of float32, shape (n,)
+        The estimate, newtons.
+    rounds_left : int
+        Rounds until it is complete.
+    left_out : ndarray of float32, shape (n_rows,), or None
+        Residual that each measurement would have if it had been left out, newtons; None without
+        `direct`.
+
+    Notes
+    -----
+    Source: Rasmussen, Williams, "Gaussian processes for machine learning", MIT Press 2006: section
+    2.2 for the estimate, 5.4.2 for measurements left out one by one; Gorodnitsky, Rao, "Sparse
+    signal reconstruction from limited data using FOCUSS", IEEE Trans. Signal Processing 45(3),
+    1997, for a variance that follows the estimate.
+    """
+
+    def __init__(
+        self, projection: Projection, taxels: Indices, mask: Mask, direct: bool = False
+    ) -> None:
+        self._projection = projection
+        self._taxels = taxels
+        self._exists = mask.astype(np.float32)
+        n_rows, n_cols = mask.shape
+        self._kernels = [
+            (_gaussian(n_rows, length), _gaussian(n_cols, length) / np.float32(len(LENGTHS)))
+            for length in LENGTHS
+        ]
+        self._blur = _gaussian(n_rows, BLUR), _gaussian(n_cols, BLUR)
+        self._neighbours = self._blurred(self._exists) + np.float32(TINY)
+        self._image = np.zeros(mask.shape, dtype=np.float32)
+        self.rounds_left = 0
+        self.left_out: Floats | None = None
+        self._direct = direct
+        if direct:
+            self._correlation = self._correlation_of(mask.shape)
+
+    def setup(
+        self,
+        x: Floats,
+        values: Floats,
+        variance: Floats,
+        used: Floats,
+        power: float,
+        cold: bool,
+        kept: float,
+    ) -> None:
+        """Begin a frame.
+
+        Parameters
+        ----------
+        x : ndarray of float32, shape (n,)
+            Prediction, newtons.
+        values, variance, used : ndarray of float32, shape (n_rows,)
+            Measurements, the variance of each in squared newtons, and 1 where one is used, 0 where
+            not.
+        power : float
+            Mean square of the measurements of this frame that are not noise, squared newtons.
+        cold : bool
+            True if the prediction is worth nothing.
+        kept : float
+            Part of the prediction that is kept, k.
+        """
+        self._start = np.zeros_like(x) if cold else np.float32(kept) * x
+        self._values, self._variance, self._used = values, variance, used
+        self._known = used * (values - self._rows(self._start)) if not cold else used * values
+        self._gradients = COLD_GRADIENTS if cold else GRADIENTS
+        self.rounds_left = COLD_ROUNDS if cold else ROUNDS
+        self._deviation = self._exists if cold else self._deviation_of(x)
+        self.x = x
+        self._power = power
+
+    def round(self) -> None:
+        """Do one round, of `rounds_left`; x, float32 (n,), is the estimate after it."""
+        deviation = self._deviation
+        variance = float(np.vdot(deviation, deviation)) / self._taxels.size
+        used = self._used
+        n_used = float(np.dot(used, used))
+        scale = float(np.dot(self._known, self._known)) / max(n_used * variance, TINY)
+        solve = self._invert if self._direct else self._descend
+        field = solve(variance, self._variance * np.float32(1 / max(scale, TINY)))
+        x = np.maximum(self._start + field, 0)
+        self.rounds_left -= 1
+        if self.rounds_left:
+            self._deviation = self._deviation_of(x)
+        else:
+            gain = self._power / (self._power + self._variance + TINY) * used
+            residual = (gain * (self._values - self._rows(x))).astype(np.float32)
+            x = np.maximum(x + self._adjoint(residual), 0)
+        self.x = x
+
+    def _invert(self, mean: float, variance: Floats) -> Floats:
+        """As `_descend`, by the inverse of the system."""
+        used = np.flatnonzero(self._used)
+        deviation = self._deviation.reshape(-1)[self._taxels]
+        scaled = np.zeros((used.size, deviation.size), dtype=np.float32)
+        one = np.zeros(self._used.size, dtype=np.float32)
+        for place, row in enumerate(used):
+            one[row] = 1
+            scaled[place] = deviation * self._adjoint(one)
+            one[row] = 0
+        correlated = scaled @ self._correlation
+        system = (correlated @ scaled.T).astype(np.float64)
+        system[np.diag_indices_from(system)] += MODEL_ERROR * mean + variance[used] + TINY
+        inverse = np.linalg.inv(system)
+        found = inverse @ self._known[used]
+        self.left_out = np.zeros_like(self._used)
+        self.left_out[used] = found / np.diag(inverse) * math.sqrt(1 + FITTED / used.size)
+        field: Floats = (deviation * (found @ correlated)).astype(np.float32)
+        return field
+
+    def _correlation_of(self, shape: tuple[int, ...]) -> Floats:
+        """Return K of all taxels, float32 (n, n)."""
+        places = np.stack(np.unravel_index(self._taxels, shape), axis=1)
+        distance2 = np.square(places[:, None] - places).sum(axis=2)
+        found = [np.exp(-0.5 * distance2 / length**2) for length in LENGTHS]
+        correlation: Floats = np.mean(found, axis=0).astype(np.float32)
+        return correlation
+
+    def _descend(self, mean: float, variance: Floats) -> Floats:
+        """Return C W^T (W C W^T + V)^-1 of the known rows, by conjugate gradients."""
+        used, known = self._used, self._known
+        added = np.where(used > 0, variance + np.float32(MODEL_ERROR * mean), np.float32(1))
+        inverse = np.reciprocal(added + np.float32(mean), dtype=np.float32)
+        found = np.zeros_like(known)
+        residual = known.copy()
+        scaled = np.multiply(inverse, residual, dtype=np.float32)
+        direction = scaled.copy()
+        slope = float(np.dot(residual, scaled))
+        enough = PRECISE * float(np.dot(known, known))
+        for _ in range(self._gradients):
+            if not float(np.dot(residual, residual)) > enough:
+                break
+            image = self._rows(self._correlated(direction))
+            image *= used
+            image += added * direction
+            curvature = float(np.dot(direction, image))
+            if not (curvature > 0 and slope > 0):
+                break
+            step = np.float32(slope / curvature)
+            found += step * direction
+            residual -= step * image
+            np.multiply(inverse, residual, scaled)
+            last, slope = slope, float(np.dot(residual, scaled))
+            direction *= np.float32(slope / last)
+            direction += scaled
+        return self._correlated(found)
+
+    def _correlated(self, rows: Floats) -> Floats:
+        """Return C W^T rows."""
+        image = self._image
+        image.reshape(-1)[self._taxels] = self._adjoint(rows)
+        image *= self._deviation
+        total = np.zeros_like(image)
+        for left, right in self._kernels:
+            total += left @ image @ right
+        total *= self._deviation
+        result: Floats = total.reshape(-1)[self._taxels]
+        return result
+
+    def _deviation_of(self, x: Floats) -> Floats:
+        image = np.zeros_like(self._exists)
+        image.reshape(-1)[self._taxels] = np.maximum(x, 0)
+        blurred = np.divide(self._blurred(image), self._neighbours)
+        largest = float(blurred.max())
+        if not largest > 0:
+            return self._exists
+        deviation: Floats = self._exists * (blurred / np.float32(largest) + np.float32(FLOOR))
+        return deviation
+
+    def _blurred(self, image: Floats) -> Floats:
+        blurred: Floats = self._blur[0] @ image @ self._blur[1]
+        return blurred
+
+    def _rows(self, x: Floats) -> Floats:
+        rows = np.empty(self._projection.n_rows, dtype=np.float32)
+        self._projection.whole(x, rows)
+        return rows
+
+    def _adjoint(self, rows: Floats) -> Floats:
+        x = np.empty(self._taxels.size, dtype=np.float32)
+        self._projection.whole_adjoint(rows, x)
+        return x
+
+
+def _gaussian(n: int, length: float) -> Floats:
+    """Return the correlation of n places in a line, float32 (n, n)."""
+    places = np.arange(n)
+    distance = (places[:, None] - places) / length
+    return np.exp(-0.5 * distance**2).astype(np.float32)
