@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -56,11 +57,16 @@ class Graph:
         self.take(state)
         return state
 
-    def frame(self, patch: str = "skin", upto: int = 4) -> list[Message]:
-        """The next frame: taxels, truth, measurements, reconstruction; or the first of them."""
+    def frame(self, patch: str = "skin", upto: int = 4, **estimate: Any) -> list[Message]:
+        """The next frame: taxels, truth, measurements, reconstruction; or the first of them.
+
+        `estimate`: error and trusted of the reconstruction.
+        """
         k = self.n[patch]
         self.n[patch] += 1
         messages = [message.published("0" * 16, k) for message in frame(k, patch)[:upto]]
+        if estimate:
+            messages[-1] = replace(messages[-1], **estimate)
         for message in messages:
             self.take(message)
         return messages

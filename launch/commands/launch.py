@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 LAUNCH_FILES = Path(__file__).parent.parent
 STATUS_LINE = (
     "The status line has for each patch: frames reconstructed so far and a second (Hz), frames "
-    "lost; the mean PSNR of the last 100 contact frames (of all before the first contact), and "
+    "lost; the share of the last 100 contact frames that are trusted, where the solver estimates "
+    "its error; the mean PSNR of these frames (of all before the first contact), and "
     "that of the taxels themselves; the latency from acquisition to reconstruction, median (p50) "
     "and 99th percentile (p99)."
 )

@@ -96,6 +96,50 @@ class Quality:
 
 
 @dataclass
+class TrustCount:
+    """Number of frames whose error the solver estimates, and of those not to be trusted."""
+
+    n_frames: int = 0
+    n_untrusted: int = 0
+
+    def add(self, trusted: bool) -> None:
+        self.n_frames += 1
+        self.n_untrusted += not trusted
+
+    def summary(self) -> dict[str, Any] | None:
+        """Both numbers, and the share of trusted frames; None of no frame."""
+        if not self.n_frames:
+            return None
+        share = 1 - self.n_untrusted / self.n_frames
+        return {"frames": self.n_frames, "untrusted": self.n_untrusted, "trusted_share": share}
+
+
+@dataclass
+class Trust:
+    """Trust of solvers in their frames, over all frames and over contact frames alone."""
+
+    every: TrustCount = field(default_factory=TrustCount)
+    contact: TrustCount = field(default_factory=TrustCount)
+    _recent: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT))
+
+    def add(self, reconstruction: Reconstruction, in_contact: bool) -> None:
+        """Count a frame, unless its solver estimates nothing."""
+        if reconstruction.error is None and reconstruction.trusted:
+            return
+        self.every.add(reconstruction.trusted)
+        if in_contact:
+            self.contact.add(reconstruction.trusted)
+            self._recent.append(reconstruction.trusted)
+
+    def recent(self) -> float | None:
+        """Share of trusted frames in the last 100 contact frames; None of none."""
+        return sum(self._recent) / len(self._recent) if self._recent else None
+
+    def summary(self) -> dict[str, Any]:
+        return {"all": self.every.summary(), "contact": self.contact.summary()}
+
+
+@dataclass
 class StreamCount:
     """Number of messages of a topic, over all runs of its publisher.
 
@@ -193,6 +237,7 @@ class PatchMetrics:
         self.noisy = Quality()
         self.reconstruction = Quality()
         self.relative_error = Extent()
+        self.trust = Trust()
         self.latency = Quantiles()
         self.solve = Quantiles()
         self._sensed, self._reconstructed = StreamCount(late), StreamCount(late)
@@ -362,6 +407,7 @@ class PatchMetrics:
         error = forces - reference
         frame.psnr_db = psnr_db(error, f_max)
         self.reconstruction.add(frame.psnr_db, in_contact)
+        self.trust.add(frame.reconstruction, in_contact)
         if in_contact:
             norm = float(np.linalg.norm(reference))
             self.relative_error.add(float(np.linalg.norm(error)) / norm)
@@ -394,6 +440,7 @@ class PatchMetrics:
                 "reconstruction": self.reconstruction.summary(),
             },
             "relative_error": self.relative_error.summary(),
+            "trust": self.trust.summary(),
             "latency_ms": self.latency.summary(),
             "latency_uncertainty_ms": self.latency_uncertainty_ms,
             "solve_ms": self.solve.summary(),

@@ -18,12 +18,16 @@ MAX_CHANGES = 4
 
 
 def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
-    """State of a patch in one line: mean PSNR of reconstruction and noisy taxels over the
-    last 100 contact frames, before the first contact over all; latency since the start.
+    """State of a patch in one line: share of the last 100 contact frames that the solver trusts,
+    where it estimates its error; mean PSNR of reconstruction and noisy taxels over them, before the
+    first contact over all; latency since the start.
     """
     parts = [
         f"{patch}: {metrics.reconstructed} frames, {rate_hz:.0f} Hz, lost {metrics.lost_so_far}"
     ]
+    trusted = metrics.trust.recent()
+    if trusted is not None:
+        parts.append(f"trusted {share_of(trusted)}")
     reconstruction, noisy = metrics.reconstruction.recent(), metrics.noisy.recent()
     if reconstruction is not None:
         frames = "contact frames" if metrics.reconstruction.in_contact else "all frames"
@@ -86,6 +90,10 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
     error = patch["relative_error"]
     if error != NONE and patch["reference"] == "taxels":  # where PSNR has no noise beside it
         rows.append(f"{'relative error':<24}{'contact frames':<17}" + _extent(error, ".3f"))
+    for which, frames_of in (("all", "all frames"), ("contact", "contact frames")):
+        trust = patch["trust"][which]
+        if trust is not None:
+            rows.append(f"{'trusted by the solver':<24}{frames_of:<17}" + _trust(trust))
     if patch["changes"]:
         rows.insert(1, _changes(patch["changes"]))
     rows.append("=" * WIDTH)
@@ -118,6 +126,18 @@ def _iterations(patch: Mapping[str, Any]) -> str:
 
 def _extent(extent: Mapping[str, float], form: str) -> str:
     return "".join(f"{extent[key]:>8{form}}" for key in ("mean", "min", "max"))
+
+
+def _trust(trust: Mapping[str, float]) -> str:
+    share = share_of(trust["trusted_share"])
+    return f"{share:>8}   ({trust['untrusted']} of {trust['frames']} not)"
+
+
+def share_of(share: float) -> str:
+    """A share in %; 100 % and 0 % only where it is exactly that."""
+    if 0 < share < 1:
+        return f"{min(max(100 * share, 0.1), 99.9):.1f} %"
+    return f"{100 * share:.0f} %"
 
 
 def shown(value: float | str | None, form: str) -> str:

@@ -17,6 +17,9 @@ from sparseskin.nodes.numerics.arrays import Floats
 
 MAX_ANSWERS = 64
 """Answers to requests that are kept for pages."""
+UNTRUSTED_S = 0.5
+"""Time in seconds for which a frame that is not to be trusted is marked at least: as long as a
+person needs to see it. Chosen."""
 STALE_S = 0.2
 """Age in seconds beyond which maps are stale."""
 
@@ -26,7 +29,8 @@ class PatchFeed:
     """One patch: its newest maps, each with its time of arrival, and its history.
 
     While frames are reconstructed, `maps` and `resultant` are of one frame; otherwise `maps` are
-    the newest of each kind. Their names are those of the schemas.
+    the newest of each kind. Their names are those of the schemas. `newest_trusted` is that of the
+    newest reconstruction shown, `untrusted_s` the time of the last one not to be trusted.
     """
 
     skin: SkinState | None = None
@@ -39,12 +43,24 @@ class PatchFeed:
     lost: int = 0
     latency_s: float = 0.0
     ended: bool = False
+    newest_trusted: bool = True
+    untrusted_s: float = -math.inf
 
     @property
     def stale_s(self) -> float:
         """Age in seconds beyond which maps are stale: at least 2.5 periods of the skin."""
         rate_hz = self.skin.rate_hz if self.skin is not None else 0.0
         return max(STALE_S, 2.5 / rate_hz) if rate_hz else STALE_S
+
+    def trusted(self, now_s: float) -> bool:
+        """False while a reconstruction shown, or one just before it, is not to be trusted."""
+        return self.newest_trusted and now_s - self.untrusted_s > UNTRUSTED_S
+
+    def note_trust(self, reconstruction: Reconstruction, now_s: float) -> None:
+        """Note if a reconstruction that is shown is to be trusted."""
+        self.newest_trusted = reconstruction.trusted
+        if not reconstruction.trusted:
+            self.untrusted_s = now_s
 
 
 class Feed:
@@ -81,6 +97,7 @@ class Feed:
                 feed.skin = message
                 feed.maps.clear()
                 feed.resultant = None
+                feed.newest_trusted, feed.untrusted_s = True, -math.inf
             elif latency_ns is not None:
                 feed.latency_s = latency_ns / 1e9
             if complete is None:
@@ -89,6 +106,8 @@ class Feed:
             maps = (complete.taxels, complete.reconstruction, complete.truth)
             feed.maps = {each.schema: each.forces for each in maps if each is not None}
             feed.resultant = complete.resultant
+            if complete.reconstruction is not None:
+                feed.note_trust(complete.reconstruction, now_s)
             feed.came_s.update(dict.fromkeys(feed.maps, now_s))
             feed.n_maps += 1
             feed.lost = complete.lost
@@ -115,6 +134,8 @@ class Feed:
             return
         if now_s - feed.came_s.get(Reconstruction.schema, -math.inf) > feed.stale_s:
             feed.maps = {**feed.maps, message.schema: message.forces}
+            if isinstance(message, Reconstruction):
+                feed.note_trust(message, now_s)
             feed.resultant = None
             feed.came_s[message.schema] = now_s
             feed.n_maps += 1

@@ -12,7 +12,7 @@ import numpy as np
 from sparseskin.messages import Reconstruction, Resultant, Taxels, Truth
 from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.monitor.statistics import SPAN_S
-from sparseskin.nodes.monitor.table import NONE, shown
+from sparseskin.nodes.monitor.table import NONE, share_of, shown
 
 from .feed import Feed, PatchFeed
 from .notices import BAD, Notices, host_lines
@@ -76,6 +76,7 @@ def _patch_lines(name: str, patch: PatchFeed, now_s: float) -> list[str]:
         + f"{patch.lost} lost; {rate} Hz of {skin.rate_hz:g} Hz requested",
         f"mean PSNR    taxels {_mean(noisy)}, reconstruction {_mean(recon)}, gain {gain} dB "
         f"({which} frames)",
+        *_trust_line(patch, now_s),
         f"time         latency p50 {shown(latency.get('p50'), '.1f')}, "
         f"p99 {shown(latency.get('p99'), '.1f')}"
         + (f" ± {within:.1f}" if within else "")
@@ -88,6 +89,18 @@ def _patch_lines(name: str, patch: PatchFeed, now_s: float) -> list[str]:
         unit = "dB" if column == 2 else "ms"
         lines.append(f"{title:<8} {line}  {low} .. {high} {unit}")
     return lines
+
+
+def _trust_line(patch: PatchFeed, now_s: float) -> list[str]:
+    """Share of frames that the solver trusts, and a mark while it does not."""
+    trust = patch.summary["trust"]
+    which = "contact" if trust["contact"] else "all"
+    counts = trust[which]
+    if counts is None:
+        return []
+    mark = "" if patch.trusted(now_s) else " !! NOT TRUSTED NOW"
+    share = share_of(counts["trusted_share"])
+    return [f"trusted      {share} of {counts['frames']} {which} frames{mark}"]
 
 
 def _map_lines(patch: PatchFeed) -> list[str]:

@@ -153,6 +153,7 @@ class StreamReader:
             "stale_s": patch.stale_s,
             "lost": self._lost(patch),
             "ended": patch.ended,
+            "trusted": patch.trusted(now_s),
         }
         if self._is_new(f"summary {name}", patch.summary):
             state["summary"] = patch.summary

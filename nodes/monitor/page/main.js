@@ -117,6 +117,14 @@ function asked(name) {
   return (model.skins[name]?.rate_hz ?? 0) * (player?.state.rate ?? 1);
 }
 
+// The share of trusted frames in those that PSNR is shown of; "" if the solver estimates none. It is
+// 100 % only where all of them are trusted.
+function trusted(summary) {
+  const found = summary?.trust?.[shownFrames(summary)];
+  if (!found) return "";
+  return `${found.untrusted ? Math.min(99, Math.round(100 * found.trusted_share)) : 100} % trusted`;
+}
+
 function tiles(name) {
   const s = model.summaries[name] ?? {};
   const [before, after] = rates(name);
@@ -132,8 +140,10 @@ function tiles(name) {
     ["gain", `PSNR gain${shownFrames(s) === "contact" ? " in contact" : ", all frames"}`,
       Number.isFinite(gain) ? `${gain >= 0 ? "+" : "−"}${Math.abs(gain).toFixed(1)} dB`
         : fixed(mean(s, "reconstruction"), 1, "dB"),
-      Number.isFinite(gain) ? `mean ${fixed(mean(s, "noisy"), 1)} → ${fixed(
-        mean(s, "reconstruction"), 1, "dB")}` : "against the taxels; the truth is not known"],
+      Number.isFinite(gain) ? `${trusted(s) ? "" : "mean "}${fixed(mean(s, "noisy"), 1)} → ${fixed(
+        mean(s, "reconstruction"), 1, "dB")}${trusted(s) && `, ${trusted(s)}`}`
+        : trusted(s) ? `against the taxels, ${trusted(s)}`
+          : "against the taxels; the truth is not known"],
     ["latency", "Latency, all frames", `${fixed(s.latency_ms?.p50, 1, "ms")}`
       + (s.latency_uncertainty_ms ? ` ± ${fixed(s.latency_uncertainty_ms, 1)}` : ""),
       `p99 ${fixed(s.latency_ms?.p99, 1, "ms")}, solve ${fixed(s.solve_ms?.p50, 1, "ms")}`],
@@ -155,6 +165,11 @@ function drawHeadline() {
       setText(found.querySelector("strong"), value);
       setText(found.querySelector("span"), note);
     }
+  }
+  const doubted = model.state?.patches[patch]?.trusted === false;
+  for (const title of document.querySelectorAll(
+    '[data-tile="gain"], [data-panel="reconstruction"] h2')) {
+    title.dataset.mark = doubted ? "not trusted" : "";
   }
 }
 
@@ -217,6 +232,8 @@ function drawOverview() {
       `PSNR ${fixed(mean(s, "noisy"), 1)} → ${fixed(mean(s, "reconstruction"), 1, "dB")}`,
       `latency p50 ${fixed(s.latency_ms?.p50, 1)}, p99 ${fixed(s.latency_ms?.p99, 1, "ms")}`,
       `${state.lost} lost`,
+      ...(trusted(s) ? [trusted(s)] : []),
+      ...(state.trusted ? [] : ["not trusted now"]),
       state.ended ? "ended" : age === undefined ? "no frame yet"
         : age > state.stale_s ? `stale for ${ago(age)}` : "live",
     ].join(" · "));

@@ -51,14 +51,14 @@ class TrustLog:
         count = "" if self._logged_ns is None else self._count()
         better = "more measurements" if rotating else 'more measurements or rows = "rotating"'
         self._log(
-            f"{_described(error, forces, unit)}: frames are not to be trusted{count}; "
-            f'{better} may help (docs/method.md, "Estimated error")'
+            f"frames not to be trusted: {_described(error, forces, unit)}{count}; "
+            f"{better} may help, see docs/method.md"
         )
         self._logged_ns = stamp_ns
         self._n_frames = self._n_untrusted = 0
 
     def _count(self) -> str:
-        return f" ({self._n_untrusted} of {self._n_frames} since the last such line)"
+        return f" ({self._n_untrusted} of the last {self._n_frames} frames)"
 
 
 def _described(error: float | None, forces: Floats, unit: str) -> str:

@@ -38,7 +38,7 @@ from sparseskin.nodes.monitor.metrics import (
     same_clock,
 )
 from sparseskin.nodes.monitor.node import Monitor
-from sparseskin.nodes.monitor.table import status_line, summary_table
+from sparseskin.nodes.monitor.table import share_of, status_line, summary_table
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.sensor.node import Sensor
@@ -327,7 +327,7 @@ def test_the_status_line_counts_what_is_missing_so_far() -> None:
 
 
 def test_the_figures_of_the_status_line_are_explained(capsys: pytest.CaptureFixture[str]) -> None:
-    line = status_line("skin", metrics_of(skin(), *frame(3, 1.0, 1.0, 1.0)), 200.0)
+    line = status_line("skin", metrics_of(skin(), *estimated(3, 1.0, trusted=True)), 200.0)
     labels = set(re.findall(r"[A-Za-z]+\d*", line)) - {"skin", "of", "ms", "dB"}
     with pytest.raises(SystemExit):
         main(["launch", "--help"])
@@ -335,6 +335,58 @@ def test_the_figures_of_the_status_line_are_explained(capsys: pytest.CaptureFixt
     (section,) = re.findall("## Status line.*?\n## ", page, re.DOTALL)
     for explained in (capsys.readouterr().out, section):
         assert labels <= set(re.findall(r"[A-Za-z]+\d*", explained))
+
+
+def estimated(seq: int, force: float, trusted: bool, error: float | None = 0.1) -> list[Message]:
+    """A frame whose solver estimates its error."""
+    *others, last = frame(seq, force, force, force)
+    return [*others, dataclasses.replace(last, error=error, trusted=trusted)]
+
+
+def test_frames_that_the_solver_does_not_trust_are_counted() -> None:
+    metrics = metrics_of(skin(), *frame(0, 1.0, 1.0, 1.0))
+    assert metrics.summary()["trust"] == {"all": None, "contact": None}
+    assert "trusted" not in status_line("skin", metrics, 200.0)
+    messages = [*estimated(1, 0.0, trusted=False), *estimated(2, 0.0, trusted=True)]
+    for message in messages:
+        metrics.add(message)
+    of_all = {"frames": 2, "untrusted": 1, "trusted_share": 0.5}
+    assert metrics.summary()["trust"] == {"all": of_all, "contact": None}
+    for seq, trusted in enumerate((True, True, False, True), start=3):
+        for message in estimated(seq, 1.0, trusted, error=0.1 if trusted else None):
+            metrics.add(message)
+    summary = metrics.summary()
+    assert summary["trust"] == {
+        "all": {"frames": 6, "untrusted": 2, "trusted_share": pytest.approx(2 / 3)},
+        "contact": {"frames": 4, "untrusted": 1, "trusted_share": 0.75},
+    }
+    line = status_line("skin", metrics, 200.0)
+    assert ", lost 0 | trusted 75.0 % | PSNR of contact frames" in line
+    table = summary_table({"skin": summary})
+    assert max(map(len, table.splitlines())) <= 80
+    words = [row.split() for row in table.splitlines() if row.startswith("trusted by the solver")]
+    assert [" ".join(row[4:]) for row in words] == [
+        "all frames 66.7 % (2 of 6 not)",
+        "contact frames 75.0 % (1 of 4 not)",
+    ]
+
+
+def test_the_status_line_has_the_trust_in_the_last_100_contact_frames() -> None:
+    metrics = metrics_of(skin())
+    for seq in range(140):
+        for message in estimated(seq, 1.0, trusted=seq >= 60):
+            metrics.add(message)
+    assert "| trusted 80.0 % |" in status_line("skin", metrics, 200.0)
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(1.0, "100 %"), (0.9999, "99.9 %"), (0.5, "50.0 %"), (1e-5, "0.1 %"), (0, "0 %")],
+)
+def test_a_share_is_rounded_to_none_and_to_all_only_where_it_is_that(
+    share: float, text: str
+) -> None:
+    assert share_of(share) == text
 
 
 def test_recent_quality_is_that_of_contact_frames_once_there_was_one() -> None:

@@ -145,6 +145,42 @@ def test_the_resultant_is_a_cross_in_its_ellipse_and_hosts_are_in_the_header(pag
         assert page.find_elements("css selector", "ellipse") == []
 
 
+def test_a_frame_that_is_not_to_be_trusted_is_marked_and_moves_nothing(page: Any) -> None:
+    graph = Graph()
+    graph.skin()
+    places = (  # a notice above them moves them all
+        "const top = document.getElementById('headline').getBoundingClientRect().y;"
+        "return [...document.querySelectorAll('.tile, #maps figure, #strips figure')].map((e) => {"
+        "  const b = e.getBoundingClientRect(); return [b.x, b.y - top, b.width, b.height]; });"
+    )
+    marks = (
+        "return ['[data-tile=gain]', '[data-panel=reconstruction] h2'].map((which) => "
+        "  getComputedStyle(document.querySelector(which), '::after').content);"
+    )
+    shares = '[data-tile="gain"] span'
+    with contextlib.closing(
+        PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
+    ) as server:
+        page.get(server.url)
+        graph.frame(error=0.1)
+        graph.summarise()
+        wait_until(lambda: "100 % trusted" in text(page, shares), "the share")
+        assert "not trusted" not in "".join(page.execute_script(marks))
+        before = page.execute_script(places)
+        assert len(before) > 10
+        graph.frame(error=0.1, trusted=False)
+        wait_until(
+            lambda: page.execute_script(marks) == ['"not trusted"'] * 2, "a mark beside each"
+        )
+        graph.summarise()
+        wait_until(lambda: "50 % trusted" in text(page, shares), "the share")
+        assert page.execute_script(places) == before
+        graph.frame(error=0.1)
+        wait_until(
+            lambda: "not trusted" not in "".join(page.execute_script(marks)), "the marks to go"
+        )
+
+
 def test_the_overview_has_a_card_of_each_patch_with_its_map(page: Any) -> None:
     graph = Graph("left", "right")
     with contextlib.closing(
@@ -218,7 +254,12 @@ def test_the_numbers_of_the_page_are_those_of_the_summary(
     assert text(page, '[data-tile="gain"] h2') == "PSNR gain in contact"
     assert text(page, '[data-tile="frames"] strong') == "1000"
     assert text(page, '[data-tile="frames"] span') == "of 1000, 0 lost"
-    assert text(page, '[data-tile="gain"] span') == f"mean {noisy:.1f} → {restored:.1f} dB"
+    trust = patch["trust"]["contact"]
+    shown = f"mean {noisy:.1f} → {restored:.1f} dB"
+    if trust is not None:
+        percent = min(99, round(100 * trust["trusted_share"])) if trust["untrusted"] else 100
+        shown = f"{noisy:.1f} → {restored:.1f} dB, {percent} % trusted"
+    assert text(page, '[data-tile="gain"] span') == shown
     assert text(page, '[data-tile="latency"] strong') == f"{patch['latency_ms']['p50']:.1f} ms"
     assert text(page, '[data-tile="compression"] strong') == f"{patch['ratio']:.2f} : 1"
 

@@ -74,6 +74,25 @@ def test_the_figures_are_those_of_the_frames(clock: FakeTime) -> None:
     assert time.split("  ")[-1].strip() == "latency p50 5.0, p99 5.0 ms; solve p50 2.0 ms"
 
 
+def test_frames_that_are_not_to_be_trusted_are_counted_and_marked(clock: FakeTime) -> None:
+    graph = filled(clock)
+    assert not any(line.startswith("trusted") for line in lines_of(graph))
+
+    def frame(trusted: bool) -> str:
+        graph.frame(error=0.1, trusted=trusted)
+        graph.summarise()
+        return line_with(lines_of(graph), "trusted")
+
+    graph.skin()
+    graph.n["skin"] = 50
+    assert frame(trusted=True) == "trusted      100 % of 1 contact frames"
+    assert frame(trusted=False) == "trusted      50.0 % of 2 contact frames !! NOT TRUSTED NOW"
+    clock.advance(0.49)
+    assert frame(trusted=True).endswith("66.7 % of 3 contact frames !! NOT TRUSTED NOW")
+    clock.advance(0.02)
+    assert line_with(lines_of(graph), "trusted").endswith("66.7 % of 3 contact frames")
+
+
 def test_psnr_is_of_all_frames_before_the_first_contact(clock: FakeTime) -> None:
     lines = lines_of(filled(clock, contact=False))
     psnr = line_with(lines, "mean PSNR")

@@ -6,6 +6,7 @@ import io
 import math
 import queue
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,6 +69,41 @@ def test_the_skin_comes_first_and_once(clock: FakeTime) -> None:
     graph.frame()
     header, arrays = only(page.pull(), "skin")
     assert (header["rate_hz"], arrays) == (50.0, {})
+
+
+def test_the_state_marks_frames_that_are_not_to_be_trusted(clock: FakeTime) -> None:
+    graph = Graph()
+    page = Page(graph, clock)
+
+    def trusted() -> bool:
+        header, _ = only(page.pull(), "state")
+        return bool(header["patches"]["skin"]["trusted"])
+
+    graph.skin()
+    graph.frame(error=0.1)
+    assert trusted()
+    graph.frame(error=0.1, trusted=False)
+    assert not trusted()
+    clock.advance(10.0)  # the frame is shown as long as there is no other
+    assert not trusted()
+    graph.frame(error=0.1, trusted=False)
+    graph.frame(error=0.1)
+    assert not trusted()  # a person has to see it
+    clock.advance(0.5)
+    assert trusted()
+    graph.frame(error=0.1, trusted=False)
+    graph.skin()
+    assert trusted()
+
+
+def test_a_late_frame_that_is_not_to_be_trusted_is_marked(clock: FakeTime) -> None:
+    graph = Graph()
+    page = Page(graph, clock)
+    graph.skin()
+    late = replace(frame(0)[-1], trusted=False)
+    graph.feed.frame("skin", late, None)  # its taxels are dropped
+    header, _ = only(page.pull(), "state")
+    assert not header["patches"]["skin"]["trusted"]
 
 
 def test_maps_that_go_together_are_of_one_frame(clock: FakeTime) -> None:
