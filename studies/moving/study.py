@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -27,12 +28,15 @@ from sparseskin.studies.report import (
     write_csv,
 )
 
+from .sizes import ACTIVE, SIZES, VANISHED, sized
+
 SIDES = (40, 64)
 RATIOS = (3, 4, 8)
 #: Taxels a frame, and part of the skin that a body touches.
-SPEED, ACTIVE = 0.25, 0.1
+SPEED, TOUCHED = 0.25, 0.1
 N_FRAMES = 160
 QUICK_BODIES = ("wrench", "peg")
+QUICK_SIZES = ("4 x 4", "10 x 10")
 
 RAW, PAPER, SKIN, ROTATED = "raw reading", "paper", "skin", f"skin, {ROTATING}"
 METHODS = (PAPER, SKIN, ROTATED)
@@ -49,6 +53,14 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         for body in (QUICK_BODIES if quick else BODIES)
         for ratio in RATIOS
     ]
+    sizing = [
+        {"skin": skin, "active": active, "ratio": ratio, "seed": seed}
+        for skin in (QUICK_SIZES if quick else SIZES)
+        for active in ACTIVE
+        for ratio in RATIOS
+        if _allows(skin, ratio)
+    ]
+    sizes = frame_of(sizing, compute(sized, sizing, out, executor, "sizes"), "method")
     frame = frame_of(points, compute(pressed, points, out, executor, "presses"), "method")
     keys = ["side", "course", "ratio", "method"]
     means = frame.groupby(keys, sort=False)[["mean_db", "first_db"]].mean().reset_index()
@@ -56,7 +68,11 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         out,
         "moving",
         speed=SPEED,
-        active=100 * ACTIVE,
+        active=100 * TOUCHED,
+        sizes=_sizes(sizes),
+        sizes_csv=write_csv(out, "sizes", sizes),
+        actives=" / ".join(f"{100 * part:g}" for part in ACTIVE),
+        vanished=100 * VANISHED,
         n_frames=N_FRAMES,
         chart=_draw(out, means),
         overall=_table(means, ["side"], "mean_db"),
@@ -93,7 +109,7 @@ def pressed(point: Point) -> dict[str, Any]:
         seed,
         course=point["course"],
         speed=SPEED,
-        active=ACTIVE,
+        active=TOUCHED,
         noise=NoiseModel.for_range(PAPER_F_MAX_N),
     )
     scores = evaluate(estimators, frames)
@@ -123,6 +139,24 @@ def _table(frame: pd.DataFrame, keys: list[str], value: str) -> str:
     table.insert(len(keys), RAW, [f"{db:.1f}" for db in raw])
     table["side"] = cells(table, "{side} x {side}")
     return markdown(table.rename(columns={"side": "taxels"}))
+
+
+def _allows(skin: str, ratio: int) -> bool:
+    """True if a skin has a taxel for each of N / M."""
+    shape, n_scattered = SIZES[skin]
+    return (n_scattered or math.prod(shape)) >= ratio
+
+
+def _sizes(sizes: pd.DataFrame) -> str:
+    """Errors by skin, part touched and method: a row a skin and ratio, in the mean of the parts."""
+    # A method is named "skin", too.
+    sizes = sizes.rename(columns={"skin": "taxels"})
+    keys = ["taxels", "ratio", "method"]
+    means = sizes.groupby(keys, sort=False)[["median", "vanished"]].mean().reset_index()
+    means = means.assign(cell=cells(means, "{median:.0f} / {vanished:.0f}"))
+    table = pivot(means, keys[:2], "method", "cell")
+    table["ratio"] = cells(table, "N/{ratio}")
+    return markdown(table.rename(columns={"ratio": "M"}))
 
 
 def _draw(out: Path, means: pd.DataFrame) -> str:

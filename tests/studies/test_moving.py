@@ -10,6 +10,7 @@ import pytest
 
 from sparseskin.studies.evaluate import Scores, Solved
 from sparseskin.studies.moving import study
+from sparseskin.studies.moving.sizes import sized
 from sparseskin.studies.moving.study import METHODS, RAW, first_db, pressed
 
 
@@ -34,10 +35,24 @@ def test_all_methods_have_the_same_readings_and_a_sudden_contact_is_hardest_at_f
         assert methods[name]["min_db"] <= methods[name]["first_db"]
 
 
+def test_a_skin_of_any_size_is_reconstructed_by_every_method_on_the_same_readings() -> None:
+    point = {"skin": "5 x 5", "active": 0.3, "ratio": 3, "seed": 0}
+    methods = sized(point)["methods"]
+    assert set(methods) == {RAW, *METHODS, "lattice", "hold"}
+    assert methods[RAW]["median"] < 20
+    assert methods[RAW]["vanished"] == 0
+    assert sized({**point, "ratio": 4})["methods"][RAW] == methods[RAW]
+    masked = sized({**point, "skin": "20 x 20, 42 taxels"})["methods"]
+    assert 0 < masked["lattice"]["median"] < 100
+
+
 def test_the_page_states_means_by_course_and_body(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def found(function: Any, points: list[Any], *_: Any) -> list[Any]:
+        if function is sized:
+            figures = {name: {"median": 12.0, "vanished": 3.0} for name in (RAW, *METHODS)}
+            return [{"methods": figures} for _ in points]
         names = list(enumerate((RAW, *METHODS)))
         return [
             {
@@ -57,6 +72,7 @@ def test_the_page_states_means_by_course_and_body(
     assert f"| 64 x 64 | sudden {cells}" in page
     assert f"| 64 x 64 | moving | peg {cells}" in page
     assert "| 40 x 40 | ramped | 9.0 | 9.0 / 9.0 / 9.0 |" in page
-    for name in ("above.png", "above.svg", "methods.csv"):
+    assert "| 10 x 10 | N/8 | 12 / 3 | 12 / 3 |" in page
+    for name in ("sizes.csv", "above.png", "above.svg", "methods.csv"):
         assert (tmp_path / name).stat().st_size > 100
         assert name in page
