@@ -16,6 +16,8 @@ ONE_OF, MOST = 16, 32
 COMPARABLE = 128
 #: Weight of the past in the running mean of squared errors.
 MEMORY = 0.7
+#: Frames that a running mean is of, in independent residuals.
+FRAMES = (1 + MEMORY) / (1 - MEMORY)
 #: Advantage that the smooth model needs, in standard deviations of the compared means; and the
 #: least mean squared error of the other, in noise variances.
 MARGIN, BEYOND_NOISE = 1.0, 1.5
@@ -48,9 +50,6 @@ class HeldOut:
         The model in use, `HAAR` or `SMOOTH`.
     kept : ndarray of float32, shape (n_rows,)
         0 for the rows that are held out of the current subset, else 1.
-    mean_square : float
-        Mean of the squared residuals of the held-out measurements, squared newtons: the running
-        mean, or that of the last frame if it is larger.
 
     Notes
     -----
@@ -71,6 +70,7 @@ class HeldOut:
         """Forget all frames."""
         self.model = HAAR if self.comparable else SMOOTH
         self._errors: dict[str, float] = {}
+        self._seen: tuple[tuple[float, float], ...] = ()
         self._wait, self._period = 0, 4
 
     def use(self, subset: int) -> None:
@@ -122,15 +122,24 @@ class HeldOut:
         if len(residuals) == 2:
             self._compare(noise)
         chosen = self.model if self.model in residuals else next(iter(residuals))
-        self.mean_square = max(errors[chosen], now[chosen])
+        # Means, and their relative variances: those of squared normal variables.
+        count = max(1, residuals[chosen].size)
+        self._seen = (errors[chosen], 2 / (count * FRAMES)), (now[chosen], 2 / count)
         return chosen
+
+    def error2(self, noise: float) -> float:
+        """Return the mean squared error of the last estimate as far as noise cannot explain it.
+
+        That is the excess over the noise, squared newtons, of the running mean or, where it is
+        larger, of the last frame alone; twice the standard deviation of such a mean is noise, too.
+        """
+        excess = [mean - noise * (1 + 2 * math.sqrt(variance)) for mean, variance in self._seen]
+        return max(0.0, *excess)
 
     def _compare(self, noise: float) -> None:
         """Choose a model by the errors of both, and when to compare them again."""
         haar, smooth = self._errors[HAAR], self._errors[SMOOTH]
-        # Independent residuals that the running means are of.
-        count = self._n_held * (1 + MEMORY) / (1 - MEMORY)
-        clearly = 1 + 2 * MARGIN / math.sqrt(count)
+        clearly = 1 + 2 * MARGIN / math.sqrt(self._n_held * FRAMES)
         better = SMOOTH if haar > max(clearly * smooth, BEYOND_NOISE * noise) else HAAR
         ratio = max(haar, smooth) / (min(haar, smooth) + TINY)
         if better != self.model:

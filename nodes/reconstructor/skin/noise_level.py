@@ -38,7 +38,7 @@ class NoiseLevel:
         True if the last frame was the first one, or its mean squared innovation was more than 5
         times the level. Its differences to other frames are not used.
     known : bool
-        True if the level is of differences between frames; before, it is an upper bound.
+        True once the level is of second differences; before, it is an upper bound.
     since_jump : int
         Frames since the last jump; 0 for a frame that jumped.
     """
@@ -53,7 +53,7 @@ class NoiseLevel:
         self.s2 = 0.0
         self.jumped = True
         self.since_jump = 0
-        self.known = self._begun = False
+        self.known = self._settled = self._begun = False
         self._subsets: dict[int, _Past] = {}
         self.use(0)
 
@@ -79,10 +79,11 @@ class NoiseLevel:
         self.since_jump = 0 if self.jumped else self.since_jump + 1
         self._begun = True
         past.n_differences += 1
-        if not self.known:
+        self.known = self.known or past.n_differences > 1
+        if not self._settled:
             # The first frames have only the innovation, which a contact makes far too large.
             self.s2 = seen
-            self.known = past.n_differences == 1
+            self._settled = past.n_differences == 1
             return
         doubtful = len(self._subsets) > 1 and seen >= CLEARLY * e2
         learning = 0 < self.since_jump <= RELEARNED and seen < self.s2

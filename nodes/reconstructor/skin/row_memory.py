@@ -78,7 +78,7 @@ class RowMemory:
         target: Floats,
         gain: float,
         s2: float,
-        nis: float,
+        e2: float,
         settling: bool,
     ) -> None:
         """Set the weights of the projection, and the target of the iterations.
@@ -91,9 +91,9 @@ class RowMemory:
             Prediction of the frame; None where it is the last estimate.
         y, target : ndarray of float32, shape (n_rows,)
             Measurements as a vector of rows; becomes w (W x + K (measured - W x)).
-        gain, s2, nis : float
-            K, noise variance, and normalised innovation squared: the change D of a row subset that
-            is read for the first time.
+        gain, s2, e2 : float
+            K, noise variance, and mean squared innovation: the change of a row subset that is read
+            for the first time.
         settling : bool
             True if only the rows of this frame are to have a weight.
         """
@@ -102,13 +102,13 @@ class RowMemory:
         self.read = self._read_by[subset]
         change2 = self._compare(x, y)
         self._n_frames += 1
-        change, age = nis - NOISE_CHANGE, 1
+        change, age = e2 - NOISE_CHANGE * s2, 1
         if subset in self._read_in:
-            change = change2 / (self._m * s2 + TINY) - 2 * NOISE_CHANGE
+            change = change2 / self._m - 2 * NOISE_CHANGE * s2
             age = self._n_frames - self._read_in.pop(subset)
         change = max(0.0, change)
-        self._drift = max(change * s2 / age, DRIFT_DECAY * self._drift)
-        counted = 0.0 if settling else MOST / math.sqrt(1 + DECAY * change)
+        self._drift = max(change / age, DRIFT_DECAY * self._drift)
+        counted = 0.0 if settling else MOST / math.sqrt(1 + DECAY * change / (s2 + TINY))
         self._read_in[subset] = self._n_frames
         self.m_counted = self._m * (1 + counted**2 * (len(self._read_in) - 1))
         self._follow(gain, counted, target)

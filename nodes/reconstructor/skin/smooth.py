@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,9 @@ PRECISE = 1e-6
 #: Measurements by which the fitted deviation makes the error of a left-out one too small: its
 #: square is multiplied by 1 + this / their number. Fitted on presses on 16 to 300 taxels.
 FITTED = 32.0
+#: Side of a grid up to which its correlation is a full matrix, and distance beyond which it is 0
+#: in a sparse one, in its lengths.
+MOST_DENSE, NEGLIGIBLE = 256, 4.0
 #: Taxels up to which a system can be solved by its inverse, which costs their number cubed.
 MOST_DIRECT = 512
 
@@ -90,7 +94,7 @@ class SmoothModel:
             for length in LENGTHS
         ]
         self._blur = _gaussian(n_rows, BLUR), _gaussian(n_cols, BLUR)
-        self._neighbours = self._blurred(self._exists) + np.float32(TINY)
+        self._neighbours: Floats = self._blurred(self._exists) + np.float32(TINY)
         self._image = np.zeros(mask.shape, dtype=np.float32)
         self.rounds_left = 0
         self.left_out: Floats | None = None
@@ -224,7 +228,7 @@ class SmoothModel:
     def _deviation_of(self, x: Floats) -> Floats:
         image = np.zeros_like(self._exists)
         image.reshape(-1)[self._taxels] = np.maximum(x, 0)
-        blurred = np.divide(self._blurred(image), self._neighbours)
+        blurred: Floats = self._blurred(image) / self._neighbours
         largest = float(blurred.max())
         if not largest > 0:
             return self._exists
@@ -246,8 +250,14 @@ class SmoothModel:
         return x
 
 
-def _gaussian(n: int, length: float) -> Floats:
-    """Return the correlation of n places in a line, float32 (n, n)."""
-    places = np.arange(n)
-    distance = (places[:, None] - places) / length
-    return np.exp(-0.5 * distance**2).astype(np.float32)
+def _gaussian(n: int, length: float) -> Any:
+    """Return the correlation of n places in a line, an (n, n) matrix; sparse if n is large."""
+    if n <= MOST_DENSE:
+        places = np.arange(n)
+        distance = (places[:, None] - places) / length
+        return np.exp(-0.5 * distance**2).astype(np.float32)
+    from scipy import sparse
+
+    steps = range(-math.ceil(NEGLIGIBLE * length), math.ceil(NEGLIGIBLE * length) + 1)
+    values = [np.full(n, math.exp(-0.5 * (step / length) ** 2), np.float32) for step in steps]
+    return sparse.dia_array((np.array(values), list(steps)), shape=(n, n)).tocsr()

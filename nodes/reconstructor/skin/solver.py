@@ -284,7 +284,7 @@ class SkinSolver(Solver):
         )
         rotating = self._memory is not None and self._rotating
         if rotating:
-            self._recall(settling)
+            self._recall(e2, settling)
         else:
             # y' = Phi x_p + K e
             self._factor[()] = 1 - gain
@@ -406,13 +406,13 @@ class SkinSolver(Solver):
         noise, x, n = self._known_noise, self._x, self.phi.n
         touched = math.sqrt(np.count_nonzero(x) / n)
         filtered = TUNING.filtered_error * touched * self._gain.gain * noise
-        beyond = max(self._held_out.mean_square - noise, 0.0)
+        beyond = self._held_out.error2(noise)
         error2, power = max(beyond, filtered), float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)
         nothing = max(power, beyond) <= TUNING.untouched * noise
         self.trusted = nothing or error2 <= TUNING.trusted**2 * power
 
-    def _recall(self, settling: bool) -> None:
+    def _recall(self, e2: float, settling: bool) -> None:
         """Use the rows of earlier frames as well, as far as they still hold."""
         memory = self._memory
         assert memory is not None
@@ -422,7 +422,7 @@ class SkinSolver(Solver):
         memory.recall(
             self._subsets[self.phi.fingerprint],
             self._x if self._prediction.moved else None,
-            *(self._y, self._target, self._gain.gain, self._gain.noise, self._gain.nis, settling),
+            *(self._y, self._target, self._gain.gain, self._known_noise, e2, settling),
         )
         # Thresholds are in RMS of r over the weighted rows.
         self._threshold *= math.sqrt(self.phi.m / memory.m_counted)
