@@ -44,8 +44,8 @@ def _no_memory(solver: Any) -> None:
 def _no_gain(solver: Any) -> None:
     update = solver._gain.update
 
-    def full_gain(innovation: Floats, m: int, s2: float, jumped: bool) -> None:
-        update(innovation, m, s2, jumped)
+    def full_gain(innovation: Floats, correction: Floats, m: int, s2: float, jumped: bool) -> None:
+        update(innovation, correction, m, s2, jumped)
         solver._gain.gain = 1.0
 
     solver._gain.update = full_gain
@@ -54,9 +54,8 @@ def _no_gain(solver: Any) -> None:
 def _no_doubt(solver: Any) -> None:
     update = solver._gain.update
 
-    def believing(innovation: Floats, m: int, s2: float, jumped: bool) -> None:
-        solver._gain._past.energy = 0.0
-        update(innovation, m, s2, jumped)
+    def believing(innovation: Floats, correction: Floats, m: int, s2: float, jumped: bool) -> None:
+        update(innovation, np.zeros_like(correction), m, s2, jumped)
 
     solver._gain.update = believing
 
@@ -112,7 +111,6 @@ WITHOUT: dict[str, Change | None] = {
     "weight of the prediction (K = 1)": _no_gain,
     "doubt of a lagging filter": _no_doubt,
     "more iterations where surprised": _same_iterations,
-    "caution where too much is explained": _with("_adapt_caution", lambda unexplained, free: None),
     "rows of earlier phases": _with("_memory", None),
     "last frame": _no_memory,
 }
