@@ -17,6 +17,7 @@ from sparseskin.nodes.compressor.phi.acts import ActsSearch, force_threshold
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, m_of
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.solvers.base import estimated_error
 from sparseskin.nodes.reconstructor.solvers.interpolation import (
     LineInterpolation,
     interpolated_from,
@@ -274,14 +275,29 @@ def _method(
     )
 
 
-def flagged(estimator: Estimator) -> bool | None:
-    """True if the solver marks its last estimate as one not to be trusted; None if it never does.
+@dataclass(frozen=True)
+class Judgement:
+    """A solver's estimate of the error of its last frame.
 
-    That is a solver with an attribute `trusted`, False after such a frame.
+    Attributes
+    ----------
+    error : float or None
+        Estimated RMS error of a taxel, in the recording's unit; None if it is not estimated.
+    flagged : bool or None
+        True if the frame is marked as not to be trusted; None without an estimate.
     """
+
+    error: float | None = None
+    flagged: bool | None = None
+
+
+def judgement_of(estimator: Estimator) -> Judgement:
+    """Return what the solver of a method estimates of its last frame."""
     method = estimator.method if isinstance(estimator, Alone) else estimator
-    trusted = getattr(getattr(method, "solver", None), "trusted", None)
-    return None if trusted is None else not trusted
+    if not isinstance(method, Method):
+        return Judgement()
+    error, trusted = estimated_error(method.solver)
+    return Judgement(error, None if error is None and trusted else not trusted)
 
 
 def classes(mask: Mask, k: int) -> list[Indices]:

@@ -29,6 +29,9 @@ METHODS = (SKIN, ROTATED, REPLAY, ALONE, PAPER, *SIMPLE)
 LEAST_ERROR = 0.5
 """Least relative error that a quotient is formed with, in %. Chosen: about that of readings in 8
 bits, so that below it all methods are as good as exact."""
+WRONG, RIGHT = 0.5, 0.1
+"""Relative errors above which a frame should be marked as not to be trusted, and below which it
+should not be. Chosen."""
 _KEYS = ["recording", "M"]
 
 
@@ -54,6 +57,8 @@ def show(frame: pd.DataFrame) -> list[str]:
         if len(some):
             table = _table(compared[compared["key"].isin(some["key"])], f"{{{name}:.0f}}")
             lines += ["", what, *_aligned(table)]
+    if marked(rows):
+        lines += ["", *marked(rows)]
     if len(codecs):
         lines += ["", "all taxels read: bytes a frame / median relative error in %"]
         lines += _aligned(_codecs(rows))
@@ -103,7 +108,15 @@ def write(
         beaten=[*beaten(rows), *packed(rows)],
         errors=_shown(compared, "{median:.1f} / {mean:.1f}"),
         lost=_shown(compared, "{vanished:.0f} / {ghosts:.0f}"),
-        flags=_shown(compared, "{flagged:.0f}") if has_flags else "",
+        flags=_shown(compared, "{flagged:.0f} / {flagged_wrong:.0f} / {flagged_right:.0f}")
+        if has_flags
+        else "",
+        estimates=_shown(
+            compared, "{estimate_median:.2f} ({estimate_low:.2f} to {estimate_high:.2f})"
+        ),
+        marked=marked(rows),
+        wrong=100 * WRONG,
+        right=100 * RIGHT,
         codecs=markdown(_codecs(rows)),
         failed=[f"{row.recording}, {row.method}: {row.failed}" for row in failed.itertuples()],
         csv=write_csv(out, "methods", frame.drop(columns=["path"])),
@@ -120,6 +133,31 @@ def beaten(rows: pd.DataFrame) -> list[str]:
         lines.append(
             f"N/{ratio}: the best simple method beats {replayed()} on {len(worse)} of {len(some)} "
             f"recordings{named}; quotient of the errors: {median:.2f} in the median"
+        )
+    return lines
+
+
+def marked(rows: pd.DataFrame) -> list[str]:
+    """Return a line a method whose solver estimates its error: marks and estimate, by the truth.
+
+    The parts marked are of the frames of all recordings and ratios, the quotients in the median
+    over these.
+    """
+    lines = []
+    for name, some in rows[rows["estimate_median"].notna()].groupby("method", sort=False):
+        parts = [
+            f"{(some[f'flagged_{which}'] * some[f'n_{which}']).sum() / n:.1f} % of {n:.0f} frames "
+            f"with an error {bound}"
+            for which, bound in (
+                ("wrong", f"above {100 * WRONG:g} %"),
+                ("right", f"below {100 * RIGHT:g} %"),
+            )
+            if (n := some[f"n_{which}"].sum())
+        ]
+        low, middle, high = (some[f"estimate_{k}"].median() for k in ("low", "median", "high"))
+        lines.append(
+            f"{name} marks {' and '.join(parts) or 'no frame'}; estimated over true RMS error "
+            f"{middle:.2f} (5 to 95 %: {low:.2f} to {high:.2f})"
         )
     return lines
 
@@ -146,6 +184,9 @@ def _means(frame: pd.DataFrame) -> pd.DataFrame:
     known = frame[frame["median"].notna()] if "median" in frame else frame
     keys = ["recording", "ratio", "method"]
     figures = ["median", "mean", "vanished", "ghosts", "flagged", "n_values", "n_bytes", "cpu_ms"]
+    figures += ["flagged_wrong", "flagged_right", "n_wrong", "n_right"]
+    figures += ["estimate_low", "estimate_median", "estimate_high"]
+    known = known.reindex(columns=[*keys, *figures])
     rows = known.astype(dict.fromkeys(figures, float)).groupby(keys, sort=False)[figures].mean()
     rows = rows.reset_index()
     order = [*METHODS, *CODECS]

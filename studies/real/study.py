@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,8 +14,8 @@ from sparseskin.nodes.errors import SparseskinError
 from sparseskin.studies.points import StudyError, compute
 from sparseskin.studies.report import frame_of
 
-from .methods import Compared, flagged, make_methods
-from .page import RATIOS, show, write
+from .methods import Compared, judgement_of, make_methods
+from .page import RATIOS, RIGHT, WRONG, show, write
 from .recordings import GHOST, LOADED, UNTOUCHED, Recording, digest_of, files_in, part_of
 
 LONGEST_FRAMES, QUICK_FRAMES = 300, 60
@@ -119,11 +120,18 @@ def figures_of(method: Compared, recording: Recording) -> dict[str, float | int 
         median, mean: relative error ||x' - x|| / ||x|| over loaded frames, in %; vanished: part of
         them with an error of `VANISHED` or more, in %; ghosts: part of the untouched frames, in %,
         whose reconstruction has a total force; flagged: part of all frames that the solver marks
-        as not to be trusted, in %; n_loaded, n_untouched: numbers of these frames; n_values,
-        n_bytes: values and bytes a frame, in the mean; cpu_ms: processor time of a solve, median.
-        None where there is no such frame, or no such mark.
+        as not to be trusted, in %; flagged_wrong, flagged_right: the same of loaded frames with an
+        error above `WRONG`, and below `RIGHT`; n_wrong, n_right: numbers of these;
+        estimate_low, estimate_median, estimate_high: estimated over true RMS error of loaded
+        frames, 5th, 50th and 95th percentile; n_loaded, n_untouched: numbers of these frames;
+        n_values, n_bytes: values and bytes a frame, in the mean; cpu_ms: processor time of a solve,
+        median. None where there is no such frame, or no such mark.
     """
-    errors, ghosts, marks, sizes, spans_s = [], [], [], [], []
+    errors, ghosts, sizes, spans_s = [], [], [], []
+    marks: list[bool] = []
+    wrong: list[bool] = []
+    right: list[bool] = []
+    quotients: list[float] = []
     mask = recording.skin.mask
     for k, (taxels, truth) in enumerate(zip(recording.frames, recording.truth, strict=True)):
         solved = method.estimator.reconstruct(taxels)
@@ -131,24 +139,38 @@ def figures_of(method: Compared, recording: Recording) -> dict[str, float | int 
             continue
         x, estimate = truth[mask].astype(np.float64), solved.forces[mask]
         norm, total = float(np.linalg.norm(x)), float(x.sum())
+        found = judgement_of(method.estimator)
+        mark = [] if found.flagged is None else [found.flagged]
+        marks += mark
         if norm > LOADED * recording.norm:
-            errors.append(float(np.linalg.norm(estimate - x)) / norm)
+            off = float(np.linalg.norm(estimate - x))
+            errors.append(off / norm)
+            wrong += mark if errors[-1] > WRONG else []
+            right += mark if errors[-1] < RIGHT else []
+            if found.error is not None and off:
+                quotients.append(found.error * math.sqrt(x.size) / off)
         if total <= UNTOUCHED * recording.total:
             ghosts.append(float(estimate.sum(dtype=np.float64)) > GHOST * recording.total)
-        mark = flagged(method.estimator)
-        marks += [] if mark is None else [mark]
         sizes.append(method.n_bytes())
         spans_s.append(solved.cpu_s)
 
     def percent(of: Sequence[float | bool]) -> float | None:
         return 100 * float(np.mean(of)) if of else None
 
+    low, middle, high = np.percentile(quotients, (5, 50, 95)).tolist() if quotients else [None] * 3
     return {
         "median": 100 * float(np.median(errors)) if errors else None,
         "mean": percent(errors),
         "vanished": percent([error >= VANISHED for error in errors]),
         "ghosts": percent(ghosts),
         "flagged": percent(marks),
+        "flagged_wrong": percent(wrong),
+        "flagged_right": percent(right),
+        "n_wrong": len(wrong),
+        "n_right": len(right),
+        "estimate_low": low,
+        "estimate_median": middle,
+        "estimate_high": high,
         "n_loaded": len(errors),
         "n_untouched": len(ghosts),
         "n_values": float(method.n_values),

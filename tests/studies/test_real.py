@@ -22,16 +22,17 @@ from sparseskin.studies.real.methods import (
     Codec,
     Compared,
     Hold,
+    Judgement,
     Lattice,
     Skin,
     acts_values,
     address_bytes,
     classes,
-    flagged,
+    judgement_of,
     make_methods,
     replayed,
 )
-from sparseskin.studies.real.page import show
+from sparseskin.studies.real.page import _means, marked, show
 from sparseskin.studies.real.recordings import digest_of, files_in, part_of
 from sparseskin.studies.real.study import compared, figures_of, readable
 
@@ -191,10 +192,46 @@ def test_the_mark_of_a_solver_that_has_one_is_read(folder: Path) -> None:
     skin = part_of(str(folder / "press.npz"), 60).skin
     estimator = make_methods(skin, 3, 0)["skin, alone"]().estimator
     assert isinstance(estimator, Alone)
-    vars(estimator.method.solver)["trusted"] = False
-    assert flagged(estimator)
-    vars(estimator.method.solver)["trusted"] = True
-    assert flagged(estimator) is False
+    solver = estimator.method.solver
+    solver.error, solver.trusted = 0.5, False
+    assert judgement_of(estimator) == Judgement(0.5, flagged=True)
+    solver.trusted = True
+    assert judgement_of(estimator) == Judgement(0.5, flagged=False)
+    solver.error = None
+    assert judgement_of(estimator) == Judgement()
+    assert judgement_of(_Constant(0)) == Judgement()
+
+
+def test_marks_and_estimates_are_compared_with_the_true_errors(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = part_of(str(folder / "press.npz"), 60)
+    method = make_methods(part.skin, 3, 0)["skin, alone"]()
+    numbers = iter(range(len(part.frames)))
+
+    def alone(taxels: Floats) -> Solved:
+        """Right by 5 % in even frames, wrong by 60 % in odd ones; and twice that in every tenth."""
+        number = next(numbers)
+        off = 0.6 if number % 2 else 0.05
+        solver = method.estimator.method.solver  # type: ignore[attr-defined]
+        rms = float(np.sqrt(np.mean(np.square(taxels[part.skin.mask], dtype=np.float64))))
+        solver.error = off * rms * (2 if number % 10 == 0 else 1)
+        solver.trusted = number % 2 == 0 or number % 10 == 5
+        return Solved((1 + off) * taxels)
+
+    monkeypatch.setattr(method.estimator, "reconstruct", alone)
+    found = figures_of(method, part)
+    assert (found["n_wrong"], found["n_right"]) == (10, 10)
+    assert (found["flagged_wrong"], found["flagged_right"]) == (80, 0)
+    assert found["estimate_low"] == pytest.approx(1, abs=1e-4)
+    assert found["estimate_median"] == pytest.approx(1, abs=1e-4)
+    assert found["estimate_high"] == pytest.approx(2, abs=0.06)
+    row = {"recording": "a", "ratio": 3, "method": "skin, alone", **found}
+    (line,) = marked(_means(pd.DataFrame([row])))
+    assert line.startswith(
+        "skin, alone marks 80.0 % of 10 frames with an error above 50 % and 0.0 % of 10 frames with "
+        "an error below 10 %; estimated over true RMS error 1.00 (5 to 95 %: 1.00 to 2.0"
+    )
 
 
 def test_alone_gives_each_frame_what_it_gives_first(folder: Path) -> None:
