@@ -229,8 +229,8 @@ def test_marks_and_estimates_are_compared_with_the_true_errors(
     row = {"recording": "a", "ratio": 3, "method": "skin, alone", **found}
     (line,) = marked(_means(pd.DataFrame([row])))
     assert line.startswith(
-        "skin, alone marks 80.0 % of 10 frames with an error above 50 % and 0.0 % of 10 frames with "
-        "an error below 10 %; estimated over true RMS error 1.00 (5 to 95 %: 1.00 to 2.0"
+        "skin, alone marks 80.0 % of 10 frames with an error above 50 % and 0.0 % of 10 frames "
+        "with an error below 10 %; estimated over true RMS error 1.00 (5 to 95 %: 1.00 to 2.0"
     )
 
 
