@@ -190,8 +190,9 @@ class ResultantEstimator:
         if total > 0:
             centre = self._sums[1:, 0] / total
             # The mean over frames before a jump is that of another contact.
-            begins = self._slow_centre is None or self._jumped_by is not None
-            slow = centre if begins else self._slow_centre
+            slow = self._slow_centre
+            if slow is None or self._jumped_by is not None:
+                slow = centre
             self._slow_centre = slow + T.drift_rate * (centre - slow)
         else:
             self._slow_centre = None

@@ -263,6 +263,19 @@ def test_where_rows_rotate_frames_of_one_row_subset_are_compared() -> None:
     assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.15)
 
 
+@pytest.mark.parametrize("n_subsets", [1, 3])
+def test_the_level_grows_by_40_percent_a_frame_at_most(n_subsets: int) -> None:
+    """Also where rows rotate, and all of the innovation looks like noise."""
+    level = NoiseLevel(500)
+    frames = np.random.default_rng(0).normal(0, 1, (31, 500)).astype(np.float32)
+    for k, y in enumerate(frames):
+        level.use(k % n_subsets)
+        before = level.s2
+        level.update(y, e2=SIGMA_N**2 if k < 30 else 4 * before)
+    assert not level.jumped
+    assert level.s2 == pytest.approx(1.4 * before)
+
+
 def test_where_rows_rotate_each_row_subset_is_averaged_over_its_own_frames() -> None:
     gain = AdaptiveGain()
     gains = []
