@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -12,11 +13,16 @@ from sparseskin.nodes.numerics.arrays import Floats
 EVERY_NS = 10_000_000_000
 """Least time between two lines, nanoseconds of the frames' stamps. Chosen: readable by a person."""
 
+RUN, WITHIN = 3, 10
+"""Frames not to be trusted that make a run, and the number of the last frames that they are among.
+Chosen: the first frame or two of a stream or contact, of which the past says nothing, make none."""
+
 
 class TrustLog:
-    """Logs that frames are not to be trusted: at the first of them, then at most every 10 s.
+    """Logs that frames are not to be trusted: once in a run of them, then at most every 10 s.
 
-    Time is that of the stamps, so that a replay logs the same lines at any rate.
+    A run is 3 of the last 10 frames or more. Time is that of the stamps, so that a replay logs the
+    same lines at any rate.
 
     Parameters
     ----------
@@ -28,6 +34,7 @@ class TrustLog:
         self._log = log
         self._logged_ns: int | None = None
         self._n_frames = self._n_untrusted = 0
+        self._latest: deque[bool] = deque(maxlen=WITHIN)
 
     def update(
         self,
@@ -45,8 +52,11 @@ class TrustLog:
         """
         self._n_frames += 1
         self._n_untrusted += not trusted
+        self._latest.append(not trusted)
+        if trusted or sum(self._latest) < RUN:
+            return
         # Stamps go back where a recording is played again.
-        if trusted or (self._logged_ns is not None and abs(stamp_ns - self._logged_ns) < EVERY_NS):
+        if self._logged_ns is not None and abs(stamp_ns - self._logged_ns) < EVERY_NS:
             return
         count = "" if self._logged_ns is None else self._count()
         better = "more measurements" if rotating else 'more measurements or rows = "rotating"'

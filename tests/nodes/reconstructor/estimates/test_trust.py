@@ -16,7 +16,7 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import RefusedError
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.estimates.trust import EVERY_NS, TrustLog
+from sparseskin.nodes.reconstructor.estimates.trust import EVERY_NS, RUN, TrustLog
 from sparseskin.nodes.reconstructor.solvers.base import (
     RotatingSolver,
     Solver,
@@ -104,7 +104,7 @@ def test_a_solver_estimates_nothing_unless_it_states_so() -> None:
     assert (solver.error, solver.trusted) == (None, True)
 
 
-def test_one_line_at_the_first_doubt_and_one_every_10_s() -> None:
+def test_one_line_a_run_of_doubts_and_one_every_10_s() -> None:
     lines: list[str] = []
     log = TrustLog(lines.append)
 
@@ -116,6 +116,7 @@ def test_one_line_at_the_first_doubt_and_one_every_10_s() -> None:
         return len(lines) - before
 
     assert feed([0, 1, 2], trusted=True) == 0
+    assert feed([2.8, 2.9], trusted=False) == 0
     assert feed([3], trusted=False) == 1
     assert feed([4, 5, 6], trusted=False) == 0
     assert feed([7], trusted=True) == 0
@@ -144,7 +145,9 @@ def test_one_line_at_the_first_doubt_and_one_every_10_s() -> None:
 def test_the_line_states_the_estimate(error: float | None, forces: float, words: str) -> None:
     lines: list[str] = []
     uniform = np.full(4, forces, np.float32)
-    TrustLog(lines.append).update(0, uniform, error, False, unit="kPa", rotating=True)
+    log = TrustLog(lines.append)
+    for _ in range(RUN):
+        log.update(0, uniform, error, False, unit="kPa", rotating=True)
     assert lines[0].startswith(f"frames not to be trusted: {words} more measurements may help")
 
 
@@ -154,7 +157,18 @@ def test_the_node_logs_a_run_of_doubted_frames_once() -> None:
     (line,) = desk.lines
     assert line.startswith("frames not to be trusted: estimated error 50 % of the forces;")
     assert 'rows = "rotating"' in line
-    assert reconstructions(Desk(PHI, solver=DOUBTING), 5)
+
+
+def test_two_doubted_frames_at_a_contact_are_no_run() -> None:
+    desk = Desk(PHI, solver=DOUBTING, options={"n_doubted": 2, "period": 10})
+    reconstructions(desk, 40)
+    assert desk.lines == []
+
+
+def test_doubts_about_every_third_frame_are_a_run() -> None:
+    desk = Desk(PHI, solver=DOUBTING, options={"n_doubted": 1, "period": 3})
+    reconstructions(desk, 40)
+    assert len(desk.lines) == 1
 
 
 def test_the_times_of_the_lines_are_those_of_the_stamps() -> None:
@@ -164,4 +178,4 @@ def test_the_times_of_the_lines_are_those_of_the_stamps() -> None:
     )
     for stamp_s in range(25):
         list(desk.node.step(replace(frame, stamp_ns=stamp_s * S)))
-    assert len(desk.lines) == 3  # at 0, 10 and 20 s
+    assert len(desk.lines) == 3  # at 2, 12 and 22 s
