@@ -258,7 +258,9 @@ class Reconstructor(Node[ReconstructorSettings]):
         )
         self._skipped = 0
         self._log_trust(measurements.stamp_ns, forces, estimated, trusted)
-        if watched and self._watch.update(phi, given, y, forces, fitted):
+        if watched and self._watch.update(
+            phi, given, y, forces, fitted, getattr(self._solver, "unfitted", None)
+        ):
             # The effect of faulty measurements on the estimate would last for long.
             self._warm, self._last = np.zeros_like(forces), None
         if self._resultant is not None:

@@ -28,6 +28,10 @@ HEALED, MOST_HEALED = 100, 100_000
 AGREES, AGREES_RATE = 4.0, 0.05
 #: Largest part of the rows that may be faulty; with more, something else is wrong.
 MOST = 0.25
+#: Factor of the bounds for innovations, and peers that a row then needs. A contact that comes has
+#: forces on k taxels of a block: a row has at most k times the mean square of all. Working rows
+#: reach 30, beside a faulty one 90; garbage 100 to 50,000 (a sliding disc, 80 frames).
+UNPREDICTED, UNPREDICTED_PEERS = 4.0, 5
 #: Step of the quantiser, in deviations of a frame's noise, beyond which rows may be constant.
 FINE = 0.25
 #: Peers that a block needs for a judgement by a single frame.
@@ -44,6 +48,11 @@ class RowWatch:
     contact is reconstructed badly, all of them are off alike. A ratio above 16, which a working row
     has in one frame of ten thousand, starts a CUSUM: each frame adds the ratio, at most 36, less 9;
     it is never below 0. A row that reads garbage reaches 150 within 8 frames.
+
+    A solver that starts anew may explain a faulty row by forces. Garbage then contradicts the last
+    frame: in the full comparison a row is also judged by its innovation y - Phi x_last, with
+    bounds 4 times as large. Rows that the solver did not fit are judged by their change from
+    frame to frame in place of that, and not by their residual.
 
     The full comparison is made in every tenth frame, wherever a residual exceeds the bound of the
     last one, and in each frame while there is evidence against a row.
@@ -82,10 +91,12 @@ class RowWatch:
         self._residual, self._left = np.zeros((2, m), dtype=np.float32)
         self._squared, self._bound = np.zeros((2, m), dtype=np.float32)
         self._last_but_one = np.zeros(m, dtype=np.float32)
+        self._innovation, self._fitted = np.zeros((2, m), dtype=np.float32)
         self._changed_at, self._agreed = np.zeros((2, m), dtype=np.int32)
         self._loud = np.zeros(m, dtype=np.bool_)
         self._coarse = self._suspects = False
         self._to_heal = np.full(m, HEALED, dtype=np.int32)
+        self._unfitted: Indices | None = None
         self._n_frames = 0
         self._lively = 0.0
         self.left_out: Mask = np.zeros(m, dtype=np.bool_)
@@ -103,16 +114,20 @@ class RowWatch:
         cleaned: Floats = np.where(self.left_out, expected, y).astype(np.float32)
         return cleaned
 
-    def update(self, y: Floats, fitted: Floats) -> bool:
+    def update(self, y: Floats, fitted: Floats, unfitted: Indices | None = None) -> bool:
         """Process measurements as received, and Phi times the frame, `fitted`; float32 (m,).
 
-        Return True if `left_out` has changed.
+        `unfitted` are the rows that the frame was not made from, intp. Return True if `left_out`
+        has changed.
         """
+        self._unfitted = unfitted
         if not self.watches:
             return False
         self._n_frames += 1
         self._residual, self._before = self._before, self._residual
         np.subtract(y, fitted, out=self._residual)
+        np.subtract(y, self._fitted, out=self._innovation)
+        np.copyto(self._fitted, fitted)
         np.square(self._residual, out=self._squared)
         np.greater(self._squared, self._bound, out=self._loud)
         self._note_changes(y)
@@ -130,6 +145,7 @@ class RowWatch:
         # A force below a step is read as 0 or as a step, in turn.
         noise2 += step * step / 4
         odd = self._oddness(noise2)
+        np.maximum(odd, self._unpredicted(noise2), out=odd)
         evidence = self._evidence
         odd_enough = (evidence > 0) | (odd > ODD)
         evidence += odd
@@ -166,8 +182,35 @@ class RowWatch:
         # such blocks only the change from frame to frame counts.
         change = self._residual[few] - self._before[few]
         squared[few] = np.minimum(squared[few], np.square(change, out=change))
+        if self._unfitted is not None:
+            # Their residual is larger than that of their peers.
+            squared[self._unfitted] = 0
         squared /= peers
         return np.minimum(squared, LARGEST, out=squared)
+
+    def _unpredicted(self, noise2: float) -> Floats:
+        """Return the oddness of rows by their innovations; at most 36, 0 for rows left out."""
+        judged = self._kept.copy()
+        # The sum of a block shows any contact more than its peers do.
+        judged[self._heavy] = 0
+        innovation = self._innovation
+        if self._unfitted is not None:
+            # The estimate is off by more there, in all frames alike.
+            apart = self._unfitted
+            innovation[apart] = self._last[apart] - self._last_but_one[apart]
+        squared = np.square(innovation) * judged
+        typical = np.float32(max(_middle(squared) / MEDIAN_SQUARE, noise2) + TINY)
+        # The mean of the peers but the largest one: that may be faulty, too.
+        largest = np.maximum.reduceat(squared, self._starts)[self._block]
+        second = np.where(squared == largest, 0, squared)
+        second = np.maximum.reduceat(second, self._starts)[self._block]
+        peers = np.add.reduceat(squared, self._starts)[self._block] - squared
+        peers -= np.where(squared == largest, second, largest)
+        n_peers = np.add.reduceat(judged, self._starts)[self._block] - 1
+        peers /= np.maximum(n_peers - 1, 1)
+        odd = squared / (UNPREDICTED * np.maximum(peers, typical))
+        odd[n_peers < UNPREDICTED_PEERS] = 0
+        return np.minimum(odd, LARGEST, out=odd)
 
     def _note_changes(self, y: Floats) -> None:
         """Note the rows that read another value than in the last frame."""

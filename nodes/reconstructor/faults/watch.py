@@ -8,7 +8,7 @@ import numpy as np
 
 from sparseskin.messages import SkinState
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
 from .rows import RowWatch
 from .taxels import TaxelWatch, listed
@@ -78,24 +78,35 @@ class FaultWatch:
         return forces if self._taxels is None else self._taxels.filled(forces)
 
     def update(
-        self, phi: Phi, given: Floats, believed: Floats, forces: Floats, fitted: Floats
+        self,
+        phi: Phi,
+        given: Floats,
+        believed: Floats,
+        forces: Floats,
+        fitted: Floats,
+        unfitted: Indices | None = None,
     ) -> bool:
         """Process a frame as the solver reconstructed it.
 
-        `given` and `believed` are as `cleaned` returned them, `fitted` is Phi times the forces.
+        `given` and `believed` are as `cleaned` returned them, `fitted` is Phi times the forces;
+        `unfitted` are the measurements that the solver held out, intp, or None.
         Return True if a faulty measurement was found that the estimate has used so far.
         """
         if self._taxels is not None:
             self._taxels.update(phi, forces, believed - fitted)
-        return self._looks_at_rows and self._update_rows(self._rows[phi.fingerprint], given, fitted)
+        if not self._looks_at_rows:
+            return False
+        return self._update_rows(self._rows[phi.fingerprint], given, fitted, unfitted)
 
     @property
     def _looks_at_rows(self) -> bool:
         return self._watch_rows and self._noisy
 
-    def _update_rows(self, watch: RowWatch, y: Floats, fitted: Floats) -> bool:
+    def _update_rows(
+        self, watch: RowWatch, y: Floats, fitted: Floats, unfitted: Indices | None
+    ) -> bool:
         before, was_swamped = watch.left_out.copy(), watch.swamped
-        if watch.update(y, fitted):
+        if watch.update(y, fitted, unfitted):
             self._describe_rows()
             new, healed = watch.left_out & ~before, before & ~watch.left_out
             if new.any():

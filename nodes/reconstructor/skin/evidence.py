@@ -50,6 +50,8 @@ class HeldOut:
         The model in use, `HAAR` or `SMOOTH`.
     kept : ndarray of float32, shape (n_rows,)
         0 for the rows that are held out of the current subset, else 1.
+    measurements : ndarray of intp
+        Numbers of the measurements that are held out of the current subset.
 
     Notes
     -----
@@ -59,10 +61,11 @@ class HeldOut:
 
     def __init__(self, projection: Projection, m: int, one_by_one: bool) -> None:
         self._projection = projection
+        self._numbers = np.arange(1, m + 1, dtype=np.float32)
         self._one_by_one = one_by_one
         self._n_held = 0 if one_by_one else min(max(1, m // ONE_OF), MOST)
         self.comparable = m >= COMPARABLE
-        self._subsets: dict[int, tuple[Floats, Indices]] = {}
+        self._subsets: dict[int, tuple[Floats, Indices, Indices]] = {}
         self.reset()
         self.use(0)
 
@@ -81,8 +84,10 @@ class HeldOut:
             held = np.sort(rng.choice(rows, size=self._n_held, replace=False))
             kept = np.ones(self._projection.n_rows, dtype=np.float32)
             kept[held] = 0
-            self._subsets[subset] = kept, held
-        self.kept, self._held = self._subsets[subset]
+            number = np.zeros_like(kept)
+            self._projection.rows_of(self._numbers, number)
+            self._subsets[subset] = kept, held, number[held].astype(np.intp) - 1
+        self.kept, self._held, self.measurements = self._subsets[subset]
 
     def models(self, failed: bool) -> tuple[str, ...]:
         """Return the models that this frame is to be estimated by.

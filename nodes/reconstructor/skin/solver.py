@@ -290,7 +290,7 @@ class SkinSolver(Solver):
             self._factor[()] = 1 - gain
             np.multiply(self._innovation, self._factor, self._target)
             np.subtract(self._y, self._target, self._target)
-        kept = self._held_out.kept
+        kept, self.unfitted = self._held_out.kept, self._held_out.measurements
         self._projection.leave_out(kept)
         np.multiply(self._target, kept, self._target)
         self._n_rounds = 0

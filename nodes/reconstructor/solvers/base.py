@@ -81,6 +81,8 @@ class Solver(ABC):
     #: False if the last frame is not to be trusted: its estimated error is a large part of its
     #: forces.
     trusted: bool = True
+    #: Numbers of the measurements that the last frame was not made from, intp; None for none.
+    unfitted: Indices | None = None
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:
         shape = (basis.n_rows, basis.n_cols)

@@ -122,6 +122,37 @@ def test_a_row_that_fails_again_has_to_agree_twice_as_long(phi: Phi) -> None:
     assert waits[2] > 1.5 * waits[1]
 
 
+@pytest.mark.parametrize(("change_n", "faulty"), [(0.01, False), (1.0, True)])
+def test_a_row_that_the_frame_was_not_made_from_is_judged_by_its_change(
+    phi: Phi, change_n: float, faulty: bool
+) -> None:
+    """Its residual is larger than that of its peers, in all frames alike."""
+    rng = np.random.default_rng(0)
+    watch = RowWatch(phi)
+    unfitted = np.array([7])
+    for _ in range(60):
+        y = rng.normal(0, 0.01, M).astype(np.float32)
+        y[7] = 0.5 + rng.normal(0, change_n)
+        watch.update(y, np.zeros(M, np.float32), unfitted)
+    assert list(np.flatnonzero(watch.left_out)) == ([7] if faulty else [])
+
+
+@pytest.mark.parametrize("pair", [(250, 251), (60, 61)])
+def test_a_faulty_row_is_found_by_its_innovation_where_the_frame_explains_it(
+    phi: Phi, pair: tuple[int, int]
+) -> None:
+    """A solver that starts anew fits what it reads: residuals are noise, innovations are not."""
+    rng = np.random.default_rng(0)
+    watch = RowWatch(phi)
+    for _ in range(40):
+        y = rng.normal(0, 0.01, M).astype(np.float32)
+        fitted = y + rng.normal(0, 0.01, M).astype(np.float32)
+        y[list(pair)] += (garbage := rng.uniform(-2, 2, 2).astype(np.float32))
+        fitted[list(pair)] += garbage
+        watch.update(y, fitted)
+    assert tuple(np.flatnonzero(watch.left_out)) == pair
+
+
 def test_where_most_rows_disagree_none_is_blamed(phi: Phi) -> None:
     rng = np.random.default_rng(0)
     watch = RowWatch(phi)
