@@ -224,6 +224,10 @@ class Frame:
         What the edge sent, newtons.
     forces : ndarray of float32, shape (n_rows, n_cols), or None
         Reconstructed forces, newtons.
+    error : float or None
+        RMS error of a taxel of `forces` as the solver estimates it, newtons, where it does.
+    trusted : bool
+        False if that error is a large part of the forces; True also where it is not estimated.
     """
 
     patch: str
@@ -232,6 +236,8 @@ class Frame:
     taxels: Floats | None = None
     measurements: Floats | None = None
     forces: Floats | None = None
+    error: float | None = None
+    trusted: bool = True
 
 
 def run_launch(
@@ -295,7 +301,10 @@ def _frames_of(messages: Sequence[Message]) -> Iterator[Frame]:
     for message in messages:
         if type(message) in _PARTS:
             array = message.y if isinstance(message, Measurements) else getattr(message, "forces")  # noqa: B009
-            found.setdefault((message.patch, message.stamp_ns), {})[_PARTS[type(message)]] = array
+            parts = found.setdefault((message.patch, message.stamp_ns), {})
+            parts[_PARTS[type(message)]] = array
+            if isinstance(message, Reconstruction):
+                parts |= {"error": message.error, "trusted": message.trusted}
     for (patch, stamp_ns), parts in found.items():
         yield Frame(patch, stamp_ns, **parts)
 

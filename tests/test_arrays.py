@@ -9,6 +9,7 @@ from pathlib import Path
 import bags
 import numpy as np
 import pytest
+from doubting import DOUBTING, ERROR
 
 import sparseskin
 from sparseskin.messages import Reconstruction
@@ -84,6 +85,16 @@ def test_a_launch_file_runs_with_the_bits_of_its_nodes() -> None:
     assert [frame.patch for frame in frames] == ["skin"] * 3
     assert frames[0].truth is not None
     assert frames[0].truth.shape == (40, 40)
+
+
+def test_frames_have_what_the_solver_estimates_of_them() -> None:
+    settings = [f"reconstructor.solver={DOUBTING}", "reconstructor.options.n_doubted=1"]
+    frames = list(
+        sparseskin.run_launch("path_40", 4, [*settings, "reconstructor.options.period=2"])
+    )
+    assert [(frame.error, frame.trusted) for frame in frames] == [(ERROR, False), (ERROR, True)] * 2
+    (frame,) = sparseskin.run_launch("path_40", 1, ["reconstructor.preset=paper"])
+    assert (frame.error, frame.trusted) == (None, True)
 
 
 def test_a_bag_is_read_into_arrays(tmp_path: Path) -> None:
