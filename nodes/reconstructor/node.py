@@ -272,9 +272,15 @@ class Reconstructor(Node[ReconstructorSettings]):
     def _log_trust(self, stamp_ns: int, forces: Floats, error: float | None, trusted: bool) -> None:
         assert self._skin is not None
         assert self._solver is not None
-        unit, rotating = self._skin.unit, len(self._subsets) > 1
-        of_taxels = forces.reshape(-1)[self._solver.taxels]
-        self._trust_log.update(stamp_ns, of_taxels, error, trusted, unit=unit, rotating=rotating)
+        self._trust_log.update(
+            stamp_ns,
+            forces,
+            error,
+            trusted,
+            n=self._solver.taxels.size,
+            unit=self._skin.unit,
+            rotating=len(self._subsets) > 1,
+        )
 
     def _resultant_of(self, found: Estimate, stamp_ns: int) -> Resultant:
         row, col = found.centre or (None, None)

@@ -43,12 +43,14 @@ class TrustLog:
         error: float | None,
         trusted: bool,
         *,
+        n: int,
         unit: str,
         rotating: bool,
     ) -> None:
-        """Process a frame: forces of its existing taxels, and what its solver estimates of them.
+        """Process a frame: forces, 0 where no taxel exists, and what its solver estimates of them.
 
-        `error` and `trusted` are as in `Solver`; `rotating`: True if the rows of Phi rotate.
+        `error` and `trusted` are as in `Solver`; n is the number of taxels; `rotating`: True if the
+        rows of Phi rotate.
         """
         self._n_frames += 1
         self._n_untrusted += not trusted
@@ -61,7 +63,7 @@ class TrustLog:
         count = "" if self._logged_ns is None else self._count()
         better = "more measurements" if rotating else 'more measurements or rows = "rotating"'
         self._log(
-            f"frames not to be trusted: {_described(error, forces, unit)}{count}; "
+            f"frames not to be trusted: {_described(error, forces, n, unit)}{count}; "
             f"{better} may help, see docs/method.md"
         )
         self._logged_ns = stamp_ns
@@ -71,11 +73,11 @@ class TrustLog:
         return f" ({self._n_untrusted} of the last {self._n_frames} frames)"
 
 
-def _described(error: float | None, forces: Floats, unit: str) -> str:
+def _described(error: float | None, forces: Floats, n: int, unit: str) -> str:
     """Return the estimate in words."""
     if error is None:
         return "the solver doubts its estimate"
-    rms = math.sqrt(float(np.mean(np.square(forces, dtype=np.float64))))
+    rms = math.sqrt(float(np.sum(np.square(forces, dtype=np.float64))) / n)
     if error >= 10 * rms:
         return f"estimated error {error:.2g} {unit} a taxel, more than the forces"
     return f"estimated error {100 * error / rms:.0f} % of the forces"

@@ -112,7 +112,7 @@ def test_one_line_a_run_of_doubts_and_one_every_10_s() -> None:
         before = len(lines)
         for stamp_s in stamps_s:
             stamp_ns = round(stamp_s * S)
-            log.update(stamp_ns, FORCES, 0.31, trusted, unit="N", rotating=False)
+            log.update(stamp_ns, FORCES, 0.31, trusted, n=10, unit="N", rotating=False)
         return len(lines) - before
 
     assert feed([0, 1, 2], trusted=True) == 0
@@ -144,10 +144,11 @@ def test_one_line_a_run_of_doubts_and_one_every_10_s() -> None:
 )
 def test_the_line_states_the_estimate(error: float | None, forces: float, words: str) -> None:
     lines: list[str] = []
-    uniform = np.full(4, forces, np.float32)
+    uniform = np.zeros((3, 4), np.float32)
+    uniform[:2] = forces  # there are no taxels in the last row
     log = TrustLog(lines.append)
     for _ in range(RUN):
-        log.update(0, uniform, error, False, unit="kPa", rotating=True)
+        log.update(0, uniform, error, False, n=8, unit="kPa", rotating=True)
     assert lines[0].startswith(f"frames not to be trusted: {words} more measurements may help")
 
 
