@@ -61,7 +61,7 @@ class HeldOut:
 
     def __init__(self, projection: Projection, m: int, one_by_one: bool) -> None:
         self._projection = projection
-        self._numbers = np.arange(1, m + 1, dtype=np.float32)
+        self._m = m
         self._one_by_one = one_by_one
         self._n_held = 0 if one_by_one else min(max(1, m // ONE_OF), MOST)
         self.comparable = m >= COMPARABLE
@@ -79,14 +79,14 @@ class HeldOut:
     def use(self, subset: int) -> None:
         """Hold out measurements of this row subset, which the projection now is of."""
         if subset not in self._subsets:
-            rows = np.flatnonzero(self._projection.measured)
+            # Numbers of measurements: the order of rows is the projection's own.
             rng = np.random.default_rng(subset)
-            held = np.sort(rng.choice(rows, size=self._n_held, replace=False))
-            kept = np.ones(self._projection.n_rows, dtype=np.float32)
-            kept[held] = 0
-            number = np.zeros_like(kept)
-            self._projection.rows_of(self._numbers, number)
-            self._subsets[subset] = kept, held, number[held].astype(np.intp) - 1
+            numbers = np.sort(rng.choice(self._m, size=self._n_held, replace=False))
+            chosen = np.zeros(self._m, dtype=np.float32)
+            chosen[numbers] = 1
+            out = np.zeros(self._projection.n_rows, dtype=np.float32)
+            self._projection.rows_of(chosen, out)
+            self._subsets[subset] = 1 - out, np.flatnonzero(out), numbers
         self.kept, self._held, self.measurements = self._subsets[subset]
 
     def models(self, failed: bool) -> tuple[str, ...]:
