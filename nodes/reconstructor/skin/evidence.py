@@ -13,14 +13,13 @@ HAAR, SMOOTH = "haar", "smooth"
 #: One measurement of this many is held out, and at most this number.
 ONE_OF, MOST = 16, 32
 #: Measurements with which two models can be compared: with fewer, the smooth one is used.
-COMPARABLE = 128
+COMPARABLE = 96
 #: Weight of the past in the running mean of squared errors.
 MEMORY = 0.7
 #: Frames that a running mean is of, in independent residuals.
 FRAMES = (1 + MEMORY) / (1 - MEMORY)
-#: Advantage that the smooth model needs, in standard deviations of the compared means; and the
-#: least mean squared error of the other, in noise variances.
-MARGIN, BEYOND_NOISE = 1.0, 1.5
+#: Advantage that the smooth model needs, in standard deviations of the compared means.
+MARGIN = 1.0
 #: Frames between comparisons of two models at most; the number doubles while one is clearly better.
 SELDOM = 64
 #: Ratio of squared errors that is clear, and growth of an error that asks for a comparison.
@@ -39,8 +38,9 @@ class HeldOut:
 
     Parameters
     ----------
-    projection, m
-        The projection, and its number of measurements.
+    projection, n, m
+        The projection, and its numbers of taxels and of measurements. If all taxels are measured
+        (m = n), there is nothing to predict.
     one_by_one : bool
         True if each measurement is predicted from all others.
 
@@ -50,8 +50,10 @@ class HeldOut:
         The model in use, `HAAR` or `SMOOTH`.
     kept : ndarray of float32, shape (n_rows,)
         0 for the rows that are held out of the current subset, else 1.
-    measurements : ndarray of intp
-        Numbers of the measurements that are held out of the current subset.
+    measurements : ndarray of intp, shape (k,)
+        The measurements that are held out of the current subset.
+    tests : bool
+        True if estimates are tested at all.
 
     Notes
     -----
@@ -59,19 +61,20 @@ class HeldOut:
     55(12), 2009.
     """
 
-    def __init__(self, projection: Projection, m: int, one_by_one: bool) -> None:
-        self._projection = projection
-        self._m = m
-        self._one_by_one = one_by_one
-        self._n_held = 0 if one_by_one else min(max(1, m // ONE_OF), MOST)
-        self.comparable = m >= COMPARABLE
+    def __init__(self, projection: Projection, n: int, m: int, one_by_one: bool) -> None:
+        self._projection, self._m = projection, m
+        held = 0 if one_by_one or m == n else min(max(1, m // ONE_OF), MOST)
+        self._n_held = held
+        self._compares = held > 0 and m >= COMPARABLE
+        self._first = HAAR if m >= COMPARABLE else SMOOTH
+        self.tests = one_by_one or held > 0
         self._subsets: dict[int, tuple[Floats, Indices, Indices]] = {}
         self.reset()
         self.use(0)
 
     def reset(self) -> None:
         """Forget all frames."""
-        self.model = HAAR if self.comparable else SMOOTH
+        self.model = self._first
         self._errors: dict[str, float] = {}
         self._seen: tuple[tuple[float, float], ...] = ()
         self._wait, self._period = 0, 4
@@ -79,15 +82,15 @@ class HeldOut:
     def use(self, subset: int) -> None:
         """Hold out measurements of this row subset, which the projection now is of."""
         if subset not in self._subsets:
-            # Numbers of measurements: the order of rows is the projection's own.
-            rng = np.random.default_rng(subset)
-            numbers = np.sort(rng.choice(self._m, size=self._n_held, replace=False))
+            # The same measurements in whatever order a projection holds the rows.
             chosen = np.zeros(self._m, dtype=np.float32)
-            chosen[numbers] = 1
-            out = np.zeros(self._projection.n_rows, dtype=np.float32)
-            self._projection.rows_of(chosen, out)
-            self._subsets[subset] = 1 - out, np.flatnonzero(out), numbers
-        self.kept, self._held, self.measurements = self._subsets[subset]
+            rng = np.random.default_rng(subset)
+            measurements = rng.choice(self._m, size=self._n_held, replace=False)
+            chosen[measurements] = 1
+            held = np.zeros(self._projection.n_rows, dtype=np.float32)
+            self._projection.rows_of(chosen, held)
+            self._subsets[subset] = 1 - held, np.flatnonzero(held), np.sort(measurements)
+        self.kept, self._rows, self.measurements = self._subsets[subset]
 
     def models(self, failed: bool) -> tuple[str, ...]:
         """Return the models that this frame is to be estimated by.
@@ -95,13 +98,13 @@ class HeldOut:
         `failed` if the prediction of the frame is worth nothing.
         """
         self._wait -= 1
-        if self.comparable and (failed or self._wait <= 0):
+        if self._compares and (failed or self._wait <= 0):
             return HAAR, SMOOTH
         return (self.model,)
 
     def residual(self, y: Floats, fitted: Floats) -> Floats:
         """Return the held-out part of y - fitted; all are vectors of rows, float32."""
-        residual: Floats = y[self._held] - fitted[self._held]
+        residual: Floats = y[self._rows] - fitted[self._rows]
         return residual
 
     def choose(self, residuals: dict[str, Floats], noise: float, failed: bool) -> str:
@@ -145,7 +148,8 @@ class HeldOut:
         """Choose a model by the errors of both, and when to compare them again."""
         haar, smooth = self._errors[HAAR], self._errors[SMOOTH]
         clearly = 1 + 2 * MARGIN / math.sqrt(self._n_held * FRAMES)
-        better = SMOOTH if haar > max(clearly * smooth, BEYOND_NOISE * noise) else HAAR
+        # The smooth model follows each frame: its residuals do not show the noise that it keeps.
+        better = SMOOTH if haar > clearly * smooth + noise else HAAR
         ratio = max(haar, smooth) / (min(haar, smooth) + TINY)
         if better != self.model:
             self._period = 2

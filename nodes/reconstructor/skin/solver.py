@@ -160,7 +160,7 @@ class SkinSolver(Solver):
         self._noise = NoiseLevel(phi.m)
         self._bias = ClipBias(self._projection, n)
         few = phi.m < COMPARABLE and n <= MOST_DIRECT
-        self._held_out = HeldOut(self._projection, phi.m, one_by_one=few)
+        self._held_out = HeldOut(self._projection, n, phi.m, one_by_one=few)
         cells = self.taxels[self._projection.order]
         self._smooth = SmoothModel(self._projection, cells, self.mask, direct=few)
         self._gain = AdaptiveGain()
@@ -257,10 +257,10 @@ class SkinSolver(Solver):
             self._checked_warm(warm).reshape(-1).take(cells, None, self._x, "clip")
             np.maximum(self._x, 0, out=self._x)
             self._correction.fill(0)
+            self._has_estimate = bool(self._x.any())
         self._projection.rows_of(y, self._y)
         self._bias.subtract(self._y)
-        if self._projection.has_whole:
-            self._projection.weigh(None)
+        self._projection.weigh(None)
         e2 = self._prediction.predict(self._x, self._y, self._innovation, self._noise.s2)
         e2 /= self.phi.m
         self._noise.update(y, e2, self._prediction.failed)
@@ -403,9 +403,13 @@ class SkinSolver(Solver):
 
     def _judge(self) -> None:
         """Set the error of the estimate, and whether it is trusted."""
+        if not self._held_out.tests:
+            self.error, self.trusted = None, True
+            return
         noise, x, n = self._known_noise, self._x, self.phi.n
         touched = math.sqrt(np.count_nonzero(x) / n)
-        filtered = TUNING.filtered_error * touched * self._gain.gain * noise
+        gain = self._gain.gain if self._held_out.model == HAAR else 1.0
+        filtered = TUNING.filtered_error * touched * gain * noise
         beyond = self._held_out.error2(noise)
         error2, power = max(beyond, filtered), float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)

@@ -27,7 +27,7 @@ class Projection(ABC):
     step_size : float
         1 / L, L the largest eigenvalue of Phi Phi^T.
     has_whole : bool
-        True if W has rows that are not measured, and there is `weigh`.
+        True if W has rows that are not measured.
     measured : ndarray of float32, shape (n_rows,)
         Factor of each row of W: above 0 where it is measured, 0 where not.
     """
@@ -66,12 +66,12 @@ class Projection(ABC):
     def leave_out(self, kept: Floats) -> None:
         """Multiply the weights of rows by 0 or 1, float32 (n_rows,), until `use` or `weigh`."""
 
+    @abstractmethod
     def weigh(self, weights: Floats | None) -> None:
         """Multiply the rows of W by weights, float32 (n_rows,), in both directions, until `use`.
 
         None: 1 where a row is measured, 0 where not.
         """
-        raise NotImplementedError
 
 
 class PlainProjection(Projection):
@@ -107,6 +107,9 @@ class PlainProjection(Projection):
     def whole_adjoint(self, rows: Floats, out: Floats) -> None:
         self._phi.adjoint(rows, out)
         np.multiply(out, self._step, out)
+
+    def weigh(self, weights: Floats | None) -> None:
+        self._kept = self.measured if weights is None else weights
 
     def leave_out(self, kept: Floats) -> None:
         self._kept = kept
