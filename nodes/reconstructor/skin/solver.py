@@ -363,6 +363,11 @@ class SkinSolver(Solver):
         self._steps_left = 0
         return self._forces_of(self._x_and_zero, self._bias.b).reshape(self.mask.shape)
 
+    @property
+    def model(self) -> str:
+        """Model of the last estimate: "haar" or "smooth"."""
+        return self._held_out.model
+
     def _choose(self) -> None:
         """Set x to the better estimate of those that were made, and its error."""
         done = self.n_steps - self._steps_left
@@ -408,7 +413,7 @@ class SkinSolver(Solver):
             return
         noise, x, n = self._known_noise, self._x, self.phi.n
         touched = math.sqrt(np.count_nonzero(x) / n)
-        gain = self._gain.gain if self._held_out.model == HAAR else 1.0
+        gain = self._gain.gain if self.model == HAAR else 1.0
         filtered = TUNING.filtered_error * touched * gain * noise
         beyond = self._held_out.error2(noise)
         error2, power = max(beyond, filtered), float(np.dot(x, x)) / n

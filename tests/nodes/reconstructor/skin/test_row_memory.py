@@ -8,7 +8,7 @@ import pytest
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.reconstructor.skin.row_memory import MOST, RowMemory
+from sparseskin.nodes.reconstructor.skin.row_memory import DOUBT, MOST, RowMemory
 from sparseskin.nodes.reconstructor.solvers.backends import make_projection
 from sparseskin.nodes.reconstructor.solvers.projection import Projection
 
@@ -27,13 +27,15 @@ class Setting:
         self.memory = RowMemory(self.projection, M, self.whole)
         self.target = np.zeros(N, dtype=np.float32)
 
-    def frame(self, k: int, taxels: Floats, surprise: float = 1.0, weight: float = 0.5) -> Floats:
+    def frame(
+        self, k: int, taxels: Floats, nis: float = 1.0, weight: float = 0.5, settling: bool = False
+    ) -> Floats:
         """Recall the k-th frame, nothing predicted; what each row counts by."""
         phi = self.phases[k % RATIO]
         self.projection.use(phi)
         y = np.zeros(N, dtype=np.float32)
         self.projection.rows_of(phi.forward(taxels), y)
-        self.memory.recall(k % RATIO, None, y, self.target, weight, S2, surprise)
+        self.memory.recall(k % RATIO, None, y, self.target, weight, S2, nis * S2, settling)
         rows = np.zeros((1, N), dtype=np.float32)
         self.projection.forward(taxels[self.projection.order][None], rows)
         self.projection.weigh(None)
@@ -77,9 +79,35 @@ def test_rows_count_less_the_more_the_skin_has_changed_since_they_were_read() ->
 def test_before_a_round_is_over_an_innovation_beyond_the_noise_counts_as_a_change() -> None:
     setting, taxels = Setting(), taxels_of(0)
     setting.frame(0, taxels)
-    surprised = setting.frame(1, taxels, surprise=50.0)
+    surprised = setting.frame(1, taxels, nis=50.0)
     assert np.isclose(surprised, 1, atol=1e-3).sum() == M
     assert 0 < surprised[surprised > 1e-4].min() < MOST / 5
+
+
+def test_while_an_estimate_settles_earlier_rows_count_nothing_and_are_kept() -> None:
+    setting, taxels = Setting(), taxels_of(0)
+    for k in range(RATIO):
+        setting.frame(k, taxels)
+    counted = setting.frame(RATIO, taxels, settling=True)
+    assert np.isclose(counted, 0, atol=1e-6).sum() == N - M
+    counted = setting.frame(RATIO + 1, taxels)
+    assert np.isclose(counted, MOST, atol=1e-3).sum() == N - M
+
+
+def test_variances_of_rows_grow_by_their_age_times_the_drift_that_is_seen() -> None:
+    setting, taxels = Setting(), taxels_of(0)
+    for k in range(RATIO):
+        setting.frame(k, taxels)
+    np.testing.assert_allclose(setting.memory.variances(S2), S2)
+    moved = taxels + np.random.default_rng(1).normal(0, 0.1, N).astype(np.float32)
+    setting.frame(RATIO, moved)
+    variances = setting.memory.variances(S2)
+    values, counts = np.unique(variances, return_counts=True)
+    assert counts.tolist() == [M] * RATIO
+    np.testing.assert_allclose(values[0], S2, rtol=1e-6)
+    np.testing.assert_allclose(np.diff(values), values[1] - S2, rtol=1e-3)
+    # The change in RATIO frames has a mean square of 0.01; an age of one is a part of it.
+    assert values[1] - S2 == pytest.approx(DOUBT * 0.01 / RATIO, rel=0.3)
 
 
 def test_forgotten_rows_count_nothing() -> None:
@@ -104,7 +132,7 @@ def test_a_prediction_that_moves_moves_what_is_known_along() -> None:
     setting.projection.use(phi)
     y = np.zeros(N, dtype=np.float32)
     setting.projection.rows_of(phi.forward(after), y)
-    setting.memory.recall(0, after[order], y, setting.target, 0.5, S2, 1.0)
+    setting.memory.recall(0, after[order], y, setting.target, 0.5, S2, S2, False)
     assert setting.memory.m_counted == pytest.approx(M * (1 + MOST**2 * (RATIO - 1)), rel=1e-4)
     setting.projection.weigh(None)
     whole = np.zeros(N, dtype=np.float32)

@@ -13,6 +13,7 @@ from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.skin.smooth import COLD_ROUNDS, ROUNDS
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
 from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
 
@@ -151,9 +152,10 @@ def test_iterations_follow_what_a_frame_brings() -> None:
     for y in phi.forward(noisy(truth).reshape(-1, 1600)):
         solver.solve(y)
         steps.append(solver.n_steps)
-    assert steps[0] == 12
-    assert set(steps[10:20]) <= {3, 4, 5, 6}
-    assert 12 in steps[20:24]
+    # The first frame, and a comparison now and then, are estimated by the smooth model, too.
+    assert steps[0] == 12 + COLD_ROUNDS
+    assert {3, 4} & set(steps[10:20]) and max(steps[10:20]) <= 6 + ROUNDS
+    assert max(steps[20:24]) >= 12
 
 
 @pytest.mark.parametrize("ratio", [3, 4, 8])
@@ -286,12 +288,12 @@ class TooShortLipschitz(type(make_phi("gaussian", 4, 4, seed=0))):  # type: igno
 
 @pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
 def test_an_iteration_that_diverges_is_an_error_and_forgotten() -> None:
-    phi = TooShortLipschitz(256, 85, seed=0)
-    solver = SkinSolver(phi, make_basis("haar", 16, 16), iterations=1000)
-    y = phi.forward(sliding_disc((16, 16), 10)[-1].ravel())
+    phi = TooShortLipschitz(400, 133, seed=0)
+    solver = SkinSolver(phi, make_basis("haar", 20, 20), iterations=1000)
+    y = phi.forward(sliding_disc((20, 20), 10)[-1].ravel())
     with pytest.raises(SolverError, match="diverged"):
         solver.solve(y)
-    np.testing.assert_array_equal(solver.solve(np.zeros(85, dtype=np.float32)), 0)
+    np.testing.assert_array_equal(solver.solve(np.zeros(133, dtype=np.float32)), 0)
 
 
 @pytest.mark.parametrize(
