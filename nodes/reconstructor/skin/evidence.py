@@ -16,6 +16,8 @@ ONE_OF, MOST = 16, 32
 COMPARABLE = 96
 #: Weight of the past in the running mean of squared errors.
 MEMORY = 0.7
+#: Largest past error, in those of the frame.
+FADING = 4.0
 #: Frames that a running mean is of, in independent residuals.
 FRAMES = (1 + MEMORY) / (1 - MEMORY)
 #: Advantage that the smooth model needs, in standard deviations of the compared means.
@@ -124,6 +126,8 @@ class HeldOut:
         for model, residual in residuals.items():
             now[model] = float(np.dot(residual, residual)) / max(1, residual.size)
             last = now[model] if failed else errors.get(model, now[model])
+            # Errors of a contact end with it.
+            last = min(last, FADING * now[model] + noise)
             errors[model] = MEMORY * last + (1 - MEMORY) * now[model]
             if len(residuals) == 1 and now[model] > WORSE * last:
                 self._wait = 0
@@ -149,7 +153,8 @@ class HeldOut:
         haar, smooth = self._errors[HAAR], self._errors[SMOOTH]
         clearly = 1 + 2 * MARGIN / math.sqrt(self._n_held * FRAMES)
         # The smooth model follows each frame: its residuals do not show the noise that it keeps.
-        better = SMOOTH if haar > clearly * smooth + noise else HAAR
+        # They bound the noise: no more than that was read.
+        better = SMOOTH if haar > clearly * smooth + min(noise, smooth) else HAAR
         ratio = max(haar, smooth) / (min(haar, smooth) + TINY)
         if better != self.model:
             self._period = 2

@@ -60,8 +60,9 @@ class Tuning:
     #: Mean squared error of an estimate whose held-out rows show noise alone, in K R and the root
     #: of the part of the taxels that are touched.
     filtered_error: float = 2.2
-    #: Largest error that is trusted, as a part of the forces (both RMS); and the power of forces
-    #: and of errors, in noise variances, up to which nothing touches the skin.
+    #: Largest error that is trusted, as a part of the forces (both RMS); and the power of the
+    #: measurements beyond their noise, or of forces and errors, in noise variances, up to which
+    #: nothing touches the skin.
     trusted: float = 0.25
     untouched: float = 0.5
 
@@ -259,6 +260,7 @@ class SkinSolver(Solver):
             self._correction.fill(0)
             self._has_estimate = bool(self._x.any())
         self._projection.rows_of(y, self._y)
+        self._power_read = float(np.dot(self._y, self._y)) / self.phi.m
         self._bias.subtract(self._y)
         self._projection.weigh(None)
         e2 = self._prediction.predict(self._x, self._y, self._innovation, self._noise.s2)
@@ -418,8 +420,9 @@ class SkinSolver(Solver):
         beyond = self._held_out.error2(noise)
         error2, power = max(beyond, filtered), float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)
-        nothing = max(power, beyond) <= TUNING.untouched * noise
-        self.trusted = nothing or error2 <= TUNING.trusted**2 * power
+        excess = max(power, min(beyond, self._power_read - noise))
+        untouched = excess <= TUNING.untouched * noise
+        self.trusted = untouched or error2 <= TUNING.trusted**2 * power
 
     def _recall(self, e2: float, settling: bool) -> None:
         """Use the rows of earlier frames as well, as far as they still hold."""
