@@ -263,9 +263,9 @@ def test_where_rows_rotate_frames_of_one_row_subset_are_compared() -> None:
     assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.15)
 
 
-@pytest.mark.parametrize("n_subsets", [1, 3])
-def test_the_level_grows_by_40_percent_a_frame_at_most(n_subsets: int) -> None:
-    """Also where rows rotate, and all of the innovation looks like noise."""
+@pytest.mark.parametrize(("n_subsets", "growth"), [(1, 1.4), (3, 1.05)])
+def test_the_level_grows_by_40_percent_a_frame_at_most(n_subsets: int, growth: float) -> None:
+    """By 5 % where rows rotate and all of the innovation looks like noise: it may be motion."""
     level = NoiseLevel(500)
     frames = np.random.default_rng(0).normal(0, 1, (31, 500)).astype(np.float32)
     for k, y in enumerate(frames):
@@ -273,7 +273,7 @@ def test_the_level_grows_by_40_percent_a_frame_at_most(n_subsets: int) -> None:
         before = level.s2
         level.update(y, e2=SIGMA_N**2 if k < 30 else 4 * before)
     assert not level.jumped
-    assert level.s2 == pytest.approx(1.4 * before)
+    assert level.s2 == pytest.approx(growth * before)
 
 
 def test_where_rows_rotate_each_row_subset_is_averaged_over_its_own_frames() -> None:
