@@ -144,9 +144,10 @@ class HeldOut:
 
         That is the excess over the noise, squared newtons, of the running mean or, where it is
         larger, of the last frame alone; twice the standard deviation of such a mean is noise, too.
+        0 before the first frame.
         """
         excess = [mean - noise * (1 + 2 * math.sqrt(variance)) for mean, variance in self._seen]
-        return max(0.0, *excess)
+        return max([0.0, *excess])
 
     def _compare(self, noise: float) -> None:
         """Choose a model by the errors of both, and when to compare them again."""

@@ -153,7 +153,8 @@ class SmoothModel:
         else:
             gain = self._power / (self._power + self._variance + TINY) * used
             residual = (gain * (self._values - self._rows(x))).astype(np.float32)
-            x = np.maximum(x + self._adjoint(residual), 0)
+            step = np.float32(self._projection.step_size) * self._adjoint(residual)
+            x = np.maximum(x + step, 0)
         self.x = x
 
     def _invert(self, mean: float, variance: Floats) -> Floats:
@@ -245,8 +246,11 @@ class SmoothModel:
         return rows
 
     def _adjoint(self, rows: Floats) -> Floats:
+        """Return W^T rows; the projection has it divided by L."""
         x = np.empty(self._taxels.size, dtype=np.float32)
         self._projection.whole_adjoint(rows, x)
+        if self._projection.step_size != 1:
+            x *= np.float32(1 / self._projection.step_size)
         return x
 
 

@@ -1,0 +1,258 @@
+"""Measurements held out of a solve: the error of an estimate, and the choice between two models."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.skin.evidence import (
+    CLEAR,
+    COMPARABLE,
+    FRAMES,
+    HAAR,
+    MARGIN,
+    MEMORY,
+    MOST,
+    ONE_OF,
+    SELDOM,
+    SMOOTH,
+    WORSE,
+    HeldOut,
+)
+from sparseskin.nodes.reconstructor.solvers.backends import make_projection
+
+N, M = 1600, 400
+N_HELD = M // ONE_OF
+
+
+def held_out(n: int = N, m: int = M, one_by_one: bool = False) -> HeldOut:
+    return HeldOut(make_projection(make_phi("sbhe", n, m, seed=0)), n, m, one_by_one)
+
+
+def residual(mean_square: float) -> Floats:
+    """Held-out residuals of one magnitude and both signs."""
+    signs = np.where(np.arange(N_HELD) % 2, 1, -1)
+    return (math.sqrt(mean_square) * signs).astype(np.float32)
+
+
+def frame(held: HeldOut, haar: float, smooth: float, noise: float = 0.0) -> tuple[str, ...]:
+    """Process a frame in which each model has this mean square; return those that were asked."""
+    asked = held.models(failed=False)
+    errors = {HAAR: haar, SMOOTH: smooth}
+    held.choose({name: residual(errors[name]) for name in asked}, noise, failed=False)
+    return asked
+
+
+@pytest.mark.parametrize(
+    ("n", "m", "one_by_one", "n_held"),
+    [
+        (N, M, False, N_HELD),
+        (N, 1024, False, MOST),
+        (64, 8, False, 1),
+        (64, 64, False, 0),
+        (64, 21, True, 0),
+        (64, 64, True, 0),
+    ],
+)
+def test_one_measurement_of_16_is_held_out_and_none_where_all_are_predicted_or_measured(
+    n: int, m: int, one_by_one: bool, n_held: int
+) -> None:
+    held = held_out(n, m, one_by_one)
+    assert held.measurements.size == np.unique(held.measurements).size == n_held
+    assert np.count_nonzero(held.kept == 0) == n_held
+    assert np.count_nonzero(held.kept == 1) == held.kept.size - n_held
+    assert held.tests == (one_by_one or n_held > 0)
+
+
+def test_each_row_subset_has_the_same_measurements_held_out_in_every_frame() -> None:
+    held = held_out()
+    first = [held.measurements]
+    kept = [held.kept]
+    for subset in (1, 2, 0, 1, 2):
+        held.use(subset)
+        first.append(held.measurements)
+        kept.append(held.kept)
+    for k in range(3):
+        np.testing.assert_array_equal(first[k], first[k + 3])
+        np.testing.assert_array_equal(kept[k], kept[k + 3])
+    assert not np.array_equal(first[0], first[1])
+
+
+def test_the_same_measurements_are_held_out_of_numpy_and_of_compiled_loops() -> None:
+    pytest.importorskip("numba")
+    n, m = 203, 50
+    subsets = row_subsets(make_phi("sbhe", n, m, seed=0), "rotating")
+    numbers = np.arange(1, m + 1, dtype=np.float32)
+    found = []
+    for compiled in (False, True):
+        projection = make_projection(subsets[0], compiled)
+        held = HeldOut(projection, n, m, one_by_one=False)
+        for k, phi in enumerate(subsets):
+            projection.use(phi)
+            held.use(k)
+            rows = np.zeros(projection.n_rows, dtype=np.float32)
+            projection.rows_of(numbers, rows)
+            left = rows[held.kept == 0]
+            np.testing.assert_array_equal(np.sort(left), held.measurements + 1)
+            np.testing.assert_array_equal(held.residual(rows, 0 * rows), left)
+            found.append(held.measurements)
+    assert len(found) == 2 * len(subsets)
+    for one, other in zip(found[: len(subsets)], found[len(subsets) :], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_the_residual_is_that_of_the_held_out_rows_alone() -> None:
+    held = held_out()
+    y, fitted = np.random.default_rng(0).random((2, N), dtype=np.float32)
+    np.testing.assert_array_equal(held.residual(y, fitted), (y - fitted)[held.kept == 0])
+
+
+def normal_errors(mean_square: float, noise: float, n_frames: int = 400) -> list[float]:
+    """error2 of frames whose held-out residuals are normal."""
+    rng = np.random.default_rng(0)
+    held, found = held_out(), []
+    for _ in range(n_frames):
+        drawn = rng.normal(0, math.sqrt(mean_square), N_HELD).astype(np.float32)
+        held.choose({HAAR: drawn}, noise, failed=False)
+        found.append(held.error2(noise))
+    return found
+
+
+def test_residuals_that_are_noise_are_no_error() -> None:
+    """A mean of squares is 2 of its standard deviations too large in about 3 frames of 100."""
+    noise = 4e-4
+    found = normal_errors(noise, noise)
+    assert np.count_nonzero(found) < 0.1 * len(found)
+    assert max(found) < noise
+
+
+def test_residuals_far_above_the_noise_are_the_error() -> None:
+    found = normal_errors(1.0, noise=1e-4)
+    # The larger of two means is above their expectation of 1.
+    assert 1.0 < np.mean(found) < 1.3
+    assert min(found) > 0.6
+    held = held_out()
+    for _ in range(30):
+        held.choose({HAAR: residual(0.25)}, 1e-4, failed=False)
+    assert held.error2(1e-4) == pytest.approx(0.25, rel=1e-2)
+
+
+def test_without_known_noise_all_of_the_residual_is_error() -> None:
+    held = held_out()
+    held.choose({HAAR: residual(0.01)}, 0.0, failed=False)
+    assert held.error2(0.0) == pytest.approx(0.01, rel=1e-5)
+
+
+def test_a_single_bad_frame_counts_in_full_at_once_and_decays_in_the_mean() -> None:
+    held = held_out()
+    for _ in range(10):
+        held.choose({HAAR: residual(1e-4)}, 0.0, failed=False)
+    held.choose({HAAR: residual(1.0)}, 0.0, failed=False)
+    assert held.error2(0.0) == pytest.approx(1, rel=1e-5)
+    held.choose({HAAR: residual(1e-4)}, 0.0, failed=False)
+    assert held.error2(0.0) == pytest.approx(MEMORY * (1 - MEMORY), rel=0.01)
+
+
+def test_errors_before_a_scene_jumped_are_forgotten() -> None:
+    held = held_out()
+    for _ in range(10):
+        held.choose({HAAR: residual(1.0)}, 0.0, failed=False)
+    held.choose({HAAR: residual(0.01)}, 0.0, failed=True)
+    assert held.error2(0.0) == pytest.approx(0.01, rel=1e-5)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 1.0])
+@pytest.mark.parametrize(("above", "model"), [(-0.02, HAAR), (0.02, SMOOTH)])
+def test_the_smooth_model_is_chosen_only_if_haars_error_exceeds_its_own_by_the_noise(
+    above: float, model: str, noise: float
+) -> None:
+    smooth = 0.3
+    clearly = 1 + 2 * MARGIN / math.sqrt(N_HELD * FRAMES)
+    held = held_out()
+    for _ in range(3):
+        frame(held, clearly * smooth + noise + above, smooth, noise)
+    assert held.model == model
+
+
+def test_the_estimate_that_is_used_is_that_of_the_model_chosen_if_it_was_made() -> None:
+    held = held_out()
+    errors = {HAAR: residual(1.0), SMOOTH: residual(0.01)}
+    assert held.choose(errors, 0.0, failed=False) == SMOOTH
+    assert held.error2(0.0) == pytest.approx(0.01, rel=1e-5)
+    assert held.choose({HAAR: residual(1.0)}, 0.0, failed=False) == HAAR
+    assert held.error2(0.0) == pytest.approx(1.0, rel=1e-5)
+
+
+def gaps(haar: float, smooth: float, n_frames: int) -> list[int]:
+    """Frames between comparisons."""
+    held = held_out()
+    compared = [k for k in range(n_frames) if len(frame(held, haar, smooth)) == 2]
+    assert compared[0] == 0
+    return np.diff(compared).tolist()
+
+
+def test_models_are_compared_more_rarely_while_one_is_clearly_better() -> None:
+    found = gaps(1.0, 1.1 * CLEAR, 400)
+    assert found[:4] == [8, 16, 32, 64]
+    assert set(found[4:]) == {SELDOM}
+    # A change of the model comes first.
+    found = gaps(1.1 * CLEAR * 1.2, 1.0, 400)
+    assert found[:6] == [2, 4, 8, 16, 32, 64]
+    assert set(found[6:]) == {SELDOM}
+
+
+def test_models_that_are_about_equal_are_compared_every_4_frames() -> None:
+    assert set(gaps(1.0, 0.9 * CLEAR, 100)) == {4}
+
+
+def test_models_are_compared_at_once_when_the_error_doubles() -> None:
+    held = held_out()
+    for _ in range(40):
+        frame(held, 1.0, 2.0)
+    assert frame(held, 0.95 * WORSE, 4.0) == (HAAR,)
+    assert frame(held, 1.0, 4.0) == (HAAR,)
+    for _ in range(5):
+        frame(held, 1.0, 4.0)
+    assert frame(held, 1.1 * WORSE, 4.0) == (HAAR,)
+    assert frame(held, 1.1 * WORSE, 4.0) == (HAAR, SMOOTH)
+
+
+def test_a_frame_of_which_the_past_says_nothing_is_estimated_by_both_models() -> None:
+    held = held_out()
+    for _ in range(10):
+        frame(held, 1.0, 2.0)
+    assert held.models(failed=False) == (HAAR,)
+    assert held.models(failed=True) == (HAAR, SMOOTH)
+
+
+@pytest.mark.parametrize(
+    ("n", "m", "one_by_one", "model"),
+    [
+        (N, COMPARABLE - 1, False, SMOOTH),
+        (256, COMPARABLE - 1, True, SMOOTH),
+        (256, 256, False, HAAR),
+    ],
+)
+def test_models_that_cannot_be_compared_are_not(
+    n: int, m: int, one_by_one: bool, model: str
+) -> None:
+    held = held_out(n, m, one_by_one)
+    for failed in (True, False, True):
+        assert held.models(failed) == (model,)
+        held.choose({model: residual(1.0)}, 0.0, failed)
+    assert held.model == model
+
+
+def test_reset_forgets_all_frames() -> None:
+    held = held_out()
+    for _ in range(30):
+        frame(held, 9.0, 1.0)
+    assert (held.model, held.error2(0.0) > 0) == (SMOOTH, True)
+    held.reset()
+    assert (held.model, held.error2(0.0)) == (HAAR, 0)
+    assert held.models(failed=False) == (HAAR, SMOOTH)
