@@ -69,7 +69,7 @@ class HeldOut:
         self._n_held = held
         self._compares = held > 0 and m >= COMPARABLE
         self._first = HAAR if m >= COMPARABLE else SMOOTH
-        self.tests = one_by_one or held > 0
+        self.tests = m < n and (one_by_one or held > 0)
         self._subsets: dict[int, tuple[Floats, Indices, Indices]] = {}
         self.reset()
         self.use(0)
