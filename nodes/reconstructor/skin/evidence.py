@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices
+from sparseskin.nodes.numerics.arrays import Floats, Indices
 from sparseskin.nodes.reconstructor.solvers.projection import Projection
 
 HAAR, SMOOTH = "haar", "smooth"
@@ -22,10 +22,10 @@ FADING = 4.0
 FRAMES = (1 + MEMORY) / (1 - MEMORY)
 #: Advantage that the smooth model needs, in standard deviations of the compared means.
 MARGIN = 1.0
-#: Frames between comparisons of two models at most; the number doubles while one is clearly better.
+#: Frames between comparisons of two models at most; the number doubles while the same is better.
 SELDOM = 64
-#: Ratio of squared errors that is clear, and growth of an error that asks for a comparison.
-CLEAR, WORSE = 1.3, 2.0
+#: Growth of an error that asks for a comparison.
+WORSE = 2.0
 
 
 class HeldOut:
@@ -79,7 +79,8 @@ class HeldOut:
         self.model = self._first
         self._errors: dict[str, float] = {}
         self._seen: tuple[tuple[float, float], ...] = ()
-        self._wait, self._period = 0, 4
+        self._wait, self._period = 0, 2
+        self._exceeds_noise = True
 
     def use(self, subset: int) -> None:
         """Hold out measurements of this row subset, which the projection now is of."""
@@ -100,9 +101,19 @@ class HeldOut:
         `failed` if the prediction of the frame is worth nothing.
         """
         self._wait -= 1
-        if self._compares and (failed or self._wait <= 0):
+        due = self._wait <= 0 and (self._exceeds_noise or self.model == SMOOTH)
+        if self._compares and (failed or due):
             return HAAR, SMOOTH
         return (self.model,)
+
+    def suffices(self, residual: Floats, noise: float) -> bool:
+        """True if the residuals of held-out measurements may be noise: no model can be better.
+
+        Residuals, float32, and the variance of the noise are as in `choose`.
+        """
+        count = max(1, residual.size)
+        mean = float(np.dot(residual, residual)) / count
+        return not _excess(mean, noise, count) > 0
 
     def residual(self, y: Floats, fitted: Floats) -> Floats:
         """Return the held-out part of y - fitted; all are vectors of rows, float32."""
@@ -133,10 +144,12 @@ class HeldOut:
                 self._wait = 0
         if len(residuals) == 2:
             self._compare(noise)
-        chosen = self.model if self.model in residuals else next(iter(residuals))
-        # Means, and their relative variances: those of squared normal variables.
+        elif self.model not in residuals:
+            (self.model,) = residuals
+        chosen = self.model
         count = max(1, residuals[chosen].size)
-        self._seen = (errors[chosen], 2 / (count * FRAMES)), (now[chosen], 2 / count)
+        self._seen = (errors[chosen], count * FRAMES), (now[chosen], count)
+        self._exceeds_noise = self.error2(noise) > 0
         return chosen
 
     def error2(self, noise: float) -> float:
@@ -146,8 +159,7 @@ class HeldOut:
         larger, of the last frame alone; twice the standard deviation of such a mean is noise, too.
         0 before the first frame.
         """
-        excess = [mean - noise * (1 + 2 * math.sqrt(variance)) for mean, variance in self._seen]
-        return max([0.0, *excess])
+        return max([0.0, *(_excess(mean, noise, count) for mean, count in self._seen)])
 
     def _compare(self, noise: float) -> None:
         """Choose a model by the errors of both, and when to compare them again."""
@@ -156,9 +168,14 @@ class HeldOut:
         # The smooth model follows each frame: its residuals do not show the noise that it keeps.
         # They bound the noise: no more than that was read.
         better = SMOOTH if haar > clearly * smooth + min(noise, smooth) else HAAR
-        ratio = max(haar, smooth) / (min(haar, smooth) + TINY)
-        if better != self.model:
-            self._period = 2
-        else:
-            self._period = min(2 * self._period, SELDOM) if ratio > CLEAR else 4
+        self._period = min(2 * self._period, SELDOM) if better == self.model else 2
         self.model, self._wait = better, self._period
+
+
+def _excess(mean: float, noise: float, count: float) -> float:
+    """Return a mean of squared residuals less what noise explains, squared newtons.
+
+    That is the variance of the noise and twice the standard deviation of a mean of as many squared
+    normal variables.
+    """
+    return mean - noise * (1 + 2 * math.sqrt(2 / count))

@@ -295,7 +295,7 @@ class SkinSolver(Solver):
         kept, self.unfitted = self._held_out.kept, self._held_out.measurements
         self._projection.leave_out(kept)
         np.multiply(self._target, kept, self._target)
-        self._n_rounds = 0
+        self._n_rounds, self._needs_smooth = 0, True
         if SMOOTH in models:
             self._begin_smooth(e2, rotating)
         self.n_steps = self._n_haar + self._n_rounds
@@ -324,7 +324,10 @@ class SkinSolver(Solver):
         done = self.n_steps - self._steps_left
         self._count_step()
         if done >= self._n_haar:
-            self._smooth.round()
+            if done == self._n_haar and done:
+                self._needs_smooth = not self._haar_suffices()
+            if self._needs_smooth:
+                self._smooth.round()
             return
         summed = done >= self._n_haar - TUNING.averaged
         shift = self._shifts[self._next_shift]
@@ -375,12 +378,11 @@ class SkinSolver(Solver):
         done = self.n_steps - self._steps_left
         estimates = {}
         if self._n_haar:
-            if self._n_summed:
-                self._factor[()] = 1 / self._n_summed
-                np.multiply(self._sum, self._factor, self._x)
+            self._average()
             estimates[HAAR] = self._x
         # A model that a budget cut short is not compared, but better than none.
-        if self._n_rounds and (done == self.n_steps or not self._n_haar):
+        complete = done == self.n_steps and self._needs_smooth
+        if self._n_rounds and (complete or not self._n_haar):
             estimates[SMOOTH] = self._smooth.x
         residuals = {}
         for name, x in estimates.items():
@@ -397,6 +399,19 @@ class SkinSolver(Solver):
         self._bias.update(float(np.dot(self._bias.ones, residual)), self._x, self._noise.s2)
         self._has_estimate = True
         self._judge()
+
+    def _average(self) -> None:
+        """Set x to the mean of the last iterates."""
+        if self._n_summed:
+            self._factor[()] = 1 / self._n_summed
+            np.multiply(self._sum, self._factor, self._x)
+
+    def _haar_suffices(self) -> bool:
+        """True if the held-out measurements are predicted to within the noise."""
+        self._average()
+        self._projection.whole(self._x, self._fitted[HAAR])
+        residual = self._held_out.residual(self._y, self._fitted[HAAR])
+        return self._held_out.suffices(residual, self._known_noise)
 
     @property
     def _nothing_known(self) -> bool:
