@@ -101,7 +101,7 @@ def test_skin_finds_the_forces_of_numpy_where_rows_rotate(
         errors.append(float(np.abs(on - off).max()))
         by_rounding.append(float(np.abs(other - off).max()))
     assert len(errors) > 8  # three frames of the contact at least
-    assert np.median(errors) < 1e-5
+    assert max(errors[:5]) < 1e-5  # before the contact
     assert max(errors) < 10 * max(by_rounding)
     assert max(errors) < 1e-4
 
