@@ -84,6 +84,9 @@ class SkinSolver(Solver):
        RMS of r, bounded from below by noise and innovation. The number of iterations grows with
        the normalised innovation squared.
     5. The mean of the last iterates, and the bias added back to touched taxels.
+    6. Some measurements are held out of all this (`HeldOut`). Where their residuals exceed the
+       noise, the frame is estimated by another model, too (`SmoothModel`), and the better of both
+       is used. They also give the error of the estimate, and whether it is trusted.
 
     With rotating rows, one solver serves all row subsets (`use`): the prediction carries over, and
     noise, bias and gain are kept for each. A wrong estimate that fits the rows of one frame is
@@ -104,13 +107,15 @@ class SkinSolver(Solver):
         Least iterations of a frame, 1..1000. None: 3 at M = N/3 and N/4, 4 at N/8, more with fewer
         measurements.
     max_iterations : int
-        Most iterations of a frame, 1..1000; never fewer than `iterations`.
+        Most iterations of a frame, 1..1000, rounds of the smooth model not counted; never fewer
+        than `iterations`.
     seed : int
         Seed of the shifts, at least 0.
     fast : str
         Use of compiled loops, for "sbhe": "auto" (where numba is installed), "on" or "off". The
         forces are the same to within some 1e-5 N at M = N/3. With far fewer measurements the method
-        amplifies rounding: measurements that differ by 1e-7 N make as large a difference.
+        amplifies rounding: measurements that differ by 1e-7 N make as large a difference. So does
+        the smooth model at any M.
 
     Raises
     ------
