@@ -21,7 +21,7 @@ from sparseskin.studies.endurance.study import (
 @pytest.mark.parametrize("rows", ["fixed", "rotating"])
 def test_over_jumps_and_losses_nothing_is_lost_for_good(rows: str) -> None:
     n_scenes = 12
-    point = {"side": 16, "ratio": 3, "rows": rows, "n_frames": n_scenes * PER_SCENE, "seed": 1}
+    point = {"side": 20, "ratio": 3, "rows": rows, "n_frames": n_scenes * PER_SCENE, "seed": 1}
     figures = endured(point)
     n_losses = n_scenes // LOST_EVERY
     assert figures["n_frames"] == n_scenes * PER_SCENE - n_losses * LOST

@@ -63,7 +63,7 @@ def test_a_size_has_every_operator_with_its_floors() -> None:
 
 
 def test_solvers_are_timed_a_frame_and_an_iteration() -> None:
-    rows = time_solvers({"side": 16, "n_frames": 8, "seed": 0, "windows": 3})["rows"]
+    rows = time_solvers({"side": 24, "n_frames": 8, "seed": 0, "windows": 3})["rows"]
     ways = {row["way"] for row in rows}
     assert ("numba" in ways) == (importlib.util.find_spec("numba") is not None)
     assert ("C" in ways) == (c_compiler() is not None)

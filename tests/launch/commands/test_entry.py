@@ -112,6 +112,9 @@ def test_an_interrupt_of_the_imports_ends_with_130_and_no_traceback(
         textwrap.dedent(f"""
         import os, signal, sys
 
+        # A background job of a shell would ignore it.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
         class Interrupting:
             def find_spec(self, name, path=None, target=None):
                 if name == "{module}":

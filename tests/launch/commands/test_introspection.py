@@ -314,7 +314,7 @@ def test_echo_of_so_many_shows_them_one_after_the_other(run: Run) -> None:
         (("launch", "path_40", "--frames", "-4"), "argument --frames"),
         (("tropic",), "argument COMMAND: invalid choice: 'tropic' (did you mean 'topic'?)"),
         (("topic", "ecko"), "sparseskin topic: argument COMMAND: invalid choice: 'ecko' (did you"),
-        (("launch", "path_40", "--frame", "4"), "--frame 4 (did you mean '--frames'?)"),
+        (("launch", "path_40", "--frame", "4"), "--frame (did you mean '--frames'?)"),
         (("bag", "info", "x.mcap", "--jsn"), "(see sparseskin bag info --help)"),
         (("scenes", "list", "all"), "sparseskin scenes list: unrecognized arguments: all (see"),
     ],
