@@ -111,9 +111,7 @@ class HeldOut:
 
         Residuals, float32, and the variance of the noise are as in `choose`.
         """
-        count = max(1, residual.size)
-        mean = float(np.dot(residual, residual)) / count
-        return not _excess(mean, noise, count) > 0
+        return not _excess(_mean_square(residual), noise, max(1, residual.size)) > 0
 
     def residual(self, y: Floats, fitted: Floats) -> Floats:
         """Return the held-out part of y - fitted; all are vectors of rows, float32."""
@@ -135,7 +133,7 @@ class HeldOut:
         """
         errors, now = self._errors, {}
         for model, residual in residuals.items():
-            now[model] = float(np.dot(residual, residual)) / max(1, residual.size)
+            now[model] = _mean_square(residual)
             last = now[model] if failed else errors.get(model, now[model])
             # Errors of a contact end with it.
             last = min(last, FADING * now[model] + noise)
@@ -170,6 +168,10 @@ class HeldOut:
         better = SMOOTH if haar > clearly * smooth + min(noise, smooth) else HAAR
         self._period = min(2 * self._period, SELDOM) if better == self.model else 2
         self.model, self._wait = better, self._period
+
+
+def _mean_square(residual: Floats) -> float:
+    return float(np.dot(residual, residual)) / max(1, residual.size)
 
 
 def _excess(mean: float, noise: float, count: float) -> float:

@@ -301,6 +301,7 @@ class SkinSolver(Solver):
         self._projection.leave_out(kept)
         np.multiply(self._target, kept, self._target)
         self._n_rounds, self._needs_smooth = 0, True
+        self._residuals: dict[str, Floats] = {}
         if SMOOTH in models:
             self._begin_smooth(e2, rotating)
         self.n_steps = self._n_haar + self._n_rounds
@@ -330,7 +331,10 @@ class SkinSolver(Solver):
         self._count_step()
         if done >= self._n_haar:
             if done == self._n_haar and done:
-                self._needs_smooth = not self._haar_suffices()
+                self._test_haar()
+                self._needs_smooth = not self._held_out.suffices(
+                    self._residuals[HAAR], self._known_noise
+                )
             if self._needs_smooth:
                 self._smooth.round()
             return
@@ -383,21 +387,15 @@ class SkinSolver(Solver):
         done = self.n_steps - self._steps_left
         estimates = {}
         if self._n_haar:
-            self._average()
+            if HAAR not in self._residuals:
+                self._test_haar()
             estimates[HAAR] = self._x
         # A model that a budget cut short is not compared, but better than none.
         complete = done == self.n_steps and self._needs_smooth
         if self._n_rounds and (complete or not self._n_haar):
             estimates[SMOOTH] = self._smooth.x
-        residuals = {}
-        for name, x in estimates.items():
-            self._projection.whole(x, self._fitted[name])
-            left_out = self._smooth.left_out
-            if left_out is not None:
-                residuals[name] = left_out[self._projection.measured > 0]
-            else:
-                residuals[name] = self._held_out.residual(self._y, self._fitted[name])
-        chosen = self._held_out.choose(residuals, self._known_noise, self._nothing_known)
+            self._test(SMOOTH, self._smooth.x)
+        chosen = self._held_out.choose(self._residuals, self._known_noise, self._nothing_known)
         np.copyto(self._x, estimates[chosen])
         # The bias is that of this frame's rows alone.
         residual = np.subtract(self._y, self._fitted[chosen], self._r)
@@ -405,18 +403,21 @@ class SkinSolver(Solver):
         self._has_estimate = True
         self._judge()
 
-    def _average(self) -> None:
-        """Set x to the mean of the last iterates."""
+    def _test_haar(self) -> None:
+        """Set x to the mean of the last iterates, and test it."""
         if self._n_summed:
             self._factor[()] = 1 / self._n_summed
             np.multiply(self._sum, self._factor, self._x)
+        self._test(HAAR, self._x)
 
-    def _haar_suffices(self) -> bool:
-        """True if the held-out measurements are predicted to within the noise."""
-        self._average()
-        self._projection.whole(self._x, self._fitted[HAAR])
-        residual = self._held_out.residual(self._y, self._fitted[HAAR])
-        return self._held_out.suffices(residual, self._known_noise)
+    def _test(self, model: str, x: Floats) -> None:
+        """Keep W x of a model's estimate, and the residuals of what it was not made from."""
+        self._projection.whole(x, self._fitted[model])
+        left_out = self._smooth.left_out
+        if left_out is not None:
+            self._residuals[model] = left_out[self._projection.measured > 0]
+        else:
+            self._residuals[model] = self._held_out.residual(self._y, self._fitted[model])
 
     @property
     def _nothing_known(self) -> bool:
