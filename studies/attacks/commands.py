@@ -195,6 +195,8 @@ class _Loop:
     def _judge(self, name: str, how: str, code: int, text: str, summary: Path) -> None:
         """Note what is not as it has to be about a graph that has ended."""
         killed = how.startswith("kill") and code == -signal.SIGKILL
+        if how == "Ctrl-C" and _has_not_begun(text):
+            return
         allowed = {0} if how == "by itself" else {0, _INTERRUPTED}
         if how == "Ctrl-C":
             allowed |= {-signal.SIGINT}  # before the command has begun to handle it
@@ -237,6 +239,11 @@ class _Loop:
         if len(logs) > _MAX_RUNS + N_STARTERS:
             self.faults.append(f"{len(logs)} folders of logs")
         return self._graph.left_behind()
+
+
+def _has_not_begun(text: str) -> bool:
+    """True if a traceback has no line of the command itself: Python was still starting."""
+    return "Traceback" in text and re.search(r'entry\.py", line \d+, in main', text) is None
 
 
 def _children(pid: int) -> list[int]:

@@ -63,7 +63,9 @@ def pixels(page: Any, which: str) -> str:
 
 
 def set_field(page: Any, field: str, value: str) -> None:
-    """Type a value into a control and press Enter."""
+    """Type a value into a control, once it is there, and press Enter."""
+    there = "return document.getElementById(arguments[0]) !== null"
+    wait_until(lambda: bool(page.execute_script(there, field)), f"the control {field}")
     page.execute_script(
         "const input = document.getElementById(arguments[0]);"
         "input.value = arguments[1];"
