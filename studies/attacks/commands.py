@@ -242,8 +242,9 @@ class _Loop:
 
 
 def _has_not_begun(text: str) -> bool:
-    """True if a traceback has no line of the command itself: Python was still starting."""
-    return "Traceback" in text and re.search(r'entry\.py", line \d+, in main', text) is None
+    """True if a traceback shows nothing of the command itself: Python was starting."""
+    own = re.search(r'^\[launch\]|entry\.py", line \d+, in main', text, re.MULTILINE)
+    return "Traceback" in text and own is None
 
 
 def _children(pid: int) -> list[int]:
