@@ -1,6 +1,7 @@
 """Run the nodes of a launch file in one program, frame by frame, with no process and no socket.
 
-The paper's method (preset `paper`) at three ratios, beside the noisy reading of all taxels.
+The paper's method (preset `paper`, fixed rows) at three ratios, beside the noisy reading of all
+taxels.
 
 python examples/run_graph.py
 """
@@ -10,7 +11,8 @@ import sparseskin
 
 def main() -> None:
     for ratio in (2, 4, 8):
-        settings = [f"compressor.ratio={ratio}", "reconstructor.preset=paper"]
+        paper = ["reconstructor.preset=paper", "compressor.rows=fixed"]
+        settings = [f"compressor.ratio={ratio}", *paper]
         frames = [
             frame
             for frame in sparseskin.run_launch("lift_box_40", 360, settings)

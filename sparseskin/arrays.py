@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, T
 from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.rotation import FIXED, row_subsets
 from sparseskin.nodes.errors import SolverError, SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
 from sparseskin.nodes.reconstructor.solvers.base import Solver
@@ -36,7 +38,7 @@ Floats = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 
-def compress(forces: Floats, phi: Phi, mask: Mask | None = None) -> Floats:
+def compress(forces: Floats, phi: Phi, mask: Mask | None = None, *, rows: str = FIXED) -> Floats:
     """Measure frames of taxels: y = Phi x.
 
     Parameters
@@ -47,6 +49,9 @@ def compress(forces: Floats, phi: Phi, mask: Mask | None = None) -> Floats:
         Measurement matrix, for as many taxels as exist.
     mask : ndarray of bool, shape (n_rows, n_cols), optional
         True where a taxel exists; by default everywhere.
+    rows : str
+        "fixed": `phi` measures all frames. "rotating", the default of the nodes: its row subsets
+        measure them in turn, the first one the first frame; make the solver with the same `rows`.
 
     Returns
     -------
@@ -56,7 +61,8 @@ def compress(forces: Floats, phi: Phi, mask: Mask | None = None) -> Floats:
     Raises
     ------
     PhiError
-        If the number of existing taxels is not `phi.n`.
+        If the number of existing taxels is not `phi.n`, `rows` is neither, or the rows of `phi`
+        cannot rotate.
 
     Examples
     --------
@@ -66,8 +72,15 @@ def compress(forces: Floats, phi: Phi, mask: Mask | None = None) -> Floats:
     (85,)
     """
     forces = np.asarray(forces, dtype=np.float32)
-    x = forces.reshape(*forces.shape[:-2], -1) if mask is None else forces[..., mask]
-    return phi.forward(x)
+    n = math.prod(forces.shape[-2:])
+    x = forces.reshape(*forces.shape[:-2], n) if mask is None else forces[..., mask]
+    subsets = row_subsets(phi, rows)
+    if x.ndim != 2:
+        return subsets[0].forward(x)
+    y = np.empty((len(x), phi.m), dtype=np.float32)
+    for first, subset in enumerate(subsets):
+        y[first :: len(subsets)] = subset.forward(x[first :: len(subsets)])
+    return y
 
 
 def reconstruct(measurements: Floats, solver: Solver) -> Floats:
@@ -78,7 +91,8 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     measurements : ndarray of float32, shape (m,) or (k, m)
         Measurements of one frame or of k frames in order, newtons.
     solver : Solver
-        It starts from what its last frame left; `solver.reset()` makes it start anew.
+        It starts from what its last frame left; `solver.reset()` makes it start anew. If it was
+        made with rows="rotating", the first frame is one of the first row subset.
 
     Returns
     -------
@@ -106,13 +120,15 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     y = np.asarray(measurements, dtype=np.float32)
     if y.ndim not in (1, 2):
         raise SolverError(f"measurements have shape {y.shape}; expected (m,) or (k, m)")
+    subsets = getattr(solver, "subsets", ())
+    made: list[Floats] = []
+    for k, measured in enumerate(np.atleast_2d(y)):
+        if subsets:
+            solver.use(subsets[k % len(subsets)])
+        made.append(solver.solve(measured))
     if y.ndim == 1:
-        return solver.solve(y)
-    return np.stack([solver.solve(frame) for frame in y]) if len(y) else _no_frames(solver)
-
-
-def _no_frames(solver: Solver) -> Floats:
-    return np.zeros((0, *solver.mask.shape), dtype=np.float32)
+        return made[0]
+    return np.stack(made) if made else np.zeros((0, *solver.mask.shape), dtype=np.float32)
 
 
 def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:

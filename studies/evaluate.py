@@ -12,7 +12,7 @@ import numpy as np
 from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.acts import ActsPhi, ActsSearch, force_threshold
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
-from sparseskin.nodes.compressor.phi.rotation import FIXED, m_of, row_subsets
+from sparseskin.nodes.compressor.phi.rotation import m_of, row_subsets
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.monitor.metrics import psnr_db
@@ -167,8 +167,8 @@ def make_method(
     ratio: float,
     seed: int,
     *,
+    rows: str,
     phi: str = "sbhe",
-    rows: str = FIXED,
     mask: Mask | None = None,
     f_max_n: float = PAPER_F_MAX_N,
 ) -> Method:
@@ -184,8 +184,8 @@ def make_method(
         N / M.
     seed : int
         Of Phi.
-    phi, rows : str
-        Kind of Phi; "fixed" or "rotating" rows.
+    rows, phi : str
+        "fixed" or "rotating" rows; kind of Phi.
     mask : ndarray of bool, shape (n_rows, n_cols), optional
         True where a taxel exists. None: everywhere.
     f_max_n : float

@@ -15,7 +15,7 @@ import sparseskin
 from sparseskin.messages import Reconstruction
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.errors import SolverError, SparseskinError
+from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
 
 
 def test_every_name_is_there_and_listed() -> None:
@@ -60,6 +60,44 @@ def test_reconstruct_is_the_solver_frame_by_frame() -> None:
     assert sparseskin.reconstruct(y[:0], solver).shape == (0, 8, 8)
 
 
+def test_row_subsets_measure_frames_in_turn() -> None:
+    frames = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
+    phi = sparseskin.make_phi("sbhe", n=64, m=22, seed=0)
+    subsets = phi.row_subsets()  # type: ignore[attr-defined]
+    y = sparseskin.compress(frames, phi, rows="rotating")
+    for k, frame in enumerate(frames):
+        np.testing.assert_array_equal(y[k], subsets[k % 3].forward(frame.reshape(-1)))
+    np.testing.assert_array_equal(sparseskin.compress(frames[0], phi, rows="rotating"), y[0])
+    np.testing.assert_array_equal(
+        sparseskin.compress(frames, phi), phi.forward(frames.reshape(7, 64))
+    )
+    assert sparseskin.compress(frames[:0], phi, rows="rotating").shape == (0, 22)
+
+
+@pytest.mark.parametrize("solver", ["skin", "fista"])
+def test_arrays_give_the_bits_of_the_nodes_with_rows_that_rotate(solver: str) -> None:
+    preset = {"skin": "skin", "fista": "paper"}[solver]
+    frames = list(sparseskin.run_launch("lift_box_40", 330, [f"reconstructor.preset={preset}"]))
+    taxels = np.stack([frame.taxels for frame in frames])
+    phi = sparseskin.make_phi("sbhe", n=1600, m=534, seed=0)
+    y = sparseskin.compress(taxels, phi, rows="rotating")
+    np.testing.assert_array_equal(y, np.stack([frame.measurements for frame in frames]))
+    basis = sparseskin.make_basis("haar", 40, 40)
+    made = sparseskin.make_solver(solver, phi, basis, rows="rotating")
+    forces = sparseskin.reconstruct(y, made)
+    np.testing.assert_array_equal(forces, np.stack([frame.forces for frame in frames]))
+    made.reset()
+    np.testing.assert_array_equal(sparseskin.reconstruct(y, made), forces)
+
+
+def test_rows_that_cannot_rotate_are_refused_on_arrays() -> None:
+    phi, basis = sparseskin.make_phi("gaussian", 64, 22, 0), sparseskin.make_basis("haar", 8, 8)
+    with pytest.raises(PhiError, match='"rotating" is not allowed for phi "gaussian"'):
+        sparseskin.compress(np.zeros((8, 8), np.float32), phi, rows="rotating")
+    with pytest.raises(PhiError, match="rows: 'turning' is not allowed"):
+        sparseskin.make_solver("skin", phi, basis, rows="turning")
+
+
 def test_psnr_of_frames_is_that_of_each() -> None:
     truth = np.zeros((2, 3, 3), np.float32)
     found = sparseskin.psnr_db(truth + np.float32([[[0.1]], [[0.025]]]), truth, f_max=1.0)
@@ -88,7 +126,9 @@ def test_a_launch_file_runs_with_the_bits_of_its_nodes() -> None:
 
 
 def test_frames_have_what_the_solver_estimates_of_them() -> None:
-    settings = [f"reconstructor.solver={DOUBTING}", "reconstructor.options.n_doubted=1"]
+    # With rows that rotate there is one such solver for each row subset.
+    solver = [f"reconstructor.solver={DOUBTING}", "reconstructor.options.n_doubted=1"]
+    settings = [*solver, "compressor.rows=fixed"]
     frames = list(
         sparseskin.run_launch("path_40", 4, [*settings, "reconstructor.options.period=2"])
     )

@@ -9,6 +9,7 @@ import numpy as np
 from sparseskin.messages import Measurements, Message, PhiState, Reconstruction, SkinState
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.rotation import FIXED, row_subsets
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -25,11 +26,13 @@ NOISE = NoiseModel()
 class Desk:
     """A reconstructor that knows its skin, and what it said."""
 
-    def __init__(self, phi: Phi, *, states_noise: bool = True, **settings: object) -> None:
+    def __init__(
+        self, phi: Phi, *, rows: str = FIXED, states_noise: bool = True, **settings: object
+    ) -> None:
         self.lines: list[str] = []
         context = Context("reconstructor", ManualClock(0), self.lines.append)
         self.node = Reconstructor(ReconstructorSettings(**settings), context)
-        self.phi = phi
+        self.subsets = row_subsets(phi, rows)
         self._stamps = itertools.count(1)
         sigmas = (0.0628, 0.0141) if states_noise else (0.0, 0.0)
         skin = SkinState(
@@ -38,16 +41,21 @@ class Desk:
             pitch_m=None, mask=None, source="", seed=0, rate_hz=0.0, has_truth=False,
             sigma_mid=sigmas[0], sigma_end=sigmas[1],
         )  # fmt: skip
-        told = PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe())
+        told = PhiState(
+            stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, rows=rows, **phi.describe()
+        )
         for message in (skin, told):
             list(self.node.step(message))
 
     def messages(self, y: Floats) -> list[Message]:
-        """The reconstructions that are published for the measurements y."""
+        """The reconstructions that are published for the measurements y, the first of them of the
+        first row subset.
+        """
         found: list[Message] = []
-        for one in y:
+        for k, one in enumerate(y):
+            phi = self.subsets[k % len(self.subsets)]
             measurements = Measurements(
-                stamp_ns=next(self._stamps), patch="skin", y=one, phi=self.phi.fingerprint
+                stamp_ns=next(self._stamps), patch="skin", y=one, phi=phi.fingerprint
             )
             found += self.node.step(measurements)
         return found

@@ -98,10 +98,8 @@ def types_of(entry: Mapping[str, Any]) -> list[str]:
 
 def allowed_text(entry: Mapping[str, Any]) -> str:
     """Allowed values of a setting, in a few words."""
-    if entry["choices"]:
-        return ", ".join(entry["choices"])
-    if entry["known"]:
-        return ", ".join([*entry["known"], *(["none"] if "None" in types_of(entry) else [])])
+    if named := entry["choices"] or entry["known"]:
+        return ", ".join([*named, *(["none"] if "None" in types_of(entry) else [])])
     words = []
     for name in types_of(entry):
         word = _TYPES.get(name, name)

@@ -17,13 +17,13 @@ from sparseskin.nodes.compressor.phi.acts import (
 )
 from sparseskin.nodes.compressor.phi.base import KINDS, Phi, check_parameters, make_phi
 from sparseskin.nodes.compressor.phi.rotation import (
-    FIXED,
+    RATIO,
     ROTATING,
     ROWS,
     check_rotates,
     check_subsets,
-    m_of,
     row_subsets,
+    rows_and_m,
 )
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
 from sparseskin.nodes.lookup import find_class
@@ -46,7 +46,7 @@ class CompressorSettings(PatchSettings):
         decides=True,
     )
     ratio: float = setting(
-        3.0,
+        RATIO,
         "compression ratio N / M; M is N / ratio, rounded down, and up where rows rotate",
         low=1.0,
         high=1e6,
@@ -58,10 +58,11 @@ class CompressorSettings(PatchSettings):
     bits: int | None = setting(
         None, "bits of a measurement; float32 if not stated", low=4, high=16, live=True
     )
-    rows: str = setting(
-        FIXED,
+    rows: str | None = setting(
+        None,
         "rows of the measurement matrix: fixed, the same M in every frame; or rotating, another "
-        "subset of M in each of N / M frames, rounded up, which together read all rows",
+        "subset of M in each of N / M frames, rounded up, which together read all rows; by default "
+        "rotating where they can (phi sbhe or subsample, M in N / 64 .. N - 1), else fixed",
         choices=ROWS,
         live=True,
     )
@@ -80,17 +81,17 @@ class CompressorSettings(PatchSettings):
         """As in `Settings`; a newly stated ratio replaces an earlier M."""
         return super().changed({"m": None, **changes} if "ratio" in changes else changes)
 
-    def n_measurements(self, n: int) -> int:
-        """Return M for a skin of `n` taxels."""
-        if self.phi == "full":
-            return n
-        if self.m is not None:
-            return self.m
-        if self.ratio > n:
+    def rows_and_m(self, n: int) -> tuple[str, int]:
+        """Return rows ("fixed" or "rotating") and M for a skin of `n` taxels."""
+        if self.phi != "full" and self.m is None and self.ratio > n:
             raise PhiError(
                 f"ratio: {self.ratio:g} leaves no measurement of {n} taxels; allowed: 1..{n}"
             )
-        return m_of(n, self.ratio, self.rows)
+        return rows_and_m(self.phi, n, rows=self.rows, m=self.m, ratio=self.ratio)
+
+    def n_measurements(self, n: int) -> int:
+        """Return M for a skin of `n` taxels."""
+        return self.rows_and_m(n)[1]
 
 
 class Compressor(Node[CompressorSettings]):
@@ -104,6 +105,7 @@ class Compressor(Node[CompressorSettings]):
         self._state: SkinState | None = None
         self._subsets: list[Phi] = []  # one matrix a row subset
         self._subset = 0
+        self._rows = settings.rows  # in use: resolved once the skin is known
         self._search: ActsSearch | None = None
         self._cells: np.ndarray[tuple[int], np.dtype[np.intp]] | None = None
 
@@ -119,7 +121,7 @@ class Compressor(Node[CompressorSettings]):
     def facts(cls, settings: CompressorSettings) -> Mapping[str, Any]:
         return {
             topic_of(settings.patch, PhiState.schema): settings.phi,
-            topic_of(settings.patch, Measurements.schema): settings.n_measurements,
+            topic_of(settings.patch, Measurements.schema): settings.rows_and_m,
         }
 
     @classmethod
@@ -127,13 +129,13 @@ class Compressor(Node[CompressorSettings]):
         s, n = settings, facts.get(topic_of(settings.patch, SkinState.schema))
         if n is None:
             return
-        m = s.n_measurements(n)
+        rows, m = s.rows_and_m(n)
         made_by = find_class("phi", s.phi, KINDS, PhiError)
         with naming("ratio" if s.m is None else "m"):
             check_parameters(n, m, s.seed, s.block)
             if isinstance(made_by, type) and issubclass(made_by, Phi):
                 made_by.check_size(n, m, s.seed, s.block)
-        if s.rows == ROTATING:
+        if rows == ROTATING:
             check_subsets(n, m)
 
     def step(self, message: Message) -> Iterable[Message]:
@@ -157,7 +159,7 @@ class Compressor(Node[CompressorSettings]):
 
     def state(self) -> dict[str, Any]:
         known = {"m": self._subsets[0].m, "n": self._subsets[0].n} if self._subsets else {}
-        return {**known, "bits": self.settings.bits, "rows": self.settings.rows}
+        return {**known, "bits": self.settings.bits, "rows": self._rows}
 
     def status(self) -> str:
         if not self._subsets:
@@ -170,10 +172,11 @@ class Compressor(Node[CompressorSettings]):
         """Make Phi for a skin; return its description, valid from `stamp_ns` on."""
         n = state.skin.n_taxels
         s = self.settings
-        phi = make_phi(s.phi, n=n, m=s.n_measurements(n), seed=s.seed, block=s.block)
-        subsets = row_subsets(phi, s.rows)
+        rows, m = s.rows_and_m(n)
+        phi = make_phi(s.phi, n=n, m=m, seed=s.seed, block=s.block)
+        subsets = row_subsets(phi, rows)
         self._warn(phi)
-        self._state, self._subsets, self._subset = state, subsets, 0
+        self._state, self._subsets, self._subset, self._rows = state, subsets, 0, rows
         self._cells = None if state.mask is None else np.flatnonzero(state.mask)
         if isinstance(phi, ActsPhi):
             exists = np.ones(state.skin.shape, np.bool_) if state.mask is None else state.mask
@@ -187,7 +190,7 @@ class Compressor(Node[CompressorSettings]):
             block=s.block,
             seed=s.seed,
             fingerprint=phi.fingerprint,
-            rows=s.rows,
+            rows=rows,
         )
 
     def _warn(self, phi: Phi) -> None:

@@ -37,6 +37,11 @@ MIN_ITERATIONS = {
 MAX_STEP = 4.0 / 3.0
 N_POWER_STEPS = 30
 PAD_SIDE, N_PADS = 8, 256
+OTHER_ROWS = (
+    "preset = paper: the rows rotate, and those of the paper are fixed; advised for its exact "
+    "method: compressor.rows = fixed"
+)
+"""Warning where preset `paper` reconstructs rotating rows."""
 MAX_PAD_SPREAD = 1.75
 
 

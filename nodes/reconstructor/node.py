@@ -46,8 +46,8 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     make_solver,
 )
 
-from .limits import OWN_BASIS, check_lambda, check_phi, reconstruction_warnings
-from .settings import ANNOUNCED, PRESETS, ReconstructorSettings
+from .limits import OTHER_ROWS, OWN_BASIS, check_lambda, check_phi, reconstruction_warnings
+from .settings import PRESETS, ReconstructorSettings
 
 
 class Reconstructor(Node[ReconstructorSettings]):
@@ -92,15 +92,20 @@ class Reconstructor(Node[ReconstructorSettings]):
         if kind is not None:
             settings.check_phi(kind)
         n = facts.get(topic_of(settings.patch, SkinState.schema))
-        m_of = facts.get(topic_of(settings.patch, Measurements.schema))
-        if n is None or m_of is None:
+        rows_and_m = facts.get(topic_of(settings.patch, Measurements.schema))
+        if n is None or rows_and_m is None:
             return
         with contextlib.suppress(PhiError):  # of the compressor, which reports it
-            m, stated = m_of(n), settings.stated_m(n)
-            if stated not in (None, m):
-                raise SettingsError(
-                    f"phi_m: {stated}, but the compressor's M is {m}; state phi_m = {m}"
-                )
+            stated = settings.stated_rows_and_m(n)
+            if stated is None:
+                return
+            keys = (("phi_rows", "rows are"), ("phi_m", "M is"))
+            for (key, made), mine, theirs in zip(keys, stated, rows_and_m(n), strict=True):
+                if mine != theirs:
+                    raise SettingsError(
+                        f"{key}: {mine}, but the compressor's {made} {theirs}; "
+                        f"state {key} = {theirs}"
+                    )
 
     @property
     def depth(self) -> int:
@@ -161,6 +166,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         solver = make_rotating_solver(
             chosen["solver"], subsets, basis, skin.mask, fast=self.settings.fast, **options
         )
+        if chosen == PRESETS["paper"] and len(subsets) > 1:
+            warnings.append(OTHER_ROWS)
         if ":" in self.settings.phi:
             for one in subsets:
                 warnings += check_phi(one, solver.mask)
@@ -169,6 +176,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._solver = solver
         self._subsets = {one.fingerprint: one for one in subsets}
         self._watch.set_up(self._subsets, state, solver.mask)
+        self._trust_log.begin(len(self._subsets))
         self._uncertainty = self._make_uncertainty(solver, phi.ratio, announced.rows)
         if self.settings.resultant:
             self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
@@ -199,15 +207,20 @@ class Reconstructor(Node[ReconstructorSettings]):
         )
         return None
 
-    def _other_m(self, fingerprint: str) -> str:
-        """The M of a stated Phi and of the announced one, where they differ; else ""."""
-        m, announced = self._subsets[fingerprint].m, self._announced
-        if announced is None or announced.m == m:
+    def _differences(self, announced: PhiState) -> str:
+        """Rows and M of a stated Phi and of the announced one, where they differ; else ""."""
+        stated = self.settings.stated_rows_and_m(announced.n)
+        if stated is None:
             return ""
-        return f"; phi_m is {m}, M of the announced Phi {announced.m}"
+        pairs = (("phi_rows", "rows", announced.rows), ("phi_m", "M", announced.m))
+        return "".join(
+            f"; {key} is {mine}, {name} of the announced Phi {theirs}"
+            for (key, name, theirs), mine in zip(pairs, stated, strict=True)
+            if mine != theirs
+        )
 
     def _reconstruct(self, measurements: Measurements) -> Iterator[Message]:
-        if self._solver is None:
+        if self._solver is None or self._announced is None:
             raise RefusedError(f"{measurements.topic}: skin or Phi is not known yet")
         phi = self._subsets.get(measurements.phi)
         if phi is None:
@@ -215,7 +228,8 @@ class Reconstructor(Node[ReconstructorSettings]):
             rotating = f" and {len(others)} other row subsets" if others else ""
             raise RefusedError(
                 f"{measurements.topic}: Phi mismatch: made by Phi {measurements.phi}, "
-                f"this reconstructor inverts Phi {first}{rotating}{self._other_m(first)}"
+                f"this reconstructor inverts Phi {first}{rotating}"
+                f"{self._differences(self._announced)}"
             )
         try:
             follow(phi, measurements.places)
@@ -279,7 +293,6 @@ class Reconstructor(Node[ReconstructorSettings]):
             trusted,
             n=self._solver.taxels.size,
             unit=self._skin.unit,
-            rotating=len(self._subsets) > 1,
         )
 
     def _resultant_of(self, found: Estimate, stamp_ns: int) -> Resultant:
@@ -345,10 +358,11 @@ def phis_to_invert(settings: ReconstructorSettings, n: int, announced: PhiState)
         If a stated Phi cannot be made.
     """
     s = settings
-    if s.phi != ANNOUNCED:
-        m = s.stated_m(n) or 1
-        stated = make_phi(s.phi, n=n, m=m, seed=s.phi_seed, block=s.phi_block)
-        return row_subsets(stated, s.phi_rows)
+    stated = s.stated_rows_and_m(n)
+    if stated is not None:
+        rows, m = stated
+        phi = make_phi(s.phi, n=n, m=m, seed=s.phi_seed, block=s.phi_block)
+        return row_subsets(phi, rows)
     # Nothing named over the wire is ever imported: a Phi of the user's own has to be stated.
     if announced.kind not in KINDS:
         raise RefusedError(

@@ -9,7 +9,7 @@ from typing import Any
 
 from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.compressor.phi.base import KINDS, make_phi
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROWS
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROWS, rows_and_m
 from sparseskin.nodes.errors import PhiError, SettingsError, SolverError
 from sparseskin.nodes.lookup import did_you_mean, find_class, nearest_of
 from sparseskin.nodes.numerics.compiled import FAST, check_fast
@@ -20,7 +20,7 @@ from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 ANNOUNCED = "announced"
 #: Parameters of a solver that are no options: the node gives them, or they have settings.
-_NO_OPTIONS = ("phi", "basis", "mask", "fast", "solver", "iterations", "lambda_n")
+_NO_OPTIONS = ("phi", "basis", "mask", "fast", "rows", "solver", "iterations", "lambda_n")
 #: Named sets of settings. "paper": exactly the method of the paper, sections IV and V-A, for a
 #: "sbhe" phi with orthonormal rows of block 32; lambda_n is its 0.1 on rows of +1 and -1. "skin":
 #: the most accurate one; it estimates noise and threshold from the measurements.
@@ -111,10 +111,16 @@ class ReconstructorSettings(PatchSettings):
     phi: str = setting(
         ANNOUNCED, "measurement matrix: announced (by the compressor), a kind or module:Class"
     )
-    phi_m: int | None = setting(None, "M of a stated phi; N // 3 by default", low=1, high=2**20)
+    phi_m: int | None = setting(
+        None, "M of a stated phi; by default as the compressor's", low=1, high=2**20
+    )
     phi_block: int = setting(32, "block size of a stated phi", low=1, high=2**20)
     phi_seed: int = setting(0, "seed of a stated phi", low=0, high=2**32 - 1)
-    phi_rows: str = setting(FIXED, "rows of a stated phi: fixed or rotating", choices=ROWS)
+    phi_rows: str | None = setting(
+        None,
+        "rows of a stated phi: fixed or rotating; by default as the compressor's",
+        choices=ROWS,
+    )
 
     def check(self) -> None:
         check_fast(self.fast)
@@ -167,7 +173,7 @@ class ReconstructorSettings(PatchSettings):
                 )
             if name in SOLVERS:
                 with naming(f"options.{key}"):
-                    make_solver(name, small, basis, None, fast="off", **{key: value})
+                    make_solver(name, small, basis, None, fast="off", rows=FIXED, **{key: value})
 
     def check_phi(self, kind: str) -> None:
         """Check that measurements by an announced kind of phi can be reconstructed.
@@ -178,8 +184,8 @@ class ReconstructorSettings(PatchSettings):
         elif kind not in KINDS:
             raise SettingsError(
                 f"phi: the compressor's '{kind}' is not built in, and is not imported because a "
-                f"message names it; state phi = '{kind}' here too, and its M as phi_m (default: "
-                "N // 3)"
+                f"message names it; state phi = '{kind}' here too, its M as phi_m (default: "
+                "N / 3), and its rows as phi_rows where the compressor states them"
             )
         chosen = self.chosen()["solver"]
         solver = find_class("solver", chosen, SOLVERS, SolverError)
@@ -188,9 +194,15 @@ class ReconstructorSettings(PatchSettings):
             with naming("solver"):
                 check_reads(chosen, solver, kind, phi)
 
-    def stated_m(self, n: int) -> int | None:
-        """M of a stated phi for `n` taxels; None where the announced phi is used."""
-        return None if self.phi == ANNOUNCED else self.phi_m or max(1, n // 3)
+    def stated_rows_and_m(self, n: int) -> tuple[str, int] | None:
+        """Rows and M of a stated phi for `n` taxels, those of a compressor with the same settings.
+
+        None where the announced phi is used.
+        """
+        if self.phi == ANNOUNCED:
+            return None
+        rows, m = rows_and_m(self.phi, n, rows=self.phi_rows, m=self.phi_m)
+        return rows, self.phi_m or max(1, m)
 
     def chosen(self) -> dict[str, Any]:
         """Return the preset with the settings that are stated in place of its own."""

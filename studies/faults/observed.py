@@ -11,6 +11,7 @@ import zmq
 
 from sparseskin.messages import MessageError, decode
 from sparseskin.nodes.clock import SystemClock
+from sparseskin.nodes.compressor.phi.rotation import FIXED
 from sparseskin.nodes.network.keys import read_key_pair
 from sparseskin.nodes.network.sockets import Reader, make_context
 from sparseskin.studies.graph_run import GraphRun, launch_text, wait_until
@@ -29,7 +30,7 @@ def graph_text(graph: Mapping[str, Any] | None = None, **changed: Mapping[str, A
     """
     nodes: dict[str, dict[str, Any]] = {
         "sensor": {"source": "scene:path_40", "rate_hz": RATE_HZ},
-        "compressor": {},
+        "compressor": {"rows": FIXED},
         "reconstructor": {"preset": "skin"},
         "monitor": {"page": False},
     }

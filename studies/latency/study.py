@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from sparseskin.nodes.compressor.phi.rotation import FIXED
 from sparseskin.nodes.process.proc import cpu_s, host_busy_s
 from sparseskin.studies.graph_run import GraphRun, launch_text, wait_until
 from sparseskin.studies.points import StudyError, compute
@@ -51,7 +52,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     solver = {"preset": point["preset"], "depth": point["depth"]}
     nodes: dict[str, dict[str, Any]] = {
         "sensor": {"type": f"{_NODES}Sensor", "source": source, "rate_hz": point["rate_hz"]},
-        "compressor": {"type": f"{_NODES}Compressor"},
+        "compressor": {"type": f"{_NODES}Compressor", "rows": FIXED},
         "reconstructor": {"type": f"{_NODES}Reconstructor", **solver},
     }
     launch = launch_text(nodes | {"monitor": {"page": False}} if point["monitor"] else nodes)

@@ -98,7 +98,7 @@ def pressed(point: Point) -> dict[str, Any]:
     shape = (side, side)
     estimators: dict[str, Estimator] = {
         RAW: Reading(),
-        PAPER: make_method(PRESETS["paper"], shape, ratio, seed),
+        PAPER: make_method(PRESETS["paper"], shape, ratio, seed, rows=FIXED),
         SKIN: make_method(PRESETS["skin"], shape, ratio, seed, rows=FIXED),
         ROTATED: make_method(PRESETS["skin"], shape, ratio, seed, rows=ROTATING),
     }

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pywt
 
+from sparseskin.nodes.compressor.phi.rotation import FIXED
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -172,7 +173,8 @@ def method_of(point: Point) -> Method:
     few = point["few_levels"] and any(side & (side - 1) for side in shape)
     settings = {key: point[key] for key in ("iterations", "lambda_n")}
     chosen = PRESETS["paper"] | settings | ({"basis": FEW_LEVELS} if few else {})
-    return make_method(chosen, shape, point["ratio"], point["seed"])
+    # The rows of the paper are fixed.
+    return make_method(chosen, shape, point["ratio"], point["seed"], rows=FIXED)
 
 
 def solve_times(point: Point) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from sparseskin.nodes.reconstructor.solvers.interpolation import (
     interpolated_from,
 )
 from sparseskin.studies.evaluate import Alone, Estimator, Method, Solved, make_method
+from sparseskin.studies.scene_frames import scene_of
 
 VALUE_BYTES = 2
 """Bytes of a value that is sent, measurement or reading. Chosen: sensors have 8 to 16 bits."""
@@ -242,10 +243,12 @@ def make_methods(skin: Skin, ratio: int, seed: int) -> dict[str, Callable[[], Co
 @cache
 def replay_defaults() -> tuple[str, str, Mapping[str, Any]]:
     """Kind of Phi, rows and solver of the launch file `replay`, which a user's recording meets."""
-    # Of the sensor nothing is used; the file that the launch file names is the user's.
-    nodes = load("replay", ["sensor.source=scene:path_40"]).nodes
+    # Of the sensor nothing but its number of taxels is used; the file is the user's.
+    scene = "path_40"
+    nodes = load("replay", [f"sensor.source=scene:{scene}"]).nodes
     compressor, reconstructor = nodes["compressor"].settings, nodes["reconstructor"].settings
-    return compressor.phi, compressor.rows, reconstructor.chosen()
+    rows, _ = compressor.rows_and_m(math.prod(scene_of(scene).shape))
+    return compressor.phi, rows, reconstructor.chosen()
 
 
 def replayed() -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sparseskin.nodes.compressor.phi.rotation import FIXED
 from sparseskin.nodes.process import proc
 from sparseskin.studies.graph_run import GraphRun, launch_text
 from sparseskin.studies.points import compute
@@ -44,7 +45,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
                 "source": f"sparseskin.studies.looped:truth_{point['side']}",
                 "rate_hz": point["rate_hz"],
             },
-            "compressor": {},
+            "compressor": {"rows": FIXED},
             "reconstructor": {"preset": "skin"},
             "monitor": {"port": 0},
             "recorder": {

@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.nodes.compressor.phi.rotation import FIXED
 from sparseskin.nodes.process.proc import cpu_s
 from sparseskin.studies.graph_run import GraphRun, launch_text
 
@@ -41,7 +42,10 @@ def launch_file(rate_hz: float) -> str:
     """Text of the launch file, the node that notes latencies included."""
     sensor = {"source": "sparseskin.studies.looped:path_40", "rate_hz": rate_hz}
     reconstructor = {"depth": DEPTH}
-    nodes = launch_text({"sensor": sensor, "compressor": {}, "reconstructor": reconstructor})
+    compressor = {"rows": FIXED}
+    nodes = launch_text(
+        {"sensor": sensor, "compressor": compressor, "reconstructor": reconstructor}
+    )
     return nodes + LATENCIES
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from typing import Any
 
+from sparseskin.nodes.compressor.phi.rotation import FIXED
 from sparseskin.studies.graph_run import GraphRun
 from sparseskin.studies.paper_tables.numbers import PAPER
 from sparseskin.studies.points import StudyError
@@ -21,14 +22,15 @@ _HEADER = (
 
 
 def stream(scene: str) -> dict[str, Any]:
-    """Launch a scene at 200 Hz with the paper's solver, and return its patch's summary.
+    """Launch a scene at 200 Hz with the paper's method, and return its patch's summary.
 
     Raises
     ------
     StudyError
         If the graph does not become ready, or ends with an error.
     """
-    settings = (f"sensor.rate_hz={RATE_HZ}", "reconstructor.preset=paper")
+    paper = ("reconstructor.preset=paper", f"compressor.rows={FIXED}")
+    settings = (f"sensor.rate_hz={RATE_HZ}", *paper)
     with GraphRun(scene, *(word for one in settings for word in ("--set", one))) as graph:
         code = graph.wait(None)
         if code:

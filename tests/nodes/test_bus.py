@@ -64,9 +64,10 @@ def test_measurements_of_another_phi_are_refused_by_name() -> None:
     made = [m for messages in bus.frames(4) for m in messages]
     assert not any(isinstance(m, Reconstruction) for m in made)
     assert bus.hosts["reconstructor"].counts.refused == {"refused": 4}
-    (announced,) = {m.phi for m in made if isinstance(m, Measurements)}
+    announced = next(m.phi for m in made if isinstance(m, Measurements))
     (line,) = [line for line in bus.lines if "refused" in line]
     assert f"made by Phi {announced}, this reconstructor inverts Phi " in line
+    assert line.endswith("and 2 other row subsets")
     frames = bus.reports()["monitor"]["patches"]["skin"]["frames"]
     assert (frames["sensed"], frames["lost"]) == (4, 4)
 

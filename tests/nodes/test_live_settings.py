@@ -128,7 +128,8 @@ def test_what_was_changed_stays_when_the_node_is_started_again() -> None:
 @pytest.mark.parametrize("changes", [{"ratio": 8.0}, {"m": 700}])
 def test_a_new_phi_is_announced_before_what_is_measured_with_it(changes: dict[str, Any]) -> None:
     key, value = next(iter(changes.items()))
-    bus = graph()
+    fixed = "compressor.rows=fixed"  # the Phi of a frame is then the one announced
+    bus = graph(fixed)
     frames = run(bus, 6, 3, "compressor", changes)
     kinds = [type(message) for message in frames[3]]
     assert kinds.index(PhiState) < kinds.index(Measurements)
@@ -139,7 +140,7 @@ def test_a_new_phi_is_announced_before_what_is_measured_with_it(changes: dict[st
         assert restored.phi == made.phi
     assert bus.hosts["reconstructor"].counts.refused == {}
     # From then on it measures as if it had been launched that way.
-    fresh = run(graph(f"compressor.{key}={value}"), 6)
+    fresh = run(graph(fixed, f"compressor.{key}={value}"), 6)
     for old, new in zip(frames[3:], fresh[3:], strict=True):
         assert only(old, Measurements) == only(new, Measurements)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.commands.scenes import make_scenario
-from sparseskin.launch.launchfile.load import load
+from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, load
 from sparseskin.messages import (
     Measurements,
     Message,
@@ -22,15 +23,17 @@ from sparseskin.messages import (
 )
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.player.node import Player
+from sparseskin.nodes.reconstructor.limits import OTHER_ROWS
 from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
 from sparseskin.nodes.recorder.bag.reader import BagReader
 
-ROTATING = "compressor.rows=rotating"
+FIXED, ROTATING = "compressor.rows=fixed", "compressor.rows=rotating"
 SOLVERS = ["reconstructor.preset=skin", "reconstructor.iterations=10"]
 
 
@@ -100,21 +103,25 @@ def test_a_matrix_of_no_row_subset_is_refused_by_name() -> None:
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_it_can_be_switched_on_and_off_while_the_graph_runs(solver: str) -> None:
-    bus = graph(solver)
+    bus = graph(FIXED, solver)
     frames: list[list[Message]] = []
     said: list[Message] = []
-    for k, messages in enumerate(bus.frames(18)):
+    for k, messages in enumerate(bus.frames(24)):
         frames.append([*said, *messages])
         changes: dict[int, dict[str, Any]] = {
             5: {"rows": "rotating"},
             11: {"ratio": 8.0},
             14: {"rows": "fixed", "ratio": 3.0},
+            17: {"rows": None},  # the default
+            20: {"m": 1600},  # no row is left to rotate to
         }
         said = bus._deliver(bus.hosts["compressor"].change(changes[k])) if k in changes else []
     assert bus.hosts["reconstructor"].counts.refused == {}
     prints = [only(messages, Measurements).phi for messages in frames]
     assert [len(set(part)) for part in (prints[:6], prints[6:12], prints[12:15])] == [1, 3, 3]
-    assert set(prints[15:]) == {prints[0]}
+    assert set(prints[15:18]) == {prints[0]}
+    assert prints[18:21] == prints[6:9]
+    assert len(set(prints[21:])) == 1
     assert all(only(m, Reconstruction).phi == p for m, p in zip(frames, prints, strict=True))
 
 
@@ -123,7 +130,101 @@ def test_a_refused_rotation_changes_nothing() -> None:
     frames_of(bus, 1)
     with pytest.raises(SparseskinError, match='"rotating" is not allowed for m = 8 of n = 1600'):
         bus.hosts["compressor"].change({"rows": "rotating"})
-    assert bus.hosts["compressor"].node.settings.rows == "fixed"
+    compressor: Any = bus.hosts["compressor"].node
+    assert compressor.settings.rows is None
+    assert compressor.state()["rows"] == states_of(bus)[1].rows == "fixed"
+
+
+def test_rows_rotate_in_every_launch_file_that_has_a_compressor() -> None:
+    found = [
+        {key: value for key, value in node.items() if key != "type"}
+        for path in BUNDLED.glob("*.toml")
+        for node in tomllib.loads(path.read_text())["nodes"].values()
+        if node["type"] == "compressor"
+    ]
+    assert len(found) == 10
+    for values in found:
+        assert CompressorSettings.from_mapping(values).rows_and_m(1600)[0] == "rotating"
+
+
+@pytest.mark.parametrize(
+    ("settings", "rows"),
+    [
+        ([], "rotating"),
+        (["compressor.m=1600"], "fixed"),
+        (["compressor.phi=gaussian", "reconstructor.preset=paper"], "fixed"),
+        (["compressor.ratio=100"], "fixed"),
+    ],
+)
+def test_the_default_is_announced_and_reported_as_it_was_resolved(
+    settings: list[str], rows: str
+) -> None:
+    bus = graph(*settings)
+    frames_of(bus, 3)
+    assert states_of(bus)[1].rows == rows
+    assert bus.hosts["compressor"].node.state()["rows"] == rows
+    assert bus.hosts["reconstructor"].counts.refused == {}
+
+
+OWN = ["compressor.phi=sbhe", "reconstructor.phi=sbhe"]
+
+
+def test_a_phi_that_is_stated_twice_has_the_same_rows_in_both_nodes() -> None:
+    bus = graph(*OWN)
+    frames = frames_of(bus, 6)
+    assert bus.hosts["reconstructor"].counts.refused == {}
+    prints = [only(messages, Reconstruction).phi for messages in frames]
+    assert len(set(prints)) == 3
+
+
+def test_rows_that_are_stated_otherwise_are_refused_before_the_start() -> None:
+    for stated, resolved in (("fixed", "rotating"), ("rotating", "fixed")):
+        with pytest.raises(LaunchError) as refused:
+            graph(*OWN, f"compressor.rows={resolved}", f"reconstructor.phi_rows={stated}")
+        (line,) = refused.value.lines
+        assert line == (
+            f"--set reconstructor.phi_rows={stated}: {stated}, but the compressor's rows are "
+            f"{resolved}; state phi_rows = {resolved}"
+        )
+
+
+def test_the_refusal_of_a_frame_names_rows_and_m_that_differ_from_those_announced() -> None:
+    messages = frames_of(bus := graph(ROTATING), 2)
+    settings = ReconstructorSettings(phi="sbhe", phi_rows="fixed")
+    node = Reconstructor(settings, Context("reconstructor", ManualClock(1)))
+    for state in states_of(bus):
+        list(node.step(state))
+    with pytest.raises(SparseskinError) as refused:
+        list(node.step(only(messages[1], Measurements)))
+    assert str(refused.value).endswith(
+        "; phi_rows is fixed, rows of the announced Phi rotating"
+        "; phi_m is 533, M of the announced Phi 534"
+    )
+
+
+@pytest.mark.parametrize(
+    ("settings", "warned"),
+    [
+        (["reconstructor.preset=paper"], True),
+        (["reconstructor.preset=paper", FIXED], False),
+        (["reconstructor.preset=paper", "reconstructor.iterations=20"], False),
+        (["reconstructor.preset=skin"], False),
+    ],
+)
+def test_the_papers_method_with_rows_that_rotate_is_warned_of(
+    settings: list[str], warned: bool
+) -> None:
+    bus = graph(*settings)
+    frames_of(bus, 1)
+    assert (f"[reconstructor] {OTHER_ROWS}" in bus.lines) == warned
+
+
+@pytest.mark.parametrize("rows", [FIXED, ROTATING, "compressor.ratio=8"])
+def test_an_untouched_skin_at_the_start_logs_no_doubt(rows: str) -> None:
+    bus = graph(rows)
+    doubted = [not only(messages, Reconstruction).trusted for messages in frames_of(bus, 40)]
+    assert any(doubted)
+    assert not [line for line in bus.lines if "not to be trusted" in line]
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.compressor.phi.rotation import ROTATING
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
@@ -45,7 +45,8 @@ def test_a_reading_is_scored_against_the_closed_form() -> None:
 
 
 def test_a_method_is_the_solver_on_its_own_measurements() -> None:
-    method = make_method({"solver": "fista", "iterations": 5, "lambda_n": 0.01}, SHAPE, 2, seed=3)
+    chosen = {"solver": "fista", "iterations": 5, "lambda_n": 0.01}
+    method = make_method(chosen, SHAPE, 2, seed=3, rows=FIXED)
     phi = make_phi("sbhe", n=64, m=32, seed=3)
     solver = make_solver("fista", phi, make_basis("haar", *SHAPE), iterations=5, lambda_n=0.01)
     scores = evaluate({"fista": method}, FRAMES)["fista"]
@@ -76,7 +77,7 @@ def test_rotating_row_subsets_together_hold_every_row() -> None:
 def test_missing_taxels_are_not_measured() -> None:
     mask = np.ones(SHAPE, np.bool_)
     mask[0] = False
-    method = make_method(PRESETS["paper"], SHAPE, 2, seed=0, mask=mask)
+    method = make_method(PRESETS["paper"], SHAPE, 2, seed=0, rows=FIXED, mask=mask)
     taxels = FRAMES[1][1].copy()
     taxels[0] = np.nan
     assert not method.reconstruct(taxels).forces[0].any()
@@ -84,7 +85,7 @@ def test_missing_taxels_are_not_measured() -> None:
 
 def test_acts_reads_taxels_where_the_frame_has_forces() -> None:
     chosen = {"solver": "interpolation", "basis": "identity"}
-    method = make_method(chosen, SHAPE, 2, seed=0, phi="acts")
+    method = make_method(chosen, SHAPE, 2, seed=0, rows=FIXED, phi="acts")
     for _ in range(2):
         forces = method.reconstruct(TRUTHS[1]).forces
         np.testing.assert_allclose(forces[2:4, 2:4], 1.0)

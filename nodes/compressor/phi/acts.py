@@ -47,14 +47,11 @@ class ActsPhi(SubsamplePhi):
     """
 
     kind = "acts"
+    can_rotate = False  # the rows are chosen anew in each frame
 
     def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
         super().__init__(n, m, seed, block)
         self.fingerprint = fingerprint_of(self.kind, n, m, 1)
-
-    def row_subsets(self) -> list[Phi]:
-        """Raise PhiError: the rows are chosen anew in each frame, and cannot rotate."""
-        raise PhiError('rows: "rotating" is not allowed for phi "acts": it chooses anew each frame')
 
     def choose(self, taxels: Indices) -> None:
         """Set the taxels of a frame: intp, shape (m,), ascending indices in 0..n-1.

@@ -5,19 +5,23 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from copy import copy
+from typing import ClassVar
 
 import numpy as np
 
 from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.numerics.arrays import Indices
 
-from .base import Phi
+from .base import KINDS, Phi
 
 FIXED, ROTATING = "fixed", "rotating"
 ROWS = (FIXED, ROTATING)
 MAX_SUBSETS = 64
 """Largest number of row subsets. Chosen: a row that is measured less often than every 64 frames
 adds as good as nothing."""
+RATIO = 3.0
+"""Compression ratio N / M where none is stated."""
 
 
 def m_of(n: int, ratio: float, rows: str = FIXED) -> int:
@@ -27,6 +31,40 @@ def m_of(n: int, ratio: float, rows: str = FIXED) -> int:
     rows not yet read.
     """
     return math.ceil(n / ratio) if rows == ROTATING else int(n / ratio)
+
+
+def rows_and_m(
+    kind: str, n: int, *, rows: str | None = None, m: int | None = None, ratio: float = RATIO
+) -> tuple[str, int]:
+    """Return rows ("fixed" or "rotating") and M by settings that may leave them open.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of Phi, as in `make_phi`.
+    n : int
+        Number of taxels.
+    rows : str, optional
+        "fixed" or "rotating". By default rotating where the rows of that kind can rotate and M is
+        in N / 64 .. N - 1; else fixed.
+    m : int, optional
+        M, in place of `ratio`.
+    ratio : float
+        N / M; see `m_of`. Kind "full" has M = N whatever is stated.
+
+    Raises
+    ------
+    PhiError
+        If the kind is not known.
+    """
+    if kind == "full":
+        return rows or FIXED, n
+    if rows is None:
+        rotating_m = m_of(n, ratio, ROTATING) if m is None else m
+        in_turn = rotating_m < n <= MAX_SUBSETS * rotating_m
+        made_by = find_class("phi", kind, KINDS, PhiError)
+        rows = ROTATING if in_turn and isinstance(made_by, type) and can_rotate(made_by) else FIXED
+    return rows, m_of(n, ratio, rows) if m is None else m
 
 
 def split_rows(order: Indices, m: int) -> list[Indices]:
@@ -48,6 +86,8 @@ class RotatingPhi(Phi):
     Its `__init__` sets `_order`, all n rows shuffled, and calls `_keep`.
     """
 
+    #: False for a subclass whose rows change in another way.
+    can_rotate: ClassVar[bool] = True
     _order: Indices
 
     @abstractmethod
@@ -76,10 +116,12 @@ def row_subsets(phi: Phi, rows: str) -> list[Phi]:
     Raises
     ------
     PhiError
-        If the rows of phi cannot rotate, or there were more than 64 subsets.
+        If `rows` is neither, the rows of phi cannot rotate, or there were more than 64 subsets.
     """
     if rows == FIXED:
         return [phi]
+    if rows != ROTATING:
+        raise PhiError(f"rows: {rows!r} is not allowed; allowed: {', '.join(ROWS)}")
     check_rotates(phi, phi.kind)
     check_subsets(phi.n, phi.m)
     subsets: list[Phi] = getattr(phi, "row_subsets")()  # noqa: B009
@@ -95,15 +137,17 @@ def check_subsets(n: int, m: int) -> None:
         )
 
 
-def check_rotates(phi: object, kind: str) -> None:
-    """Refuse a matrix, or a class of them, whose rows cannot rotate.
+def can_rotate(phi: object) -> bool:
+    """Return True if the rows of a matrix, or of a class of them, can rotate.
 
-    Raises
-    ------
-    PhiError
-        If it has no method `row_subsets`.
+    They can if it has a method `row_subsets`, and no attribute `can_rotate` that is False.
     """
-    if not hasattr(phi, "row_subsets"):
+    return hasattr(phi, "row_subsets") and bool(getattr(phi, "can_rotate", True))
+
+
+def check_rotates(phi: object, kind: str) -> None:
+    """Raise PhiError for a matrix, or a class of them, whose rows cannot rotate."""
+    if not can_rotate(phi):
         raise PhiError(
             f'rows: "rotating" is not allowed for phi "{kind}"; allowed: sbhe, subsample'
         )

@@ -17,12 +17,16 @@ RUN, WITHIN = 3, 10
 """Frames not to be trusted that make a run, and the number of the last frames that they are among.
 Chosen: the first frame or two of a stream or contact, of which the past says nothing, make none."""
 
+FIRST = 2
+"""First frames of a row subset, whose noise no earlier frame has shown."""
+
 
 class TrustLog:
     """Logs that frames are not to be trusted: once in a run of them, then at most every 10 s.
 
-    A run is 3 of the last 10 frames or more. Time is that of the stamps, so that a replay logs the
-    same lines at any rate.
+    A run is 3 of the last 10 frames or more. With P row subsets, the first 2 (P - 1) frames do not
+    count: each subset begins with two frames of which the past says nothing. Time is that of the
+    stamps, so that a replay logs the same lines at any rate.
 
     Parameters
     ----------
@@ -32,9 +36,14 @@ class TrustLog:
 
     def __init__(self, log: Callable[[str], None]) -> None:
         self._log = log
+        self._rotating, self._n_early = False, 0
         self._logged_ns: int | None = None
         self._n_frames = self._n_untrusted = 0
         self._latest: deque[bool] = deque(maxlen=WITHIN)
+
+    def begin(self, n_subsets: int) -> None:
+        """Expect the frames of a new solver, measured by this many row subsets; 1: fixed rows."""
+        self._rotating, self._n_early = n_subsets > 1, FIRST * (n_subsets - 1)
 
     def update(
         self,
@@ -45,15 +54,16 @@ class TrustLog:
         *,
         n: int,
         unit: str,
-        rotating: bool,
     ) -> None:
         """Process a frame: forces, 0 where no taxel exists, and what its solver estimates of them.
 
-        `error` and `trusted` are as in `Solver`; n is the number of taxels; `rotating`: True if the
-        rows of Phi rotate.
+        `error` and `trusted` are as in `Solver`; n is the number of taxels.
         """
         self._n_frames += 1
         self._n_untrusted += not trusted
+        if self._n_early:
+            self._n_early -= 1
+            return
         self._latest.append(not trusted)
         if trusted or sum(self._latest) < RUN:
             return
@@ -61,7 +71,7 @@ class TrustLog:
         if self._logged_ns is not None and abs(stamp_ns - self._logged_ns) < EVERY_NS:
             return
         count = "" if self._logged_ns is None else self._count()
-        better = "more measurements" if rotating else 'more measurements or rows = "rotating"'
+        better = "more measurements" if self._rotating else 'more measurements or rows = "rotating"'
         self._log(
             f"frames not to be trusted: {_described(error, forces, n, unit)}{count}; "
             f"{better} may help, see docs/method.md"

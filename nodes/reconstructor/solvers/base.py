@@ -13,6 +13,7 @@ import numpy as np
 from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.nodes.compressor.phi.acts import ActsPhi
 from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.rotation import FIXED, row_subsets
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import did_you_mean, find_class
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
@@ -71,6 +72,8 @@ class Solver(ABC):
     y_max: float = 1e30
     #: True if `use` lets one solver serve all row subsets of rotating rows.
     rotates: bool = False
+    #: Row subsets that frames are measured by in turn; none where the rows are fixed.
+    subsets: tuple[Phi, ...] = ()
     #: True if it follows a phi that chooses its taxels anew each frame.
     follows_choice: bool = False
     #: Class of the phi that it can use.
@@ -264,6 +267,7 @@ def make_solver(
     mask: Mask | None = None,
     *,
     fast: str = "auto",
+    rows: str = FIXED,
     **settings: Any,
 ) -> Solver:
     """Make a solver by name.
@@ -277,6 +281,8 @@ def make_solver(
         As in `Solver`.
     fast : str
         Use of compiled loops: "auto", "on" or "off", as in `compiled.check_fast`.
+    rows : str
+        "fixed": phi measures all frames. "rotating": its row subsets measure them in turn.
     **settings
         The solver's own, e.g. iterations=20 for "fista".
 
@@ -287,7 +293,12 @@ def make_solver(
         not fit, or a class of your own is not a solver.
     SettingsError
         If fast is none of these, or "on" without numba.
+    PhiError
+        If rows is none of these, or "rotating" and those of phi cannot.
     """
+    if rows != FIXED:
+        subsets = row_subsets(phi, rows)
+        return make_rotating_solver(name, subsets, basis, mask, fast=fast, **settings)
     for what, given, method in (("phi", phi, "forward"), ("basis", basis, "synthesis")):
         if not hasattr(given, method):
             raise SolverError(
@@ -354,12 +365,15 @@ def make_rotating_solver(
     the next frame; the first one is chosen.
     """
     solver = make_solver(name, subsets[0], basis, mask, **settings)
-    if len(subsets) == 1 or getattr(solver, "rotates", False):
+    if len(subsets) == 1:
         return solver
-    solvers = {subsets[0].fingerprint: solver}
-    for phi in subsets[1:]:
-        solvers[phi.fingerprint] = make_solver(name, phi, basis, mask, **settings)
-    return RotatingSolver(solvers, subsets[0], basis, mask)
+    if not getattr(solver, "rotates", False):
+        solvers = {subsets[0].fingerprint: solver}
+        for phi in subsets[1:]:
+            solvers[phi.fingerprint] = make_solver(name, phi, basis, mask, **settings)
+        solver = RotatingSolver(solvers, subsets[0], basis, mask)
+    solver.subsets = tuple(subsets)
+    return solver
 
 
 def whole_number(solver: str, name: str, value: Any, low: int, high: int) -> int:

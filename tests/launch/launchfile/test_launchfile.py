@@ -192,7 +192,8 @@ def own_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             [
                 f"{RECONSTRUCTOR}phi: the compressor's 'phi_of_check:Own' is not built in, and "
                 "is not imported because a message names it; state phi = 'phi_of_check:Own' here "
-                "too, and its M as phi_m (default: N // 3)"
+                "too, its M as phi_m (default: N / 3), and its rows as phi_rows where the "
+                "compressor states them"
             ],
         ),
         (
@@ -567,7 +568,7 @@ def test_begin_of_a_recording_is_read_and_no_more(tmp_path: Path) -> None:
         assert file.tell() < rest / 10
 
 
-@pytest.mark.parametrize(("ratio", "m"), [(4, 400), (3, 533)])
+@pytest.mark.parametrize(("ratio", "m"), [(4, 400), (3, 534)])
 def test_m_of_a_stated_phi_is_that_of_the_compressor(
     check, tmp_path: Path, ratio: int, m: int
 ) -> None:
@@ -581,6 +582,6 @@ def test_m_of_a_stated_phi_is_that_of_the_compressor(
     assert line == (
         f"--set reconstructor.phi_m=99: 99, but the compressor's M is {m}; state phi_m = {m}"
     )
-    if ratio != 3:  # the default of phi_m is N // 3
+    if ratio != 3:  # the default of phi_m is N / 3, rounded up where rows rotate
         (line,) = check(GOOD, *phi, f"compressor.ratio={ratio}")
-        assert line.endswith(f"phi_m: 533, but the compressor's M is {m}; state phi_m = {m}")
+        assert line.endswith(f"phi_m: 534, but the compressor's M is {m}; state phi_m = {m}")

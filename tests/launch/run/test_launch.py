@@ -129,10 +129,11 @@ def test_the_summary_holds_what_it_promises(start: StartProgram, tmp_path: Path)
         *("drag_wrench_40", "sbhe"),
         *("", "skin"),
     )
-    assert (patch["n"], patch["m"], patch["frames"]["sensed"]) == (1600, 533, 20)
-    assert patch["ratio"] == pytest.approx(1600 / 533)
+    assert (patch["n"], patch["m"], patch["frames"]["sensed"]) == (1600, 534, 20)
+    assert patch["rows"] == "rotating"
+    assert patch["ratio"] == pytest.approx(1600 / 534)
     assert patch["bytes_in"] > 20 * 1600 * 4
-    assert 20 * 533 * 4 < patch["bytes_out"] < patch["bytes_in"]
+    assert 20 * 534 * 4 < patch["bytes_out"] < patch["bytes_in"]
     for key in ("noisy", "reconstruction"):
         extent = patch["psnr_db"][key]["all"]
         assert extent["min"] <= extent["mean"] <= extent["max"]

@@ -17,14 +17,12 @@ from sparseskin.messages import (
     Measurements,
     MessageError,
     Reconstruction,
-    SkinState,
     Taxels,
     decode,
     encode,
 )
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi.acts import (
     ActsPhi,
     ActsSearch,
@@ -34,7 +32,6 @@ from sparseskin.nodes.compressor.phi.acts import (
 )
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.node import Context
 from sparseskin.nodes.numerics.arrays import Floats
 
 THRESHOLD = 0.05
@@ -187,29 +184,9 @@ def test_places_that_are_not_as_many_as_the_measurements_are_malformed() -> None
 
 
 def test_rows_that_are_chosen_anew_do_not_rotate() -> None:
-    settings = load("path_40", [*ACTS, "compressor.rows=rotating"]).nodes["compressor"].settings
-    compressor = Compressor(settings, Context("compressor", ManualClock(1), str))
-    with pytest.raises(PhiError, match='"rotating" is not allowed for phi "acts"'):
-        list(compressor.step(skin_state()))
-
-
-def skin_state() -> SkinState:
-    return SkinState(
-        stamp_ns=1,
-        patch="skin",
-        n_rows=40,
-        n_cols=40,
-        f_max=2.5,
-        unit="N",
-        pitch_m=None,
-        mask=None,
-        source="",
-        seed=0,
-        rate_hz=100.0,
-        has_truth=False,
-        sigma_mid=0.0,
-        sigma_end=0.0,
-    )
+    with pytest.raises(LaunchError, match='"rotating" is not allowed for phi "acts"'):
+        load("path_40", [*ACTS, "compressor.rows=rotating"])
+    assert load("path_40", [*ACTS]).nodes["compressor"].settings.rows_and_m(1600)[0] == "fixed"
 
 
 def graph(*overrides: str, name: str = "path_40") -> Bus:
@@ -234,7 +211,7 @@ def test_a_stream_reconstructs_readings_unchanged() -> None:
         assert reconstructed.residual == 0
 
 
-@pytest.mark.parametrize("overrides", [ACTS, ("reconstructor.preset=skin",)])
+@pytest.mark.parametrize("overrides", [ACTS, ("compressor.rows=fixed",)])
 def test_m_changes_while_the_graph_runs(overrides: tuple[str, ...]) -> None:
     bus = graph(*overrides)
     messages = []

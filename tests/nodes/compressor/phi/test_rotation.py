@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.compressor.phi.rotation import row_subsets, split_rows
+from sparseskin.nodes.compressor.phi.base import KINDS, Phi, make_phi
+from sparseskin.nodes.compressor.phi.rotation import row_subsets, rows_and_m, split_rows
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
 
 SIZES = [(1, 1), (31, 7), (95, 40), (400, 50), (784, 262), (1600, 534), (1600, 533)]
 
@@ -63,14 +67,98 @@ def test_the_first_subset_is_the_fixed_matrix_and_fingerprints_differ() -> None:
 
 
 def test_a_ratio_that_does_not_divide_needs_no_further_subset() -> None:
-    settings = CompressorSettings(rows="rotating")
-    assert settings.n_measurements(1600) == 534
-    assert CompressorSettings().n_measurements(1600) == 533
+    assert CompressorSettings(rows="rotating").n_measurements(1600) == 534
+    assert CompressorSettings(rows="fixed").n_measurements(1600) == 533
     assert len(row_subsets(make_phi("sbhe", 1600, 534, seed=0), "rotating")) == 3
 
 
+@pytest.mark.parametrize(
+    ("stated", "expected"),
+    [
+        ({}, ("rotating", 534)),
+        ({"ratio": 4.0}, ("rotating", 400)),
+        ({"m": 533}, ("rotating", 533)),
+        ({"m": 1599}, ("rotating", 1599)),
+        ({"phi": "subsample"}, ("rotating", 534)),
+        # No row is left to rotate to.
+        ({"m": 1600}, ("fixed", 1600)),
+        ({"ratio": 1.0}, ("fixed", 1600)),
+        ({"phi": "full"}, ("fixed", 1600)),
+        # 64 row subsets are allowed.
+        ({"m": 25}, ("rotating", 25)),
+        ({"ratio": 64.0}, ("rotating", 25)),
+        ({"m": 24}, ("fixed", 24)),
+        ({"ratio": 200.0}, ("fixed", 8)),
+        ({"ratio": 150.0}, ("fixed", 10)),
+        # Their rows do not rotate.
+        ({"phi": "gaussian"}, ("fixed", 533)),
+        ({"phi": "acts"}, ("fixed", 533)),
+        ({"phi": f"{__name__}:Halves"}, ("rotating", 534)),
+        ({"phi": f"{__name__}:Unmoved"}, ("fixed", 533)),
+        ({"phi": f"{__name__}:by_function"}, ("fixed", 533)),
+        # What is stated stays.
+        ({"rows": "fixed"}, ("fixed", 533)),
+        ({"rows": "rotating", "m": 1600}, ("rotating", 1600)),
+        ({"rows": "rotating", "m": 24}, ("rotating", 24)),
+    ],
+)
+def test_rows_rotate_by_default_where_they_can(
+    stated: dict[str, Any], expected: tuple[str, int]
+) -> None:
+    assert CompressorSettings(**stated).rows_and_m(1600) == expected
+
+
+class Halves(SbhePhi):
+    """A matrix of the user's own whose rows rotate."""
+
+    kind = f"{__name__}:Halves"
+
+
+class Unmoved(Phi):
+    """One whose rows do not."""
+
+    kind = f"{__name__}:Unmoved"
+
+
+def by_function(n: int, m: int, seed: int, block: int) -> Phi:
+    """One that a function makes."""
+    return make_phi("sbhe", n, m, seed, block)
+
+
+@given(
+    kind=st.sampled_from([*KINDS, f"{__name__}:Halves", f"{__name__}:Unmoved"]),
+    n=st.integers(3, 5000),
+    m=st.none() | st.integers(1, 5000),
+    rows=st.sampled_from([None, "fixed", "rotating"]),
+)
+def test_a_stated_phi_of_the_reconstructor_has_the_rows_and_m_of_a_compressor_with_its_settings(
+    kind: str, n: int, m: int | None, rows: str | None
+) -> None:
+    if kind == "full":
+        m = None  # the compressor has M = N whatever is stated, the reconstructor refuses another
+    compressor = CompressorSettings(phi=kind, m=m, rows=rows)
+    reconstructor = ReconstructorSettings(phi=kind, phi_m=m, phi_rows=rows)
+    assert reconstructor.stated_rows_and_m(n) == compressor.rows_and_m(n)
+    assert ReconstructorSettings().stated_rows_and_m(n) is None
+
+
+@given(n=st.integers(1, 300), m=st.integers(1, 300))
+def test_by_default_each_size_has_row_subsets(n: int, m: int) -> None:
+    m = min(m, n)
+    rows, found = rows_and_m("sbhe", n, m=m)
+    subsets = row_subsets(make_phi("sbhe", n, m, seed=0), rows)
+    assert found == m
+    assert len(subsets) == (1 if rows == "fixed" else -(-n // m))
+    assert (rows == "rotating") == (m < n <= 64 * m)
+
+
+def test_rows_that_are_neither_are_refused() -> None:
+    with pytest.raises(PhiError, match="rows: 'turning' is not allowed; allowed: fixed, rotating"):
+        row_subsets(make_phi("sbhe", 64, 16, seed=0), "turning")
+
+
 def test_what_cannot_rotate_is_named() -> None:
-    for kind in ("gaussian", "full"):
+    for kind in ("gaussian", "full", "acts"):
         with pytest.raises(PhiError, match=f'rows: "rotating" is not allowed for phi "{kind}"'):
             CompressorSettings(phi=kind, rows="rotating").check()
         with pytest.raises(PhiError, match="allowed: sbhe, subsample"):

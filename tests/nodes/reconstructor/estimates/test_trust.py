@@ -112,7 +112,7 @@ def test_one_line_a_run_of_doubts_and_one_every_10_s() -> None:
         before = len(lines)
         for stamp_s in stamps_s:
             stamp_ns = round(stamp_s * S)
-            log.update(stamp_ns, FORCES, 0.31, trusted, n=10, unit="N", rotating=False)
+            log.update(stamp_ns, FORCES, 0.31, trusted, n=10, unit="N")
         return len(lines) - before
 
     assert feed([0, 1, 2], trusted=True) == 0
@@ -147,9 +147,26 @@ def test_the_line_states_the_estimate(error: float | None, forces: float, words:
     uniform = np.zeros((3, 4), np.float32)
     uniform[:2] = forces  # there are no taxels in the last row
     log = TrustLog(lines.append)
-    for _ in range(RUN):
-        log.update(0, uniform, error, False, n=8, unit="kPa", rotating=True)
+    log.begin(3)
+    for _ in range(4 + RUN):
+        log.update(0, uniform, error, False, n=8, unit="kPa")
     assert lines[0].startswith(f"frames not to be trusted: {words} more measurements may help")
+
+
+@pytest.mark.parametrize("n_subsets", [1, 2, 3, 8])
+def test_the_first_two_frames_of_each_row_subset_are_no_run(n_subsets: int) -> None:
+    lines: list[str] = []
+    log = TrustLog(lines.append)
+    for begun in (1, 2):  # a change of Phi or solver begins anew
+        log.begin(n_subsets)
+        for trusted in [False] * 2 * n_subsets + [True] * 10:
+            log.update(0, FORCES, 0.31, trusted, n=10, unit="N")
+        assert len(lines) == begun - 1
+        for _ in range(RUN):
+            log.update(begun * EVERY_NS, FORCES, 0.31, False, n=10, unit="N")
+        assert len(lines) == begun
+        for _ in range(10):
+            log.update(begun * EVERY_NS, FORCES, 0.31, True, n=10, unit="N")
 
 
 def test_the_node_logs_a_run_of_doubted_frames_once() -> None:

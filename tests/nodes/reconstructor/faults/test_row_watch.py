@@ -78,6 +78,33 @@ def test_working_rows_are_never_left_out(preset: str, ratio: int, truth: Floats)
     assert desk.node.state()["left_out"] == ""
 
 
+@pytest.mark.parametrize("preset", ["skin", "paper"])
+@pytest.mark.parametrize("everywhere", [True, False])
+def test_of_rotating_rows_a_faulty_one_is_found_once_its_subset_was_read_as_often(
+    preset: str, everywhere: bool, truth: Floats
+) -> None:
+    """The faulty measurements of one row subset, or the same ones of all (an input that fails)."""
+    phi = make_phi("sbhe", N, M + 1, seed=0)
+    subsets = row_subsets(phi, "rotating")
+    readings = noisy(truth).reshape(-1, N)
+    y = np.stack([subsets[k % 3].forward(one) for k, one in enumerate(readings)])
+    desk = Desk(phi, rows="rotating", preset=preset)
+    desk.restore(y)
+    assert desk.node.state()["left_out"] == ""
+    for subset in range(3):
+        if everywhere or subset == 1:
+            y[subset::3, FAULTY] = 0
+    desk = Desk(phi, rows="rotating", preset=preset)
+    desk.restore(y[: 3 * (CONSTANT - 1)])
+    assert desk.node.state()["left_out"] == ""
+    desk.restore(y[3 * (CONSTANT - 1) :])
+    left_out = desk.node.state()["left_out"]
+    listed = "5 of 534 of row subset {} (3, 100, 250, 251, 400)"
+    found = [subset for subset in range(3) if listed.format(subset) in left_out]
+    assert found == ([0, 1, 2] if everywhere else [1])
+    assert left_out.count("of row subset") == len(found)
+
+
 @pytest.mark.parametrize("bits", [6, 12, None])
 def test_a_skin_without_noise_and_few_bits_have_no_faulty_measurements(
     bits: int | None, phi: Phi, truth: Floats
