@@ -32,6 +32,7 @@ def entry(type_: str, **stated: Any) -> dict[str, Any]:
         (entry("tuple[str, ...]"), "a list of texts"),
         (entry("str", choices=["a", "b"]), "a, b"),
         (entry("str | None", known=["a", "b"]), "a, b, none"),
+        (entry("str | None", choices=["a", "b"]), "a, b, none"),
     ],
 )
 def test_what_a_setting_may_be_is_said_in_words(described: dict[str, Any], allowed: str) -> None:
