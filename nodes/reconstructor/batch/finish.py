@@ -1,0 +1,186 @@
+"""The end of a frame of a batch: choice of the model, clip bias, error, trust, forces."""
+
+from __future__ import annotations
+
+import math
+
+from sparseskin.nodes.reconstructor.skin import clip_bias as clip
+from sparseskin.nodes.reconstructor.skin import evidence
+from sparseskin.nodes.reconstructor.skin.smooth import KEPT_FIXED, KEPT_ROTATING, LEAST_NOISE
+from sparseskin.nodes.reconstructor.skin.solver import TUNING
+from sparseskin.nodes.numerics.arrays import TINY
+
+from .backend import Array
+from .memory import variances
+from .smooth import Known
+from .state import NUMBERS, Numbers, State, pack
+from .tables import Tables
+
+
+def test(t: Tables, frame: State, x: Array, number: int) -> tuple[Array, Array]:
+    """Return W x, and the mean square of the residuals of held-out rows, float64 (B,)."""
+    be, xp = t.be, t.be.xp
+    whole = t.transform(x)
+    if not t.n_held:
+        return whole, frame["e2"] * 0
+    residual = xp.take(frame["y"] - whole, t.subsets[number].held, axis=1)
+    return whole, be.dot(residual, residual) / t.n_held
+
+
+def needs_smooth(t: Tables, frame: State, haar2: Array) -> Array:
+    """Return True for the patches that need the smooth model, bool (B,)."""
+    excess = _excess(haar2, frame["known_noise"], max(1, t.n_held))
+    return frame["uses_smooth"] & ~(frame["uses_haar"] & ~(excess > 0))
+
+
+def known_of(t: Tables, frame: State, number: int) -> Known:
+    """Return what the smooth model is given, of all patches."""
+    be, xp, s = t.be, t.be.xp, frame["numbers"]
+    rows, subset = frame["y"], t.subsets[number]
+    y2 = be.dot(rows, rows) / t.m
+    least = frame["known_noise"] + LEAST_NOISE * y2
+    power = be.choose(frame["nothing_known"], y2, frame["e2"]) - least
+    known = subset.measured + xp.zeros_like(rows)
+    values, variance = rows, be.column(least) + xp.zeros_like(rows)
+    rotating = s["rotating"]
+    if len(t.subsets) > 1:
+        known = be.choose(rotating, frame["known"], known)
+        values = be.choose(rotating, frame["values"], values)
+        variance = be.choose(rotating, variances(t, s, least), variance)
+    kept = KEPT_FIXED + be.double(rotating) * (KEPT_ROTATING - KEPT_FIXED)
+    used = be.single(known > 0) * subset.kept
+    return Known(frame["x"], values, variance, used, be.at_least(power, TINY), kept)
+
+
+def finish(
+    t: Tables, frame: State, haar: State, smooth: State, number: int, median: bool
+) -> tuple[State, State]:
+    """End a frame of all patches.
+
+    Parameters
+    ----------
+    t : Tables
+    frame : State
+        As of `begin`; not modified.
+    haar, smooth : State
+        Of each model: x and whole, float32 (B, n), error2, the mean square of held-out residuals;
+        of smooth also made: bool (B,), where it was made.
+    number : int
+        Number of the row subset.
+    median : bool
+        True if the bias of some patch is to be estimated by the median, too.
+
+    Returns
+    -------
+    state : State
+        The changed parts of the next state.
+    result : State
+        forces, float32 (B, n_rows, n_cols); error, float64; flags trusted, finite, is_smooth.
+    """
+    be, xp = t.be, t.be.xp
+    s = dict(frame["numbers"])
+    error2 = _choose(t, s, frame, haar, smooth)
+    is_smooth = s["is_smooth"]
+    x = be.choose(is_smooth, smooth["x"], haar["x"])
+    whole = be.choose(is_smooth, smooth["whole"], haar["whole"])
+    subset = t.subsets[number]
+    left = be.dot(frame["y"] - whole, subset.ones + xp.zeros_like(whole))
+    _update_bias(t, s, left / subset.energy if subset.energy else left * 0, x, median)
+    power = be.dot(x, x) / t.n
+    finite = xp.isfinite(power)
+    error, trusted = _judge(t, frame, x, power, error2, is_smooth)
+    s["has_estimate"] = s["has_estimate"] | True
+    state = {"x": x, "correction": x - frame["x"], NUMBERS: pack(be, s)}
+    state |= {name: frame[name] for name in ("values", "known") if name in frame}
+    state[f"step{number}"] = frame["step"]
+    forces = t.image(_forces(t, x, s["bias"]))
+    return state, {
+        "forces": xp.where(finite[:, None, None], forces, xp.zeros_like(forces)),
+        "error": be.choose(finite, error, error * 0 + math.inf),
+        "trusted": trusted & finite,
+        "finite": finite,
+        "is_smooth": is_smooth,
+    }
+
+
+def _excess(mean: Array, noise: Array, count: float) -> Array:
+    return mean - noise * (1 + 2 * math.sqrt(2 / count))
+
+
+def _choose(t: Tables, s: Numbers, frame: State, haar: State, smooth: State) -> Array:
+    """Choose a model as `HeldOut.choose`; return the mean squared error beyond the noise."""
+    be, xp = t.be, t.be.xp
+    noise, failed = frame["known_noise"], frame["nothing_known"]
+    with_haar, with_smooth = frame["uses_haar"], smooth["made"]
+    both = with_haar & with_smooth
+    means = {}
+    for name, estimate, made in (("haar", haar, with_haar), ("smooth", smooth, with_smooth)):
+        now, old = estimate["error2"], s[f"{name}_error"]
+        last = be.choose(failed | (old < 0), now, old)
+        last = xp.minimum(last, evidence.FADING * now + noise)
+        mean = evidence.MEMORY * last + (1 - evidence.MEMORY) * now
+        means[name] = s[f"{name}_error"] = be.choose(made, mean, old)
+        worse = made & ~both & (now > evidence.WORSE * last)
+        s["wait"] = be.choose(worse, now * 0, s["wait"])
+    count = max(1, t.n_held)
+    clearly = 1 + 2 * evidence.MARGIN / math.sqrt(count * evidence.FRAMES)
+    bound = clearly * means["smooth"] + xp.minimum(noise, means["smooth"])
+    better = means["haar"] > bound
+    same = better == s["is_smooth"]
+    period = be.choose(same, be.at_most(2 * s["period"], float(evidence.SELDOM)), noise * 0 + 2)
+    s["period"] = be.choose(both, period, s["period"])
+    s["wait"] = be.choose(both, period, s["wait"])
+    is_smooth = (both & better) | (with_smooth & ~with_haar)
+    s["is_smooth"] = is_smooth
+    mean = be.choose(is_smooth, means["smooth"], means["haar"])
+    now = be.choose(is_smooth, smooth["error2"], haar["error2"])
+    excess = xp.maximum(
+        _excess(mean, noise, count * evidence.FRAMES), _excess(now, noise, count)
+    )
+    error2 = be.at_least(excess, 0.0)
+    s["exceeds"] = error2 > 0
+    return error2
+
+
+def _update_bias(t: Tables, s: Numbers, more: Array, x: Array, median: bool) -> None:
+    """Update the clip bias as `ClipBias.update`."""
+    be, xp = t.be, t.be.xp
+    frames = s["bias_frames"] + 1
+    if median:
+        ordered = xp.sort(x, axis=1)
+        middle = (ordered[:, (t.n - 1) // 2] + ordered[:, t.n // 2]) * 0.5
+        uses = (frames <= clip.FIRST) | (xp.remainder(frames, be.number(clip.EVERY)) == 0)
+        more = more + be.choose(uses, be.double(middle), more * 0)
+    s["least_s2"] = xp.minimum(clip.FORGOTTEN * s["least_s2"], s["s2"])
+    noise = xp.sqrt(s["least_s2"])
+    more = xp.minimum(xp.maximum(more, -noise / 2), noise / 2)
+    rate = be.at_least(1 / (frames + 1), clip.SLOWEST)
+    bias = be.at_least(s["bias"] + rate * more, 0.0)
+    s["bias"] = xp.minimum(bias, clip.LARGEST * noise)
+    s["bias_frames"] = frames
+
+
+def _judge(
+    t: Tables, frame: State, x: Array, power: Array, beyond: Array, is_smooth: Array
+) -> tuple[Array, Array]:
+    """Return error and trust of the estimate, as `SkinSolver`."""
+    be, xp = t.be, t.be.xp
+    if not t.tests:
+        return power * 0, power >= 0
+    noise = frame["known_noise"]
+    touched = xp.sqrt(xp.sum(be.single(x != 0), axis=1, dtype=be.f64) / t.n)
+    gain = be.choose(is_smooth, noise * 0 + 1, frame["gain"])
+    filtered = TUNING.filtered_error * touched * gain * noise
+    error2 = xp.maximum(beyond, filtered)
+    excess = xp.maximum(power, xp.minimum(beyond, frame["power_read"] - noise))
+    untouched = excess <= TUNING.untouched * noise
+    return xp.sqrt(error2), untouched | (error2 <= TUNING.trusted**2 * power)
+
+
+def _forces(t: Tables, x: Array, bias: Array) -> Array:
+    """Return forces of vectors of means above the bias."""
+    be, xp = t.be, t.be.xp
+    some = bias > 0
+    divisor = be.column(be.choose(some, bias, bias * 0 + 1))
+    share = be.column(bias) * (1 - xp.exp(x * (-1 / divisor)))
+    return x + share

@@ -1,0 +1,136 @@
+"""The smooth model of a batch: pressure whose variance and correlation length are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import TINY
+from sparseskin.nodes.reconstructor.skin import smooth as model
+
+from .backend import Array
+from .tables import Tables
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the smooth model is given of b patches.
+
+    Attributes
+    ----------
+    x : float32 (b, n)
+        Prediction, newtons.
+    values, variance, used : float32 (b, n)
+        Measurements of the rows of W, their variances, and 1 for those that are used.
+    power, kept : float64 (b,)
+        Mean square of the measurements that is not noise; part of the prediction that is kept.
+    """
+
+    x: Array
+    values: Array
+    variance: Array
+    used: Array
+    power: Array
+    kept: Array
+
+
+class SmoothBatch:
+    """Estimates frames as `SmoothModel` does, of many patches at once.
+
+    Correlations are full matrices also on grids beyond 256, where `SmoothModel` sets those of 4
+    lengths and more to 0. There is no estimate of measurements left out one by one.
+    """
+
+    def __init__(self, t: Tables) -> None:
+        self.t = t
+        be = t.be
+
+        def gaussians(side: int, lengths: tuple[float, ...]) -> Array:
+            distance = np.abs(np.subtract.outer(np.arange(side), np.arange(side)))
+            found = [np.exp(-0.5 * (distance / length) ** 2) for length in lengths]
+            return be.array(np.array(found, dtype=np.float32))
+
+        n_rows, n_cols = t.shape
+        self._left = gaussians(n_rows, model.LENGTHS)
+        self._right = gaussians(n_cols, model.LENGTHS) * (1 / len(model.LENGTHS))
+        self._blur = gaussians(n_rows, (model.BLUR,)), gaussians(n_cols, (model.BLUR,))
+        self._neighbours = self._blurred(t.exists[None, :, :]) + TINY
+
+    def estimate(self, given: Known, cold: bool) -> Array:
+        """Return the estimate, float32 (b, n); `cold` if the predictions are worth nothing."""
+        t, be, xp = self.t, self.t.be, self.t.be.xp
+        n_rounds = model.COLD_ROUNDS if cold else model.ROUNDS
+        x = given.x * 0 if cold else given.x
+        start = x * be.column(given.kept)
+        known = given.used * (given.values - t.transform(start))
+        n_used = be.dot(given.used, given.used)
+        for number in range(n_rounds):
+            if cold and not number:
+                deviation = t.exists[None, :, :] + xp.zeros_like(t.image(x))
+            else:
+                deviation = self._deviation_of(x)
+            mean = xp.sum(deviation * deviation, axis=(1, 2), dtype=be.f64) / t.n
+            scale = be.dot(known, known) / be.at_least(n_used * mean, TINY)
+            variance = given.variance * be.column(1 / be.at_least(scale, TINY))
+            field = self._descend(known, deviation, mean, variance, given.used, cold)
+            x = be.positive(start + field)
+        power = be.column(given.power)
+        gain = power / (power + given.variance + TINY) * given.used
+        return be.positive(x + t.transform(gain * (given.values - t.transform(x))))
+
+    def _descend(
+        self,
+        known: Array,
+        deviation: Array,
+        mean: Array,
+        variance: Array,
+        used: Array,
+        cold: bool,
+    ) -> Array:
+        """Return C W^T (W C W^T + V)^-1 of the known rows, by conjugate gradients."""
+        t, be, xp = self.t, self.t.be, self.t.be.xp
+        added = variance + be.column(model.MODEL_ERROR * mean)
+        added = xp.where(used > 0, added, xp.ones_like(added))
+        inverse = 1 / (added + be.column(mean))
+        found, residual = xp.zeros_like(known), known
+        direction = scaled = inverse * residual
+        slope = be.dot(residual, scaled)
+        enough = model.PRECISE * be.dot(known, known)
+        active = enough >= 0
+        for _ in range(model.COLD_GRADIENTS if cold else model.GRADIENTS):
+            active = active & (be.dot(residual, residual) > enough)
+            if not be.any(active):
+                break
+            image = t.transform(self._correlated(direction, deviation)) * used + added * direction
+            curvature = be.dot(direction, image)
+            active = active & (curvature > 0) & (slope > 0)
+            step = be.double(active) * slope / be.choose(active, curvature, curvature * 0 + 1)
+            found = found + be.column(step) * direction
+            residual = residual - be.column(step) * image
+            scaled = inverse * residual
+            new = be.dot(residual, scaled)
+            ratio = new / be.choose(active, slope, slope * 0 + 1)
+            direction = be.choose(active, scaled + be.column(ratio) * direction, direction)
+            slope = be.choose(active, new, slope)
+        return self._correlated(found, deviation)
+
+    def _correlated(self, rows: Array, deviation: Array) -> Array:
+        """Return C W^T rows, float32 (b, n)."""
+        t, xp = self.t, self.t.be.xp
+        image = t.image(t.transform(rows)) * deviation
+        total = xp.sum(self._left @ image[:, None, :, :] @ self._right, axis=1)
+        return t.vector(total * deviation)
+
+    def _deviation_of(self, x: Array) -> Array:
+        """Return the deviation of each taxel, float32 (b, n_rows, n_cols), by an estimate."""
+        t, be, xp = self.t, self.t.be, self.t.be.xp
+        blurred = self._blurred(t.image(be.positive(x))) / self._neighbours
+        largest = xp.max(blurred, axis=(1, 2), keepdims=True)
+        some = largest > 0
+        relative = blurred / xp.where(some, largest, xp.ones_like(largest)) + model.FLOOR
+        return t.exists * xp.where(some, relative, xp.ones_like(relative))
+
+    def _blurred(self, image: Array) -> Array:
+        left, right = self._blur
+        return left @ image @ right

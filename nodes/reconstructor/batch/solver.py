@@ -1,0 +1,282 @@
+"""The default solver for many equal patches at once, on any array library and device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
+from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS
+from sparseskin.nodes.reconstructor.skin.clip_bias import EVERY
+from sparseskin.nodes.reconstructor.skin.clip_bias import FIRST as FIRST_MEDIANS
+from sparseskin.nodes.reconstructor.skin.evidence import COMPARABLE
+from sparseskin.nodes.reconstructor.skin.solver import N_DRAWN, SkinSolver
+from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, whole_number
+from sparseskin.nodes.reconstructor.solvers.projection import MAX_BLOCK
+
+from .backend import Array, Backend
+from .begin import begin
+from .finish import finish, known_of, needs_smooth, test
+from .haar import estimate
+from .smooth import Known, SmoothBatch
+from .state import NUMBERS, State, first_numbers, first_state
+from .tables import Tables
+
+
+@dataclass(frozen=True)
+class BatchFrame:
+    """A reconstructed frame of a batch of B patches, on the host.
+
+    Attributes
+    ----------
+    forces : ndarray of float32, shape (B, n_rows, n_cols)
+        Newtons, at least 0; 0 where no taxel exists, and for patches that are not finite.
+    error : ndarray of float64, shape (B,)
+        Estimated RMS error of a taxel, newtons; inf where the patch is not finite, nan where all
+        taxels are measured: there is no estimate.
+    trusted : ndarray of bool, shape (B,)
+        False if the frame of a patch is not to be trusted.
+    finite : ndarray of bool, shape (B,)
+        False if the iteration of a patch diverged; it begins anew with the next frame.
+    is_smooth : ndarray of bool, shape (B,)
+        True where the estimate is that of the smooth model.
+    n_steps : ndarray of int64, shape (B,)
+        Iterations of the Haar model.
+    """
+
+    forces: Floats
+    error: Doubles
+    trusted: npt.NDArray[np.bool_]
+    finite: npt.NDArray[np.bool_]
+    is_smooth: npt.NDArray[np.bool_]
+    n_steps: npt.NDArray[np.int64]
+
+
+class BatchSolver:
+    """`SkinSolver` for many patches at once: same grid, mask and Phi, each its own past.
+
+    It is written against the Python array API standard and runs on numpy and torch, on a GPU too.
+    The steps, constants and random shifts are those of `SkinSolver`, with these differences:
+
+    - Sums of squares and numbers of a patch are float64 (there: float32 sums), so that estimates
+      differ by rounding, and where a decision lies within rounding of its bound, by more.
+    - A patch whose iteration diverges is returned as 0, untrusted, and begins anew; there, an
+      error is raised.
+    - Phi is "sbhe" with blocks of at most 64; at least 96 measurements, or all taxels: smaller
+      skins have no Haar model and are left to `SkinSolver`.
+    - All patches are measured by the same row subset in a frame. No budget ends a frame early.
+
+    Patches that need the smooth model, or a comparison of both, are handed to it as a smaller batch
+    on the same device; those that need more iterations of Haar, likewise.
+
+    Parameters
+    ----------
+    phis : sequence of Phi
+        Row subsets of one "sbhe" in their order; one with fixed rows.
+    mask : ndarray of bool, shape (n_rows, n_cols)
+        True where a taxel exists.
+    n_patches : int
+        B, at least 1.
+    iterations, max_iterations, seed
+        As in `SkinSolver`; all patches draw the same shifts.
+    device : str
+        As in `Backend`.
+
+    Raises
+    ------
+    SolverError
+        If a parameter is not allowed, or Phi and mask do not fit.
+    SettingsError
+        If there is no such device, or its library is not installed.
+    """
+
+    def __init__(
+        self,
+        phis: Sequence[Phi],
+        mask: Mask,
+        n_patches: int,
+        *,
+        iterations: int | None = None,
+        max_iterations: int = 30,
+        seed: int = 0,
+        device: str = "numpy",
+    ) -> None:
+        checked = _checked(phis, mask)
+        phi = checked[0]
+        self.n_patches = whole_number("batch", "n_patches", n_patches, 1, 2**20)
+        if iterations is None:
+            iterations = min(2 + round(phi.ratio / 4), MAX_ITERATIONS)
+        self.iterations = whole_number("batch", "iterations", iterations, 1, MAX_ITERATIONS)
+        most = whole_number("batch", "max_iterations", max_iterations, 1, MAX_ITERATIONS)
+        self.max_iterations = max(most, self.iterations)
+        whole_number("batch", "seed", seed, 0, 2**32 - 1)
+        self.backend = Backend(device)
+        shifts = np.random.default_rng(seed).integers(len(SHIFTS), size=N_DRAWN)
+        self.tables = Tables(self.backend, checked, mask, shifts)
+        self._smooth = SmoothBatch(self.tables)
+        self._numbers = {phi.fingerprint: k for k, phi in enumerate(checked)}
+        self.reset()
+
+    def reset(self, patches: npt.ArrayLike | None = None) -> None:
+        """Forget all earlier frames: of some patches, bool (B,), or of all."""
+        be, t = self.backend, self.tables
+        n_subsets = len(t.subsets)
+        if patches is None:
+            self._state = first_state(be, self.n_patches, t.n, t.m, n_subsets)
+            #: Frames of each patch, as the numbers of the state count them.
+            self._n_frames = np.zeros(self.n_patches, dtype=np.int64)
+            return
+        chosen = be.array(np.asarray(patches, dtype=np.bool_))
+        first = be.array(first_numbers(self.n_patches, n_subsets))
+        for name, array in self._state.items():
+            if name == NUMBERS:
+                self._state[name] = be.xp.where(chosen[None, :], first, array)
+            else:
+                self._state[name] = be.choose(chosen, be.xp.zeros_like(array), array)
+        self._n_frames[np.asarray(patches)] = 0
+
+    def unfitted(self, phi: Phi | None = None) -> Indices:
+        """Return the numbers of the measurements that estimates are not made from, intp."""
+        return self.tables.subsets[self._number_of(phi)].measurements
+
+    def solve(
+        self, y: Floats, phi: Phi | None = None, active: npt.ArrayLike | None = None
+    ) -> BatchFrame:
+        """Reconstruct one frame of each patch.
+
+        Parameters
+        ----------
+        y : ndarray of float32, shape (B, m)
+            Measurements, newtons; an array of the backend on its device is used as it is.
+        phi : Phi, optional
+            Row subset of the frame; None: the first.
+        active : array of bool, shape (B,), optional
+            False for patches without a frame: their state stays as it is, and their results mean
+            nothing. None: all have one.
+
+        Returns
+        -------
+        BatchFrame
+
+        Raises
+        ------
+        SolverError
+            If y is of another shape, not finite or above 1e14 N, or phi none of those given.
+        """
+        number = self._number_of(phi)
+        given = np.ones(self.n_patches, np.bool_) if active is None else np.asarray(active)
+        y = self._checked_y(y, given)
+        frame, result = self._frame(y, number, None if given.all() else given)
+        be = self.backend
+        self._n_frames += given
+        found = {name: be.numpy(array) for name, array in result.items()}
+        finite = found["finite"]
+        if not finite[given].all():
+            self.reset(~finite & given)
+        if not self.tables.tests:
+            found["error"] = np.where(finite, np.nan, np.inf)
+        steps = be.numpy(frame["n_haar"]).astype(np.int64)
+        return BatchFrame(**found, n_steps=steps)
+
+    def _frame(self, y: Array, number: int, active: Mask | None) -> tuple[State, State]:
+        """Compute a frame and the next state."""
+        t = self.tables
+        with np.errstate(all="ignore"):
+            frame = begin(t, self._state, y, number, self.iterations, self.max_iterations)
+            haar = self._tested(frame, estimate(t, frame), number)
+            smooth = self._smooth_of(frame, needs_smooth(t, frame, haar["error2"]), number)
+            median = self._uses_median(active)
+            state, result = finish(t, frame, haar, smooth, number, median)
+        state[f"y{number}"] = y
+        self._keep(state, active)
+        return frame, result
+
+    def _tested(self, frame: State, x: Array, number: int) -> State:
+        whole, error2 = test(self.tables, frame, x, number)
+        return {"x": x, "whole": whole, "error2": error2}
+
+    def _uses_median(self, active: Mask | None) -> bool:
+        frames = (self._n_frames if active is None else self._n_frames[active]) + 1
+        return bool(np.any((frames <= FIRST_MEDIANS) | (frames % EVERY == 0)))
+
+    def _keep(self, state: State, active: Mask | None) -> None:
+        """Make this the state, of patches that had a frame."""
+        be = self.backend
+        if active is not None:
+            chosen = be.array(active)
+            for name, array in state.items():
+                mask = chosen[None, :] if name == NUMBERS else chosen[:, None]
+                state[name] = be.xp.where(mask, array, self._state[name])
+        self._state |= state
+
+    def _smooth_of(self, frame: State, needed: Array, number: int) -> State:
+        """Return the estimates of the smooth model: of the patches that need it, else 0."""
+        t, be, xp = self.tables, self.backend, self.backend.xp
+        needs, cold = be.numpy(needed), be.numpy(frame["nothing_known"])
+        nothing = xp.zeros_like(frame["x"])
+        if not needs.any():
+            return {"x": nothing, "whole": nothing, "error2": frame["e2"] * 0, "made": needed}
+        given = known_of(t, frame, number)
+        found, order = [], []
+        for is_cold in (False, True):
+            chosen = np.flatnonzero(needs & (cold == is_cold))
+            if chosen.size:
+                part = {k: xp.take(v, be.array(chosen), axis=0) for k, v in vars(given).items()}
+                found.append(self._smooth.estimate(Known(**part), is_cold))
+                order.append(chosen)
+        places = np.zeros(self.n_patches, dtype=np.int64)
+        places[np.concatenate(order)] = np.arange(needs.sum())
+        x = xp.take(xp.concat(found, axis=0), be.array(places), axis=0)
+        return {**self._tested(frame, be.choose(needed, x, nothing), number), "made": needed}
+
+    def _number_of(self, phi: Phi | None) -> int:
+        if phi is None:
+            return 0
+        if phi.fingerprint not in self._numbers:
+            raise SolverError(f"batch: was not made for phi {phi.fingerprint}")
+        return self._numbers[phi.fingerprint]
+
+    def _checked_y(self, y: Any, active: Mask) -> Array:
+        """Return y on the device, float32, or raise SolverError."""
+        expected = (self.n_patches, self.tables.m)
+        if tuple(y.shape) != expected:
+            raise SolverError(f"batch: y has shape {tuple(y.shape)}; expected {expected}")
+        if not isinstance(y, np.ndarray):
+            return y
+        y = np.ascontiguousarray(np.where(active[:, None], y, 0), dtype=np.float32)
+        if not (np.abs(y) <= SkinSolver.y_max).all():
+            patch, place = np.argwhere(~(np.abs(y) <= SkinSolver.y_max))[0]
+            raise SolverError(
+                f"batch: measurement {place} of patch {patch} is {y[patch, place]}; "
+                f"allowed: finite numbers within +-{SkinSolver.y_max:g}"
+            )
+        return self.backend.array(y)
+
+
+def _checked(phis: Sequence[Phi], mask: Mask) -> list[SbhePhi]:
+    """Return the row subsets, or raise SolverError."""
+    found = [phi for phi in phis if type(phi) is SbhePhi and phi.block <= MAX_BLOCK]
+    if not phis or len(found) != len(phis):
+        raise SolverError(f'batch: phi: allowed: "sbhe" with blocks of at most {MAX_BLOCK}')
+    phi = found[0]
+    if mask.dtype != np.bool_ or mask.ndim != 2 or np.count_nonzero(mask) != phi.n:
+        raise SolverError(
+            f"batch: the mask is {mask.dtype} of shape {mask.shape} with "
+            f"{np.count_nonzero(mask)} taxels; expected bool with {phi.n}"
+        )
+    for other in found[1:]:
+        if other.m != phi.m or not np.array_equal(other.permutation, phi.permutation):
+            raise SolverError(f"batch: phi {other.fingerprint} is no row subset of the first one")
+    if phi.m < COMPARABLE and phi.m < phi.n:
+        raise SolverError(
+            f"batch: {phi.m} measurements are not allowed; allowed: {COMPARABLE} or more, "
+            'or all taxels; solver "skin" takes fewer'
+        )
+    return found
