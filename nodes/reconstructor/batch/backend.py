@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean, one_line
+from sparseskin.nodes.numerics.arrays import Floats
 
 Array: TypeAlias = Any
 """An array of the library in use; shapes and dtypes are stated beside it."""
@@ -54,16 +55,19 @@ class Backend:
         self.on_gpu = kind == "cuda"
         self.name = device
         self._device: Any = None
+        self._torch: Any = None
         if kind == "strict":
             self.xp = _module("array_api_strict", device)
         elif kind == "numpy":
             self.xp = _module("array_api_compat.numpy", device)
         else:
-            torch = _module("torch", device)
+            torch = self._torch = _module("torch", device)
             if self.on_gpu:
                 if not torch.cuda.is_available():
                     raise SettingsError(f"device: {device!r}: torch finds no GPU")
-                if device != "cuda" and device[5:] not in map(str, range(torch.cuda.device_count())):
+                if device != "cuda" and device[5:] not in map(
+                    str, range(torch.cuda.device_count())
+                ):
                     raise SettingsError(
                         f"device: {device!r}: allowed: cuda:0..cuda:{torch.cuda.device_count() - 1}"
                     )
@@ -73,9 +77,10 @@ class Backend:
         self.f32, self.f64, self.i64 = self.xp.float32, self.xp.float64, self.xp.int64
         self._numbers: dict[tuple[float, bool], Array] = {}
         self._counts: dict[int, Array] = {}
+        self._buffers: dict[str, Any] = {}
 
     def array(self, values: npt.ArrayLike) -> Array:
-        """Return a copy of values on the device; float32, float64, int64 and bool keep their type."""
+        """Return a copy of values on the device, of the same dtype."""
         return self.xp.asarray(np.array(values), device=self._device, copy=True)
 
     def zeros(self, *shape: int, double: bool = False) -> Array:
@@ -101,6 +106,33 @@ class Backend:
         if n not in self._counts:
             self._counts[n] = self.array(np.arange(n, dtype=np.int64))
         return self._counts[n]
+
+    def send(self, values: Floats) -> Array:
+        """Return a copy of values on the device; to a GPU by memory that it reads itself."""
+        if not self.on_gpu:
+            return self.array(values)
+        buffer = self._buffer("send", values.shape, self.f32)
+        buffer.numpy()[...] = values
+        return buffer.to(self._device, non_blocking=True)
+
+    def fetch(self, arrays: list[Array]) -> list[npt.NDArray[Any]]:
+        """Return arrays on the host after one wait; of a GPU, valid until the next call."""
+        if not self.on_gpu:
+            return [self.numpy(array) for array in arrays]
+        found = []
+        for place, array in enumerate(arrays):
+            buffer = self._buffer(f"fetch {place}", array.shape, array.dtype)
+            found.append(buffer.copy_(array, non_blocking=True))
+        self._torch.cuda.current_stream(self._device).synchronize()
+        return [one.numpy() for one in found]
+
+    def _buffer(self, name: str, shape: tuple[int, ...], dtype: Any) -> Any:
+        """Return memory of the host that a GPU reads and writes itself."""
+        known = self._buffers.get(name)
+        if known is None or known.shape != shape or known.dtype != dtype:
+            known = self._torch.empty(tuple(shape), dtype=dtype, pin_memory=True)
+            self._buffers[name] = known
+        return known
 
     # Operations that the solver needs in the standard's bare form.
 

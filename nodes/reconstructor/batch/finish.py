@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 
+from sparseskin.nodes.numerics.arrays import TINY
 from sparseskin.nodes.reconstructor.skin import clip_bias as clip
 from sparseskin.nodes.reconstructor.skin import evidence
 from sparseskin.nodes.reconstructor.skin.smooth import KEPT_FIXED, KEPT_ROTATING, LEAST_NOISE
 from sparseskin.nodes.reconstructor.skin.solver import TUNING
-from sparseskin.nodes.numerics.arrays import TINY
 
 from .backend import Array
 from .memory import variances
 from .smooth import Known
 from .state import NUMBERS, Numbers, State, pack
 from .tables import Tables
+
+#: Numbers of a result.
+RESULT = ("error", "trusted", "finite", "is_smooth", "n_steps")
 
 
 def test(t: Tables, frame: State, x: Array, number: int) -> tuple[Array, Array]:
@@ -27,10 +30,32 @@ def test(t: Tables, frame: State, x: Array, number: int) -> tuple[Array, Array]:
     return whole, be.dot(residual, residual) / t.n_held
 
 
-def needs_smooth(t: Tables, frame: State, haar2: Array) -> Array:
-    """Return True for the patches that need the smooth model, bool (B,)."""
-    excess = _excess(haar2, frame["known_noise"], max(1, t.n_held))
-    return frame["uses_smooth"] & ~(frame["uses_haar"] & ~(excess > 0))
+def tested(t: Tables, frame: State, x: Array, number: int) -> tuple[State, Array, Known]:
+    """Test the estimate of the Haar model, float32 (B, n).
+
+    Returns
+    -------
+    haar : State
+        As `finish` takes it.
+    needed : bool (B,)
+        True for the patches that need the smooth model.
+    known : Known
+        What the smooth model is given, of all patches.
+    """
+    whole, error2 = test(t, frame, x, number)
+    excess = _excess(error2, frame["known_noise"], max(1, t.n_held))
+    needed = frame["uses_smooth"] & ~(frame["uses_haar"] & ~(excess > 0))
+    haar = {"x": x, "whole": whole, "error2": error2}
+    return haar, needed, known_of(t, frame, number)
+
+
+def finish_smooth(
+    t: Tables, frame: State, haar: State, needed: Array, x: Array, number: int, median: bool
+) -> tuple[State, State]:
+    """End a frame as `finish`; x, float32 (B, n), are the estimates of the smooth model."""
+    whole, error2 = test(t, frame, x, number)
+    smooth = {"x": x, "whole": whole, "error2": error2, "made": needed}
+    return finish(t, frame, haar, smooth, number, median)
 
 
 def known_of(t: Tables, frame: State, number: int) -> Known:
@@ -75,7 +100,7 @@ def finish(
     state : State
         The changed parts of the next state.
     result : State
-        forces, float32 (B, n_rows, n_cols); error, float64; flags trusted, finite, is_smooth.
+        forces, float32 (B, n_rows, n_cols); numbers, float64 (k, B), in the order of `RESULT`.
     """
     be, xp = t.be, t.be.xp
     s = dict(frame["numbers"])
@@ -94,12 +119,11 @@ def finish(
     state |= {name: frame[name] for name in ("values", "known") if name in frame}
     state[f"step{number}"] = frame["step"]
     forces = t.image(_forces(t, x, s["bias"]))
+    error = xp.where(finite, error, be.number(math.inf))
+    flags = [be.double(one) for one in (trusted & finite, finite, is_smooth)]
     return state, {
         "forces": xp.where(finite[:, None, None], forces, xp.zeros_like(forces)),
-        "error": be.choose(finite, error, error * 0 + math.inf),
-        "trusted": trusted & finite,
-        "finite": finite,
-        "is_smooth": is_smooth,
+        "numbers": xp.stack([error, *flags, frame["n_haar"]], axis=0),
     }
 
 
@@ -134,9 +158,7 @@ def _choose(t: Tables, s: Numbers, frame: State, haar: State, smooth: State) -> 
     s["is_smooth"] = is_smooth
     mean = be.choose(is_smooth, means["smooth"], means["haar"])
     now = be.choose(is_smooth, smooth["error2"], haar["error2"])
-    excess = xp.maximum(
-        _excess(mean, noise, count * evidence.FRAMES), _excess(now, noise, count)
-    )
+    excess = xp.maximum(_excess(mean, noise, count * evidence.FRAMES), _excess(now, noise, count))
     error2 = be.at_least(excess, 0.0)
     s["exceeds"] = error2 > 0
     return error2

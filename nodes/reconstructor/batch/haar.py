@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sparseskin.nodes.numerics.arrays import TINY
+from sparseskin.nodes.numerics.arrays import TINY, Indices
 from sparseskin.nodes.reconstructor.skin.solver import N_DRAWN, TUNING
 
 from .backend import Array
@@ -59,7 +59,7 @@ def iterate(t: Tables, frame: State, carry: State) -> State:
 
 
 def _gather(t: Tables, vectors: Array, table: Array, shift: Array) -> Array:
-    """Return vectors, (b, k), in the order that a table, (n_shifts, l), has for the shifts, (b,)."""
+    """Return vectors, (b, k), in the order of a table, (n_shifts, l), at shifts, (b,)."""
     xp, (b, k) = t.be.xp, vectors.shape
     places = xp.take(table, shift, axis=0)
     places = places + (t.be.count(b) * k)[:, None]
@@ -100,7 +100,7 @@ def estimate(t: Tables, frame: State) -> Array:
     return xp.take(xp.concat(found, axis=0), be.array(places), axis=0)
 
 
-def _some(t: Tables, arrays: State, chosen: np.ndarray) -> State:  # type: ignore[type-arg]
+def _some(t: Tables, arrays: State, chosen: Indices) -> State:
     """Return the arrays of some patches, by their numbers."""
     places = t.be.array(chosen.astype(np.int64))
     return {name: t.be.xp.take(array, places, axis=0) for name, array in arrays.items()}

@@ -1,31 +1,30 @@
+# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
 """The iterations of one patch, in Triton; imported where Triton is installed."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import triton
 import triton.language as tl
 
 
-@triton.jit  # type: ignore[untyped-decorator, unused-ignore]
+@triton.jit
 def iterate(
-    x0: Any,
-    target0: Any,
-    weights0: Any,
-    out: Any,
-    signs0: Any,
-    steps0: Any,
-    steps_adjoint0: Any,
-    norms0: Any,
-    to_canvas: Any,
-    from_canvas: Any,
-    shifts: Any,
-    next_shift: Any,
-    n_haar: Any,
-    threshold0: Any,
-    least0: Any,
-    n: Any,
+    x0,
+    target0,
+    weights0,
+    out,
+    signs0,
+    steps0,
+    steps_adjoint0,
+    norms0,
+    to_canvas,
+    from_canvas,
+    shifts,
+    next_shift,
+    n_haar,
+    threshold0,
+    least0,
+    n,
     PLACES: tl.constexpr,
     BLOCK: tl.constexpr,
     SCALE: tl.constexpr,
@@ -34,7 +33,7 @@ def iterate(
     N_DRAWN: tl.constexpr,
     LEAST2: tl.constexpr,
     PRECISION: tl.constexpr,
-) -> None:
+):
     """Do all iterations of a patch; see `haar.iterate` for one, and `FusedIterations`."""
     patch = tl.program_id(0)
     places = tl.arange(0, PLACES)

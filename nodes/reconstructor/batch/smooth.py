@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +13,7 @@ from .backend import Array
 from .tables import Tables
 
 
-@dataclass(frozen=True)
-class Known:
+class Known(NamedTuple):
     """What the smooth model is given of b patches.
 
     Attributes
@@ -52,10 +51,32 @@ class SmoothBatch:
             return be.array(np.array(found, dtype=np.float32))
 
         n_rows, n_cols = t.shape
-        self._left = gaussians(n_rows, model.LENGTHS)
-        self._right = gaussians(n_cols, model.LENGTHS) * (1 / len(model.LENGTHS))
-        self._blur = gaussians(n_rows, (model.BLUR,)), gaussians(n_cols, (model.BLUR,))
-        self._neighbours = self._blurred(t.exists[None, :, :]) + TINY
+        self.left = gaussians(n_rows, model.LENGTHS)
+        self.right = gaussians(n_cols, model.LENGTHS) * (1 / len(model.LENGTHS))
+        self.blur = gaussians(n_rows, (model.BLUR,)), gaussians(n_cols, (model.BLUR,))
+        self.neighbours = self._blurred(t.exists[None, :, :]) + TINY
+
+    def estimate_some(self, given: Known, needed: Array, cold: Array) -> Array:
+        """Return the estimates of the patches that need one, float32 (B, n), of others 0.
+
+        The host waits for the flags needed and cold, bool (B,).
+        """
+        be, xp = self.t.be, self.t.be.xp
+        needs, is_cold = be.numpy(needed), be.numpy(cold)
+        found, order = [], []
+        for kind in (False, True):
+            chosen = np.flatnonzero(needs & (is_cold == kind))
+            if chosen.size:
+                places = be.array(chosen.astype(np.int64))
+                part = {name: xp.take(a, places, axis=0) for name, a in given._asdict().items()}
+                found.append(self.estimate(Known(**part), kind))
+                order.append(chosen)
+        if not found:
+            return xp.zeros_like(given.x)
+        places = np.zeros(needs.size, dtype=np.int64)
+        places[np.concatenate(order)] = np.arange(needs.sum())
+        x = xp.take(xp.concat(found, axis=0), be.array(places), axis=0)
+        return be.choose(needed, x, xp.zeros_like(x))
 
     def estimate(self, given: Known, cold: bool) -> Array:
         """Return the estimate, float32 (b, n); `cold` if the predictions are worth nothing."""
@@ -119,18 +140,18 @@ class SmoothBatch:
         """Return C W^T rows, float32 (b, n)."""
         t, xp = self.t, self.t.be.xp
         image = t.image(t.transform(rows)) * deviation
-        total = xp.sum(self._left @ image[:, None, :, :] @ self._right, axis=1)
+        total = xp.sum(self.left @ image[:, None, :, :] @ self.right, axis=1)
         return t.vector(total * deviation)
 
     def _deviation_of(self, x: Array) -> Array:
         """Return the deviation of each taxel, float32 (b, n_rows, n_cols), by an estimate."""
         t, be, xp = self.t, self.t.be, self.t.be.xp
-        blurred = self._blurred(t.image(be.positive(x))) / self._neighbours
+        blurred = self._blurred(t.image(be.positive(x))) / self.neighbours
         largest = xp.max(blurred, axis=(1, 2), keepdims=True)
         some = largest > 0
         relative = blurred / xp.where(some, largest, xp.ones_like(largest)) + model.FLOOR
         return t.exists * xp.where(some, relative, xp.ones_like(relative))
 
     def _blurred(self, image: Array) -> Array:
-        left, right = self._blur
+        left, right = self.blur
         return left @ image @ right

@@ -22,10 +22,9 @@ from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, whole_nu
 from sparseskin.nodes.reconstructor.solvers.projection import MAX_BLOCK
 
 from .backend import Array, Backend
-from .begin import begin
-from .finish import finish, known_of, needs_smooth, test
-from .haar import estimate
-from .smooth import Known, SmoothBatch
+from .finish import RESULT
+from .graphs import MODES, EagerFrames, Frames, GraphFrames
+from .smooth import SmoothBatch
 from .state import NUMBERS, State, first_numbers, first_state
 from .tables import Tables
 
@@ -88,6 +87,8 @@ class BatchSolver:
         As in `SkinSolver`; all patches draw the same shifts.
     device : str
         As in `Backend`.
+    mode : str
+        One of `graphs.MODES`; of a GPU alone.
 
     Raises
     ------
@@ -107,6 +108,7 @@ class BatchSolver:
         max_iterations: int = 30,
         seed: int = 0,
         device: str = "numpy",
+        mode: str = "fused",
     ) -> None:
         checked = _checked(phis, mask)
         phi = checked[0]
@@ -120,14 +122,23 @@ class BatchSolver:
         self.backend = Backend(device)
         shifts = np.random.default_rng(seed).integers(len(SHIFTS), size=N_DRAWN)
         self.tables = Tables(self.backend, checked, mask, shifts)
-        self._smooth = SmoothBatch(self.tables)
+        smooth = SmoothBatch(self.tables)
+        least, most = self.iterations, self.max_iterations
+        self._frames: Frames = EagerFrames(self.tables, smooth, least, most)
+        if mode not in MODES:
+            raise SolverError(f"batch: mode = {mode!r} is not allowed; allowed: {', '.join(MODES)}")
+        if self.backend.on_gpu and mode != MODES[0]:
+            self._frames = GraphFrames(self.tables, smooth, least, most, mode)
         self._numbers = {phi.fingerprint: k for k, phi in enumerate(checked)}
+        self._state: State = {}
         self.reset()
 
     def reset(self, patches: npt.ArrayLike | None = None) -> None:
         """Forget all earlier frames: of some patches, bool (B,), or of all."""
         be, t = self.backend, self.tables
         n_subsets = len(t.subsets)
+        if patches is None and self._state:
+            patches = np.ones(self.n_patches, dtype=np.bool_)
         if patches is None:
             self._state = first_state(be, self.n_patches, t.n, t.m, n_subsets)
             #: Frames of each patch, as the numbers of the state count them.
@@ -137,9 +148,9 @@ class BatchSolver:
         first = be.array(first_numbers(self.n_patches, n_subsets))
         for name, array in self._state.items():
             if name == NUMBERS:
-                self._state[name] = be.xp.where(chosen[None, :], first, array)
+                array[...] = be.xp.where(chosen[None, :], first, array)
             else:
-                self._state[name] = be.choose(chosen, be.xp.zeros_like(array), array)
+                array[...] = be.choose(chosen, be.xp.zeros_like(array), array)
         self._n_frames[np.asarray(patches)] = 0
 
     def unfitted(self, phi: Phi | None = None) -> Indices:
@@ -170,71 +181,59 @@ class BatchSolver:
         SolverError
             If y is of another shape, not finite or above 1e14 N, or phi none of those given.
         """
+        return self.advance(y, phi, active)[1]
+
+    def advance(
+        self,
+        y: Any,
+        phi: Phi | None = None,
+        active: npt.ArrayLike | None = None,
+        with_forces: bool = True,
+    ) -> tuple[Array, BatchFrame]:
+        """As `solve`; return also the forces on the device, valid until the next frame.
+
+        Without `with_forces` those of the `BatchFrame` are empty: they stay on the device.
+        """
         number = self._number_of(phi)
         given = np.ones(self.n_patches, np.bool_) if active is None else np.asarray(active)
         y = self._checked_y(y, given)
-        frame, result = self._frame(y, number, None if given.all() else given)
-        be = self.backend
+        some = None if given.all() else given
+        with np.errstate(all="ignore"):
+            state, result = self._frames.frame(self._state, y, number, self._uses_median(some))
+        state = {**state, f"y{number}": y}
+        self._keep(state, some)
+        wanted = [result["numbers"], *([result["forces"]] if with_forces else [])]
+        numbers, *rest = self.backend.fetch(wanted)
+        forces = rest[0] if rest else np.zeros((0, *self.tables.shape), dtype=np.float32)
         self._n_frames += given
-        found = {name: be.numpy(array) for name, array in result.items()}
-        finite = found["finite"]
+        found = dict(zip(RESULT, numbers, strict=True))
+        finite = found["finite"] > 0
         if not finite[given].all():
             self.reset(~finite & given)
         if not self.tables.tests:
             found["error"] = np.where(finite, np.nan, np.inf)
-        steps = be.numpy(frame["n_haar"]).astype(np.int64)
-        return BatchFrame(**found, n_steps=steps)
-
-    def _frame(self, y: Array, number: int, active: Mask | None) -> tuple[State, State]:
-        """Compute a frame and the next state."""
-        t = self.tables
-        with np.errstate(all="ignore"):
-            frame = begin(t, self._state, y, number, self.iterations, self.max_iterations)
-            haar = self._tested(frame, estimate(t, frame), number)
-            smooth = self._smooth_of(frame, needs_smooth(t, frame, haar["error2"]), number)
-            median = self._uses_median(active)
-            state, result = finish(t, frame, haar, smooth, number, median)
-        state[f"y{number}"] = y
-        self._keep(state, active)
-        return frame, result
-
-    def _tested(self, frame: State, x: Array, number: int) -> State:
-        whole, error2 = test(self.tables, frame, x, number)
-        return {"x": x, "whole": whole, "error2": error2}
+        return result["forces"], BatchFrame(
+            forces=forces,
+            error=found["error"],
+            trusted=found["trusted"] > 0,
+            finite=finite,
+            is_smooth=found["is_smooth"] > 0,
+            n_steps=found["n_steps"].astype(np.int64),
+        )
 
     def _uses_median(self, active: Mask | None) -> bool:
         frames = (self._n_frames if active is None else self._n_frames[active]) + 1
         return bool(np.any((frames <= FIRST_MEDIANS) | (frames % EVERY == 0)))
 
     def _keep(self, state: State, active: Mask | None) -> None:
-        """Make this the state, of patches that had a frame."""
+        """Make this the state, of patches that had a frame, in place."""
         be = self.backend
-        if active is not None:
-            chosen = be.array(active)
-            for name, array in state.items():
+        chosen = None if active is None else be.array(active)
+        for name, array in state.items():
+            if chosen is not None:
                 mask = chosen[None, :] if name == NUMBERS else chosen[:, None]
-                state[name] = be.xp.where(mask, array, self._state[name])
-        self._state |= state
-
-    def _smooth_of(self, frame: State, needed: Array, number: int) -> State:
-        """Return the estimates of the smooth model: of the patches that need it, else 0."""
-        t, be, xp = self.tables, self.backend, self.backend.xp
-        needs, cold = be.numpy(needed), be.numpy(frame["nothing_known"])
-        nothing = xp.zeros_like(frame["x"])
-        if not needs.any():
-            return {"x": nothing, "whole": nothing, "error2": frame["e2"] * 0, "made": needed}
-        given = known_of(t, frame, number)
-        found, order = [], []
-        for is_cold in (False, True):
-            chosen = np.flatnonzero(needs & (cold == is_cold))
-            if chosen.size:
-                part = {k: xp.take(v, be.array(chosen), axis=0) for k, v in vars(given).items()}
-                found.append(self._smooth.estimate(Known(**part), is_cold))
-                order.append(chosen)
-        places = np.zeros(self.n_patches, dtype=np.int64)
-        places[np.concatenate(order)] = np.arange(needs.sum())
-        x = xp.take(xp.concat(found, axis=0), be.array(places), axis=0)
-        return {**self._tested(frame, be.choose(needed, x, nothing), number), "made": needed}
+                array = be.xp.where(mask, array, self._state[name])
+            self._state[name][...] = array
 
     def _number_of(self, phi: Phi | None) -> int:
         if phi is None:
@@ -257,7 +256,7 @@ class BatchSolver:
                 f"batch: measurement {place} of patch {patch} is {y[patch, place]}; "
                 f"allowed: finite numbers within +-{SkinSolver.y_max:g}"
             )
-        return self.backend.array(y)
+        return self.backend.send(y)
 
 
 def _checked(phis: Sequence[Phi], mask: Mask) -> list[SbhePhi]:

@@ -158,9 +158,7 @@ class Tables:
     def image(self, x: Array) -> Array:
         """Return vectors of taxels, float32 (b, n), as images, float32 (b, n_rows, n_cols)."""
         x = x if self.full else self.with_zero(x)
-        return self.be.xp.reshape(
-            self.be.xp.take(x, self.place_of_cell, axis=1), (-1, *self.shape)
-        )
+        return self.be.xp.reshape(self.be.xp.take(x, self.place_of_cell, axis=1), (-1, *self.shape))
 
     def vector(self, image: Array) -> Array:
         """Return images as vectors, the inverse of `image`."""
@@ -182,9 +180,7 @@ def haar_of_tile() -> Floats:
     return np.ascontiguousarray(images.reshape(TILE * TILE, -1).T, dtype=np.float32)
 
 
-def _canvas_of(
-    places: Indices, n: int, shift: tuple[int, int]
-) -> tuple[Indices, Indices]:
+def _canvas_of(places: Indices, n: int, shift: tuple[int, int]) -> tuple[Indices, Indices]:
     """Return the gathers of one shift: to the canvas, tile by tile, and back."""
     n_rows, n_cols = (-(-side // TILE) * TILE for side in places.shape)
     canvas = np.full((n_rows, n_cols), n, dtype=np.int64)
