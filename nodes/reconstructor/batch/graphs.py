@@ -88,12 +88,12 @@ class GraphFrames:
         ) -> Ended:
             return finish_smooth(t, frame, haar, needed, x, number, median)
 
-        self._parts: tuple[Callable[..., Any], ...] = (begins, tests, ends)
+        self._parts: list[Callable[..., Any]] = [begins, tests, ends]
         #: The parts as they are captured.
         self._final = self._parts
         if mode == "compiled":
             compiler: Any = torch.compile
-            self._final = tuple([compiler(part, dynamic=False) for part in self._parts])
+            self._final = [compiler(part, dynamic=False) for part in self._parts]
 
     def frame(self, state: State, y: Array, number: int, median: bool) -> Ended:
         """See `Frames`; the state has to be the same arrays in every call."""
@@ -110,7 +110,7 @@ class GraphFrames:
             return self._in_parts(state, y, number, median)
         iterations, smooth = self._kernels
 
-        def whole(parts: tuple[Callable[..., Any], ...]) -> Ended:
+        def whole(parts: list[Callable[..., Any]]) -> Ended:
             begins, tests, ends = parts
             frame = begins(state, y, number)
             haar, needed, known = tests(frame, iterations.estimate(frame), number)
