@@ -20,6 +20,9 @@ FORGOTTEN = 1.002
 SLOWEST = 0.05
 #: First frames in which the median of the taxels is used, and every how many frames later.
 FIRST, EVERY = 8, 32
+#: Squared length of Phi 1 a taxel up to which it is 0 but for rounding: no row of the subset sees
+#: a bias. Derived: float32 leaves 1e-12, one row of +1 has 32 / N, above 1e-6 up to 3e7 taxels.
+DUST = 1e-6
 
 
 class ClipBias:
@@ -76,7 +79,7 @@ class ClipBias:
         `left` is the product of Phi 1 with the residual, s2 the variance of a measurement's noise.
         """
         self._n_frames += 1
-        more = left / self._energy if self._energy else 0.0
+        more = left / self._energy if self._energy > DUST * self._n else 0.0
         if self._n_frames <= FIRST or self._n_frames % EVERY == 0:
             more += float(np.median(x))
         self._least_s2 = min(FORGOTTEN * self._least_s2, s2)

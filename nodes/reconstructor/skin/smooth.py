@@ -229,7 +229,7 @@ class SmoothModel:
     def _deviation_of(self, x: Floats) -> Floats:
         image = np.zeros_like(self._exists)
         image.reshape(-1)[self._taxels] = np.maximum(x, 0)
-        blurred: Floats = self._blurred(image) / self._neighbours
+        blurred: Floats = self._exists * self._blurred(image) / self._neighbours
         largest = float(blurred.max())
         if not largest > 0:
             return self._exists

@@ -257,6 +257,7 @@ class SkinSolver(Solver):
         y = self._checked_y(y)
         if self._begun and self.phi is not self._last_phi:
             self._rotating = True
+        first = not self._begun
         self._begun, self._last_phi = True, self.phi
         if warm is not None:
             cells = self.taxels[self._projection.order]
@@ -289,8 +290,9 @@ class SkinSolver(Solver):
         self._n_haar = (
             min(self.max_iterations, self.iterations + int(more)) if HAAR in models else 0
         )
-        rotating = self._memory is not None and self._rotating
-        if rotating:
+        # Whether rows rotate shows in the second frame, which remembers the first.
+        remembers = self._memory is not None and (self._rotating or first)
+        if remembers:
             self._recall(e2, settling)
         else:
             # y' = Phi x_p + K e
@@ -303,7 +305,7 @@ class SkinSolver(Solver):
         self._n_rounds, self._needs_smooth = 0, True
         self._residuals: dict[str, Floats] = {}
         if SMOOTH in models:
-            self._begin_smooth(e2, rotating)
+            self._begin_smooth(e2, remembers)
         self.n_steps = self._n_haar + self._n_rounds
         np.copyto(self._z, self._x)
         np.copyto(self._correction, self._x)
