@@ -45,7 +45,8 @@ class Measurements(Message):
 
     `phi` is the fingerprint of their Phi, 16 hex digits. `places` marks the taxels read, where
     the edge chooses them anew each frame: one bit for each existing taxel, the highest bit first,
-    uint8, shape (N / 8,), rounded up.
+    uint8, shape (N / 8,), rounded up. `nodes` states the nodes of a quad tree that are measured,
+    where the edge chooses those anew: uint8, as the tree codes them.
     """
 
     schema: ClassVar[str] = "measurements"
@@ -53,6 +54,9 @@ class Measurements(Message):
     y: Floats = wire(Samples())
     phi: str = wire(Text(16, FINGERPRINT_PATTERN))
     places: npt.NDArray[np.uint8] | None = wire(
+        Array("|u1", 1, optional=True), default=None, omitted=True
+    )
+    nodes: npt.NDArray[np.uint8] | None = wire(
         Array("|u1", 1, optional=True), default=None, omitted=True
     )
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.acts import ActsPhi, ActsSearch, force_threshold
+from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import m_of, row_subsets
 from sparseskin.nodes.errors import SolverError
@@ -90,13 +91,22 @@ class Method:
         Matrices that frames take in turn: one where rows are fixed.
     f_max_n : float
         Upper end of the taxels' range, newtons; only phi "acts" needs it.
+
+    Attributes
+    ----------
+    n_code_bytes : int
+        Size of the last frame's choice of rows; 0 but for phi "adaptive".
     """
 
     def __init__(self, solver: Solver, phis: Sequence[Phi], f_max_n: float = PAPER_F_MAX_N) -> None:
         self.solver = solver
         self.phis = phis
         self.n_frames = 0
+        self.n_code_bytes = 0
         self._search: ActsSearch | None = None
+        self._choice: AdaptiveChoice | None = None
+        if isinstance(solver.phi, AdaptivePhi):
+            self._choice = AdaptiveChoice(solver.phi)
         if isinstance(solver.phi, ActsPhi):
             noise = NoiseModel.for_range(f_max_n)
             threshold = force_threshold(noise.sigma_end, noise.f_max)
@@ -111,12 +121,18 @@ class Method:
         """Forget all frames, and begin with the first matrix again."""
         self.solver.reset()
         self.n_frames = 0
+        if self._choice is not None and isinstance(self.phi, AdaptivePhi):
+            self._choice = AdaptiveChoice(self.phi)
 
     def measure(self, taxels: Floats) -> Floats:
         """Measurements of the next frame: float32, shape (n_rows, n_cols) to (m,)."""
         x, phi = taxels.reshape(-1)[self.solver.taxels], self.phi
         if self._search is not None and isinstance(phi, ActsPhi):
             phi.choose(self._search.places(x.take))
+        if self._choice is not None and isinstance(phi, AdaptivePhi):
+            y = self._choice.measure(phi.tree.analysis(x).take)
+            self.n_code_bytes = phi.tree.coded(phi.chosen).size
+            return y
         return phi.forward(x)
 
     def solve(self, y: Floats) -> Solved:
@@ -171,6 +187,7 @@ def make_method(
     phi: str = "sbhe",
     mask: Mask | None = None,
     f_max_n: float = PAPER_F_MAX_N,
+    sigma_end: float = 0.0,
 ) -> Method:
     """Make a method by the names of its parts.
 
@@ -190,6 +207,9 @@ def make_method(
         True where a taxel exists. None: everywhere.
     f_max_n : float
         Upper end of the taxels' range, newtons. Settings are used as stated, whatever the range.
+    sigma_end : float
+        Standard deviation of an untouched taxel's noise, newtons, as the skin states it to phi
+        "adaptive"; 0 if it is not known.
 
     Raises
     ------
@@ -199,6 +219,7 @@ def make_method(
     settings = {key: value for key, value in chosen.items() if key not in ("solver", "basis")}
     n = shape[0] * shape[1] if mask is None else int(np.count_nonzero(mask))
     phis = phis_at(n, ratio, rows, seed, phi)
+    layout(phis[0], np.ones(shape, dtype=np.bool_) if mask is None else mask, sigma_end, f_max_n)
     basis = make_basis(chosen.get("basis", "haar"), *shape)
     solver = make_rotating_solver(chosen["solver"], phis, basis, mask, **settings)
     return Method(solver, phis, f_max_n)

@@ -15,6 +15,7 @@ from sparseskin.nodes.compressor.phi.acts import (
     force_threshold,
     packed_places,
 )
+from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
 from sparseskin.nodes.compressor.phi.base import KINDS, Phi, check_parameters, make_phi
 from sparseskin.nodes.compressor.phi.rotation import (
     RATIO,
@@ -41,7 +42,8 @@ class CompressorSettings(PatchSettings):
     phi: str = setting(
         "sbhe",
         "measurement matrix: sbhe, full, subsample, gaussian, acts (taxels chosen anew in each "
-        "frame, for the solver interpolation) or module:Class",
+        "frame, for the solver interpolation), adaptive (rows where forces changed, chosen anew in "
+        "each frame, for the solver skin) or module:Class",
         known=KINDS,
         decides=True,
     )
@@ -107,6 +109,7 @@ class Compressor(Node[CompressorSettings]):
         self._subset = 0
         self._rows = settings.rows  # in use: resolved once the skin is known
         self._search: ActsSearch | None = None
+        self._choice: AdaptiveChoice | None = None
         self._cells: np.ndarray[tuple[int], np.dtype[np.intp]] | None = None
 
     @classmethod
@@ -174,13 +177,15 @@ class Compressor(Node[CompressorSettings]):
         s = self.settings
         rows, m = s.rows_and_m(n)
         phi = make_phi(s.phi, n=n, m=m, seed=s.seed, block=s.block)
+        exists = np.ones(state.skin.shape, np.bool_) if state.mask is None else state.mask
+        layout(phi, exists, state.sigma_end, state.f_max)
         subsets = row_subsets(phi, rows)
         self._warn(phi)
         self._state, self._subsets, self._subset, self._rows = state, subsets, 0, rows
         self._cells = None if state.mask is None else np.flatnonzero(state.mask)
         if isinstance(phi, ActsPhi):
-            exists = np.ones(state.skin.shape, np.bool_) if state.mask is None else state.mask
             self._search = ActsSearch(exists, phi.m, force_threshold(state.sigma_end, state.f_max))
+        self._choice = AdaptiveChoice(phi) if isinstance(phi, AdaptivePhi) else None
         return PhiState(
             stamp_ns=stamp_ns,
             patch=s.patch,
@@ -211,12 +216,16 @@ class Compressor(Node[CompressorSettings]):
             x = x[self._cells]
         phi = self._subsets[self._subset]
         self._subset = (self._subset + 1) % len(self._subsets)
-        places = None
+        places = nodes = None
         if isinstance(phi, ActsPhi) and self._search is not None:
             found = self._search.places(x.take)
             phi.choose(found)
             places = packed_places(found, phi.n)
-        y = phi.forward(x)
+        if isinstance(phi, AdaptivePhi) and self._choice is not None:
+            y = self._choice.measure(phi.tree.analysis(x).take)
+            nodes = phi.tree.coded(phi.chosen)
+        else:
+            y = phi.forward(x)
         bits = self.settings.bits
         return Measurements(
             stamp_ns=taxels.stamp_ns,
@@ -224,4 +233,5 @@ class Compressor(Node[CompressorSettings]):
             y=y if bits is None else quantised(y, bits),
             phi=phi.fingerprint,
             places=places,
+            nodes=nodes,
         )

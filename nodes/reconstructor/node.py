@@ -22,6 +22,7 @@ from sparseskin.messages import (
 )
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.acts import follow
+from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, layout
 from sparseskin.nodes.compressor.phi.base import KINDS, Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import (
@@ -154,7 +155,7 @@ class Reconstructor(Node[ReconstructorSettings]):
     def _set_up(self, state: SkinState, announced: PhiState, stamp_ns: int) -> SolverState:
         """Make Phi and solver for a skin; return the message that announces them."""
         skin = state.skin
-        subsets = phis_to_invert(self.settings, skin.n_taxels, announced)
+        subsets = phis_to_invert(self.settings, state, announced)
         phi = subsets[0]
         chosen = dict(self.settings.chosen())
         options = {k: v for k, v in chosen.items() if k not in ("solver", "basis")}
@@ -199,10 +200,12 @@ class Reconstructor(Node[ReconstructorSettings]):
         if not self.settings.uncertainty:
             return None
         name = self.settings.chosen()["solver"]
-        if name in CALIBRATED:
+        adaptive = isinstance(solver.phi, AdaptivePhi)
+        if name in CALIBRATED and not adaptive:
             return Uncertainty(solver.mask, ratio, name, rows)
+        what = f"{name} with phi adaptive" if adaptive else name
         self.context.log(
-            f"uncertainty: the error of solver {name} is not known, and none is published; "
+            f"uncertainty: the error of solver {what} is not known, and none is published; "
             f"known: {', '.join(CALIBRATED)}"
         )
         return None
@@ -233,11 +236,12 @@ class Reconstructor(Node[ReconstructorSettings]):
             )
         try:
             follow(phi, measurements.places)
+            follow_nodes(phi, measurements.nodes)
             if len(self._subsets) > 1:
                 self._solver.use(phi)
             given = y = measurements.y
-            # If each frame chooses its taxels anew, there are no rows to watch.
-            watched = measurements.places is None
+            # If each frame chooses its taxels or rows anew, there are no rows to watch.
+            watched = measurements.places is None and measurements.nodes is None
             if watched:
                 given, y = self._watch.cleaned(phi, given, self._last)
         except (PhiError, SolverError) as error:
@@ -344,8 +348,10 @@ def _rehearse(settings: ReconstructorSettings) -> None:
         solver.solve(np.zeros(phi.m, dtype=np.float32))
 
 
-def phis_to_invert(settings: ReconstructorSettings, n: int, announced: PhiState) -> list[Phi]:
-    """Return the matrices of the measurements: one Phi of n taxels, or one for each row subset.
+def phis_to_invert(
+    settings: ReconstructorSettings, state: SkinState, announced: PhiState
+) -> list[Phi]:
+    """Return the matrices of the measurements: one Phi of a skin, or one for each row subset.
 
     A Phi that is stated in the settings replaces the announced one.
 
@@ -357,11 +363,13 @@ def phis_to_invert(settings: ReconstructorSettings, n: int, announced: PhiState)
     PhiError
         If a stated Phi cannot be made.
     """
-    s = settings
+    s, n = settings, state.skin.n_taxels
+    exists = np.ones(state.skin.shape, np.bool_) if state.mask is None else state.mask
     stated = s.stated_rows_and_m(n)
     if stated is not None:
         rows, m = stated
         phi = make_phi(s.phi, n=n, m=m, seed=s.phi_seed, block=s.phi_block)
+        layout(phi, exists, state.sigma_end, state.f_max)
         return row_subsets(phi, rows)
     # Nothing named over the wire is ever imported: a Phi of the user's own has to be stated.
     if announced.kind not in KINDS:
@@ -375,6 +383,7 @@ def phis_to_invert(settings: ReconstructorSettings, n: int, announced: PhiState)
         phi = make_phi(
             announced.kind, n=n, m=announced.m, seed=announced.seed, block=announced.block
         )
+        layout(phi, exists, state.sigma_end, state.f_max)
         subsets = row_subsets(phi, announced.rows)
     except PhiError as error:
         raise RefusedError(f"{announced.topic}: {error}") from error

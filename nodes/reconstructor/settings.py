@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sparseskin.messages.ranges import is_real
+from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import KINDS, make_phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROWS, rows_and_m
 from sparseskin.nodes.errors import PhiError, SettingsError, SolverError
@@ -193,6 +194,11 @@ class ReconstructorSettings(PatchSettings):
         if isinstance(phi, type):
             with naming("solver"):
                 check_reads(chosen, solver, kind, phi)
+            if self.resultant and issubclass(phi, AdaptivePhi):
+                raise SettingsError(
+                    "resultant: is not available with phi adaptive, whose rows change each frame; "
+                    "allowed: sbhe"
+                )
 
     def stated_rows_and_m(self, n: int) -> tuple[str, int] | None:
         """Rows and M of a stated phi for `n` taxels, those of a compressor with the same settings.

@@ -14,6 +14,7 @@ import zstandard
 from sparseskin.launch.launchfile.load import load
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.acts import ActsSearch, force_threshold
+from sparseskin.nodes.compressor.phi.quadtree import Quadtree
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, m_of
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.settings import PRESETS
@@ -31,6 +32,7 @@ N_CODES = 255
 """Largest code of a reading in 8 bits."""
 
 SKIN, ROTATED, ALONE, PAPER, REPLAY = "skin", "skin, rotating", "skin, alone", "paper", "replay"
+ADAPTIVE = "skin, adaptive"
 LATTICE, HOLD, SUBSAMPLE, ACTS = "lattice", "hold", "subsample", "acts"
 SIMPLE = (LATTICE, HOLD, SUBSAMPLE, ACTS)
 """Methods that read single taxels at the edge, and need no measurement matrix."""
@@ -206,6 +208,14 @@ def make_methods(skin: Skin, ratio: int, seed: int) -> dict[str, Callable[[], Co
         method = _method(skin, chosen, ratio, seed, rows, phi)
         return sized(method, method.phi.m)
 
+    def adaptive() -> Compared:
+        m = adaptive_values(skin, m_of(skin.n, ratio))
+        # M is rounded down: a half keeps it from rounding errors.
+        method = _method(skin, PRESETS["skin"], skin.n / (m + 0.5), seed, FIXED, "adaptive")
+        return Compared(
+            method, method.phi.m, lambda: VALUE_BYTES * method.phi.m + method.n_code_bytes
+        )
+
     def alone() -> Compared:
         method = _method(skin, PRESETS["skin"], ratio, seed, FIXED)
         return sized(Alone(method), method.phi.m)
@@ -226,6 +236,7 @@ def make_methods(skin: Skin, ratio: int, seed: int) -> dict[str, Callable[[], Co
     methods = {
         SKIN: lambda: solver(PRESETS["skin"], FIXED),
         ROTATED: lambda: solver(PRESETS["skin"], ROTATING),
+        ADAPTIVE: adaptive,
         ALONE: alone,
         PAPER: lambda: solver(PRESETS["paper"], FIXED),
         LATTICE: lambda: simple(Lattice(skin.mask, ratio)),
@@ -260,7 +271,7 @@ def replayed() -> str:
 
 
 def _method(
-    skin: Skin, chosen: Mapping[str, Any], ratio: int, seed: int, rows: str, phi: str = "sbhe"
+    skin: Skin, chosen: Mapping[str, Any], ratio: float, seed: int, rows: str, phi: str = "sbhe"
 ) -> Method:
     settings = dict(chosen)
     if "lambda_n" in settings:
@@ -336,6 +347,18 @@ def _slope(k: int) -> int:
 def address_bytes(n: int, m: int) -> int:
     """Bytes that state which m of n taxels are sent: a bit a taxel, or a number each."""
     return min(math.ceil(n / 8), math.ceil(m * max(1, (n - 1).bit_length()) / 8))
+
+
+def adaptive_values(skin: Skin, m: int) -> int:
+    """Number of rows that fit with the code of their choice into the bytes of m values, at least 1.
+
+    The code is as long as it can be where all quarters of a node exist.
+    """
+    for k in range(m, 1, -1):
+        tree = Quadtree(skin.mask, k)
+        if VALUE_BYTES * k + tree.most_code_bytes(k - tree.n_tiles) <= VALUE_BYTES * m:
+            return k
+    return 1
 
 
 def acts_values(n: int, m: int) -> int:

@@ -20,12 +20,23 @@ from sparseskin.studies.report import (
     write_csv,
 )
 
-from .methods import ALONE, CODECS, PAPER, REPLAY, ROTATED, SIMPLE, SKIN, VALUE_BYTES, replayed
+from .methods import (
+    ADAPTIVE,
+    ALONE,
+    CODECS,
+    PAPER,
+    REPLAY,
+    ROTATED,
+    SIMPLE,
+    SKIN,
+    VALUE_BYTES,
+    replayed,
+)
 from .recordings import GHOST, LOADED, UNTOUCHED, Recording
 
 RATIOS = (3, 4, 8)
 #: Order of the columns.
-METHODS = (SKIN, ROTATED, REPLAY, ALONE, PAPER, *SIMPLE)
+METHODS = (SKIN, ROTATED, ADAPTIVE, REPLAY, ALONE, PAPER, *SIMPLE)
 LEAST_ERROR = 0.5
 """Least relative error that a quotient is formed with, in %. Chosen: about that of readings in 8
 bits, so that below it all methods are as good as exact."""

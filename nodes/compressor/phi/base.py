@@ -20,6 +20,7 @@ KINDS = {
     "subsample": "sparseskin.nodes.compressor.phi.identity:SubsamplePhi",
     "gaussian": "sparseskin.nodes.compressor.phi.gaussian:GaussianPhi",
     "acts": "sparseskin.nodes.compressor.phi.acts:ActsPhi",
+    "adaptive": "sparseskin.nodes.compressor.phi.adaptive:AdaptivePhi",
 }
 _INTERFACE = (
     *("kind", "n", "m", "ratio", "lipschitz", "fingerprint"),
@@ -186,8 +187,9 @@ def make_phi(kind: str, n: int, m: int, seed: int, block: int = 32) -> Phi:
     ----------
     kind : str
         "sbhe" (scrambled block Hadamard, the paper's), "full" (every taxel), "subsample"
-        (single taxels), "gaussian" (dense), "acts" (single taxels, chosen anew in each frame), or
-        "module:Class" for your own, with the constructor and the interface of `Phi`.
+        (single taxels), "gaussian" (dense), "acts" (single taxels, chosen anew in each frame),
+        "adaptive" (rows of a quad tree, chosen anew in each frame), or "module:Class" for your own,
+        with the constructor and the interface of `Phi`.
     n, m, seed, block : int
         As in `Phi`.
 

@@ -130,6 +130,7 @@ class SkinSolver(Solver):
 
     name = "skin"
     rotates = True
+    adaptive = True
     #: The sum of squares of larger ones could overflow float32.
     y_max = 1e14
 
@@ -427,9 +428,20 @@ class SkinSolver(Solver):
         return self._prediction.failed or not self._has_estimate
 
     @property
+    def noise(self) -> float:
+        """Variance of the noise on a measurement, squared newtons; 0 before it is known."""
+        return self._known_noise
+
+    @property
     def _known_noise(self) -> float:
         """Variance of the noise on a measurement, squared newtons; 0 before it is known."""
         return self._gain.noise if self._noise.known else 0.0
+
+    def filtered_error2(self, x: Floats) -> float:
+        """Mean squared error of a taxel that the noise leaves in an estimate x, float32 (n,)."""
+        touched = math.sqrt(np.count_nonzero(x) / self.phi.n)
+        gain = self._gain.gain if self.model == HAAR else 1.0
+        return TUNING.filtered_error * touched * gain * self._known_noise
 
     def _judge(self) -> None:
         """Set the error of the estimate, and whether it is trusted."""
@@ -437,9 +449,7 @@ class SkinSolver(Solver):
             self.error, self.trusted = None, True
             return
         noise, x, n = self._known_noise, self._x, self.phi.n
-        touched = math.sqrt(np.count_nonzero(x) / n)
-        gain = self._gain.gain if self.model == HAAR else 1.0
-        filtered = TUNING.filtered_error * touched * gain * noise
+        filtered = self.filtered_error2(x)
         beyond = self._held_out.error2(noise)
         error2, power = max(beyond, filtered), float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)

@@ -12,6 +12,7 @@ import numpy as np
 
 from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.nodes.compressor.phi.acts import ActsPhi
+from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, row_subsets
 from sparseskin.nodes.errors import SolverError
@@ -31,6 +32,8 @@ SOLVERS = {
     "omp": "sparseskin.nodes.reconstructor.solvers.omp:OmpSolver",
     "interpolation": "sparseskin.nodes.reconstructor.solvers.interpolation:InterpolationSolver",
 }
+#: Forms of solvers for phi "adaptive".
+FOR_ADAPTIVE = {"skin": "sparseskin.nodes.reconstructor.skin.adaptive:AdaptiveSkinSolver"}
 MAX_ITERATIONS = 1000
 _INTERFACE = ("setup", "step", "finish", "solve", "reset", "n_steps", "taxels")
 
@@ -76,6 +79,8 @@ class Solver(ABC):
     subsets: tuple[Phi, ...] = ()
     #: True if it follows a phi that chooses its taxels anew each frame.
     follows_choice: bool = False
+    #: True if it, or its form of `FOR_ADAPTIVE`, follows a phi that chooses rows anew each frame.
+    adaptive: bool = False
     #: Class of the phi that it can use.
     reads: type = object
     #: Estimated RMS error of a taxel of the last frame, in the unit of the forces; None where the
@@ -306,6 +311,8 @@ def make_solver(
             )
     cls = find_class("solver", name, SOLVERS, SolverError)
     check_reads(name, cls, phi.kind, type(phi))
+    if isinstance(phi, AdaptivePhi) and name in FOR_ADAPTIVE:
+        cls = find_class("solver", FOR_ADAPTIVE[name], {}, SolverError)
     parameters = inspect.signature(cls).parameters
     known = [p for p in parameters if p not in ("phi", "basis", "mask", "fast")]
     takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
@@ -351,6 +358,10 @@ def check_reads(name: str, solver: object, kind: str, phi: type) -> None:
     if issubclass(phi, ActsPhi) and not getattr(solver, "follows_choice", False):
         raise SolverError(
             f'solver "{name}": phi "acts" reads other taxels each frame; allowed: interpolation'
+        )
+    if issubclass(phi, AdaptivePhi) and not getattr(solver, "adaptive", False):
+        raise SolverError(
+            f'solver "{name}": phi "adaptive" reads other rows each frame; allowed: skin'
         )
     if not issubclass(phi, getattr(solver, "reads", object)):
         raise SolverError(f'solver "{name}": phi "{kind}" mixes taxels; allowed: acts, subsample')

@@ -1,0 +1,365 @@
+"""Adaptive rows: in each frame those of W are measured that changed most since they were read.
+
+`AdaptivePhi` is the measurement matrix of a frame's choice, which travels with the measurements as
+a few bits a node of the quad tree; `AdaptiveChoice` chooses at the edge, from what was measured;
+`HeldRows` is what both ends know: the last measurement of every row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask
+
+from .base import Phi, fingerprint_of
+from .quadtree import N_DETAILS, Quadtree
+
+CLIP_MEAN, CLIP_SD = 0.399, 0.584
+"""Mean and standard deviation of an untouched taxel's noise clipped at 0, in standard deviations of
+the noise. Derived: of max(0, z), z normal."""
+UNTOUCHED_SIGMAS = 3.0
+"""Standard deviations of its noise up to which the sum of a node is that of untouched taxels.
+Chosen: 2 to 4 make no difference on presses on 40 x 40 taxels."""
+UNTOUCHED_FRACTION = 1e-5
+"""The same in parts of f_max where no noise is stated. Chosen: above the rounding of float32."""
+MOST_SCALED = 1.5
+"""Largest factor by which details grow with the sum of their node. Chosen."""
+
+N_ROUNDS = 6
+"""Rounds of reading a frame, each decided from those before it. Fitted on five recordings of real
+skins: 3 are worse, 12 hardly better."""
+SUM_CHANGE = 0.5
+"""Expected squared change of a node's details, in that of its sum. Fitted on the same recordings:
+0.25 is worse, 1 no better."""
+DRIFT_MEMORY = 0.5
+"""Weight of the past in a node's squared change a frame, when it is read. Chosen."""
+OLDEST_PART = 0.125
+"""Part of the measurements beyond the sums that goes to the nodes which were read longest ago, so
+that every row is read in a bounded number of frames. Fitted on the same recordings: without it the
+error is up to 1.9 % of the force larger."""
+UNTOUCHED_HASTE = 0.125
+"""Age of an untouched node in that of another one, where the oldest are read. Chosen."""
+
+Read = Callable[[Indices], npt.NDArray[np.floating]]
+
+
+class AdaptivePhi(Phi):
+    """Phi = Q W of this frame: m rows of a quad tree's W, set by `choose` for each frame.
+
+    Before the first choice they are the first m rows. `lay_out` states the grid; before that, the
+    taxels are in a line. The fingerprint is of n, m and the grid: the choice has to travel with
+    the measurements.
+
+    Attributes
+    ----------
+    tree : Quadtree
+        W.
+    rows : ndarray of intp, shape (m,)
+        Rows of W that are measured, ascending.
+    chosen : ndarray of bool, shape (n_nodes,)
+        Nodes of which all details are measured.
+    bias, untouched : float
+        Mean reading of an untouched taxel, and the normalised sum up to which a node counts as
+        untouched, in the unit of the forces.
+
+    Raises
+    ------
+    PhiError
+        If m is less than 4, a sum and the details of a node; and as in `Phi`.
+    """
+
+    kind = "adaptive"
+
+    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+        super().__init__(n, m, seed, block)
+        self.exists: Mask | None = None
+        self._lay_out(np.ones((1, n), dtype=np.bool_))
+        self.state_noise(0.0, PAPER_F_MAX_N)
+
+    @classmethod
+    def check_size(cls, n: int, m: int, seed: int, block: int) -> None:
+        super().check_size(n, m, seed, block)
+        least = min(n, 1 + N_DETAILS)
+        if m < least:
+            raise PhiError(
+                f'phi "adaptive": m = {m} is not allowed; allowed: {least}..{n} (n = {n} taxels)'
+            )
+
+    def lay_out(self, exists: Mask) -> None:
+        """Set the grid of the taxels, bool (n_rows, n_cols), True where one exists.
+
+        Raises
+        ------
+        PhiError
+            If they are not n taxels.
+        """
+        if self.exists is not None and np.array_equal(self.exists, exists):
+            return
+        if np.count_nonzero(exists) != self.n:
+            raise PhiError(
+                f"adaptive: the grid has {np.count_nonzero(exists)} taxels; expected n = {self.n}"
+            )
+        self.exists = exists.copy()
+        self._lay_out(self.exists)
+
+    def _lay_out(self, exists: Mask) -> None:
+        self.tree = Quadtree(exists, self.m)
+        shape = np.array(exists.shape, dtype=np.intp)
+        self.fingerprint = fingerprint_of(
+            self.kind, self.n, self.m, 1, shape, np.flatnonzero(exists)
+        )
+        self.rows: Indices = np.arange(self.m)
+        self.chosen: Mask = np.zeros(self.tree.n_nodes, dtype=np.bool_)
+
+    def state_noise(self, sigma_end: float, f_max: float) -> None:
+        """State the standard deviation of an untouched taxel's noise, 0 if not known, and f_max."""
+        self.bias = CLIP_MEAN * sigma_end
+        self.variance = (CLIP_SD * sigma_end) ** 2
+        noise = UNTOUCHED_SIGMAS * CLIP_SD * sigma_end
+        self.untouched = max(noise, UNTOUCHED_FRACTION * f_max)
+
+    def choose(self, chosen: Mask) -> None:
+        """Set the nodes of a frame, bool (n_nodes,).
+
+        Measured are the sums of all tiles, the details of these nodes, and the first rows of W that
+        are not among them, up to m.
+
+        Raises
+        ------
+        PhiError
+            If these nodes have more than m measurements, or more than two fewer.
+        """
+        tree = self.tree
+        measured = np.ones(self.n, dtype=np.bool_)
+        measured[tree.n_tiles :] = chosen[tree.node_of_row[tree.n_tiles :]]
+        left = self.m - int(np.count_nonzero(measured))
+        if not 0 <= left < N_DETAILS:
+            raise PhiError(
+                f"adaptive: nodes of {self.m - left} measurements are chosen; expected m = {self.m}"
+            )
+        measured[np.flatnonzero(~measured)[:left]] = True
+        self.chosen, self.rows = chosen, np.flatnonzero(measured)
+
+    def dense(self) -> npt.NDArray[np.float64]:
+        """Return the explicit matrix, float64, shape (m, n), a row at a time."""
+        one = np.zeros(self.n)
+        matrix = np.zeros((self.m, self.n))
+        for measurement, row in enumerate(self.rows):
+            one[row] = 1
+            matrix[measurement] = self.tree.synthesis(one)
+            one[row] = 0
+        return matrix
+
+    def _forward(self, x: Floats, out: Floats) -> None:
+        out[:] = self.tree.analysis(x)[self.rows]
+
+    def _adjoint(self, y: Floats, out: Floats) -> None:
+        rows = np.zeros(self.n)
+        rows[self.rows] = y
+        out[:] = self.tree.synthesis(rows)
+
+
+class HeldRows:
+    """The last measurement of every row of W, and the forces that they make.
+
+    Details that were not read again scale with the sum of their node: a contact that presses
+    harder keeps its shape. Those of an untouched node are 0, because forces are not negative.
+
+    Parameters
+    ----------
+    phi : AdaptivePhi
+
+    Attributes
+    ----------
+    sums : ndarray of float64, shape (n_nodes,)
+        Normalised sum of each node in this frame.
+    sums_read : ndarray of float64, shape (n_nodes,)
+        The same when the details of the node were read; 0 before that.
+    now, details : ndarray of float64, shape (n_nodes, 3)
+        Details in this frame, and as they were read.
+    """
+
+    def __init__(self, phi: AdaptivePhi) -> None:
+        self._phi, self._tree = phi, phi.tree
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames."""
+        n_nodes = self._tree.n_nodes
+        self._tiles = np.zeros(self._tree.n_tiles)
+        self.sums, self.sums_read = np.zeros((2, n_nodes))
+        self.now, self.details = np.zeros((2, n_nodes, N_DETAILS))
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a frame, of which no row is read."""
+        self._fresh = np.zeros((self._tree.n_nodes, N_DETAILS), dtype=np.bool_)
+        self._read = np.zeros((self._tree.n_nodes, N_DETAILS))
+
+    def read(self, rows: Indices, values: npt.NDArray[np.floating]) -> None:
+        """Process measurements of rows of W, (k,)."""
+        tree, tile = self._tree, rows < self._tree.n_tiles
+        bias = self._phi.bias
+        if tree.levels:
+            bias *= np.sqrt(tree.n_taxels[rows[tile]])
+        self._tiles[rows[tile]] = np.maximum(values[tile] - bias, 0)
+        places = tree.place_of_row[rows[~tile]]
+        self._read.reshape(-1)[places] = values[~tile]
+        self._fresh.reshape(-1)[places] = True
+
+    def update(self) -> Doubles:
+        """Return the forces of the taxels, float64 (n,), which may be negative."""
+        for level, sums, details in self._tree.descend(self._tiles):
+            own = slice(level.first, level.first + level.size)
+            self.sums[own] = sums
+            scale = np.clip(sums / np.maximum(self.sums_read[own], TINY), 0, MOST_SCALED)
+            held = self.details[own] * scale[:, None]
+            np.copyto(details, np.where(self._fresh[own], self._read[own], held))
+            self.now[own] = details
+        return self._tree.forces if self._tree.levels else self._tiles
+
+    def end(self) -> Mask:
+        """End a frame, of which all rows are read; return which nodes are untouched.
+
+        What was read of a part of a node's details is not kept.
+        """
+        whole = np.count_nonzero(self._fresh, axis=1) == self._tree.n_details
+        self.details[whole] = self.now[whole]
+        self.sums_read[whole] = self.sums[whole]
+        untouched: Mask = (self.sums <= self._phi.untouched) & ~whole
+        self.details[untouched] = 0
+        self.sums_read[untouched] = 0
+        return untouched
+
+
+class AdaptiveChoice:
+    """Chooses and reads m rows of a frame, at the edge, from what it has measured.
+
+    First the sums of all tiles. Then, in rounds, the details of the nodes with the largest expected
+    squared change since they were read: half of the squared change of their own sum, and the
+    squared change a frame that was seen when they were read last, times their age. An eighth of the
+    measurements goes to the nodes that were read longest ago.
+
+    Parameters
+    ----------
+    phi : AdaptivePhi
+        Laid out, its noise stated; `choose` of it is called in each frame.
+    """
+
+    def __init__(self, phi: AdaptivePhi) -> None:
+        self._phi, self._held = phi, HeldRows(phi)
+        self._age, self._drift = np.zeros((2, phi.tree.n_nodes))
+        self._owed = 0.0
+        self._untouched = np.zeros(phi.tree.n_nodes, dtype=np.bool_)
+
+    def measure(self, read: Read) -> Floats:
+        """Choose and read a frame; return the measurements, float32 (m,), in the order of `rows`.
+
+        `read` takes rows of W, intp, shape (k,), and returns their measurements.
+        """
+        phi, tree, held = self._phi, self._phi.tree, self._held
+        self._age += 1
+        self._values = np.zeros(phi.n)
+        chosen = np.zeros(tree.n_nodes, dtype=np.bool_)
+        held.begin()
+        self._take(np.arange(min(tree.n_tiles, phi.m)), read)
+        left = phi.m - tree.n_tiles
+        self._owed = min(self._owed + OLDEST_PART * left, left)
+        oldest = int(self._owed)
+        for n_rounds in range(N_ROUNDS, 0, -1):
+            held.update()
+            left -= self._read_most(self._expected(), (left - oldest) // n_rounds, chosen, read)
+        waited = self._age * np.where(self._untouched, UNTOUCHED_HASTE, 1.0)
+        while left >= N_DETAILS:
+            more = self._read_most(waited, left, chosen, read)
+            left -= more
+            self._owed = max(0.0, self._owed - more)
+        phi.choose(chosen)
+        details = phi.rows[phi.rows >= tree.n_tiles]
+        self._take(details[~chosen[tree.node_of_row[details]]], read)
+        held.update()
+        self._untouched = held.end()
+        self._drift[self._untouched] *= DRIFT_MEMORY
+        measurements: Floats = self._values[phi.rows].astype(np.float32)
+        return measurements
+
+    def _expected(self) -> Doubles:
+        """Expected squared change of each node's details since they were read."""
+        held = self._held
+        change2 = np.square(held.sums - held.sums_read) - 2 * self._phi.variance
+        expected: Doubles = SUM_CHANGE * np.maximum(change2, 0) + self._drift * self._age
+        return expected
+
+    def _read_most(self, score: Doubles, n_most: int, chosen: Mask, read: Read) -> int:
+        """Read the unread nodes of highest score a measurement, above 0; return their rows."""
+        tree = self._phi.tree
+        each = np.where(chosen, 0, score) / np.maximum(tree.n_details, 1)
+        order = np.argsort(-each, kind="stable")
+        order = order[(each[order] > TINY) & (tree.n_details[order] > 0)]
+        ends = np.cumsum(tree.n_details[order])
+        nodes = order[: np.searchsorted(ends, n_most, "right")]
+        if not nodes.size:
+            return 0
+        chosen[nodes] = True
+        before = self._held.now[nodes].copy()
+        within = np.zeros_like(chosen)
+        within[nodes] = True
+        rows = tree.n_tiles + np.flatnonzero(within[tree.node_of_row[tree.n_tiles :]])
+        self._take(rows, read)
+        self._learn_drift(nodes, before)
+        return int(ends[nodes.size - 1])
+
+    def _learn_drift(self, nodes: Indices, before: Doubles) -> None:
+        details = self._held._read[nodes]
+        noise = 2 * self._phi.variance * self._phi.tree.n_details[nodes]
+        change2 = np.maximum(np.square(details - before).sum(axis=1) - noise, 0)
+        change2 /= self._age[nodes]
+        drift = self._drift[nodes]
+        self._drift[nodes] = DRIFT_MEMORY * drift + (1 - DRIFT_MEMORY) * change2
+        self._age[nodes] = 0
+
+    def _take(self, rows: Indices, read: Read) -> None:
+        if rows.size:
+            self._values[rows] = read(rows)
+            self._held.read(rows, self._values[rows])
+
+
+def follow_nodes(phi: Phi, code: npt.NDArray[np.uint8] | None) -> None:
+    """Set the nodes of an `AdaptivePhi` from the code that came with a frame's measurements.
+
+    Parameters
+    ----------
+    phi : Phi
+        Any kind; all but "adaptive" are left unchanged.
+    code : ndarray of uint8, or None
+        As `Quadtree.coded` returns it.
+
+    Raises
+    ------
+    PhiError
+        If it is absent for "adaptive", present for another kind, no such code, or not of m
+        measurements.
+    """
+    if isinstance(phi, AdaptivePhi):
+        if code is None:
+            raise PhiError("adaptive: the measurements come without the nodes of their rows")
+        try:
+            chosen = phi.tree.decoded(code)
+        except ValueError as cause:
+            raise PhiError(f"adaptive: the code of the nodes is malformed: {cause}") from cause
+        phi.choose(chosen)
+    elif code is not None:
+        raise PhiError(f'{phi.kind}: measurements with nodes; allowed: phi "adaptive" alone')
+
+
+def layout(phi: Any, exists: Mask, sigma_end: float = 0.0, f_max: float = PAPER_F_MAX_N) -> None:
+    """Lay out an `AdaptivePhi` on a grid, and state its noise; other kinds are left unchanged."""
+    if isinstance(phi, AdaptivePhi):
+        phi.lay_out(exists)
+        phi.state_noise(sigma_end, f_max)

@@ -1,0 +1,178 @@
+"""The default solver for rows that are chosen anew in each frame: held rows, then filtered."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sparseskin.nodes.compressor.phi.adaptive import (
+    DRIFT_MEMORY,
+    SUM_CHANGE,
+    AdaptivePhi,
+    HeldRows,
+)
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Mask
+from sparseskin.nodes.reconstructor.bases.base import Basis
+from sparseskin.nodes.reconstructor.solvers.base import Solver, check_reads
+
+from .solver import TUNING, SkinSolver
+
+MEMORY = 0.7
+"""Weight of the past in the running means of squared prediction errors. Chosen."""
+CLEARLY = 0.8
+"""Quotient of prediction errors below which the held rows are used as they are. Fitted on moving
+presses, where it is above, and on a recording (xsensor_L) where the filter lags."""
+SATURATED = 4.0
+"""Frames of drift after which a node is expected to change no more. Fitted on five recordings of
+real skins: without it the estimated error of a dense bed is three times the true one."""
+
+
+class AdaptiveSkinSolver(Solver):
+    """Reconstructs frames whose rows were chosen at the edge.
+
+    1. Each row of W keeps its last measurement (`HeldRows`): together they are an estimate of all
+       taxels, p.
+    2. `SkinSolver` filters p over time and space, as if all taxels had been measured.
+    3. Where p of the last frame predicted the rows that are read now clearly better than the
+       filtered estimate did, p itself is the result: the filter lags behind.
+    4. The error of a taxel is the expected change of the nodes since they were read, much as at the
+       edge, times the quotient of true and expected change of those that are read now; or the
+       noise that the filter keeps, if that is more.
+
+    Each frame is complete by itself: after lost ones, the rows that they had are older.
+
+    Parameters
+    ----------
+    phi : AdaptivePhi
+        Laid out on the grid of the mask; if it is not laid out at all, it is now.
+    basis, mask
+        As in `Solver`.
+    **settings
+        Of `SkinSolver`.
+
+    Raises
+    ------
+    SolverError
+        If phi is of another kind or grid; and as in `SkinSolver`.
+    """
+
+    name = "skin"
+    y_max = SkinSolver.y_max
+
+    def __init__(
+        self,
+        phi: Phi,
+        basis: Basis,
+        mask: Mask | None = None,
+        *,
+        iterations: int | None = None,
+        max_iterations: int = 30,
+        seed: int = 0,
+        fast: str = "auto",
+    ) -> None:
+        super().__init__(phi, basis, mask)
+        check_reads(self.name, SkinSolver, phi.kind, type(phi))
+        if not isinstance(phi, AdaptivePhi):
+            raise SolverError(f'solver "skin": phi "{phi.kind}" does not choose rows')
+        if phi.exists is None:
+            phi.lay_out(self.mask)
+        elif not np.array_equal(phi.exists, self.mask):
+            raise SolverError('solver "skin": phi "adaptive" is laid out on another grid')
+        self._rows_of: AdaptivePhi = phi
+        self._whole = SbhePhi(n=phi.n, m=phi.n, seed=0)
+        self._filter = SkinSolver(
+            self._whole,
+            basis,
+            self.mask,
+            iterations=iterations,
+            max_iterations=max_iterations,
+            seed=seed,
+            fast=fast,
+        )
+        self.iterations, self.max_iterations = self._filter.iterations, max_iterations
+        self._held = HeldRows(phi)
+        self._age, self._drift = np.zeros((2, phi.tree.n_nodes))
+        self.reset()
+
+    def reset(self) -> None:
+        self._filter.reset()
+        self._held.reset()
+        self._age.fill(0)
+        self._drift.fill(0)
+        self._predicted: tuple[Doubles, Doubles] | None = None
+        self._errors = [0.0, 0.0]
+        self._exceeded = 1.0
+        self.error, self.trusted = None, True
+
+    def setup(self, y: Floats, warm: Floats | None = None) -> None:
+        y = self._checked_y(y)
+        phi, held = self._rows_of, self._held
+        rows = phi.rows
+        if self._predicted is not None:
+            for k, predicted in enumerate(self._predicted):
+                error = float(np.mean(np.square(y - predicted[rows])))
+                self._errors[k] = MEMORY * self._errors[k] + (1 - MEMORY) * error
+        self._age += 1
+        expected, before = self._expected(), held.now.copy()
+        held.begin()
+        held.read(rows, y)
+        self._x = np.maximum(held.update(), 0).astype(np.float32)
+        self._learn(expected, before)
+        held.end()
+        self._filter.setup(self._whole.forward(self._x), warm)
+        self.n_steps = self._steps_left = self._filter.n_steps
+
+    def step(self) -> None:
+        self._count_step()
+        self._filter.step()
+
+    def finish(self) -> Floats:
+        self._steps_left = 0
+        forces = self._filter.finish()
+        tree = self._rows_of.tree
+        filtered = tree.analysis(forces.reshape(-1)[self.taxels])
+        self._predicted = tree.analysis(self._x), filtered
+        direct = self._errors[0] < CLEARLY * self._errors[1]
+        if direct:
+            forces = np.zeros(self.mask.size, dtype=np.float32)
+            forces[self.taxels] = self._x
+            forces = forces.reshape(self.mask.shape)
+        self._judge(forces.reshape(-1)[self.taxels], direct)
+        return forces
+
+    def _expected(self) -> Doubles:
+        """Expected squared change of each node's details since they were read."""
+        held = self._held
+        change = SUM_CHANGE * np.square(held.sums - held.sums_read)
+        expected: Doubles = change + self._drift * np.minimum(self._age, SATURATED)
+        return expected
+
+    def _learn(self, expected: Doubles, before: Doubles) -> None:
+        """Compare the expected changes of the nodes that are read with the ones they had."""
+        nodes, held = self._rows_of.chosen, self._held
+        expected = np.maximum(expected, self._expected())[nodes]
+        change = np.square(held.now[nodes] - before[nodes]).sum(axis=1)
+        total = float(expected.sum())
+        if total > 0:
+            exceeded = float(change.sum()) / total
+            self._exceeded = MEMORY * self._exceeded + (1 - MEMORY) * exceeded
+        drift = change / self._age[nodes]
+        self._drift[nodes] = DRIFT_MEMORY * self._drift[nodes] + (1 - DRIFT_MEMORY) * drift
+        self._age[nodes] = 0
+
+    def _judge(self, x: Floats, direct: bool) -> None:
+        """Set the error of the estimate, and whether it is trusted."""
+        n = self._rows_of.n
+        if self._rows_of.m == n:
+            self.error, self.trusted = None, True
+            return
+        missed = self._exceeded * float(self._expected().sum()) / n
+        error2 = max(missed, self._filter.filtered_error2(x))
+        power = float(np.dot(x, x)) / n
+        self.error = math.sqrt(error2)
+        untouched = max(power, missed) <= TUNING.untouched * self._filter.noise
+        self.trusted = bool(untouched or error2 <= TUNING.trusted**2 * power + TINY)

@@ -1,0 +1,245 @@
+"""Rows that are chosen anew in each frame: what is chosen, how it travels, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.launch.launchfile.load import LaunchError, load
+from sparseskin.messages import Measurements, Reconstruction, decode, encode
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.phi.adaptive import (
+    AdaptiveChoice,
+    AdaptivePhi,
+    HeldRows,
+    follow_nodes,
+)
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.numerics.arrays import Floats
+
+ADAPTIVE = "compressor.phi=adaptive"
+
+
+def phi_of(exists: npt.NDArray[np.bool_], m: int) -> AdaptivePhi:
+    phi = make_phi("adaptive", int(exists.sum()), m, seed=0)
+    assert isinstance(phi, AdaptivePhi)
+    phi.lay_out(exists)
+    return phi
+
+
+def measured(phi: AdaptivePhi, choice: AdaptiveChoice, x: npt.NDArray[Any]) -> Floats:
+    return choice.measure(phi.tree.analysis(x.reshape(-1)).take)
+
+
+def press(n_rows: int, n_cols: int, row: int, col: int) -> Floats:
+    frame = np.zeros((n_rows, n_cols), np.float32)
+    frame[row : row + 3, col : col + 4] = [[0.2, 0.5, 0.4, 0.1]] * 3
+    return frame
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_m_rows_are_read_each_once_and_are_those_of_the_code(data: st.DataObject) -> None:
+    rows, cols = (data.draw(st.integers(1, 24)) for _ in range(2))
+    rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
+    exists = rng.random((rows, cols)) < data.draw(st.sampled_from([0.2, 0.8, 1.0]))
+    exists[rng.integers(rows), rng.integers(cols)] = True
+    n = int(exists.sum())
+    m = data.draw(st.integers(min(n, 4), n))
+    phi, other = phi_of(exists, m), phi_of(exists, m)
+    choice = AdaptiveChoice(phi)
+    for _ in range(3):
+        x = np.maximum(rng.normal(-0.5, 1, phi.n), 0).astype(np.float32)
+        w, asked = phi.tree.analysis(x), []
+
+        def read(wanted: npt.NDArray[np.intp], w: Any = w, asked: Any = asked) -> Any:
+            asked.extend(wanted)
+            return w[wanted]
+
+        y = choice.measure(read)
+        assert len(asked) == len(set(asked)) == m
+        np.testing.assert_array_equal(np.sort(asked), phi.rows)
+        np.testing.assert_array_equal(y, phi.forward(x))
+        follow_nodes(other, phi.tree.coded(phi.chosen))
+        np.testing.assert_array_equal(other.rows, phi.rows)
+
+
+def test_a_matrix_is_dense_orthonormal_and_its_adjoint_the_transpose() -> None:
+    exists = np.ones((9, 13), np.bool_)
+    exists[2:5, 3] = False
+    phi = phi_of(exists, 40)
+    rng = np.random.default_rng(0)
+    measured(phi, AdaptiveChoice(phi), rng.random(phi.n))
+    dense = phi.dense()
+    np.testing.assert_allclose(dense @ dense.T, np.eye(40), atol=1e-12)
+    x, y = rng.random(phi.n).astype(np.float32), rng.random(40).astype(np.float32)
+    np.testing.assert_allclose(phi.forward(x), dense @ x, atol=1e-6)
+    np.testing.assert_allclose(phi.adjoint(y), dense.T @ y, atol=1e-6)
+
+
+def test_a_contact_of_few_taxels_is_measured_whole_in_its_first_frame() -> None:
+    exists = np.ones((40, 40), np.bool_)
+    phi = phi_of(exists, 200)
+    choice, held = AdaptiveChoice(phi), HeldRows(phi)
+    for frame in (np.zeros((40, 40), np.float32), press(40, 40, 17, 22), press(40, 40, 18, 23)):
+        y = measured(phi, choice, frame)
+        held.begin()
+        held.read(phi.rows, y)
+        np.testing.assert_allclose(held.update(), frame.reshape(-1), atol=1e-6)
+        held.end()
+
+
+def test_a_contact_that_presses_harder_keeps_its_shape_in_the_rows_that_are_not_read() -> None:
+    exists = np.ones((16, 16), np.bool_)
+    phi = phi_of(exists, 256)
+    held = HeldRows(phi)
+    frame = press(16, 16, 5, 6).reshape(-1)
+    held.read(np.arange(256), phi.tree.analysis(frame))
+    held.update()
+    held.end()
+    tiles = np.arange(phi.tree.n_tiles)
+    for strength in (1.3, 0.5, 0.0):
+        held.begin()
+        held.read(tiles, phi.tree.analysis(strength * frame)[tiles])
+        np.testing.assert_allclose(held.update(), strength * frame, atol=1e-6)
+        held.end()
+
+
+def test_every_row_is_read_in_a_bounded_number_of_frames() -> None:
+    rng = np.random.default_rng(0)
+    phi = phi_of(np.ones((16, 16), np.bool_), 64)
+    choice, seen = AdaptiveChoice(phi), np.zeros(256, np.bool_)
+    touched = np.zeros((16, 16))
+    for _ in range(300):
+        # A corner changes all the time, and the rest is still.
+        touched[:8, :8] = rng.random((8, 8))
+        touched[8:, 8:] = 0.3
+        measured(phi, choice, touched)
+        seen[phi.rows] = True
+    assert seen.all()
+
+
+def test_a_fingerprint_is_of_the_numbers_and_of_the_grid() -> None:
+    grids = [np.ones(shape, np.bool_) for shape in ((10, 10), (5, 20), (20, 5))]
+    prints = {phi_of(grid, m).fingerprint for grid in grids for m in (20, 30)}
+    assert len(prints) == 6
+    assert phi_of(grids[0], 20).fingerprint in prints
+
+
+@pytest.mark.parametrize(("n", "m", "least"), [(100, 3, 4), (3, 2, 3)])
+def test_fewer_measurements_than_a_sum_and_a_node_are_refused(n: int, m: int, least: int) -> None:
+    with pytest.raises(PhiError, match=rf"m = {m} is not allowed; allowed: {least}\.\.{n}"):
+        make_phi("adaptive", n, m, seed=0)
+
+
+def test_a_grid_of_another_size_is_refused() -> None:
+    phi = make_phi("adaptive", 100, 20, seed=0)
+    assert isinstance(phi, AdaptivePhi)
+    with pytest.raises(PhiError, match="the grid has 99 taxels; expected n = 100"):
+        phi.lay_out(np.ones((9, 11), np.bool_))
+
+
+def code_of(phi: AdaptivePhi, n_nodes: int) -> npt.NDArray[np.uint8]:
+    return phi.tree.coded(np.arange(phi.tree.n_nodes) < n_nodes)
+
+
+GRID = np.ones((16, 16), np.bool_)
+
+
+@pytest.mark.parametrize(
+    ("phi", "code", "text"),
+    [
+        (phi_of(GRID, 64), None, "come without the nodes of their rows"),
+        (phi_of(GRID, 64), code_of(phi_of(GRID, 64), 21), r"nodes of 67 .* expected m = 64"),
+        (phi_of(GRID, 64), code_of(phi_of(GRID, 64), 19), r"nodes of 61 .* expected m = 64"),
+        (phi_of(GRID, 64), np.array([255], np.uint8), "malformed: too short"),
+        (phi_of(GRID, 64), np.array([128, 0, 0], np.uint8), "malformed: not as it is coded"),
+        (make_phi("sbhe", 256, 64, seed=0), np.array([0], np.uint8), 'phi "adaptive" alone'),
+    ],
+)
+def test_nodes_that_do_not_fit_are_refused(phi: Phi, code: Any, text: str) -> None:
+    with pytest.raises(PhiError, match=text):
+        follow_nodes(phi, code)
+
+
+def test_nodes_travel_and_are_absent_where_there_are_none() -> None:
+    def message(nodes: Any) -> Measurements:
+        y = np.ones(4, np.float32)
+        return Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16, nodes=nodes)
+
+    sent = message(np.array([7, 9], np.uint8))
+    assert decode(*encode(sent)) == sent
+    assert b"nodes" not in encode(message(None))[1]
+
+
+def graph(*overrides: str, name: str = "path_40") -> Bus:
+    nodes = load(name, [*overrides]).nodes.values()
+    return Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
+
+
+def reconstructions(bus: Bus, n_frames: int) -> list[Reconstruction]:
+    return [m for frame in bus.frames(n_frames) for m in frame if isinstance(m, Reconstruction)]
+
+
+def test_a_stream_is_reconstructed_and_m_changes_while_it_runs() -> None:
+    bus = graph(ADAPTIVE, "compressor.bits=12")
+    messages = []
+    for k, frame in enumerate(bus.frames(6), start=1):
+        messages += frame
+        if k == 3:
+            bus._deliver(bus.hosts["compressor"].change({"ratio": 8.0}))
+    made = [m for m in messages if isinstance(m, Measurements)]
+    assert [len(m.y) for m in made] == [533] * 3 + [200] * 3
+    assert all(m.nodes is not None and m.nodes.size < len(m.y) / 4 for m in made)
+    assert len([m for m in messages if isinstance(m, Reconstruction)]) == 6
+    assert bus.hosts["reconstructor"].counts.refused == {}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "text"),
+    [
+        (
+            ("reconstructor.preset=paper",),
+            'solver "fista": phi "adaptive" reads other rows each frame; allowed: skin',
+        ),
+        (("compressor.rows=rotating",), '"rotating" is not allowed for phi "adaptive"'),
+        (("reconstructor.resultant=true",), "resultant=true: is not available with phi adaptive"),
+    ],
+)
+def test_settings_that_do_not_go_together_are_refused_in_one_line(
+    overrides: tuple[str, ...], text: str
+) -> None:
+    with pytest.raises(LaunchError) as refused:
+        graph(ADAPTIVE, *overrides)
+    (line,) = refused.value.lines
+    assert text in line
+
+
+def test_a_recording_replays_and_is_reprocessed_to_the_same_bits(tmp_path: Path) -> None:
+    bag = tmp_path / "adaptive.mcap"
+    nodes = load("path_40", [ADAPTIVE], str(bag)).nodes.values()
+    bus = Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
+    streamed = reconstructions(bus, 6)
+    bus.close()
+    replay = graph(f"player.file={bag}", name="replay_measurements")
+    replayed = reconstructions(replay, 6)
+    replay.close()
+    # From the taxels, the edge chooses as it chose before.
+    out = tmp_path / "again.mcap"
+    assert main(["reprocess", str(bag), "--set", ADAPTIVE, "--out", str(out)]) == 0
+    again_bus = graph(f"player.file={out}", name="replay_measurements")
+    again = reconstructions(again_bus, 6)
+    again_bus.close()
+    assert len(streamed) == len(replayed) == len(again) == 6
+    for one, two, three in zip(streamed, replayed, again, strict=True):
+        np.testing.assert_array_equal(one.forces, two.forces)
+        np.testing.assert_array_equal(one.forces, three.forces)

@@ -1,0 +1,104 @@
+"""W of a quad tree: orthonormal on any grid, and the code of its nodes."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sparseskin.nodes.compressor.phi.quadtree import COARSE_PART, Quadtree
+
+GRIDS = [(1, 1), (1, 16), (4, 4), (5, 7), (8, 8), (31, 11), (40, 40)]
+
+
+def some_grid(data: st.DataObject) -> npt.NDArray[np.bool_]:
+    rows, cols = (data.draw(st.integers(1, 20)) for _ in range(2))
+    rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
+    exists = rng.random((rows, cols)) < data.draw(st.sampled_from([0.1, 0.7, 1.0]))
+    exists[rng.integers(rows), rng.integers(cols)] = True
+    return exists
+
+
+def dense(tree: Quadtree) -> npt.NDArray[np.float64]:
+    return np.stack([tree.analysis(one) for one in np.eye(tree.n)], axis=1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_rows_are_orthonormal_on_any_grid(data: st.DataObject) -> None:
+    exists = some_grid(data)
+    tree = Quadtree(exists, data.draw(st.integers(1, int(exists.sum()))))
+    matrix = dense(tree)
+    assert matrix.shape == (tree.n, tree.n)
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(tree.n), atol=1e-12)
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_synthesis_is_the_transpose_of_analysis(data: st.DataObject) -> None:
+    exists = some_grid(data)
+    tree = Quadtree(exists, int(exists.sum()))
+    rng = np.random.default_rng(0)
+    x, rows = rng.standard_normal((2, tree.n))
+    assert rows @ tree.analysis(x) == pytest.approx(tree.synthesis(rows) @ x, abs=1e-10)
+
+
+@pytest.mark.parametrize("shape", GRIDS)
+def test_first_rows_are_the_normalised_sums_of_tiles(shape: tuple[int, int]) -> None:
+    tree = Quadtree(np.ones(shape, np.bool_), shape[0] * shape[1])
+    matrix = dense(tree)[: tree.n_tiles]
+    counts = np.count_nonzero(matrix, axis=1)
+    assert counts.sum() == tree.n
+    np.testing.assert_allclose(matrix.max(axis=1), 1 / np.sqrt(counts))
+    assert counts.max() <= 64
+
+
+def test_details_of_a_full_tile_are_those_of_haar() -> None:
+    tree = Quadtree(np.ones((8, 8), np.bool_), 64)
+    x = np.zeros((8, 8))
+    x[:4, :4] = 1.0
+    found = tree.analysis(x.reshape(-1))
+    # The sum of 16 taxels over 8; the three largest details are as large as it.
+    np.testing.assert_allclose(found[:4], 2.0)
+    np.testing.assert_allclose(found[4:], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("m", [1, 5, 50, 200, 1600])
+def test_tiles_take_at_most_a_quarter_of_the_measurements(m: int) -> None:
+    assert Quadtree(np.ones((40, 40), np.bool_), m).n_tiles <= max(1, COARSE_PART * m)
+
+
+@settings(max_examples=100, deadline=None)
+@given(data=st.data())
+def test_the_code_of_nodes_is_read_back(data: st.DataObject) -> None:
+    exists = some_grid(data)
+    tree = Quadtree(exists, int(exists.sum()))
+    rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
+    chosen = rng.random(tree.n_nodes) < data.draw(st.sampled_from([0.0, 0.05, 0.5, 1.0]))
+    np.testing.assert_array_equal(tree.decoded(tree.coded(chosen)), chosen)
+
+
+@settings(max_examples=100, deadline=None)
+@given(code=st.binary(min_size=1, max_size=40))
+def test_any_other_code_is_refused(code: bytes) -> None:
+    tree = Quadtree(np.ones((20, 20), np.bool_), 400)
+    given_code = np.frombuffer(code, dtype=np.uint8)
+    try:
+        chosen = tree.decoded(given_code)
+    except ValueError:
+        return
+    np.testing.assert_array_equal(tree.coded(chosen), given_code)
+
+
+@pytest.mark.parametrize("m", [50, 133, 200, 533])
+def test_a_code_has_at_most_the_stated_bytes(m: int) -> None:
+    tree = Quadtree(np.ones((40, 40), np.bool_), m)
+    n_chosen = (m - tree.n_tiles) // 3
+    rng = np.random.default_rng(0)
+    for start in (0, tree.levels[1].first, tree.levels[2].first):
+        chosen = np.zeros(tree.n_nodes, np.bool_)
+        some = np.arange(start, tree.n_nodes)
+        chosen[rng.permutation(some)[:n_chosen]] = True
+        assert tree.coded(chosen).size <= tree.most_code_bytes(m - tree.n_tiles)

@@ -1,0 +1,209 @@
+"""The default solver on rows that are chosen anew in each frame."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.skin.adaptive import AdaptiveSkinSolver
+from sparseskin.nodes.reconstructor.solvers.base import make_solver
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.scenes.presses import press_frames
+from sparseskin.studies.evaluate import Method, Scores, make_method
+
+PRESS = PRESETS["skin"]
+
+
+def method(shape: tuple[int, int], ratio: float, mask: Mask | None = None, **more: float) -> Method:
+    return make_method(PRESS, shape, ratio, 0, phi="adaptive", mask=mask, **more)  # type: ignore[arg-type]
+
+
+def frames_of(shape: tuple[int, int], n: int, body: str = "peg", **how: object) -> list[Floats]:
+    return [truth for truth, _ in press_frames(body, shape, n, 0, **how)]  # type: ignore[arg-type]
+
+
+def error(found: Floats, truth: Floats) -> float:
+    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
+
+
+def test_a_small_contact_is_reconstructed_at_n_over_8_from_its_first_frame_on() -> None:
+    made = method((40, 40), 8)
+    frames = frames_of((40, 40), 60, course="sudden", active=0.02)
+    solved = [made.reconstruct(frame) for frame in frames]
+    errors = [error(a.forces, b) for a, b in zip(solved, frames, strict=True) if b.any()]
+    assert len(errors) > 20
+    assert max(errors) < 0.05
+
+
+def test_on_a_moving_noisy_press_it_is_above_the_reading_of_all_taxels() -> None:
+    noise = NoiseModel.for_range(PAPER_F_MAX_N)
+    made = method((40, 40), 4, sigma_end=noise.sigma_end)
+    found, read = Scores(), Scores()
+    for truth, taxels in press_frames("gaussian", (40, 40), 60, 0, speed=0.25, noise=noise):
+        found.add(made.reconstruct(taxels), truth)
+        read.add(found_of(taxels), truth)
+    assert found.mean_db > read.mean_db + 2
+
+
+def found_of(taxels: Floats) -> object:
+    from sparseskin.studies.evaluate import Solved
+
+    return Solved(taxels)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 16), (4, 4), (5, 5), (33, 7)])
+@pytest.mark.parametrize("ratio", [1, 3, 4])
+def test_a_still_press_on_any_skin_is_known_after_all_rows_are_read(
+    shape: tuple[int, int], ratio: int
+) -> None:
+    made = method(shape, min(ratio, shape[0] * shape[1]))
+    rng = np.random.default_rng(0)
+    truth = rng.uniform(0.1, 1, shape).astype(np.float32)
+    for _ in range(120):
+        found = made.reconstruct(truth).forces
+    np.testing.assert_allclose(found, truth, atol=0.03)
+
+
+def test_masked_cells_are_0_and_the_taxels_around_them_right() -> None:
+    mask = np.ones((20, 20), np.bool_)
+    mask[8:11, 6:9] = False
+    made = method((20, 20), 3, mask)
+    for frame in frames_of((20, 20), 40, body="gaussian", course="ramped", active=0.2):
+        truth = np.where(mask, frame, np.float32(0))
+        found = made.reconstruct(truth).forces
+        assert not found[~mask].any()
+    assert error(found, truth) < 0.1
+
+
+def test_lost_frames_are_made_up_for_by_later_ones() -> None:
+    """Half of the frames are lost, at random, while a contact moves, and then none."""
+    made = method((24, 24), 4)
+    rng = np.random.default_rng(0)
+    frames = frames_of((24, 24), 60, active=0.1)
+    for frame in frames:
+        y = made.measure(frame)
+        if rng.random() < 0.5:
+            made.solve(y)
+    for _ in range(40):
+        found = made.reconstruct(frames[-1]).forces
+    assert error(found, frames[-1]) < 0.01
+
+
+def test_a_host_that_begins_in_the_middle_does_not_trust_what_it_has_not_read() -> None:
+    frames = frames_of((24, 24), 40, active=0.3)
+    edge, host = method((24, 24), 8), method((24, 24), 8)
+    for frame in frames:
+        edge.measure(frame)
+    trusted, errors = [], []
+    for _ in range(150):
+        y = edge.measure(frames[-1])
+        host.solver.phi.choose(edge.solver.phi.chosen)  # type: ignore[attr-defined]
+        found = host.solver.solve(y)
+        trusted.append(host.solver.trusted)
+        errors.append(error(found, frames[-1]))
+    assert errors[0] > 0.25
+    assert not trusted[0]
+    assert errors[-1] < 0.02
+    assert trusted[-1]
+    assert not any(t for t, e in zip(trusted, errors, strict=True) if e > 0.5)
+
+
+def test_a_dense_random_skin_at_n_over_8_is_not_trusted() -> None:
+    made, rng = method((32, 32), 8), np.random.default_rng(0)
+    for _ in range(12):
+        made.reconstruct((rng.random((32, 32)) < 0.5).astype(np.float32))
+        assert not made.solver.trusted
+        assert made.solver.error is not None
+        assert made.solver.error > 0.2
+
+
+def test_an_untouched_skin_is_0_and_trusted() -> None:
+    made = method((24, 24), 8)
+    for _ in range(5):
+        assert not made.reconstruct(np.zeros((24, 24), np.float32)).forces.any()
+        assert made.solver.trusted
+
+
+def test_after_reset_the_same_frames_give_the_same_bits() -> None:
+    made = method((24, 24), 4)
+    frames = frames_of((24, 24), 30, body="fingertips", active=0.2)
+    once = [made.reconstruct(frame).forces for frame in frames]
+    made.reset()
+    for before, frame in zip(once, frames, strict=True):
+        np.testing.assert_array_equal(made.reconstruct(frame).forces, before)
+
+
+def test_in_steps_it_is_the_same_as_at_once() -> None:
+    one, two = method((24, 24), 4), method((24, 24), 4)
+    for frame in frames_of((24, 24), 20, active=0.2):
+        expected = one.reconstruct(frame).forces
+        y = two.measure(frame)
+        two.solver.setup(y)
+        for _ in range(two.solver.n_steps):
+            two.solver.step()
+        np.testing.assert_array_equal(two.solver.finish(), expected)
+
+
+def adaptive(n: int, m: int) -> AdaptivePhi:
+    phi = make_phi("adaptive", n, m, seed=0)
+    assert isinstance(phi, AdaptivePhi)
+    return phi
+
+
+def test_a_phi_without_a_grid_gets_that_of_the_solver() -> None:
+    phi = adaptive(64, 16)
+    solver = make_solver("skin", phi, make_basis("haar", 8, 8))
+    assert isinstance(solver, AdaptiveSkinSolver)
+    assert phi.exists is not None
+    assert phi.exists.shape == (8, 8)
+
+
+def test_a_phi_of_another_grid_is_refused() -> None:
+    phi = adaptive(64, 16)
+    phi.lay_out(np.ones((4, 16), np.bool_))
+    with pytest.raises(SolverError, match="laid out on another grid"):
+        make_solver("skin", phi, make_basis("haar", 8, 8))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e20])
+def test_measurements_that_are_no_forces_are_refused_and_leave_no_trace(bad: float) -> None:
+    made = method((16, 16), 4)
+    frames = frames_of((16, 16), 30, active=0.2)
+    for frame in frames:
+        expected = made.reconstruct(frame).forces
+    made.reset()
+    for k, (frame, _) in enumerate(pairwise([*frames, frames[-1]])):
+        y = made.measure(frame)
+        if k == 15:
+            wrong = y.copy()
+            wrong[3] = bad
+            with pytest.raises(SolverError):
+                made.solver.solve(wrong)
+        found = made.solver.solve(y)
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_the_choice_of_the_edge_is_that_of_the_held_rows_alone() -> None:
+    """Two edges that measure the same choose the same, whatever they do not read."""
+    phis = [adaptive(256, 64), adaptive(256, 64)]
+    for phi in phis:
+        phi.lay_out(np.ones((16, 16), np.bool_))
+    choices = [AdaptiveChoice(phi) for phi in phis]
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        w = phis[0].tree.analysis(rng.random(256))
+        choices[0].measure(w.take)
+        unread: npt.NDArray[np.float64] = np.full(256, np.nan)
+        unread[phis[0].rows] = w[phis[0].rows]
+        choices[1].measure(unread.take)
+        np.testing.assert_array_equal(phis[0].rows, phis[1].rows)
