@@ -19,13 +19,13 @@ from sparseskin.nodes.reconstructor.skin.adaptive import AdaptiveSkinSolver
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import press_frames
-from sparseskin.studies.evaluate import Method, Scores, make_method
-
-PRESS = PRESETS["skin"]
+from sparseskin.studies.evaluate import Method, Reading, Scores, make_method
 
 
 def method(shape: tuple[int, int], ratio: float, mask: Mask | None = None, **more: float) -> Method:
-    return make_method(PRESS, shape, ratio, 0, phi="adaptive", mask=mask, **more)  # type: ignore[arg-type]
+    return make_method(
+        PRESETS["skin"], shape, ratio, 0, phi="adaptive", rows="fixed", mask=mask, **more
+    )  # type: ignore[arg-type]
 
 
 def frames_of(shape: tuple[int, int], n: int, body: str = "peg", **how: object) -> list[Floats]:
@@ -51,14 +51,8 @@ def test_on_a_moving_noisy_press_it_is_above_the_reading_of_all_taxels() -> None
     found, read = Scores(), Scores()
     for truth, taxels in press_frames("gaussian", (40, 40), 60, 0, speed=0.25, noise=noise):
         found.add(made.reconstruct(taxels), truth)
-        read.add(found_of(taxels), truth)
+        read.add(Reading().reconstruct(taxels), truth)
     assert found.mean_db > read.mean_db + 2
-
-
-def found_of(taxels: Floats) -> object:
-    from sparseskin.studies.evaluate import Solved
-
-    return Solved(taxels)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 16), (4, 4), (5, 5), (33, 7)])
