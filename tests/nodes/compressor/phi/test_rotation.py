@@ -93,6 +93,7 @@ def test_a_ratio_that_does_not_divide_needs_no_further_subset() -> None:
         # Their rows do not rotate.
         ({"phi": "gaussian"}, ("fixed", 533)),
         ({"phi": "acts"}, ("fixed", 533)),
+        ({"phi": "adaptive"}, ("fixed", 533)),
         ({"phi": f"{__name__}:Halves"}, ("rotating", 534)),
         ({"phi": f"{__name__}:Unmoved"}, ("fixed", 533)),
         ({"phi": f"{__name__}:by_function"}, ("fixed", 533)),
