@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,19 +14,15 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING, SkinTuning
 
-#: The parts of a solver are its own; a study that takes them out has to reach into it.
-Change = Callable[[Any], None]
+#: Other constants, or a change of what none of them leaves out. The parts of a solver are its own:
+#: such a change has to reach into it.
+Change = SkinTuning | Callable[[Any], None]
 
 
-def _with(name: str, value: Any) -> Change:
-    """The change of one attribute, or of an attribute of a part: "part.attribute"."""
-    part, _, attribute = name.rpartition(".")
-
-    def change(solver: Any) -> None:
-        setattr(getattr(solver, part) if part else solver, attribute, value)
-
-    return change
+def _without_rows(solver: Any) -> None:
+    solver._memory = None
 
 
 def _no_memory(solver: Any) -> None:
@@ -39,25 +37,6 @@ def _no_memory(solver: Any) -> None:
         setup(y, warm)
 
     solver.setup = forgetful
-
-
-def _no_gain(solver: Any) -> None:
-    update = solver._gain.update
-
-    def full_gain(innovation: Floats, correction: Floats, m: int, s2: float, jumped: bool) -> None:
-        update(innovation, correction, m, s2, jumped)
-        solver._gain.gain = 1.0
-
-    solver._gain.update = full_gain
-
-
-def _no_doubt(solver: Any) -> None:
-    update = solver._gain.update
-
-    def believing(innovation: Floats, correction: Floats, m: int, s2: float, jumped: bool) -> None:
-        update(innovation, np.zeros_like(correction), m, s2, jumped)
-
-    solver._gain.update = believing
 
 
 def _one_shift(solver: Any) -> None:
@@ -92,35 +71,32 @@ def _soft(solver: Any) -> None:
     solver._shrink = [*analysis, (shrink, ()), *synthesis]
 
 
-def _no_momentum(solver: Any) -> None:
-    solver._momentum[()] = 0
-
-
 def _same_iterations(solver: Any) -> None:
     solver.max_iterations = solver.iterations
 
 
-WITHOUT: dict[str, Change | None] = {
-    "all of it": None,
-    "bias of clipped noise": _with("_bias.update", lambda left, x, s2: None),
+WITHOUT: dict[str, Change] = {
+    "all of it": TUNING,
+    "bias of clipped noise": replace(TUNING, bias_largest=0.0),
     "shifts": _one_shift,
     "garrote (soft threshold instead)": _soft,
     "x >= 0 in the iteration": _negative_too,
-    "momentum": _no_momentum,
-    "motion of the prediction": _with("_prediction._move", lambda x, y, innovation, e2, s2: e2),
-    "weight of the prediction (K = 1)": _no_gain,
-    "doubt of a lagging filter": _no_doubt,
+    "momentum": replace(TUNING, momentum=0.0),
+    "motion of the prediction": replace(TUNING, motion_significant=math.inf),
+    "weight of the prediction (K = 1)": replace(TUNING, gain_least=1.0),
+    "doubt of a lagging filter": replace(TUNING, trust_least=1.0),
     "more iterations where surprised": _same_iterations,
-    "rows of earlier phases": _with("_memory", None),
+    "rows of earlier phases": _without_rows,
     "last frame": _no_memory,
 }
 
 
 def changed_solver(name: str, phi: Phi, shape: tuple[int, int]) -> SkinSolver:
     """Make the solver "skin" without one ingredient of `WITHOUT`."""
-    # Compiled loops would still do what a change takes out.
-    solver = SkinSolver(phi, make_basis("haar", *shape), fast="off")
     change = WITHOUT[name]
-    if change is not None:
+    tuning = change if isinstance(change, SkinTuning) else TUNING
+    # Compiled loops would still do what a change takes out.
+    solver = SkinSolver(phi, make_basis("haar", *shape), fast="off", tuning=tuning)
+    if not isinstance(change, SkinTuning):
         change(solver)
     return solver

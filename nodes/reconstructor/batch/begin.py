@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 
 from sparseskin.nodes.numerics.arrays import TINY
-from sparseskin.nodes.reconstructor.skin import gain as kalman
-from sparseskin.nodes.reconstructor.skin import noise_level as levels
-from sparseskin.nodes.reconstructor.skin import prediction as predicted
-from sparseskin.nodes.reconstructor.skin.solver import N_DRAWN, TUNING
+from sparseskin.nodes.reconstructor.skin.solver import N_DRAWN
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 
 from .backend import Array
 from .memory import recall
@@ -88,18 +86,18 @@ def predict(t: Tables, x: Array, rows: Array, s2: Array, subset: Subset) -> Stat
     whole_last = t.transform(x)
     innovation = rows - whole_last * subset.measured
     e2 = be.dot(innovation, innovation)
-    tries = seen & (e2 > predicted.STILL * m * s2)
+    tries = seen & (e2 > TUNING.motion_still * m * s2)
     found, whole = x, whole_last
     if be.any(tries):
         moved, moved_whole, gains = _move(t, x, whole_last, innovation, subset)
         moved_innovation = rows - moved_whole * subset.measured
         moved_e2 = be.dot(moved_innovation, moved_innovation)
-        better = tries & (gains > predicted.SIGNIFICANT * s2) & (moved_e2 < e2)
+        better = tries & (gains > TUNING.motion_significant * s2) & (moved_e2 < e2)
         found = be.choose(better, moved, x)
         whole = be.choose(better, moved_whole, whole_last)
         innovation = be.choose(better, moved_innovation, innovation)
         e2 = be.choose(better, moved_e2, e2)
-    failed = seen & (e2 > predicted.HARDLY * y2) & (e2 > predicted.DOUBTFUL * m * s2)
+    failed = seen & (e2 > TUNING.failed_part * y2) & (e2 > TUNING.failed_noise * m * s2)
     nothing = xp.zeros_like(x)
     return {
         "x": be.choose(failed, nothing, found),
@@ -166,14 +164,16 @@ def _update_noise(
     first2, second2 = be.dot(step, step) / (2 * m), be.dot(second, second) / (6 * m)
     seen = be.choose(old >= 0, xp.minimum(e2, first2), e2)
     seen = be.choose(old > 0, xp.minimum(seen, second2), seen)
-    jumped = frame["failed"] | ~s["begun"] | (e2 > levels.JUMP * s["s2"])
+    jumped = frame["failed"] | ~s["begun"] | (e2 > TUNING.jump * s["s2"])
     since = be.choose(jumped, old * 0, s["since_jump"] + 1)
     new = old + 1
     s["known"] = s["known"] | (new > 1)
-    doubtful = s["rotating"] & (seen >= levels.CLEARLY * e2)
-    learning = (since > 0) & (since <= levels.RELEARNED) & (seen < s["s2"])
-    nearer = be.choose(learning, seen, s["s2"] + levels.RATE * (seen - s["s2"]))
-    fastest = levels.FASTEST + be.double(doubtful) * (levels.FASTEST_ROTATING - levels.FASTEST)
+    doubtful = s["rotating"] & (seen >= TUNING.noise_clearly * e2)
+    learning = (since > 0) & (since <= TUNING.noise_relearned) & (seen < s["s2"])
+    nearer = be.choose(learning, seen, s["s2"] + TUNING.noise_rate * (seen - s["s2"]))
+    fastest = TUNING.noise_growth + be.double(doubtful) * (
+        TUNING.noise_growth_rotating - TUNING.noise_growth
+    )
     s2 = xp.minimum(nearer, fastest * s["s2"])
     settled = s["settled"]
     s["s2"] = be.choose(settled, s2, seen)
@@ -203,15 +203,15 @@ def _update_gain(
     energy = t.m * frame["e2"]
     both = energy * be.dot(last, last)
     alike = be.dot(innovation, last) / xp.sqrt(both + be.double(both <= 0))
-    change = xp.exp(kalman.DISTRUST * (kalman.LAGGING - alike))
-    change = be.choose(alike > kalman.LAGGING, change, change * 0 + kalman.RECOVERY)
-    trust = be.at_most(be.at_least(s["trust"] * change, kalman.LEAST_TRUST), 1.0)
+    change = xp.exp(TUNING.trust_fall * (TUNING.lagging - alike))
+    change = be.choose(alike > TUNING.lagging, change, change * 0 + TUNING.trust_growth)
+    trust = be.at_most(be.at_least(s["trust"] * change, TUNING.trust_least), 1.0)
     s["trust"] = be.choose((both > 0) & ~settling, trust, s["trust"])
     noise = s["s2"] * s["trust"]
     nis = energy / t.m / (noise + TINY)
-    signal = be.at_least(nis - kalman.EXPECTED, 0.0)
+    signal = be.at_least(nis - TUNING.gain_expected, 0.0)
     old = s["gain"][number]
-    gain = xp.maximum(old / (1 + old), be.at_least(signal / (1 + signal), kalman.LEAST_GAIN))
+    gain = xp.maximum(old / (1 + old), be.at_least(signal / (1 + signal), TUNING.gain_least))
     gain = be.choose(settling, gain * 0 + 1, gain)
     s["gain"] = [
         gain if k == number else be.choose(settling, one * 0 + 1, one)

@@ -5,10 +5,7 @@ from __future__ import annotations
 import math
 
 from sparseskin.nodes.numerics.arrays import TINY
-from sparseskin.nodes.reconstructor.skin import clip_bias as clip
-from sparseskin.nodes.reconstructor.skin import evidence
-from sparseskin.nodes.reconstructor.skin.smooth import KEPT_FIXED, KEPT_ROTATING, LEAST_NOISE
-from sparseskin.nodes.reconstructor.skin.solver import TUNING
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 
 from .backend import Array
 from .memory import variances
@@ -63,7 +60,7 @@ def known_of(t: Tables, frame: State, number: int) -> Known:
     be, xp, s = t.be, t.be.xp, frame["numbers"]
     rows, subset = frame["y"], t.subsets[number]
     y2 = be.dot(rows, rows) / t.m
-    least = frame["known_noise"] + LEAST_NOISE * y2
+    least = frame["known_noise"] + TUNING.least_noise * y2
     power = be.choose(frame["nothing_known"], y2, frame["e2"]) - least
     known = subset.measured + xp.zeros_like(rows)
     values, variance = rows, be.column(least) + xp.zeros_like(rows)
@@ -72,7 +69,7 @@ def known_of(t: Tables, frame: State, number: int) -> Known:
         known = be.choose(rotating, frame["known"], known)
         values = be.choose(rotating, frame["values"], values)
         variance = be.choose(rotating, variances(t, s, least), variance)
-    kept = KEPT_FIXED + be.double(rotating) * (KEPT_ROTATING - KEPT_FIXED)
+    kept = TUNING.kept_fixed + be.double(rotating) * (TUNING.kept_rotating - TUNING.kept_fixed)
     used = be.single(known > 0) * subset.kept
     return Known(frame["x"], values, variance, used, be.at_least(power, TINY), kept)
 
@@ -141,24 +138,26 @@ def _choose(t: Tables, s: Numbers, frame: State, haar: State, smooth: State) -> 
     for name, estimate, made in (("haar", haar, with_haar), ("smooth", smooth, with_smooth)):
         now, old = estimate["error2"], s[f"{name}_error"]
         last = be.choose(failed | (old < 0), now, old)
-        last = xp.minimum(last, evidence.FADING * now + noise)
-        mean = evidence.MEMORY * last + (1 - evidence.MEMORY) * now
+        last = xp.minimum(last, TUNING.error_fading * now + noise)
+        mean = TUNING.error_memory * last + (1 - TUNING.error_memory) * now
         means[name] = s[f"{name}_error"] = be.choose(made, mean, old)
-        worse = made & ~both & (now > evidence.WORSE * last)
+        worse = made & ~both & (now > TUNING.worse * last)
         s["wait"] = be.choose(worse, now * 0, s["wait"])
     count = max(1, t.n_held)
-    clearly = 1 + 2 * evidence.MARGIN / math.sqrt(count * evidence.FRAMES)
+    clearly = 1 + 2 * TUNING.margin / math.sqrt(count * TUNING.error_frames)
     bound = clearly * means["smooth"] + xp.minimum(noise, means["smooth"])
     better = means["haar"] > bound
     same = better == s["is_smooth"]
-    period = be.choose(same, be.at_most(2 * s["period"], float(evidence.SELDOM)), noise * 0 + 2)
+    period = be.choose(same, be.at_most(2 * s["period"], float(TUNING.seldom)), noise * 0 + 2)
     s["period"] = be.choose(both, period, s["period"])
     s["wait"] = be.choose(both, period, s["wait"])
     is_smooth = (both & better) | (with_smooth & ~with_haar)
     s["is_smooth"] = is_smooth
     mean = be.choose(is_smooth, means["smooth"], means["haar"])
     now = be.choose(is_smooth, smooth["error2"], haar["error2"])
-    excess = xp.maximum(_excess(mean, noise, count * evidence.FRAMES), _excess(now, noise, count))
+    excess = xp.maximum(
+        _excess(mean, noise, count * TUNING.error_frames), _excess(now, noise, count)
+    )
     error2 = be.at_least(excess, 0.0)
     s["exceeds"] = error2 > 0
     return error2
@@ -171,14 +170,16 @@ def _update_bias(t: Tables, s: Numbers, more: Array, x: Array, median: bool) -> 
     if median:
         ordered = xp.sort(x, axis=1)
         middle = (ordered[:, (t.n - 1) // 2] + ordered[:, t.n // 2]) * 0.5
-        uses = (frames <= clip.FIRST) | (xp.remainder(frames, be.number(clip.EVERY)) == 0)
+        uses = (frames <= TUNING.median_first) | (
+            xp.remainder(frames, be.number(TUNING.median_every)) == 0
+        )
         more = more + be.choose(uses, be.double(middle), more * 0)
-    s["least_s2"] = xp.minimum(clip.FORGOTTEN * s["least_s2"], s["s2"])
+    s["least_s2"] = xp.minimum(TUNING.bias_forgotten * s["least_s2"], s["s2"])
     noise = xp.sqrt(s["least_s2"])
     more = xp.minimum(xp.maximum(more, -noise / 2), noise / 2)
-    rate = be.at_least(1 / (frames + 1), clip.SLOWEST)
+    rate = be.at_least(1 / (frames + 1), TUNING.bias_slowest)
     bias = be.at_least(s["bias"] + rate * more, 0.0)
-    s["bias"] = xp.minimum(bias, clip.LARGEST * noise)
+    s["bias"] = xp.minimum(bias, TUNING.bias_largest * noise)
     s["bias_frames"] = frames
 
 

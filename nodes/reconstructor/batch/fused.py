@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import TINY, Indices
-from sparseskin.nodes.reconstructor.skin import smooth as model
-from sparseskin.nodes.reconstructor.skin.solver import N_DRAWN, TUNING
+from sparseskin.nodes.reconstructor.skin.solver import N_DRAWN
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 
 from .backend import Array
 from .smooth import Known, SmoothBatch
@@ -177,13 +177,13 @@ class FusedSmooth:
             BLOCK=t.block,
             SCALE=t.block**-0.5,
             LENGTHS=self._lengths,
-            ROUNDS=model.ROUNDS,
-            COLD_ROUNDS=model.COLD_ROUNDS,
-            GRADIENTS=model.GRADIENTS,
-            COLD_GRADIENTS=model.COLD_GRADIENTS,
-            FLOOR=model.FLOOR,
-            MODEL_ERROR=model.MODEL_ERROR,
-            PRECISE=model.PRECISE,
+            ROUNDS=TUNING.rounds,
+            COLD_ROUNDS=TUNING.cold_rounds,
+            GRADIENTS=TUNING.gradients,
+            COLD_GRADIENTS=TUNING.cold_gradients,
+            FLOOR=TUNING.deviation_floor,
+            MODEL_ERROR=TUNING.model_error,
+            PRECISE=TUNING.precise,
             TINY=TINY,
             PRECISION=self._precision,
             num_warps=self._n_warps,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import TINY, Indices
-from sparseskin.nodes.reconstructor.skin.solver import N_DRAWN, TUNING
+from sparseskin.nodes.reconstructor.skin.solver import N_DRAWN
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 
 from .backend import Array
 from .state import State

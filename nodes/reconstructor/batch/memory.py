@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sparseskin.nodes.numerics.arrays import TINY
-from sparseskin.nodes.reconstructor.skin import row_memory as rows
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 
 from .backend import Array
 from .state import Numbers, State
@@ -20,7 +20,9 @@ def recall(t: Tables, state: State, s: Numbers, frame: State, number: int) -> St
         known: the new memory.
     """
     be, xp, m = t.be, t.be.xp, t.m
-    subset, rotating = t.subsets[number], s["rotating"]
+    subset = t.subsets[number]
+    # Whether rows rotate shows in the second frame, which remembers the first.
+    rotating = s["rotating"] | ~s["begun"]
     failed, noise = frame["failed"], frame["known_noise"]
     nothing = xp.zeros_like(frame["y"])
     values = state["values"] + (frame["whole"] - frame["whole_last"])
@@ -38,14 +40,14 @@ def recall(t: Tables, state: State, s: Numbers, frame: State, number: int) -> St
     read_before = last > 0
     grown = be.choose(
         read_before,
-        change2 - 2 * rows.NOISE_CHANGE * noise,
-        frame["e2"] - rows.NOISE_CHANGE * noise,
+        change2 - 2 * TUNING.memory_still * noise,
+        frame["e2"] - TUNING.memory_still * noise,
     )
     grown = be.at_least(grown, 0.0)
     age = be.choose(read_before, count - last, none + 1)
     drift = be.choose(failed, none, s["drift"])
-    drift = xp.maximum(grown / age, rows.DRIFT_DECAY * drift)
-    counted = rows.MOST / xp.sqrt(1 + rows.DECAY * grown / (noise + TINY))
+    drift = xp.maximum(grown / age, TUNING.drift_decay * drift)
+    counted = TUNING.memory_weight / xp.sqrt(1 + TUNING.memory_decay * grown / (noise + TINY))
     counted = be.choose(frame["settling"], none, counted)
     read_in[number] = count
     n_known = sum((be.double(one > 0) for one in read_in), none)
@@ -74,5 +76,5 @@ def variances(t: Tables, s: Numbers, noise: Array) -> Array:
         read = (subset.measured > 0) & (frame > 0)[:, None]
         newer = read & ((ages < 0) | (age < ages))
         ages = xp.where(newer, age, ages)
-    found = be.column(noise) + be.column(rows.DOUBT * s["drift"]) * ages
+    found = be.column(noise) + be.column(TUNING.memory_doubt * s["drift"]) * ages
     return xp.where(ages < 0, xp.zeros_like(found), found)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import TINY
-from sparseskin.nodes.reconstructor.skin import smooth as model
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 
 from .backend import Array
 from .tables import Tables
@@ -51,9 +51,9 @@ class SmoothBatch:
             return be.array(np.array(found, dtype=np.float32))
 
         n_rows, n_cols = t.shape
-        self.left = gaussians(n_rows, model.LENGTHS)
-        self.right = gaussians(n_cols, model.LENGTHS) * (1 / len(model.LENGTHS))
-        self.blur = gaussians(n_rows, (model.BLUR,)), gaussians(n_cols, (model.BLUR,))
+        self.left = gaussians(n_rows, TUNING.lengths)
+        self.right = gaussians(n_cols, TUNING.lengths) * (1 / len(TUNING.lengths))
+        self.blur = gaussians(n_rows, (TUNING.blur,)), gaussians(n_cols, (TUNING.blur,))
         self.neighbours = self._blurred(t.exists[None, :, :]) + TINY
 
     def estimate_some(self, given: Known, needed: Array, cold: Array) -> Array:
@@ -81,7 +81,7 @@ class SmoothBatch:
     def estimate(self, given: Known, cold: bool) -> Array:
         """Return the estimate, float32 (b, n); `cold` if the predictions are worth nothing."""
         t, be, xp = self.t, self.t.be, self.t.be.xp
-        n_rounds = model.COLD_ROUNDS if cold else model.ROUNDS
+        n_rounds = TUNING.cold_rounds if cold else TUNING.rounds
         x = given.x * 0 if cold else given.x
         start = x * be.column(given.kept)
         known = given.used * (given.values - t.transform(start))
@@ -111,15 +111,15 @@ class SmoothBatch:
     ) -> Array:
         """Return C W^T (W C W^T + V)^-1 of the known rows, by conjugate gradients."""
         t, be, xp = self.t, self.t.be, self.t.be.xp
-        added = variance + be.column(model.MODEL_ERROR * mean)
+        added = variance + be.column(TUNING.model_error * mean)
         added = xp.where(used > 0, added, xp.ones_like(added))
         inverse = 1 / (added + be.column(mean))
         found, residual = xp.zeros_like(known), known
         direction = scaled = inverse * residual
         slope = be.dot(residual, scaled)
-        enough = model.PRECISE * be.dot(known, known)
+        enough = TUNING.precise * be.dot(known, known)
         active = enough >= 0
-        for _ in range(model.COLD_GRADIENTS if cold else model.GRADIENTS):
+        for _ in range(TUNING.cold_gradients if cold else TUNING.gradients):
             active = active & (be.dot(residual, residual) > enough)
             if not be.any(active):
                 break
@@ -146,10 +146,10 @@ class SmoothBatch:
     def _deviation_of(self, x: Array) -> Array:
         """Return the deviation of each taxel, float32 (b, n_rows, n_cols), by an estimate."""
         t, be, xp = self.t, self.t.be, self.t.be.xp
-        blurred = self._blurred(t.image(be.positive(x))) / self.neighbours
+        blurred = t.exists * self._blurred(t.image(be.positive(x))) / self.neighbours
         largest = xp.max(blurred, axis=(1, 2), keepdims=True)
         some = largest > 0
-        relative = blurred / xp.where(some, largest, xp.ones_like(largest)) + model.FLOOR
+        relative = blurred / xp.where(some, largest, xp.ones_like(largest)) + TUNING.deviation_floor
         return t.exists * xp.where(some, relative, xp.ones_like(relative))
 
     def _blurred(self, image: Array) -> Array:

@@ -14,10 +14,8 @@ from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS
-from sparseskin.nodes.reconstructor.skin.clip_bias import EVERY
-from sparseskin.nodes.reconstructor.skin.clip_bias import FIRST as FIRST_MEDIANS
-from sparseskin.nodes.reconstructor.skin.evidence import COMPARABLE
 from sparseskin.nodes.reconstructor.skin.solver import N_DRAWN, SkinSolver
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, whole_number
 from sparseskin.nodes.reconstructor.solvers.projection import MAX_BLOCK
 
@@ -223,7 +221,7 @@ class BatchSolver:
 
     def _uses_median(self, active: Mask | None) -> bool:
         frames = (self._n_frames if active is None else self._n_frames[active]) + 1
-        return bool(np.any((frames <= FIRST_MEDIANS) | (frames % EVERY == 0)))
+        return bool(np.any((frames <= TUNING.median_first) | (frames % TUNING.median_every == 0)))
 
     def _keep(self, state: State, active: Mask | None) -> None:
         """Make this the state, of patches that had a frame, in place."""
@@ -273,9 +271,9 @@ def _checked(phis: Sequence[Phi], mask: Mask) -> list[SbhePhi]:
     for other in found[1:]:
         if other.m != phi.m or not np.array_equal(other.permutation, phi.permutation):
             raise SolverError(f"batch: phi {other.fingerprint} is no row subset of the first one")
-    if phi.m < COMPARABLE and phi.m < phi.n:
+    if phi.m < TUNING.comparable and phi.m < phi.n:
         raise SolverError(
-            f"batch: {phi.m} measurements are not allowed; allowed: {COMPARABLE} or more, "
+            f"batch: {phi.m} measurements are not allowed; allowed: {TUNING.comparable} or more, "
             'or all taxels; solver "skin" takes fewer'
         )
     return found

@@ -132,7 +132,7 @@ class Tables:
                     kept=self.be.array(kept.astype(np.float32)),
                     ones=self.be.array(bias.ones),
                     held=self.be.array(np.flatnonzero(kept == 0).astype(np.int64)),
-                    energy=float(np.dot(bias.ones, bias.ones)),
+                    energy=bias.energy,
                     measurements=held_out.measurements,
                 )
             )

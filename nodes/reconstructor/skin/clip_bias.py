@@ -9,17 +9,8 @@ import numpy as np
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.solvers.projection import Projection
 
-#: Largest bias, in standard deviations of the noise. Derived: normal noise of deviation sigma,
-#: clipped at 0, has mean 0.399 sigma and deviation 0.584 sigma, a ratio of 0.68; the rest is room
-#: for the error of the estimate.
-LARGEST = 0.75
-#: Growth per frame of the least noise variance so far, which bounds the bias: it is that of an
-#: untouched skin. With the noise of a contact, a badly reconstructed scene could pass for bias.
-FORGOTTEN = 1.002
-#: Least rate of the estimate.
-SLOWEST = 0.05
-#: First frames in which the median of the taxels is used, and every how many frames later.
-FIRST, EVERY = 8, 32
+from .tuning import TUNING, SkinTuning
+
 #: Squared length of Phi 1 a taxel up to which it is 0 but for rounding: no row of the subset sees
 #: a bias. Derived: float32 leaves 1e-12, one row of +1 has 32 / N, above 1e-6 up to 3e7 taxels.
 DUST = 1e-6
@@ -41,9 +32,12 @@ class ClipBias:
         The estimate, newtons, at least 0.
     ones : ndarray of float32, shape (n_rows,)
         Phi 1 as a vector of rows, of the current row subset.
+    energy : float
+        Its squared length; 0 where no row sees a bias.
     """
 
-    def __init__(self, projection: Projection, n: int) -> None:
+    def __init__(self, projection: Projection, n: int, tuning: SkinTuning = TUNING) -> None:
+        self._t = tuning
         self._projection = projection
         self._n = n
         self._known: dict[int, tuple[Floats, float]] = {}
@@ -57,8 +51,9 @@ class ClipBias:
         if subset not in self._known:
             rows = np.zeros((1, self._projection.n_rows), dtype=np.float32)
             self._projection.forward(np.ones((1, self._n), dtype=np.float32), rows)
-            self._known[subset] = rows[0], float(np.dot(rows[0], rows[0]))
-        self.ones, self._energy = self._known[subset]
+            energy = float(np.dot(rows[0], rows[0]))
+            self._known[subset] = rows[0], energy if energy > DUST * self._n else 0.0
+        self.ones, self.energy = self._known[subset]
 
     def reset(self) -> None:
         """Forget all frames."""
@@ -79,14 +74,14 @@ class ClipBias:
         `left` is the product of Phi 1 with the residual, s2 the variance of a measurement's noise.
         """
         self._n_frames += 1
-        more = left / self._energy if self._energy > DUST * self._n else 0.0
-        if self._n_frames <= FIRST or self._n_frames % EVERY == 0:
+        more = left / self.energy if self.energy else 0.0
+        if self._n_frames <= self._t.median_first or self._n_frames % self._t.median_every == 0:
             more += float(np.median(x))
-        self._least_s2 = min(FORGOTTEN * self._least_s2, s2)
+        self._least_s2 = min(self._t.bias_forgotten * self._least_s2, s2)
         noise = math.sqrt(self._least_s2)
         more = min(max(more, -noise / 2), noise / 2)
-        rate = max(SLOWEST, 1 / (self._n_frames + 1))
-        self.b = min(max(self.b + rate * more, 0.0), LARGEST * noise)
+        rate = max(self._t.bias_slowest, 1 / (self._n_frames + 1))
+        self.b = min(max(self.b + rate * more, 0.0), self._t.bias_largest * noise)
 
     def add_back(self, forces: Floats) -> None:
         """Convert means above b to forces, in place, float32 of any shape."""

@@ -9,23 +9,9 @@ import numpy as np
 from sparseskin.nodes.numerics.arrays import Floats, Indices
 from sparseskin.nodes.reconstructor.solvers.projection import Projection
 
+from .tuning import TUNING, SkinTuning
+
 HAAR, SMOOTH = "haar", "smooth"
-#: One measurement of this many is held out, and at most this number.
-ONE_OF, MOST = 16, 32
-#: Measurements with which two models can be compared: with fewer, the smooth one is used.
-COMPARABLE = 96
-#: Weight of the past in the running mean of squared errors.
-MEMORY = 0.7
-#: Largest past error, in those of the frame.
-FADING = 4.0
-#: Frames that a running mean is of, in independent residuals.
-FRAMES = (1 + MEMORY) / (1 - MEMORY)
-#: Advantage that the smooth model needs, in standard deviations of the compared means.
-MARGIN = 1.0
-#: Frames between comparisons of two models at most; the number doubles while the same is better.
-SELDOM = 64
-#: Growth of an error that asks for a comparison.
-WORSE = 2.0
 
 
 class HeldOut:
@@ -45,6 +31,8 @@ class HeldOut:
         (m = n), there is nothing to predict.
     one_by_one : bool
         True if each measurement is predicted from all others.
+    tuning : SkinTuning
+        The constants.
 
     Attributes
     ----------
@@ -63,12 +51,22 @@ class HeldOut:
     55(12), 2009.
     """
 
-    def __init__(self, projection: Projection, n: int, m: int, one_by_one: bool) -> None:
+    def __init__(
+        self,
+        projection: Projection,
+        n: int,
+        m: int,
+        one_by_one: bool,
+        tuning: SkinTuning = TUNING,
+    ) -> None:
+        self._t = tuning
         self._projection, self._m = projection, m
-        held = 0 if one_by_one or m == n else min(max(1, m // ONE_OF), MOST)
+        held = (
+            0 if one_by_one or m == n else min(max(1, m // self._t.held_one_of), self._t.held_most)
+        )
         self._n_held = held
-        self._compares = held > 0 and m >= COMPARABLE
-        self._first = HAAR if m >= COMPARABLE else SMOOTH
+        self._compares = held > 0 and m >= self._t.comparable
+        self._first = HAAR if m >= self._t.comparable else SMOOTH
         self.tests = m < n and (one_by_one or held > 0)
         self._subsets: dict[int, tuple[Floats, Indices, Indices]] = {}
         self.reset()
@@ -136,9 +134,9 @@ class HeldOut:
             now[model] = _mean_square(residual)
             last = now[model] if failed else errors.get(model, now[model])
             # Errors of a contact end with it.
-            last = min(last, FADING * now[model] + noise)
-            errors[model] = MEMORY * last + (1 - MEMORY) * now[model]
-            if len(residuals) == 1 and now[model] > WORSE * last:
+            last = min(last, self._t.error_fading * now[model] + noise)
+            errors[model] = self._t.error_memory * last + (1 - self._t.error_memory) * now[model]
+            if len(residuals) == 1 and now[model] > self._t.worse * last:
                 self._wait = 0
         if len(residuals) == 2:
             self._compare(noise)
@@ -146,7 +144,7 @@ class HeldOut:
             (self.model,) = residuals
         chosen = self.model
         count = max(1, residuals[chosen].size)
-        self._seen = (errors[chosen], count * FRAMES), (now[chosen], count)
+        self._seen = (errors[chosen], count * self._t.error_frames), (now[chosen], count)
         self._exceeds_noise = self.error2(noise) > 0
         return chosen
 
@@ -162,11 +160,11 @@ class HeldOut:
     def _compare(self, noise: float) -> None:
         """Choose a model by the errors of both, and when to compare them again."""
         haar, smooth = self._errors[HAAR], self._errors[SMOOTH]
-        clearly = 1 + 2 * MARGIN / math.sqrt(self._n_held * FRAMES)
+        clearly = 1 + 2 * self._t.margin / math.sqrt(self._n_held * self._t.error_frames)
         # The smooth model follows each frame: its residuals do not show the noise that it keeps.
         # They bound the noise: no more than that was read.
         better = SMOOTH if haar > clearly * smooth + min(noise, smooth) else HAAR
-        self._period = min(2 * self._period, SELDOM) if better == self.model else 2
+        self._period = min(2 * self._period, self._t.seldom) if better == self.model else 2
         self.model, self._wait = better, self._period
 
 

@@ -20,8 +20,9 @@ from sparseskin.nodes.numerics.kernels import (
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, ShiftedHaar
 from sparseskin.nodes.reconstructor.solvers.fast import CompiledProjection
 
-from .prediction import SIGNIFICANT, Prediction
+from .prediction import Prediction
 from .row_memory import RowMemory
+from .tuning import SkinTuning
 
 
 def compiled_iteration(
@@ -60,8 +61,15 @@ def compiled_iteration(
 class CompiledPrediction(Prediction):
     """As `Prediction`."""
 
-    def __init__(self, projection: CompiledProjection, neighbours: Indices, n: int, m: int) -> None:
-        super().__init__(projection, neighbours, n, m)
+    def __init__(
+        self,
+        projection: CompiledProjection,
+        neighbours: Indices,
+        n: int,
+        m: int,
+        tuning: SkinTuning,
+    ) -> None:
+        super().__init__(projection, neighbours, n, m, tuning)
         ready(stay, move)
         self._compiled = projection
         self._places = neighbours.astype(np.uint32)
@@ -76,7 +84,7 @@ class CompiledPrediction(Prediction):
     def _move(self, x: Floats, y: Floats, innovation: Floats, e2: float, s2: float) -> float:
         projection, (after, before) = self._compiled, self._places
         return move(
-            *(x, y, innovation, e2, SIGNIFICANT * s2, after, before),
+            *(x, y, innovation, e2, self._t.motion_significant * s2, after, before),
             *(self._terms, self._rows, projection.measured, projection.groups),
             *(self._moved, self._moved_innovation),
         )
@@ -85,8 +93,10 @@ class CompiledPrediction(Prediction):
 class CompiledRowMemory(RowMemory):
     """As `RowMemory`."""
 
-    def __init__(self, projection: CompiledProjection, m: int, whole: Floats) -> None:
-        super().__init__(projection, m, whole)
+    def __init__(
+        self, projection: CompiledProjection, m: int, whole: Floats, tuning: SkinTuning
+    ) -> None:
+        super().__init__(projection, m, whole, tuning)
         ready(compare_rows, follow_rows)
         self._compiled = projection
 

@@ -8,18 +8,11 @@ import numpy as np
 
 from sparseskin.nodes.numerics.arrays import TINY, Floats
 
-#: Normalised innovation squared up to which all of it is noise.
-EXPECTED = 0.9
-LEAST_GAIN = 0.05
-#: Correlation of an innovation with the last correction beyond which the estimate lags behind.
-LAGGING = 0.1
-#: Rate at which the trust in the noise level then falls, its growth per frame otherwise, and its
-#: least value.
-DISTRUST, RECOVERY, LEAST_TRUST = 0.5, 1.05, 0.05
+from .tuning import TUNING, SkinTuning
 
 
 class AdaptiveGain:
-    """The gain K of the measurements against the prediction, in [0.05, 1].
+    """The gain K of the measurements against the prediction, in [`gain_least`, 1].
 
     K = P / (P + R), R the variance of the noise, P + R the mean square of the innovation. While
     nothing moves, K falls no faster than 1, 1/2, 1/3, which makes the estimate the mean of all
@@ -29,6 +22,11 @@ class AdaptiveGain:
     correction, x - x_p, that correction was too small: apparent noise is motion, and R is
     multiplied by a trust below 1 until K is high enough. As the correction is known in all taxels,
     frames of different row subsets can be compared.
+
+    Parameters
+    ----------
+    tuning : SkinTuning
+        The constants.
 
     Attributes
     ----------
@@ -43,7 +41,8 @@ class AdaptiveGain:
     Trans. Automatic Control 15(2), 1970, for the whiteness of innovations.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, tuning: SkinTuning = TUNING) -> None:
+        self._t = tuning
         self.reset()
 
     def reset(self) -> None:
@@ -77,15 +76,19 @@ class AdaptiveGain:
         both = energy * float(np.dot(correction, correction))
         if both > 0 and not jumped:
             alike = float(np.dot(innovation, correction)) / math.sqrt(both)
-            change = math.exp(DISTRUST * (LAGGING - alike)) if alike > LAGGING else RECOVERY
-            self._trust = min(max(self._trust * change, LEAST_TRUST), 1.0)
+            change = (
+                math.exp(self._t.trust_fall * (self._t.lagging - alike))
+                if alike > self._t.lagging
+                else self._t.trust_growth
+            )
+            self._trust = min(max(self._trust * change, self._t.trust_least), 1.0)
 
         self.noise = s2 * self._trust
         self.nis = energy / m / (self.noise + TINY)
-        signal = max(0.0, self.nis - EXPECTED)
+        signal = max(0.0, self.nis - self._t.gain_expected)
         last = self._gains[self._subset]
         still = last / (1 + last)
-        self.gain = 1.0 if jumped else max(LEAST_GAIN, still, signal / (1 + signal))
+        self.gain = 1.0 if jumped else max(self._t.gain_least, still, signal / (1 + signal))
         if jumped:
             self._gains = dict.fromkeys(self._gains, 1.0)
         self._gains[self._subset] = self.gain

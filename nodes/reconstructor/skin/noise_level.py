@@ -6,18 +6,7 @@ import numpy as np
 
 from sparseskin.nodes.numerics.arrays import Floats
 
-#: Rate of the estimate: it follows a contact, whose taxels are noisier, within some frames.
-RATE = 0.4
-#: Largest growth in a frame: the begin of a touch looks like noise in the first differences.
-FASTEST = 1.4
-#: The same under rotating rows, unless the estimate is below this part of the squared innovation:
-#: else apparent noise may be motion. Without it, a person who moves in bed, at N/8, comes out with
-#: an error of 27 instead of 16 %.
-FASTEST_ROTATING, CLEARLY = 1.05, 0.7
-#: Frames after a jump in which a lower level is adopted at once: it is that of another contact.
-RELEARNED = 3
-#: Mean squared innovation, in noise variances, beyond which the scene has jumped.
-JUMP = 5.0
+from .tuning import TUNING, SkinTuning
 
 
 class NoiseLevel:
@@ -30,6 +19,13 @@ class NoiseLevel:
 
     With rotating rows, comparable frames are far apart, and at few frames a second their
     differences are all motion: the level is then too high, which `AdaptiveGain` notices.
+
+    Parameters
+    ----------
+    m : int
+        Number of measurements.
+    tuning : SkinTuning
+        The constants.
 
     Attributes
     ----------
@@ -44,7 +40,8 @@ class NoiseLevel:
         Frames since the last jump; 0 for a frame that jumped.
     """
 
-    def __init__(self, m: int) -> None:
+    def __init__(self, m: int, tuning: SkinTuning = TUNING) -> None:
+        self._t = tuning
         self._difference = np.zeros(m, dtype=np.float32)
         self._m = m
         self.reset()
@@ -76,7 +73,7 @@ class NoiseLevel:
                 seen = min(seen, float(np.dot(second, second)) / (6 * self._m))
             past.step, self._difference = self._difference, past.step
         np.copyto(past.y, y)
-        self.jumped = jumped or not self._begun or e2 > JUMP * self.s2
+        self.jumped = jumped or not self._begun or e2 > self._t.jump * self.s2
         self.since_jump = 0 if self.jumped else self.since_jump + 1
         self._begun = True
         past.n_differences += 1
@@ -86,10 +83,12 @@ class NoiseLevel:
             self.s2 = seen
             self._settled = past.n_differences == 1
             return
-        doubtful = len(self._subsets) > 1 and seen >= CLEARLY * e2
-        learning = 0 < self.since_jump <= RELEARNED and seen < self.s2
-        nearer = seen if learning else self.s2 + RATE * (seen - self.s2)
-        self.s2 = min(nearer, (FASTEST_ROTATING if doubtful else FASTEST) * self.s2)
+        doubtful = len(self._subsets) > 1 and seen >= self._t.noise_clearly * e2
+        learning = 0 < self.since_jump <= self._t.noise_relearned and seen < self.s2
+        nearer = seen if learning else self.s2 + self._t.noise_rate * (seen - self.s2)
+        self.s2 = min(
+            nearer, (self._t.noise_growth_rotating if doubtful else self._t.noise_growth) * self.s2
+        )
         if self.jumped:
             for other in self._subsets.values():
                 other.n_differences = -1

@@ -9,14 +9,7 @@ import numpy as np
 from sparseskin.nodes.numerics.arrays import Floats, Indices
 from sparseskin.nodes.reconstructor.solvers.projection import Projection
 
-#: Least reduction of the squared innovation by three free parameters, in noise variances. Noise
-#: alone gives 3 on average, and 12 in less than one frame of a hundred (chi-square).
-SIGNIFICANT = 12.0
-#: Mean squared innovation, in noise variances, up to which no motion is estimated.
-STILL = 0.95
-#: A prediction has failed if the innovation has this part of the measurements' energy, and this
-#: many noise variances.
-HARDLY, DOUBTFUL = 0.5, 2.0
+from .tuning import TUNING, SkinTuning
 
 
 class Prediction:
@@ -36,7 +29,15 @@ class Prediction:
         W x of the last frame, if the projection `has_whole`.
     """
 
-    def __init__(self, projection: Projection, neighbours: Indices, n: int, m: int) -> None:
+    def __init__(
+        self,
+        projection: Projection,
+        neighbours: Indices,
+        n: int,
+        m: int,
+        tuning: SkinTuning = TUNING,
+    ) -> None:
+        self._t = tuning
         self._m = m
         self.failed = self.moved = False
         self._projection = projection
@@ -67,11 +68,11 @@ class Prediction:
             np.copyto(innovation, y)
             return y2
         e2 = self._stay(x, y, innovation)
-        if e2 > STILL * self._m * s2:
+        if e2 > self._t.motion_still * self._m * s2:
             still_e2, e2 = e2, self._move(x, y, innovation, e2, s2)
             self.moved = e2 < still_e2
         # A vanished contact still fits a little, scaled down to next to nothing.
-        self.failed = e2 > HARDLY * y2 and e2 > DOUBTFUL * self._m * s2
+        self.failed = e2 > self._t.failed_part * y2 and e2 > self._t.failed_noise * self._m * s2
         if self.failed:
             self.moved = True
             x.fill(0)
@@ -108,7 +109,10 @@ class Prediction:
         if not 0 < largest < math.inf:
             return e2
         found = _solve(gram, right, 1e-6 * largest)
-        if not sum(c * r for c, r in zip(found, right, strict=True)) > SIGNIFICANT * s2:
+        if (
+            not sum(c * r for c, r in zip(found, right, strict=True))
+            > self._t.motion_significant * s2
+        ):
             return e2
         moved = np.dot(np.array(found, dtype=np.float32), self._terms, self._moved)
         np.add(x, moved, moved)

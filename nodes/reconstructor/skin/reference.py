@@ -13,7 +13,7 @@ from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mas
 from sparseskin.nodes.reconstructor.bases.haar import haar_matrix
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, TILE
 
-from .tuning import SkinTuning
+from .tuning import TUNING, SkinTuning
 
 N_SHIFTS = 4093
 """Number of shifts that are drawn; they are used over and over."""
@@ -51,9 +51,9 @@ class ReferenceSolver:
         iterations: int | None = None,
         max_iterations: int = 30,
         seed: int = 0,
-        tuning: SkinTuning | None = None,
+        tuning: SkinTuning = TUNING,
     ) -> None:
-        self.t, self.mask = tuning or SkinTuning(), mask
+        self.t, self.mask = tuning, mask
         phi = subsets[0]
         self.n, self.m, self.step = phi.n, phi.m, 1 / phi.lipschitz
         self.ratio = self.n / self.m
@@ -332,7 +332,6 @@ class ReferenceSolver:
     def choose(self, residuals: dict[str, Any], noise: float, cold: bool) -> float:
         """Set the model of the frame; return its mean squared error beyond the noise."""
         t, now = self.t, {model: mean_square(r) for model, r in residuals.items()}
-        frames = (1 + t.error_memory) / (1 - t.error_memory)
         for model, error in now.items():
             last = error if cold else self.errors.get(model, error)
             last = min(last, t.error_fading * error + noise)
@@ -341,7 +340,7 @@ class ReferenceSolver:
                 self.wait = 0
         if len(now) == 2:
             haar, smooth = self.errors["haar"], self.errors["smooth"]
-            clearly = 1 + 2 * t.margin / math.sqrt(self.n_held * frames)
+            clearly = 1 + 2 * t.margin / math.sqrt(self.n_held * t.error_frames)
             better = "smooth" if haar > clearly * smooth + min(noise, smooth) else "haar"
             self.period = min(2 * self.period, t.seldom) if better == self.model else 2
             self.model, self.wait = better, self.period
@@ -349,7 +348,7 @@ class ReferenceSolver:
             (self.model,) = now
         count = max(1, len(residuals[self.model]))
         beyond = excess(now[self.model], noise, count)
-        beyond = max(0.0, beyond, excess(self.errors[self.model], noise, count * frames))
+        beyond = max(0.0, beyond, excess(self.errors[self.model], noise, count * t.error_frames))
         self.exceeds_noise = beyond > 0
         return beyond
 

@@ -9,16 +9,7 @@ import numpy as np
 from sparseskin.nodes.numerics.arrays import TINY, Floats
 from sparseskin.nodes.reconstructor.solvers.projection import Projection
 
-#: Largest weight of a row of earlier frames; a row of this frame has weight 1. With more, the noise
-#: of earlier frames, which the estimate has averaged out, returns.
-MOST = 0.3
-#: Change since a row was read, in noise variances, that may be noise; decay of the weight beyond.
-NOISE_CHANGE, DECAY = 1.05, 10.0
-#: Variance of a remembered row for the smooth model, in its mean squared change: changes have a
-#: structure, and independent rows that agree on it would prove it.
-DOUBT = 10.0
-#: Part of the drift that is left a frame later: a change is followed by others.
-DRIFT_DECAY = 0.5
+from .tuning import TUNING, SkinTuning
 
 
 class RowMemory:
@@ -39,6 +30,8 @@ class RowMemory:
         One that has `whole`; number of measurements.
     whole : ndarray of float32, shape (n_rows,)
         W x of the last estimate when `recall` is called; becomes that of the prediction.
+    tuning : SkinTuning
+        The constants.
 
     Attributes
     ----------
@@ -50,7 +43,10 @@ class RowMemory:
         Last measurement of each row, moved along, newtons; 1 where there is one, 0 where not.
     """
 
-    def __init__(self, projection: Projection, m: int, whole: Floats) -> None:
+    def __init__(
+        self, projection: Projection, m: int, whole: Floats, tuning: SkinTuning = TUNING
+    ) -> None:
+        self._t = tuning
         self._projection = projection
         self._m = m
         self.m_counted = float(m)
@@ -102,13 +98,17 @@ class RowMemory:
         self.read = self._read_by[subset]
         change2 = self._compare(x, y)
         self._n_frames += 1
-        change, age = e2 - NOISE_CHANGE * s2, 1
+        change, age = e2 - self._t.memory_still * s2, 1
         if subset in self._read_in:
-            change = change2 / self._m - 2 * NOISE_CHANGE * s2
+            change = change2 / self._m - 2 * self._t.memory_still * s2
             age = self._n_frames - self._read_in.pop(subset)
         change = max(0.0, change)
-        self._drift = max(change / age, DRIFT_DECAY * self._drift)
-        counted = 0.0 if settling else MOST / math.sqrt(1 + DECAY * change / (s2 + TINY))
+        self._drift = max(change / age, self._t.drift_decay * self._drift)
+        counted = (
+            0.0
+            if settling
+            else self._t.memory_weight / math.sqrt(1 + self._t.memory_decay * change / (s2 + TINY))
+        )
         self._read_in[subset] = self._n_frames
         self.m_counted = self._m * (1 + counted**2 * (len(self._read_in) - 1))
         self._follow(gain, counted, target)
@@ -120,7 +120,7 @@ class RowMemory:
         """
         variances = np.zeros_like(self.values)
         for subset, frame in self._read_in.items():
-            changed = DOUBT * self._drift * (self._n_frames - frame)
+            changed = self._t.memory_doubt * self._drift * (self._n_frames - frame)
             variances[self._read_by[subset] > 0] = noise + changed
         return variances
 

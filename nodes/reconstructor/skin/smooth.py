@@ -10,32 +10,11 @@ import numpy as np
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.solvers.projection import Projection
 
-#: Standard deviations of the Gaussians whose mean is the correlation of two taxels, in taxels.
-#: Chosen: from one taxel to a fingertip.
-LENGTHS = (0.5, 1.0, 2.0)
-#: Blur of an estimate before it becomes the deviation of the next, in taxels; and the deviation of
-#: a taxel without contact, as a part of the largest. Fitted on five recordings of real skins.
-BLUR, FLOOR = 1.0, 0.07
-#: Part of the mean variance that is added to each measurement: the model is never exact.
-MODEL_ERROR = 1e-3
-#: Least noise variance of a measurement, as a part of its mean square.
-LEAST_NOISE = 1e-6
-#: Part of the prediction that is kept: with fixed rows what no row measures would stay for ever.
-KEPT_FIXED, KEPT_ROTATING = 0.5, 0.9
-#: Rounds of a frame, each with the deviation of the last, and of one that starts from nothing.
-ROUNDS, COLD_ROUNDS = 2, 5
-#: Conjugate gradients of a round.
-GRADIENTS, COLD_GRADIENTS = 20, 30
-#: Part of the squared right side at which conjugate gradients end.
-PRECISE = 1e-6
-#: Measurements by which the fitted deviation makes the error of a left-out one too small: its
-#: square is multiplied by 1 + this / their number. Fitted on presses on 16 to 300 taxels.
-FITTED = 32.0
+from .tuning import TUNING, SkinTuning
+
 #: Side of a grid up to which its correlation is a full matrix, and distance beyond which it is 0
 #: in a sparse one, in its lengths.
 MOST_DENSE, NEGLIGIBLE = 256, 4.0
-#: Taxels up to which a system can be solved by its inverse, which costs their number cubed.
-MOST_DIRECT = 512
 
 
 class SmoothModel:
@@ -61,8 +40,10 @@ class SmoothModel:
     mask : ndarray of bool, shape (n_rows, n_cols)
         True where a taxel exists.
     direct : bool
-        True to solve by the inverse of the system, for at most `MOST_DIRECT` taxels. Each
+        True to solve by the inverse of the system, for at most `most_direct` taxels. Each
         measurement is then also predicted from all others (`left_out`).
+    tuning : SkinTuning
+        The constants.
 
     Attributes
     ----------
@@ -83,17 +64,26 @@ class SmoothModel:
     """
 
     def __init__(
-        self, projection: Projection, taxels: Indices, mask: Mask, direct: bool = False
+        self,
+        projection: Projection,
+        taxels: Indices,
+        mask: Mask,
+        direct: bool = False,
+        tuning: SkinTuning = TUNING,
     ) -> None:
+        self._t = tuning
         self._projection = projection
         self._taxels = taxels
         self._exists = mask.astype(np.float32)
         n_rows, n_cols = mask.shape
         self._kernels = [
-            (_gaussian(n_rows, length), _gaussian(n_cols, length) / np.float32(len(LENGTHS)))
-            for length in LENGTHS
+            (
+                _gaussian(n_rows, length),
+                _gaussian(n_cols, length) / np.float32(len(self._t.lengths)),
+            )
+            for length in self._t.lengths
         ]
-        self._blur = _gaussian(n_rows, BLUR), _gaussian(n_cols, BLUR)
+        self._blur = _gaussian(n_rows, self._t.blur), _gaussian(n_cols, self._t.blur)
         self._neighbours: Floats = self._blurred(self._exists) + np.float32(TINY)
         self._image = np.zeros(mask.shape, dtype=np.float32)
         self.rounds_left = 0
@@ -131,8 +121,8 @@ class SmoothModel:
         self._start = np.zeros_like(x) if cold else np.float32(kept) * x
         self._values, self._variance, self._used = values, variance, used
         self._known = used * (values - self._rows(self._start)) if not cold else used * values
-        self._gradients = COLD_GRADIENTS if cold else GRADIENTS
-        self.rounds_left = COLD_ROUNDS if cold else ROUNDS
+        self._gradients = self._t.cold_gradients if cold else self._t.gradients
+        self.rounds_left = self._t.cold_rounds if cold else self._t.rounds
         self._deviation = self._exists if cold else self._deviation_of(x)
         self.x = x
         self._power = power
@@ -169,11 +159,11 @@ class SmoothModel:
             one[row] = 0
         correlated = scaled @ self._correlation
         system = (correlated @ scaled.T).astype(np.float64)
-        system[np.diag_indices_from(system)] += MODEL_ERROR * mean + variance[used] + TINY
+        system[np.diag_indices_from(system)] += self._t.model_error * mean + variance[used] + TINY
         inverse = np.linalg.inv(system)
         found = inverse @ self._known[used]
         self.left_out = np.zeros_like(self._used)
-        self.left_out[used] = found / np.diag(inverse) * math.sqrt(1 + FITTED / used.size)
+        self.left_out[used] = found / np.diag(inverse) * math.sqrt(1 + self._t.fitted / used.size)
         field: Floats = (deviation * (found @ correlated)).astype(np.float32)
         return field
 
@@ -181,21 +171,21 @@ class SmoothModel:
         """Return K of all taxels, float32 (n, n)."""
         places = np.stack(np.unravel_index(self._taxels, shape), axis=1)
         distance2 = np.square(places[:, None] - places).sum(axis=2)
-        found = [np.exp(-0.5 * distance2 / length**2) for length in LENGTHS]
+        found = [np.exp(-0.5 * distance2 / length**2) for length in self._t.lengths]
         correlation: Floats = np.mean(found, axis=0).astype(np.float32)
         return correlation
 
     def _descend(self, mean: float, variance: Floats) -> Floats:
         """Return C W^T (W C W^T + V)^-1 of the known rows, by conjugate gradients."""
         used, known = self._used, self._known
-        added = np.where(used > 0, variance + np.float32(MODEL_ERROR * mean), np.float32(1))
+        added = np.where(used > 0, variance + np.float32(self._t.model_error * mean), np.float32(1))
         inverse = np.reciprocal(added + np.float32(mean), dtype=np.float32)
         found = np.zeros_like(known)
         residual = known.copy()
         scaled = np.multiply(inverse, residual, dtype=np.float32)
         direction = scaled.copy()
         slope = float(np.dot(residual, scaled))
-        enough = PRECISE * float(np.dot(known, known))
+        enough = self._t.precise * float(np.dot(known, known))
         for _ in range(self._gradients):
             if not float(np.dot(residual, residual)) > enough:
                 break
@@ -233,7 +223,9 @@ class SmoothModel:
         largest = float(blurred.max())
         if not largest > 0:
             return self._exists
-        deviation: Floats = self._exists * (blurred / np.float32(largest) + np.float32(FLOOR))
+        deviation: Floats = self._exists * (
+            blurred / np.float32(largest) + np.float32(self._t.deviation_floor)
+        )
         return deviation
 
     def _blurred(self, image: Floats) -> Floats:

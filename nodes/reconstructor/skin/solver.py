@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,54 +19,16 @@ from sparseskin.nodes.reconstructor.solvers.backends import make_projection
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
 
 from .clip_bias import ClipBias
-from .evidence import COMPARABLE, HAAR, SMOOTH, HeldOut
+from .evidence import HAAR, SMOOTH, HeldOut
 from .gain import AdaptiveGain
 from .noise_level import NoiseLevel
 from .prediction import Prediction, neighbours_of
 from .row_memory import RowMemory
-from .smooth import KEPT_FIXED, KEPT_ROTATING, LEAST_NOISE, MOST_DIRECT, SmoothModel
+from .smooth import SmoothModel
+from .tuning import TUNING, SkinTuning
 
 N_DRAWN = 4093
 """Number of shifts drawn in advance; a prime, so that their sequence is in step with nothing."""
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """Constants of `SkinSolver`, without unit unless stated; chosen on simulated scenes."""
-
-    #: Threshold, in RMS residuals.
-    threshold: float = 1.4
-    #: Least threshold, in standard deviations of the noise of a filtered frame.
-    least_threshold: float = 0.5
-    #: Least threshold, in RMS innovations, with fixed rows and with rotating ones. A threshold that
-    #: falls with the residual would not hold against a wrong estimate that fits the measurements;
-    #: rotating rows contradict such an estimate in the next frame.
-    held_threshold: float = 0.8
-    held_rotating: float = 0.3
-    #: Threshold of a frame that starts from 0, in standard deviations of the interference of the
-    #: other taxels in its first gradient step. With few measurements `threshold` would be far
-    #: above that and suppress a contact.
-    cold_threshold: float = 2.4
-    #: Frames after a jump that have all iterations, too: errors that no measurement observes would
-    #: be kept otherwise.
-    settling: int = 2
-    momentum: float = 0.7
-    #: The estimate is the mean of this many last iterates, each with its own shift.
-    averaged: int = 3
-    #: Normalised innovation squared beyond which iterations are added, and how many per unit.
-    expected_nis: float = 1.05
-    iterations_per_nis: float = 20.0
-    #: Mean squared error of an estimate whose held-out rows show noise alone, in K R and the root
-    #: of the part of the taxels that are touched.
-    filtered_error: float = 2.2
-    #: Largest error that is trusted, as a part of the forces (both RMS); and the power of the
-    #: measurements beyond their noise, or of forces and errors, in noise variances, up to which
-    #: nothing touches the skin.
-    trusted: float = 0.25
-    untouched: float = 0.5
-
-
-TUNING = Tuning()
 
 
 class SkinSolver(Solver):
@@ -116,6 +77,8 @@ class SkinSolver(Solver):
         forces are the same to within some 1e-5 N at M = N/3. With far fewer measurements the method
         amplifies rounding: measurements that differ by 1e-7 N make as large a difference. So does
         the smooth model at any M.
+    tuning : SkinTuning
+        The constants of the method; another one is an ablation.
 
     Raises
     ------
@@ -144,8 +107,10 @@ class SkinSolver(Solver):
         max_iterations: int = 30,
         seed: int = 0,
         fast: str = "auto",
+        tuning: SkinTuning = TUNING,
     ) -> None:
         super().__init__(phi, basis, mask)
+        self._t = tuning
         if iterations is None:
             iterations = min(2 + round(phi.ratio / 4), MAX_ITERATIONS)
         self.iterations = whole_number("skin", "iterations", iterations, 1, MAX_ITERATIONS)
@@ -163,17 +128,17 @@ class SkinSolver(Solver):
         places = self._place_of_cell.reshape(self.mask.shape)
         self._haar = ShiftedHaar(self.mask.shape, places, n)
         neighbours = neighbours_of(places, n)
-        self._prediction = Prediction(self._projection, neighbours, n, phi.m)
-        self._noise = NoiseLevel(phi.m)
-        self._bias = ClipBias(self._projection, n)
-        few = phi.m < COMPARABLE and n <= MOST_DIRECT
-        self._held_out = HeldOut(self._projection, n, phi.m, one_by_one=few)
+        self._prediction = Prediction(self._projection, neighbours, n, phi.m, tuning)
+        self._noise = NoiseLevel(phi.m, tuning)
+        self._bias = ClipBias(self._projection, n, tuning)
+        few = phi.m < tuning.comparable and n <= tuning.most_direct
+        self._held_out = HeldOut(self._projection, n, phi.m, few, tuning)
         cells = self.taxels[self._projection.order]
-        self._smooth = SmoothModel(self._projection, cells, self.mask, direct=few)
-        self._gain = AdaptiveGain()
+        self._smooth = SmoothModel(self._projection, cells, self.mask, few, tuning)
+        self._gain = AdaptiveGain(tuning)
         self._memory: RowMemory | None = None
         if self._projection.has_whole:
-            self._memory = RowMemory(self._projection, phi.m, self._prediction.whole)
+            self._memory = RowMemory(self._projection, phi.m, self._prediction.whole, tuning)
         rng = np.random.default_rng(seed)
         self._shifts: list[int] = rng.integers(len(SHIFTS), size=N_DRAWN).tolist()
 
@@ -192,7 +157,7 @@ class SkinSolver(Solver):
         # An array of them: numpy compares with a single number three times as slowly.
         self._zeros = floats(n)
         self._lambda2 = np.zeros((), dtype=np.float32)
-        self._momentum = np.array(TUNING.momentum, dtype=np.float32)
+        self._momentum = np.array(tuning.momentum, dtype=np.float32)
         self._factor = np.zeros((), dtype=np.float32)
         self._shrink = self._haar.shrinking(self._canvas, self._lambda2)
         #: The work of `step` and `finish`: with numpy, or in compiled loops.
@@ -213,10 +178,10 @@ class SkinSolver(Solver):
         projection, m = self._projection, self.phi.m
         assert isinstance(projection, CompiledProjection)
         vectors = (self._x, self._z, self._r, self._target, self._sum, self._canvas)
-        self._prediction = fast.CompiledPrediction(projection, neighbours, self.phi.n, m)
-        self._memory = fast.CompiledRowMemory(projection, m, self._prediction.whole)
+        self._prediction = fast.CompiledPrediction(projection, neighbours, self.phi.n, m, self._t)
+        self._memory = fast.CompiledRowMemory(projection, m, self._prediction.whole, self._t)
         self._iterate = fast.compiled_iteration(
-            projection, self._haar, (*vectors, self._u_and_zero), m, TUNING.momentum
+            projection, self._haar, (*vectors, self._u_and_zero), m, self._t.momentum
         )
         self._forces_of = fast.compiled_forces(self._place_of_cell)
 
@@ -273,19 +238,19 @@ class SkinSolver(Solver):
         e2 = self._prediction.predict(self._x, self._y, self._innovation, self._noise.s2)
         e2 /= self.phi.m
         self._noise.update(y, e2, self._prediction.failed)
-        jumped, settling = self._noise.jumped, self._noise.since_jump <= TUNING.settling
+        jumped, settling = self._noise.jumped, self._noise.since_jump <= self._t.settling
         self._projection.forward(self._correction[None], self._r[None])
         self._gain.update(self._innovation, self._r, self.phi.m, self._noise.s2, settling)
         gain = self._gain.gain
 
-        held = TUNING.held_rotating if self._rotating else TUNING.held_threshold
-        noise = TUNING.least_threshold * math.sqrt(self._gain.noise * gain)
+        held = self._t.held_rotating if self._rotating else self._t.held_threshold
+        noise = self._t.least_threshold * math.sqrt(self._gain.noise * gain)
         least = 0.0 if jumped else max(noise, held * math.sqrt(e2) * gain)
         self._least = least * self._projection.step_size
-        cold = TUNING.cold_threshold / math.sqrt(self.phi.ratio)
-        threshold = min(TUNING.threshold, cold) if jumped else TUNING.threshold
+        cold = self._t.cold_threshold / math.sqrt(self.phi.ratio)
+        threshold = min(self._t.threshold, cold) if jumped else self._t.threshold
         self._threshold = threshold * self._projection.step_size
-        more = TUNING.iterations_per_nis * max(0.0, self._gain.nis - TUNING.expected_nis)
+        more = self._t.iterations_per_nis * max(0.0, self._gain.nis - self._t.expected_nis)
         more = self.max_iterations if settling else min(more, self.max_iterations)
         models = self._held_out.models(self._nothing_known)
         self._n_haar = (
@@ -318,14 +283,14 @@ class SkinSolver(Solver):
         y = self._y
         y2 = float(np.dot(y, y)) / self.phi.m
         cold = self._nothing_known
-        least = self._known_noise + LEAST_NOISE * y2
+        least = self._known_noise + self._t.least_noise * y2
         power = (y2 if cold else e2) - least
         known, values, variance = self._projection.measured, y, np.full_like(y, least)
         if rotating and self._memory is not None:
             known, values = self._memory.known, self._memory.values
             variance = self._memory.variances(least)
         used = np.where(known > 0, self._held_out.kept, np.float32(0))
-        kept = KEPT_ROTATING if rotating else KEPT_FIXED
+        kept = self._t.kept_rotating if rotating else self._t.kept_fixed
         self._smooth.setup(self._x, values, variance, used, max(power, TINY), cold, kept)
         self._n_rounds = self._smooth.rounds_left
 
@@ -341,7 +306,7 @@ class SkinSolver(Solver):
             if self._needs_smooth:
                 self._smooth.round()
             return
-        summed = done >= self._n_haar - TUNING.averaged
+        summed = done >= self._n_haar - self._t.averaged
         shift = self._shifts[self._next_shift]
         self._iterate(shift, self._threshold, self._least, summed)
         self._next_shift = (self._next_shift + 1) % N_DRAWN
@@ -441,7 +406,7 @@ class SkinSolver(Solver):
         """Mean squared error of a taxel that the noise leaves in an estimate x, float32 (n,)."""
         touched = math.sqrt(np.count_nonzero(x) / self.phi.n)
         gain = self._gain.gain if self.model == HAAR else 1.0
-        return TUNING.filtered_error * touched * gain * self._known_noise
+        return self._t.filtered_error * touched * gain * self._known_noise
 
     def _judge(self) -> None:
         """Set the error of the estimate, and whether it is trusted."""
@@ -454,8 +419,8 @@ class SkinSolver(Solver):
         error2, power = max(beyond, filtered), float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)
         excess = max(power, min(beyond, self._power_read - noise))
-        untouched = excess <= TUNING.untouched * noise
-        self.trusted = untouched or error2 <= TUNING.trusted**2 * power
+        untouched = excess <= self._t.untouched * noise
+        self.trusted = untouched or error2 <= self._t.trusted**2 * power
 
     def _recall(self, e2: float, settling: bool) -> None:
         """Use the rows of earlier frames as well, as far as they still hold."""

@@ -10,24 +10,12 @@ import pytest
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.reconstructor.skin.evidence import (
-    COMPARABLE,
-    FADING,
-    FRAMES,
-    HAAR,
-    MARGIN,
-    MEMORY,
-    MOST,
-    ONE_OF,
-    SELDOM,
-    SMOOTH,
-    WORSE,
-    HeldOut,
-)
+from sparseskin.nodes.reconstructor.skin.evidence import HAAR, SMOOTH, HeldOut
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 from sparseskin.nodes.reconstructor.solvers.backends import make_projection
 
 N, M = 1600, 400
-N_HELD = M // ONE_OF
+N_HELD = M // TUNING.held_one_of
 
 
 def held_out(n: int = N, m: int = M, one_by_one: bool = False) -> HeldOut:
@@ -52,7 +40,7 @@ def frame(held: HeldOut, haar: float, smooth: float, noise: float = 0.0) -> tupl
     ("n", "m", "one_by_one", "n_held"),
     [
         (N, M, False, N_HELD),
-        (N, 1024, False, MOST),
+        (N, 1024, False, TUNING.held_most),
         (64, 8, False, 1),
         (64, 64, False, 0),
         (64, 21, True, 0),
@@ -155,7 +143,9 @@ def test_a_single_bad_frame_counts_in_full_at_once_and_ends_with_what_caused_it(
     held.choose({HAAR: residual(1.0)}, 0.0, failed=False)
     assert held.error2(0.0) == pytest.approx(1, rel=1e-5)
     held.choose({HAAR: residual(1e-4)}, 0.0, failed=False)
-    assert held.error2(0.0) == pytest.approx((MEMORY * FADING + 1 - MEMORY) * 1e-4, rel=1e-4)
+    assert held.error2(0.0) == pytest.approx(
+        (TUNING.error_memory * TUNING.error_fading + 1 - TUNING.error_memory) * 1e-4, rel=1e-4
+    )
 
 
 def test_errors_before_a_scene_jumped_are_forgotten() -> None:
@@ -172,7 +162,7 @@ def test_the_smooth_model_is_chosen_only_if_haars_error_exceeds_its_own_by_the_n
     above: float, model: str, noise: float
 ) -> None:
     smooth = 0.3
-    clearly = 1 + 2 * MARGIN / math.sqrt(N_HELD * FRAMES)
+    clearly = 1 + 2 * TUNING.margin / math.sqrt(N_HELD * TUNING.error_frames)
     held = held_out()
     for _ in range(3):
         # Held-out residuals bound the noise, too.
@@ -200,11 +190,11 @@ def gaps(haar: float, smooth: float, n_frames: int) -> list[int]:
 def test_models_are_compared_more_rarely_while_the_same_is_better() -> None:
     found = gaps(1.0, 1.5, 400)
     assert found[:5] == [4, 8, 16, 32, 64]
-    assert set(found[5:]) == {SELDOM}
+    assert set(found[5:]) == {TUNING.seldom}
     # A change of the model comes first.
     found = gaps(2.0, 1.0, 400)
     assert found[:6] == [2, 4, 8, 16, 32, 64]
-    assert set(found[6:]) == {SELDOM}
+    assert set(found[6:]) == {TUNING.seldom}
 
 
 def test_models_are_not_compared_while_the_errors_may_be_noise() -> None:
@@ -223,12 +213,12 @@ def test_models_are_compared_at_once_when_the_error_doubles() -> None:
     held = held_out()
     for _ in range(40):
         frame(held, 1.0, 2.0)
-    assert frame(held, 0.95 * WORSE, 4.0) == (HAAR,)
+    assert frame(held, 0.95 * TUNING.worse, 4.0) == (HAAR,)
     assert frame(held, 1.0, 4.0) == (HAAR,)
     for _ in range(5):
         frame(held, 1.0, 4.0)
-    assert frame(held, 1.1 * WORSE, 4.0) == (HAAR,)
-    assert frame(held, 1.1 * WORSE, 4.0) == (HAAR, SMOOTH)
+    assert frame(held, 1.1 * TUNING.worse, 4.0) == (HAAR,)
+    assert frame(held, 1.1 * TUNING.worse, 4.0) == (HAAR, SMOOTH)
 
 
 def test_a_frame_of_which_the_past_says_nothing_is_estimated_by_both_models() -> None:
@@ -242,8 +232,8 @@ def test_a_frame_of_which_the_past_says_nothing_is_estimated_by_both_models() ->
 @pytest.mark.parametrize(
     ("n", "m", "one_by_one", "model"),
     [
-        (N, COMPARABLE - 1, False, SMOOTH),
-        (256, COMPARABLE - 1, True, SMOOTH),
+        (N, TUNING.comparable - 1, False, SMOOTH),
+        (256, TUNING.comparable - 1, True, SMOOTH),
         (256, 256, False, HAAR),
     ],
 )

@@ -9,8 +9,9 @@ from pressed import noisy, sliding_disc
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.reconstructor.skin.clip_bias import ClipBias
-from sparseskin.nodes.reconstructor.skin.gain import LEAST_GAIN, AdaptiveGain
-from sparseskin.nodes.reconstructor.skin.noise_level import JUMP, NoiseLevel
+from sparseskin.nodes.reconstructor.skin.gain import AdaptiveGain
+from sparseskin.nodes.reconstructor.skin.noise_level import NoiseLevel
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 from sparseskin.nodes.reconstructor.solvers.backends import make_projection
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
 
@@ -54,7 +55,7 @@ def test_a_jump_is_reported_and_does_not_raise_the_level() -> None:
         assert level.jumped == (k == 0)
     before = level.s2
     jumped = drifting(1, 0.0)[0] + 1
-    level.update(jumped, e2=1.1 * JUMP * before)
+    level.update(jumped, e2=1.1 * TUNING.jump * before)
     assert level.jumped
     assert level.s2 < 1.5 * before
     level.update(jumped, e2=SIGMA_N**2)
@@ -231,7 +232,7 @@ def test_innovations_along_the_last_correction_raise_the_gain_at_any_noise_level
     gain = AdaptiveGain()
     for innovation in innovations(30):
         gain.update(innovation, NONE, 500, SIGMA_N**2, jumped=False)
-    assert LEAST_GAIN <= gain.gain < 0.25
+    assert TUNING.gain_least <= gain.gain < 0.25
     for _ in range(15):
         gain.update(lagging, np.float32(gain.gain) * lagging, 500, SIGMA_N**2, jumped=False)
     assert gain.gain > 0.8

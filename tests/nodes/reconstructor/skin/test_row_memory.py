@@ -8,7 +8,8 @@ import pytest
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.reconstructor.skin.row_memory import DOUBT, MOST, RowMemory
+from sparseskin.nodes.reconstructor.skin.row_memory import RowMemory
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 from sparseskin.nodes.reconstructor.solvers.backends import make_projection
 from sparseskin.nodes.reconstructor.solvers.projection import Projection
 
@@ -55,13 +56,15 @@ def test_a_still_skin_counts_all_rows_once_they_are_read_and_aims_at_what_was_me
         counted = setting.frame(k, taxels)
         known = min(k + 1, RATIO) * M
         assert np.isclose(counted, 1, atol=1e-3).sum() == M
-        assert np.isclose(counted, MOST, atol=1e-3).sum() == known - M
+        assert np.isclose(counted, TUNING.memory_weight, atol=1e-3).sum() == known - M
         assert np.isclose(counted, 0, atol=1e-3).sum() == N - known
     # Nothing was predicted: K = 1/2 of what was measured, times what a row counts.
     whole = np.zeros(N, dtype=np.float32)
     setting.projection.whole(taxels[setting.projection.order], whole)
     np.testing.assert_allclose(setting.target, counted * whole / 2, atol=1e-5)
-    assert setting.memory.m_counted == pytest.approx(M * (1 + MOST**2 * (RATIO - 1)))
+    assert setting.memory.m_counted == pytest.approx(
+        M * (1 + TUNING.memory_weight**2 * (RATIO - 1))
+    )
 
 
 def test_rows_count_less_the_more_the_skin_has_changed_since_they_were_read() -> None:
@@ -72,7 +75,7 @@ def test_rows_count_less_the_more_the_skin_has_changed_since_they_were_read() ->
             setting.frame(k, taxels)
         noise = np.random.default_rng(1).normal(0, change_n, N).astype(np.float32)
         least.append(float(setting.frame(RATIO, taxels + noise).min()))
-    assert least[0] == pytest.approx(MOST, abs=1e-3)
+    assert least[0] == pytest.approx(TUNING.memory_weight, abs=1e-3)
     assert least[0] > least[1] > 5 * least[2]
 
 
@@ -81,7 +84,7 @@ def test_before_a_round_is_over_an_innovation_beyond_the_noise_counts_as_a_chang
     setting.frame(0, taxels)
     surprised = setting.frame(1, taxels, nis=50.0)
     assert np.isclose(surprised, 1, atol=1e-3).sum() == M
-    assert 0 < surprised[surprised > 1e-4].min() < MOST / 5
+    assert 0 < surprised[surprised > 1e-4].min() < TUNING.memory_weight / 5
 
 
 def test_while_an_estimate_settles_earlier_rows_count_nothing_and_are_kept() -> None:
@@ -91,7 +94,7 @@ def test_while_an_estimate_settles_earlier_rows_count_nothing_and_are_kept() -> 
     counted = setting.frame(RATIO, taxels, settling=True)
     assert np.isclose(counted, 0, atol=1e-6).sum() == N - M
     counted = setting.frame(RATIO + 1, taxels)
-    assert np.isclose(counted, MOST, atol=1e-3).sum() == N - M
+    assert np.isclose(counted, TUNING.memory_weight, atol=1e-3).sum() == N - M
 
 
 def test_variances_of_rows_grow_by_their_age_times_the_drift_that_is_seen() -> None:
@@ -107,7 +110,7 @@ def test_variances_of_rows_grow_by_their_age_times_the_drift_that_is_seen() -> N
     np.testing.assert_allclose(values[0], S2, rtol=1e-6)
     np.testing.assert_allclose(np.diff(values), values[1] - S2, rtol=1e-3)
     # The change in RATIO frames has a mean square of 0.01; an age of one is a part of it.
-    assert values[1] - S2 == pytest.approx(DOUBT * 0.01 / RATIO, rel=0.3)
+    assert values[1] - S2 == pytest.approx(TUNING.memory_doubt * 0.01 / RATIO, rel=0.3)
 
 
 def test_forgotten_rows_count_nothing() -> None:
@@ -133,7 +136,9 @@ def test_a_prediction_that_moves_moves_what_is_known_along() -> None:
     y = np.zeros(N, dtype=np.float32)
     setting.projection.rows_of(phi.forward(after), y)
     setting.memory.recall(0, after[order], y, setting.target, 0.5, S2, S2, False)
-    assert setting.memory.m_counted == pytest.approx(M * (1 + MOST**2 * (RATIO - 1)), rel=1e-4)
+    assert setting.memory.m_counted == pytest.approx(
+        M * (1 + TUNING.memory_weight**2 * (RATIO - 1)), rel=1e-4
+    )
     setting.projection.weigh(None)
     whole = np.zeros(N, dtype=np.float32)
     setting.projection.whole(after[order], whole)

@@ -15,8 +15,8 @@ from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.skin.evidence import HAAR, SMOOTH
-from sparseskin.nodes.reconstructor.skin.smooth import COLD_ROUNDS, ROUNDS
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
 from sparseskin.nodes.sensor.scenes.presses import N_BEFORE, press_frames, scattered_mask
 
@@ -156,9 +156,9 @@ def test_iterations_follow_what_a_frame_brings() -> None:
         solver.solve(y)
         steps.append(solver.n_steps)
     # The first frame, and a comparison now and then, are estimated by the smooth model, too.
-    assert steps[0] == 12 + COLD_ROUNDS
+    assert steps[0] == 12 + TUNING.cold_rounds
     assert {3, 4} & set(steps[10:20])
-    assert max(steps[10:20]) <= 6 + ROUNDS
+    assert max(steps[10:20]) <= 6 + TUNING.rounds
     assert max(steps[20:24]) >= 12
 
 

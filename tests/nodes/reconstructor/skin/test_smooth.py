@@ -11,18 +11,8 @@ import pytest
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.skin import smooth
-from sparseskin.nodes.reconstructor.skin.smooth import (
-    BLUR,
-    COLD_ROUNDS,
-    FITTED,
-    FLOOR,
-    LENGTHS,
-    MODEL_ERROR,
-    MOST_DENSE,
-    NEGLIGIBLE,
-    ROUNDS,
-    SmoothModel,
-)
+from sparseskin.nodes.reconstructor.skin.smooth import MOST_DENSE, NEGLIGIBLE, SmoothModel
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 from sparseskin.nodes.reconstructor.solvers.backends import make_projection
 
 KINDS = ["sbhe", "gaussian", "subsample", "full"]
@@ -82,10 +72,10 @@ class Setting:
         return found
 
     def deviation(self, x: Doubles) -> Doubles:
-        """Standard deviations that follow from an estimate, the largest 1 + FLOOR."""
-        blur = self.bell(BLUR)
+        """Standard deviations that follow from an estimate, the largest 1 and the floor."""
+        blur = self.bell(TUNING.blur)
         blurred = blur @ x / blur.sum(axis=1)
-        found: Doubles = blurred / blurred.max() + FLOOR
+        found: Doubles = blurred / blurred.max() + TUNING.deviation_floor
         return found
 
     def system(self, deviation: Doubles, known: Doubles) -> tuple[Doubles, Doubles]:
@@ -93,11 +83,11 @@ class Setting:
         used = self.used > 0
         mean = float(np.mean(deviation**2))
         s2 = float(np.mean(known[used] ** 2)) / mean
-        correlation = np.mean([self.bell(length) for length in LENGTHS], axis=0)
+        correlation = np.mean([self.bell(length) for length in TUNING.lengths], axis=0)
         covariance = deviation[:, None] * correlation * deviation
         w = self.w[used]
         across = covariance @ w.T
-        return across, w @ across + np.diag(self.variance[used] / s2 + MODEL_ERROR * mean)
+        return across, w @ across + np.diag(self.variance[used] / s2 + TUNING.model_error * mean)
 
     def closed(self, deviation: Doubles, start: Doubles) -> Doubles:
         """max(0, x_p + C W^T (W C W^T + V)^-1 (y - W x_p))."""
@@ -119,7 +109,7 @@ def test_the_first_round_from_nothing_is_the_closed_form_with_equal_deviations(
 ) -> None:
     setting = Setting(kind, mask, direct)
     setting.begin()
-    assert setting.model.rounds_left == COLD_ROUNDS
+    assert setting.model.rounds_left == TUNING.cold_rounds
     setting.model.round()
     n = setting.phi.n
     assert relative(setting.model.x, setting.closed(np.ones(n), np.zeros(n))) < CLOSE[direct]
@@ -133,7 +123,7 @@ def test_a_predicted_frame_is_the_closed_form_with_the_deviations_of_the_predict
     setting = Setting(kind, holes(), direct)
     last = np.roll(setting.x, 1) * 0.8
     setting.begin(last, kept=0.5)
-    assert setting.model.rounds_left == ROUNDS
+    assert setting.model.rounds_left == TUNING.rounds
     setting.model.round()
     wanted = setting.closed(setting.deviation(last), 0.5 * last)
     assert relative(setting.model.x, wanted) < CLOSE[direct]
@@ -158,7 +148,7 @@ def test_the_last_round_ends_with_a_step_along_the_weighted_residual(
     """The step is as long as the largest eigenvalue of Phi Phi^T allows, whatever Phi is."""
     setting = Setting(kind, WHOLE, direct)
     setting.begin()
-    for _ in range(COLD_ROUNDS - 1):
+    for _ in range(TUNING.cold_rounds - 1):
         setting.model.round()
     deviation = setting.deviation(setting.model.x.astype(np.float64))
     setting.model.round()
@@ -185,7 +175,7 @@ def test_left_out_is_the_residual_of_a_solve_without_the_measurement(kind: str) 
         others = np.arange(used.size) != place
         x = across[:, others] @ np.linalg.solve(system[np.ix_(others, others)], known[used[others]])
         wanted[row] = known[row] - setting.w[row] @ x
-    wanted *= math.sqrt(1 + FITTED / used.size)
+    wanted *= math.sqrt(1 + TUNING.fitted / used.size)
     np.testing.assert_allclose(found, wanted, atol=1e-4 * np.abs(wanted).max())
     assert np.abs(found[used]).min() > 0
 
@@ -197,7 +187,7 @@ def test_conjugate_gradients_leave_no_measurement_out() -> None:
     assert setting.model.left_out is None
 
 
-@pytest.mark.parametrize("length", LENGTHS)
+@pytest.mark.parametrize("length", TUNING.lengths)
 def test_the_correlation_of_a_long_line_is_the_dense_one_up_to_its_cut(
     length: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
