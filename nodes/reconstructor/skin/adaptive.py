@@ -19,7 +19,8 @@ from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.solvers.base import Solver, check_reads
 
-from .solver import TUNING, SkinSolver
+from .solver import SkinSolver
+from .tuning import TUNING
 
 MEMORY = 0.7
 """Weight of the past in the running means of squared prediction errors. Chosen."""
