@@ -20,8 +20,12 @@ from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads, ma
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 ANNOUNCED = "announced"
-#: Parameters of a solver that are no options: the node gives them, or they have settings.
-_NO_OPTIONS = ("phi", "basis", "mask", "fast", "rows", "solver", "iterations", "lambda_n")
+#: Parameters of a solver that are no options: the node gives them, they have settings, or they are
+#: no number, text or truth value.
+_NO_OPTIONS = (
+    *("phi", "basis", "mask", "fast", "rows", "tuning"),
+    *("solver", "iterations", "lambda_n"),
+)
 #: Named sets of settings. "paper": exactly the method of the paper, sections IV and V-A, for a
 #: "sbhe" phi with orthonormal rows of block 32; lambda_n is its 0.1 on rows of +1 and -1. "skin":
 #: the most accurate one; it estimates noise and threshold from the measurements.
