@@ -40,8 +40,8 @@ def recall(t: Tables, state: State, s: Numbers, frame: State, number: int) -> St
     read_before = last > 0
     grown = be.choose(
         read_before,
-        change2 - 2 * TUNING.memory_still * noise,
-        frame["e2"] - TUNING.memory_still * noise,
+        change2 - 2 * noise,
+        frame["e2"] - noise,
     )
     grown = be.at_least(grown, 0.0)
     age = be.choose(read_before, count - last, none + 1)

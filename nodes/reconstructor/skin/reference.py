@@ -236,9 +236,9 @@ class ReferenceSolver:
             self.read_in.clear()
             self.drift = 0.0
         self.values += self.w @ (x_p - self.x)
-        change, since = e2 - t.memory_still * noise, 1
+        change, since = e2 - noise, 1
         if subset in self.read_in:
-            change = mean_square(y - self.values[rows]) - 2 * t.memory_still * noise
+            change = mean_square(y - self.values[rows]) - 2 * noise
             since = self.frame - self.read_in.pop(subset)
         self.values[rows] = y
         change = max(0.0, change)

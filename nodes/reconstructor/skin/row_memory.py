@@ -98,9 +98,9 @@ class RowMemory:
         self.read = self._read_by[subset]
         change2 = self._compare(x, y)
         self._n_frames += 1
-        change, age = e2 - self._t.memory_still * s2, 1
+        change, age = e2 - s2, 1
         if subset in self._read_in:
-            change = change2 / self._m - 2 * self._t.memory_still * s2
+            change = change2 / self._m - 2 * s2
             age = self._n_frames - self._read_in.pop(subset)
         change = max(0.0, change)
         self._drift = max(change / age, self._t.drift_decay * self._drift)

@@ -110,6 +110,10 @@ class SkinSolver(Solver):
         tuning: SkinTuning = TUNING,
     ) -> None:
         super().__init__(phi, basis, mask)
+        if not isinstance(tuning, SkinTuning):
+            raise SolverError(
+                f"skin: tuning = {tuning!r} is not allowed; allowed: a SkinTuning, from Python only"
+            )
         self._t = tuning
         if iterations is None:
             iterations = min(2 + round(phi.ratio / 4), MAX_ITERATIONS)

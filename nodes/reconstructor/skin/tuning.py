@@ -86,9 +86,7 @@ class SkinTuning:
     #: more, the noise of earlier frames, which the estimate has averaged out, returns. [Chosen]
     #: 0: the Haar model uses the rows of the frame alone.
     memory_weight: float = 0.3
-    #: Change since a row was read, in noise variances, that may be noise; decay of the weight
-    #: beyond, per noise variance. [Chosen]
-    memory_still: float = 1.05
+    #: Decay of that weight with the change since a row was read, per noise variance. [Chosen]
     memory_decay: float = 10.0
     #: Growth of the variance of a remembered row for the smooth model, in its mean squared change:
     #: changes have a structure, and independent rows that agree on it would prove it. [Chosen]

@@ -455,6 +455,7 @@ def test_an_iteration_that_diverges_is_an_error_and_forgotten() -> None:
         ({"max_iterations": 1001}, "max_iterations = 1001"),
         ({"iterations": 2.5}, "iterations = 2.5"),
         ({"seed": -1}, "seed = -1"),
+        ({"tuning": 3}, "tuning = 3 is not allowed; allowed: a SkinTuning, from Python only"),
         ({"lambda_n": 0.1}, 'setting "lambda_n" is not known'),
     ],
 )
