@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 import textwrap
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from sparseskin.launch.attach.formats import formatted
 from sparseskin.launch.attach.text import flowing
+from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.files import make_folder
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.process.control import is_shallow
@@ -121,9 +123,21 @@ def _import(arguments: argparse.Namespace) -> int:
             make_folder(out)
     for file, bag in pairs:
         options = {key: getattr(arguments, key) for key in READ_AS}
-        n_frames = import_file(file, bag, **options)
+        try:
+            n_frames = import_file(file, bag, **options)
+        except SourceError as error:
+            raise SourceError(_with_options(str(error), str(file))) from error
         print(f"{bag}: {_count(n_frames, 'frame')}")
     return 0
+
+
+def _with_options(message: str, file: str) -> str:
+    """Return a message about a file that names the options in place of the settings."""
+    place = file if message.startswith(file) else ""
+    names = "|".join(name for name in READ_AS if "_" in name)
+    settings = re.compile(rf"\b({names})\b|(?<=set )unit\b")
+    text = settings.sub(lambda found: f"--{found[0].replace('_', '-')}", message[len(place) :])
+    return place + text
 
 
 def _export(arguments: argparse.Namespace) -> int:

@@ -200,6 +200,22 @@ def test_a_file_that_cannot_be_imported_leaves_nothing_behind(
     assert [path.name for path in Path().iterdir()] == [name]
 
 
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ((), "n_rows.csv, line 1: .*set --n-rows and --n-cols "),
+        (("--n-rows", 2), "n_rows.csv, line 1: 3 cells cannot be divided by --n-rows = 2"),
+        (("--n-rows", 1), "n_rows.csv: .*set --unit, e.g. N"),
+    ],
+)
+def test_an_import_that_is_refused_names_its_options(
+    bag: Bag, options: tuple[object, ...], text: str
+) -> None:
+    Path("n_rows.csv").write_text("1,2,3\n")
+    with pytest.raises(SparseskinError, match=text):
+        bag("import", "n_rows.csv", "--out", "out.mcap", *options)
+
+
 # --- export ----------------------------------------------------------------------------------
 
 
