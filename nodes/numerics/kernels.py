@@ -260,32 +260,37 @@ def dealt_adjoint(rows: A, measured: A, groups: A, x: A) -> None:
     hadamard(x, groups)
 
 
-@compiled(f"float64({V}, {V}, {V}, {V}, {G}, {V}, {M}, {V})")
-def stay(x: A, y: A, measured: A, scale: A, groups: A, whole: A, rows: A, innovation: A) -> float:
-    """whole = W x, rows[0] = Phi x, innovation = y - Phi x; return its squared length."""
+@compiled(f"float64({V}, boolean, {V}, {V}, {V}, {G}, {V}, {M}, {V})")
+def stay(
+    x: A, known: bool, y: A, read: A, scale: A, groups: A, whole: A, rows: A, innovation: A
+) -> float:
+    """whole = W x unless known, rows[0] = Phi x, innovation = y - Phi x; return its square."""
     row = rows[0]
+    if not known:
+        for k in range(x.size):
+            whole[k] = x[k]
+        hadamard(whole, groups)
+        for k in range(x.size):
+            whole[k] *= scale[k]
     for k in range(x.size):
-        row[k] = x[k]
-    hadamard(row, groups)
-    for k in range(x.size):
-        whole[k] = row[k] * scale[k]
-        row[k] *= measured[k]
+        row[k] = read[k] * whole[k]
         innovation[k] = y[k] - row[k]
     return np.float64(dot(innovation, innovation))
 
 
 @compiled(
-    f"float64({V}, {V}, {V}, float64, float64, uint32[:,::1], uint32[:,::1], {M}, {M}, "
-    f"{V}, {G}, {V}, {V})"
+    f"float64({V}, {V}, {V}, float64, float64, float64, float64, uint32[:,::1], uint32[:,::1], "
+    f"{M}, {M}, {V}, {G}, {V}, {V})"
 )
 def move(
-    x: A, y: A, innovation: A, e2: float, least_gain: float, after: A, before: A, terms: A,
-    rows: A, measured: A, groups: A, moved: A, moved_innovation: A,
+    x: A, y: A, innovation: A, e2: float, most: float, least_gain: float, freedom: float,
+    after: A, before: A, terms: A, rows: A, measured: A, groups: A, moved: A, moved_innovation: A,
 ) -> float:  # fmt: skip
     """Add to x the combination of x and its two slopes that fits the innovation best, in place.
 
-    Return the squared innovation after it. Nothing is added unless it falls from e2 by more than
-    least_gain. after and before: places of the next and the last neighbour by row and column.
+    Return the squared innovation after it. Nothing is added unless it falls from e2 below most, by
+    more than least_gain, and by more than what remains over freedom.
+    after and before: places of the next and the last neighbour by row and column.
     """
     for axis in range(2):
         ahead, behind = after[axis], before[axis]
@@ -313,7 +318,8 @@ def move(
     by_x = (m00 * bx + m01 * br + m02 * bc) / determinant
     by_row = (m01 * bx + m11 * br + m12 * bc) / determinant
     by_col = (m02 * bx + m12 * br + m22 * bc) / determinant
-    if not by_x * bx + by_row * br + by_col * bc > least_gain:
+    explained = by_x * bx + by_row * br + by_col * bc
+    if not (explained > least_gain and explained * freedom > max(0.0, e2 - explained)):
         return e2
     top = np.float32(0)
     for k in range(n):
@@ -328,7 +334,7 @@ def move(
     for k in range(n):
         moved_innovation[k] = y[k] - measured[k] * moved_innovation[k]
     moved_e2 = np.float64(dot(moved_innovation, moved_innovation))
-    if not moved_e2 < e2:
+    if not moved_e2 < most:
         return e2
     for k in range(n):
         x[k] = moved[k]

@@ -77,7 +77,7 @@ class HeldOut:
         self.model = self._first
         self._errors: dict[str, float] = {}
         self._seen: tuple[tuple[float, float], ...] = ()
-        self._wait, self._period = 0, 2
+        self._wait, self._period, self._left = 0, self._t.often, 0
         self._exceeds_noise = True
 
     def use(self, subset: int) -> None:
@@ -100,7 +100,9 @@ class HeldOut:
         """
         self._wait -= 1
         due = self._wait <= 0 and (self._exceeds_noise or self.model == SMOOTH)
-        if self._compares and (failed or due):
+        if self._compares and (failed or (due and not self._left)):
+            self._left = self._t.trial
+        if self._left:
             return HAAR, SMOOTH
         return (self.model,)
 
@@ -132,16 +134,22 @@ class HeldOut:
         errors, now = self._errors, {}
         for model, residual in residuals.items():
             now[model] = _mean_square(residual)
-            last = now[model] if failed else errors.get(model, now[model])
+            begins = failed or (
+                len(residuals) == 2 and self._left == self._t.trial and model != self.model
+            )
+            last = now[model] if begins else errors.get(model, now[model])
             # Errors of a contact end with it.
             last = min(last, self._t.error_fading * now[model] + noise)
             errors[model] = self._t.error_memory * last + (1 - self._t.error_memory) * now[model]
             if len(residuals) == 1 and now[model] > self._t.worse * last:
                 self._wait = 0
         if len(residuals) == 2:
-            self._compare(noise)
-        elif self.model not in residuals:
+            self._left -= 1
+            if failed or not self._left:
+                self._compare(noise)
+        else:
             (self.model,) = residuals
+            self._left = 0
         chosen = self.model
         count = max(1, residuals[chosen].size)
         self._seen = (errors[chosen], count * self._t.error_frames), (now[chosen], count)
@@ -164,7 +172,9 @@ class HeldOut:
         # The smooth model follows each frame: its residuals do not show the noise that it keeps.
         # They bound the noise: no more than that was read.
         better = SMOOTH if haar > clearly * smooth + min(noise, smooth) else HAAR
-        self._period = min(2 * self._period, self._t.seldom) if better == self.model else 2
+        self._period = (
+            min(2 * self._period, self._t.seldom) if better == self.model else self._t.often
+        )
         self.model, self._wait = better, self._period
 
 

@@ -77,14 +77,26 @@ class CompiledPrediction(Prediction):
     def _stay(self, x: Floats, y: Floats, innovation: Floats) -> float:
         projection = self._compiled
         return stay(
-            *(x, y, projection.measured, projection.scale, projection.groups),
+            *(x, self.knows_whole, y, projection.read, projection.scale, projection.groups),
             *(self.whole, self._rows, innovation),
         )
 
-    def _move(self, x: Floats, y: Floats, innovation: Floats, e2: float, s2: float) -> float:
+    def _move(
+        self, x: Floats, y: Floats, innovation: Floats, e2: float, s2: float, most: float
+    ) -> float:
         projection, (after, before) = self._compiled, self._places
         return move(
-            *(x, y, innovation, e2, self._t.motion_significant * s2, after, before),
+            *(
+                x,
+                y,
+                innovation,
+                e2,
+                most,
+                self._t.motion_significant * s2,
+                self._freedom,
+                after,
+                before,
+            ),
             *(self._terms, self._rows, projection.measured, projection.groups),
             *(self._moved, self._moved_innovation),
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import Floats
@@ -59,23 +61,38 @@ class NoiseLevel:
         """Expect measurements of this row subset; only frames of the same one are compared."""
         self._past = self._subsets.setdefault(subset, _Past(self._m))
 
-    def update(self, y: Floats, e2: float, jumped: bool = False) -> None:
+    def changed2(self, y: Floats) -> float:
+        """Return the squared change of measurements, float32 (m,), since the last of their subset.
+
+        Infinite if there are none.
+        """
+        if not self._past.begun:
+            return math.inf
+        np.subtract(y, self._past.y, self._difference)
+        return float(np.dot(self._difference, self._difference))
+
+    def update(
+        self, y: Floats, e2: float, jumped: bool = False, changed2: float | None = None
+    ) -> None:
         """Process the measurements of a frame, float32 (m,), newtons.
 
-        e2 is the mean squared innovation; `jumped` if the scene is known to have jumped.
+        e2 is the mean squared innovation; `jumped` if the scene is known to have jumped; changed2
+        what `changed2` has returned for y, if it was called.
         """
-        seen, past = e2, self._past
-        if past.n_differences >= 0:
-            difference = np.subtract(y, past.y, self._difference)
-            seen = min(seen, float(np.dot(difference, difference)) / (2 * self._m))
+        past = self._past
+        changed = (self.changed2(y) if changed2 is None else changed2) / (2 * self._m)
+        seen = min(e2, changed)
+        if past.begun:
+            difference = self._difference
             if past.n_differences > 0:
                 second = np.subtract(difference, past.step, past.step)
                 seen = min(seen, float(np.dot(second, second)) / (6 * self._m))
-            past.step, self._difference = self._difference, past.step
+            past.step, self._difference = difference, past.step
         np.copyto(past.y, y)
-        self.jumped = jumped or not self._begun or e2 > self._t.jump * self.s2
+        self.jumped = jumped or not self._begun or min(e2, changed) > self._t.jump * self.s2
         self.since_jump = 0 if self.jumped else self.since_jump + 1
         self._begun = True
+        past.begun = True
         past.n_differences += 1
         self.known = self.known or past.n_differences > 1
         if not self._settled:
@@ -101,4 +118,6 @@ class _Past:
     def __init__(self, m: int) -> None:
         self.y = np.zeros(m, dtype=np.float32)
         self.step = np.zeros(m, dtype=np.float32)
+        self.begun = False
+        #: Differences since the last jump; -1 before the first frame after it.
         self.n_differences = -1

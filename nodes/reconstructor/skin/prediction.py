@@ -26,7 +26,9 @@ class Prediction:
     moved : bool
         True if the prediction differs from the last frame.
     whole : ndarray of float32, shape (n_rows,)
-        W x of the last frame, if the projection `has_whole`.
+        W x of the last frame; Phi x if the projection has no other rows.
+    knows_whole : bool
+        True if `whole` is set already when `predict` is called; False again after it.
     """
 
     def __init__(
@@ -39,7 +41,8 @@ class Prediction:
     ) -> None:
         self._t = tuning
         self._m = m
-        self.failed = self.moved = False
+        self._freedom = max(0, m - 3) / 3
+        self.failed = self.moved = self.knows_whole = False
         self._projection = projection
         self._after, self._before = neighbours
         self._shifted = np.zeros((2, 2, n), dtype=np.float32)
@@ -49,7 +52,9 @@ class Prediction:
         self.whole = np.zeros(projection.n_rows, dtype=np.float32)
         self._moved_innovation = np.zeros(projection.n_rows, dtype=np.float32)
 
-    def predict(self, x: Floats, y: Floats, innovation: Floats, s2: float) -> float:
+    def predict(
+        self, x: Floats, y: Floats, innovation: Floats, s2: float, changed2: float = math.inf
+    ) -> float:
         """Predict a frame; return the squared length of the innovation.
 
         Parameters
@@ -60,19 +65,28 @@ class Prediction:
             Measurements as a vector of rows; becomes y - Phi x of the prediction.
         s2 : float
             Variance of the noise on a measurement.
+        changed2 : float
+            Squared length of the change of y since the same rows were read last; infinite if they
+            were not. Where they changed less than a motion leaves unexplained, nothing has moved,
+            and nothing has vanished.
         """
         y2 = float(np.dot(y, y))
         self.failed = self.moved = False
         if not float(np.dot(x, x)) > 0:
             self.whole.fill(0)
+            self.knows_whole = False
             np.copyto(innovation, y)
             return y2
         e2 = self._stay(x, y, innovation)
+        self.knows_whole = False
         if e2 > self._t.motion_still * self._m * s2:
-            still_e2, e2 = e2, self._move(x, y, innovation, e2, s2)
+            still_e2, e2 = e2, self._move(x, y, innovation, e2, s2, min(e2, changed2))
             self.moved = e2 < still_e2
         # A vanished contact still fits a little, scaled down to next to nothing.
-        self.failed = e2 > self._t.failed_part * y2 and e2 > self._t.failed_noise * self._m * s2
+        least = min(e2, changed2)
+        self.failed = (
+            least > self._t.failed_part * y2 and least > self._t.failed_noise * self._m * s2
+        )
         if self.failed:
             self.moved = True
             x.fill(0)
@@ -83,10 +97,12 @@ class Prediction:
     def _stay(self, x: Floats, y: Floats, innovation: Floats) -> float:
         """Compute the innovation of x itself; return its squared length."""
         if self._projection.has_whole:
-            self._projection.whole(x, self.whole)
-            np.multiply(self.whole, self._projection.measured, self._rows[0])
+            if not self.knows_whole:
+                self._projection.whole(x, self.whole)
+            np.multiply(self.whole, self._projection.read, self._rows[0])
         else:
             self._projection.forward(x[None], self._rows[:1])
+            np.copyto(self.whole, self._rows[0])
         np.subtract(y, self._rows[0], innovation)
         return float(np.dot(innovation, innovation))
 
@@ -98,8 +114,13 @@ class Prediction:
         np.copyto(self._terms[0], x)
         np.subtract(after, before, self._terms[1:])
 
-    def _move(self, x: Floats, y: Floats, innovation: Floats, e2: float, s2: float) -> float:
-        """Fit and add the terms to x; return the squared length of the innovation then."""
+    def _move(
+        self, x: Floats, y: Floats, innovation: Floats, e2: float, s2: float, most: float
+    ) -> float:
+        """Fit and add the terms to x; return the squared length of the innovation then.
+
+        They are added only if less than `most` is left.
+        """
         rows = self._rows
         self._fill_terms(x)
         self._projection.forward(self._terms[1:], rows[1:])
@@ -109,9 +130,10 @@ class Prediction:
         if not 0 < largest < math.inf:
             return e2
         found = _solve(gram, right, 1e-6 * largest)
-        if (
-            not sum(c * r for c, r in zip(found, right, strict=True))
-            > self._t.motion_significant * s2
+        explained = sum(c * r for c, r in zip(found, right, strict=True))
+        if not (
+            explained > self._t.motion_significant * s2
+            and explained * self._freedom > max(0.0, e2 - explained)
         ):
             return e2
         moved = np.dot(np.array(found, dtype=np.float32), self._terms, self._moved)
@@ -122,7 +144,7 @@ class Prediction:
         self._projection.forward(moved[None], moved_innovation[None])
         np.subtract(y, moved_innovation, moved_innovation)
         moved_e2 = float(np.dot(moved_innovation, moved_innovation))
-        if not moved_e2 < e2:
+        if not moved_e2 < most:
             return e2
         np.copyto(x, moved)
         np.copyto(innovation, moved_innovation)

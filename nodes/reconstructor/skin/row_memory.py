@@ -93,9 +93,7 @@ class RowMemory:
         settling : bool
             True if only the rows of this frame are to have a weight.
         """
-        if subset not in self._read_by:
-            self._read_by[subset] = (self._projection.measured > 0).astype(np.float32)
-        self.read = self._read_by[subset]
+        self.read = self._read_by[subset] = self._projection.read
         change2 = self._compare(x, y)
         self._n_frames += 1
         change, age = e2 - s2, 1

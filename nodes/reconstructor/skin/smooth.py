@@ -40,7 +40,7 @@ class SmoothModel:
     mask : ndarray of bool, shape (n_rows, n_cols)
         True where a taxel exists.
     direct : bool
-        True to solve by the inverse of the system, for at most `most_direct` taxels. Each
+        True to solve by the factors of the system, for at most `most_direct` taxels. Each
         measurement is then also predicted from all others (`left_out`).
     tuning : SkinTuning
         The constants.
@@ -91,6 +91,8 @@ class SmoothModel:
         self._direct = direct
         if direct:
             self._correlation = self._correlation_of(mask.shape)
+            #: W, float32 (n_rows, n).
+            self._dense: Floats = np.zeros((0, taxels.size), dtype=np.float32)
 
     def setup(
         self,
@@ -126,6 +128,10 @@ class SmoothModel:
         self._deviation = self._exists if cold else self._deviation_of(x)
         self.x = x
         self._power = power
+        if self._direct and (self._dense.size == 0 or not self._projection.has_whole):
+            self._dense = np.array(
+                [self._adjoint(one) for one in np.eye(used.size, dtype=np.float32)]
+            )
 
     def round(self) -> None:
         """Do one round, of `rounds_left`; x, float32 (n,), is the estimate after it."""
@@ -148,22 +154,27 @@ class SmoothModel:
         self.x = x
 
     def _invert(self, mean: float, variance: Floats) -> Floats:
-        """As `_descend`, by the inverse of the system."""
+        """As `_descend`, by Cholesky's factors of the system."""
+        from scipy import linalg  # here: most skins do not need it
+
         used = np.flatnonzero(self._used)
         deviation = self._deviation.reshape(-1)[self._taxels]
-        scaled = np.zeros((used.size, deviation.size), dtype=np.float32)
-        one = np.zeros(self._used.size, dtype=np.float32)
-        for place, row in enumerate(used):
-            one[row] = 1
-            scaled[place] = deviation * self._adjoint(one)
-            one[row] = 0
+        scaled = self._dense[used] * deviation
         correlated = scaled @ self._correlation
         system = (correlated @ scaled.T).astype(np.float64)
         system[np.diag_indices_from(system)] += self._t.model_error * mean + variance[used] + TINY
-        inverse = np.linalg.inv(system)
-        found = inverse @ self._known[used]
-        self.left_out = np.zeros_like(self._used)
-        self.left_out[used] = found / np.diag(inverse) * math.sqrt(1 + self._t.fitted / used.size)
+        factor = linalg.cho_factor(system, lower=True, overwrite_a=True, check_finite=False)
+        found = linalg.cho_solve(factor, self._known[used], check_finite=False)
+        if self.rounds_left == 1:
+            # Of the inverse, the diagonal alone, and of this frame's rows.
+            tested = np.flatnonzero(self._projection.read[used] > 0)
+            ones = np.zeros((used.size, tested.size))
+            ones[tested, np.arange(tested.size)] = 1
+            columns = linalg.cho_solve(factor, ones, check_finite=False)
+            diagonal = columns[tested, np.arange(tested.size)]
+            left_out = found[tested] / diagonal * math.sqrt(1 + self._t.fitted / used.size)
+            self.left_out = np.zeros_like(self._used)
+            self.left_out[used[tested]] = left_out
         field: Floats = (deviation * (found @ correlated)).astype(np.float32)
         return field
 
@@ -223,8 +234,8 @@ class SmoothModel:
         largest = float(blurred.max())
         if not largest > 0:
             return self._exists
-        deviation: Floats = self._exists * (
-            blurred / np.float32(largest) + np.float32(self._t.deviation_floor)
+        deviation: Floats = (
+            blurred / np.float32(largest) + np.float32(self._t.deviation_floor) * self._exists
         )
         return deviation
 

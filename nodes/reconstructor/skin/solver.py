@@ -153,9 +153,8 @@ class SkinSolver(Solver):
         self._x_and_zero, self._u_and_zero = floats(n + 1), floats(n + 1)
         self._x, self._u = self._x_and_zero[:n], self._u_and_zero[:n]
         self._before, self._z, self._sum = floats(n), floats(n), floats(n)
-        self._correction = floats(n)
-        rows = (floats(self._projection.n_rows) for _ in range(4))
-        self._y, self._innovation, self._target, self._r = rows
+        rows = (floats(self._projection.n_rows) for _ in range(5))
+        self._y, self._innovation, self._target, self._r, self._correction = rows
         self._fitted = {name: floats(self._projection.n_rows) for name in (HAAR, SMOOTH)}
         self._canvas = floats(self._haar.size)
         # An array of them: numpy compares with a single number three times as slowly.
@@ -196,9 +195,12 @@ class SkinSolver(Solver):
         self._gain.reset()
         self._held_out.reset()
         self.error, self.trusted = None, True
+        #: Last estimates of both models, while they are compared.
+        self._last: dict[str, Floats] = {}
         if self._memory is not None:
             self._memory.forget()
         self._correction.fill(0)
+        self._prediction.knows_whole = False
         self._last_phi = self.phi
         self._rotating = self._begun = self._has_estimate = False
         subset = self._subsets[self.phi.fingerprint]
@@ -216,6 +218,8 @@ class SkinSolver(Solver):
                 f"allowed: {self.phi.m} x {self.phi.n}"
             )
         subset = self._subsets.setdefault(phi.fingerprint, len(self._subsets))
+        if not self._projection.has_whole and phi is not self.phi:
+            self._correction.fill(0)  # it is known for the rows of the last frame alone
         self.phi = phi
         self._projection.use(phi)
         self._noise.use(subset)
@@ -234,16 +238,18 @@ class SkinSolver(Solver):
             self._checked_warm(warm).reshape(-1).take(cells, None, self._x, "clip")
             np.maximum(self._x, 0, out=self._x)
             self._correction.fill(0)
+            self._prediction.knows_whole = False
             self._has_estimate = bool(self._x.any())
         self._projection.rows_of(y, self._y)
         self._power_read = float(np.dot(self._y, self._y)) / self.phi.m
         self._bias.subtract(self._y)
         self._projection.weigh(None)
-        e2 = self._prediction.predict(self._x, self._y, self._innovation, self._noise.s2)
+        changed2 = self._noise.changed2(y)
+        e2 = self._prediction.predict(self._x, self._y, self._innovation, self._noise.s2, changed2)
         e2 /= self.phi.m
-        self._noise.update(y, e2, self._prediction.failed)
+        self._noise.update(y, e2, self._prediction.failed, changed2)
         jumped, settling = self._noise.jumped, self._noise.since_jump <= self._t.settling
-        self._projection.forward(self._correction[None], self._r[None])
+        np.multiply(self._correction, self._projection.read, self._r)
         self._gain.update(self._innovation, self._r, self.phi.m, self._noise.s2, settling)
         gain = self._gain.gain
 
@@ -269,6 +275,8 @@ class SkinSolver(Solver):
             self._factor[()] = 1 - gain
             np.multiply(self._innovation, self._factor, self._target)
             np.subtract(self._y, self._target, self._target)
+            if self._prediction.moved:
+                np.subtract(self._y, self._innovation, self._prediction.whole)
         kept, self.unfitted = self._held_out.kept, self._held_out.measurements
         self._projection.leave_out(kept)
         np.multiply(self._target, kept, self._target)
@@ -276,9 +284,10 @@ class SkinSolver(Solver):
         self._residuals: dict[str, Floats] = {}
         if SMOOTH in models:
             self._begin_smooth(e2, remembers)
+        if HAAR in models:
+            np.copyto(self._x, self._start_of(HAAR))
         self.n_steps = self._n_haar + self._n_rounds
         np.copyto(self._z, self._x)
-        np.copyto(self._correction, self._x)
         self._sum.fill(0)
         self._steps_left, self._n_summed = self.n_steps, 0
 
@@ -295,8 +304,14 @@ class SkinSolver(Solver):
             variance = self._memory.variances(least)
         used = np.where(known > 0, self._held_out.kept, np.float32(0))
         kept = self._t.kept_rotating if rotating else self._t.kept_fixed
-        self._smooth.setup(self._x, values, variance, used, max(power, TINY), cold, kept)
+        start = self._start_of(SMOOTH)
+        self._smooth.setup(start, values, variance, used, max(power, TINY), cold, kept)
         self._n_rounds = self._smooth.rounds_left
+
+    def _start_of(self, model: str) -> Floats:
+        """Return the prediction for a model: while two are compared, the last estimate of each."""
+        other = model != self.model and not self._nothing_known
+        return self._last.get(model, self._x) if other else self._x
 
     def step(self) -> None:
         done = self.n_steps - self._steps_left
@@ -342,10 +357,11 @@ class SkinSolver(Solver):
     def finish(self) -> Floats:
         if self._steps_left < self.n_steps:
             self._choose()
+        else:
+            self._correction.fill(0)
         if not math.isfinite(float(np.dot(self._x, self._x))):
             self.reset()
             raise SolverError("skin: the iteration diverged: is phi.lipschitz too small?")
-        np.subtract(self._x, self._correction, self._correction)
         self._steps_left = 0
         return self._forces_of(self._x_and_zero, self._bias.b).reshape(self.mask.shape)
 
@@ -367,11 +383,25 @@ class SkinSolver(Solver):
         if self._n_rounds and (complete or not self._n_haar):
             estimates[SMOOTH] = self._smooth.x
             self._test(SMOOTH, self._smooth.x)
+        before = self.model
         chosen = self._held_out.choose(self._residuals, self._known_noise, self._nothing_known)
+        if (before, chosen) == (SMOOTH, HAAR):
+            # The gain has fallen meanwhile, without the noise of the smooth model.
+            self._noise.since_jump = 0
+        self._last = {}
+        if len(estimates) > 1:
+            self._last = {model: x.copy() for model, x in estimates.items()}
         np.copyto(self._x, estimates[chosen])
-        # The bias is that of this frame's rows alone.
-        residual = np.subtract(self._y, self._fitted[chosen], self._r)
-        self._bias.update(float(np.dot(self._bias.ones, residual)), self._x, self._noise.s2)
+        fitted = self._fitted[chosen]
+        if self._noise.known or self.phi.m >= self._t.comparable:
+            # The bias is that of this frame's rows alone.
+            residual = np.subtract(self._y, fitted, self._r)
+            left = float(np.dot(self._bias.ones, residual))
+            self._bias.update(left, self._x, self._most_noise(self._residuals[chosen]))
+        # W of the correction x - x_p, and of the last frame.
+        np.subtract(fitted, self._prediction.whole, self._correction)
+        np.copyto(self._prediction.whole, fitted)
+        self._prediction.knows_whole = True
         self._has_estimate = True
         self._judge()
 
@@ -411,6 +441,12 @@ class SkinSolver(Solver):
         touched = math.sqrt(np.count_nonzero(x) / self.phi.n)
         gain = self._gain.gain if self.model == HAAR else 1.0
         return self._t.filtered_error * touched * gain * self._known_noise
+
+    def _most_noise(self, residual: Floats) -> float:
+        """Return the noise level, or a bound of it by the residual of held-out measurements."""
+        if self._noise.known or not residual.size:
+            return self._noise.s2
+        return min(self._noise.s2, float(np.dot(residual, residual)) / residual.size)
 
     def _judge(self) -> None:
         """Set the error of the estimate, and whether it is trusted."""

@@ -30,7 +30,7 @@ class SkinTuning:
     #: Least rate of the bias, a frame. [Chosen]
     bias_slowest: float = 0.05
     #: First frames that use the median of the taxels, and every how many frames later. [Chosen]
-    median_first: int = 8
+    median_first: int = 16
     median_every: int = 32
 
     # Prediction.
@@ -151,7 +151,7 @@ class SkinTuning:
     #: Measurements by which the fitted deviation makes the error of a left-out one too small: its
     #: square is multiplied by 1 + this / their number. [Presses]
     fitted: float = 32.0
-    #: Taxels up to which a system can be solved by its inverse, which costs their number cubed.
+    #: Taxels up to which a system can be factored, which costs their number cubed.
     #: [Chosen]
     most_direct: int = 512
 
@@ -169,7 +169,12 @@ class SkinTuning:
     error_fading: float = 4.0
     #: Advantage that the smooth model needs, in standard deviations of the compared means. [Chosen]
     margin: float = 1.0
-    #: Frames between comparisons at most; the number doubles while the same is better. [Chosen]
+    #: Frames of a comparison: in the first, the other model starts from the estimate of the model
+    #: in use, and takes some to differ. [Recordings]
+    trial: int = 8
+    #: Frames between comparisons, at least and at most: their number doubles while the same is
+    #: better. [Chosen]
+    often: int = 4
     seldom: int = 64
     #: Growth of an error that asks for a comparison. [Chosen]
     worse: float = 2.0

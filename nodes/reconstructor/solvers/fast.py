@@ -50,17 +50,17 @@ class CompiledProjection(Projection):
         self._weighted, self._left = np.zeros((2, phi.n), dtype=np.float32)
         self.n_rows = phi.n
         self.step_size = 1.0
-        self._tables: dict[str, tuple[Floats, Indices]] = {}
+        self._tables: dict[str, tuple[Floats, Floats, Indices]] = {}
         self.use(phi)
 
     def use(self, phi: Phi) -> None:
         if phi.fingerprint not in self._tables:
             assert isinstance(phi, SbhePhi)
             places = self._place_of_row[phi.rows]
-            measured = np.zeros(phi.n, dtype=np.float32)
-            measured[places] = phi.scale
-            self._tables[phi.fingerprint] = measured, places
-        self.measured, self._places = self._tables[phi.fingerprint]
+            measured, read = np.zeros((2, phi.n), dtype=np.float32)
+            measured[places], read[places] = phi.scale, 1
+            self._tables[phi.fingerprint] = measured, read, places
+        self.measured, self.read, self._places = self._tables[phi.fingerprint]
         self.weights = self.measured
 
     def rows_of(self, y: Floats, out: Floats) -> None:

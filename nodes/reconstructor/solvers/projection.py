@@ -30,6 +30,8 @@ class Projection(ABC):
         True if W has rows that are not measured.
     measured : ndarray of float32, shape (n_rows,)
         Factor of each row of W: above 0 where it is measured, 0 where not.
+    read : ndarray of float32, shape (n_rows,)
+        1 where a row of W is measured, 0 where not.
     """
 
     order: Indices
@@ -37,6 +39,7 @@ class Projection(ABC):
     step_size: float
     has_whole = False
     measured: Floats
+    read: Floats
 
     @abstractmethod
     def use(self, phi: Phi) -> None:
@@ -83,7 +86,7 @@ class PlainProjection(Projection):
         self.n_rows = phi.m
         self.step_size = 1 / phi.lipschitz
         self._step = np.array(self.step_size, dtype=np.float32)
-        self.measured = np.ones(phi.m, dtype=np.float32)
+        self.measured = self.read = np.ones(phi.m, dtype=np.float32)
         self._weighted = np.zeros(phi.m, dtype=np.float32)
         self.use(phi)
 
@@ -153,7 +156,7 @@ class SbheProjection(Projection):
             measured[phi.rows] = 1
             self._tables[phi.fingerprint] = spread, measured
         self._spread, self.measured = self._tables[phi.fingerprint]
-        self._weights = self.measured
+        self._weights = self.read = self.measured
 
     def rows_of(self, y: Floats, out: Floats) -> None:
         self._y_and_zero[:-1] = y
