@@ -81,7 +81,8 @@ class Backend:
 
     def array(self, values: npt.ArrayLike) -> Array:
         """Return a copy of values on the device, of the same dtype."""
-        return self.xp.asarray(np.array(values), device=self._device, copy=True)
+        made = self.xp.asarray(np.array(values))
+        return made if self._device is None else made.to(self._device)
 
     def zeros(self, *shape: int, double: bool = False) -> Array:
         """Return zeros, float32 or float64."""
