@@ -11,12 +11,20 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, m_of
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES, press_frames
-from sparseskin.studies.evaluate import Estimator, Reading, Scores, evaluate, make_method
+from sparseskin.studies.evaluate import (
+    Estimator,
+    Method,
+    Reading,
+    Scores,
+    evaluate,
+    make_method,
+)
 from sparseskin.studies.points import compute
+from sparseskin.studies.real.methods import ADAPTIVE, Skin, adaptive_values
 from sparseskin.studies.report import (
     Chart,
     cells,
@@ -40,6 +48,10 @@ QUICK_SIZES = ("4 x 4", "10 x 10")
 
 RAW, PAPER, SKIN, ROTATED = "raw reading", "paper", "skin", f"skin, {ROTATING}"
 METHODS = (PAPER, SKIN, ROTATED)
+#: Methods on bodies that move: smaller skins may have too few measurements for the last one.
+MOVED = (*METHODS, ADAPTIVE)
+
+NOISE = NoiseModel.for_range(PAPER_F_MAX_N)
 
 Point = dict[str, Any]
 
@@ -101,6 +113,7 @@ def pressed(point: Point) -> dict[str, Any]:
         PAPER: make_method(PRESETS["paper"], shape, ratio, seed, rows=FIXED),
         SKIN: make_method(PRESETS["skin"], shape, ratio, seed, rows=FIXED),
         ROTATED: make_method(PRESETS["skin"], shape, ratio, seed, rows=ROTATING),
+        ADAPTIVE: _adaptive(shape, ratio, seed),
     }
     frames = press_frames(
         point["body"],
@@ -110,7 +123,7 @@ def pressed(point: Point) -> dict[str, Any]:
         course=point["course"],
         speed=SPEED,
         active=TOUCHED,
-        noise=NoiseModel.for_range(PAPER_F_MAX_N),
+        noise=NOISE,
     )
     scores = evaluate(estimators, frames)
     return {
@@ -119,6 +132,22 @@ def pressed(point: Point) -> dict[str, Any]:
             for name, one in scores.items()
         }
     }
+
+
+def _adaptive(shape: tuple[int, int], ratio: int, seed: int) -> Method:
+    """Make the method of adaptive rows that sends no more bytes than the others."""
+    skin = Skin(np.ones(shape, dtype=np.bool_), PAPER_F_MAX_N)
+    m = adaptive_values(skin, m_of(skin.n, ratio))
+    return make_method(
+        PRESETS["skin"],
+        shape,
+        # M is rounded down: a half keeps it from rounding errors.
+        skin.n / (m + 0.5),
+        seed,
+        rows=FIXED,
+        phi="adaptive",
+        sigma_end=NOISE.sigma_end,
+    )
 
 
 def first_db(scores: Scores) -> float:
@@ -176,7 +205,7 @@ def _draw(out: Path, means: pd.DataFrame) -> str:
         for axes, (side, course) in zip(chart.panels, panels, strict=True):
             some = above[(above["side"] == side) & (above["course"] == course)]
             some = some.assign(place=[RATIOS.index(ratio) for ratio in some["ratio"]])
-            draw_lines(axes, some, "place", "above_db", "method", METHODS)
+            draw_lines(axes, some, "place", "above_db", "method", MOVED)
             axes.axhline(0, color="black", linewidth=1.2)
             axes.set_xticks(range(len(RATIOS)), [f"N/{ratio}" for ratio in RATIOS])
             axes.set_title(f"{course}, {side} x {side}")

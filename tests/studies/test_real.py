@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from sparseskin.launch.commands.cli import main
+from sparseskin.nodes.compressor.phi.quadtree import Quadtree
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.recorder.convert.to_bag import import_file
@@ -26,6 +27,7 @@ from sparseskin.studies.real.methods import (
     Lattice,
     Skin,
     acts_values,
+    adaptive_values,
     address_bytes,
     classes,
     judgement_of,
@@ -144,6 +146,20 @@ def test_single_taxels_with_addresses_fill_the_bytes_of_the_measurements(
     values = acts_values(n, m)
     assert VALUE_BYTES * values + address_bytes(n, values) <= VALUE_BYTES * m
     assert VALUE_BYTES * (values + 1) + address_bytes(n, values + 1) > VALUE_BYTES * m
+
+
+@pytest.mark.parametrize("shape", [(4, 8), (19, 12), (64, 64)])
+@pytest.mark.parametrize("ratio", [3, 4, 8])
+def test_adaptive_rows_and_their_code_fit_into_the_bytes_of_the_measurements(
+    shape: tuple[int, int], ratio: int
+) -> None:
+    skin = Skin(np.ones(shape, dtype=np.bool_), 1.0)
+    m = skin.n // ratio
+    values = adaptive_values(skin, m)
+    assert 2 * m / 3 < values < m
+    tree = Quadtree(skin.mask, values)
+    code = tree.most_code_bytes(values - tree.n_tiles)
+    assert VALUE_BYTES * values + code <= VALUE_BYTES * m
 
 
 def test_all_methods_of_a_ratio_send_the_same_bytes_to_within_rounding(folder: Path) -> None:

@@ -150,6 +150,8 @@ class AdaptiveSkinSolver(Solver):
         held = self._held
         change = SUM_CHANGE * np.square(held.sums - held.sums_read)
         expected: Doubles = change + self._drift * np.minimum(self._age, SATURATED)
+        # Forces are not negative: of an untouched node all are known.
+        expected[held.sums <= self._rows_of.untouched] = 0
         return expected
 
     def _learn(self, expected: Doubles, before: Doubles) -> None:

@@ -128,6 +128,15 @@ def test_an_untouched_skin_is_0_and_trusted() -> None:
         assert made.solver.trusted
 
 
+def test_after_a_moving_contact_an_untouched_skin_is_trusted_at_once() -> None:
+    made = method((24, 24), 8)
+    for frame in frames_of((24, 24), 40, active=0.3):
+        made.reconstruct(frame)
+    for _ in range(3):
+        assert not made.reconstruct(np.zeros((24, 24), np.float32)).forces.any()
+        assert made.solver.trusted
+
+
 def test_after_reset_the_same_frames_give_the_same_bits() -> None:
     made = method((24, 24), 4)
     frames = frames_of((24, 24), 30, body="fingertips", active=0.2)
