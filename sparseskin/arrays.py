@@ -17,9 +17,10 @@ from sparseskin.launch.launchfile.spec import LaunchFile
 from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth
 from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, row_subsets
-from sparseskin.nodes.errors import SolverError, SparseskinError
+from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
 from sparseskin.nodes.reconstructor.solvers.base import Solver
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
@@ -61,8 +62,8 @@ def compress(forces: Floats, phi: Phi, mask: Mask | None = None, *, rows: str = 
     Raises
     ------
     PhiError
-        If the number of existing taxels is not `phi.n`, `rows` is neither, or the rows of `phi`
-        cannot rotate.
+        If the number of existing taxels is not `phi.n`, `rows` is neither, the rows of `phi`
+        cannot rotate, or `phi` is "adaptive".
 
     Examples
     --------
@@ -71,6 +72,11 @@ def compress(forces: Floats, phi: Phi, mask: Mask | None = None, *, rows: str = 
     >>> sparseskin.compress(np.ones((16, 16), np.float32), phi).shape
     (85,)
     """
+    if isinstance(phi, AdaptivePhi):
+        raise PhiError(
+            'compress: phi "adaptive" chooses rows by what it reads, and measurements alone do not '
+            "state which; allowed: other kinds, or a graph"
+        )
     forces = np.asarray(forces, dtype=np.float32)
     n = math.prod(forces.shape[-2:])
     x = forces.reshape(*forces.shape[:-2], n) if mask is None else forces[..., mask]

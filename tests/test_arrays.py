@@ -94,6 +94,10 @@ def test_rows_that_cannot_rotate_are_refused_on_arrays() -> None:
     phi, basis = sparseskin.make_phi("gaussian", 64, 22, 0), sparseskin.make_basis("haar", 8, 8)
     with pytest.raises(PhiError, match='"rotating" is not allowed for phi "gaussian"'):
         sparseskin.compress(np.zeros((8, 8), np.float32), phi, rows="rotating")
+    with pytest.raises(PhiError, match='compress: phi "adaptive" chooses rows by what it reads'):
+        sparseskin.compress(
+            np.zeros((8, 8), np.float32), sparseskin.make_phi("adaptive", 64, 22, 0)
+        )
     with pytest.raises(PhiError, match="rows: 'turning' is not allowed"):
         sparseskin.make_solver("skin", phi, basis, rows="turning")
 

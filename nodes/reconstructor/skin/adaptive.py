@@ -106,7 +106,7 @@ class AdaptiveSkinSolver(Solver):
         self._drift.fill(0)
         self._predicted: tuple[Doubles, Doubles] | None = None
         self._errors = [0.0, 0.0]
-        self._exceeded = 1.0
+        self._changed = 1.0
         self.error, self.trusted = None, True
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
@@ -148,7 +148,8 @@ class AdaptiveSkinSolver(Solver):
     def _expected(self) -> Doubles:
         """Expected squared change of each node's details since they were read."""
         held = self._held
-        change = SUM_CHANGE * np.square(held.sums - held.sums_read)
+        noise = 2 * self._rows_of.variance
+        change = SUM_CHANGE * np.maximum(np.square(held.sums - held.sums_read) - noise, 0)
         expected: Doubles = change + self._drift * np.minimum(self._age, SATURATED)
         # Forces are not negative: of an untouched node all are known.
         expected[held.sums <= self._rows_of.untouched] = 0
@@ -158,11 +159,13 @@ class AdaptiveSkinSolver(Solver):
         """Compare the expected changes of the nodes that are read with the ones they had."""
         nodes, held = self._rows_of.chosen, self._held
         expected = np.maximum(expected, self._expected())[nodes]
+        noise = 2 * self._rows_of.variance * self._rows_of.tree.n_details[nodes]
         change = np.square(held.now[nodes] - before[nodes]).sum(axis=1)
+        change = np.maximum(change - noise, 0)
         total = float(expected.sum())
         if total > 0:
-            exceeded = float(change.sum()) / total
-            self._exceeded = MEMORY * self._exceeded + (1 - MEMORY) * exceeded
+            found = min(float(change.sum()) / total, 1.0)
+            self._changed = MEMORY * self._changed + (1 - MEMORY) * found
         drift = change / self._age[nodes]
         self._drift[nodes] = DRIFT_MEMORY * self._drift[nodes] + (1 - DRIFT_MEMORY) * drift
         self._age[nodes] = 0
@@ -173,9 +176,10 @@ class AdaptiveSkinSolver(Solver):
         if self._rows_of.m == n:
             self.error, self.trusted = None, True
             return
-        missed = self._exceeded * float(self._expected().sum()) / n
+        missed = self._changed * float(self._expected().sum()) / n
         error2 = max(missed, self._filter.filtered_error2(x))
         power = float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)
-        untouched = max(power, missed) <= TUNING.untouched * self._filter.noise
+        noise = max(self._filter.noise, self._rows_of.variance)
+        untouched = max(power, missed) <= TUNING.untouched * noise
         self.trusted = bool(untouched or error2 <= TUNING.trusted**2 * power + TINY)

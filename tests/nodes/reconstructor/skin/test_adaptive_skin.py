@@ -128,6 +128,16 @@ def test_an_untouched_skin_is_0_and_trusted() -> None:
         assert made.solver.trusted
 
 
+def test_noise_alone_is_trusted_where_the_skin_states_it() -> None:
+    noise = NoiseModel.for_range(PAPER_F_MAX_N)
+    made = method((40, 40), 8, sigma_end=noise.sigma_end)
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        read = np.maximum(rng.normal(0, noise.sigma_end, (40, 40)), 0).astype(np.float32)
+        made.reconstruct(read)
+        assert made.solver.trusted
+
+
 def test_after_a_moving_contact_an_untouched_skin_is_trusted_at_once() -> None:
     made = method((24, 24), 8)
     for frame in frames_of((24, 24), 40, active=0.3):
