@@ -43,14 +43,22 @@ def begin(t: Tables, state: State, y: Array, number: int, least: int, most: int)
     frame: State = {"power_read": be.dot(rows, rows) / t.m}
     rows = rows - be.column(s["bias"]) * subset.ones
     frame["y"] = rows
-    frame |= predict(t, state["x"], rows, s["s2"], subset)
-    jumped, frame["step"] = _update_noise(t, state, s, y, frame, number)
+    frame["step"] = y - state[f"y{number}"]
+    changed2 = be.dot(frame["step"], frame["step"])
+    changed2 = be.choose(s["begun_in"][number] > 0, changed2, changed2 * 0 + math.inf)
+    frame |= predict(t, state["x"], rows, s["s2"], changed2, subset)
+    jumped = _update_noise(t, state, s, frame, changed2, number)
     settling = s["since_jump"] <= TUNING.settling
     frame |= _update_gain(t, s, frame, state["correction"], settling, subset, number)
     # The past says nothing of the frame.
     frame["nothing_known"] = frame["failed"] | ~s["has_estimate"]
     frame["known_noise"] = be.choose(s["known"], frame["noise"], frame["noise"] * 0)
     _plan(t, s, frame, jumped, settling, least, most)
+    # While two models are compared, each goes on from its own last estimate.
+    usable = s["has_other"] & ~frame["nothing_known"]
+    x, other = frame["x"], state["other"]
+    frame["haar_start"] = be.choose(usable & s["is_smooth"], other, x)
+    frame["smooth_start"] = be.choose(usable & ~s["is_smooth"], other, x)
     innovation, kept = frame.pop("innovation"), subset.kept
     target = rows - innovation * be.column(1 - frame["gain"])
     frame["weights"] = subset.measured * kept + be.xp.zeros_like(rows)
@@ -72,7 +80,7 @@ def begin(t: Tables, state: State, y: Array, number: int, least: int, most: int)
     return frame
 
 
-def predict(t: Tables, x: Array, rows: Array, s2: Array, subset: Subset) -> State:
+def predict(t: Tables, x: Array, rows: Array, s2: Array, changed2: Array, subset: Subset) -> State:
     """Predict a frame by the last, x; as `Prediction.predict`.
 
     Returns
@@ -92,12 +100,15 @@ def predict(t: Tables, x: Array, rows: Array, s2: Array, subset: Subset) -> Stat
         moved, moved_whole, gains = _move(t, x, whole_last, innovation, subset)
         moved_innovation = rows - moved_whole * subset.measured
         moved_e2 = be.dot(moved_innovation, moved_innovation)
-        better = tries & (gains > TUNING.motion_significant * s2) & (moved_e2 < e2)
+        better = tries & (gains > TUNING.motion_significant * s2)
+        better = better & (gains * (max(0, m - 3) / 3) > be.at_least(e2 - gains, 0.0))
+        better = better & (moved_e2 < xp.minimum(e2, changed2))
         found = be.choose(better, moved, x)
         whole = be.choose(better, moved_whole, whole_last)
         innovation = be.choose(better, moved_innovation, innovation)
         e2 = be.choose(better, moved_e2, e2)
-    failed = seen & (e2 > TUNING.failed_part * y2) & (e2 > TUNING.failed_noise * m * s2)
+    left = xp.minimum(e2, changed2)
+    failed = seen & (left > TUNING.failed_part * y2) & (left > TUNING.failed_noise * m * s2)
     nothing = xp.zeros_like(x)
     return {
         "x": be.choose(failed, nothing, found),
@@ -153,18 +164,16 @@ def _solve(t: Tables, gram: Array, ridge: Array, fits: Array) -> list[Array]:
 
 
 def _update_noise(
-    t: Tables, state: State, s: Numbers, y: Array, frame: State, number: int
-) -> tuple[Array, Array]:
-    """Update the noise level as `NoiseLevel.update`; return `jumped` and the difference of y."""
+    t: Tables, state: State, s: Numbers, frame: State, changed2: Array, number: int
+) -> Array:
+    """Update the noise level as `NoiseLevel.update`; return `jumped`, bool (B,)."""
     be, xp, m, e2 = t.be, t.be.xp, t.m, frame["e2"]
     differences = s["differences"]
-    step = y - state[f"y{number}"]
-    second = step - state[f"step{number}"]
+    second = frame["step"] - state[f"step{number}"]
     old = differences[number]
-    first2, second2 = be.dot(step, step) / (2 * m), be.dot(second, second) / (6 * m)
-    seen = be.choose(old >= 0, xp.minimum(e2, first2), e2)
-    seen = be.choose(old > 0, xp.minimum(seen, second2), seen)
-    jumped = frame["failed"] | ~s["begun"] | (e2 > TUNING.jump * s["s2"])
+    first = xp.minimum(e2, changed2 / (2 * m))
+    seen = be.choose(old > 0, xp.minimum(first, be.dot(second, second) / (6 * m)), first)
+    jumped = frame["failed"] | ~s["begun"] | (first > TUNING.jump * s["s2"])
     since = be.choose(jumped, old * 0, s["since_jump"] + 1)
     new = old + 1
     s["known"] = s["known"] | (new > 1)
@@ -182,9 +191,10 @@ def _update_noise(
         be.choose(forgets, one * 0 - float(k != number), new if k == number else one)
         for k, one in enumerate(differences)
     ]
+    s["begun_in"] = [one * 0 + 1 if k == number else one for k, one in enumerate(s["begun_in"])]
     s["settled"] = settled | (new == 1)
     s["since_jump"] = since
-    return jumped, step
+    return jumped
 
 
 def _update_gain(
@@ -242,7 +252,9 @@ def _plan(
     more = be.choose(settling, more * 0 + most, be.at_most(more, float(most)))
     s["wait"] = s["wait"] - 1
     due = (s["wait"] <= 0) & (s["exceeds"] | s["is_smooth"])
-    both = (frame["nothing_known"] | due) & t.tests
+    begins = (frame["nothing_known"] | (due & (s["left"] <= 0))) & t.tests
+    s["left"] = be.choose(begins, s["left"] * 0 + TUNING.trial, s["left"])
+    both = s["left"] > 0
     frame["uses_haar"] = both | ~s["is_smooth"]
     frame["uses_smooth"] = both | s["is_smooth"]
     count = be.at_most(least + xp.floor(more), float(most))

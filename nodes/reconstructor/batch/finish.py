@@ -71,7 +71,7 @@ def known_of(t: Tables, frame: State, number: int) -> Known:
         variance = be.choose(rotating, variances(t, s, least), variance)
     kept = TUNING.kept_fixed + be.double(rotating) * (TUNING.kept_rotating - TUNING.kept_fixed)
     used = be.single(known > 0) * subset.kept
-    return Known(frame["x"], values, variance, used, be.at_least(power, TINY), kept)
+    return Known(frame["smooth_start"], values, variance, used, be.at_least(power, TINY), kept)
 
 
 def finish(
@@ -101,18 +101,21 @@ def finish(
     """
     be, xp = t.be, t.be.xp
     s = dict(frame["numbers"])
-    error2 = _choose(t, s, frame, haar, smooth)
+    error2, held2 = _choose(t, s, frame, haar, smooth)
     is_smooth = s["is_smooth"]
     x = be.choose(is_smooth, smooth["x"], haar["x"])
+    other = be.choose(is_smooth, haar["x"], smooth["x"])
     whole = be.choose(is_smooth, smooth["whole"], haar["whole"])
     subset = t.subsets[number]
     left = be.dot(frame["y"] - whole, subset.ones + xp.zeros_like(whole))
-    _update_bias(t, s, left / subset.energy if subset.energy else left * 0, x, median)
+    # Until the noise is known, held-out residuals bound it, too.
+    s2 = be.choose(s["known"], s["s2"], xp.minimum(s["s2"], held2)) if t.n_held else s["s2"]
+    _update_bias(t, s, left / subset.energy if subset.energy else left * 0, x, s2, median)
     power = be.dot(x, x) / t.n
     finite = xp.isfinite(power)
     error, trusted = _judge(t, frame, x, power, error2, is_smooth)
     s["has_estimate"] = s["has_estimate"] | True
-    state = {"x": x, "correction": x - frame["x"], NUMBERS: pack(be, s)}
+    state = {"x": x, "other": other, "correction": x - frame["x"], NUMBERS: pack(be, s)}
     state |= {name: frame[name] for name in ("values", "known") if name in frame}
     state[f"step{number}"] = frame["step"]
     forces = t.image(_forces(t, x, s["bias"]))
@@ -128,16 +131,21 @@ def _excess(mean: Array, noise: Array, count: float) -> Array:
     return mean - noise * (1 + 2 * math.sqrt(2 / count))
 
 
-def _choose(t: Tables, s: Numbers, frame: State, haar: State, smooth: State) -> Array:
-    """Choose a model as `HeldOut.choose`; return the mean squared error beyond the noise."""
+def _choose(t: Tables, s: Numbers, frame: State, haar: State, smooth: State) -> tuple[Array, Array]:
+    """Choose a model as `HeldOut.choose`.
+
+    Return the mean squared error beyond the noise, and the mean square of the held-out residuals.
+    """
     be, xp = t.be, t.be.xp
     noise, failed = frame["known_noise"], frame["nothing_known"]
     with_haar, with_smooth = frame["uses_haar"], smooth["made"]
-    both = with_haar & with_smooth
+    both, was_smooth = with_haar & with_smooth, s["is_smooth"]
+    first = both & (s["left"] == TUNING.trial)
+    others = {"haar": first & was_smooth, "smooth": first & ~was_smooth}
     means = {}
     for name, estimate, made in (("haar", haar, with_haar), ("smooth", smooth, with_smooth)):
         now, old = estimate["error2"], s[f"{name}_error"]
-        last = be.choose(failed | (old < 0), now, old)
+        last = be.choose(failed | others[name] | (old < 0), now, old)
         last = xp.minimum(last, TUNING.error_fading * now + noise)
         mean = TUNING.error_memory * last + (1 - TUNING.error_memory) * now
         means[name] = s[f"{name}_error"] = be.choose(made, mean, old)
@@ -147,12 +155,17 @@ def _choose(t: Tables, s: Numbers, frame: State, haar: State, smooth: State) -> 
     clearly = 1 + 2 * TUNING.margin / math.sqrt(count * TUNING.error_frames)
     bound = clearly * means["smooth"] + xp.minimum(noise, means["smooth"])
     better = means["haar"] > bound
-    same = better == s["is_smooth"]
-    period = be.choose(same, be.at_most(2 * s["period"], float(TUNING.seldom)), noise * 0 + 2)
-    s["period"] = be.choose(both, period, s["period"])
-    s["wait"] = be.choose(both, period, s["wait"])
-    is_smooth = (both & better) | (with_smooth & ~with_haar)
-    s["is_smooth"] = is_smooth
+    s["left"] = be.choose(both, s["left"] - 1, noise * 0)
+    decides = both & (failed | (s["left"] <= 0))
+    longer = be.at_most(2 * s["period"], float(TUNING.seldom))
+    period = be.choose(better == was_smooth, longer, noise * 0 + TUNING.often)
+    s["period"] = be.choose(decides, period, s["period"])
+    s["wait"] = be.choose(decides, period, s["wait"])
+    keeps = both & ~decides & was_smooth
+    is_smooth = (decides & better) | keeps | (with_smooth & ~with_haar)
+    s["is_smooth"], s["has_other"] = is_smooth, both
+    # The gain has fallen meanwhile, without the noise of the smooth model.
+    s["since_jump"] = be.choose(was_smooth & ~is_smooth, noise * 0, s["since_jump"])
     mean = be.choose(is_smooth, means["smooth"], means["haar"])
     now = be.choose(is_smooth, smooth["error2"], haar["error2"])
     excess = xp.maximum(
@@ -160,10 +173,10 @@ def _choose(t: Tables, s: Numbers, frame: State, haar: State, smooth: State) -> 
     )
     error2 = be.at_least(excess, 0.0)
     s["exceeds"] = error2 > 0
-    return error2
+    return error2, now
 
 
-def _update_bias(t: Tables, s: Numbers, more: Array, x: Array, median: bool) -> None:
+def _update_bias(t: Tables, s: Numbers, more: Array, x: Array, s2: Array, median: bool) -> None:
     """Update the clip bias as `ClipBias.update`."""
     be, xp = t.be, t.be.xp
     frames = s["bias_frames"] + 1
@@ -174,7 +187,7 @@ def _update_bias(t: Tables, s: Numbers, more: Array, x: Array, median: bool) -> 
             xp.remainder(frames, be.number(TUNING.median_every)) == 0
         )
         more = more + be.choose(uses, be.double(middle), more * 0)
-    s["least_s2"] = xp.minimum(TUNING.bias_forgotten * s["least_s2"], s["s2"])
+    s["least_s2"] = xp.minimum(TUNING.bias_forgotten * s["least_s2"], s2)
     noise = xp.sqrt(s["least_s2"])
     more = xp.minimum(xp.maximum(more, -noise / 2), noise / 2)
     rate = be.at_least(1 / (frames + 1), TUNING.bias_slowest)

@@ -58,7 +58,7 @@ class FusedIterations:
         the left side is split into three parts. The right sides, +-1 and 0, are exact.
     """
 
-    def __init__(self, t: Tables, n_warps: int = 8, precision: str = "tf32x3") -> None:
+    def __init__(self, t: Tables, n_warps: int = 4, precision: str = "tf32x3") -> None:
         from .kernel import iterate
 
         self._kernel, self._n_warps, self._precision = iterate, n_warps, precision
@@ -84,7 +84,7 @@ class FusedIterations:
     def estimate(self, frame: State) -> Array:
         """Return the estimate by the Haar model, float32 (B, n); frame is as of `begin`."""
         t, be, xp = self._t, self._t.be, self._t.be.xp
-        x = frame["x"]
+        x = frame["haar_start"]
         out = xp.empty_like(x)
 
         def whole(a: Array) -> Any:
@@ -124,7 +124,7 @@ class FusedSmooth:
         As in `FusedIterations`; the Gaussians are rounded in parts, too.
     """
 
-    def __init__(self, smooth: SmoothBatch, n_warps: int = 16, precision: str = "tf32x3") -> None:
+    def __init__(self, smooth: SmoothBatch, n_warps: int = 16, precision: str = "ieee") -> None:
         from .kernel_smooth import estimate
 
         self._kernel, self._n_warps, self._precision = estimate, n_warps, precision

@@ -125,7 +125,8 @@ class GraphFrames:
         t, (begins, tests, ends) = self._t, self._parts
         first = self._capture(lambda: begins(state, y, number))
         frame = first()
-        carry = {name: array.clone() for name, array in first_carry(t, frame["x"]).items()}
+        begun = first_carry(t, frame["haar_start"])
+        carry = {name: array.clone() for name, array in begun.items()}
 
         def step() -> None:
             for name, array in iterate(t, frame, carry).items():
@@ -139,7 +140,7 @@ class GraphFrames:
 
         def run() -> Ended:
             first()
-            for name, array in first_carry(t, frame["x"]).items():
+            for name, array in first_carry(t, frame["haar_start"]).items():
                 carry[name].copy_(array)
             for _ in range(int(frame["n_haar"].max())):
                 again()

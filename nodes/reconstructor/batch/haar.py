@@ -13,7 +13,7 @@ from .state import State
 from .tables import Tables
 
 #: What an iteration reads of a frame.
-READ = ("target", "weights", "threshold", "least", "n_haar", "next_shift")
+READ = ("haar_start", "target", "weights", "threshold", "least", "n_haar", "next_shift")
 
 
 def first_carry(t: Tables, x: Array) -> State:
@@ -84,7 +84,7 @@ def estimate(t: Tables, frame: State) -> Array:
     counts = be.numpy(frame["n_haar"])
     rest = np.arange(counts.size)
     part = {name: frame[name] for name in READ}
-    carry = first_carry(t, frame["x"])
+    carry = first_carry(t, frame["haar_start"])
     found, order, done = [], [], 0
     for count in np.unique(counts):
         for _ in range(done, int(count)):

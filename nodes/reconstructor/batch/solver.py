@@ -66,8 +66,8 @@ class BatchSolver:
       differ by rounding, and where a decision lies within rounding of its bound, by more.
     - A patch whose iteration diverges is returned as 0, untrusted, and begins anew; there, an
       error is raised.
-    - Phi is "sbhe" with blocks of at most 64; at least 96 measurements, or all taxels: smaller
-      skins have no Haar model and are left to `SkinSolver`.
+    - Phi is "sbhe" with blocks of at most 64, and at least 96 measurements: `SkinSolver` solves
+      smaller skins by a smooth model of its own.
     - All patches are measured by the same row subset in a frame. No budget ends a frame early.
 
     Patches that need the smooth model, or a comparison of both, are handed to it as a smaller batch
@@ -271,9 +271,9 @@ def _checked(phis: Sequence[Phi], mask: Mask) -> list[SbhePhi]:
     for other in found[1:]:
         if other.m != phi.m or not np.array_equal(other.permutation, phi.permutation):
             raise SolverError(f"batch: phi {other.fingerprint} is no row subset of the first one")
-    if phi.m < TUNING.comparable and phi.m < phi.n:
+    if phi.m < TUNING.comparable:
         raise SolverError(
-            f"batch: {phi.m} measurements are not allowed; allowed: {TUNING.comparable} or more, "
-            'or all taxels; solver "skin" takes fewer'
+            f"batch: {phi.m} measurements are not allowed; allowed: {TUNING.comparable} or more; "
+            'solver "skin" takes fewer'
         )
     return found

@@ -7,6 +7,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import Doubles
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 
 from .backend import Array, Backend
 
@@ -20,16 +21,17 @@ NUMBERS = "numbers"
 FIRST = {
     **{"bias": 0.0, "bias_frames": 0.0, "least_s2": np.inf},
     **{"s2": 0.0, "since_jump": 0.0, "trust": 1.0},
-    **{"haar_error": -1.0, "smooth_error": -1.0, "wait": 0.0, "period": 2.0},
+    **{"haar_error": -1.0, "smooth_error": -1.0},
+    **{"wait": 0.0, "period": float(TUNING.often), "left": 0.0},
     **{"next_shift": 0.0, "subset": 0.0, "drift": 0.0, "remembered": 0.0},
 }
 FLAGS = {
     **{"begun": False, "settled": False, "known": False, "rotating": False},
-    **{"has_estimate": False, "is_smooth": False, "exceeds": True},
+    **{"has_estimate": False, "is_smooth": False, "exceeds": True, "has_other": False},
 }
-#: Of each row subset: frames compared (-1: none), gain, and the last frame that it was read in, as
-#: counted by `remembered` (0: none).
-OF_SUBSET = {"differences": -1.0, "gain": 1.0, "read_in": 0.0}
+#: Of each row subset: differences since the last jump (-1: no frame), 1 if it was ever read, gain,
+#: and the last frame that it was read in, as counted by `remembered` (0: none).
+OF_SUBSET = {"differences": -1.0, "begun_in": 0.0, "gain": 1.0, "read_in": 0.0}
 
 
 def first_numbers(n_patches: int, n_subsets: int) -> Doubles:
@@ -41,7 +43,7 @@ def first_numbers(n_patches: int, n_subsets: int) -> Doubles:
 
 def first_state(be: Backend, n_patches: int, n: int, m: int, n_subsets: int) -> State:
     """Return the state before the first frame."""
-    state = {name: be.zeros(n_patches, n) for name in ("x", "correction")}
+    state = {name: be.zeros(n_patches, n) for name in ("x", "other", "correction")}
     if n_subsets > 1:
         state |= {name: be.zeros(n_patches, n) for name in ("values", "known")}
     for subset in range(n_subsets):
