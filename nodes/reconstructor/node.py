@@ -24,7 +24,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.acts import follow
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, layout
 from sparseskin.nodes.compressor.phi.base import KINDS, Phi, make_phi
-from sparseskin.nodes.compressor.phi.rotation import row_subsets
+from sparseskin.nodes.compressor.phi.rotation import can_rotate, row_subsets
 from sparseskin.nodes.errors import (
     PhiError,
     RefusedError,
@@ -177,7 +177,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._solver = solver
         self._subsets = {one.fingerprint: one for one in subsets}
         self._watch.set_up(self._subsets, state, solver.mask)
-        self._trust_log.begin(len(self._subsets))
+        self._trust_log.begin(len(self._subsets), can_rotate(phi))
         self._uncertainty = self._make_uncertainty(solver, phi.ratio, announced.rows)
         if self.settings.resultant:
             self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)

@@ -41,9 +41,13 @@ class TrustLog:
         self._n_frames = self._n_untrusted = 0
         self._latest: deque[bool] = deque(maxlen=WITHIN)
 
-    def begin(self, n_subsets: int) -> None:
-        """Expect the frames of a new solver, measured by this many row subsets; 1: fixed rows."""
-        self._rotating, self._n_early = n_subsets > 1, FIRST * (n_subsets - 1)
+    def begin(self, n_subsets: int, could_rotate: bool = True) -> None:
+        """Expect the frames of a new solver, measured by this many row subsets; 1: fixed rows.
+
+        `could_rotate` is False for a Phi whose rows cannot rotate.
+        """
+        self._rotating = n_subsets > 1 or not could_rotate
+        self._n_early = FIRST * (n_subsets - 1)
 
     def update(
         self,

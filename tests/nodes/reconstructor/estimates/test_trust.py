@@ -197,3 +197,13 @@ def test_the_times_of_the_lines_are_those_of_the_stamps() -> None:
     for stamp_s in range(25):
         list(desk.node.step(replace(frame, stamp_ns=stamp_s * S)))
     assert len(desk.lines) == 3  # at 2, 12 and 22 s
+
+
+def test_rotation_is_not_advised_for_rows_that_cannot_rotate() -> None:
+    lines: list[str] = []
+    log = TrustLog(lines.append)
+    log.begin(1, could_rotate=False)
+    for _ in range(RUN):
+        log.update(0, FORCES, 0.31, False, n=10, unit="N")
+    (line,) = lines
+    assert "more measurements may help" in line
