@@ -81,18 +81,23 @@ class ReferenceSolver:
         # The last frame.
         self.x = self.correction = np.zeros(self.n)
         self.frame, self.first_subset, self.rotating = 0, 0, False
-        # Clip bias, noise level: past measurements and differences of each row subset, gain.
-        self.b, self.least_s2 = 0.0, math.inf
+        # Clip bias; noise level: last measurements and difference of each row subset, and number
+        # of differences since a jump; gain.
+        self.b, self.least_s2, self.n_biases = 0.0, math.inf, 0
         self.s2, self.since_jump, self.settled, self.known = 0.0, 0, False, False
-        self.past: dict[int, list[Doubles]] = {k: [] for k in range(len(subsets))}
+        self.last_read: dict[int, Doubles] = {}
+        self.last_step: dict[int, Doubles] = {}
+        self.n_steps = dict.fromkeys(range(len(subsets)), -1)
         self.trust, self.gains = 1.0, dict.fromkeys(range(len(subsets)), 1.0)
         # Row memory: last measurement of each row, and the frame that each row subset was read in.
         self.values, self.drift = np.zeros(len(self.w)), 0.0
         self.read_in: dict[int, int] = {}
-        # Running means of the squared errors of both models, and the waiting for a comparison.
+        # Running means of the squared errors of both models; frames to a comparison, and frames
+        # left of it; last estimates while it lasts.
         self.model = "haar" if self.m >= self.t.comparable else "smooth"
         self.errors: dict[str, float] = {}
-        self.wait, self.period, self.exceeds_noise = 0, 2, True
+        self.wait, self.period, self.left, self.exceeds_noise = 0, self.t.often, 0, True
+        self.last: dict[str, Doubles] = {}
         self.error: float | None = None
         self.trusted = True
 
@@ -104,10 +109,11 @@ class ReferenceSolver:
         self.rotating = self.rotating or subset != self.first_subset
         read, ones = measurements.astype(np.float64), phi.sum(axis=1)
         y = read - self.b * ones
-        x_p, failed = self.predict(phi, y)
+        changed2 = mean_square(read - self.last_read.get(subset, math.inf))
+        x_p, failed = self.predict(phi, y, changed2)
         e = y - phi @ x_p
         e2 = mean_square(e)
-        jumped = self.follow_noise(read, subset, e2, failed)
+        jumped = self.follow_noise(read, subset, e2, changed2, failed)
         settling = self.since_jump <= t.settling
         gain, nis, r2 = self.follow_gain(e, phi @ self.correction, subset, settling)
         noise = r2 if self.known else 0.0
@@ -118,7 +124,10 @@ class ReferenceSolver:
         held = self.rows[subset][held_out(subset, m, self.n_held)]
         weights[held] = 0
 
+        # While both models are compared, each starts from its own last estimate.
         models = self.models_to_compute(cold)
+        start = {model: x_p if cold else self.last.get(model, x_p) for model in models}
+        start[self.model] = x_p
         estimates, residuals = {}, {}
         if "haar" in models:
             count = self.iterations + int(t.iterations_per_nis * max(0, nis - t.expected_nis))
@@ -131,61 +140,76 @@ class ReferenceSolver:
             target = self.w @ x_p + gain * (self.values - self.w @ x_p)
             limits = threshold / math.sqrt(m_counted), least
             count = self.max_iterations if settling else min(count, self.max_iterations)
-            estimates["haar"] = self.haar(x_p, target, weights, limits, count)
+            estimates["haar"] = self.haar(start["haar"], target, weights, limits, count)
             residuals["haar"] = (self.values - self.w @ estimates["haar"])[held]
         if "smooth" in models and ("haar" not in models or exceeds(residuals["haar"], noise)):
             used = np.setdiff1d(np.flatnonzero(age < math.inf), held)
             least_noise = noise + t.least_noise * mean_square(y)
             variance = least_noise + t.memory_doubt * self.drift * age[used]
             power = max((mean_square(y) if cold else e2) - least_noise, TINY)
-            found, left_out = self.smooth(x_p, used, variance, power, cold)
+            found, left_out = self.smooth(start["smooth"], used, variance, power, cold)
             estimates["smooth"] = found
             residuals["smooth"] = (self.values - self.w @ found)[held]
             if self.one_by_one:
                 residuals["smooth"] = left_out[np.isin(used, self.rows[subset])]
 
-        beyond = self.choose(residuals, noise, cold)
+        before, beyond = self.model, self.choose(residuals, noise, cold)
+        if (before, self.model) == ("smooth", "haar"):
+            # The gain has fallen meanwhile, without the noise of the smooth model.
+            self.since_jump = 0
+        self.last = estimates if len(estimates) > 1 else {}
         x = estimates[self.model]
-        self.follow_bias(ones, y - phi @ x, x)
+        if self.known or m >= t.comparable:
+            self.follow_bias(ones, y - phi @ x, x, residuals[self.model])
         self.judge(x, beyond, noise, gain, mean_square(read))
         self.correction, self.x, self.frame = x - x_p, x, self.frame + 1
         forces = np.zeros(self.mask.shape)
         forces[self.mask] = x + self.b * -np.expm1(-x / max(self.b, TINY))
         return forces
 
-    def predict(self, phi: Doubles, y: Doubles) -> tuple[Doubles, bool]:
-        """Return x_p, the last frame moved by least squares (0 if it failed), and if it failed."""
-        t, x, noise2 = self.t, self.x, self.m * self.s2
+    def predict(self, phi: Doubles, y: Doubles, changed2: float) -> tuple[Doubles, bool]:
+        """Return x_p, the last frame moved by least squares (0 if it failed), and if it failed.
+
+        Where measurements changed less since they were read last (changed2, mean square) than a
+        motion leaves unexplained, nothing has moved, and nothing has vanished.
+        """
+        t, x = self.t, self.x
         e = y - phi @ x
         if not x.any():
             return x, False
-        if e @ e > t.motion_still * noise2:
+        most = min(mean_square(e), changed2)
+        if mean_square(e) > t.motion_still * self.s2:
             terms = np.array([x, *(slope @ x for slope in self.slopes)])
             rows = phi @ terms.T
             gram, right = rows.T @ rows, rows.T @ e
             found = np.linalg.solve(gram + (1e-6 * gram.max() + TINY) * np.eye(3), right)
-            if found @ right > t.motion_significant * self.s2:
+            explained, left = found @ right, max(0.0, e @ e - found @ right)
+            clear = explained * max(0, self.m - 3) / 3 > left
+            if clear and explained > t.motion_significant * self.s2:
                 moved = np.clip(x + found @ terms, 0, x.max() * max(1, 1 + found[0]))
-                if mean_square(y - phi @ moved) < mean_square(e):
+                if mean_square(y - phi @ moved) < most:
                     x, e = moved, y - phi @ moved
-        failed = e @ e > t.failed_part * (y @ y) and e @ e > t.failed_noise * noise2
-        return (0 * x if failed else x), bool(failed)
+        e2 = min(mean_square(e), changed2)
+        failed = e2 > t.failed_part * mean_square(y) and e2 > t.failed_noise * self.s2
+        return (0 * x if failed else x), failed
 
-    def follow_noise(self, y: Doubles, subset: int, e2: float, failed: bool) -> bool:
+    def follow_noise(
+        self, y: Doubles, subset: int, e2: float, changed2: float, failed: bool
+    ) -> bool:
         """Set the noise level s2 from differences of frames; return whether the scene jumped."""
-        t, past, seen = self.t, self.past[subset], e2
-        if past:
-            steps = [y - past[0], *past[1:]]
-            seen = min(seen, mean_square(steps[0]) / 2)
-            if len(steps) > 1:
-                seen = min(seen, mean_square(steps[0] - steps[1]) / 6)
-                self.known = True
-            past[1:] = steps[:1]
-        past[:1] = [y]
-        jumped = failed or self.frame == 0 or e2 > t.jump * self.s2
+        t, seen = self.t, min(e2, changed2 / 2)
+        jumped = failed or self.frame == 0 or seen > t.jump * self.s2
         self.since_jump = 0 if jumped else self.since_jump + 1
+        if subset in self.last_read:
+            step = y - self.last_read[subset]
+            if self.n_steps[subset] > 0:
+                seen = min(seen, mean_square(step - self.last_step[subset]) / 6)
+            self.last_step[subset] = step
+        self.last_read[subset] = y
+        self.n_steps[subset] += 1
+        self.known = self.known or self.n_steps[subset] > 1
         if not self.settled:
-            self.s2, self.settled = seen, len(past) > 1
+            self.s2, self.settled = seen, self.n_steps[subset] == 1
             return jumped
         relearned = 0 < self.since_jump <= t.noise_relearned and seen < self.s2
         near = seen if relearned else self.s2 + t.noise_rate * (seen - self.s2)
@@ -193,9 +217,8 @@ class ReferenceSolver:
         growth = t.noise_growth_rotating if doubtful else t.noise_growth
         self.s2 = min(near, growth * self.s2)
         if jumped:
-            for other in self.past.values():
-                other.clear()
-            past.append(y)
+            self.n_steps = dict.fromkeys(self.n_steps, -1)
+            self.n_steps[subset] = 0
         return jumped
 
     def follow_gain(
@@ -325,43 +348,56 @@ class ReferenceSolver:
 
     def models_to_compute(self, cold: bool) -> tuple[str, ...]:
         """Return the models that this frame is to be estimated by."""
-        self.wait -= 1
+        t, self.wait = self.t, self.wait - 1
         due = self.wait <= 0 and (self.exceeds_noise or self.model == "smooth")
-        return ("haar", "smooth") if self.compares and (cold or due) else (self.model,)
+        if self.compares and (cold or (due and not self.left)):
+            self.left = t.trial
+        return ("haar", "smooth") if self.left else (self.model,)
 
     def choose(self, residuals: dict[str, Any], noise: float, cold: bool) -> float:
         """Set the model of the frame; return its mean squared error beyond the noise."""
         t, now = self.t, {model: mean_square(r) for model, r in residuals.items()}
         for model, error in now.items():
-            last = error if cold else self.errors.get(model, error)
+            begins = len(now) == 2 and self.left == t.trial and model != self.model
+            last = error if cold or begins else self.errors.get(model, error)
             last = min(last, t.error_fading * error + noise)
             self.errors[model] = t.error_memory * last + (1 - t.error_memory) * error
             if len(now) == 1 and error > t.worse * last:
                 self.wait = 0
-        if len(now) == 2:
+        if len(now) < 2:
+            (self.model,) = now
+        self.left = self.left - 1 if len(now) == 2 else 0
+        if len(now) == 2 and (cold or not self.left):
             haar, smooth = self.errors["haar"], self.errors["smooth"]
             clearly = 1 + 2 * t.margin / math.sqrt(self.n_held * t.error_frames)
             better = "smooth" if haar > clearly * smooth + min(noise, smooth) else "haar"
-            self.period = min(2 * self.period, t.seldom) if better == self.model else 2
+            self.period = min(2 * self.period, t.seldom) if better == self.model else t.often
             self.model, self.wait = better, self.period
-        else:
-            (self.model,) = now
         count = max(1, len(residuals[self.model]))
         beyond = excess(now[self.model], noise, count)
         beyond = max(0.0, beyond, excess(self.errors[self.model], noise, count * t.error_frames))
         self.exceeds_noise = beyond > 0
         return beyond
 
-    def follow_bias(self, ones: Doubles, residual: Doubles, x: Doubles) -> None:
-        """Set the clip bias b from the residual along Phi 1 and the median of the taxels."""
+    def follow_bias(
+        self, ones: Doubles, residual: Doubles, x: Doubles, held_residual: Doubles
+    ) -> None:
+        """Set the clip bias b from the residual along Phi 1 and the median of the taxels.
+
+        It is bounded by the noise; before that is known, by the residual of held-out rows, too.
+        """
         t, energy = self.t, float(ones @ ones)
         # No row of the frame may see a bias: Phi 1 is 0 then, but for rounding.
         more = float(ones @ residual) / energy if energy > 1e-6 * self.n else 0.0
-        if self.frame < t.median_first or (self.frame + 1) % t.median_every == 0:
+        self.n_biases += 1
+        if self.n_biases <= t.median_first or self.n_biases % t.median_every == 0:
             more += float(np.median(x))
-        self.least_s2 = min(t.bias_forgotten * self.least_s2, self.s2)
+        bound = self.s2
+        if len(held_residual) and not self.known:
+            bound = min(bound, mean_square(held_residual))
+        self.least_s2 = min(t.bias_forgotten * self.least_s2, bound)
         noise = math.sqrt(self.least_s2)
-        rate = max(t.bias_slowest, 1 / (self.frame + 2))
+        rate = max(t.bias_slowest, 1 / (self.n_biases + 1))
         b = self.b + rate * min(max(more, -noise / 2), noise / 2)
         self.b = min(max(b, 0.0), t.bias_largest * noise)
 

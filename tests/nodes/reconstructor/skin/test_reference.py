@@ -68,11 +68,11 @@ def holes() -> Mask:
 ERRORS = SkinErrors(offset=0.05, gain=0.05, dead=0.02)
 SCENES = {
     "still plate": lambda: press("plate", (24, 24), 3, speed=0.0, active=0.05),
-    "plate": lambda: press("plate", (24, 20), 3),
+    "plate": lambda: press("plate", (24, 20), 3, seed=1),
     "wrench": lambda: press("wrench", (24, 20), 4),
     "fingertips, holes": lambda: press("fingertips", (24, 22), 3, mask=holes(), course="sudden"),
     "box": lands,
-    "dense": lambda: press("gaussian", (24, 20), 3, active=0.5),
+    "dense": lambda: press("gaussian", (24, 20), 3, seed=1, active=0.5),
     "dense, errors": lambda: press("gaussian", (24, 20), 3, active=0.5, errors=ERRORS),
     "few of many": lambda: press("peg", (30, 24), 8, n_frames=13, seed=1),
     "small": lambda: press("gaussian", (8, 8), 3, active=0.4),
