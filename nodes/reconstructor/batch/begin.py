@@ -249,7 +249,8 @@ def _plan(
     threshold = TUNING.threshold + be.double(jumped) * (cold - TUNING.threshold)
     frame["threshold"] = threshold / math.sqrt(t.m)
     more = be.at_least(TUNING.iterations_per_nis * (nis - TUNING.expected_nis), 0.0)
-    more = be.choose(settling, more * 0 + most, be.at_most(more, float(most)))
+    more = xp.where(more >= 0, be.at_most(more, float(most)), be.number(0.0))
+    more = xp.where(settling, be.number(float(most)), more)
     s["wait"] = s["wait"] - 1
     due = (s["wait"] <= 0) & (s["exceeds"] | s["is_smooth"])
     begins = (frame["nothing_known"] | (due & (s["left"] <= 0))) & t.tests

@@ -112,7 +112,8 @@ def finish(
     s2 = be.choose(s["known"], s["s2"], xp.minimum(s["s2"], held2)) if t.n_held else s["s2"]
     _update_bias(t, s, left / subset.energy if subset.energy else left * 0, x, s2, median)
     power = be.dot(x, x) / t.n
-    finite = xp.isfinite(power)
+    # A kernel may read what is not a number as 0.
+    finite = xp.isfinite(power) & xp.isfinite(frame["power_read"] + s["s2"] + s["bias"])
     error, trusted = _judge(t, frame, x, power, error2, is_smooth)
     s["has_estimate"] = s["has_estimate"] | True
     state = {"x": x, "other": other, "correction": x - frame["x"], NUMBERS: pack(be, s)}
