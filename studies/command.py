@@ -83,7 +83,9 @@ STUDIES = {
         "the default solver over a million frames: memory, drift, recovery after changes"
     ),
     "latency": Study("time from acquisition to reconstruction at 1 kHz, by stage"),
-    "gpu": Study("the default solver for 1 to 1024 patches at once, on a GPU where one is"),
+    "gpu": Study(
+        "the default solver for 1 to 1024 patches at once, on a GPU; without one, nothing is run"
+    ),
     "soak": Study("a long run: memory, open files, lost frames", options=("minutes",)),
     "fuzz": Study("hostile messages on the sockets of nodes that run, and mutated launch files"),
     "faults": Study("a graph under faults: frames lost, and time to recover"),
