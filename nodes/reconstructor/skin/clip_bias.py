@@ -68,17 +68,18 @@ class ClipBias:
             np.multiply(self.ones, self._b, self._scaled)
             np.subtract(y_rows, self._scaled, y_rows)
 
-    def update(self, left: float, x: Floats, s2: float) -> None:
+    def update(self, left: float, x: Floats, s2: float, most: float = math.inf) -> None:
         """Process a reconstructed frame x without the bias, float32 (n,), newtons.
 
-        `left` is the product of Phi 1 with the residual, s2 the variance of a measurement's noise.
+        `left` is the product of Phi 1 with the residual, s2 the variance of a measurement's noise,
+        and `most` another bound of it.
         """
         self._n_frames += 1
         more = left / self.energy if self.energy else 0.0
         if self._n_frames <= self._t.median_first or self._n_frames % self._t.median_every == 0:
             more += float(np.median(x))
         self._least_s2 = min(self._t.bias_forgotten * self._least_s2, s2)
-        noise = math.sqrt(self._least_s2)
+        noise = math.sqrt(min(self._least_s2, most))
         more = min(max(more, -noise / 2), noise / 2)
         rate = max(self._t.bias_slowest, 1 / (self._n_frames + 1))
         self.b = min(max(self.b + rate * more, 0.0), self._t.bias_largest * noise)

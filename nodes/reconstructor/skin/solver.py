@@ -397,7 +397,8 @@ class SkinSolver(Solver):
             # The bias is that of this frame's rows alone.
             residual = np.subtract(self._y, fitted, self._r)
             left = float(np.dot(self._bias.ones, residual))
-            self._bias.update(left, self._x, self._most_noise(self._residuals[chosen]))
+            most = self._most_noise(self._residuals[chosen])
+            self._bias.update(left, self._x, self._noise.s2, most)
         # W of the correction x - x_p, and of the last frame.
         np.subtract(fitted, self._prediction.whole, self._correction)
         np.copyto(self._prediction.whole, fitted)
@@ -443,10 +444,10 @@ class SkinSolver(Solver):
         return self._t.filtered_error * touched * gain * self._known_noise
 
     def _most_noise(self, residual: Floats) -> float:
-        """Return the noise level, or a bound of it by the residual of held-out measurements."""
+        """Return a bound of the noise variance before it is known, by held-out measurements."""
         if self._noise.known or not residual.size:
-            return self._noise.s2
-        return min(self._noise.s2, float(np.dot(residual, residual)) / residual.size)
+            return math.inf
+        return self._t.bias_bound * float(np.dot(residual, residual)) / residual.size
 
     def _judge(self) -> None:
         """Set the error of the estimate, and whether it is trusted."""

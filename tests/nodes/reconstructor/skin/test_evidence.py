@@ -164,7 +164,7 @@ def test_the_smooth_model_is_chosen_only_if_haars_error_exceeds_its_own_by_the_n
     smooth = 0.3
     clearly = 1 + 2 * TUNING.margin / math.sqrt(N_HELD * TUNING.error_frames)
     held = held_out()
-    for _ in range(3):
+    for _ in range(TUNING.trial):
         # Held-out residuals bound the noise, too.
         frame(held, clearly * smooth + min(noise, smooth) + above, smooth, noise)
     assert held.model == model
@@ -173,28 +173,31 @@ def test_the_smooth_model_is_chosen_only_if_haars_error_exceeds_its_own_by_the_n
 def test_the_estimate_that_is_used_is_that_of_the_model_chosen_if_it_was_made() -> None:
     held = held_out()
     errors = {HAAR: residual(1.0), SMOOTH: residual(0.01)}
-    assert held.choose(errors, 0.0, failed=False) == SMOOTH
+    assert held.choose(errors, 0.0, failed=True) == SMOOTH
     assert held.error2(0.0) == pytest.approx(0.01, rel=1e-5)
     assert held.choose({HAAR: residual(1.0)}, 0.0, failed=False) == HAAR
     assert held.error2(0.0) == pytest.approx(1.0, rel=1e-5)
 
 
-def gaps(haar: float, smooth: float, n_frames: int) -> list[int]:
-    """Frames between comparisons."""
+def waits(haar: float, smooth: float, n_frames: int) -> list[int]:
+    """Frames from the end of a comparison to the begin of the next."""
     held = held_out()
-    compared = [k for k in range(n_frames) if len(frame(held, haar, smooth)) == 2]
-    assert compared[0] == 0
-    return np.diff(compared).tolist()
+    compared = [len(frame(held, haar, smooth)) == 2 for _ in range(n_frames)]
+    begins = [k for k in range(n_frames) if compared[k] and not (k and compared[k - 1])]
+    assert begins[0] == 0
+    for begin in begins[:-1]:
+        assert all(compared[begin : begin + TUNING.trial])
+    return [int(gap) - TUNING.trial + 1 for gap in np.diff(begins)]
 
 
 def test_models_are_compared_more_rarely_while_the_same_is_better() -> None:
-    found = gaps(1.0, 1.5, 400)
+    found = waits(1.0, 1.5, 500)
+    assert found[:4] == [8, 16, 32, 64]
+    assert set(found[4:]) == {TUNING.seldom}
+    # A change of the model comes first.
+    found = waits(2.0, 1.0, 500)
     assert found[:5] == [4, 8, 16, 32, 64]
     assert set(found[5:]) == {TUNING.seldom}
-    # A change of the model comes first.
-    found = gaps(2.0, 1.0, 400)
-    assert found[:6] == [2, 4, 8, 16, 32, 64]
-    assert set(found[6:]) == {TUNING.seldom}
 
 
 def test_models_are_not_compared_while_the_errors_may_be_noise() -> None:
@@ -211,7 +214,7 @@ def test_models_are_not_compared_while_the_errors_may_be_noise() -> None:
 
 def test_models_are_compared_at_once_when_the_error_doubles() -> None:
     held = held_out()
-    for _ in range(40):
+    for _ in range(60):
         frame(held, 1.0, 2.0)
     assert frame(held, 0.95 * TUNING.worse, 4.0) == (HAAR,)
     assert frame(held, 1.0, 4.0) == (HAAR,)
