@@ -109,8 +109,8 @@ def finish(
     subset = t.subsets[number]
     left = be.dot(frame["y"] - whole, subset.ones + xp.zeros_like(whole))
     # Until the noise is known, held-out residuals bound it, too.
-    s2 = be.choose(s["known"], s["s2"], xp.minimum(s["s2"], held2)) if t.n_held else s["s2"]
-    _update_bias(t, s, left / subset.energy if subset.energy else left * 0, x, s2, median)
+    most = be.choose(s["known"], s["s2"], TUNING.bias_bound * held2) if t.n_held else None
+    _update_bias(t, s, left / subset.energy if subset.energy else left * 0, x, most, median)
     power = be.dot(x, x) / t.n
     # A kernel may read what is not a number as 0.
     finite = xp.isfinite(power) & xp.isfinite(frame["power_read"] + s["s2"] + s["bias"])
@@ -177,19 +177,21 @@ def _choose(t: Tables, s: Numbers, frame: State, haar: State, smooth: State) -> 
     return error2, now
 
 
-def _update_bias(t: Tables, s: Numbers, more: Array, x: Array, s2: Array, median: bool) -> None:
+def _update_bias(
+    t: Tables, s: Numbers, more: Array, x: Array, most: Array | None, median: bool
+) -> None:
     """Update the clip bias as `ClipBias.update`."""
     be, xp = t.be, t.be.xp
     frames = s["bias_frames"] + 1
     if median:
         ordered = xp.sort(x, axis=1)
         middle = (ordered[:, (t.n - 1) // 2] + ordered[:, t.n // 2]) * 0.5
-        uses = (frames <= TUNING.median_first) | (
+        uses = (frames <= t.median_first) | (
             xp.remainder(frames, be.number(TUNING.median_every)) == 0
         )
         more = more + be.choose(uses, be.double(middle), more * 0)
-    s["least_s2"] = xp.minimum(TUNING.bias_forgotten * s["least_s2"], s2)
-    noise = xp.sqrt(s["least_s2"])
+    s["least_s2"] = xp.minimum(TUNING.bias_forgotten * s["least_s2"], s["s2"])
+    noise = xp.sqrt(s["least_s2"] if most is None else xp.minimum(s["least_s2"], most))
     more = xp.minimum(xp.maximum(more, -noise / 2), noise / 2)
     rate = be.at_least(1 / (frames + 1), TUNING.bias_slowest)
     bias = be.at_least(s["bias"] + rate * more, 0.0)

@@ -224,7 +224,9 @@ class BatchSolver:
 
     def _uses_median(self, active: Mask | None) -> bool:
         frames = (self._n_frames if active is None else self._n_frames[active]) + 1
-        return bool(np.any((frames <= TUNING.median_first) | (frames % TUNING.median_every == 0)))
+        return bool(
+            np.any((frames <= self.tables.median_first) | (frames % TUNING.median_every == 0))
+        )
 
     def _keep(self, state: State, active: Mask | None) -> None:
         """Make this the state, of patches that had a frame, in place."""

@@ -14,6 +14,7 @@ from sparseskin.nodes.reconstructor.bases.shifted_haar import LEVELS, SHIFTS, TI
 from sparseskin.nodes.reconstructor.skin.clip_bias import ClipBias
 from sparseskin.nodes.reconstructor.skin.evidence import HeldOut
 from sparseskin.nodes.reconstructor.skin.prediction import neighbours_of
+from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 from sparseskin.nodes.reconstructor.solvers.projection import SbheProjection
 
 from .backend import Array, Backend
@@ -67,6 +68,8 @@ class Tables:
         Block of W; orthonormal Haar of a tile, a coefficient a row.
     to_canvas, from_canvas : int64 (n_shifts, n_canvas), (n_shifts, n)
         Place in a vector of each place of the tiles, n where no taxel exists; and the inverse.
+    median_first : int
+        First frames whose median taxel is used for the bias.
     subsets : list of Subset
     """
 
@@ -97,6 +100,7 @@ class Tables:
         self.n_canvas = tables[0][0].size
         self.shifts = backend.array(shifts.astype(np.int64))
         self.subsets = self._subsets(phis)
+        self.median_first = max(TUNING.median_first, TUNING.median_rounds * len(self.subsets))
         self.n_held = self.subsets[0].measurements.size
         self.tests = self.n_held > 0
 

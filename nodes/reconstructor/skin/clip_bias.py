@@ -76,7 +76,8 @@ class ClipBias:
         """
         self._n_frames += 1
         more = left / self.energy if self.energy else 0.0
-        if self._n_frames <= self._t.median_first or self._n_frames % self._t.median_every == 0:
+        first = max(self._t.median_first, self._t.median_rounds * len(self._known))
+        if self._n_frames <= first or self._n_frames % self._t.median_every == 0:
             more += float(np.median(x))
         self._least_s2 = min(self._t.bias_forgotten * self._least_s2, s2)
         noise = math.sqrt(min(self._least_s2, most))

@@ -390,13 +390,14 @@ class ReferenceSolver:
         # No row of the frame may see a bias: Phi 1 is 0 then, but for rounding.
         more = float(ones @ residual) / energy if energy > 1e-6 * self.n else 0.0
         self.n_biases += 1
-        if self.n_biases <= t.median_first or self.n_biases % t.median_every == 0:
+        first = max(t.median_first, t.median_rounds * len(self.rows))
+        if self.n_biases <= first or self.n_biases % t.median_every == 0:
             more += float(np.median(x))
-        bound = self.s2
+        self.least_s2 = min(t.bias_forgotten * self.least_s2, self.s2)
+        bound = self.least_s2
         if len(held_residual) and not self.known:
-            bound = min(bound, mean_square(held_residual))
-        self.least_s2 = min(t.bias_forgotten * self.least_s2, bound)
-        noise = math.sqrt(self.least_s2)
+            bound = min(bound, t.bias_bound * mean_square(held_residual))
+        noise = math.sqrt(bound)
         rate = max(t.bias_slowest, 1 / (self.n_biases + 1))
         b = self.b + rate * min(max(more, -noise / 2), noise / 2)
         self.b = min(max(b, 0.0), t.bias_largest * noise)

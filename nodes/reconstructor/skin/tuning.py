@@ -29,11 +29,13 @@ class SkinTuning:
     bias_forgotten: float = 1.002
     #: Least rate of the bias, a frame. [Chosen]
     bias_slowest: float = 0.05
-    #: Largest noise variance before it is known, in mean squared residuals of held-out measurements.
+    #: Largest noise variance before it is known, in mean squared residuals of held-out rows.
     #: [Chosen]
     bias_bound: float = 4.0
     #: First frames that use the median of the taxels, and every how many frames later. [Chosen]
-    median_first: int = 16
+    median_first: int = 8
+    #: Rounds of rotating rows that these first frames are at least. [Chosen]
+    median_rounds: int = 2
     median_every: int = 32
 
     # Prediction.
