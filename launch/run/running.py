@@ -9,6 +9,7 @@ folder.
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import json
 import os
@@ -27,6 +28,8 @@ from sparseskin.nodes.lookup import did_you_mean
 
 MAX_SOCKET_PATH_BYTES = 107
 """Longest path of a socket: sun_path of unix(7), less its end."""
+PART = ".part"
+"""Ending of the name of a note that is being made."""
 MAX_NOTE_BYTES = 1 << 24
 PATIENCE_S = 30.0
 """Longest time that a command waits for a graph that is starting, seconds."""
@@ -133,7 +136,7 @@ class Note:
     def __init__(self, graph: RunningGraph) -> None:
         if len(os.fsencode(socket_path(10**4))) > MAX_SOCKET_PATH_BYTES:
             raise GraphError(f"{runtime_folder()}: too long for the path of a socket{_ELSEWHERE}")
-        self._path = runtime_folder() / f"{graph.label}.json"
+        self._path, self._size = runtime_folder() / f"{graph.label}.json", 0
         with _locked(self._path.parent):
             running = _remove_stale()
             for other in running:
@@ -141,10 +144,13 @@ class Note:
                     folder = self._path.parent
                     raise GraphError(f"{folder}: {other.label} has this number too{_ELSEWHERE}")
             try:
+                part = self._path.with_name(f"{graph.pid}{PART}")
+                part.unlink(missing_ok=True)  # left by a process that had the same number
                 flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
-                self._file = os.fdopen(os.open(self._path, flags, 0o600), "w")
+                self._file = os.fdopen(os.open(part, flags, 0o600), "w")
                 fcntl.flock(self._file, fcntl.LOCK_EX)
                 self._write(graph)
+                part.rename(self._path)
             except OSError as error:
                 raise GraphError(f"{self._path}: {error.strerror}") from error
 
@@ -157,10 +163,13 @@ class Note:
             raise GraphError(f"{self._path}: {error.strerror}") from error
 
     def _write(self, graph: RunningGraph) -> None:
-        self._file.seek(0)
-        self._file.truncate()
-        json.dump(asdict(graph), self._file)
-        self._file.flush()
+        """Write the text in one go, over all of the last one: a process that is killed meanwhile
+        leaves the one or the other.
+        """
+        text = json.dumps(asdict(graph)).encode()
+        self._size = max(self._size, len(text))
+        if os.pwrite(self._file.fileno(), text.ljust(self._size), 0) < self._size:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def remove(self) -> None:
         """Remove the note, and the sockets and pages that nodes which were killed have left."""
@@ -283,7 +292,8 @@ def _remove_stale() -> list[RunningGraph]:
 
 def _remove_orphans(folder: Path) -> None:
     """Remove sockets and pages of processes that are gone and have no note: a node that was still
-    starting as its launcher was killed makes them after the note was removed.
+    starting as its launcher was killed makes them after the note was removed. And notes that were
+    being made.
     """
     noted = {path.stem.rpartition("-")[2] for path in folder.glob("*.json")}
     for path in folder.iterdir():
@@ -302,14 +312,16 @@ def _remove(note: Path) -> None:
 
 
 def _remove_own(path: Path, number: str) -> bool:
-    """Remove a file if it is a socket or page of a process; False if somebody listens to it."""
+    """Remove a file if a process of this program made it: a socket, a page, a part of a note; False
+    if somebody listens to it.
+    """
     with contextlib.suppress(FileNotFoundError):  # its process ends
         mode = path.lstat().st_mode
         if stat.S_ISSOCK(mode) and re.fullmatch(rf"{number}(\.\d+)?\.sock", path.name):
             if is_served(path):
                 return False
             path.unlink()
-        elif stat.S_ISREG(mode) and re.fullmatch(rf"{number}\.\d+\.html", path.name):
+        elif stat.S_ISREG(mode) and re.fullmatch(rf"{number}(\.\d+\.html|{PART})", path.name):
             path.unlink()
     return True
 

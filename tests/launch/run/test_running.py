@@ -64,6 +64,34 @@ def test_a_note_of_a_launcher_that_was_killed_is_cleared_away() -> None:
     assert not list(runtime_folder().iterdir())
 
 
+@pytest.mark.parametrize("dies_in", ["rename", "pwrite", "second pwrite"])
+def test_a_launcher_that_is_killed_as_it_writes_its_note_leaves_nothing(dies_in: str) -> None:
+    code = (
+        "import os, sys\n"
+        "from dataclasses import replace\n"
+        "from sparseskin.launch.run.running import Note, RunningGraph, socket_path\n"
+        "graph = RunningGraph('dead', os.getpid(), 0, '', {})\n"
+        "def die(*_): os._exit(9)\n"
+        "if sys.argv[1] == 'rename': os.rename = die\n"
+        "if sys.argv[1] == 'pwrite': os.pwrite = die\n"
+        "note = Note(graph)\n"
+        "os.close(os.open(socket_path(0)[:-5] + '.html', os.O_CREAT))\n"
+        "os.pwrite = die\n"
+        "note.announce(replace(graph, launch='x' * 5000))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, dies_in], check=False)
+    assert done.returncode == 9
+    assert list(runtime_folder().iterdir())
+    assert running_graphs() == []
+    assert list(runtime_folder().iterdir()) == []
+
+
+def test_a_note_that_becomes_shorter_is_read_whole() -> None:
+    with announced(replace(graph(), launch="x" * 1000)) as note:
+        note.announce(graph())
+        assert running_graphs() == [graph()]
+
+
 def test_which_of_several_graphs_has_to_be_said() -> None:
     with pytest.raises(GraphError, match="no graph runs"):
         choose_graph(None)
