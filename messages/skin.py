@@ -69,6 +69,11 @@ class Skin:
         return (self.n_rows, self.n_cols)
 
     @property
+    def exists(self) -> npt.NDArray[np.bool_]:
+        """True where a taxel exists, bool (n_rows, n_cols)."""
+        return np.ones(self.shape, dtype=np.bool_) if self.mask is None else self.mask
+
+    @property
     def n_taxels(self) -> int:
         """Number of taxels N: those that exist."""
         if self.mask is None:

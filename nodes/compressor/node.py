@@ -177,7 +177,7 @@ class Compressor(Node[CompressorSettings]):
         s = self.settings
         rows, m = s.rows_and_m(n)
         phi = make_phi(s.phi, n=n, m=m, seed=s.seed, block=s.block)
-        exists = np.ones(state.skin.shape, np.bool_) if state.mask is None else state.mask
+        exists = state.skin.exists
         layout(phi, exists, state.sigma_end, state.f_max)
         subsets = row_subsets(phi, rows)
         self._warn(phi)

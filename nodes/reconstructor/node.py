@@ -364,7 +364,7 @@ def phis_to_invert(
         If a stated Phi cannot be made.
     """
     s, n = settings, state.skin.n_taxels
-    exists = np.ones(state.skin.shape, np.bool_) if state.mask is None else state.mask
+    exists = state.skin.exists
     stated = s.stated_rows_and_m(n)
     if stated is not None:
         rows, m = stated

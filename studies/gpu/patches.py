@@ -15,6 +15,7 @@ from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.batch.solver import BatchFrame, BatchSolver
+from sparseskin.nodes.reconstructor.skin.evidence import SMOOTH
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.studies.scene_frames import first_contact, scene_frames, scene_of
@@ -104,12 +105,7 @@ def time_patches(point: Point) -> dict[str, Any]:
             spans_s.append(time.perf_counter() - begin_s)
             iterations.append(frame.n_steps.mean())
             smooth.append(frame.is_smooth.mean())
-    return {
-        **_figures(spans_s),
-        "iterations": round(float(np.mean(iterations)), 2),
-        "smooth": round(float(np.mean(smooth)), 4),
-        "name": solver.backend.name,
-    }
+    return _figures(spans_s, iterations, smooth, solver.backend.name)
 
 
 def _time_one_by_one(known: Patches, chosen: npt.NDArray[np.int64]) -> dict[str, Any]:
@@ -123,22 +119,23 @@ def _time_one_by_one(known: Patches, chosen: npt.NDArray[np.int64]) -> dict[str,
         if k >= WARM_UP:
             spans_s.append(time.perf_counter() - begin_s)
             iterations.append(np.mean([solver.n_steps for solver in solvers]))
-            smooth.append(np.mean([solver.model == "smooth" for solver in solvers]))
-    return {
-        **_figures(spans_s),
-        "iterations": round(float(np.mean(iterations)), 2),
-        "smooth": round(float(np.mean(smooth)), 4),
-        "name": ONE_BY_ONE,
-    }
+            smooth.append(np.mean([solver.model == SMOOTH for solver in solvers]))
+    return _figures(spans_s, iterations, smooth, ONE_BY_ONE)
 
 
-def _figures(spans_s: list[float]) -> dict[str, float]:
+def _figures(
+    spans_s: list[float], iterations: list[Any], smooth: list[Any], name: str
+) -> dict[str, Any]:
+    """Return what `time_patches` does, of each frame's time, iterations and smooth patches."""
     spans_ms = 1e3 * np.array(spans_s)
     return {
         "frames_hz": round(1e3 / float(spans_ms.mean()), 1),
         "p50_ms": round(float(np.median(spans_ms)), 4),
         "p99_ms": round(float(np.percentile(spans_ms, 99)), 4),
         "max_ms": round(float(spans_ms.max()), 4),
+        "iterations": round(float(np.mean(iterations)), 2),
+        "smooth": round(float(np.mean(smooth)), 4),
+        "name": name,
     }
 
 

@@ -16,10 +16,12 @@ import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, m_of, row_subsets
+from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
 from sparseskin.nodes.reconstructor.skin.tuning import TUNING, SkinTuning
+from sparseskin.studies.evaluate import in_contact
 from sparseskin.studies.real.recordings import LOADED, files_in, part_of
 from sparseskin.studies.scene_frames import scene_frames, scene_of
 
@@ -112,8 +114,8 @@ def figure(stream: Stream, ratio: int, rows: str, tuning: SkinTuning) -> float:
         error = solver.solve(phi.forward(taxels[stream.mask])) - truth
         distance = float(np.linalg.norm(error[stream.mask]))
         norm = float(np.linalg.norm(truth[stream.mask]))
-        if stream.loaded is None and truth.max() > 0.004 * stream.f_max:
-            found.append(20 * math.log10(stream.f_max * math.sqrt(n) / distance))
+        if stream.loaded is None and in_contact(truth, stream.f_max):
+            found.append(psnr_db(error[stream.mask], stream.f_max))
         elif stream.loaded is not None and k >= N_BEFORE and norm > stream.loaded:
             found.append(distance / norm)
     return float(np.mean(found) if stream.loaded is None else np.median(found))

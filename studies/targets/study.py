@@ -289,8 +289,8 @@ def recorded(point: Point) -> dict[str, Any]:
     source = open_file(Path(point["path"]))
     skin = source.skin
     shape = (skin.n_rows, skin.n_cols)
-    mask = np.ones(shape, dtype=np.bool_) if skin.mask is None else skin.mask
-    method = method_of(point["solver"], shape, point["ratio"], point["seed"], mask, skin.f_max)
+    arguments = (shape, point["ratio"], point["seed"], skin.exists, skin.f_max)
+    method = method_of(point["solver"], *arguments)
     errors, spans_s = [], []
     for _, frame in source:
         solved = method.reconstruct(frame)
@@ -298,7 +298,7 @@ def recorded(point: Point) -> dict[str, Any]:
         if in_contact(frame, skin.f_max):
             errors.append(float(np.linalg.norm(solved.forces - frame) / np.linalg.norm(frame)))
     return {
-        "n": int(mask.sum()),
+        "n": skin.n_taxels,
         "n_contact": len(errors),
         "error": float(np.mean(errors)) if errors else 0.0,
         "p50_ms": float(np.median(spans_s) * 1e3),

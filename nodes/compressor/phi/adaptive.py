@@ -224,6 +224,12 @@ class HeldRows:
             self.now[own] = details
         return self._tree.forces if self._tree.levels else self._tiles
 
+    def changed2(self) -> Doubles:
+        """Return the squared change of each node's details that its sum lets expect, (n_nodes,)."""
+        change2 = np.square(self.sums - self.sums_read) - 2 * self._phi.variance
+        expected: Doubles = SUM_CHANGE * np.maximum(change2, 0)
+        return expected
+
     def end(self) -> Mask:
         """End a frame, of which all rows are read; return which nodes are untouched.
 
@@ -291,10 +297,7 @@ class AdaptiveChoice:
 
     def _expected(self) -> Doubles:
         """Expected squared change of each node's details since they were read."""
-        held = self._held
-        change2 = np.square(held.sums - held.sums_read) - 2 * self._phi.variance
-        expected: Doubles = SUM_CHANGE * np.maximum(change2, 0) + self._drift * self._age
-        return expected
+        return self._held.changed2() + self._drift * self._age
 
     def _read_most(self, score: Doubles, n_most: int, chosen: Mask, read: Read) -> int:
         """Read the unread nodes of highest score a measurement, above 0; return their rows."""

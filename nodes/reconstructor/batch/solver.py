@@ -14,9 +14,9 @@ from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS
-from sparseskin.nodes.reconstructor.skin.solver import N_DRAWN, SkinSolver
+from sparseskin.nodes.reconstructor.skin.solver import N_DRAWN, SkinSolver, checked_iterations
 from sparseskin.nodes.reconstructor.skin.tuning import TUNING
-from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, whole_number
+from sparseskin.nodes.reconstructor.solvers.base import whole_number
 from sparseskin.nodes.reconstructor.solvers.projection import MAX_BLOCK
 
 from .backend import Array, Backend
@@ -113,17 +113,13 @@ class BatchSolver:
         checked = _checked(phis, mask)
         phi = checked[0]
         self.n_patches = whole_number("batch", "n_patches", n_patches, 1, 2**20)
-        if iterations is None:
-            iterations = min(2 + round(phi.ratio / 4), MAX_ITERATIONS)
-        self.iterations = whole_number("batch", "iterations", iterations, 1, MAX_ITERATIONS)
-        most = whole_number("batch", "max_iterations", max_iterations, 1, MAX_ITERATIONS)
-        self.max_iterations = max(most, self.iterations)
+        least, most = checked_iterations("batch", phi.ratio, iterations, max_iterations)
+        self.iterations, self.max_iterations = least, most
         whole_number("batch", "seed", seed, 0, 2**32 - 1)
         self.backend = Backend(device)
         shifts = np.random.default_rng(seed).integers(len(SHIFTS), size=N_DRAWN)
         self.tables = Tables(self.backend, checked, mask, shifts)
         smooth = SmoothBatch(self.tables)
-        least, most = self.iterations, self.max_iterations
         self._frames: Frames = EagerFrames(self.tables, smooth, least, most)
         if mode not in MODES:
             raise SolverError(f"batch: mode = {mode!r} is not allowed; allowed: {', '.join(MODES)}")

@@ -8,7 +8,6 @@ import numpy as np
 
 from sparseskin.nodes.compressor.phi.adaptive import (
     DRIFT_MEMORY,
-    SUM_CHANGE,
     AdaptivePhi,
     HeldRows,
 )
@@ -148,9 +147,7 @@ class AdaptiveSkinSolver(Solver):
     def _expected(self) -> Doubles:
         """Expected squared change of each node's details since they were read."""
         held = self._held
-        noise = 2 * self._rows_of.variance
-        change = SUM_CHANGE * np.maximum(np.square(held.sums - held.sums_read) - noise, 0)
-        expected: Doubles = change + self._drift * np.minimum(self._age, SATURATED)
+        expected = held.changed2() + self._drift * np.minimum(self._age, SATURATED)
         # Forces are not negative: of an untouched node all are known.
         expected[held.sums <= self._rows_of.untouched] = 0
         return expected
@@ -180,6 +177,6 @@ class AdaptiveSkinSolver(Solver):
         error2 = max(missed, self._filter.filtered_error2(x))
         power = float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)
-        noise = max(self._filter.noise, self._rows_of.variance)
+        noise = max(self._filter.known_noise, self._rows_of.variance)
         untouched = max(power, missed) <= TUNING.untouched * noise
         self.trusted = bool(untouched or error2 <= TUNING.trusted**2 * power + TINY)

@@ -111,7 +111,7 @@ class HeldOut:
 
         Residuals, float32, and the variance of the noise are as in `choose`.
         """
-        return not _excess(_mean_square(residual), noise, max(1, residual.size)) > 0
+        return not _excess(mean_square(residual), noise, max(1, residual.size)) > 0
 
     def residual(self, y: Floats, fitted: Floats) -> Floats:
         """Return the held-out part of y - fitted; all are vectors of rows, float32."""
@@ -133,7 +133,7 @@ class HeldOut:
         """
         errors, now = self._errors, {}
         for model, residual in residuals.items():
-            now[model] = _mean_square(residual)
+            now[model] = mean_square(residual)
             begins = failed or (
                 len(residuals) == 2 and self._left == self._t.trial and model != self.model
             )
@@ -178,7 +178,8 @@ class HeldOut:
         self.model, self._wait = better, self._period
 
 
-def _mean_square(residual: Floats) -> float:
+def mean_square(residual: Floats) -> float:
+    """Return the mean square of residuals, float32 (k,); 0 of none."""
     return float(np.dot(residual, residual)) / max(1, residual.size)
 
 

@@ -86,17 +86,8 @@ class CompiledPrediction(Prediction):
     ) -> float:
         projection, (after, before) = self._compiled, self._places
         return move(
-            *(
-                x,
-                y,
-                innovation,
-                e2,
-                most,
-                self._t.motion_significant * s2,
-                self._freedom,
-                after,
-                before,
-            ),
+            *(x, y, innovation, e2, most),
+            *(self._t.motion_significant * s2, self._freedom, after, before),
             *(self._terms, self._rows, projection.measured, projection.groups),
             *(self._moved, self._moved_innovation),
         )

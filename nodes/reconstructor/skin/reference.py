@@ -13,6 +13,7 @@ from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mas
 from sparseskin.nodes.reconstructor.bases.haar import haar_matrix
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, TILE
 
+from .clip_bias import DUST
 from .tuning import TUNING, SkinTuning
 
 N_SHIFTS = 4093
@@ -388,7 +389,7 @@ class ReferenceSolver:
         """
         t, energy = self.t, float(ones @ ones)
         # No row of the frame may see a bias: Phi 1 is 0 then, but for rounding.
-        more = float(ones @ residual) / energy if energy > 1e-6 * self.n else 0.0
+        more = float(ones @ residual) / energy if energy > DUST * self.n else 0.0
         self.n_biases += 1
         first = max(t.median_first, t.median_rounds * len(self.rows))
         if self.n_biases <= first or self.n_biases % t.median_every == 0:

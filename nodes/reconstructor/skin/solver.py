@@ -19,7 +19,7 @@ from sparseskin.nodes.reconstructor.solvers.backends import make_projection
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
 
 from .clip_bias import ClipBias
-from .evidence import HAAR, SMOOTH, HeldOut
+from .evidence import HAAR, SMOOTH, HeldOut, mean_square
 from .gain import AdaptiveGain
 from .noise_level import NoiseLevel
 from .prediction import Prediction, neighbours_of
@@ -115,11 +115,8 @@ class SkinSolver(Solver):
                 f"skin: tuning = {tuning!r} is not allowed; allowed: a SkinTuning, from Python only"
             )
         self._t = tuning
-        if iterations is None:
-            iterations = min(2 + round(phi.ratio / 4), MAX_ITERATIONS)
-        self.iterations = whole_number("skin", "iterations", iterations, 1, MAX_ITERATIONS)
-        most = whole_number("skin", "max_iterations", max_iterations, 1, MAX_ITERATIONS)
-        self.max_iterations = max(most, self.iterations)
+        bounds = checked_iterations("skin", phi.ratio, iterations, max_iterations)
+        self.iterations, self.max_iterations = bounds
         whole_number("skin", "seed", seed, 0, 2**32 - 1)
 
         n = phi.n
@@ -296,7 +293,7 @@ class SkinSolver(Solver):
         y = self._y
         y2 = float(np.dot(y, y)) / self.phi.m
         cold = self._nothing_known
-        least = self._known_noise + self._t.least_noise * y2
+        least = self.known_noise + self._t.least_noise * y2
         power = (y2 if cold else e2) - least
         known, values, variance = self._projection.measured, y, np.full_like(y, least)
         if rotating and self._memory is not None:
@@ -320,7 +317,7 @@ class SkinSolver(Solver):
             if done == self._n_haar and done:
                 self._test_haar()
                 self._needs_smooth = not self._held_out.suffices(
-                    self._residuals[HAAR], self._known_noise
+                    self._residuals[HAAR], self.known_noise
                 )
             if self._needs_smooth:
                 self._smooth.round()
@@ -384,7 +381,7 @@ class SkinSolver(Solver):
             estimates[SMOOTH] = self._smooth.x
             self._test(SMOOTH, self._smooth.x)
         before = self.model
-        chosen = self._held_out.choose(self._residuals, self._known_noise, self._nothing_known)
+        chosen = self._held_out.choose(self._residuals, self.known_noise, self._nothing_known)
         if (before, chosen) == (SMOOTH, HAAR):
             # The gain has fallen meanwhile, without the noise of the smooth model.
             self._noise.since_jump = 0
@@ -428,12 +425,7 @@ class SkinSolver(Solver):
         return self._prediction.failed or not self._has_estimate
 
     @property
-    def noise(self) -> float:
-        """Variance of the noise on a measurement, squared newtons; 0 before it is known."""
-        return self._known_noise
-
-    @property
-    def _known_noise(self) -> float:
+    def known_noise(self) -> float:
         """Variance of the noise on a measurement, squared newtons; 0 before it is known."""
         return self._gain.noise if self._noise.known else 0.0
 
@@ -441,20 +433,20 @@ class SkinSolver(Solver):
         """Mean squared error of a taxel that the noise leaves in an estimate x, float32 (n,)."""
         touched = math.sqrt(np.count_nonzero(x) / self.phi.n)
         gain = self._gain.gain if self.model == HAAR else 1.0
-        return self._t.filtered_error * touched * gain * self._known_noise
+        return self._t.filtered_error * touched * gain * self.known_noise
 
     def _most_noise(self, residual: Floats) -> float:
         """Return a bound of the noise variance before it is known, by held-out measurements."""
         if self._noise.known or not residual.size:
             return math.inf
-        return self._t.bias_bound * float(np.dot(residual, residual)) / residual.size
+        return self._t.bias_bound * mean_square(residual)
 
     def _judge(self) -> None:
         """Set the error of the estimate, and whether it is trusted."""
         if not self._held_out.tests:
             self.error, self.trusted = None, True
             return
-        noise, x, n = self._known_noise, self._x, self.phi.n
+        noise, x, n = self.known_noise, self._x, self.phi.n
         filtered = self.filtered_error2(x)
         beyond = self._held_out.error2(noise)
         error2, power = max(beyond, filtered), float(np.dot(x, x)) / n
@@ -473,7 +465,7 @@ class SkinSolver(Solver):
         memory.recall(
             self._subsets[self.phi.fingerprint],
             self._x if self._prediction.moved else None,
-            *(self._y, self._target, self._gain.gain, self._known_noise, e2, settling),
+            *(self._y, self._target, self._gain.gain, self.known_noise, e2, settling),
         )
         # Thresholds are in RMS of r over the weighted rows.
         self._threshold *= math.sqrt(self.phi.m / memory.m_counted)
@@ -483,3 +475,17 @@ class SkinSolver(Solver):
         forces = x_and_zero.take(self._place_of_cell, None, None, "clip")
         self._bias.add_back(forces)
         return forces
+
+
+def checked_iterations(
+    name: str, ratio: float, iterations: int | None, max_iterations: int
+) -> tuple[int, int]:
+    """Return the least and the most iterations of a frame; None: the default at that N / M.
+
+    Raises SolverError, which begins with `name`, if one is no whole number in 1..1000.
+    """
+    if iterations is None:
+        iterations = min(2 + round(ratio / 4), MAX_ITERATIONS)
+    least = whole_number(name, "iterations", iterations, 1, MAX_ITERATIONS)
+    most = whole_number(name, "max_iterations", max_iterations, 1, MAX_ITERATIONS)
+    return least, max(most, least)
