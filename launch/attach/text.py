@@ -111,7 +111,7 @@ def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
     """The value of a typed text: TOML, or else the text as it stands, as it does for a setting
     whose described type is a text.
     """
-    from sparseskin.launch.launchfile.toml import parse_toml  # with it comes numpy
+    from sparseskin.nodes.toml import parse_toml  # with it comes numpy
 
     types = types_of(entry) if entry is not None else []
     if text == "none" and "None" in types:

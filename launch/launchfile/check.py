@@ -17,10 +17,10 @@ from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.graph import Link, join
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.registry import make_settings, node_class
+from sparseskin.nodes.toml import parse_toml
 
 from .hosts import check_exposure, give_ports, read_hosts, read_place, read_security
 from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
-from .toml import parse_toml
 
 TRANSPORTS = ("ipc", "tcp")
 RECORDER = "recorder"

@@ -12,10 +12,10 @@ from typing import Any
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import did_you_mean, search_in
 from sparseskin.nodes.registry import make_settings, node_class
+from sparseskin.nodes.toml import MAX_CHARS, parse_toml
 
 from .check import Checker, one_line_of
 from .spec import LaunchError, LaunchFile, NodeSpec
-from .toml import MAX_CHARS, parse_toml
 
 BUNDLED = Path(__file__).parent.parent
 _TOML_PLACE = re.compile(r" \(at line (\d+), column (\d+)\)$")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from sparseskin.launch.launchfile.check import MAX_ERROR, MAX_ERRORS, MAX_NODES
 from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, load
-from sparseskin.launch.launchfile.toml import MAX_CHARS, parse_toml
+from sparseskin.nodes.toml import MAX_CHARS, parse_toml
 
 SEED = (BUNDLED / "drag_wrench_40.toml").read_text()
 

@@ -18,13 +18,13 @@ _NO_KEY = re.compile(r"[^\w\s.\"'-]")
 _LONG = re.compile(r"[0-9_]{1000,}")
 
 
-def parse_toml(text: str) -> dict[str, Any]:
+def parse_toml(text: str, max_chars: int = MAX_CHARS) -> dict[str, Any]:
     """Parse TOML.
-    Raises ValueError in one line if it is none, too long, too deep, or holds a whole number beyond
-    64 bits.
+    Raises ValueError in one line if it is none, longer than `max_chars`, too deep, or holds a whole
+    number beyond 64 bits.
     """
-    if len(text) > MAX_CHARS:
-        raise ValueError(f"more than {MAX_CHARS} characters")
+    if len(text) > max_chars:
+        raise ValueError(f"more than {max_chars} characters")
     for number, line in enumerate(text.splitlines(), start=1):
         # The time that a parser takes for a key grows with the square of its parts.
         if any(part.count(".") > MAX_DOTS for part in _NO_KEY.split(line)):

@@ -1,0 +1,148 @@
+"""The description of one skin: geometry, range and calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
+from sparseskin.messages.ranges import is_real, is_whole
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.numerics.arrays import Doubles, Mask
+
+from .response import MAX_NUMBER, MAX_SLOPE, MIN_SLOPE, Response, SkinFileError
+
+MAX_NAME = 64
+"""Longest name of a skin, characters."""
+MAX_UNIT = 32
+"""Longest unit, characters, as in a message."""
+
+
+@dataclass(frozen=True, eq=False)
+class SkinDescription:
+    """The description of one skin, as its skin.toml states it.
+
+    A raw reading c of a taxel becomes the force R(g (c - b)) + offset: b its baseline, g its gain,
+    R the response curve, which is the identity where none is stated.
+
+    Attributes
+    ----------
+    name : str
+        Name of the skin, at most 64 printable characters.
+    rows, cols : int
+        Size of the grid of taxels, 1..4096 each, 2**20 cells at most.
+    f_max : float
+        Upper end of the range of a taxel, in `unit`, above 0.
+    unit : str
+        Unit of the calibrated readings, at most 32 printable characters.
+    pitch_mm : float or None
+        Distance between the centres of neighbouring taxels, millimetres.
+    mask : ndarray of bool, shape (rows, cols), or None
+        True where a taxel exists and works; None if all do.
+    baseline : ndarray of float64, shape (rows, cols), or None
+        Raw readings of the untouched skin; None: 0.
+    gains : ndarray of float64, shape (rows, cols), or None
+        Factors of raw readings above the baseline, not 0, negative where a reading falls with
+        force; None: 1.
+    response : Response or None
+        Response curve after the gains; None: the identity.
+    noise : float or None
+        Standard deviation of the noise of an untouched taxel before clipping, in `unit`; None where
+        it was not measured.
+    noise_mid : float or None
+        The same at half the range; None: as `noise`.
+    offset : float
+        Added to all forces, 0..f_max, so that noise around 0 is not clipped; in `unit`.
+
+    Raises
+    ------
+    SkinFileError
+        If a value is not as stated; the text begins with its key.
+    """
+
+    name: str
+    rows: int
+    cols: int
+    f_max: float
+    unit: str = "N"
+    pitch_mm: float | None = None
+    mask: Mask | None = None
+    baseline: Doubles | None = None
+    gains: Doubles | None = None
+    response: Response | None = None
+    noise: float | None = None
+    noise_mid: float | None = None
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        for key, longest in (("name", MAX_NAME), ("unit", MAX_UNIT)):
+            text = getattr(self, key)
+            if not (isinstance(text, str) and text.strip() and text.isprintable()):
+                raise SkinFileError(f"{key}: expected a printable text, got {ascii(text)[:40]}")
+            if len(text) > longest:
+                raise SkinFileError(f"{key}: {len(text)} characters; at most {longest}")
+        for key in ("rows", "cols"):
+            side = getattr(self, key)
+            if not is_whole(side, 1, MAX_SIDE):
+                shown = ascii(side)[:40]
+                raise SkinFileError(f"{key}: expected a whole number in 1..{MAX_SIDE}, got {shown}")
+        if self.rows * self.cols > MAX_ELEMENTS:
+            raise SkinFileError(f"rows: {self.rows} x {self.cols} cells; at most {MAX_ELEMENTS}")
+        self._check_number("f_max", 1e-9, MAX_NUMBER)
+        self._check_number("pitch_mm", 1e-6, 1e6)
+        self._check_number("noise", 0.0, self.f_max)
+        self._check_number("noise_mid", 0.0, self.f_max)
+        self._check_number("offset", 0.0, self.f_max)
+        if self.noise is None and self.noise_mid is not None:
+            raise SkinFileError("noise_mid: is stated without noise")
+        self._check_array("mask", np.bool_)
+        self._check_array("baseline", np.float64)
+        self._check_array("gains", np.float64)
+        if self.mask is not None and not self.mask.any():
+            raise SkinFileError("mask: leaves no taxel")
+        if self.baseline is not None and not (np.abs(self.baseline) <= MAX_NUMBER).all():
+            raise SkinFileError(f"baseline: expected numbers of at most {MAX_NUMBER:g}")
+        if self.gains is not None:
+            size = np.abs(self.gains)
+            if not ((size >= MIN_SLOPE) & (size <= MAX_SLOPE)).all():
+                raise SkinFileError(
+                    f"gains: expected numbers of {MIN_SLOPE:g}..{MAX_SLOPE:g}, or below 0 the same"
+                )
+        if self.response is not None and self.response.reading.shape[1:] not in ((), self.shape):
+            raise SkinFileError(
+                f"response.reading: shape {self.response.reading.shape}; expected K numbers, or K grids of {self.shape}"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return (self.rows, self.cols)
+
+    @property
+    def skin(self) -> Skin:
+        """Geometry and range, as messages carry them."""
+        mask = None if self.mask is None or self.mask.all() else self.mask
+        pitch_m = None if self.pitch_mm is None else self.pitch_mm / 1000.0
+        return Skin(self.rows, self.cols, self.f_max, self.unit, pitch_m, mask)
+
+    @property
+    def changes_readings(self) -> bool:
+        """True if a reading and its force may differ: a baseline, gains, curve or offset."""
+        stated = (self.baseline, self.gains, self.response)
+        return self.offset > 0 or any(one is not None for one in stated)
+
+    def _check_number(self, key: str, low: float, high: float) -> None:
+        value = getattr(self, key)
+        optional = key in ("pitch_mm", "noise", "noise_mid")
+        if not (value is None and optional) and not is_real(value, low, high):
+            shown = ascii(value)[:40]
+            raise SkinFileError(f"{key}: expected a number in {low:g}..{high:g}, got {shown}")
+
+    def _check_array(self, key: str, dtype: type[np.generic]) -> None:
+        array = getattr(self, key)
+        if array is not None and (array.shape != self.shape or array.dtype != dtype):
+            raise SkinFileError(
+                f"{key}: {array.dtype} of shape {array.shape}; expected {np.dtype(dtype)} of "
+                f"shape {self.shape}"
+            )

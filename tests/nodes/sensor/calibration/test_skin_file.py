@@ -1,0 +1,301 @@
+"""skin.toml: what is written is read again, and what is not as stated is refused in one line."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from sparseskin.nodes.files import OutputError
+from sparseskin.nodes.sensor.calibration.description import SkinDescription
+from sparseskin.nodes.sensor.calibration.response import MAX_NUMBER, Response, SkinFileError
+from sparseskin.nodes.sensor.calibration.skin_file import MAX_FILE_CHARS, load_skin, parse_skin
+from sparseskin.nodes.sensor.calibration.skin_writer import MAX_INLINE, save_skin
+
+HEAD = "rows = 2\ncols = 3\nf_max = 2.5\n"
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "palm.toml"
+    path.write_text(text)
+    return path
+
+
+def assert_same(a: Any, b: Any) -> None:
+    """Equal field by field, arrays with their dtype."""
+    for field in fields(a):
+        one, other = getattr(a, field.name), getattr(b, field.name)
+        if isinstance(one, Response):
+            assert_same(one, other)
+        elif isinstance(one, np.ndarray):
+            np.testing.assert_array_equal(one, other)
+            assert one.dtype == other.dtype
+        else:
+            assert one == other, field.name
+
+
+def test_a_file_of_the_required_keys_alone_describes_a_skin_without_calibration(
+    tmp_path: Path,
+) -> None:
+    skin = load_skin(write(tmp_path, HEAD))
+    assert (skin.name, skin.shape, skin.f_max, skin.unit) == ("palm", (2, 3), 2.5, "N")
+    assert not skin.changes_readings
+    assert skin.skin.mask is None
+    assert skin.skin.pitch_m is None
+
+
+def test_a_file_with_all_keys(tmp_path: Path) -> None:
+    text = HEAD + (
+        'name = "left palm"\nunit = "kPa"\npitch_mm = 2.5\nmask = ["110", "111"]\n'
+        "baseline = 12\ngains = [[1, 2, 3], [-4, 5, 6.5]]\nnoise = 0.01\nnoise_mid = 0.02\n"
+        "offset = 0.05\n[response]\nreading = [1, 3]\nforce = [0.5, 2.5]\n"
+    )
+    skin = load_skin(write(tmp_path, text))
+    assert skin.skin.pitch_m == 0.0025
+    assert skin.skin.n_taxels == 5
+    assert skin.baseline is not None
+    assert (skin.baseline == 12.0).all()
+    assert skin.gains is not None
+    assert skin.gains[1, 0] == -4.0
+    assert skin.response is not None
+    np.testing.assert_allclose(skin.response.slopes, [0.5, 1.0])
+
+
+finite = st.floats(-1e6, 1e6)
+sizes = st.floats(1e-3, 1e3)
+
+
+@st.composite
+def skins(draw: st.DrawFn) -> SkinDescription:
+    shape = draw(st.tuples(st.integers(1, 5), st.integers(1, 5)))
+    k = draw(st.integers(1, 4))
+    steps = draw(arrays(np.float64, k, elements=sizes))
+    own = draw(st.booleans())
+    reading = draw(arrays(np.float64, (k, *shape) if own else k, elements=sizes)).cumsum(axis=0)
+    grids = {
+        "baseline": arrays(np.float64, shape, elements=finite),
+        "gains": arrays(np.float64, shape, elements=sizes | sizes.map(lambda x: -x)),
+        "mask": arrays(np.bool_, shape).filter(lambda mask: bool(mask.any())),
+    }
+    chosen = {key: draw(st.none() | kind) for key, kind in grids.items()}
+    return SkinDescription(
+        name=draw(st.text(min_size=1, max_size=9).filter(lambda s: s.isprintable() and s.strip())),
+        rows=shape[0],
+        cols=shape[1],
+        f_max=draw(st.floats(1.0, 1e3)),
+        unit=draw(
+            st.sampled_from(["N", "kPa", '"\\']),
+        ),
+        pitch_mm=draw(st.none() | sizes),
+        response=draw(st.none() | st.just(Response(reading, steps.cumsum()))),
+        noise=draw(st.none() | st.floats(0.0, 1.0)),
+        offset=draw(st.just(0.0) | st.floats(0.0, 1.0)),
+        **chosen,
+    )
+
+
+@given(skin=skins())
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+def test_what_is_written_is_read_again(
+    tmp_path_factory: pytest.TempPathFactory, skin: SkinDescription
+) -> None:
+    path = tmp_path_factory.mktemp("skins") / "skin.toml"
+    assert save_skin(path, skin) == [path]
+    assert_same(skin, load_skin(path))
+
+
+def test_large_arrays_are_written_beside_the_file_and_read_again(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    shape = (64, 80)
+    assert shape[0] * shape[1] > MAX_INLINE
+    skin = SkinDescription(
+        *("sole", *shape, 2.5),
+        mask=rng.random(shape) > 0.1,
+        baseline=rng.random(shape),
+        gains=np.full(shape, 0.25),
+        response=Response(rng.random((3, *shape)).cumsum(axis=0) + 0.1, np.array([0.5, 1.0, 2.5])),
+    )
+    path = tmp_path / "sole.toml"
+    assert [one.name for one in save_skin(path, skin)] == ["sole.toml", "sole.npz"]
+    assert len(path.read_text()) < 1000
+    assert_same(skin, load_skin(path))
+
+
+def test_no_file_is_written_over(tmp_path: Path) -> None:
+    skin = SkinDescription("s", 64, 80, 2.5, baseline=np.arange(5120.0).reshape(64, 80))
+    (tmp_path / "s.npz").write_bytes(b"mine")
+    with pytest.raises(OutputError, match=r"s\.npz: exists already"):
+        save_skin(tmp_path / "s.toml", skin)
+    assert [one.name for one in tmp_path.iterdir()] == ["s.npz"]
+
+
+def test_a_table_of_another_file_is_read_as_a_skin(tmp_path: Path) -> None:
+    table = {"name": "thumb", "rows": 4, "cols": 4, "f_max": 1.0, "pitch_mm": 2}
+    assert parse_skin(table, "body.toml: patches[0]", tmp_path).shape == (4, 4)
+    with pytest.raises(SkinFileError, match=r"^body.toml: patches\[0\]: name: is missing$"):
+        parse_skin({"rows": 4, "cols": 4, "f_max": 1.0}, "body.toml: patches[0]", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("rows = 2\ncols = 3\n", "f_max: is missing"),
+        (HEAD + "gain = 1", "gain: unknown key (did you mean 'gains'?)"),
+        (HEAD + "[response]\nreadings = [1]", "response.readings: unknown key (did you mean 'rea"),
+        (HEAD + "[response]\nreading = [1]", "response.force: is missing"),
+        (HEAD + "[response]\nforce = [1]", "response.reading: is missing"),
+        (HEAD + "[response]\nreading = [2, 1]\nforce = [1, 2]", "response.reading: must be above"),
+        (HEAD + "[response]\nreading = [1, 2]\nforce = [1]", "2 knots, but response.force has 1"),
+        (HEAD + "[response]\nreading = [1e-300]\nforce = [1e30]", "response: a slope is outside"),
+        (HEAD + f"[response]\nreading = {list(range(1, 34))}\nforce = [1]", "33 knots; allowed"),
+        (HEAD + "[response]\nreading = [[[1]]]\nforce = [1]", "knot 0: expected one number, or a"),
+        (HEAD + "response = 3", "response: expected a table"),
+        ("rows = true\ncols = 3\nf_max = 1", "rows: expected a whole number in 1..4096, got True"),
+        ("rows = 4097\ncols = 3\nf_max = 1", "rows: expected a whole number in 1..4096, got 4097"),
+        ("rows = 4096\ncols = 4096\nf_max = 1", "4096 x 4096 cells; at most"),
+        ("rows = 2\ncols = 3\nf_max = nan", "f_max: expected a number"),
+        ("rows = 2\ncols = 3\nf_max = 0", "f_max: expected a number"),
+        (HEAD + "noise = 3", "noise: expected a number in 0..2.5"),
+        (HEAD + "noise_mid = 1", "noise_mid: is stated without noise"),
+        (HEAD + "offset = -1", "offset: expected a number in 0..2.5, got -1"),
+        (HEAD + "unit = ''", "unit: expected a printable text"),
+        (HEAD + 'name = "a\\u001b[2J"', "name: expected a printable text"),
+        (HEAD + f"name = '{'x' * 65}'", "name: 65 characters; at most 64"),
+        (HEAD + "mask = ['111']", "mask: expected a list of 2 texts of 3 characters"),
+        (HEAD + "mask = ['111', '11']", "mask: row 1: expected 3 characters 0 and 1"),
+        (HEAD + "mask = ['000', '000']", "mask: leaves no taxel"),
+        (HEAD + "baseline = [[1, 2, 3], [1, 2]]", "baseline: row 1: expected 3 finite numbers"),
+        (HEAD + "baseline = [[1, 2, 3], [1, 2, nan]]", "baseline: row 1: expected 3 finite"),
+        (HEAD + "baseline = 1e31", "baseline: expected numbers of at most 1e+30"),
+        (HEAD + "gains = 0", "gains: expected numbers of 1e-12..1e+12"),
+        (HEAD + "gains = 'high'", "gains: expected one number, or a list of 2 rows of 3"),
+        (HEAD + "arrays = 3", "arrays: expected the name of an .npz"),
+        (HEAD + "arrays = 'b.npz'", "arrays: b.npz: "),
+        (HEAD + "arrays = '../b.npz'", "arrays: '../b.npz' is not a file beside"),
+        (HEAD + "arrays = '/etc/b.npz'", "is not a file beside"),
+        (HEAD + "a = " + "[" * 900, "more than 8 tables or lists"),
+        ("rows = ", "not TOML"),
+        ("#" * (MAX_FILE_CHARS + 1), f"more than {MAX_FILE_CHARS} characters"),
+        ("#" * (4 * MAX_FILE_CHARS + 1), "more than 1048576 bytes"),
+    ],
+)
+def test_a_hostile_file_is_refused_in_one_line(tmp_path: Path, text: str, line: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(SkinFileError) as raised:
+        load_skin(path)
+    shown = str(raised.value)
+    assert shown.startswith(f"{path}: ")
+    assert line in shown
+    assert "\n" not in shown
+    assert len(shown) < len(str(path)) + 250
+
+
+def save_arrays(path: Path, **held: Any) -> None:
+    with path.open("wb") as file:
+        np.savez_compressed(file, **held)
+
+
+@pytest.mark.parametrize(
+    ("held", "line"),
+    [
+        ({"baseline": np.zeros((3, 2))}, "baseline has shape (3, 2); the skin has (2, 3)"),
+        ({"baseline": np.zeros((2, 3), np.float32)}, "baseline is float32; expected float64"),
+        ({"baseline": np.full((2, 3), np.nan)}, "baseline: expected numbers of at most 1e+30"),
+        ({"gains": np.zeros((2, 3))}, "gains: expected numbers"),
+        ({"gain": np.ones((2, 3))}, "unknown array (did you mean 'gains'?)"),
+        ({"mask": np.array([[object()]])}, "it holds Python objects"),
+        ({"mask": np.zeros((2, 3), bool)}, "mask: leaves no taxel"),
+        ({"baseline": np.zeros((2000, 2000))}, "bytes, of a file of"),
+        ({"response_reading": np.ones((1, 2, 3))}, "response.force: is missing"),
+    ],
+)
+def test_hostile_arrays_are_refused_in_one_line(
+    tmp_path: Path, held: dict[str, Any], line: str
+) -> None:
+    save_arrays(tmp_path / "b.npz", **held)
+    with pytest.raises(SkinFileError) as raised:
+        load_skin(write(tmp_path, HEAD + "arrays = 'b.npz'"))
+    assert line in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_arrays_stay_beside_the_file(tmp_path: Path) -> None:
+    away = tmp_path / "away"
+    away.mkdir()
+    save_arrays(away / "b.npz", baseline=np.zeros((2, 3)))
+    (tmp_path / "b.npz").symlink_to(away / "b.npz")
+    with pytest.raises(SkinFileError, match="is not a file beside"):
+        load_skin(write(tmp_path, HEAD + "arrays = 'b.npz'"))
+
+
+def test_no_array_is_stated_twice(tmp_path: Path) -> None:
+    save_arrays(tmp_path / "b.npz", baseline=np.zeros((2, 3)))
+    with pytest.raises(SkinFileError, match="baseline: is stated in the file and in its arrays"):
+        load_skin(write(tmp_path, HEAD + "baseline = 1\narrays = 'b.npz'"))
+
+
+def test_a_pipe_a_folder_and_no_file_are_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.toml")
+    (tmp_path / "folder.toml").mkdir()
+    for name, what in (
+        ("pipe", "is no regular file"),
+        ("folder", "Is a directory"),
+        ("none", "No such file"),
+    ):
+        with pytest.raises(SkinFileError, match=what):
+            load_skin(tmp_path / f"{name}.toml")
+
+
+@given(raw=st.binary(max_size=300))
+@settings(max_examples=50)
+def test_any_bytes_are_a_skin_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, raw: bytes
+) -> None:
+    folder = tmp_path_factory.mktemp("bytes")
+    (folder / "b.npz").write_bytes(b"PK\x03\x04" + raw)
+    (folder / "s.toml").write_bytes(raw)
+    for path in (folder / "s.toml", write(folder, HEAD + "arrays = 'b.npz'")):
+        with pytest.raises(SkinFileError):
+            load_skin(path)
+
+
+@given(
+    knots=arrays(np.float64, (2, 4), elements=sizes),
+    readings=arrays(np.float64, (2, 3), elements=st.floats(-1e4, 1e4)),
+)
+def test_a_response_curve_inverts_and_rises(
+    knots: np.ndarray[Any, np.dtype[np.float64]], readings: np.ndarray[Any, np.dtype[np.float64]]
+) -> None:
+    curve = Response(knots[0].cumsum(), knots[1].cumsum())
+    found = curve.readings(curve.forces(readings))
+    # Slopes of 1e-6..1e6 and their inverses amplify rounding by their ratio.
+    scale = np.abs(curve.slopes).max() / np.abs(curve.slopes).min()
+    np.testing.assert_allclose(found, readings, atol=1e-11 * scale * (1 + np.abs(readings).max()))
+    order = np.argsort(readings.ravel())
+    assert (np.diff(curve.forces(readings).ravel()[order]) >= 0).all()
+
+
+def test_a_response_curve_passes_through_its_knots_and_goes_on_straight() -> None:
+    curve = Response(np.array([10.0, 30.0]), np.array([1.0, 2.0]))
+    np.testing.assert_allclose(
+        curve.forces(np.array([-5.0, 0, 10, 20, 30, 50])), [-0.5, 0, 1, 1.5, 2, 3]
+    )
+
+
+def test_each_taxel_has_its_own_curve() -> None:
+    reading = np.array([[[10.0, 20.0]], [[30.0, 40.0]]])
+    curve = Response(reading, np.array([1.0, 2.0]))
+    np.testing.assert_allclose(curve.forces(reading), [[[1.0, 1.0]], [[2.0, 2.0]]])
+    np.testing.assert_allclose(curve.readings(np.ones((1, 2))), reading[0])
+
+
+def test_a_curve_beyond_all_numbers_is_refused() -> None:
+    with pytest.raises(SkinFileError, match="at most"):
+        Response(np.array([1.0]), np.array([10 * MAX_NUMBER]))
