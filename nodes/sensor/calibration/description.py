@@ -111,7 +111,8 @@ class SkinDescription:
                 )
         if self.response is not None and self.response.reading.shape[1:] not in ((), self.shape):
             raise SkinFileError(
-                f"response.reading: shape {self.response.reading.shape}; expected K numbers, or K grids of {self.shape}"
+                f"response.reading: shape {self.response.reading.shape}; expected K numbers, "
+                f"or K grids of {self.shape}"
             )
 
     @property
