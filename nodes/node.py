@@ -80,6 +80,8 @@ class Node(Generic[S]):
     """True if the graph ends when this node fails."""
     watches: ClassVar[bool] = False
     """True if the launcher sends the state of all nodes, as a command "graph"."""
+    observes: ClassVar[bool] = False
+    """True if no source waits until this node has processed its frames."""
     patience_s: ClassVar[float] = 0.0
     """Time for which messages may wait, seconds, so that those of one frame are read together."""
     commands: ClassVar[Mapping[str, str]] = {}

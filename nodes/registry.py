@@ -18,6 +18,9 @@ NODE_TYPES = {
     "monitor": "sparseskin.nodes.monitor.node:Monitor",
     "recorder": "sparseskin.nodes.recorder.node:Recorder",
     "player": "sparseskin.nodes.player.node:Player",
+    "foxglove": "sparseskin.nodes.bridges.foxglove:FoxgloveBridge",
+    "ros2": "sparseskin.nodes.bridges.ros2:Ros2Bridge",
+    "lerobot": "sparseskin.nodes.bridges.lerobot:LeRobotBridge",
 }
 
 

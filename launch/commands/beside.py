@@ -60,7 +60,7 @@ def configure_record(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=_record)
 
 
-def _run_beside(
+def run_beside(
     graph: RunningGraph, type_name: str, name: str, values: dict[str, Any], topics: list[str]
 ) -> tuple[int, dict[str, Any]]:
     """Run one node that reads topics of a running graph; return its exit code and its summary."""
@@ -100,7 +100,7 @@ def _monitor(arguments: argparse.Namespace) -> int:
     if arguments.port is not None:
         values["port"] = arguments.port
     with naming_options({"port": "--port"}):
-        code, summary = _run_beside(graph, "monitor", f"monitor_{os.getpid()}", values, topics)
+        code, summary = run_beside(graph, "monitor", f"monitor_{os.getpid()}", values, topics)
     if summary["patches"]:
         print(summary_table(summary["patches"]))
     read = any(any(patch["frames"].values()) for patch in summary["patches"].values())
@@ -122,7 +122,7 @@ def _record(arguments: argparse.Namespace) -> int:
     name = f"record_{os.getpid()}"
     values = {"out": out, "topics": topics, "launch": graph.launch, "source": graph.name}
     with naming_options({"out": "--out"}):
-        code, summary = _run_beside(graph, "recorder", name, values, topics)
+        code, summary = run_beside(graph, "recorder", name, values, topics)
     print_ends(summary["nodes"])
     if code == 0 and "recording" not in summary["nodes"][name]:
         print(f"{out}: nothing was recorded: the recorder had not started yet", file=sys.stderr)

@@ -26,6 +26,7 @@ COMMANDS = {
     "param": (".node", "list, get and set the settings of a running graph's nodes"),
     "topic": (".topic", "list the topics of a running graph, print and measure their messages"),
     "record": (".beside", "record topics of a running graph"),
+    "bridge": (".bridge", "show a running graph to Foxglove, ROS 2 or LeRobot"),
     "play": (".beside", "play a recording"),
     "bag": (".bag", "look into a recording, repair it, convert it"),
     "reprocess": (".reprocess", "put recordings through other settings, offline"),

@@ -132,6 +132,10 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
             if not recording["error"]:
                 count = f"{recording['n_messages']} messages recorded, {dropped} dropped"
                 print(f"{printable(recording['out'])}: {count}")
+        elif bridge := node.get("bridge"):
+            dropped = bridge["dropped"] + sum(node.get("lost", {}).values())
+            where = printable(bridge["where"])
+            print(f"{name}: {bridge['sent']} frames sent to {where}, {dropped} messages dropped")
         elif node["type"] == "player" and "played" in node:
             print(f"{printable(node['played']['file'])}: {node['played']['frames']} frames played")
 

@@ -49,7 +49,9 @@ def node_config(
         "page_token": page_token,
         "page_file": page_path(number),
         "public": spec.public,
-        "distant_readers": sorted(name for name in readers if name in elsewhere),
+        "distant_readers": sorted(
+            name for name in readers if name in elsewhere and not elsewhere[name].cls.observes
+        ),
         "distant_inputs": {
             link.topic: elsewhere[link.writer].host for link in read if link.writer in elsewhere
         },

@@ -82,9 +82,13 @@ class Network:
         )
         self.sockets = [self.writer.socket, *(self._gate.sockets if self._gate else ())]
 
-    def make_reader(self, topics: Sequence[str]) -> Reader:
-        """Make the reader of the node's input topics; `connect` connects it."""
-        reader = Reader(self._context, self._name, (), topics, keys=self._keys)
+    def make_reader(self, topics: Sequence[str], observes: bool = False) -> Reader:
+        """Make the reader of the node's input topics; `connect` connects it. No source waits for
+        one that observes.
+        """
+        reader = Reader(
+            self._context, self._name, (), topics, keys=self._keys, observes=observes
+        )
         self.sockets.append(reader.socket)
         if self._keys is not None or self._distant_inputs:
             from .peers import Peers  # with zmq.utils.monitor, and so asyncio

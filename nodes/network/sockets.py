@@ -8,6 +8,7 @@ The tag also serves flow control, for writers that publish as fast as they are r
 publishes an ask, a number, on the tag of each present reader; it arrives after all messages sent
 before it. Once the reader and all its own readers have processed those, it answers by subscribing
 to "@NAME#WRITER:NUMBER". So frames travel one way only: an answer is a subscription without data.
+An observer, whose tag is "@~NAME", is not asked: no writer waits for it.
 
 A reader on another host asks a writer for its time in the same way: it subscribes to "@NAME!T1",
 and each writer publishes "WRITER!T1:T2:T3" on the tag of that reader.
@@ -30,6 +31,8 @@ from sparseskin.nodes.files import is_served
 from .keys import KeyPair
 
 PRESENCE = b"@"
+OBSERVER = "~"
+"""Begins the name in the tag of a reader that is never asked."""
 FAREWELL_MS = 500
 """Time for which a node that ends still sends what its readers have not yet received."""
 MAX_NOTE_BYTES = 1024
@@ -159,6 +162,7 @@ class Writer:
             watch_for_death(self.socket)
             self.socket.bind(public)
         self.present: set[str] = set()
+        self._observers: set[str] = set()
         self._name = name
         self._now_ns = now_ns
         self._log = log
@@ -196,7 +200,7 @@ class Writer:
     def ask(self) -> int:
         """Ask all present readers to answer when they have processed all messages sent so far."""
         self._asks += 1
-        for reader in self.present:
+        for reader in self.present - self._observers:
             self._answered.setdefault(reader, self._asks - 1)
             note = f"{self._name}:{self._asks}".encode()
             self.socket.send_multipart((PRESENCE + reader.encode(), note))
@@ -223,7 +227,7 @@ class Writer:
             self._log(line)
 
     def _send_time(self, reader: str, t1_ns: str) -> None:
-        if self._now_ns is None or reader not in self.present:
+        if self._now_ns is None or reader.removeprefix(OBSERVER) not in self.present:
             return
         if t1_ns.isdecimal() and len(t1_ns) <= MAX_TIME_DIGITS:
             note = f"{self._name}!{t1_ns}:{self._now_ns()}:{self._now_ns()}".encode()
@@ -240,7 +244,9 @@ class Writer:
             if joins and len(self.present) >= MAX_READERS:
                 self._log_once(f"more than {MAX_READERS} readers: frames wait for these only")
                 return
+            observes, reader = reader.startswith(OBSERVER), reader.removeprefix(OBSERVER)
             (self.present.add if joins else self.present.discard)(reader)
+            (self._observers.add if joins and observes else self._observers.discard)(reader)
             if not joins:
                 self._answered.pop(reader, None)
             return
@@ -260,7 +266,9 @@ class Reader:
     endpoints, topics
         Endpoints of the writers; topics to subscribe to.
     present : bool
-        True if writers that follow their readers wait for this one; False for an observer.
+        True if writers know this one by its name, and wait for it as they start.
+    observes : bool
+        True if no writer that follows its readers waits for this one.
     keys, read_ahead
         Keys of this host, for writers that need them; number of messages of a writer that wait
         here, further ones wait at the writer.
@@ -275,12 +283,13 @@ class Reader:
         present: bool = True,
         keys: KeyPair | None = None,
         read_ahead: int = QUEUE_FRAMES,
+        observes: bool = False,
     ) -> None:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.SUB)
         self.socket.setsockopt(zmq.RCVHWM, read_ahead)
         self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE_BYTES)
         self._topics = {topic.encode() for topic in topics}
-        self._tag = PRESENCE + name.encode()
+        self._tag = PRESENCE + (OBSERVER if observes else "").encode() + name.encode()
         self._answers: dict[bytes, bytes] = {}
         self._time_tag = b""
         if keys is not None:

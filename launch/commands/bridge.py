@@ -1,0 +1,92 @@
+"""The command `sparseskin bridge`: a node beside a running graph that shows it to another tool."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from typing import Any
+
+from sparseskin.launch.attach.text import typed_value
+from sparseskin.launch.run.running import choose_graph
+from sparseskin.messages.topics import split_topic
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import did_you_mean
+
+from .beside import run_beside
+from .options import add_commands, add_graph, naming_options, print_ends, whole
+
+BRIDGES = {
+    "foxglove": "serve a running graph to Foxglove and Lichtblick",
+    "ros2": "publish a running graph to ROS 2",
+    "lerobot": "serve a running graph as a ZMQ camera of LeRobot",
+}
+"""Types of nodes that this command runs, and a line of help of each."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `bridge`."""
+    add = add_commands(
+        parser,
+        "Show a running graph to another tool, until it ends or Ctrl-C. A bridge slows no node "
+        "down: where it is behind, the oldest messages are dropped and counted.",
+    )
+    for name, about in BRIDGES.items():
+        one = add(name, _bridge, about)
+        one.description = f"{about[0].upper()}{about[1:]}, until it ends or Ctrl-C."
+        one.set_defaults(bridge=name)
+        if name != "ros2":
+            stated = "port of 127.0.0.1; 0: a free one"
+            one.add_argument("--port", type=whole(0), help=stated)
+        if name == "foxglove":
+            stated = "let clients set parameters; pages in your browser are clients, too"
+            one.add_argument("--allow-set", action="store_true", help=stated)
+        stated = "another setting of the bridge, see docs/bridges.md (may be repeated)"
+        one.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=stated)
+        add_graph(one)
+
+
+def _bridge(arguments: argparse.Namespace) -> int:
+    from sparseskin.launch.attach.stream import EXIT_NOTHING
+    from sparseskin.nodes.bridges.base import patches_of
+    from sparseskin.nodes.registry import node_class
+
+    cls = node_class(arguments.bridge)
+    values = _stated(arguments.set, cls.Settings.described())
+    for key in ("port", "allow_set"):
+        if stated := getattr(arguments, key, None):
+            values[key] = stated
+        elif stated == 0 and key == "port":
+            values[key] = 0
+    graph = choose_graph(arguments.graph)
+    writers = graph.writers()
+    patches = values.setdefault("patches", patches_of(writers))
+    if not patches:
+        raise SettingsError(f"{graph.label}: publishes no skin that a bridge could show")
+    settings = cls.Settings.from_mapping(values)
+    for topic in cls.inputs(settings):
+        if topic not in writers:
+            known = patches_of(writers)
+            hint = did_you_mean(split_topic(topic)[0], known)
+            raise SettingsError(f"patches: {graph.label} has no {split_topic(topic)[0]!r}{hint}")
+    read = {*cls.inputs(settings), *cls.optional_inputs(settings)}
+    topics = [topic for topic in writers if topic in read]
+    name = f"{arguments.bridge}_{os.getpid()}"
+    with naming_options({"port": "--port"}):
+        code, summary = run_beside(graph, arguments.bridge, name, values, topics)
+    print_ends(summary["nodes"])
+    sent = summary["nodes"][name].get("bridge", {}).get("sent", 0)
+    return code if sent else code or EXIT_NOTHING
+
+
+def _stated(pairs: list[str], entries: list[dict[str, Any]]) -> dict[str, Any]:
+    """Settings that `--set` states, typed as those of a launch file."""
+    known = {entry["key"]: entry for entry in entries}
+    values: dict[str, Any] = {}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals:
+            raise SettingsError(f"--set {pair}: expected KEY=VALUE")
+        if key not in known:
+            raise SettingsError(f"--set {key}: unknown key{did_you_mean(key, known)}")
+        values[key] = typed_value(text, known[key])
+    return values

@@ -1,0 +1,1 @@
+"""Bridges: nodes that show a running graph to the tools of others, without slowing it."""
