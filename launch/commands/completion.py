@@ -170,7 +170,8 @@ def declared_settings(type_name: str) -> list[dict[str, Any]]:
 
 
 def _declared(source: _Source, cls: ast.ClassDef) -> list[dict[str, Any]]:
-    entries = [entry for base in cls.bases for entry in _declared(*source[ast.unparse(base)])]
+    inherited = [entry for base in cls.bases for entry in _declared(*source[ast.unparse(base)])]
+    entries = {entry["key"]: entry for entry in inherited}
     for line in cls.body:
         if isinstance(line, ast.AnnAssign) and isinstance(line.value, ast.Call):
             given = {one.arg: one.value for one in line.value.keywords}
@@ -181,8 +182,8 @@ def _declared(source: _Source, cls: ast.ClassDef) -> list[dict[str, Any]]:
             entry["doc"] = source.value(line.value.args[1])
             for key in ("choices", "known"):
                 entry[key] = list(source.value(given[key])) if key in given else []
-            entries.append(entry)
-    return entries
+            entries[entry["key"]] = entry
+    return list(entries.values())
 
 
 class _Source(dict[str, Any]):

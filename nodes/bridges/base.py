@@ -24,8 +24,7 @@ from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import Settings, check_patch, setting
 
 Map = Taxels | Truth | Reconstruction
-MAPS: tuple[type[Map], ...] = (Reconstruction, Truth, Taxels)
-SENT = tuple(cls.schema for cls in MAPS)
+SENT = ("reconstruction", "truth", "taxels")
 """Schemas whose forces a bridge can send."""
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 

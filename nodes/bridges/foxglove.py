@@ -125,9 +125,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
                 types.Grid(
                     timestamp=timestamp,
                     frame_id=message.patch,
-                    pose=types.Pose(
-                        position=types.Vector3(), orientation=types.Quaternion(w=1.0)
-                    ),
+                    pose=types.Pose(position=types.Vector3(), orientation=types.Quaternion(w=1.0)),
                     column_count=n_cols,
                     cell_size=types.Vector2(x=side_m, y=side_m),
                     row_stride=4 * n_cols,

@@ -1,4 +1,4 @@
-"""The settings of a running graph as parameters of another tool: NODE.KEY, as `--set` names them."""
+"""The settings of a running graph as parameters of another tool, by the names of `--set`."""
 
 from __future__ import annotations
 

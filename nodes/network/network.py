@@ -86,9 +86,7 @@ class Network:
         """Make the reader of the node's input topics; `connect` connects it. No source waits for
         one that observes.
         """
-        reader = Reader(
-            self._context, self._name, (), topics, keys=self._keys, observes=observes
-        )
+        reader = Reader(self._context, self._name, (), topics, keys=self._keys, observes=observes)
         self.sockets.append(reader.socket)
         if self._keys is not None or self._distant_inputs:
             from .peers import Peers  # with zmq.utils.monitor, and so asyncio

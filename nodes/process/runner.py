@@ -223,9 +223,7 @@ class Runner:
     def _connect(self, peers: list[Peer]) -> None:
         """Connect to writers; those on other hosts are named once this node is ready."""
         if peers and self.reader is None:
-            self.reader = self.network.make_reader(
-                self.host.inputs, self.host.node.observes
-            )
+            self.reader = self.network.make_reader(self.host.inputs, self.host.node.observes)
             self.backlog = Backlog(self.reader, frozenset(t.encode() for t in self.host.streams))
             self._poll_all()
         if self.reader is not None:

@@ -1,4 +1,4 @@
-"""Sources by name: scene:NAME, file:PATH, or module:callable."""
+"""Sources by name: scene:NAME, file:PATH, ros2:/TOPIC, or module:callable."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ from sparseskin.nodes.sensor.files.parsed import check_stated_shape
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES, open_file
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, check_scene, open_scene
 
-from .driver import open_callable
+from .driver import DriverSource, open_callable
 from .source import Source
 
 SCENE = "scene:"
 FILE = "file:"
-FORMS = "scene:NAME, file:PATH or module:callable"
+ROS2 = "ros2:"
+FORMS = "scene:NAME, file:PATH, ros2:/TOPIC or module:callable"
 
 
 def check_source(
@@ -45,6 +46,10 @@ def check_source(
         raise SourceError(f'source "{source}": expected {FORMS}{hint}')
     if source.startswith(SCENE):
         check_scene(rest)
+    elif source.startswith(ROS2):
+        from sparseskin.nodes.bridges.ros2_source import check
+
+        check(source)
     elif not source.startswith(FILE):
         check_module(source)
     else:
@@ -145,10 +150,18 @@ def open_source(
     if source.startswith(FILE):
         path = source.removeprefix(FILE)
         return open_file(path, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
-    driver = open_callable(source, f_max=f_max, unit=unit)
+    driver = _open_driver(source, f_max, unit)
     try:
         check_stated_shape(*driver.skin.shape, n_rows, n_cols, source)
     except SourceError:
         driver.close()
         raise
     return driver
+
+
+def _open_driver(source: str, f_max: float | None, unit: str | None) -> DriverSource:
+    if source.startswith(ROS2):
+        from sparseskin.nodes.bridges.ros2_source import frames
+
+        return DriverSource(source, frames(source), f_max=f_max, unit=unit, rate_hz=None)
+    return open_callable(source, f_max=f_max, unit=unit)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import StartProgram, wait_until
 from foxglove_client import Data, FoxgloveClient, fields_of, pixels
 
-from conftest import StartProgram, wait_until
 from sparseskin.messages import Reconstruction, SkinState, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError

@@ -8,11 +8,11 @@ import signal
 from pathlib import Path
 
 import pytest
-
 from conftest import StartProgram
+
+from sparseskin.nodes.bridges.base import BridgeSettings
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.network.sockets import Reader, Writer, make_context
-from sparseskin.nodes.bridges.base import BridgeSettings
 
 
 def test_a_writer_waits_for_the_presence_of_an_observer_but_not_for_its_answers(
