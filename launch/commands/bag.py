@@ -7,6 +7,7 @@ import json
 import re
 import sys
 import textwrap
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ from sparseskin.nodes.recorder.bag.format import (
     TopicInfo,
     span_ns,
 )
+from sparseskin.nodes.sensor.files.parsed import NAN_WAYS, NEGATIVE_WAYS, REFUSE
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES
 
 from .options import add_commands
@@ -35,9 +37,10 @@ EXPORTS = {
     "npz": (".npz", f"{_CONVERT}.npz:export_npz"),
     "csv": ("_csv", f"{_CONVERT}.csv:export_csv"),
     "ros2": ("_ros2", f"{_CONVERT}.ros2:export_ros2"),
+    "foxglove": ("_foxglove.mcap", f"{_CONVERT}.foxglove:export_foxglove"),
 }
 """Of each kind of export the ending of the default name of its output, and its function."""
-READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz")
+READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz", "nan", "negative")
 """Options of `import` on how a file is read."""
 WIDTH = 80
 _MAX_TOPIC = 40
@@ -60,10 +63,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = f"default: NAME_recovered{FILE_SUFFIX}"
     recover.add_argument("--out", metavar="NEW", type=Path, help=about)
     _configure_import(add("import", _import, "make a bag of a file of frames"))
-    export = add("export", _export, "convert a bag to NumPy, CSV or ROS 2")
+    export = add("export", _export, "convert a bag to NumPy, CSV, ROS 2 or Foxglove")
     export.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}")
     export.add_argument("--to", choices=tuple(EXPORTS), required=True, help="the format")
-    about = "default: NAME.npz, NAME_csv or NAME_ros2"
+    about = "default: NAME.npz, NAME_csv, NAME_ros2 or NAME_foxglove.mcap"
     export.add_argument("--out", metavar="PATH", type=Path, help=about)
     about = "only these topics; default: all with frames"
     export.add_argument("--topics", metavar="TOPIC", nargs="+", help=about)
@@ -80,6 +83,10 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--unit", help="unit of the readings, where the file does not state it")
     parser.add_argument("--f-max", metavar="X", type=float, help="upper end of the range")
     parser.add_argument("--rate-hz", metavar="X", type=float, help="frames a second")
+    about = "readings that are not finite (default: refuse)"
+    parser.add_argument("--nan", choices=NAN_WAYS, default=REFUSE, help=about)
+    about = "readings below 0 (default: refuse)"
+    parser.add_argument("--negative", choices=NEGATIVE_WAYS, default=REFUSE, help=about)
 
 
 def _info(arguments: argparse.Namespace) -> int:
@@ -124,26 +131,30 @@ def _import(arguments: argparse.Namespace) -> int:
     for file, bag in pairs:
         options = {key: getattr(arguments, key) for key in READ_AS}
         try:
-            n_frames = import_file(file, bag, **options)
+            n_frames = import_file(file, bag, log=partial(_log, file), **options)
         except SourceError as error:
             raise SourceError(_with_options(str(error), str(file))) from error
         print(f"{bag}: {_count(n_frames, 'frame')}")
     return 0
 
 
+def _log(file: Path, line: str) -> None:
+    print(f"{file}: {line}", file=sys.stderr)
+
+
 def _with_options(message: str, file: str) -> str:
     """Return a message about a file that names the options in place of the settings."""
     place = file if message.startswith(file) else ""
     names = "|".join(name for name in READ_AS if "_" in name)
-    settings = re.compile(rf"\b({names})\b|(?<=set )unit\b")
+    settings = re.compile(rf"\b({names})\b|(?<=set )(unit|nan|negative)\b")
     text = settings.sub(lambda found: f"--{found[0].replace('_', '-')}", message[len(place) :])
     return place + text
 
 
 def _export(arguments: argparse.Namespace) -> int:
     """Convert the frames of a bag: npz (one file a patch, which a source file:PATH reads), csv (a
-    folder, one file a topic, one frame a line), or ros2 (a folder with CDR messages and
-    metadata.yaml).
+    folder, one file a topic, one frame a line), ros2 (a folder with CDR messages and
+    metadata.yaml), or foxglove (an .mcap with Foxglove's schemas).
     """
     from sparseskin.nodes.recorder.bag.reader import BagReader
 

@@ -14,6 +14,8 @@ from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .driver import DriverSource
 from .files.head import n_taxels
+from .files.parsed import NAN_WAYS, NEGATIVE_WAYS, Policy
+from .files.recorded import RecordedSource
 from .noise import NoiseModel
 from .sources import FILE, SCENE, check_source, open_source
 
@@ -68,10 +70,17 @@ class SensorSettings(PatchSettings):
     f_max: float | None = setting(
         None, "upper end of a file's or driver's range, in its unit", low=1e-9, high=1e9
     )
+    nan: str = setting("refuse", "readings of a file that are not finite", choices=NAN_WAYS)
+    negative: str = setting("refuse", "readings of a file below 0", choices=NEGATIVE_WAYS)
+
+    @property
+    def policy(self) -> Policy:
+        """What to do with invalid readings of a file."""
+        return Policy(self.nan, self.negative)
 
     def check(self) -> None:
         with naming("source"):
-            check_source(self.source, self.n_rows, self.n_cols, self.unit)
+            check_source(self.source, self.n_rows, self.n_cols, self.unit, self.policy)
         if self.source.startswith(SCENE):
             for key in ("n_rows", "n_cols", "unit", "f_max"):
                 if getattr(self, key) is not None:
@@ -96,6 +105,7 @@ class Sensor(SourceNode[SensorSettings]):
             n_cols=settings.n_cols,
             unit=settings.unit,
             f_max=settings.f_max,
+            policy=settings.policy,
         )
         self.skin = self._source.skin
         self._noise = self._chosen_noise()
@@ -120,12 +130,16 @@ class Sensor(SourceNode[SensorSettings]):
         if source.startswith(SCENE):
             n = open_source(source, seed=settings.seed).skin.n_taxels
         elif source.startswith(FILE):
-            n = n_taxels(source.removeprefix(FILE), n_rows, n_cols, settings.unit)
+            path = source.removeprefix(FILE)
+            n = n_taxels(path, n_rows, n_cols, settings.unit, settings.policy)
         else:  # otherwise known once the driver runs
             n = n_rows * n_cols if n_rows and n_cols else None
         return {} if n is None else {topic_of(settings.patch, SkinState.schema): n}
 
     def start(self) -> Iterable[Message]:
+        if isinstance(self._source, RecordedSource):
+            for line in self._source.treated.lines(self._source.policy, self.skin.unit):
+                self.context.log(line)
         yield self._describe()
 
     def change(self, settings: SensorSettings) -> Iterable[Message]:
@@ -190,6 +204,8 @@ class Sensor(SourceNode[SensorSettings]):
 
     def report(self) -> dict[str, Any]:
         source = self._source
+        if isinstance(source, RecordedSource) and (invalid := source.treated.counts()):
+            return {"clipped": 0, "invalid": invalid}
         if not isinstance(source, DriverSource) or not self._n_clipped:
             return {"clipped": 0}
         read = {"lowest": source.lowest, "highest": source.highest}

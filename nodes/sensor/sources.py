@@ -16,7 +16,7 @@ from sparseskin.nodes.lookup import (
     search_here,
 )
 from sparseskin.nodes.sensor.files.head import n_taxels
-from sparseskin.nodes.sensor.files.parsed import check_stated_shape
+from sparseskin.nodes.sensor.files.parsed import DEFAULT_POLICY, Policy, check_stated_shape
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES, open_file
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, check_scene, open_scene
 
@@ -30,7 +30,11 @@ FORMS = "scene:NAME, file:PATH, ros2:/TOPIC or module:callable"
 
 
 def check_source(
-    source: str, n_rows: int | None = None, n_cols: int | None = None, unit: str | None = None
+    source: str,
+    n_rows: int | None = None,
+    n_cols: int | None = None,
+    unit: str | None = None,
+    policy: Policy = DEFAULT_POLICY,
 ) -> None:
     """Check that a source exists, without opening it; of a file the begin is read.
 
@@ -61,7 +65,7 @@ def check_source(
             raise SourceError(
                 f"{rest}: suffix '{path.suffix}' is not known; allowed are {', '.join(SUFFIXES)}"
             )
-        n_taxels(rest, n_rows, n_cols, unit)
+        n_taxels(rest, n_rows, n_cols, unit, policy)
 
 
 def check_module(target: str) -> None:
@@ -123,6 +127,7 @@ def open_source(
     n_cols: int | None = None,
     unit: str | None = None,
     f_max: float | None = None,
+    policy: Policy = DEFAULT_POLICY,
 ) -> Source:
     """Open a source.
 
@@ -134,13 +139,15 @@ def open_source(
         Seed of a scene; not used by files and drivers.
     n_rows, n_cols, unit, f_max
         Properties that a file or driver does not state, as in `open_file` and `open_callable`.
+    policy : Policy
+        What to do with readings of a file that are not finite or below 0.
 
     Raises
     ------
     SourceError
         If the source is missing or malformed, or a setting contradicts it.
     """
-    check_source(source, n_rows, n_cols, unit)
+    check_source(source, n_rows, n_cols, unit, policy)
     if source.startswith(SCENE):
         stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": unit, "f_max": f_max}
         for name, value in stated.items():
@@ -149,7 +156,7 @@ def open_source(
         return open_scene(source.removeprefix(SCENE), seed=seed)
     if source.startswith(FILE):
         path = source.removeprefix(FILE)
-        return open_file(path, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
+        return open_file(path, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max, policy=policy)
     driver = _open_driver(source, f_max, unit)
     try:
         check_stated_shape(*driver.skin.shape, n_rows, n_cols, source)

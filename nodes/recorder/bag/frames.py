@@ -10,15 +10,20 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from sparseskin.messages import (
+    End,
     Measurements,
     Message,
     MessageError,
+    PhiState,
     Reconstruction,
+    Resultant,
     SkinState,
+    SolverState,
     Taxels,
     Truth,
     decode,
 )
+from sparseskin.messages.base import wire_fields
 from sparseskin.messages.skin import Skin
 from sparseskin.messages.topics import split_topic, topic_of
 
@@ -27,6 +32,8 @@ from .reader import BagReader
 
 FRAMES = (Taxels, Truth, Measurements, Reconstruction)
 FRAME_SCHEMAS = tuple(cls.schema for cls in FRAMES)
+STREAM_SCHEMAS = (*FRAME_SCHEMAS, Resultant.schema)
+STATES = (SkinState, PhiState, SolverState)
 
 
 def array_names(schema: str) -> tuple[str, str]:
@@ -59,19 +66,68 @@ def frame_topics(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
 
     Raises BagError if there is none, or if a requested topic is missing or holds no frames.
     """
+    return _topics_of(bag, topics, FRAME_SCHEMAS)
+
+
+def stream_topics(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
+    """As `frame_topics`, resultants included."""
+    return _topics_of(bag, topics, STREAM_SCHEMAS)
+
+
+def _topics_of(bag: BagReader, topics: Iterable[str] | None, schemas: tuple[str, ...]) -> list[str]:
     wanted = list(bag.topics) if topics is None else list(dict.fromkeys(topics))
     bag.messages(wanted)  # refuses a topic that the bag does not hold
-    found = [topic for topic in wanted if bag.topics[topic].schema in FRAME_SCHEMAS]
+    found = [topic for topic in wanted if bag.topics[topic].schema in schemas]
     if topics is not None and found != wanted:
         other = next(topic for topic in wanted if topic not in found)
         raise BagError(
-            f"{bag.path}: topic {other} holds no frames; allowed are topics of "
-            f"{', '.join(FRAME_SCHEMAS)}"
+            f"{bag.path}: topic {other} holds no frames; allowed are topics of {', '.join(schemas)}"
         )
     found = [topic for topic in found if bag.topics[topic].n_messages]
     if not found:
         raise BagError(f"{bag.path}: holds no frames to export")
     return found
+
+
+def with_states(bag: BagReader, topics: Iterable[str]) -> list[str]:
+    """Topics, and those of the states (skin, Phi, solver) of their patches."""
+    wanted = list(topics)
+    states = [topic_of(patch_of(topic), cls.schema) for topic in wanted for cls in STATES]
+    held = [topic for topic in states if topic in bag.topics and bag.topics[topic].n_messages]
+    return list(dict.fromkeys([*wanted, *held]))
+
+
+def last_states(bag: BagReader, topics: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """The last state of each kind of the patches of some topics, by topic: fields as JSON has
+    them, a mask as rows of 0 and 1; raises as `decoded`.
+    """
+    wanted = [t for t in with_states(bag, topics) if bag.topics[t].schema not in STREAM_SCHEMAS]
+    found: dict[str, dict[str, Any]] = {}
+    for recorded in bag.messages(wanted):
+        if not isinstance(message := decoded(bag, recorded), End):
+            found[recorded.topic] = state_json(message)
+    return found
+
+
+def state_json(message: Message) -> dict[str, Any]:
+    """Fields of a state as JSON has them, a mask as rows of 0 and 1."""
+    names = [name for name in wire_fields(type(message)) if name not in ("run_id", "seq")]
+    values = {name: getattr(message, name) for name in names}
+    if (mask := values.get("mask")) is not None:
+        values["mask"] = ["".join("01"[cell] for cell in row) for row in mask.astype(int)]
+    return values
+
+
+def streams(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[tuple[Message, int]]:
+    """All messages on some topics in recorded order, each with its time of recording, without the
+    ends of streams; with a progress bar; raises as `decoded`.
+    """
+    wanted = list(topics)
+    total = sum(bag.topics[topic].n_messages for topic in wanted)
+    for recorded in progress(bag.messages(wanted), total, doing):
+        message = decoded(bag, recorded)
+        if not isinstance(message, End):
+            yield message, recorded.log_time_ns
 
 
 def frames(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[Frame]:

@@ -1,44 +1,122 @@
-"""Export of a bag to .csv: one file a topic, one frame a line, and a file of stamps."""
+"""Export of a bag to .csv: a file a topic, a frame a line, below its description and a header."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
-from sparseskin.messages.topics import split_topic
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages import Measurements, Message, Reconstruction
+from sparseskin.messages.fields import Array
+from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.nodes.files import whole_folder
-from sparseskin.nodes.recorder.bag.frames import frame_topics, frames
+from sparseskin.nodes.recorder.bag.frames import last_states, patch_of, stream_topics, streams
 from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.sensor.files.own_csv import FIRST_LINE
+
+from .columns import fields_of
 
 STAMPS = "stamps.csv"
+_SD = "sd"
 
 
 def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
     """Write a folder `out` with PATCH_SCHEMA.csv for each topic, and stamps.csv; their paths.
 
-    Each line of PATCH_SCHEMA.csv is a frame, row after row, in the shortest decimals that give
-    the same float32 again; the sensor's `file:` source reads it, with n_rows, n_cols and unit
-    given. stamps.csv lists topic, frame (from 0) and stamp_ns, below a line with these names.
+    Each PATCH_SCHEMA.csv has, below lines that begin with `#`, a header line with the names of
+    its columns, and then a frame a line: `stamp_ns`, the figures of the message, and the taxels
+    r0c0, r0c1, ... row after row (or the measurements y0, y1, ...), in the shortest decimals that
+    give the same float32 again. The second line is a comment with the states of the patch as
+    JSON: shape, range, unit, pitch, mask, Phi, solver; so the sensor's `file:` source reads it as
+    it is. Standard deviations are in PATCH_reconstruction_sd.csv. stamps.csv lists topic, frame
+    (from 0) and stamp_ns, below a line with these names.
 
     Raises BagError if the bag has no such frames, OutputError if the folder exists or cannot be
     written.
     """
-    wanted = frame_topics(bag, topics)
-    paths = {topic: out / f"{'_'.join(split_topic(topic))}.csv" for topic in wanted}
+    wanted = stream_topics(bag, topics)
+    states = last_states(bag, wanted)
+    longest: dict[str, int] = {}
+    for message, _ in streams(bag, [t for t in wanted if _is_measured(bag, t)], "measure"):
+        longest[message.topic] = max(longest.get(message.topic, 0), len(_cells(message)))
+    files: dict[Path, TextIO] = {}
     with whole_folder(out), ExitStack() as stack:
 
-        def create(path: Path) -> TextIO:
-            return stack.enter_context(open(path, "x", encoding="ascii"))
+        def writer(topic: str, suffix: str, names: Iterable[str]) -> TextIO:
+            path = out / f"{'_'.join(split_topic(topic))}{suffix}.csv"
+            if path not in files:
+                files[path] = stack.enter_context(open(path, "x", encoding="ascii"))
+                files[path].write(_head(topic, suffix, states, names))
+            return files[path]
 
-        files = {topic: create(path) for topic, path in paths.items()}
-        stamps = create(out / STAMPS)
+        stamps = stack.enter_context(open(out / STAMPS, "x", encoding="ascii"))
         stamps.write("topic,frame,stamp_ns\n")
         n_lines = dict.fromkeys(wanted, 0)
-        for frame in frames(bag, wanted, "export"):
-            topic = frame.message.topic
-            files[topic].write(",".join(frame.array.ravel().astype(str).tolist()) + "\n")
-            stamps.write(f"{topic},{n_lines[topic]},{frame.message.stamp_ns}\n")
+        for message, _ in streams(bag, wanted, "export"):
+            topic, cells = message.topic, _cells(message)
+            figures = _figures(message)
+            columns = [*figures, *_cell_names(cells, longest.get(topic, 0))]
+            writer(topic, "", columns).write(_line([*figures.values(), *_texts(cells)]))
+            sd = getattr(message, _SD, None)
+            if isinstance(message, Reconstruction) and sd is not None:
+                columns = ["stamp_ns", *_cell_names(sd, 0)]
+                writer(topic, f"_{_SD}", columns).write(_line([message.stamp_ns, *_texts(sd)]))
+            stamps.write(f"{topic},{n_lines[topic]},{message.stamp_ns}\n")
             n_lines[topic] += 1
-    return [*paths.values(), out / STAMPS]
+    return [*files, out / STAMPS]
+
+
+def _is_measured(bag: BagReader, topic: str) -> bool:
+    return bag.topics[topic].schema == Measurements.schema
+
+
+def _head(
+    topic: str, suffix: str, states: Mapping[str, dict[str, Any]], names: Iterable[str]
+) -> str:
+    """Comments with the description, and the header line."""
+    patch = patch_of(topic)
+    described = {
+        schema: states[topic_of(patch, schema)]
+        for schema in ("skin", "phi", "solver")
+        if topic_of(patch, schema) in states
+    }
+    return f"{FIRST_LINE}{topic}{suffix}\n# {json.dumps(described)}\n{','.join(names)}\n"
+
+
+def _figures(message: Message) -> dict[str, Any]:
+    """All fields but arrays and the publisher's run; the bits of rows and tree as hexadecimals."""
+    found: dict[str, Any] = {"stamp_ns": message.stamp_ns}
+    for name, kind in fields_of(message.schema).items():
+        value = getattr(message, name)
+        if isinstance(kind, Array):
+            if name in ("places", "nodes") and value is not None:
+                found[name] = value.tobytes().hex()
+        elif name not in ("run_id", "stamp_ns"):
+            found[name] = value
+    return found
+
+
+def _cells(message: Message) -> npt.NDArray[np.float32]:
+    values = message.y if isinstance(message, Measurements) else getattr(message, "forces", None)
+    return np.empty(0, np.float32) if values is None else np.asarray(values)
+
+
+def _cell_names(cells: npt.NDArray[np.float32], longest: int) -> list[str]:
+    if cells.ndim == 2:
+        return [f"r{row}c{col}" for row in range(cells.shape[0]) for col in range(cells.shape[1])]
+    return [f"y{k}" for k in range(longest)]
+
+
+def _texts(cells: npt.NDArray[np.float32]) -> list[str]:
+    texts: list[str] = cells.ravel().astype(str).tolist()
+    return texts
+
+
+def _line(values: Iterable[Any]) -> str:
+    texts = ("" if value is None else str(value).replace(",", ";") for value in values)
+    return ",".join(texts) + "\n"

@@ -11,10 +11,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import Reconstruction
+from sparseskin.messages import Measurements, Message, Reconstruction, Resultant
 from sparseskin.nodes.files import whole_folder
 from sparseskin.nodes.recorder.bag.format import BagError
-from sparseskin.nodes.recorder.bag.frames import Frame, frame_topics, frames
+from sparseskin.nodes.recorder.bag.frames import (
+    STATES,
+    state_json,
+    stream_topics,
+    streams,
+    with_states,
+)
 from sparseskin.nodes.recorder.bag.reader import BagReader
 
 INSTALL = 'writing for ROS 2 needs mcap-ros2-support; pip install "sparseskin[ros2]"'
@@ -22,6 +28,8 @@ _MAX_SECONDS = (1 << 31) - 1
 BOOL = "std_msgs/msg/Bool"
 IMAGE = "sensor_msgs/msg/Image"
 FLOAT = "std_msgs/msg/Float32"
+STRING = "std_msgs/msg/String"
+_RESULTANT = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
 _LINE = "=" * 80
 
 _MSGDEFS = {
@@ -44,6 +52,7 @@ uint32 nanosec
 """,
     FLOAT: "float32 data\n",
     BOOL: "bool data\n",
+    STRING: "string data\n",
 }
 """Definitions of the exported messages, as in common_interfaces of ROS 2."""
 
@@ -55,7 +64,10 @@ def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
     1 x M; its header has the stamp, and the patch as frame_id. Beside it stand, each a
     std_msgs/msg/Float32, /PATCH/SCHEMA/total_force (the sum over the taxels, in the skin's unit;
     not of measurements) and /PATCH/reconstruction/residual; where the solver estimates its error,
-    /PATCH/reconstruction/error, and /PATCH/reconstruction/trusted, a std_msgs/msg/Bool.
+    /PATCH/reconstruction/error, and /PATCH/reconstruction/trusted, a std_msgs/msg/Bool. Standard
+    deviations are an Image on /PATCH/reconstruction/sd, the resultant's numbers Float32 on
+    /PATCH/resultant/NAME. Skin (with its mask), Phi and solver are JSON in a std_msgs/msg/String on
+    /PATCH/skin, /PATCH/phi and /PATCH/solver.
 
     Raises BagError if mcap-ros2-support is not installed, the bag has no such frames, or a stamp
     does not fit into ROS's 31 bits of seconds; OutputError if the folder exists or cannot be
@@ -65,7 +77,7 @@ def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
         from mcap_ros2.writer import Writer
     except ImportError as error:
         raise BagError(INSTALL) from error
-    wanted = frame_topics(bag, topics)
+    wanted = with_states(bag, stream_topics(bag, topics))
     counts: Counter[tuple[str, str]] = Counter()
     first_ns = last_ns = -1
     with whole_folder(out):
@@ -73,32 +85,41 @@ def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
         with open(path, "xb") as file:
             writer: Any = Writer(file)
             schemas = {name: writer.register_msgdef(name, text) for name, text in _MSGDEFS.items()}
-            for frame in frames(bag, wanted, "export"):
-                for topic, kind, message in _messages(frame, bag.path):
+            for message, log_time_ns in streams(bag, wanted, "export"):
+                for topic, kind, content in _messages(message, bag.path):
                     writer.write_message(
                         topic,
                         schemas[kind],
-                        message,
-                        log_time=frame.log_time_ns,
-                        publish_time=frame.message.stamp_ns,
+                        content,
+                        log_time=log_time_ns,
+                        publish_time=message.stamp_ns,
                     )
                     counts[topic, kind] += 1
-                first_ns = frame.log_time_ns if first_ns < 0 else min(first_ns, frame.log_time_ns)
-                last_ns = max(last_ns, frame.log_time_ns)
+                first_ns = log_time_ns if first_ns < 0 else min(first_ns, log_time_ns)
+                last_ns = max(last_ns, log_time_ns)
             writer.finish()
         described = out / "metadata.yaml"
         described.write_text(_metadata(path.name, counts, first_ns, last_ns), encoding="utf-8")
     return [path, described]
 
 
-def _messages(frame: Frame, path: Path) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    message, array = frame.message, frame.array
-    topic = message.topic
-    yield topic, IMAGE, _image(message.patch, message.stamp_ns, np.atleast_2d(array), path)
-    if array.ndim == 2:
-        yield f"{topic}/total_force", FLOAT, {"data": float(array.sum(dtype=np.float64))}
+def _messages(message: Message, path: Path) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    topic, patch, stamp_ns = message.topic, message.patch, message.stamp_ns
+    if isinstance(message, STATES):
+        yield topic, STRING, {"data": json.dumps(state_json(message))}
+    elif isinstance(message, Resultant):
+        for name in _RESULTANT:
+            if (value := getattr(message, name)) is not None:
+                yield f"{topic}/{name}", FLOAT, {"data": value}
+    elif isinstance(message, Measurements):
+        yield topic, IMAGE, _image(patch, stamp_ns, np.atleast_2d(np.asarray(message.y)), path)
+    elif (forces := getattr(message, "forces", None)) is not None:
+        yield topic, IMAGE, _image(patch, stamp_ns, forces, path)
+        yield f"{topic}/total_force", FLOAT, {"data": float(forces.sum(dtype=np.float64))}
     if isinstance(message, Reconstruction):
         yield f"{topic}/residual", FLOAT, {"data": message.residual}
+        if message.sd is not None:
+            yield f"{topic}/sd", IMAGE, _image(patch, stamp_ns, message.sd, path)
         if message.error is not None:
             yield f"{topic}/error", FLOAT, {"data": message.error}
         if message.error is not None or not message.trusted:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,11 @@ from sparseskin.nodes.recorder.bag.frames import progress
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter, removing
 from sparseskin.nodes.recorder.node import metadata_of
+from sparseskin.nodes.sensor.files.parsed import REFUSE, Policy, read_bytes
 from sparseskin.nodes.sensor.files.recorded import open_file
 from sparseskin.nodes.sensor.node import DEFAULT_RATE_HZ
+
+from .npz import NpzExport, is_export
 
 _RUN_ID_BYTES = 8
 
@@ -30,23 +33,44 @@ def import_file(
     unit: str | None = None,
     f_max: float | None = None,
     rate_hz: float | None = None,
+    nan: str = REFUSE,
+    negative: str = REFUSE,
+    log: Callable[[str], None] = lambda _: None,
 ) -> int:
     """Write a recording, in any format that the sensor reads, as a bag.
+
+    Of an .npz that `export_npz` wrote the bag has all messages again, unless one of the properties
+    below is stated: then its readings alone are imported, as from any other file.
 
     The bag holds what a sensor would have published from the file: /PATCH/skin, then
     /PATCH/taxels, with stamps from 0. The run id is a hash of the file, so the same file gives
     the same bag.
 
     `n_rows`, `n_cols`, `unit`, `f_max` and `rate_hz` are properties that the file does not state,
-    as in `open_file`. Returns the number of frames.
+    as in `open_file`. `nan` and `negative` are the ways of its `Policy`; `log` is called with a
+    line on readings that were treated so. Returns the number of frames.
 
     Raises SourceError if the recording is missing or malformed or a setting contradicts it,
     BagError if the bag exists or cannot be written.
     """
+    stated = (n_rows, n_cols, unit, f_max, rate_hz)
+    if all(value is None for value in stated) and is_export(source):
+        export = NpzExport(source, read_bytes(str(source)))
+        with _whole_bag(out, export.metadata, export.counts) as bag:
+            return export.write(bag)
+    policy = Policy(nan, negative)
     frames = open_file(
-        source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max, rate_hz=rate_hz
+        source,
+        n_rows=n_rows,
+        n_cols=n_cols,
+        unit=unit,
+        f_max=f_max,
+        rate_hz=rate_hz,
+        policy=policy,
     )
     skin = frames.skin
+    for line in frames.treated.lines(policy, skin.unit):
+        log(line)
     run_id = hashlib.blake2b(source.read_bytes(), digest_size=_RUN_ID_BYTES).hexdigest()
     try:
         state = SkinState(

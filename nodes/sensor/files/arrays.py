@@ -25,8 +25,11 @@ from sparseskin.nodes.numerics.array_files import (
 from sparseskin.nodes.numerics.arrays import Mask
 
 from .parsed import (
+    DEFAULT_POLICY,
     Parsed,
+    Policy,
     check_grid,
+    is_missing,
     is_number,
     parse_number,
     parse_reading,
@@ -75,8 +78,13 @@ def parse_npz(raw: bytes, name: str) -> Parsed:
         arrays = read_npz(
             raw, lambda held: [key for key in held if "forces" not in held or key in NPZ_NAMES]
         )
-    forces_name = _forces_name({key: array.ndim for key, array in arrays.items()}, name)
-    forces = _as_frames(arrays[forces_name], f"{name}, array {shown(forces_name)}")
+    return parsed_arrays(arrays, name)
+
+
+def parsed_arrays(arrays: Mapping[str, npt.NDArray[Any]], name: str) -> Parsed:
+    """A recording of arrays as in `parse_npz`, of a container of any format; raises as it does."""
+    found = forces_name({key: array.ndim for key, array in arrays.items()}, name)
+    forces = _as_frames(arrays[found], f"{name}, array {shown(found)}")
     mask = _mask(arrays["mask"], forces.shape[1:], name) if "mask" in arrays else None
     if mask is not None:
         forces = np.where(mask, forces, forces.dtype.type(0))
@@ -124,9 +132,9 @@ def npz_file_shape(file: IO[bytes], name: str) -> tuple[tuple[int, ...], int | N
     """
     with _refusing(name):
         shapes = npz_shapes(file, lambda held: ["forces"] if "forces" in held else held[:_MOST])
-        forces_name = _forces_name({key: len(one) for key, one in shapes.items()}, name)
-        shape = shapes[forces_name]
-        _check_dimensions(shape, f"{name}, array {shown(forces_name)}")
+        found = forces_name({key: len(one) for key, one in shapes.items()}, name)
+        shape = shapes[found]
+        _check_dimensions(shape, f"{name}, array {shown(found)}")
         masked = npz_shapes(file, lambda held: ["mask"] if "mask" in held else [])
         if not masked:
             return shape, None
@@ -134,11 +142,18 @@ def npz_file_shape(file: IO[bytes], name: str) -> tuple[tuple[int, ...], int | N
         return shape, int(_mask(mask, shape[1:], name).sum())
 
 
-def parse_plain_csv(raw: bytes, name: str, n_rows: int | None, n_cols: int | None) -> Parsed:
+def parse_plain_csv(
+    raw: bytes,
+    name: str,
+    n_rows: int | None,
+    n_cols: int | None,
+    policy: Policy = DEFAULT_POLICY,
+) -> Parsed:
     """Read numbers separated by commas, one frame a line, row after row of the skin.
 
     Blank lines and lines that begin with `#` are skipped. If only one of `n_rows` and `n_cols`
-    is stated, the other follows from the length of a line.
+    is stated, the other follows from the length of a line. Readings that are not finite (an empty
+    cell, too) or below 0 are kept where `policy` does not refuse them.
 
     Raises
     ------
@@ -152,10 +167,10 @@ def parse_plain_csv(raw: bytes, name: str, n_rows: int | None, n_cols: int | Non
             continue
         where = f"{name}, line {index + 1}"
         tokens = [token.strip() for token in line.split(",")]
-        if not frames and not is_number(tokens[0]):
+        if not frames and not (is_number(tokens[0]) or is_missing(tokens[0], policy)):
             raise SourceError(
                 f"{where}: {shown(tokens[0])} is not a number; allowed: an export of Tekscan or "
-                "XSENSOR, or numbers with one frame a line"
+                f"XSENSOR, or numbers with one frame a line{_vendor(line)}"
             )
         if n_rows is None or n_cols is None:
             n_rows, n_cols = _stated_shape(len(tokens), n_rows, n_cols, where)
@@ -167,10 +182,20 @@ def parse_plain_csv(raw: bytes, name: str, n_rows: int | None, n_cols: int | Non
                 f"{n_rows} x {n_cols} needs {n_rows * n_cols}"
             )
         readings = [
-            parse_reading(token, where, *divmod(k, n_cols)) for k, token in enumerate(tokens)
+            parse_reading(token, where, *divmod(k, n_cols), policy)
+            for k, token in enumerate(tokens)
         ]
         frames.append(np.array(readings).reshape(n_rows, n_cols))
     return Parsed(forces=stack_frames(frames, name))
+
+
+def _vendor(line: str) -> str:
+    """What is known of a header line that is not read."""
+    if line.startswith("sole_id,timestamp"):
+        return " (an export of StappOne has sensors of an insole, which form no grid)"
+    if "boditrak" in line.lower():
+        return " (an export of BodiTrak is not read; save its frames as plain numbers)"
+    return ""
 
 
 def _stated_shape(
@@ -197,8 +222,10 @@ def _refusing(name: str) -> Iterator[None]:
         raise SourceError(f"{name}: {error}") from error
 
 
-def _forces_name(dimensions: Mapping[str, int], name: str) -> str:
-    """The array that holds the frames, by the number of dimensions of each."""
+def forces_name(dimensions: Mapping[str, int], name: str) -> str:
+    """The array that holds the frames, by the number of dimensions of each; SourceError if it is
+    not `forces`, nor the only one of three dimensions.
+    """
     if "forces" in dimensions:
         return "forces"
     candidates = [key for key, n in dimensions.items() if n == 3]
@@ -251,7 +278,7 @@ def _stamps(array: npt.NDArray[Any], n_frames: int, where: str) -> tuple[int, ..
     return tuple(stamp - stamps[0] for stamp in stamps)
 
 
-def _scalar(arrays: dict[str, npt.NDArray[Any]], key: str, name: str) -> float | None:
+def _scalar(arrays: Mapping[str, npt.NDArray[Any]], key: str, name: str) -> float | None:
     if key not in arrays:
         return None
     array = arrays[key]

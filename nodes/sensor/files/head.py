@@ -11,7 +11,18 @@ from sparseskin.nodes.errors import SourceError
 
 from .arrays import npy_file_shape, npz_file_shape, parse_plain_csv
 from .emed import emed_shape
-from .parsed import NO_UNIT, check_grid, check_stated_shape, text_lines
+from .hdf5 import hdf5_shape
+from .matlab import mat_shape
+from .novel_asc import novel_asc_shape
+from .own_csv import is_own_csv, own_csv_shape
+from .parsed import (
+    DEFAULT_POLICY,
+    NO_UNIT,
+    Policy,
+    check_grid,
+    check_stated_shape,
+    text_lines,
+)
 from .tekscan import is_tekscan, tekscan_shape
 from .xsensor import is_xsensor, xsensor_shape
 
@@ -22,7 +33,11 @@ FRAME_BYTES = 16 * MAX_ELEMENTS
 
 
 def n_taxels(
-    path: str, n_rows: int | None = None, n_cols: int | None = None, unit: str | None = None
+    path: str,
+    n_rows: int | None = None,
+    n_cols: int | None = None,
+    unit: str | None = None,
+    policy: Policy = DEFAULT_POLICY,
 ) -> int | None:
     """Number of taxels of a recording.
 
@@ -30,7 +45,7 @@ def n_taxels(
     ----------
     path : str
         A file with a suffix that `open_file` knows.
-    n_rows, n_cols, unit
+    n_rows, n_cols, unit, policy
         As in `open_file`.
 
     Returns
@@ -48,14 +63,22 @@ def n_taxels(
         found = Path(path).stat()
         if not found.st_size:
             raise SourceError(f"{path}: the file is empty")
-        return _n_taxels(path, n_rows, n_cols, unit, (found.st_mtime_ns, found.st_size))
+        policy.check(path)
+        of = (found.st_mtime_ns, found.st_size)
+        n = _n_taxels(path, n_rows, n_cols, unit, policy, of)
+        return None if policy.masks else n
     except OSError as error:
         raise SourceError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 @lru_cache(maxsize=8)
 def _n_taxels(
-    path: str, n_rows: int | None, n_cols: int | None, unit: str | None, _of: tuple[int, int]
+    path: str,
+    n_rows: int | None,
+    n_cols: int | None,
+    unit: str | None,
+    policy: Policy,
+    _of: tuple[int, int],
 ) -> int | None:
     """As above, of one form of the file."""
     suffix = Path(path).suffix.lower()
@@ -65,8 +88,13 @@ def _n_taxels(
             shape = npy_file_shape(file, path)
         elif suffix == ".npz":
             shape, masked = npz_file_shape(file, path)
+        elif suffix == ".mat":
+            shape = mat_shape(file, path, n_rows, n_cols)
+        elif suffix in (".h5", ".hdf5"):
+            shape, has_mask = hdf5_shape(file.read(), path)
+            shape = () if has_mask else shape
         else:
-            shape, masked = _of_text(file, suffix, path, n_rows, n_cols, unit)
+            shape, masked = _of_text(file, suffix, path, n_rows, n_cols, unit, policy)
     if not shape:
         return None
     rows, cols = shape[-2:]
@@ -82,11 +110,15 @@ def _of_text(
     n_rows: int | None,
     n_cols: int | None,
     unit: str | None,
+    policy: Policy,
 ) -> tuple[tuple[int, ...], int | None]:
     """Shape of a recording or its frames, () where it is not known, and the number of taxels where
     some cells are none.
     """
     head = file.read(HEAD_BYTES)
+    if suffix == ".asc":  # its grid stands at the end of the file
+        rows, cols, masked = novel_asc_shape(head + file.read(), path)
+        return (rows, cols), masked
     if suffix == ".lst":
         shape = emed_shape(head, path)
         if shape is None and len(head) < HEAD_BYTES:
@@ -101,10 +133,14 @@ def _of_text(
             return (), None
         rows, cols, masked = xsensor_shape(begin, path)
         return ((), None) if masked is None else ((rows, cols), masked)
+    if is_own_csv(head):
+        begin = head + file.read(FRAME_BYTES - len(head))
+        rows, cols, n_exist = own_csv_shape(begin, path)
+        return (rows, cols), n_exist
     lines = text_lines(head + file.readline(FRAME_BYTES))  # the last line of the head may be cut
     first = next((k for k, line in enumerate(lines) if _holds_frame(line)), len(lines))
     line = "\n".join(lines[: first + 1]).encode("latin-1")
-    shape = parse_plain_csv(line, path, n_rows, n_cols).forces.shape
+    shape = parse_plain_csv(line, path, n_rows, n_cols, policy).forces.shape
     if unit is None:
         raise SourceError(path + NO_UNIT)
     return shape, None

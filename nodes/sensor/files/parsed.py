@@ -19,8 +19,52 @@ MAX_READING = 1e30
 """Largest reading, chosen: float32 holds it, and the sum of a frame of such readings."""
 
 
+_MISSING = frozenset({"", "nan", "na", "n/a", "null", "none", "inf", "+inf", "-inf"})
+"""Cells of a .csv that hold no finite number."""
+NAN_HINT = "; or set nan to zero, hold or mask"
+NEGATIVE_HINT = "; or set negative to zero, offset or mask"
+
+
 NO_UNIT = ": a .csv of numbers does not state its unit; set unit, e.g. N"
 """Refusal of a plain .csv, after its name."""
+
+
+REFUSE, ZERO, HOLD, OFFSET, MASK = "refuse", "zero", "hold", "offset", "mask"
+NAN_WAYS = (REFUSE, ZERO, HOLD, MASK)
+"""Readings that are NaN or infinite: the file is refused; they become 0, or the last finite reading
+of their taxel (0 before the first); or their taxels are masked."""
+NEGATIVE_WAYS = (REFUSE, ZERO, OFFSET, MASK)
+"""Readings below 0: the file is refused; they become 0; the lowest reading is subtracted from all;
+or their taxels are masked."""
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Ways to treat invalid readings, one of `NAN_WAYS` and one of `NEGATIVE_WAYS`."""
+
+    nan: str = REFUSE
+    negative: str = REFUSE
+
+    def check(self, name: str) -> None:
+        """Raise SourceError if a way is not known; `name` is the file, for the error."""
+        for key, ways in (("nan", NAN_WAYS), ("negative", NEGATIVE_WAYS)):
+            if getattr(self, key) not in ways:
+                raise SourceError(
+                    f"{name}: {key} = {shown(getattr(self, key))}; allowed are {', '.join(ways)}"
+                )
+
+    @property
+    def masks(self) -> bool:
+        """True if the readings decide which cells are taxels."""
+        return MASK in (self.nan, self.negative)
+
+    @property
+    def refuses(self) -> bool:
+        """True if all invalid readings are refused."""
+        return self.nan == self.negative == REFUSE
+
+
+DEFAULT_POLICY = Policy()
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,12 +167,28 @@ def is_number(token: str) -> bool:
     return True
 
 
-def parse_reading(token: str, where: str, row: int, col: int) -> float:
-    """Read the reading of a cell (row, col), from 0; SourceError if it is not in [0, 1e30]."""
+def is_missing(token: str, policy: Policy) -> bool:
+    """True if a cell is empty or not a finite number, and that is not refused."""
+    return policy.nan != REFUSE and token.strip().lower() in _MISSING
+
+
+def parse_reading(
+    token: str, where: str, row: int, col: int, policy: Policy | None = None
+) -> float:
+    """Read the reading of a cell (row, col), from 0.
+
+    SourceError if it is not in [0, 1e30], unless `policy` allows what is below 0 or missing (NaN);
+    None: the format has no such readings.
+    """
     where = f"{where}, row {row}, column {col}"
+    if policy is not None and is_missing(token, policy):
+        return math.nan
     value = parse_number(token, where)
-    if value < 0:
-        raise SourceError(f"{where}: {shown(token)} is below 0; a range starts at 0")
+    if value < 0 and (policy is None or policy.negative == REFUSE):
+        hint = "" if policy is None else NEGATIVE_HINT
+        raise SourceError(f"{where}: {shown(token)} is below 0; a range starts at 0{hint}")
+    if value < -MAX_READING:
+        raise SourceError(f"{where}: {shown(token)} is below {-MAX_READING:g}")
     if value > MAX_READING:
         raise SourceError(f"{where}: {shown(token)} is above {MAX_READING:g}")
     return value
@@ -195,8 +255,8 @@ def check_readings(forces: npt.NDArray[Any], where: str) -> None:
         if values.min() >= 0 and values.max() <= MAX_READING:  # False for a NaN
             continue
         for what, bad in (
-            ("is not finite", ~np.isfinite(values)),
-            ("is below 0; a range starts at 0", values < 0),
+            (f"is not finite{NAN_HINT}", ~np.isfinite(values)),
+            (f"is below 0; a range starts at 0{NEGATIVE_HINT}", values < 0),
             (f"is above {MAX_READING:g}", values > MAX_READING),
         ):
             if bad.any():

@@ -18,9 +18,16 @@ from sparseskin.nodes.numerics.arrays import Floats
 
 from .arrays import parse_npy, parse_npz, parse_plain_csv
 from .emed import parse_emed
+from .hdf5 import parse_hdf5
+from .invalid import Treated, treat
+from .matlab import parse_mat
+from .novel_asc import parse_novel_asc
+from .own_csv import is_own_csv, parse_own_csv
 from .parsed import (
+    DEFAULT_POLICY,
     NO_UNIT,
     Parsed,
+    Policy,
     check_grid,
     check_number,
     check_readings,
@@ -35,9 +42,13 @@ from .xsensor import is_xsensor, parse_xsensor
 SUFFIXES = {
     ".lst": "Novel emed text export",
     ".asf": "Tekscan ASCII movie export",
-    ".csv": "Tekscan ASCII movie or XSENSOR export, or numbers with one frame a line",
+    ".asc": "Novel pliance text export",
+    ".csv": "Tekscan ASCII movie, XSENSOR or bag export, or numbers with one frame a line",
     ".npy": "array (frames, rows, columns)",
     ".npz": "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted",
+    ".mat": "MATLAB variable 'forces', or the only one of three dimensions; n_rows, n_cols stated",
+    ".h5": "HDF5 dataset 'forces', or the only one of three dimensions (frames, rows, columns)",
+    ".hdf5": "as .h5",
 }
 """The file formats that can be read, by suffix."""
 MAX_FRAMES = 1 << 24
@@ -52,7 +63,8 @@ class RecordedSource:
     """The frames of a recording, in memory and checked; may be iterated any number of times.
 
     Its attributes are those of a `Source`; its name is that of the file without suffix, its skin
-    the patch after the crop.
+    the patch after the crop. `treated` counts the readings that were not valid, and were treated by
+    `policy`.
     """
 
     name: str
@@ -61,6 +73,8 @@ class RecordedSource:
     stamp_ns: Sequence[int]
     rate_hz: float | None = None
     delivers: Literal["truth", "taxels"] = "taxels"
+    policy: Policy = DEFAULT_POLICY
+    treated: Treated = field(default_factory=Treated)
     n_frames: int | None = field(init=False)
 
     def __post_init__(self) -> None:
@@ -84,6 +98,7 @@ def open_file(
     rate_hz: float | None = None,
     crop: Sequence[int] | None = None,
     delivers: Literal["truth", "taxels"] = "taxels",
+    policy: Policy = DEFAULT_POLICY,
 ) -> RecordedSource:
     """Open a recording; its format follows from the suffix, and for .csv from the content.
 
@@ -107,6 +122,9 @@ def open_file(
         frame that is kept.
     delivers : "truth" or "taxels"
         "truth" for noise-free frames, e.g. of a simulation.
+    policy : Policy
+        What to do with readings that are not finite or below 0, in arrays and plain .csv; refused
+        by default.
 
     Returns
     -------
@@ -132,7 +150,8 @@ def open_file(
     check_unit(name, unit)
     if delivers not in ("truth", "taxels"):
         raise SourceError(f"{name}: delivers = {shown(delivers)}; allowed are truth, taxels")
-    parsed = _parse(name, n_rows, n_cols)
+    policy.check(name)
+    parsed, treated = treat(_parse(name, n_rows, n_cols, policy), policy)
     n_frames, rows, cols = parsed.forces.shape
     if n_frames == 0:
         raise SourceError(f"{name}: the recording holds no frame")
@@ -166,10 +185,12 @@ def open_file(
         _stamps(parsed, n_frames, rate_hz, name),
         rate_hz=rate_hz if rate_hz is not None else parsed.rate_hz,
         delivers=delivers,
+        policy=policy,
+        treated=treated,
     )
 
 
-def _parse(name: str, n_rows: int | None, n_cols: int | None) -> Parsed:
+def _parse(name: str, n_rows: int | None, n_cols: int | None, policy: Policy) -> Parsed:
     suffix = Path(name).suffix.lower()
     if suffix not in SUFFIXES:
         raise SourceError(
@@ -179,8 +200,19 @@ def _parse(name: str, n_rows: int | None, n_cols: int | None) -> Parsed:
     if suffix == ".csv" and not is_tekscan(raw):
         if is_xsensor(raw):
             return parse_xsensor(raw, name)
-        return parse_plain_csv(raw, name, n_rows, n_cols)
-    parsers = {".lst": parse_emed, ".npy": parse_npy, ".npz": parse_npz}
+        if is_own_csv(raw):
+            return parse_own_csv(raw, name, policy)
+        return parse_plain_csv(raw, name, n_rows, n_cols, policy)
+    if suffix == ".mat":
+        return parse_mat(raw, name, n_rows, n_cols)
+    parsers = {
+        ".lst": parse_emed,
+        ".npy": parse_npy,
+        ".npz": parse_npz,
+        ".asc": parse_novel_asc,
+        ".h5": parse_hdf5,
+        ".hdf5": parse_hdf5,
+    }
     return parsers.get(suffix, parse_tekscan)(raw, name)
 
 

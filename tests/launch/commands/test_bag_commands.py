@@ -321,15 +321,20 @@ def test_rosbags_reads_the_same_numbers_from_a_ros2_export(bag: Bag) -> None:
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     images: dict[str, list[Any]] = {}
     scalars: dict[str, list[float]] = {}
+    states: dict[str, Any] = {}
     with rosbags.Reader(Path("a_ros2")) as reader:
         assert {connection.msgtype for connection in reader.connections} == {
             "sensor_msgs/msg/Image",
             "std_msgs/msg/Float32",
+            "std_msgs/msg/String",
         }
         for connection, _, raw in reader.messages():
             message = store.deserialize_cdr(raw, connection.msgtype)
             if connection.msgtype == "std_msgs/msg/Float32":
                 scalars.setdefault(connection.topic, []).append(message.data)
+                continue
+            if connection.msgtype == "std_msgs/msg/String":
+                states[connection.topic] = json.loads(message.data)
                 continue
             stamp = message.header.stamp
             array = message.data.view("<f4").reshape(message.height, message.width)
@@ -355,6 +360,9 @@ def test_rosbags_reads_the_same_numbers_from_a_ros2_export(bag: Bag) -> None:
     residuals = [np.float32(message.residual) for message in of_kind(messages, Reconstruction)]
     assert scalars["/skin/reconstruction/residual"] == residuals
     assert len(scalars) == 4
+    assert states.keys() == {"/skin/skin"}
+    mask = [[cell == "1" for cell in row] for row in states["/skin/skin"]["mask"]]
+    assert np.array_equal(mask, MASK)
 
 
 def test_a_ros2_export_holds_estimated_errors_where_there_are_some(bag: Bag) -> None:

@@ -459,8 +459,8 @@ class TestOpenFile:
             open_file(tmp_path / "folder.npz")
         with pytest.raises(SourceError, match=r"empty\.lst: the file is empty"):
             opened("empty.lst", "")
-        with pytest.raises(SourceError, match=r"'\.mat' is not known; allowed are \.lst, \.asf"):
-            opened("skin.mat", "x")
+        with pytest.raises(SourceError, match=r"'\.dat' is not known; allowed are \.lst, \.asf"):
+            opened("skin.dat", "x")
         with pytest.raises(SourceError, match=r"there is no such file|cannot be read"):
             open_file("nul\0.lst")
 

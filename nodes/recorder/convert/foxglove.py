@@ -1,0 +1,194 @@
+"""Export of a bag to an .mcap of Foxglove's schemas, for viewers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages import Measurements, Message, Reconstruction, SkinState
+from sparseskin.nodes.files import OutputError, whole_file
+from sparseskin.nodes.recorder.bag.format import GRAPH_RECORD, JSON_KEY, BagError
+from sparseskin.nodes.recorder.bag.frames import (
+    STATES,
+    patch_of,
+    skin_of,
+    state_json,
+    stream_topics,
+    streams,
+    with_states,
+)
+from sparseskin.nodes.recorder.bag.reader import BagReader
+
+from .figures import descriptor, encoded, figure_values, has_figures, schema_name
+
+INSTALL = "writing for Foxglove needs foxglove-sdk; pip install 'sparseskin[foxglove]'"
+UNKNOWN_CELL_M = 1.0
+"""Side of a cell of a grid where the pitch is not known, metres: places then count taxels."""
+FLOAT32_BYTES = 4
+
+
+def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
+    """Write one .mcap with the schemas of Foxglove; its path.
+
+    Of /PATCH/SCHEMA it has:
+
+    - the frames as foxglove.RawImage, 32FC1, on the same topic; measurements are 1 x M;
+    - taxels, truth and reconstruction as foxglove.Grid on /PATCH/SCHEMA/grid, field `force`, in
+      metres: x along a row, y along a column, from the middle of the skin, which is the origin of
+      the frame PATCH;
+    - the standard deviations as a RawImage on /PATCH/reconstruction/sd, and as field `sd` of that
+      grid;
+    - all numbers of the message, and the sum of the frame, as protobuf on /PATCH/SCHEMA/figures
+      (sparseskin.ReconstructionFigures ...);
+    - skin, Phi and solver as JSON on /PATCH/skin, /PATCH/phi, /PATCH/solver.
+
+    Stamps are those of the acquisition, log times those of the recording. The bag's metadata are
+    metadata of the file.
+
+    Raises BagError if foxglove-sdk is not installed or the bag has no such frames, OutputError if
+    the file exists or cannot be written.
+    """
+    try:
+        import foxglove
+    except ImportError as error:
+        raise BagError(INSTALL) from error
+    wanted = stream_topics(bag, topics)
+    if out.suffix != ".mcap":
+        raise OutputError(f"{out}: expected a name that ends in .mcap")
+    skins = {patch: skin_of(bag, patch) for patch in {patch_of(topic) for topic in wanted}}
+    with whole_file(out) as draft:
+        context = foxglove.Context()
+        try:
+            writer = foxglove.open_mcap(draft, context=context)
+        except (OSError, ValueError, RuntimeError) as error:
+            raise OutputError(f"{out}: {error}") from error
+        with writer:
+            for name, record in ((GRAPH_RECORD, bag.metadata), ("counts", _counts(bag))):
+                if record:
+                    writer.write_metadata(name, record)
+            channels = _Channels(context)
+            for message, log_time_ns in streams(bag, with_states(bag, wanted), "export"):
+                for topic, schema, content in _messages(message, skins[message.patch]):
+                    channels.log(topic, schema, content, log_time_ns)
+    return [out]
+
+
+def _counts(bag: BagReader) -> dict[str, str]:
+    return {} if bag.counts is None else {JSON_KEY: json.dumps(bag.counts)}
+
+
+class _Channels:
+    """Channels by topic, each made when it is first used."""
+
+    def __init__(self, context: Any) -> None:
+        self._context = context
+        self._channels: dict[str, Any] = {}
+
+    def log(self, topic: str, schema: Any, content: Any, log_time_ns: int) -> None:
+        if topic not in self._channels:
+            self._channels[topic] = self._made(topic, schema)
+        self._channels[topic].log(content, log_time=log_time_ns)
+
+    def _made(self, topic: str, schema: Any) -> Any:
+        import foxglove
+        from foxglove import channels
+
+        if schema in ("RawImage", "Grid"):
+            return getattr(channels, f"{schema}Channel")(topic, context=self._context)
+        if schema == "json":
+            return foxglove.Channel(topic, message_encoding="json", context=self._context)
+        described = foxglove.Schema(
+            name=schema_name(schema), encoding="protobuf", data=descriptor(schema)
+        )
+        return foxglove.Channel(
+            topic, message_encoding="protobuf", schema=described, context=self._context
+        )
+
+
+def _messages(message: Message, skin: SkinState | None) -> Iterable[tuple[str, Any, Any]]:
+    """Topic, schema and content of all that is written of one message."""
+    topic, cls = message.topic, type(message)
+    if isinstance(message, STATES):
+        yield topic, "json", state_json(message)
+        return
+    if isinstance(message, Measurements):
+        yield topic, "RawImage", raw_image(message, np.atleast_2d(np.asarray(message.y)))
+    elif (forces := getattr(message, "forces", None)) is not None:
+        yield topic, "RawImage", raw_image(message, forces)
+        layers = {"force": forces}
+        if isinstance(message, Reconstruction) and message.sd is not None:
+            yield f"{topic}/sd", "RawImage", raw_image(message, message.sd)
+            layers["sd"] = message.sd
+        yield f"{topic}/grid", "Grid", grid(message, layers, skin)
+    if has_figures(cls):
+        yield f"{topic}/figures", cls, encoded(cls, figure_values(message))
+
+
+def raw_image(message: Message, array: npt.NDArray[np.float32]) -> Any:
+    """foxglove.RawImage of a frame, float32 (n_rows, n_cols)."""
+    from foxglove.messages import RawImage
+
+    return RawImage(
+        timestamp=_timestamp(message.stamp_ns),
+        frame_id=message.patch,
+        width=array.shape[1],
+        height=array.shape[0],
+        encoding="32FC1",
+        step=FLOAT32_BYTES * array.shape[1],
+        data=array.astype("<f4").tobytes(),
+    )
+
+
+def grid(
+    message: Message, layers: dict[str, npt.NDArray[np.float32]], skin: SkinState | None
+) -> Any:
+    """foxglove.Grid of the layers of a frame, each float32 (n_rows, n_cols)."""
+    from foxglove.messages import (
+        Grid,
+        PackedElementField,
+        PackedElementFieldNumericType,
+        Pose,
+        Quaternion,
+        Vector2,
+        Vector3,
+    )
+
+    n_rows, n_cols = next(iter(layers.values())).shape
+    side = (skin.pitch_m if skin is not None else None) or UNKNOWN_CELL_M
+    data = np.stack([layer.astype("<f4") for layer in layers.values()], axis=-1)
+    return Grid(
+        timestamp=_timestamp(message.stamp_ns),
+        frame_id=message.patch,
+        pose=Pose(
+            position=Vector3(x=-n_cols * side / 2, y=-n_rows * side / 2, z=0.0),
+            orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
+        ),
+        column_count=n_cols,
+        cell_size=Vector2(x=side, y=side),
+        row_stride=FLOAT32_BYTES * len(layers) * n_cols,
+        cell_stride=FLOAT32_BYTES * len(layers),
+        fields=[
+            PackedElementField(
+                name=name, offset=FLOAT32_BYTES * k, type=PackedElementFieldNumericType.Float32
+            )
+            for k, name in enumerate(layers)
+        ],
+        data=data.tobytes(),
+    )
+
+
+def _timestamp(stamp_ns: int) -> Any:
+    from foxglove.messages import Timestamp
+
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    try:
+        return Timestamp(sec=seconds, nsec=nanoseconds)
+    except (ValueError, OverflowError) as error:
+        raise BagError(
+            f"stamp {stamp_ns} is beyond what Foxglove can hold, 2**32 seconds"
+        ) from error

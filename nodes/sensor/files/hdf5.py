@@ -1,0 +1,128 @@
+"""HDF5: one dataset of frames, read by h5py (the extra `files`)."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+
+from .arrays import NPZ_NAMES, forces_name, parsed_arrays
+from .parsed import Parsed, shown
+
+INSTALL = 'reading HDF5 needs h5py; pip install "sparseskin[files]"'
+_MOST_OBJECTS = 1000
+"""Groups and datasets that are looked at; chosen, far above those of a recording."""
+_MOST_DEPTH = 8
+_FILTERS = {"gzip", "lzf", "szip", None}
+_MATLAB_CLASS = "MATLAB_class"
+
+
+def parse_hdf5(raw: bytes, name: str) -> Parsed:
+    """Read a dataset `forces`, in any group, or the only one of numbers with three dimensions:
+    (frames, rows, columns).
+
+    `stamp_ns`, `rate_hz`, `mask`, `f_max`, `unit` and `pitch_m` are those beside it, or attributes
+    of it, as in an .npz. Links to other files and virtual datasets are not followed.
+
+    Raises
+    ------
+    SourceError
+        If h5py is not installed, the bytes are no HDF5, do not hold one such dataset, or an array
+        is larger than allowed or not as in an .npz.
+    """
+    arrays, _ = hdf5_arrays(raw, name)
+    return parsed_arrays(arrays, name)
+
+
+def hdf5_arrays(raw: bytes, name: str) -> tuple[dict[str, npt.NDArray[Any]], bool]:
+    """The dataset of frames, and those that describe it; True if MATLAB wrote them, whose
+    dimensions stand in reverse order.
+    """
+    most = max(MAX_GROWN_BYTES, MAX_GROWTH * len(raw))
+    with _opened(raw, name) as (file, h5py):
+        forces = _forces(file, h5py, name)
+        held: dict[str, Any] = {"forces": forces}
+        for key in NPZ_NAMES[1:]:
+            beside = forces.parent.get(key, getlink=True)
+            if isinstance(beside, h5py.HardLink) and isinstance(forces.parent[key], h5py.Dataset):
+                held[key] = forces.parent[key]
+        size = sum(one.size * one.dtype.itemsize for one in held.values())
+        if size > most:
+            raise SourceError(f"{name}: its datasets have {size} bytes; at most {most} are allowed")
+        arrays = {key: _read(one, h5py, name) for key, one in held.items()}
+        for key in NPZ_NAMES[1:]:
+            if key not in arrays and key in forces.attrs:
+                arrays[key] = _text_or_number(forces.attrs[key])
+        return arrays, _MATLAB_CLASS in forces.attrs
+
+
+def hdf5_shape(raw: bytes, name: str) -> tuple[tuple[int, ...], bool]:
+    """Shape of the dataset of frames, and True where a mask stands beside it."""
+    with _opened(raw, name) as (file, h5py):
+        forces = _forces(file, h5py, name)
+        return forces.shape, "mask" in forces.parent or "mask" in forces.attrs
+
+
+@contextmanager
+def _opened(raw: bytes, name: str) -> Iterator[Any]:
+    try:
+        import h5py
+    except ImportError as error:
+        raise SourceError(f"{name}: {INSTALL}") from error
+    try:
+        with h5py.File(io.BytesIO(raw), "r") as file:
+            yield file, h5py
+    except SourceError:
+        raise
+    except Exception as error:  # HDF5 has one of many kinds for each fault of a file
+        raise SourceError(f"{name}: not a readable HDF5 file ({shown(error, 80)})") from error
+
+
+def _forces(file: Any, h5py: Any, name: str) -> Any:
+    """The dataset of frames."""
+    found: dict[str, Any] = {}
+    waiting, n_seen = [(file, "", 0)], 0
+    while waiting:
+        group, path, depth = waiting.pop()
+        for key in group:
+            n_seen += 1
+            if n_seen > _MOST_OBJECTS:
+                raise SourceError(f"{name}: holds more than {_MOST_OBJECTS} objects")
+            if not isinstance(group.get(key, getlink=True), h5py.HardLink):
+                continue
+            one = group[key]
+            if isinstance(one, h5py.Group) and depth < _MOST_DEPTH and not key.startswith("#"):
+                waiting.append((one, f"{path}/{key}", depth + 1))
+            elif isinstance(one, h5py.Dataset) and one.dtype.kind in "iufb":
+                found[f"{path}/{key}"] = one
+    named = [path for path in found if path.endswith("/forces")]
+    if len(named) == 1:
+        return found[named[0]]
+    key = forces_name({path: one.ndim for path, one in found.items()}, name)
+    return found[key]
+
+
+def _read(dataset: Any, h5py: Any, name: str) -> npt.NDArray[Any]:
+    where = f"{name}, dataset {shown(dataset.name)}"
+    if dataset.is_virtual or dataset.external:
+        raise SourceError(f"{where}: its numbers are in other files")
+    if dataset.compression not in _FILTERS:
+        raise SourceError(f"{where}: compression {shown(dataset.compression)} is not read")
+    if dataset.attrs.get(_MATLAB_CLASS) == b"char":
+        return np.array("".join(map(chr, dataset[()].ravel())))
+    if h5py.check_string_dtype(dataset.dtype) is not None:
+        return _text_or_number(dataset[()])
+    return np.asarray(dataset[()])
+
+
+def _text_or_number(value: Any) -> npt.NDArray[Any]:
+    if isinstance(value, bytes):
+        return np.array(value.decode("utf-8", "replace"))
+    return np.asarray(value)

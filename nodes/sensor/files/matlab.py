@@ -1,0 +1,164 @@
+"""MATLAB's .mat: version 5 to 7.2 by SciPy, version 7.3, which is HDF5, by h5py."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+
+from .arrays import NPZ_NAMES, forces_name, parsed_arrays
+from .hdf5 import hdf5_arrays, hdf5_shape
+from .parsed import Parsed, shown
+
+_NUMERIC = (
+    "double",
+    "single",
+    "logical",
+    *(f"{u}int{b}" for u in ("", "u") for b in (8, 16, 32, 64)),
+)
+_COMPRESSED = 15
+_HEAD_BYTES = 128
+_PIECE = 1 << 20
+NO_ORDER = (
+    ": a .mat does not state which of its dimensions are rows and columns; set n_rows and n_cols"
+)
+
+
+def parse_mat(raw: bytes, name: str, n_rows: int | None, n_cols: int | None) -> Parsed:
+    """Read a variable `forces`, or the only numeric one with three dimensions: rows, columns and
+    frames, or frames, rows and columns, as `n_rows` and `n_cols` decide; one frame has two.
+
+    The other variables are read as those of an .npz.
+
+    Raises
+    ------
+    SourceError
+        If the bytes are no .mat file, hold more than is allowed, do not state one such variable,
+        its order of dimensions is not decided, or a variable is not as in an .npz.
+    """
+    if is_hdf5(raw):
+        arrays, transposed = hdf5_arrays(raw, name)
+        arrays = {key: array.T for key, array in arrays.items()} if transposed else arrays
+    else:
+        arrays = _version_5(raw, name)
+    arrays = {key: _plain(key, array) for key, array in arrays.items()}
+    key = forces_name({key: array.ndim for key, array in arrays.items()}, name)
+    arrays[key] = np.moveaxis(*_ordered(arrays[key], n_rows, n_cols, name))
+    return parsed_arrays(arrays, name)
+
+
+def mat_shape(
+    file: IO[bytes], name: str, n_rows: int | None, n_cols: int | None
+) -> tuple[int, ...]:
+    """Shape of the frames as above, from the headers of the variables; () where a mask decides
+    which cells are taxels.
+    """
+    head = file.read(_HEAD_BYTES)
+    file.seek(0)
+    if is_hdf5(head):
+        shape, masked = hdf5_shape(file.read(), name)
+        shape = shape[::-1]
+    else:
+        held = _variables(file, head, name)
+        dimensions = {key: len(shape) for key, shape in held.items() if key not in NPZ_NAMES[1:]}
+        shape, masked = held[forces_name(dimensions, name)], "mask" in held
+    empty = np.broadcast_to(np.int8(0), shape)  # a view: no memory
+    ordered = np.moveaxis(*_ordered(empty, n_rows, n_cols, name))
+    return () if masked else ordered.shape
+
+
+def is_hdf5(raw: bytes) -> bool:
+    """True if the bytes begin as HDF5 does, or a .mat of version 7.3."""
+    return raw.startswith((b"\x89HDF", b"MATLAB 7.3"))
+
+
+def _version_5(raw: bytes, name: str) -> dict[str, npt.NDArray[Any]]:
+    _check_growth(raw, name)
+    held = _variables(io.BytesIO(raw), raw, name)
+    wanted = [key for key in held if "forces" not in held or key in NPZ_NAMES]
+    from scipy.io import loadmat
+
+    try:
+        found = loadmat(io.BytesIO(raw), variable_names=wanted)
+    except Exception as error:  # SciPy and zlib raise many kinds
+        raise SourceError(f"{name}: not a readable .mat file ({shown(error, 80)})") from error
+    return {key: found[key] for key in wanted if isinstance(found.get(key), np.ndarray)}
+
+
+def _variables(file: IO[bytes], head: bytes, name: str) -> dict[str, tuple[int, ...]]:
+    """Shapes of the variables that may be read: those of numbers, and the text `unit`."""
+    if not head.startswith(b"MATLAB 5.0") or len(head) < _HEAD_BYTES:
+        raise SourceError(f"{name}: not a .mat file of MATLAB 5 or later")
+    from scipy.io import whosmat
+
+    try:
+        held = whosmat(file)
+    except Exception as error:
+        raise SourceError(f"{name}: not a readable .mat file ({shown(error, 80)})") from error
+    return {
+        str(key): tuple(int(side) for side in shape)
+        for key, shape, kind in held
+        if kind in _NUMERIC or (key, kind) == ("unit", "char")
+    }
+
+
+def _check_growth(raw: bytes, name: str) -> None:
+    """Refuse compressed variables that would fill the memory: zeros shrink to a thousandth."""
+    order = ">" if raw[126:128] == b"MI" else "<"
+    most = max(MAX_GROWN_BYTES, MAX_GROWTH * len(raw))
+    at, total = _HEAD_BYTES, 0
+    while at + 8 <= len(raw):
+        kind, size = struct.unpack_from(f"{order}II", raw, at)
+        if kind == _COMPRESSED:
+            plain, rest = zlib.decompressobj(), memoryview(raw)[at + 8 : at + 8 + size]
+            try:
+                piece = plain.decompress(rest, _PIECE)
+                while piece and total <= most:
+                    total += len(piece)
+                    piece = plain.decompress(plain.unconsumed_tail, _PIECE)
+            except zlib.error as error:
+                raise SourceError(f"{name}: not a readable .mat file ({error})") from error
+        if total > most:
+            raise SourceError(f"{name}: its variables are larger than {most} bytes")
+        at += 8 + size
+
+
+def _plain(key: str, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """A variable as NumPy would hold it: MATLAB has no array of less than two dimensions, and
+    numbers are floating point by default.
+    """
+    if key in ("rate_hz", "f_max", "pitch_m", "unit") and array.size == 1:
+        return array.reshape(())
+    if key == "stamp_ns":
+        flat = array.reshape(-1)
+        whole = flat.dtype.kind == "f" and bool(np.all(np.abs(flat) < 2.0**53))
+        return flat.astype(np.int64) if whole and np.array_equal(flat, np.rint(flat)) else flat
+    if key == "mask" and array.dtype.kind == "f" and np.isin(array, (0, 1)).all():
+        return array.astype(np.bool_)
+    return array
+
+
+def _ordered(
+    array: npt.NDArray[Any], n_rows: int | None, n_cols: int | None, name: str
+) -> tuple[npt.NDArray[Any], int, int]:
+    """An array of three dimensions, and the place its frames have and are to have."""
+    if array.ndim == 2:
+        array = array[:, :, None]
+    if array.ndim != 3 or (n_rows is None and n_cols is None):
+        raise SourceError(f"{name}{NO_ORDER} (it holds {' x '.join(map(str, array.shape))})")
+    for sides, source in ((array.shape[:2], 2), (array.shape[1:], 0)):
+        if all(
+            stated in (None, side) for stated, side in zip((n_rows, n_cols), sides, strict=True)
+        ):
+            return array, source, 0
+    sizes = " x ".join(map(str, array.shape))
+    raise SourceError(
+        f"{name}: holds {sizes}, which is not n_rows = {n_rows}, n_cols = {n_cols} and frames"
+    )
