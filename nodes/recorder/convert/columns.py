@@ -190,10 +190,8 @@ def rebuilt(
                 values[name] = _value(kind, name, held, ends, k)
             elif getattr(kind, "optional", False):
                 values[name] = None
-        if isinstance(kind := fields_of(schema).get("y"), Samples) and BITS in held:
-            bits = int(held[BITS][k])
-            if bits:
-                values["y"] = _quantised(values["y"], bits, float(held[STEP][k]))
+        if "y" in values and BITS in held and (bits := int(held[BITS][k])):
+            values["y"] = _quantised(values["y"], bits, float(held[STEP][k]))
         if "mask" in values and values["mask"] is not None:
             grid = (int(values.get("n_rows", 0)), int(values.get("n_cols", 0)))
             if math.prod(grid) != values["mask"].size:

@@ -117,8 +117,8 @@ def _of_text(
     """
     head = file.read(HEAD_BYTES)
     if suffix == ".asc":  # its grid stands at the end of the file
-        rows, cols, masked = novel_asc_shape(head + file.read(), path)
-        return (rows, cols), masked
+        rows, cols, n_exist = novel_asc_shape(head + file.read(), path)
+        return (rows, cols), n_exist
     if suffix == ".lst":
         shape = emed_shape(head, path)
         if shape is None and len(head) < HEAD_BYTES:
@@ -135,8 +135,8 @@ def _of_text(
         return ((), None) if masked is None else ((rows, cols), masked)
     if is_own_csv(head):
         begin = head + file.read(FRAME_BYTES - len(head))
-        rows, cols, n_exist = own_csv_shape(begin, path)
-        return (rows, cols), n_exist
+        n_rows, n_cols, masked = own_csv_shape(begin, path)
+        return (n_rows, n_cols), masked
     lines = text_lines(head + file.readline(FRAME_BYTES))  # the last line of the head may be cut
     first = next((k for k, line in enumerate(lines) if _holds_frame(line)), len(lines))
     line = "\n".join(lines[: first + 1]).encode("latin-1")

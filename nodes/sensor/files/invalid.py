@@ -100,7 +100,8 @@ def treat(parsed: Parsed, policy: Policy) -> tuple[Parsed, Treated]:
 
 
 def _not_finite(values: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
-    return ~np.isfinite(values)
+    bad: npt.NDArray[np.bool_] = ~np.isfinite(values)
+    return bad
 
 
 def _below_zero(values: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
