@@ -24,9 +24,9 @@ ENVIRONMENT = "SPARSESKIN_FAST"
 SOLVERS = ("skin", "fista")
 """Solvers that have compiled loops."""
 MAX_PLACES = 2**16
-"""Their tables hold places in 16 bits, half the room in the cache; larger skins use numpy."""
+"""Cells up to which tables hold places in 16 bits, half the room in the cache."""
 
-COMPILING = "compiled loops: compiling, once on this machine; some 10 s"
+COMPILING = "compiled loops: compiling, once on this machine; some 20 s"
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

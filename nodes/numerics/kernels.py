@@ -24,9 +24,13 @@ A: TypeAlias = Any
 
 _ROOT_2 = np.sqrt(2.0)
 
-# Types of signatures: vector, matrix, places in 32 and in 16 bits, groups, grid.
+# Types of signatures: vector, matrix, places in 32 and in 16 bits and tables of them, groups, grid,
+# numbers.
 V, M, P, S = "float32[::1]", "float32[:,::1]", "uint32[::1]", "uint16[::1]"
-G, L = "int64[:,::1]", "int64[::1]"
+P2, S2 = "uint32[:,::1]", "uint16[:,::1]"
+G, L, D = "int64[:,::1]", "int64[::1]", "float64[::1]"
+#: A vector that may be read-only.
+R = "Array(float32, 1, 'C', True)"
 
 
 @compiled()
@@ -148,8 +152,7 @@ def dot(a: A, b: A) -> Any:
     return total
 
 
-@compiled(f"void({V}, {V}, {V}, {V}, {V}, {V}, {V}, {S}, {V}, {V}, {G}, {L}, {V})")
-def fista(
+def _fista(
     theta: A, before: A, betas: A, weights2: A, threshold: A, z: A, v: A, deal: A, keep: A,
     measured: A, groups: A, grid: A, scratch: A,
 ) -> None:  # fmt: skip
@@ -175,6 +178,12 @@ def fista(
             u = weights2[k] * z[k]
             before[k] = u - min(max(u, -threshold[k]), threshold[k])
         theta, before = before, theta
+
+
+fista, fista_large = (
+    compiled(f"void({V}, {V}, {V}, {V}, {V}, {V}, {V}, {T}, {V}, {V}, {G}, {L}, {V})")(_fista)
+    for T in (S, P)
+)
 
 
 @compiled()
@@ -205,41 +214,6 @@ def shrink(v: A, lambda2: A) -> None:
     double(v, 3)
 
 
-@compiled(
-    f"void({V}, {V}, {V}, {V}, {V}, {S}, {S}, {V}, {V}, {V}, {G}, float64, float64, "
-    f"float64, boolean)"
-)
-def skin_step(
-    x: A, z: A, r: A, target: A, total: A, to_canvas: A, from_canvas: A, canvas: A, u: A,
-    measured: A, groups: A, threshold: float, least: float, momentum: float, summed: bool,
-) -> None:  # fmt: skip
-    """One iteration of the solver `skin`: r, x, z, and the total if `summed`."""
-    n = x.size
-    for p in range(n):
-        u[p] = z[p]
-    hadamard(u[:n], groups)
-    for p in range(n):
-        r[p] = target[p] - measured[p] * u[p]
-        u[p] = measured[p] * r[p]
-    power = dot(r, r)
-    hadamard(u[:n], groups)
-    for p in range(n):
-        u[p] = u[p] + z[p]
-    limit = max(threshold * np.sqrt(np.float64(power)), least)
-    lambda2 = np.float32(limit * limit + 1e-30)
-    for k in range(canvas.size):
-        canvas[k] = u[to_canvas[k]]
-    shrink(canvas, lambda2)
-    beta = np.float32(momentum)
-    for p in range(n):
-        after = max(canvas[from_canvas[p]], np.float32(0))
-        z[p] = after + beta * (after - x[p])
-        x[p] = after
-    if summed:
-        for p in range(n):
-            total[p] += x[p]
-
-
 @compiled(f"void({M}, {V}, {G}, {M})")
 def dealt_forward(x: A, measured: A, groups: A, rows: A) -> None:
     """rows = measured * W x of k dealt vectors."""
@@ -260,51 +234,87 @@ def dealt_adjoint(rows: A, measured: A, groups: A, x: A) -> None:
     hadamard(x, groups)
 
 
-@compiled(f"float64({V}, boolean, {V}, {V}, {V}, {G}, {V}, {M}, {V})")
-def stay(
-    x: A, known: bool, y: A, read: A, scale: A, groups: A, whole: A, rows: A, innovation: A
-) -> float:
-    """whole = W x unless known, rows[0] = Phi x, innovation = y - Phi x; return its square."""
-    row = rows[0]
-    if not known:
-        for k in range(x.size):
-            whole[k] = x[k]
-        hadamard(whole, groups)
-        for k in range(x.size):
-            whole[k] *= scale[k]
-    for k in range(x.size):
-        row[k] = read[k] * whole[k]
-        innovation[k] = y[k] - row[k]
-    return np.float64(dot(innovation, innovation))
+# Rows of the work of a frame of the solver `skin`, float32, each followed by zeros.
+X, U, Z, RESIDUAL, TARGET, TOTAL, Y, INNOVATION, CORRECTION, WHOLE, FITTED = range(11)
+KNOWN, VALUES, WEIGHTS, MOVED, MOVED_INNOVATION = range(11, 16)
+ROW_X, ROW_DOWN, ROW_RIGHT, DOWN, RIGHT = range(16, 21)
+N_WORK = 21
+# Rows of the table of a row subset: 1 / sqrt(B) where measured; 1 where measured; 1 unless held
+# out; Phi 1; 1 / sqrt(B).
+MEASURED, READ, KEPT, ONES, SCALE = range(5)
+# Constants of the prediction, as in `SkinTuning`: those times M, or a third of the freedom left.
+STILL, SIGNIFICANT, FREEDOM, FAILED_PART, FAILED_NOISE = range(5)
 
 
-@compiled(
-    f"float64({V}, {V}, {V}, float64, float64, float64, float64, uint32[:,::1], uint32[:,::1], "
-    f"{M}, {M}, {V}, {G}, {V}, {V})"
-)
+@compiled(sums_in_any_order=True)
+def change(y: A, last: A, step: A) -> Any:
+    """Squares of y - last and of its change; step becomes y - last, last becomes y."""
+    first, second = np.float32(0), np.float32(0)
+    for i in range(y.size):
+        now = y[i] - last[i]
+        again = now - step[i]
+        first += now * now
+        second += again * again
+        step[i] = now
+        last[i] = y[i]
+    return np.float64(first), np.float64(second)
+
+
+@compiled(sums_in_any_order=True)
+def innovate(rows: A, ones: A, bias: A, read: A, whole: A, innovation: A) -> Any:
+    """Subtract the bias from rows; innovation = rows - Phi x. Return the squares of both."""
+    y2, e2 = np.float32(0), np.float32(0)
+    for p in range(rows.size):
+        y = rows[p] - bias * ones[p]
+        e = y - read[p] * whole[p]
+        rows[p], innovation[p] = y, e
+        y2 += y * y
+        e2 += e * e
+    return np.float64(y2), np.float64(e2)
+
+
+@compiled(sums_in_any_order=True)
+def align(innovation: A, correction: A, read: A) -> Any:
+    """Product of the innovation with the rows of the correction, and the square of those."""
+    along, square = np.float32(0), np.float32(0)
+    for p in range(read.size):
+        c = correction[p] * read[p]
+        along += innovation[p] * c
+        square += c * c
+    return np.float64(along), np.float64(square)
+
+
+@compiled()
 def move(
-    x: A, y: A, innovation: A, e2: float, most: float, least_gain: float, freedom: float,
-    after: A, before: A, terms: A, rows: A, measured: A, groups: A, moved: A, moved_innovation: A,
-) -> float:  # fmt: skip
+    work: A, table: A, groups: A, around: A, limits: A, e2: float, most: float, s2: float
+) -> float:
     """Add to x the combination of x and its two slopes that fits the innovation best, in place.
 
     Return the squared innovation after it. Nothing is added unless it falls from e2 below most, by
-    more than least_gain, and by more than what remains over freedom.
-    after and before: places of the next and the last neighbour by row and column.
+    a significant number of noise variances s2, and by more than what remains.
+    around: places of the next neighbour by row and by column, and of the last ones.
     """
-    for axis in range(2):
-        ahead, behind = after[axis], before[axis]
-        slope, row = terms[axis + 1], rows[axis + 1]
-        for k in range(x.size):
-            slope[k] = x[ahead[k]] - x[behind[k]]
-            row[k] = slope[k]
-        hadamard(row, groups)
-        for k in range(x.size):
-            row[k] *= measured[k]
-    n = x.size
-    xx, xr, xc = dot(rows[0], rows[0]), dot(rows[1], rows[0]), dot(rows[2], rows[0])
-    rr, rc, cc = dot(rows[1], rows[1]), dot(rows[2], rows[1]), dot(rows[2], rows[2])
-    bx, br, bc = dot(rows[0], innovation), dot(rows[1], innovation), dot(rows[2], innovation)
+    measured, read = table[MEASURED], table[READ]
+    n = read.size
+    x, y, innovation, whole = work[X, :n], work[Y, :n], work[INNOVATION, :n], work[WHOLE, :n]
+    row_x, row_d, row_r = work[ROW_X, :n], work[ROW_DOWN, :n], work[ROW_RIGHT, :n]
+    down, right = work[DOWN, :n], work[RIGHT, :n]
+    below, beside, above, before = around[0], around[1], around[2], around[3]
+    for k in range(n):
+        down[k] = x[below[k]] - x[above[k]]
+    for k in range(n):
+        right[k] = x[beside[k]] - x[before[k]]
+    row_d[:] = down
+    row_r[:] = right
+    hadamard(row_d, groups)
+    hadamard(row_r, groups)
+    for k in range(n):
+        row_d[k] *= measured[k]
+        row_r[k] *= measured[k]
+        row_x[k] = read[k] * whole[k]
+    xx, xr, xc = dot(row_x, row_x), dot(row_d, row_x), dot(row_r, row_x)
+    rr, rc, cc = dot(row_d, row_d), dot(row_r, row_d), dot(row_r, row_r)
+    bx, br, bc = dot(row_x, innovation), dot(row_d, innovation), dot(row_r, innovation)
     largest = max(xx, max(rr, cc))
     if not (largest > 0 and np.isfinite(largest)):
         return e2
@@ -319,15 +329,19 @@ def move(
     by_row = (m01 * bx + m11 * br + m12 * bc) / determinant
     by_col = (m02 * bx + m12 * br + m22 * bc) / determinant
     explained = by_x * bx + by_row * br + by_col * bc
-    if not (explained > least_gain and explained * freedom > max(0.0, e2 - explained)):
+    if not (
+        explained > limits[SIGNIFICANT] * s2
+        and explained * limits[FREEDOM] > max(0.0, e2 - explained)
+    ):
         return e2
     top = np.float32(0)
     for k in range(n):
         top = max(top, x[k])
     top = np.float32(top * max(1.0, 1 + by_x))
     a, b, c = np.float32(by_x), np.float32(by_row), np.float32(by_col)
+    moved, moved_innovation = work[MOVED, :n], work[MOVED_INNOVATION, :n]
     for k in range(n):
-        there = x[k] + (a * x[k] + b * terms[1, k] + c * terms[2, k])
+        there = x[k] + (a * x[k] + b * down[k] + c * right[k])
         moved[k] = min(max(there, np.float32(0)), top)
         moved_innovation[k] = moved[k]
     hadamard(moved_innovation, groups)
@@ -336,47 +350,198 @@ def move(
     moved_e2 = np.float64(dot(moved_innovation, moved_innovation))
     if not moved_e2 < most:
         return e2
-    for k in range(n):
-        x[k] = moved[k]
-        innovation[k] = moved_innovation[k]
+    x[:] = moved
+    innovation[:] = moved_innovation
     return moved_e2
 
 
-@compiled(f"float64({V}, boolean, {V}, {V}, {V}, {G}, {V}, {V}, {V})")
-def compare_rows(
-    x: A, moved: bool, y: A, read: A, scale: A, groups: A, whole: A, values: A, rows: A
-) -> float:
-    """Add W x - whole to values, then replace those that y measures; return that change squared."""
+@compiled()
+def follow_prediction(work: A, table: A, groups: A, moved: bool) -> float:
+    """Move the known rows along, replace those of y; return the square of that change."""
+    read, scale = table[READ], table[SCALE]
+    n = read.size
+    y, rows, whole, values = work[Y, :n], work[ROW_X, :n], work[WHOLE, :n], work[VALUES, :n]
     if moved:
-        for k in range(x.size):
-            rows[k] = x[k]
+        rows[:] = work[X, :n]
         hadamard(rows, groups)
-        for k in range(x.size):
+        for k in range(n):
             row = scale[k] * rows[k]
             values[k] += row - whole[k]
             whole[k] = row
-    for k in range(y.size):
+    for k in range(n):
         rows[k] = read[k] * (y[k] - values[k])
         values[k] += rows[k]
     return np.float64(dot(rows, rows))
 
 
-@compiled(f"void(float64, float64, {V}, {V}, {V}, {V}, {V}, {V}, {V})")
-def follow_rows(
-    weight: float, counted: float, read: A, known: A, values: A, whole: A, scale: A, weights: A,
-    target: A,
-) -> None:  # fmt: skip
-    """Set the weights of all rows, times their scale, and the target by those weights."""
-    k, w = np.float32(weight), np.float32(counted)
+@compiled(
+    f"UniTuple(float64, 9)({M}, {M}, {R}, {M}, {L}, {G}, {P2}, {D}, float64, float64, "
+    "float64, boolean, boolean, boolean)"
+)
+def skin_read(
+    work: A, table: A, y: A, past: A, places: A, groups: A, around: A, limits: A, most2: float,
+    bias: float, s2: float, begun: bool, known: bool, remembers: bool,
+) -> Any:  # fmt: skip
+    """Begin a frame: rows of y without the bias, their change since `past`, prediction, innovation.
+
+    Return the square of y; of its change and of the change of that, inf without a past; of the
+    innovation; its product with the last correction, the square of that; the square of the change
+    of known rows; 1 if the prediction moved, and if it failed. If the square of y is not below
+    most2, nothing else is done.
+    """
+    power = np.float64(dot(y, y))
+    changed2, second2, change2, moved, failed = np.inf, np.inf, 0.0, False, False
+    if not power < most2:
+        return power, changed2, second2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    read = table[READ]
+    n = read.size
+    x, rows, innovation, whole = work[X, :n], work[Y, :n], work[INNOVATION, :n], work[WHOLE, :n]
+    last, step = past[0], past[1]
+    if begun:
+        changed2, second2 = change(y, last, step)
+    else:
+        last[:] = y
+    rows[:] = 0
+    for i in range(y.size):
+        rows[places[i]] = y[i]
+    seen = dot(x, x) > 0
+    if not seen:
+        whole[:] = 0
+    elif not known:
+        whole[:] = x
+        hadamard(whole, groups)
+        for k in range(n):
+            whole[k] *= table[SCALE, k]
+    y2, e2 = innovate(rows, table[ONES], np.float32(bias), read, whole, innovation)
+    if seen:
+        if e2 > limits[STILL] * s2:
+            still_e2 = e2
+            e2 = move(work, table, groups, around, limits, e2, min(e2, changed2), s2)
+            moved = e2 < still_e2
+        least = min(e2, changed2)
+        failed = least > limits[FAILED_PART] * y2 and least > limits[FAILED_NOISE] * s2
+        if failed:
+            moved = True
+            e2 = y2
+            x[:] = 0
+            innovation[:] = rows
+    along, correction2 = align(innovation, work[CORRECTION, :n], read)
+    if remembers:
+        if failed:
+            work[KNOWN, :n] = 0
+            work[VALUES, :n] = 0
+        change2 = follow_prediction(work, table, groups, moved)
+    elif moved:
+        for k in range(n):
+            whole[k] = rows[k] - innovation[k]
+    return (
+        power, changed2, second2, e2, along, correction2, change2, np.float64(moved),
+        np.float64(failed),
+    )  # fmt: skip
+
+
+@compiled(f"void({M}, {M}, float64, float64, boolean)")
+def skin_aim(work: A, table: A, gain: float, counted: float, remembers: bool) -> None:
+    """Set z to x, target and weights of rows; earlier ones have the weight `counted`, if any."""
+    measured, read, kept, scale = table[MEASURED], table[READ], table[KEPT], table[SCALE]
+    n = read.size
+    target, weights = work[TARGET, :n], work[WEIGHTS, :n]
+    work[Z, :n] = work[X, :n]
+    work[TOTAL, :n] = 0
+    if not remembers:
+        y, innovation = work[Y, :n], work[INNOVATION, :n]
+        rest = np.float32(1 - gain)
+        for i in range(n):
+            weights[i] = measured[i] * kept[i]
+            target[i] = (y[i] - innovation[i] * rest) * kept[i]
+        return
+    known, values, whole = work[KNOWN, :n], work[VALUES, :n], work[WHOLE, :n]
+    k, w = np.float32(gain), np.float32(counted)
     rest = np.float32(1) - w
-    for i in range(read.size):
+    for i in range(n):
         known[i] = max(known[i], read[i])
-        counts = known[i] * w + read[i] * rest
+        counts = (known[i] * w + read[i] * rest) * kept[i]
         weights[i] = counts * scale[i]
         target[i] = ((values[i] - whole[i]) * k + whole[i]) * counts
 
 
-@compiled(f"void({V}, {P}, float64, {V})")
+@compiled(sums_in_any_order=True)
+def residual(target: A, weights: A, u: A, r: A) -> Any:
+    """r = target - weights u, and u becomes weights r; return the square of r."""
+    power = np.float32(0)
+    for p in range(r.size):
+        here = target[p] - weights[p] * u[p]
+        r[p] = here
+        u[p] = weights[p] * here
+        power += here * here
+    return power
+
+
+def _skin_iterate(
+    work: A, canvas: A, groups: A, to_canvas: A, from_canvas: A, shifts: A, n_summed: int,
+    threshold: float, least: float, momentum: float,
+) -> None:  # fmt: skip
+    """Iterations of the Haar model, one for each of `shifts`; the last `n_summed` are summed."""
+    n = from_canvas.shape[1]
+    x, z, total = work[X, :n], work[Z, :n], work[TOTAL, :n]
+    u, with_zero = work[U, :n], work[U, : n + 1]
+    target, weights, r = work[TARGET, :n], work[WEIGHTS, :n], work[RESIDUAL, :n]
+    beta = np.float32(momentum)
+    for k in range(shifts.size):
+        there, back = to_canvas[shifts[k]], from_canvas[shifts[k]]
+        u[:] = z
+        hadamard(u, groups)
+        power = residual(target, weights, u, r)
+        hadamard(u, groups)
+        for p in range(n):
+            u[p] = u[p] + z[p]
+        limit = max(threshold * np.sqrt(np.float64(power)), least)
+        lambda2 = np.float32(limit * limit + 1e-30)
+        for p in range(canvas.size):
+            canvas[p] = with_zero[there[p]]
+        shrink(canvas, lambda2)
+        for p in range(n):
+            after = max(canvas[back[p]], np.float32(0))
+            z[p] = after + beta * (after - x[p])
+            x[p] = after
+        if k >= shifts.size - n_summed:
+            for p in range(n):
+                total[p] += x[p]
+
+
+skin_iterate, skin_iterate_large = (
+    compiled(f"void({M}, {V}, {G}, {T}, {T}, {L}, int64, float64, float64, float64)")(_skin_iterate)
+    for T in (S2, P2)
+)
+
+
+@compiled(sums_in_any_order=True)
+def judge(x: A, rows: A, ones: A, scale: A, fitted: A) -> Any:
+    """fitted *= scale; return the sum of x^2, of x > 0, and the product of ones with the rest."""
+    square, touched, left = np.float32(0), np.float32(0), np.float32(0)
+    for p in range(x.size):
+        fitted[p] *= scale[p]
+        square += x[p] * x[p]
+        touched += np.float32(x[p] > 0)
+        left += ones[p] * (rows[p] - fitted[p])
+    return np.float64(square), np.float64(touched), np.float64(left)
+
+
+@compiled(f"UniTuple(float64, 3)({M}, {M}, {G}, float64)")
+def skin_test(work: A, table: A, groups: A, factor: float) -> Any:
+    """x = factor * total unless that is 0; W x as fitted. Returns as `judge`."""
+    n = table.shape[1]
+    x, fitted, total = work[X, :n], work[FITTED, :n], work[TOTAL, :n]
+    if factor > 0:
+        mean = np.float32(factor)
+        for p in range(n):
+            x[p] = total[p] * mean
+    fitted[:] = x
+    hadamard(fitted, groups)
+    return judge(x, work[Y, :n], table[ONES], table[SCALE], fitted)
+
+
+@compiled()
 def add_bias(x: A, place_of_cell: A, bias: float, forces: A) -> None:
     """Forces f + b (1 - exp(-f / b)) of all cells from forces f without the clip bias b."""
     for k in range(forces.size):
@@ -401,6 +566,17 @@ def add_bias(x: A, place_of_cell: A, bias: float, forces: A) -> None:
             forces[k] += b * (np.float32(1) - e)
 
 
+@compiled(f"void({M}, {V}, {P}, float64, {V})")
+def skin_end(work: A, fitted: A, place_of_cell: A, bias: float, forces: A) -> None:
+    """End a frame: the correction of the prediction, W x, and the forces of all cells."""
+    n = fitted.size
+    correction, whole = work[CORRECTION, :n], work[WHOLE, :n]
+    for k in range(n):
+        correction[k] = fitted[k] - whole[k]
+        whole[k] = fitted[k]
+    add_bias(work[X, : n + 1], place_of_cell, bias, forces)
+
+
 @compiled(f"void({V}, {P}, {L}, {V}, {V}, {V})")
 def tiled_image(w: A, order: A, grid: A, v: A, scratch: A, image: A) -> None:
     """Image of Haar coefficients w of a tiled vector; element p of it is pixel order[p]."""
@@ -413,9 +589,8 @@ def tiled_image(w: A, order: A, grid: A, v: A, scratch: A, image: A) -> None:
 
 LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
     "skin": (
-        *(dealt_forward, dealt_adjoint, stay, move, skin_step, add_bias),
-        *(compare_rows, follow_rows),
+        *(dealt_forward, dealt_adjoint, skin_read, skin_aim, skin_iterate, skin_test, skin_end),
     ),
     "fista": (fista, tiled_image),
 }
-"""Loops of each solver, by its name."""
+"""Loops of each solver, by its name; beyond `MAX_PLACES` cells it has others with larger tables."""

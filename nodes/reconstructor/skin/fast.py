@@ -1,135 +1,164 @@
-"""The solver `skin` in compiled loops: iteration, prediction, row memory, and final forces."""
+"""The solver `skin` in compiled loops: the work of a frame, in five calls."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
+from sparseskin.nodes.numerics import kernels
 from sparseskin.nodes.numerics.arrays import Floats, Indices
-from sparseskin.nodes.numerics.compiled import ready
-from sparseskin.nodes.numerics.kernels import (
-    add_bias,
-    compare_rows,
-    follow_rows,
-    move,
-    skin_step,
-    stay,
-)
+from sparseskin.nodes.numerics.compiled import MAX_PLACES, ready
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, ShiftedHaar
 from sparseskin.nodes.reconstructor.solvers.fast import CompiledProjection
 
+from .noise_level import NoiseLevel
 from .prediction import Prediction
-from .row_memory import RowMemory
+from .solver import Read, Tested
 from .tuning import SkinTuning
 
+LINE = 16
+"""Vectors are a line of the cache, 64 bytes, more than a power of two apart: else their elements
+compete for the same places of the cache."""
 
-def compiled_iteration(
-    projection: CompiledProjection,
-    haar: ShiftedHaar,
-    vectors: tuple[Floats, ...],
-    m: int,
-    momentum: float,
-) -> Callable[[int, float, float, bool], None]:
-    """Return the function that does the iteration of `SkinSolver` on its vectors.
 
-    `haar` is of fewer than `MAX_PLACES` cells; the vectors, float32 (n,), are x, z, r, the target
-    of r, the sum of the iterates, the canvas, and u with a 0 behind it.
+class CompiledFrame:
+    """The vectors of `SkinSolver`, and what it does with them, for "sbhe".
+
+    Vectors of taxels and of rows have n elements, and follow each other in one array.
+
+    Parameters
+    ----------
+    projection : CompiledProjection
+    haar : ShiftedHaar
+    place_of_cell : ndarray of intp, shape (n_cells,)
+        Place in a vector of each cell; n where no taxel exists.
+    neighbours : ndarray of intp, shape (2, 2, n)
+        As `neighbours_of` returns them.
+    shifts : list of int
+        Numbers of the shifts of the iterations, in their order.
+    tuning : SkinTuning
+
+    Attributes
+    ----------
+    x, x_and_zero : ndarray of float32, shapes (n,) and (n + 1,)
+        The estimate, newtons, and with a 0 behind it.
+    z, total, y, correction, whole, fitted, known, values : ndarray of float32, shape (n,)
+        As in `SkinSolver`, `Prediction` and `RowMemory`.
     """
-    ready(skin_step)
-    x, z, r, target, total, canvas, u = vectors
-    root_m = math.sqrt(m)
-    tables = [
-        [places.astype(np.uint16) for places in haar.tables(shift)] for shift in range(len(SHIFTS))
-    ]
-
-    def iterate(shift: int, threshold: float, least: float, summed: bool) -> None:
-        to_canvas, from_canvas = tables[shift]
-        skin_step(
-            *(x, z, r, target, total, to_canvas, from_canvas, canvas, u),
-            *(projection.weights, projection.groups),
-            threshold / root_m,
-            least,
-            momentum,
-            summed,
-        )
-
-    return iterate
-
-
-class CompiledPrediction(Prediction):
-    """As `Prediction`."""
 
     def __init__(
         self,
         projection: CompiledProjection,
+        haar: ShiftedHaar,
+        place_of_cell: Indices,
         neighbours: Indices,
-        n: int,
-        m: int,
+        shifts: list[int],
         tuning: SkinTuning,
     ) -> None:
-        super().__init__(projection, neighbours, n, m, tuning)
-        ready(stay, move)
-        self._compiled = projection
-        self._places = neighbours.astype(np.uint32)
-
-    def _stay(self, x: Floats, y: Floats, innovation: Floats) -> float:
-        projection = self._compiled
-        return stay(
-            *(x, self.knows_whole, y, projection.read, projection.scale, projection.groups),
-            *(self.whole, self._rows, innovation),
+        n = projection.n_rows
+        self._t, self._n, self._projection = tuning, n, projection
+        padded = -(-(n + 1) // LINE) * LINE
+        padded += LINE if padded // LINE % 2 == 0 else 0
+        self._work = np.zeros((kernels.N_WORK, padded), dtype=np.float32)
+        self.x_and_zero = self._work[kernels.X, : n + 1]
+        vectors = self._work[:, :n]
+        self.x, self.z, self.total = (vectors[k] for k in (kernels.X, kernels.Z, kernels.TOTAL))
+        self.y, self.correction = vectors[kernels.Y], vectors[kernels.CORRECTION]
+        self.whole, self.fitted = vectors[kernels.WHOLE], vectors[kernels.FITTED]
+        self.known, self.values = vectors[kernels.KNOWN], vectors[kernels.VALUES]
+        self._canvas = np.zeros(haar.size, dtype=np.float32)
+        small = haar.size < MAX_PLACES and n < MAX_PLACES
+        self._iterate = kernels.skin_iterate if small else kernels.skin_iterate_large
+        ready(kernels.skin_read, kernels.skin_aim, kernels.skin_test, kernels.skin_end)
+        ready(self._iterate)
+        tables = [haar.tables(shift) for shift in range(len(SHIFTS))]
+        self._to_canvas, self._from_canvas = (
+            np.array(gathers, dtype=np.uint16 if small else np.uint32)
+            for gathers in zip(*tables, strict=True)
         )
+        self._shifts = np.array(shifts, dtype=np.int64)
+        self._cells = place_of_cell.astype(np.uint32)
+        self._around = neighbours.reshape(4, n).astype(np.uint32)
+        self._tables: dict[int, Floats] = {}
+        self._root_m = 1.0
 
-    def _move(
-        self, x: Floats, y: Floats, innovation: Floats, e2: float, s2: float, most: float
-    ) -> float:
-        projection, (after, before) = self._compiled, self._places
-        return move(
-            *(x, y, innovation, e2, most),
-            *(self._t.motion_significant * s2, self._freedom, after, before),
-            *(self._terms, self._rows, projection.measured, projection.groups),
-            *(self._moved, self._moved_innovation),
+    def use(self, subset: int, kept: Floats, ones: Floats) -> None:
+        """Expect measurements of the row subset of this number, which the projection now is of.
+
+        `kept` and `ones`, float32 (n,), are those of `HeldOut` and `ClipBias`.
+        """
+        projection, t = self._projection, self._t
+        if subset not in self._tables:
+            rows = projection.measured, projection.read, kept, ones, projection.scale
+            self._tables[subset] = np.array(rows, dtype=np.float32)
+            m = projection.places.size
+            self._root_m, freedom = math.sqrt(m), max(0, m - 3) / 3
+            self._limits = np.array(
+                (
+                    *(t.motion_still * m, t.motion_significant, freedom),
+                    *(t.failed_part, t.failed_noise * m),
+                )
+            )
+        self._table, self._places = self._tables[subset], projection.places
+
+    def read(
+        self,
+        y: Floats,
+        noise: NoiseLevel,
+        prediction: Prediction,
+        bias: float,
+        remembers: bool,
+        most2: float,
+    ) -> Read:
+        """As `SkinSolver._read`; if the square of y is not below most2, nothing but that is done.
+
+        y, float32 (m,), is checked in no other way.
+        """
+        past = noise.past
+        *sums, moved, failed = kernels.skin_read(
+            *(self._work, self._table, y, past.values, self._places, self._projection.groups),
+            *(self._around, self._limits, most2, bias, noise.s2),
+            *(past.begun, prediction.knows_whole, remembers),
         )
+        found = Read(*sums)
+        if found.power < most2:
+            prediction.moved, prediction.failed = moved > 0, failed > 0
+            prediction.knows_whole = False
+        return found
 
+    def aim(self, gain: float, counted: float | None) -> None:
+        """As `SkinSolver._aim`."""
+        weight = 0.0 if counted is None else counted
+        kernels.skin_aim(self._work, self._table, gain, weight, counted is not None)
 
-class CompiledRowMemory(RowMemory):
-    """As `RowMemory`."""
-
-    def __init__(
-        self, projection: CompiledProjection, m: int, whole: Floats, tuning: SkinTuning
+    def iterate(
+        self, first: int, count: int, n_summed: int, threshold: float, least: float
     ) -> None:
-        super().__init__(projection, m, whole, tuning)
-        ready(compare_rows, follow_rows)
-        self._compiled = projection
+        """Do `count` iterations from shift `first` on; the last `n_summed` are summed.
 
-    def _compare(self, x: Floats | None, y: Floats) -> float:
-        projection = self._compiled
-        return compare_rows(
-            *(y if x is None else x, x is not None, y, self.read),
-            *(projection.scale, projection.groups, self._whole, self.values, self._rows),
+        The threshold is in RMS of r, at least `least`, newtons.
+        """
+        self._iterate(
+            self._work,
+            self._canvas,
+            self._projection.groups,
+            *(self._to_canvas, self._from_canvas, self._shifts[first : first + count]),
+            n_summed,
+            threshold / self._root_m,
+            least,
+            self._t.momentum,
         )
 
-    def _follow(self, gain: float, counted: float, target: Floats) -> None:
-        projection = self._compiled
-        follow_rows(
-            *(gain, counted, self.read, self.known, self.values, self._whole),
-            *(projection.scale, self._weights, target),
-        )
-        projection.weights = self._weights
+    def test(self, factor: float) -> Tested:
+        """Set x to `factor` times the total unless that is 0, and W x; return the sums of x."""
+        return Tested(*kernels.skin_test(self._work, self._table, self._projection.groups, factor))
 
+    def end(self, fitted: Floats, bias: float) -> Floats:
+        """Return the forces of all cells, newtons, with the bias added back.
 
-def compiled_forces(place_of_cell: Indices) -> Callable[[Floats, float], Floats]:
-    """Return the function that computes forces of all cells from a vector of means above the bias.
-
-    place_of_cell, intp (n_cells,), is the place in that vector of each cell.
-    """
-    ready(add_bias)
-    places = place_of_cell.astype(np.uint32)
-
-    def forces_of(x: Floats, bias: float) -> Floats:
-        forces = np.empty(places.size, dtype=np.float32)
-        add_bias(x, places, bias, forces)
+        `fitted`, float32 (n,), is W x.
+        """
+        forces = np.empty(self._cells.size, dtype=np.float32)
+        kernels.skin_end(self._work, fitted, self._cells, bias, forces)
         return forces
-
-    return forces_of

@@ -73,9 +73,16 @@ class AdaptiveGain:
             True if the prediction is worth nothing.
         """
         energy = float(np.dot(innovation, innovation))
-        both = energy * float(np.dot(correction, correction))
+        along = float(np.dot(innovation, correction))
+        self.follow(energy, along, float(np.dot(correction, correction)), m, s2, jumped)
+
+    def follow(
+        self, energy: float, along: float, correction2: float, m: int, s2: float, jumped: bool
+    ) -> None:
+        """As `update`, by the squares of innovation and correction, and their product, `along`."""
+        both = energy * correction2
         if both > 0 and not jumped:
-            alike = float(np.dot(innovation, correction)) / math.sqrt(both)
+            alike = along / math.sqrt(both)
             change = (
                 math.exp(self._t.trust_fall * (self._t.lagging - alike))
                 if alike > self._t.lagging

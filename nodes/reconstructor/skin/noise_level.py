@@ -54,41 +54,51 @@ class NoiseLevel:
         self.jumped = True
         self.since_jump = 0
         self.known = self._settled = self._begun = False
-        self._subsets: dict[int, _Past] = {}
+        self._subsets: dict[int, Past] = {}
         self.use(0)
 
     def use(self, subset: int) -> None:
         """Expect measurements of this row subset; only frames of the same one are compared."""
-        self._past = self._subsets.setdefault(subset, _Past(self._m))
+        self._past = self._subsets.setdefault(subset, Past(self._m))
 
-    def changed2(self, y: Floats) -> float:
-        """Return the squared change of measurements, float32 (m,), since the last of their subset.
+    @property
+    def past(self) -> Past:
+        """The last measurements of the row subset in use."""
+        return self._past
 
-        Infinite if there are none.
+    def update(self, y: Floats, e2: float, jumped: bool = False) -> None:
+        """Process the measurements of a frame, float32 (m,), newtons; as `changes`, `follow`."""
+        self.follow(e2, *self.changes(y), jumped)
+
+    def changes(self, y: Floats) -> tuple[float, float]:
+        """Compare measurements, float32 (m,), with the last of their subset, and keep them.
+
+        Return the squared length of their change, and of the change of that; infinite if there is
+        none to compare with.
         """
-        if not self._past.begun:
-            return math.inf
-        np.subtract(y, self._past.y, self._difference)
-        return float(np.dot(self._difference, self._difference))
-
-    def update(
-        self, y: Floats, e2: float, jumped: bool = False, changed2: float | None = None
-    ) -> None:
-        """Process the measurements of a frame, float32 (m,), newtons.
-
-        e2 is the mean squared innovation; `jumped` if the scene is known to have jumped; changed2
-        what `changed2` has returned for y, if it was called.
-        """
-        past = self._past
-        changed = (self.changed2(y) if changed2 is None else changed2) / (2 * self._m)
-        seen = min(e2, changed)
+        past, difference = self._past, self._difference
+        changed2 = second2 = math.inf
         if past.begun:
-            difference = self._difference
+            np.subtract(y, past.y, difference)
+            changed2 = float(np.dot(difference, difference))
             if past.n_differences > 0:
                 second = np.subtract(difference, past.step, past.step)
-                seen = min(seen, float(np.dot(second, second)) / (6 * self._m))
-            past.step, self._difference = difference, past.step
+                second2 = float(np.dot(second, second))
+            np.copyto(past.step, difference)
         np.copyto(past.y, y)
+        return changed2, second2
+
+    def follow(self, e2: float, changed2: float, second2: float, jumped: bool) -> None:
+        """Update the level.
+
+        e2 is the mean squared innovation; changed2 and second2 are as `changes` returned them;
+        `jumped` if the scene is known to have jumped.
+        """
+        past = self._past
+        changed = changed2 / (2 * self._m)
+        seen = min(e2, changed)
+        if past.n_differences > 0:
+            seen = min(seen, second2 / (6 * self._m))
         self.jumped = jumped or not self._begun or min(e2, changed) > self._t.jump * self.s2
         self.since_jump = 0 if self.jumped else self.since_jump + 1
         self._begun = True
@@ -112,12 +122,20 @@ class NoiseLevel:
             past.n_differences = 0
 
 
-class _Past:
-    """The last measurements of one row subset, and their difference to those before."""
+class Past:
+    """The last measurements of one row subset, and their difference to those before.
+
+    Attributes
+    ----------
+    values : ndarray of float32, shape (2, m)
+        Those measurements, newtons, and that difference.
+    begun : bool
+        True if there was a frame.
+    """
 
     def __init__(self, m: int) -> None:
-        self.y = np.zeros(m, dtype=np.float32)
-        self.step = np.zeros(m, dtype=np.float32)
+        self.values = np.zeros((2, m), dtype=np.float32)
+        self.y, self.step = self.values
         self.begun = False
         #: Differences since the last jump; -1 before the first frame after it.
         self.n_differences = -1

@@ -59,12 +59,16 @@ class RowMemory:
 
     def forget(self) -> None:
         """Forget the measurements of all earlier frames."""
+        self.forget_times()
+        self.known.fill(0)
+        self.values.fill(0)
+
+    def forget_times(self) -> None:
+        """Forget when rows were read, and how much they change; their values are kept."""
         #: Number of the frame that each row subset was last read in, the latest last.
         self._read_in: dict[int, int] = {}
         self._n_frames = 0
         self._drift = 0.0
-        self.known.fill(0)
-        self.values.fill(0)
 
     def recall(
         self,
@@ -93,8 +97,15 @@ class RowMemory:
         settling : bool
             True if only the rows of this frame are to have a weight.
         """
-        self.read = self._read_by[subset] = self._projection.read
-        change2 = self._compare(x, y)
+        change2 = self.compare(x, y)
+        self.follow(gain, self.counted(subset, change2, s2, e2, settling), target)
+
+    def counted(self, subset: int, change2: float, s2: float, e2: float, settling: bool) -> float:
+        """Return the weight of rows of earlier frames; parameters as of `recall`.
+
+        change2 is the squared change of the rows of this frame since they were read last.
+        """
+        self._read_by[subset] = self._projection.read
         self._n_frames += 1
         change, age = e2 - s2, 1
         if subset in self._read_in:
@@ -109,7 +120,7 @@ class RowMemory:
         )
         self._read_in[subset] = self._n_frames
         self.m_counted = self._m * (1 + counted**2 * (len(self._read_in) - 1))
-        self._follow(gain, counted, target)
+        return counted
 
     def variances(self, noise: float) -> Floats:
         """Return the variance of each row, float32 (n_rows,), squared newtons.
@@ -122,8 +133,12 @@ class RowMemory:
             variances[self._read_by[subset] > 0] = noise + changed
         return variances
 
-    def _compare(self, x: Floats | None, y: Floats) -> float:
-        """Move the known rows along, replace those of y; return their squared change."""
+    def compare(self, x: Floats | None, y: Floats) -> float:
+        """Move the known rows along, replace those of y; return their squared change.
+
+        x and y are as of `recall`.
+        """
+        self.read = self._projection.read
         whole, rows, values = self._whole, self._rows, self.values
         if x is not None:
             self._projection.whole(x, rows)
@@ -135,8 +150,11 @@ class RowMemory:
         np.add(values, rows, values)
         return float(np.dot(rows, rows))
 
-    def _follow(self, gain: float, counted: float, target: Floats) -> None:
-        """Set the target and the weights of rows, `counted` for those of earlier frames."""
+    def follow(self, gain: float, counted: float, target: Floats) -> None:
+        """Set the target and the weights of rows, `counted` for those of earlier frames.
+
+        gain and target are as of `recall`.
+        """
         self._factors[:] = gain, counted, 1 - counted
         k, w, rest = self._factors[:, None]
         np.maximum(self.known, self.read, out=self.known)

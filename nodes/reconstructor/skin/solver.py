@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -11,10 +11,10 @@ from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
-from sparseskin.nodes.numerics.compiled import MAX_PLACES, use_compiled
+from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.numerics.programs import run
 from sparseskin.nodes.reconstructor.bases.base import Basis
-from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, TILE, ShiftedHaar
+from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, ShiftedHaar
 from sparseskin.nodes.reconstructor.solvers.backends import make_projection
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
 
@@ -27,8 +27,41 @@ from .row_memory import RowMemory
 from .smooth import SmoothModel
 from .tuning import TUNING, SkinTuning
 
+if TYPE_CHECKING:
+    from .fast import CompiledFrame
+
 N_DRAWN = 4093
 """Number of shifts drawn in advance; a prime, so that their sequence is in step with nothing."""
+
+
+class Read(NamedTuple):
+    """Squared lengths and products of vectors at the begin of a frame.
+
+    Attributes
+    ----------
+    power, changed2, second2
+        Of the measurements; of their change, and of the change of that, as `NoiseLevel.changes`.
+    e2, along, correction2
+        Of the innovation; its product with the last correction; of that, in the rows read.
+    change2
+        Of the change of rows since they were read last, 0 where the frame remembers none.
+    """
+
+    power: float
+    changed2: float
+    second2: float
+    e2: float
+    along: float
+    correction2: float
+    change2: float
+
+
+class Tested(NamedTuple):
+    """Sums of an estimate x: of x^2, of taxels with x > 0, and (Phi 1)^T (y - Phi x)."""
+
+    x2: float
+    n_touched: float
+    left: float
 
 
 class SkinSolver(Solver):
@@ -121,8 +154,7 @@ class SkinSolver(Solver):
 
         n = phi.n
         self._subsets = {phi.fingerprint: 0}
-        n_tiles = math.prod(-(-side // TILE) for side in self.mask.shape)
-        compiled = use_compiled(fast) and type(phi) is SbhePhi and n_tiles * TILE**2 < MAX_PLACES
+        compiled = use_compiled(fast) and type(phi) is SbhePhi
         self._projection = make_projection(phi, compiled)
         self._place_of_cell = np.full(self.mask.size, n, dtype=np.intp)
         self._place_of_cell[self.taxels[self._projection.order]] = np.arange(n)
@@ -141,7 +173,9 @@ class SkinSolver(Solver):
         if self._projection.has_whole:
             self._memory = RowMemory(self._projection, phi.m, self._prediction.whole, tuning)
         rng = np.random.default_rng(seed)
-        self._shifts: list[int] = rng.integers(len(SHIFTS), size=N_DRAWN).tolist()
+        drawn: list[int] = rng.integers(len(SHIFTS), size=N_DRAWN).tolist()
+        #: As many more follow as a frame may need after the last one.
+        self._shifts = drawn + drawn[:MAX_ITERATIONS]
 
         def floats(size: int) -> Floats:
             return np.zeros(size, dtype=np.float32)
@@ -160,30 +194,31 @@ class SkinSolver(Solver):
         self._momentum = np.array(tuning.momentum, dtype=np.float32)
         self._factor = np.zeros((), dtype=np.float32)
         self._shrink = self._haar.shrinking(self._canvas, self._lambda2)
-        #: The work of `step` and `finish`: with numpy, or in compiled loops.
-        self._iterate: Callable[[int, float, float, bool], None] = self._numpy_iteration
-        self._forces_of: Callable[[Floats, float], Floats] = self._numpy_forces
+        #: The work of a frame in compiled loops, or None: with numpy.
+        self._frame: CompiledFrame | None = None
         if compiled:
             self._compile(neighbours)
         self.n_steps = self.iterations
         self.reset()
 
     def _compile(self, neighbours: Indices) -> None:
-        """Replace the parts that take most of the time by compiled loops."""
+        """Replace the work of a frame by compiled loops, and its vectors by theirs."""
         # Imported here: they need numba.
         from sparseskin.nodes.reconstructor.solvers.fast import CompiledProjection
 
-        from . import fast
+        from .fast import CompiledFrame
 
-        projection, m = self._projection, self.phi.m
+        projection = self._projection
         assert isinstance(projection, CompiledProjection)
-        vectors = (self._x, self._z, self._r, self._target, self._sum, self._canvas)
-        self._prediction = fast.CompiledPrediction(projection, neighbours, self.phi.n, m, self._t)
-        self._memory = fast.CompiledRowMemory(projection, m, self._prediction.whole, self._t)
-        self._iterate = fast.compiled_iteration(
-            projection, self._haar, (*vectors, self._u_and_zero), m, self._t.momentum
+        self._frame = frame = CompiledFrame(
+            *(projection, self._haar, self._place_of_cell, neighbours, self._shifts, self._t)
         )
-        self._forces_of = fast.compiled_forces(self._place_of_cell)
+        self._x_and_zero, self._x, self._z = frame.x_and_zero, frame.x, frame.z
+        self._y, self._sum, self._correction = frame.y, frame.total, frame.correction
+        self._fitted[HAAR], self._prediction.whole = frame.fitted, frame.whole
+        self._memory = RowMemory(projection, self.phi.m, frame.whole, self._t)
+        self._memory.known, self._memory.values = frame.known, frame.values
+        frame.use(0, self._held_out.kept, self._bias.ones)
 
     def reset(self) -> None:
         self._x.fill(0)
@@ -223,31 +258,31 @@ class SkinSolver(Solver):
         self._bias.use(subset)
         self._gain.use(subset)
         self._held_out.use(subset)
+        if self._frame is not None:
+            self._frame.use(subset, self._held_out.kept, self._bias.ones)
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
-        y = self._checked_y(y)
-        if self._begun and self.phi is not self._last_phi:
-            self._rotating = True
-        first = not self._begun
-        self._begun, self._last_phi = True, self.phi
+        y = self._shaped_y(y)
         if warm is not None:
+            self._power_of(y)
             cells = self.taxels[self._projection.order]
             self._checked_warm(warm).reshape(-1).take(cells, None, self._x, "clip")
             np.maximum(self._x, 0, out=self._x)
             self._correction.fill(0)
             self._prediction.knows_whole = False
             self._has_estimate = bool(self._x.any())
-        self._projection.rows_of(y, self._y)
-        self._power_read = float(np.dot(self._y, self._y)) / self.phi.m
-        self._bias.subtract(self._y)
-        self._projection.weigh(None)
-        changed2 = self._noise.changed2(y)
-        e2 = self._prediction.predict(self._x, self._y, self._innovation, self._noise.s2, changed2)
-        e2 /= self.phi.m
-        self._noise.update(y, e2, self._prediction.failed, changed2)
+        rotating = self._rotating or (self._begun and self.phi is not self._last_phi)
+        # Whether rows rotate shows in the second frame, which remembers the first.
+        remembers = self._memory is not None and (rotating or not self._begun)
+        found = self._read(y, remembers)
+        self._begun, self._rotating, self._last_phi = True, rotating, self.phi
+        self._power_read = found.power / self.phi.m
+        e2 = found.e2 / self.phi.m
+        self._noise.follow(e2, found.changed2, found.second2, self._prediction.failed)
         jumped, settling = self._noise.jumped, self._noise.since_jump <= self._t.settling
-        np.multiply(self._correction, self._projection.read, self._r)
-        self._gain.update(self._innovation, self._r, self.phi.m, self._noise.s2, settling)
+        self._gain.follow(
+            *(found.e2, found.along, found.correction2, self.phi.m, self._noise.s2, settling)
+        )
         gain = self._gain.gain
 
         held = self._t.held_rotating if self._rotating else self._t.held_threshold
@@ -263,30 +298,80 @@ class SkinSolver(Solver):
         self._n_haar = (
             min(self.max_iterations, self.iterations + int(more)) if HAAR in models else 0
         )
-        # Whether rows rotate shows in the second frame, which remembers the first.
-        remembers = self._memory is not None and (self._rotating or first)
-        if remembers:
-            self._recall(e2, settling)
+        counted = None
+        if self._memory is not None and remembers:
+            # While the estimate settles after a jump, earlier rows would preserve its errors.
+            subset = self._subsets[self.phi.fingerprint]
+            counted = self._memory.counted(subset, found.change2, self.known_noise, e2, settling)
+            # Thresholds are in RMS of r over the weighted rows.
+            self._threshold *= math.sqrt(self.phi.m / self._memory.m_counted)
+        self._aim(gain, counted)
+        self.unfitted = self._held_out.measurements
+        self._n_rounds, self._needs_smooth = 0, True
+        self._residuals: dict[str, Floats] = {}
+        if SMOOTH in models:
+            self._begin_smooth(e2, remembers)
+        start = self._start_of(HAAR)
+        if HAAR in models and start is not self._x:
+            np.copyto(self._x, start)
+            np.copyto(self._z, start)
+        self.n_steps = self._n_haar + self._n_rounds
+        self._steps_left, self._n_summed = self.n_steps, 0
+
+    def _read(self, y: Floats, remembers: bool) -> Read:
+        """Read the measurements of a frame, float32 (m,), and predict it.
+
+        The last rows are moved along if the frame `remembers` them.
+        """
+        memory, prediction = self._memory, self._prediction
+        if self._frame is not None:
+            found = self._frame.read(
+                *(y, self._noise, prediction, self._bias.b, remembers, self.y_max**2)
+            )
+            if not found.power < self.y_max**2:
+                self._power_of(y)  # raises SolverError, or they are large, but not too large
+                found = self._frame.read(
+                    *(y, self._noise, prediction, self._bias.b, remembers, math.inf)
+                )
+            if remembers and prediction.failed and memory is not None:
+                memory.forget_times()
+            return found
+        power = self._power_of(y)
+        self._projection.rows_of(y, self._y)
+        self._bias.subtract(self._y)
+        self._projection.weigh(None)
+        changed2, second2 = self._noise.changes(y)
+        e2 = prediction.predict(self._x, self._y, self._innovation, self._noise.s2, changed2)
+        correction = np.multiply(self._correction, self._projection.read, self._r)
+        along = float(np.dot(self._innovation, correction))
+        correction2, change2 = float(np.dot(correction, correction)), 0.0
+        if memory is not None and remembers:
+            if prediction.failed:
+                memory.forget()
+            change2 = memory.compare(self._x if prediction.moved else None, self._y)
+        elif prediction.moved:
+            np.subtract(self._y, self._innovation, prediction.whole)
+        return Read(power, changed2, second2, e2, along, correction2, change2)
+
+    def _aim(self, gain: float, counted: float | None) -> None:
+        """Set the target and the weights of the rows, and begin the iterations at x.
+
+        Rows of earlier frames have the weight `counted`; None: they are not remembered.
+        """
+        if self._frame is not None:
+            self._frame.aim(gain, counted)
+            return
+        if counted is not None and self._memory is not None:
+            self._memory.follow(gain, counted, self._target)
         else:
             # y' = Phi x_p + K e
             self._factor[()] = 1 - gain
             np.multiply(self._innovation, self._factor, self._target)
             np.subtract(self._y, self._target, self._target)
-            if self._prediction.moved:
-                np.subtract(self._y, self._innovation, self._prediction.whole)
-        kept, self.unfitted = self._held_out.kept, self._held_out.measurements
-        self._projection.leave_out(kept)
-        np.multiply(self._target, kept, self._target)
-        self._n_rounds, self._needs_smooth = 0, True
-        self._residuals: dict[str, Floats] = {}
-        if SMOOTH in models:
-            self._begin_smooth(e2, remembers)
-        if HAAR in models:
-            np.copyto(self._x, self._start_of(HAAR))
-        self.n_steps = self._n_haar + self._n_rounds
+        self._projection.leave_out(self._held_out.kept)
+        np.multiply(self._target, self._held_out.kept, self._target)
         np.copyto(self._z, self._x)
         self._sum.fill(0)
-        self._steps_left, self._n_summed = self.n_steps, 0
 
     def _begin_smooth(self, e2: float, rotating: bool) -> None:
         """Hand the rows that are known to the smooth model."""
@@ -310,23 +395,41 @@ class SkinSolver(Solver):
         other = model != self.model and not self._nothing_known
         return self._last.get(model, self._x) if other else self._x
 
+    def solve(self, y: Floats, warm: Floats | None = None) -> Floats:
+        self.setup(y, warm)
+        self._iterate(0, self._n_haar)
+        self._steps_left -= self._n_haar
+        while self._steps_left:
+            self.step()
+        return self.finish()
+
     def step(self) -> None:
         done = self.n_steps - self._steps_left
         self._count_step()
-        if done >= self._n_haar:
-            if done == self._n_haar and done:
-                self._test_haar()
-                self._needs_smooth = not self._held_out.suffices(
-                    self._residuals[HAAR], self.known_noise
-                )
-            if self._needs_smooth:
-                self._smooth.round()
+        if done < self._n_haar:
+            self._iterate(done, 1)
             return
-        summed = done >= self._n_haar - self._t.averaged
-        shift = self._shifts[self._next_shift]
-        self._iterate(shift, self._threshold, self._least, summed)
-        self._next_shift = (self._next_shift + 1) % N_DRAWN
-        self._n_summed += summed
+        if done == self._n_haar and done:
+            self._test_haar()
+            self._needs_smooth = not self._held_out.suffices(
+                self._residuals[HAAR], self.known_noise
+            )
+        if self._needs_smooth:
+            self._smooth.round()
+
+    def _iterate(self, done: int, count: int) -> None:
+        """Do iterations of the Haar model, after the first `done` of the frame."""
+        # The mean of the last ones is the estimate.
+        n_summed = min(count, max(0, done + count - self._n_haar + self._t.averaged))
+        first = self._next_shift
+        self._next_shift = (first + count) % N_DRAWN
+        self._n_summed += n_summed
+        if self._frame is not None:
+            self._frame.iterate(first, count, n_summed, self._threshold, self._least)
+            return
+        for k in range(count):
+            shift, summed = self._shifts[first + k], k >= count - n_summed
+            self._numpy_iteration(shift, self._threshold, self._least, summed)
 
     def _numpy_iteration(self, shift: int, threshold: float, least: float, summed: bool) -> None:
         """Do one iteration under a shift; `threshold` in RMS of r, `least` in newtons."""
@@ -353,22 +456,34 @@ class SkinSolver(Solver):
 
     def finish(self) -> Floats:
         if self._steps_left < self.n_steps:
-            self._choose()
+            sums, fitted = self._choose()
         else:
-            self._correction.fill(0)
-        if not math.isfinite(float(np.dot(self._x, self._x))):
+            fitted = self._prediction.whole
+            sums = self._sums_of(self._x, fitted)
+        if not math.isfinite(sums.x2):
             self.reset()
             raise SolverError("skin: the iteration diverged: is phi.lipschitz too small?")
         self._steps_left = 0
-        return self._forces_of(self._x_and_zero, self._bias.b).reshape(self.mask.shape)
+        # W of the correction x - x_p, and of the last frame.
+        if self._frame is not None:
+            forces = self._frame.end(fitted, self._bias.b)
+        else:
+            np.subtract(fitted, self._prediction.whole, self._correction)
+            np.copyto(self._prediction.whole, fitted)
+            forces = self._x_and_zero.take(self._place_of_cell, None, None, "clip")
+            self._bias.add_back(forces)
+        return forces.reshape(self.mask.shape)
 
     @property
     def model(self) -> str:
         """Model of the last estimate: "haar" or "smooth"."""
         return self._held_out.model
 
-    def _choose(self) -> None:
-        """Set x to the better estimate of those that were made, and its error."""
+    def _choose(self) -> tuple[Tested, Floats]:
+        """Set x to the better estimate of those that were made, and its error.
+
+        Return its sums and W x.
+        """
         done = self.n_steps - self._steps_left
         estimates = {}
         if self._n_haar:
@@ -379,7 +494,8 @@ class SkinSolver(Solver):
         complete = done == self.n_steps and self._needs_smooth
         if self._n_rounds and (complete or not self._n_haar):
             estimates[SMOOTH] = self._smooth.x
-            self._test(SMOOTH, self._smooth.x)
+            self._projection.whole(self._smooth.x, self._fitted[SMOOTH])
+            self._residuals[SMOOTH] = self._residual_of(SMOOTH)
         before = self.model
         chosen = self._held_out.choose(self._residuals, self.known_noise, self._nothing_known)
         if (before, chosen) == (SMOOTH, HAAR):
@@ -388,36 +504,44 @@ class SkinSolver(Solver):
         self._last = {}
         if len(estimates) > 1:
             self._last = {model: x.copy() for model, x in estimates.items()}
-        np.copyto(self._x, estimates[chosen])
         fitted = self._fitted[chosen]
+        if chosen == SMOOTH:
+            np.copyto(self._x, estimates[SMOOTH])
+        sums = self._haar_sums if chosen == HAAR else self._sums_of(self._x, fitted)
         if self._noise.known or self.phi.m >= self._t.comparable:
             # The bias is that of this frame's rows alone.
-            residual = np.subtract(self._y, fitted, self._r)
-            left = float(np.dot(self._bias.ones, residual))
             most = self._most_noise(self._residuals[chosen])
-            self._bias.update(left, self._x, self._noise.s2, most)
-        # W of the correction x - x_p, and of the last frame.
-        np.subtract(fitted, self._prediction.whole, self._correction)
-        np.copyto(self._prediction.whole, fitted)
+            self._bias.update(sums.left, self._x, self._noise.s2, most)
         self._prediction.knows_whole = True
         self._has_estimate = True
-        self._judge()
+        self._judge(sums)
+        return sums, fitted
 
     def _test_haar(self) -> None:
         """Set x to the mean of the last iterates, and test it."""
-        if self._n_summed:
-            self._factor[()] = 1 / self._n_summed
-            np.multiply(self._sum, self._factor, self._x)
-        self._test(HAAR, self._x)
+        factor, fitted = 1 / self._n_summed if self._n_summed else 0.0, self._fitted[HAAR]
+        if self._frame is not None:
+            self._haar_sums = self._frame.test(factor)
+        else:
+            if factor:
+                self._factor[()] = factor
+                np.multiply(self._sum, self._factor, self._x)
+            self._projection.whole(self._x, fitted)
+            self._haar_sums = self._sums_of(self._x, fitted)
+        self._residuals[HAAR] = self._residual_of(HAAR)
 
-    def _test(self, model: str, x: Floats) -> None:
-        """Keep W x of a model's estimate, and the residuals of what it was not made from."""
-        self._projection.whole(x, self._fitted[model])
+    def _sums_of(self, x: Floats, fitted: Floats) -> Tested:
+        """Return the sums of an estimate, float32 (n,), with W x `fitted`."""
+        residual = np.subtract(self._y, fitted, self._r)
+        left = float(np.dot(self._bias.ones, residual))
+        return Tested(float(np.dot(x, x)), float(np.count_nonzero(x)), left)
+
+    def _residual_of(self, model: str) -> Floats:
+        """Return the residuals of the measurements that a model's estimate was not made from."""
         left_out = self._smooth.left_out
         if left_out is not None:
-            self._residuals[model] = left_out[self._projection.measured > 0]
-        else:
-            self._residuals[model] = self._held_out.residual(self._y, self._fitted[model])
+            return left_out[self._projection.measured > 0]
+        return self._held_out.residual(self._y, self._fitted[model])
 
     @property
     def _nothing_known(self) -> bool:
@@ -431,7 +555,10 @@ class SkinSolver(Solver):
 
     def filtered_error2(self, x: Floats) -> float:
         """Mean squared error of a taxel that the noise leaves in an estimate x, float32 (n,)."""
-        touched = math.sqrt(np.count_nonzero(x) / self.phi.n)
+        return self._filtered_error2(float(np.count_nonzero(x)))
+
+    def _filtered_error2(self, n_touched: float) -> float:
+        touched = math.sqrt(n_touched / self.phi.n)
         gain = self._gain.gain if self.model == HAAR else 1.0
         return self._t.filtered_error * touched * gain * self.known_noise
 
@@ -441,40 +568,19 @@ class SkinSolver(Solver):
             return math.inf
         return self._t.bias_bound * mean_square(residual)
 
-    def _judge(self) -> None:
+    def _judge(self, sums: Tested) -> None:
         """Set the error of the estimate, and whether it is trusted."""
         if not self._held_out.tests:
             self.error, self.trusted = None, True
             return
-        noise, x, n = self.known_noise, self._x, self.phi.n
-        filtered = self.filtered_error2(x)
+        noise = self.known_noise
         beyond = self._held_out.error2(noise)
-        error2, power = max(beyond, filtered), float(np.dot(x, x)) / n
+        error2 = max(beyond, self._filtered_error2(sums.n_touched))
+        power = sums.x2 / self.phi.n
         self.error = math.sqrt(error2)
         excess = max(power, min(beyond, self._power_read - noise))
         untouched = excess <= self._t.untouched * noise
         self.trusted = untouched or error2 <= self._t.trusted**2 * power
-
-    def _recall(self, e2: float, settling: bool) -> None:
-        """Use the rows of earlier frames as well, as far as they still hold."""
-        memory = self._memory
-        assert memory is not None
-        if self._prediction.failed:
-            memory.forget()
-        # While the estimate settles after a jump, earlier rows would preserve its errors.
-        memory.recall(
-            self._subsets[self.phi.fingerprint],
-            self._x if self._prediction.moved else None,
-            *(self._y, self._target, self._gain.gain, self.known_noise, e2, settling),
-        )
-        # Thresholds are in RMS of r over the weighted rows.
-        self._threshold *= math.sqrt(self.phi.m / memory.m_counted)
-
-    def _numpy_forces(self, x_and_zero: Floats, bias: float) -> Floats:
-        """Return forces of all cells, from a vector of means above the bias with a 0 behind it."""
-        forces = x_and_zero.take(self._place_of_cell, None, None, "clip")
-        self._bias.add_back(forces)
-        return forces
 
 
 def checked_iterations(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Indices
-from sparseskin.nodes.numerics.compiled import MAX_PLACES
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 
@@ -31,7 +30,7 @@ def make_descent(phi: Phi, basis: Basis, taxels: Indices, compiled: bool = False
     """Return the fastest iterations of FISTA; those of compiled loops only if `compiled`."""
     if type(phi) is not SbhePhi or type(basis) is not HaarBasis:
         return PlainDescent(phi, basis, taxels)
-    if compiled and basis.n_rows * basis.n_cols < MAX_PLACES:
+    if compiled:
         from .fast import CompiledDescent
 
         return CompiledDescent(phi, basis, taxels)

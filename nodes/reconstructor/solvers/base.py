@@ -192,16 +192,26 @@ class Solver(ABC):
 
     def _checked_y(self, y: Floats) -> Floats:
         """Return y as contiguous float32, or raise SolverError."""
+        y = self._shaped_y(y)
+        self._power_of(y)
+        return y
+
+    def _shaped_y(self, y: Floats) -> Floats:
+        """Return y as contiguous float32, or raise SolverError if its shape is another."""
         y = np.ascontiguousarray(y, dtype=np.float32)
         if y.shape != (self.phi.m,):
             raise SolverError(
                 f"solver: y has shape {y.shape}; expected ({self.phi.m},): m = {self.phi.m}"
             )
+        return y
+
+    def _power_of(self, y: Floats) -> float:
+        """Return the squared length of y, float32 (m,); SolverError if it is not finite or huge."""
         # The sum of squares is found far sooner than the extremes, and is hardly ever as large.
         with np.errstate(over="ignore", invalid="ignore"):
             power = float(np.dot(y, y))
         if power < min(self.y_max**2, math.inf):
-            return y
+            return power
         if not np.isfinite(y).all():
             bad = int(np.flatnonzero(~np.isfinite(y))[0])
             raise SolverError(f"solver: measurement {bad} is {y[bad]}; allowed: finite numbers")
@@ -209,7 +219,7 @@ class Solver(ABC):
             raise SolverError(
                 f"solver: a measurement is beyond +-{self.y_max:g}: too large for float32"
             )
-        return y
+        return power
 
     def _checked_warm(self, warm: Floats) -> Floats:
         """Return a warm start as contiguous float32, or raise SolverError."""

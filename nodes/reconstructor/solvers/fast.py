@@ -8,11 +8,12 @@ from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.hadamard import side_by_side
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
-from sparseskin.nodes.numerics.compiled import ready
+from sparseskin.nodes.numerics.compiled import MAX_PLACES, ready
 from sparseskin.nodes.numerics.kernels import (
     dealt_adjoint,
     dealt_forward,
     fista,
+    fista_large,
     tiled_image,
 )
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis, level_sizes
@@ -35,6 +36,8 @@ class CompiledProjection(Projection):
         1 / sqrt(B).
     weights : ndarray of float32, shape (n,)
         `measured`, or `scale` times the weights of `weigh`.
+    places : ndarray of intp, shape (m,)
+        Row of each measurement.
     """
 
     has_whole = True
@@ -60,12 +63,12 @@ class CompiledProjection(Projection):
             measured, read = np.zeros((2, phi.n), dtype=np.float32)
             measured[places], read[places] = phi.scale, 1
             self._tables[phi.fingerprint] = measured, read, places
-        self.measured, self.read, self._places = self._tables[phi.fingerprint]
+        self.measured, self.read, self.places = self._tables[phi.fingerprint]
         self.weights = self.measured
 
     def rows_of(self, y: Floats, out: Floats) -> None:
         out.fill(0)
-        out[self._places] = y
+        out[self.places] = y
 
     def forward(self, x: Floats, out: Floats) -> None:
         dealt_forward(x, self.weights, self.groups, out)
@@ -149,10 +152,12 @@ def _scale_of_sums(rows: int, cols: int) -> Doubles:
 
 
 class CompiledDescent(Descent):
-    """As `SbheHaarDescent`, of fewer than `MAX_PLACES` cells; one or all iterations in a call."""
+    """As `SbheHaarDescent`; one or all iterations in a call."""
 
     def __init__(self, phi: SbhePhi, basis: HaarBasis, taxels: Indices) -> None:
-        ready(fista, tiled_image)
+        small = basis.n_rows * basis.n_cols <= MAX_PLACES
+        self._fista = fista if small else fista_large
+        ready(self._fista, tiled_image)
         self._phi, self._basis = phi, basis
         self.step_size = 1.0
         tiling = Tiling(basis.n_rows, basis.n_cols)
@@ -168,7 +173,9 @@ class CompiledDescent(Descent):
         self._measured = np.zeros(phi.n, dtype=np.float32)
         self._arrays = (
             *(np.zeros(tiling.order.size, np.float32), np.zeros(phi.n, np.float32)),
-            place_of_cell[taxels[phi.permutation[columns]]].astype(np.uint16),
+            place_of_cell[taxels[phi.permutation[columns]]].astype(
+                np.uint16 if small else np.uint32
+            ),
             *(keep, self._measured, groups, tiling.grid),
             np.zeros(tiling.n_scratch, np.float32),
         )
@@ -191,4 +198,4 @@ class CompiledDescent(Descent):
 
     def iterate(self, newest: int, betas: Floats) -> None:
         theta, before = self._thetas[newest], self._thetas[1 - newest]
-        fista(theta, before, betas, self._weights2, self._threshold, *self._arrays)
+        self._fista(theta, before, betas, self._weights2, self._threshold, *self._arrays)
