@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 NODE_TYPES = {
     "sensor": "sparseskin.nodes.sensor.node:Sensor",
     "compressor": "sparseskin.nodes.compressor.node:Compressor",
+    "edge": "sparseskin.nodes.edge.node:Edge",
     "reconstructor": "sparseskin.nodes.reconstructor.node:Reconstructor",
     "monitor": "sparseskin.nodes.monitor.node:Monitor",
     "recorder": "sparseskin.nodes.recorder.node:Recorder",

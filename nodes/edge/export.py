@@ -1,0 +1,192 @@
+"""Export of an edge as a folder of C99 files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from sparseskin.messages.quantised import largest_code
+from sparseskin.nodes.compressor.phi.hadamard import block_sizes
+from sparseskin.nodes.compressor.quantiser import SMALLEST
+from sparseskin.nodes.files import whole_folder
+
+from .description import EdgeDescription
+from .twin import check_counts, compressed, fnv1a
+
+DESCRIPTION = "edge.toml"
+COPIED = (
+    *("edge.h", "edge.c", "edge_tables.h", "edge_check.h", "edge_check.c", "edge_test.c"),
+    *("edge_stream.c", "Makefile", "cortex_m4/main.c", "cortex_m4/link.ld"),
+)
+"""Files that are the same for every edge."""
+
+
+def export(description: EdgeDescription, out: Path) -> None:
+    """Write the program of an edge into a new folder.
+
+    Raises
+    ------
+    OutputError
+        If the folder exists or cannot be written.
+    EdgeError
+        If two row subsets have the same short fingerprint.
+    """
+    made = {
+        DESCRIPTION: description.to_toml(),
+        "README.md": readme(description),
+        "edge_config.h": config(description),
+        "edge_tables.c": tables(description),
+        "edge_vectors.h": vectors(description),
+    }
+    source = files(__package__) / "c"
+    with whole_folder(out):
+        (out / "cortex_m4").mkdir()
+        for name in COPIED:
+            (out / name).write_text((source / name).read_text(encoding="utf-8"), encoding="utf-8")
+        for name, text in made.items():
+            (out / name).write_text(text, encoding="utf-8")
+
+
+def config(description: EdgeDescription) -> str:
+    """Return the text of `edge_config.h`: sizes and types."""
+    d = description
+    step_of_zeros = int(np.float32(SMALLEST / largest_code(d.bits)).view(np.uint32))
+    numbers = {
+        "N_ROWS": d.n_rows,
+        "N_COLS": d.n_cols,
+        "N_CELLS": d.n_cells,
+        "N_TAXELS": d.n_taxels,
+        "M": d.m,
+        "BITS": d.bits,
+        "BLOCK": max(block_sizes(d.n_taxels, d.block)),
+        "N_GROUPS": len(_groups(d)),
+        "N_SUBSETS": len(d.subsets),
+        "FULL_SCALE": f"{d.full_scale}u",
+        "COUNT_BYTES": d.count_bytes,
+        "STEP_OF_ZEROS": f"0x{step_of_zeros:08x}u /* the step of a frame of zeros, float32 */",
+        "FRAME_BYTES": d.frame_bytes,
+        "FIRST_CELL": int(d.cells[0]),
+    }
+    return "\n".join(
+        [
+            "/* Sizes of this edge. */",
+            "#ifndef EDGE_CONFIG_H",
+            "#define EDGE_CONFIG_H",
+            "",
+            "#include <stdint.h>",
+            "",
+            *(f"#define EDGE_{name} {value}" for name, value in numbers.items()),
+            "",
+            f"typedef uint{8 * d.count_bytes}_t edge_count_t;",
+            "",
+            "#endif",
+            "",
+        ]
+    )
+
+
+def tables(description: EdgeDescription) -> str:
+    """Return the text of `edge_tables.c`: the permutation, the rows and the scales."""
+    d = description
+    groups = []
+    for size, count in _groups(d):
+        scale = np.reciprocal(np.sqrt(np.float32(size)))  # as SbhePhi rounds it
+        mantissa, exponent = np.frexp(scale)
+        groups.append(
+            f"{{{count}, {size.bit_length() - 1}, {int(exponent) - 1}, "
+            f"0x{int(np.ldexp(float(mantissa), 32)):08x}u}}"
+        )
+    rows = []
+    for phi in d.subsets:
+        kept = np.zeros(-(-d.n_taxels // 32) * 32, dtype=bool)
+        kept[phi.rows] = True
+        words = np.packbits(kept, bitorder="little").view("<u4")
+        rows.append(_array(f"0x{word:08x}u" for word in words.tolist()))
+    cells = d.cells[d.phi.permutation]
+    n_words = "(EDGE_N_TAXELS + 31) / 32"
+    return "\n".join(
+        [
+            '#include "edge_tables.h"',
+            "",
+            f"const edge_group_t edge_groups[EDGE_N_GROUPS] = {_array(groups)};",
+            "",
+            f"const uint16_t edge_cells[EDGE_N_TAXELS] = {_array(map(str, cells.tolist()))};",
+            "",
+            f"const uint32_t edge_rows[EDGE_N_SUBSETS][{n_words}] = {{",
+            ",\n".join(rows) + "};",
+            "",
+            "const uint32_t edge_phi[EDGE_N_SUBSETS] = "
+            + _array(f"0x{tag:08x}u" for tag in d.tags)
+            + ";",
+            "",
+        ]
+    )
+
+
+def vectors(description: EdgeDescription) -> str:
+    """Return the text of `edge_vectors.h`: the hash of each test frame's bytes."""
+    n_vectors = len(description.subsets) + 6
+    frames = (check_counts(description, k) for k in range(n_vectors))
+    hashes = [fnv1a(sent) for sent in compressed(description, frames)]
+    return "\n".join(
+        [
+            "/* FNV-1a of the bytes of each test frame, by the compressor in Python. */",
+            "#ifndef EDGE_VECTORS_H",
+            "#define EDGE_VECTORS_H",
+            "",
+            "#include <stdint.h>",
+            "",
+            f"#define EDGE_N_VECTORS {n_vectors}u",
+            "static const uint32_t edge_vectors[EDGE_N_VECTORS] = "
+            + _array(f"0x{value:08x}u" for value in hashes)
+            + ";",
+            "",
+            "#endif",
+            "",
+        ]
+    )
+
+
+def readme(description: EdgeDescription) -> str:
+    """Return the text of `README.md`."""
+    d = description
+    masked = "" if d.mask is None else f", {d.n_taxels} of which hold a taxel"
+    tags = ", ".join(f"`{tag:08x}`" for tag in d.tags)
+    text = (files(__package__) / "c" / "README.md.in").read_text(encoding="utf-8")
+    values = {
+        "n_rows": d.n_rows,
+        "n_cols": d.n_cols,
+        "masked": masked,
+        "m": d.m,
+        "rows": d.rows,
+        "n_subsets": len(d.subsets),
+        "bits": d.bits,
+        "full_scale": d.full_scale,
+        "code_bytes": d.code_bytes,
+        "frame_bytes": d.frame_bytes,
+        "top": largest_code(d.bits),
+        "tags": tags,
+    }
+    for name, value in values.items():
+        text = text.replace(f"@{name}@", str(value))
+    return text
+
+
+def _groups(description: EdgeDescription) -> list[tuple[int, int]]:
+    """Sizes of the Hadamard blocks in their order, and how many there are of each."""
+    sizes = block_sizes(description.n_taxels, description.block)
+    return [(size, sizes.count(size)) for size in dict.fromkeys(sizes)]
+
+
+def _array(items: Iterable[str]) -> str:
+    """Items as the braces of a C array, lines of at most about 100 characters."""
+    lines, line = [], "    "
+    for item in items:
+        if len(line) + len(item) > 98:
+            lines.append(line.rstrip())
+            line = "    "
+        line += f"{item}, "
+    return "{\n" + "\n".join([*lines, line.rstrip().rstrip(",")]) + "}"
