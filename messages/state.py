@@ -34,6 +34,8 @@ class SkinState(Message):
         True if /PATCH/truth is published.
     sigma_mid, sigma_end : float
         Noise model: standard deviation at mid-range and at both ends, in `unit`.
+    has_taxels : bool
+        False if the skin is compressed outside the graph, so that /PATCH/taxels is not published.
     """
 
     schema: ClassVar[str] = "skin"
@@ -51,6 +53,7 @@ class SkinState(Message):
     has_truth: bool = wire(Flag())
     sigma_mid: float = wire(Real(0.0))
     sigma_end: float = wire(Real(0.0))
+    has_taxels: bool = wire(Flag(), default=True, omitted=True)
 
     def validate(self) -> None:
         _ = self.skin  # raises where the mask does not fit the grid

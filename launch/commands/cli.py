@@ -31,6 +31,7 @@ COMMANDS = {
     "bag": (".bag", "look into a recording, repair it, convert it"),
     "reprocess": (".reprocess", "put recordings through other settings, offline"),
     "learn-basis": (".learn_basis", "learn a basis from a recording"),
+    "edge": (".edge", "export a compressor in C for a board, count its instructions"),
     "scenes": (".scenes", "list the scenes, make short recordings of them"),
     "study": ("sparseskin.studies.command", "compute tables and charts anew"),
     "completion": (".completion", "print the completion script of a shell"),

@@ -16,18 +16,17 @@ from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.quantised import n_bytes
 from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.rotation import ROWS, row_subsets
+from sparseskin.nodes.compressor.phi.rotation import ROTATING, ROWS, check_subsets, row_subsets
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
-from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.errors import PhiError, SettingsError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean, nearest_of
 
 FILE_VERSION = 1
 MAX_CELLS = 1 << 16
 """Largest number of cells of a frame: they are numbered in 16 bits."""
 MAX_BLOCK = 256
-"""Largest Hadamard block: its sums are held on the stack."""
-EXACT = 1 << 24
-"""Whole numbers up to this one are exact in float32, and so are their sums."""
+"""Largest Hadamard block: 256 readings of 16 bits add up to less than 2^24, so that float32 holds
+all sums exactly."""
 HEADER_BYTES = 12
 """Bytes before the codes: start (2), sequence number (2), Phi (4), step (4)."""
 CRC_BYTES = 2
@@ -73,7 +72,7 @@ class EdgeDescription:
     rows: str = "fixed"
     block: int = 32
     seed: int = 0
-    adc_bits: int = 16
+    adc_bits: int = 12
     mask: npt.NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
@@ -94,12 +93,6 @@ class EdgeDescription:
             raise EdgeError(f"rows: {self.rows!r} is not allowed{nearest_of(self.rows, ROWS)}")
         if self.n_cells > MAX_CELLS:
             raise EdgeError(f"n_rows: {self.n_cells} cells; allowed: {MAX_CELLS} or fewer")
-        if self.block * self.full_scale >= EXACT:
-            raise EdgeError(
-                f"block: {self.block} readings of {self.adc_bits} bits add up to more than 2^24, "
-                f"which float32 does not hold exactly; allowed: {EXACT // (self.full_scale + 1)} "
-                "or less"
-            )
         if self.mask is not None:
             shape = (self.n_rows, self.n_cols)
             if self.mask.shape != shape or self.mask.dtype != np.bool_:
@@ -110,6 +103,11 @@ class EdgeDescription:
                 raise EdgeError("mask: leaves no taxel")
         if not is_whole(self.m, 1, self.n_taxels):
             raise EdgeError(f"m: {self.m!r} is not allowed; allowed: 1..{self.n_taxels}")
+        if self.rows == ROTATING:
+            try:
+                check_subsets(self.n_taxels, self.m)
+            except PhiError as error:
+                raise EdgeError(str(error)) from error
 
     @classmethod
     def chosen(
@@ -118,12 +116,13 @@ class EdgeDescription:
         n_cols: int,
         *,
         ratio: float,
+        m: int | None = None,
         rows: str | None = None,
         mask: npt.NDArray[np.bool_] | None = None,
         **others: Any,
     ) -> Self:
-        """Describe an edge by its compression ratio, with the rows and M that the compressor node
-        chooses for it.
+        """Describe an edge by its compression ratio, or M, with the rows and M that the compressor
+        node chooses for them.
 
         Raises
         ------
@@ -132,12 +131,10 @@ class EdgeDescription:
         """
         made = cls(n_rows, n_cols, m=1, mask=mask, **others)
         try:
-            settings = CompressorSettings(phi="sbhe", ratio=ratio, rows=rows)
-            settings.check()
-            rows, m = settings.rows_and_m(made.n_taxels)
-            made = replace(made, rows=rows, m=m)
-            row_subsets(made.phi, rows)
-        except SettingsError as error:
+            settings = CompressorSettings(phi="sbhe", ratio=ratio, m=m, rows=rows)
+            resolved, n_measurements = settings.rows_and_m(made.n_taxels)
+            made = replace(made, rows=resolved, m=n_measurements)
+        except (SettingsError, PhiError) as error:
             raise EdgeError(str(error)) from error
         return made
 

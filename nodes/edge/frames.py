@@ -39,6 +39,10 @@ class EdgeFrame:
     step: float
     codes: npt.NDArray[np.int32]
 
+    def measurements(self, bits: int, unit: float) -> Quantised:
+        """Return the measurements; `unit` is the force of one count."""
+        return Quantised.of(self.codes, bits, self.step * unit)
+
 
 def crc16(data: bytes) -> int:
     """Return the CRC-16 of polynomial 0x1021, start 0xffff (CRC-16/IBM-3740)."""
@@ -107,7 +111,7 @@ class FrameReader:
                 if len(waiting) < at + size:
                     return
                 body = bytes(waiting[at + len(START) : at + size])
-                if crc16(body[:-CRC_BYTES]) != int.from_bytes(body[-CRC_BYTES:], "little"):
+                if not _is_whole(body):
                     self.n_damaged += 1
                     at += 1
                     continue
@@ -120,11 +124,14 @@ class FrameReader:
 
     def packet(self, data: bytes) -> EdgeFrame | None:
         """Read one packet that is to be a whole frame; None where it is not."""
-        self._waiting.clear()
-        found = list(self.feed(data)) if len(data) == self._description.frame_bytes else []
-        self.n_damaged += not found and not data.startswith(START)
-        self._waiting.clear()
-        return found[0] if found else None
+        if len(data) != self._description.frame_bytes or not data.startswith(START):
+            self.n_damaged += 1
+            return None
+        body = data[len(START) :]
+        if not _is_whole(body):
+            self.n_damaged += 1
+            return None
+        return self._frame(body)
 
     def _frame(self, body: bytes) -> EdgeFrame | None:
         d = self._description
@@ -143,3 +150,8 @@ class FrameReader:
         np.minimum(codes, largest_code(d.bits), out=codes)
         self.n_frames += 1
         return EdgeFrame(seq, phi, step, codes)
+
+
+def _is_whole(body: bytes) -> bool:
+    """True if the CRC at the end of the bytes after a start is right."""
+    return crc16(body[:-CRC_BYTES]) == int.from_bytes(body[-CRC_BYTES:], "little")

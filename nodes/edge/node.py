@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from sparseskin.messages import Measurements, Message, PhiState, SkinState, topic_of
-from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
@@ -18,7 +17,11 @@ from .frames import EdgeFrame, FrameReader
 from .line import check_line, open_line
 
 COUNTS = "counts"
-STRANGE = "of another matrix"
+FAULTS = {
+    "missing_frames": "never came",
+    "bad_frames": "had a wrong checksum",
+    "other_matrix": "are of another matrix",
+}
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,7 @@ class Edge(SourceNode[EdgeSettings]):
             seed=0,
             rate_hz=0.0,
             has_truth=False,
+            has_taxels=False,
             sigma_mid=0.0,
             sigma_end=0.0,
         )
@@ -122,17 +126,16 @@ class Edge(SourceNode[EdgeSettings]):
                 self._frames.extend(self._reader.feed(data))
             self._log_faults()
         frame = self._frames.popleft()
-        d = self._description
         yield Measurements(
             stamp_ns=max(tick.stamp_ns, self.context.clock.now_ns()),
             patch=self.settings.patch,
-            y=Quantised.of(frame.codes, d.bits, frame.step * self._of_count),
+            y=frame.measurements(self._description.bits, self._of_count),
             phi=frame.phi,
         )
 
     def status(self) -> str:
         d, counts = self._description, self._counts()
-        faults = "".join(f", {n} {name}" for name, n in counts.items() if n)
+        faults = "".join(f", {n} {FAULTS[name]}" for name, n in counts.items() if n)
         n = self._reader.n_frames
         return f"{self.settings.source}: frame {n}, {d.m} of {d.bits} bits{faults}"
 
@@ -145,9 +148,9 @@ class Edge(SourceNode[EdgeSettings]):
     def _counts(self) -> dict[str, int]:
         reader = self._reader
         return {
-            "lost": reader.n_lost,
-            "damaged": reader.n_damaged,
-            STRANGE: reader.n_strangers,
+            "missing_frames": reader.n_lost,
+            "bad_frames": reader.n_damaged,
+            "other_matrix": reader.n_strangers,
         }
 
     def _log_faults(self) -> None:
@@ -156,8 +159,8 @@ class Edge(SourceNode[EdgeSettings]):
             if n <= 2 * self._logged.get(name, 0):
                 continue
             self._logged[name] = n
-            line = f"{self.settings.source}: {n} frames {name}"
-            if name == STRANGE:
+            line = f"{self.settings.source}: {n} frames {FAULTS[name]}"
+            if name == "other_matrix":
                 described = ", ".join(f"{tag:08x}" for tag in self._description.tags)
                 line += (
                     f" (the last {self._reader.stranger}; described {described}): is "

@@ -179,16 +179,18 @@ class Delay:
     """Latency of reconstructions on the clock of the monitor's host.
 
     `clock_of` takes a topic and returns the clock estimate of its publisher, None while unknown.
+    `sensed` is the schema of the messages whose publisher states the time of acquisition;
     `uncertainty_ns` is the largest uncertainty of a latency so far; 0 on one host.
     """
 
     def __init__(self, clock_of: ClockOf) -> None:
         self._clock_of = clock_of
+        self.sensed = Taxels.schema
         self.uncertainty_ns = 0
 
     def of(self, message: Reconstruction) -> int | None:
         """Time from acquisition to reconstruction in ns; None while a clock is unknown."""
-        acquired = self._clock_of(topic_of(message.patch, Taxels.schema))
+        acquired = self._clock_of(topic_of(message.patch, self.sensed))
         reconstructed = self._clock_of(topic_of(message.patch, Reconstruction.schema))
         if acquired is None or reconstructed is None:
             return None
@@ -287,6 +289,7 @@ class PatchMetrics:
             case SkinState():
                 self._note_changes(_fields(self.skin, *_OF_SKIN), _fields(message, *_OF_SKIN))
                 self.skin = message
+                self._delay.sensed = (Taxels if message.has_taxels else Measurements).schema
             case PhiState():
                 self._note_changes(_fields(self.phi, *_OF_PHI), _fields(message, *_OF_PHI))
                 self.phi = message
@@ -302,6 +305,11 @@ class PatchMetrics:
                 bits = y.bits if isinstance(y, Quantised) else 8 * y.itemsize
                 self._note_changes({"bits": self.bits}, {"bits": bits})
                 self.bits = bits
+                if self._delay.sensed == message.schema:
+                    self._pair(message.stamp_ns).n_sensed = self._sensed.add(message)
+                    if self._first_ns is None:
+                        self._first_ns = message.stamp_ns
+                    return self._evaluate(message.stamp_ns)
             case Taxels():
                 self.bytes_in += size_bytes(message) - self._absent_bytes(message)
                 if self._first_ns is None:
@@ -350,7 +358,7 @@ class PatchMetrics:
 
     def end(self, schema: str, n_messages: int) -> None:
         """End a topic after n_messages: the publisher's own count is the right one."""
-        if schema == Taxels.schema:
+        if schema == self._delay.sensed:
             self._sensed.end(n_messages)
         elif schema == Reconstruction.schema:
             self._reconstructed.end(n_messages)
@@ -388,7 +396,7 @@ class PatchMetrics:
     def _evaluate(self, stamp_ns: int) -> FrameMetrics | None:
         """Evaluate a frame once all its messages have arrived."""
         frame = self._pending[stamp_ns]
-        if self.skin is None or frame.taxels is None or frame.reconstruction is None:
+        if self.skin is None or not frame.n_sensed or frame.reconstruction is None:
             return None
         if self.skin.has_truth and frame.truth is None:
             return None
@@ -396,9 +404,13 @@ class PatchMetrics:
         # Both streams count the same frames: the difference of their counts is lost.
         frame.lost = self.lost_so_far = max(0, frame.n_sensed - frame.n_answered)
         cells = self.skin.mask if self.skin.mask is not None else slice(None)
-        taxels = frame.taxels.forces[cells]
         forces = frame.reconstruction.forces[cells]
         f_max = self.skin.f_max
+        if frame.taxels is None:  # nothing to compare with
+            in_contact = float(forces.max()) > CONTACT_FRACTION * f_max
+            self.trust.add(frame.reconstruction, in_contact)
+            return frame
+        taxels = frame.taxels.forces[cells]
         reference = taxels if frame.truth is None else frame.truth.forces[cells]
         in_contact = float(reference.max()) > CONTACT_FRACTION * f_max
         if frame.truth is not None:
@@ -434,7 +446,7 @@ class PatchMetrics:
                 "lost": self.lost,
                 "unpaired": self.unpaired + len(self._pending),
             },
-            "reference": ("truth" if skin.has_truth else "taxels") if skin else None,
+            "reference": _reference(skin),
             "psnr_db": {
                 "noisy": self.noisy.summary(),
                 "reconstruction": self.reconstruction.summary(),
@@ -447,6 +459,13 @@ class PatchMetrics:
             "bytes_in": self.bytes_in,
             "bytes_out": self.bytes_out,
         }
+
+
+def _reference(skin: SkinState | None) -> str | None:
+    """What reconstructions are compared with; None where nothing is known."""
+    if skin is None or not (skin.has_truth or skin.has_taxels):
+        return None
+    return "truth" if skin.has_truth else "taxels"
 
 
 def _fields(state: Message | None, *names: str) -> dict[str, Any]:

@@ -34,8 +34,10 @@ if TYPE_CHECKING:
 
 SUMMARY_EVERY_NS = 500_000_000
 """Period in which the live page gets a new summary."""
-REQUIRED = (SkinState, Taxels, Truth, PhiState, Measurements, SolverState, Reconstruction)
-WATCHED = (*REQUIRED, Resultant)
+REQUIRED = (SkinState, PhiState, Measurements, SolverState, Reconstruction)
+OPTIONAL = (Taxels, Truth, Resultant)
+"""A compressor outside the graph publishes no taxels."""
+WATCHED = (*REQUIRED, *OPTIONAL)
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ class Monitor(Node[MonitorSettings]):
 
     @classmethod
     def optional_inputs(cls, settings: MonitorSettings) -> tuple[str, ...]:
-        return tuple(topic_of(patch, Resultant.schema) for patch in settings.patches)
+        return tuple(topic_of(patch, k.schema) for patch in settings.patches for k in OPTIONAL)
 
     def start(self) -> Iterable[Message]:
         ask = self.context.ask

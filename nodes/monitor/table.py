@@ -72,16 +72,23 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
         + (f" in {patch['basis']}" if patch["basis"] else "")
         + f", {_iterations(patch)}"
         + (f" (preset {patch['preset']})" if patch["preset"] not in ("", NONE) else ""),
-        f"bytes       taxels {patch['bytes_in']:,}, measurements {patch['bytes_out']:,}"
-        + (f" (1/{patch['bytes_in'] / patch['bytes_out']:.2f})" if patch["bytes_out"] else ""),
+        "bytes       "
+        + (f"taxels {patch['bytes_in']:,}, " if patch["bytes_in"] else "")
+        + f"measurements {patch['bytes_out']:,}"
+        + (
+            f" (1/{patch['bytes_in'] / patch['bytes_out']:.2f})"
+            if patch["bytes_in"] and patch["bytes_out"]
+            else ""
+        ),
         f"time        latency p50 {_time(patch['latency_ms'], 'p50')}, "
         f"p99 {_time(patch['latency_ms'], 'p99')}"
         + (f" (± {within:.2f})" if (within := patch["latency_uncertainty_ms"]) else "")
         + "; "
         f"solve p50 {_time(patch['solve_ms'], 'p50')}, p99 {_time(patch['solve_ms'], 'p99')}",
-        "",
-        f"{'PSNR in dB ' + against.get(patch['reference'], ''):<41}{'mean':>8}{'min':>8}{'max':>8}",
     ]
+    if patch["reference"] in against:
+        head = f"PSNR in dB {against[patch['reference']]}"
+        rows += ["", f"{head:<41}{'mean':>8}{'min':>8}{'max':>8}"]
     for label, key in (("noisy taxels", "noisy"), ("reconstruction", "reconstruction")):
         for which, frames_of in (("all", "all frames"), ("contact", "contact frames")):
             extent = psnr[key][which]

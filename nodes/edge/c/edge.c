@@ -23,30 +23,40 @@ static unsigned leading_zeros(uint32_t value)
 #endif
 }
 
-/* Hadamard transform in place, in Sylvester's order of rows. */
-static void transform(int32_t *v, unsigned log2_size)
+/* A count, at most full scale. */
+static int32_t limited(uint32_t count)
+{
+    return (int32_t)(count < EDGE_FULL_SCALE ? count : EDGE_FULL_SCALE);
+}
+
+/* Hadamard transform of the counts of some cells, in Sylvester's order of rows. */
+static void transform(const edge_count_t *counts, const uint16_t *cell, unsigned log2_size,
+                      int32_t *v)
 {
     const unsigned size = 1u << log2_size;
     unsigned half = 1, i, j;
 
     if (log2_size & 1u) { /* one stage of pairs, then stages of fours */
         for (i = 0; i < size; i += 2) {
-            const int32_t a = v[i], b = v[i + 1];
+            const int32_t a = limited(counts[cell[i]]), b = limited(counts[cell[i + 1]]);
             v[i] = a + b;
             v[i + 1] = a - b;
         }
         half = 2;
+    } else {
+        for (i = 0; i < size; i++)
+            v[i] = limited(counts[cell[i]]);
     }
     for (; half < size; half *= 4) {
         for (i = 0; i < size; i += 4 * half) {
-            for (j = i; j < i + half; j++) {
-                const int32_t a = v[j], b = v[j + half];
-                const int32_t c = v[j + 2 * half], d = v[j + 3 * half];
+            int32_t *p = v + i;
+            for (j = 0; j < half; j++, p++) {
+                const int32_t a = p[0], b = p[half], c = p[2 * half], d = p[3 * half];
                 const int32_t ab = a + b, a_b = a - b, cd = c + d, c_d = c - d;
-                v[j] = ab + cd;
-                v[j + half] = a_b + c_d;
-                v[j + 2 * half] = ab - cd;
-                v[j + 3 * half] = a_b - c_d;
+                p[0] = ab + cd;
+                p[half] = a_b + c_d;
+                p[2 * half] = ab - cd;
+                p[3 * half] = a_b - c_d;
             }
         }
     }
@@ -98,19 +108,18 @@ static uint32_t divided_by_top(uint32_t bits)
     return result;
 }
 
-/* CRC-16 of polynomial 0x1021, start 0xffff, not reflected (CRC-16/IBM-3740), 4 bits at a time. */
+/* CRC-16 of polynomial 0x1021, start 0xffff, not reflected (CRC-16/IBM-3740), a byte at a time:
+ * x^16 = x^12 + x^5 + 1, and the 4 highest bits of a byte return once more. */
 static uint16_t crc16(const uint8_t *data, uint32_t n)
 {
-    static const uint16_t table[16] = {
-        0x0000, 0x1021, 0x2042, 0x3063, 0x4084, 0x50a5, 0x60c6, 0x70e7,
-        0x8108, 0x9129, 0xa14a, 0xb16b, 0xc18c, 0xd1ad, 0xe1ce, 0xf1ef};
     uint32_t crc = 0xffff, i;
 
     for (i = 0; i < n; i++) {
-        crc = ((crc << 4) & 0xffff) ^ table[(crc >> 12) ^ (data[i] >> 4)];
-        crc = ((crc << 4) & 0xffff) ^ table[(crc >> 12) ^ (data[i] & 15)];
+        uint32_t byte = ((crc >> 8) & 0xffu) ^ data[i];
+        byte ^= byte >> 4;
+        crc = (crc << 8) ^ (byte << 12) ^ (byte << 5) ^ byte;
     }
-    return (uint16_t)crc;
+    return (uint16_t)(crc & 0xffffu);
 }
 
 static uint8_t *put(uint8_t *out, uint32_t value, unsigned n_bytes)
@@ -125,7 +134,7 @@ static uint8_t *put(uint8_t *out, uint32_t value, unsigned n_bytes)
 /* Measure the rows of this subset; return the bits of the largest |y|. */
 static uint32_t measure(edge_t *edge, const edge_count_t *counts)
 {
-    int32_t v[EDGE_BLOCK];
+    int32_t v[EDGE_BLOCK < 4 ? 4 : EDGE_BLOCK]; /* at least 4: compilers then see that all fit */
     const uint16_t *cell = edge_cells;
     const uint32_t *rows = edge_rows[edge->subset];
     uint32_t *y = edge->y, largest = 0, row = 0;
@@ -133,19 +142,21 @@ static uint32_t measure(edge_t *edge, const edge_count_t *counts)
 
     for (group = 0; group < EDGE_N_GROUPS; group++) {
         const edge_group_t *g = &edge_groups[group];
-        const unsigned size = 1u << g->log2_size;
+        const unsigned size = 1u << g->log2_size, step = size < 32 ? size : 32;
+        const uint32_t all = step < 32 ? (1u << step) - 1u : 0xffffffffu;
         for (block = 0; block < g->n_blocks; block++) {
-            for (i = 0; i < size; i++) {
-                const uint32_t count = counts[*cell++];
-                v[i] = (int32_t)(count < EDGE_FULL_SCALE ? count : EDGE_FULL_SCALE);
-            }
-            transform(v, g->log2_size);
-            for (i = 0; i < size; i++, row++) {
-                if ((rows[row >> 5] >> (row & 31u)) & 1u) {
-                    const uint32_t bits = scaled(v[i], g->scale, g->exponent);
+            transform(counts, cell, g->log2_size, v);
+            cell += size;
+            for (i = 0; i < size; i += step, row += step) {
+                uint32_t kept = (rows[row >> 5] >> (row & 31u)) & all;
+                while (kept) {
+                    const uint32_t lowest = kept & (0u - kept);
+                    const uint32_t bits =
+                        scaled(v[i + 31u - leading_zeros(lowest)], g->scale, g->exponent);
                     if ((bits & ~SIGN) > largest)
                         largest = bits & ~SIGN;
                     *y++ = bits;
+                    kept ^= lowest;
                 }
             }
         }

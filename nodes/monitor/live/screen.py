@@ -70,7 +70,8 @@ def _patch_lines(name: str, patch: PatchFeed, now_s: float) -> list[str]:
     lines = [
         title.center(WIDTH, "-"),
         f"compression  {shown(summary['ratio'], '.2f')} : 1 (N {summary['n']}, M {summary['m']}), "
-        f"sent {_bytes(summary['bytes_out'])} instead of {_bytes(summary['bytes_in'])}",
+        f"sent {_bytes(summary['bytes_out'])}"
+        + (f" instead of {_bytes(summary['bytes_in'])}" if summary["bytes_in"] else ""),
         f"frames       {frames['reconstructed']} of {frames['sensed']} reconstructed, "
         + (f"{frames['skipped']} skipped, " if frames["skipped"] else "")
         + f"{patch.lost} lost; {rate} Hz of {skin.rate_hz:g} Hz requested",

@@ -136,12 +136,14 @@ function tiles(name) {
       !s.n ? "Φ is not known yet" : s.bits && s.bits < 32
         ? `N/M ${s.n}/${s.m}, ${s.bits} bits: ${s.ratio_bits.toFixed(1)} : 1`
         : `N = ${s.n}, M = ${s.m}`],
-    ["traffic", "Data rate of the edge", `${bytes(after)}`, `instead of ${bytes(before)}`],
+    ["traffic", "Data rate of the edge", `${bytes(after)}`,
+      skin?.has_taxels === false ? "compressed outside the graph" : `instead of ${bytes(before)}`],
     ["gain", `PSNR gain${shownFrames(s) === "contact" ? " in contact" : ", all frames"}`,
       Number.isFinite(gain) ? `${gain >= 0 ? "+" : "−"}${Math.abs(gain).toFixed(1)} dB`
         : fixed(mean(s, "reconstruction"), 1, "dB"),
       Number.isFinite(gain) ? `${trusted(s) ? "" : "mean "}${fixed(mean(s, "noisy"), 1)} → ${fixed(
         mean(s, "reconstruction"), 1, "dB")}${trusted(s) && `, ${trusted(s)}`}`
+        : skin?.has_taxels === false ? trusted(s) || "no taxels to compare with"
         : trusted(s) ? `against the taxels, ${trusted(s)}`
           : "against the taxels; the truth is not known"],
     ["latency", "Latency, all frames", `${fixed(s.latency_ms?.p50, 1, "ms")}`

@@ -22,7 +22,8 @@ export class Maps {
     this.maps = {};
     this.mask = skin.data.mask ?? null;
     root.replaceChildren();
-    const names = skin.has_truth ? Object.keys(TITLES) : ["taxels", "reconstruction", "error"];
+    const names = skin.has_truth ? Object.keys(TITLES)
+      : skin.has_taxels ? ["taxels", "reconstruction", "error"] : ["reconstruction"];
     for (const name of names) root.append(this.panel(name));
     root.style.setProperty("--n-maps", names.length);
     root.addEventListener("pointermove", (event) => this.point(event));

@@ -188,6 +188,31 @@ def test_without_a_truth_the_taxels_are_the_reference() -> None:
     assert summary["psnr_db"]["reconstruction"]["all"]["mean"] == pytest.approx(40, abs=1e-3)
 
 
+@pytest.mark.parametrize("answer_first", [False, True])
+def test_without_taxels_frames_are_counted_by_their_measurements(answer_first: bool) -> None:
+    metrics = metrics_of(dataclasses.replace(skin(has_truth=False), has_taxels=False))
+    for k, seq in enumerate((0, 2, 3)):  # a frame that is not reconstructed, and two that are
+        if seq == 2:
+            metrics.add(frame(1, None, 1.0, None)[1])
+        messages = [dataclasses.replace(m, seq=k) for m in frame(seq, None, 1.0, 1.025)[2:]]
+        messages = [frame(seq, None, 1.0, None)[1], *messages]
+        for message in reversed(messages) if answer_first else messages:
+            metrics.add(message)
+    metrics.end("measurements", 4)
+    metrics.end("reconstruction", 3)
+    summary = metrics.summary()
+    assert summary["frames"]["sensed"] == 4
+    assert summary["frames"]["reconstructed"] == 3
+    assert summary["frames"]["lost"] == 1
+    assert summary["reference"] is None
+    assert summary["psnr_db"]["reconstruction"] == {"all": None, "contact": None}
+    assert summary["latency_ms"]["p50"] == pytest.approx(3.0, rel=3e-3)
+    assert (summary["bytes_in"], summary["bytes_out"] > 0) == (0, True)
+    table = summary_table({"skin": summary})
+    assert "PSNR" not in table
+    assert "taxels" not in table
+
+
 def test_masked_cells_count_neither_in_psnr_nor_in_bytes() -> None:
     mask = np.ones(SHAPE, np.bool_)
     mask[0] = False
@@ -459,7 +484,8 @@ def test_a_monitor_reads_resultants_where_they_are_written() -> None:
 def test_a_monitor_watches_several_patches_apart() -> None:
     settings = Monitor.Settings(patches=("left", "right"))
     monitor = Monitor(settings, Context("monitor", ManualClock()))
-    assert "/left/taxels" in Monitor.inputs(settings)
+    assert "/left/measurements" in Monitor.inputs(settings)
+    assert "/left/taxels" in Monitor.optional_inputs(settings)
     assert "/right/reconstruction" in Monitor.inputs(settings)
     monitor.step(dataclasses.replace(skin(), patch="left"))
     monitor.ended("/right/taxels", 5)
