@@ -31,7 +31,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add = add_commands(parser, "A compressor in C99 for the board beside the skin.")
     make = add("export", _export, "write its program")
     _add_matrix(make)
-    make.add_argument("--skin", metavar="skin.toml", type=Path, help="rows, columns, mask of a skin")
+    make.add_argument(
+        "--skin", metavar="skin.toml", type=Path, help="rows, columns, mask of a skin"
+    )
     about = "folder to write to, a new one"
     make.add_argument("--out", metavar="DIR", type=Path, required=True, help=about)
     cost = add("cost", _cost, "count its instructions and memory on a Cortex-M4")
@@ -58,7 +60,7 @@ def _add_matrix(parser: argparse.ArgumentParser) -> None:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    """Write the compressor of a skin as portable C99, in integers and without a heap, with a self-test.
+    """Write the compressor of a skin as portable C99, without a heap and in integers.
 
     Its frames are those of the compressor node for the same counts, bit for bit. A node of type
     edge reads them: sparseskin launch edge.
@@ -116,7 +118,9 @@ def _cost(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _described(arguments: argparse.Namespace, n_rows: int, n_cols: int, mask: Any) -> EdgeDescription:
+def _described(
+    arguments: argparse.Namespace, n_rows: int, n_cols: int, mask: Any
+) -> EdgeDescription:
     """The edge that the options state, or an error that names the option."""
     from sparseskin.nodes.compressor.phi.rotation import RATIO
     from sparseskin.nodes.edge.description import EdgeDescription

@@ -196,7 +196,9 @@ class EdgeDescription:
         """
         found = {int(phi.fingerprint[:8], 16): phi.fingerprint for phi in self.subsets}
         if len(found) < len(self.subsets):
-            raise EdgeError("seed: two row subsets have the same short fingerprint; allowed: others")
+            raise EdgeError(
+                "seed: two row subsets have the same short fingerprint; allowed: others"
+            )
         return found
 
     def to_toml(self) -> str:
@@ -263,7 +265,7 @@ class EdgeDescription:
         if made.phi.fingerprint != tree["fingerprint"]:
             raise EdgeError(
                 f"fingerprint: {tree['fingerprint']!r}, but seed {made.seed} gives Phi "
-                f"{made.phi.fingerprint} here; the file was changed, or the random generators differ"
+                f"{made.phi.fingerprint} here: the file was changed, or the generators differ"
             )
         _ = made.tags
         return made

@@ -182,7 +182,7 @@ def _resultant(patch: PatchFeed) -> dict[str, Any]:
 def _skin(name: str, patch: PatchFeed) -> Part:
     skin = patch.skin
     assert skin is not None
-    fields = ("n_rows", "n_cols", "f_max", "unit", "pitch_m", "source", "rate_hz")
-    fields += ("has_truth", "has_taxels")
+    of_grid = ("n_rows", "n_cols", "f_max", "unit", "pitch_m")
+    fields = (*of_grid, "source", "rate_hz", "has_truth", "has_taxels")
     header = {"kind": "skin", "patch": name, **{key: getattr(skin, key) for key in fields}}
     return header, {} if skin.mask is None else {"mask": skin.mask.view(np.uint8)}

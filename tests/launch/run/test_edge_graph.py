@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from conftest import StartProgram, free_port
-from edges import as_input, compiled, sent
+from conftest import StartProgram
+from edges import as_input, compiled
 
 from sparseskin.messages import (
     Measurements,
@@ -70,7 +70,7 @@ def by_python(
     d: EdgeDescription, skin: SkinState, counts: npt.NDArray[np.uint16]
 ) -> tuple[list[Measurements], list[Reconstruction]]:
     """Measurements and reconstructions of the nodes in Python, for the same counts."""
-    made = dict(rows=d.rows, m=d.m, bits=d.bits, block=d.block, seed=d.seed)
+    made = {"rows": d.rows, "m": d.m, "bits": d.bits, "block": d.block, "seed": d.seed}
     compressor = Compressor(CompressorSettings(**made), Context("c", ManualClock(1)))  # type: ignore[arg-type]
     reconstructor = Reconstructor(ReconstructorSettings(), Context("r", ManualClock(1)))
     list(reconstructor.step(skin))
@@ -125,5 +125,3 @@ def test_its_frames_are_reconstructed_as_those_of_the_edge_in_python(
     assert len({m.phi for m in in_c}) == 3
     assert [m.forces.tobytes() for m in restored_in_c] == [m.forces.tobytes() for m in restored]
     assert max(float(m.forces.max()) for m in restored) > 0.1 * d.full_scale
-
-

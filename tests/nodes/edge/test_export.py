@@ -79,12 +79,24 @@ def test_the_self_test_finds_its_frames_as_expected_and_a_changed_table_not(
 @pytest.mark.parametrize("name", ["32x32", "masked, not square", "remainder of all sizes"])
 def test_its_frames_are_the_messages_of_a_compressor_node(name: str, tmp_path: Path) -> None:
     d = CASES[name]
-    made = dict(rows=d.rows, m=d.m, bits=d.bits, block=d.block, seed=d.seed)
+    made = {"rows": d.rows, "m": d.m, "bits": d.bits, "block": d.block, "seed": d.seed}
     node = Compressor(CompressorSettings(**made), Context("compressor", ManualClock(1)))
-    of_skin = dict(n_rows=d.n_rows, n_cols=d.n_cols, f_max=float(d.full_scale), unit="counts")
-    of_source = dict(source="x", seed=0, rate_hz=0.0, has_truth=False, sigma_mid=0.0, sigma_end=0.0)
-    origin: Any = dict(stamp_ns=1, patch="skin")
-    skin = SkinState(**origin, **of_skin, **of_source, pitch_m=None, mask=d.mask)  # type: ignore[arg-type]
+    skin = SkinState(
+        stamp_ns=1,
+        patch="skin",
+        n_rows=d.n_rows,
+        n_cols=d.n_cols,
+        f_max=float(d.full_scale),
+        unit="counts",
+        pitch_m=None,
+        mask=d.mask,
+        source="x",
+        seed=0,
+        rate_hz=0.0,
+        has_truth=False,
+        sigma_mid=0.0,
+        sigma_end=0.0,
+    )
     list(node.step(skin))
     frames = random_counts(d, 3 * len(d.subsets) + 6)
     found = list(FrameReader(d).feed(sent(compiled(d, tmp_path), d, frames)))
@@ -93,7 +105,7 @@ def test_its_frames_are_the_messages_of_a_compressor_node(name: str, tmp_path: P
         forces = counts.astype(np.float32)
         if d.mask is not None:
             forces[~d.mask] = 0
-        (message,) = node.step(Taxels(**origin, forces=forces))
+        (message,) = node.step(Taxels(stamp_ns=2, patch="skin", forces=forces))
         assert isinstance(message, Measurements)
         assert frame.phi == message.phi
         assert frame.measurements(d.bits, 1.0).tobytes() == message.y.tobytes()

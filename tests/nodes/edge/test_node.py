@@ -74,7 +74,12 @@ def test_skin_and_phi_are_those_of_the_description(described: str, line: tuple[i
     skin, phi = node.start()
     assert isinstance(skin, SkinState)
     assert isinstance(phi, PhiState)
-    assert (skin.skin.shape, skin.f_max, skin.unit, skin.has_taxels) == ((6, 8), 4095, "counts", False)
+    assert (skin.skin.shape, skin.f_max, skin.unit, skin.has_taxels) == (
+        (6, 8),
+        4095,
+        "counts",
+        False,
+    )
     assert (phi.fingerprint, phi.m, phi.rows) == (D.phi.fingerprint, 16, "rotating")
     node.close({})
 
