@@ -12,7 +12,7 @@ from .clock import Clock, SystemClock
 from .errors import SparseskinError
 from .graph import NodeSpecs, join
 from .host import Log, NodeHost
-from .node import Context, Tick
+from .node import Context, SourceNode, Tick
 
 LOCAL_RUN_ID = "0" * 16
 
@@ -78,6 +78,8 @@ class Bus:
             self._last_stamp_ns = max(self.clock.now_ns(), self._last_stamp_ns + 1)
             for host in live:
                 messages += self._deliver(host.tick(Tick(self._last_stamp_ns, self._n_ticks)))
+            if not messages and not all(_acquired(host) for host in live):
+                continue
             self._n_ticks += 1
             done += 1
             yield messages
@@ -111,6 +113,10 @@ class Bus:
                 for reader in self._readers.get(message.topic, ()):
                     self._queue.extend(reader.receive(message))
         return delivered
+
+
+def _acquired(host: NodeHost) -> bool:
+    return not isinstance(host.node, SourceNode) or host.node.acquired
 
 
 def _named(name: str, log: Log) -> Log:

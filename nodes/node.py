@@ -188,6 +188,8 @@ class SourceNode(Node[S]):
     """Number of readers to wait for before the first tick."""
     exhausted: bool = False
     """True if the last frame has been delivered."""
+    acquired: bool = True
+    """False if the last tick found no frame: it is not counted as one."""
     commands: ClassVar[Mapping[str, str]] = {
         "pause": "stop acquiring frames: true, false, or toggle"
     }

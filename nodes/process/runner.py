@@ -268,6 +268,9 @@ class Runner:
         stamp_ns = max(self.clock.now_ns(), self.last_stamp_ns + 1)
         self.last_stamp_ns = stamp_ns
         self._publish(self.host.tick(Tick(stamp_ns, self.n_ticks)))
+        node = self.host.node
+        if isinstance(node, SourceNode) and not node.acquired:
+            return
         self.n_ticks += 1
         source = self._source
         if source is not None and source.follows_readers:

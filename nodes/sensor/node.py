@@ -12,6 +12,8 @@ from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
+from .boards.board import describe_board, is_board
+from .boards.source import BoardSource, dropped_text
 from .driver import DriverSource
 from .files.head import n_taxels
 from .files.parsed import NAN_WAYS, NEGATIVE_WAYS, Policy
@@ -26,6 +28,8 @@ RATE_S = 2.0
 short delay at the start is made up for before."""
 KEPT_RATE = 0.9
 """Share of the rate asked below which the sensor logs a warning."""
+WAIT_S = 0.05
+"""Longest wait for a frame of a board, seconds; chosen: commands and signals wait no longer."""
 _Frame = tuple[Floats, Floats | None]  # taxels, and truth where it is known
 
 
@@ -35,7 +39,8 @@ class SensorSettings(PatchSettings):
 
     source: str = setting(
         "scene:drag_wrench_64",
-        "where frames come from: scene:NAME, file:PATH or module:callable",
+        "where frames come from: scene:NAME, file:PATH, serial:DEVICE, udp:PORT, can:CHANNEL or "
+        "module:callable",
         decides=True,
     )
     rate_hz: float | None = setting(
@@ -80,7 +85,7 @@ class SensorSettings(PatchSettings):
 
     def check(self) -> None:
         with naming("source"):
-            check_source(self.source, self.n_rows, self.n_cols, self.unit, self.policy)
+            check_source(self.source, self.n_rows, self.n_cols, self.unit, self.policy, self.f_max)
         if self.source.startswith(SCENE):
             for key in ("n_rows", "n_cols", "unit", "f_max"):
                 if getattr(self, key) is not None:
@@ -110,7 +115,8 @@ class Sensor(SourceNode[SensorSettings]):
         self.skin = self._source.skin
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
-        self._live = isinstance(self._source, DriverSource)
+        self._live = isinstance(self._source, DriverSource | BoardSource)
+        self._board_ns = -1
         self.rate_hz = self._chosen_rate()
         self._frames: Iterator[tuple[int, Floats]] = iter(self._source)
         self._next: _Frame | None = None
@@ -129,6 +135,10 @@ class Sensor(SourceNode[SensorSettings]):
         n: int | None
         if source.startswith(SCENE):
             n = open_source(source, seed=settings.seed).skin.n_taxels
+        elif is_board(source):
+            unit, f_max = settings.unit, settings.f_max
+            board = describe_board(source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
+            n = board.skin.n_taxels
         elif source.startswith(FILE):
             path = source.removeprefix(FILE)
             n = n_taxels(path, n_rows, n_cols, settings.unit, settings.policy)
@@ -157,6 +167,11 @@ class Sensor(SourceNode[SensorSettings]):
             self.begin(self.context.clock.now_ns())
         yield self._describe()
 
+    @property
+    def follows_readers(self) -> bool:
+        # A board does not wait: its frames would be lost where nobody counts them.
+        return super().follows_readers and not isinstance(self._source, BoardSource)
+
     def _describe(self) -> SkinState:
         skin, has_truth = self.skin, self._source.delivers == "truth"
         return SkinState(
@@ -177,6 +192,8 @@ class Sensor(SourceNode[SensorSettings]):
             self._prepare()
             # A driver waits for its hardware: its frame is younger than the tick.
             stamp_ns = max(stamp_ns, self.context.clock.now_ns())
+        if isinstance(self._source, BoardSource):
+            stamp_ns = self._board_ns
         if self._next is None:
             return
         taxels, truth = self._next
@@ -196,25 +213,32 @@ class Sensor(SourceNode[SensorSettings]):
 
     def status(self) -> str:
         total = f" of {self._source.n_frames}" if self._source.n_frames is not None else ""
-        return f"{self._source.name}: frame {self._n_frames}{total}"
+        text = f"{self._source.name}: frame {self._n_frames}{total}"
+        if isinstance(self._source, BoardSource):
+            dropped = dropped_text(self._source.figures())
+            text += f"; dropped: {dropped}" if dropped else ""
+            text += "" if self._source.is_there else "; the device is gone"
+        return text
 
     def close(self, counts: dict[str, Any]) -> None:
-        if isinstance(self._source, DriverSource):
+        if isinstance(self._source, DriverSource | BoardSource):
             self._source.close()
 
     def report(self) -> dict[str, Any]:
         source = self._source
+        board = {"board": source.figures()} if isinstance(source, BoardSource) else {}
         if isinstance(source, RecordedSource) and (invalid := source.treated.counts()):
             return {"clipped": 0, "invalid": invalid}
-        if not isinstance(source, DriverSource) or not self._n_clipped:
-            return {"clipped": 0}
+        if not isinstance(source, DriverSource | BoardSource) or not self._n_clipped:
+            return {"clipped": 0, **board}
         read = {"lowest": source.lowest, "highest": source.highest}
         allowed = {"f_max": self.skin.f_max, "unit": self.skin.unit}
-        return {"clipped": self._n_clipped, **read, **allowed}
+        return {"clipped": self._n_clipped, **read, **allowed, **board}
 
     def _watch_range(self) -> None:
         """Log clipped readings, each time their number has doubled: a wrong sign, unit or range."""
-        n_clipped = self._source.n_clipped if isinstance(self._source, DriverSource) else 0
+        source = self._source
+        n_clipped = source.n_clipped if isinstance(source, DriverSource | BoardSource) else 0
         if n_clipped > 2 * self._n_logged:
             self._n_logged = n_clipped
             self.context.log(
@@ -246,6 +270,13 @@ class Sensor(SourceNode[SensorSettings]):
 
     def _prepare(self) -> None:
         """Compute the next frame, or note that there is none."""
+        if isinstance(self._source, BoardSource):
+            forces = self._from_board(self._source)
+            self._next, self.acquired = (
+                None if forces is None else (forces, None),
+                forces is not None,
+            )
+            return
         try:
             _, forces = next(self._frames)
         except StopIteration:
@@ -256,6 +287,32 @@ class Sensor(SourceNode[SensorSettings]):
             self._next = (forces, None)
             return
         self._next = self._measured(forces)
+
+    def _from_board(self, board: BoardSource) -> Floats | None:
+        """The next frame of a board, and its stamp; None if none came."""
+        frame = board.next_frame(WAIT_S, newest=self.rate_hz > 0)
+        self._log_lines(board)
+        now_ns = self.context.clock.now_ns()
+        if frame is None:
+            self.begin(now_ns)  # no frame is made up for
+            return None
+        arrived_ns, forces = frame
+        self._board_ns = max(now_ns - board.age_ns(arrived_ns), self._board_ns + 1)
+        self._watch_range()
+        return forces
+
+    def _log_lines(self, board: BoardSource) -> None:
+        while board.lines:
+            self.context.log(board.lines.popleft())
+
+    def idle(self) -> None:
+        if not isinstance(self._source, BoardSource):
+            return
+        if self.paused or not self._t0_ns:
+            self._source.discard()
+        elif self.rate_hz:
+            self._source.receive(0.0)
+        self._log_lines(self._source)
 
     def _measured(self, truth: Floats) -> _Frame:
         """Return the readings of true forces, and these."""

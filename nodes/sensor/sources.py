@@ -1,4 +1,6 @@
-"""Sources by name: scene:NAME, file:PATH, ros2:/TOPIC, or module:callable."""
+"""Sources by name: scene:NAME, file:PATH, a board (serial:, udp:, can:), ros2:/TOPIC, or
+module:callable.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +22,18 @@ from sparseskin.nodes.sensor.files.parsed import DEFAULT_POLICY, Policy, check_s
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES, open_file
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, check_scene, open_scene
 
+from .boards.board import check_board, describe_board, is_board
+from .boards.settings import KINDS
+from .boards.source import BoardSource
 from .driver import DriverSource, open_callable
 from .source import Source
 
 SCENE = "scene:"
 FILE = "file:"
 ROS2 = "ros2:"
-FORMS = "scene:NAME, file:PATH, ros2:/TOPIC or module:callable"
+FORMS = (
+    "scene:NAME, file:PATH, serial:DEVICE, udp:PORT, can:CHANNEL, ros2:/TOPIC or module:callable"
+)
 
 
 def check_source(
@@ -35,14 +42,16 @@ def check_source(
     n_cols: int | None = None,
     unit: str | None = None,
     policy: Policy = DEFAULT_POLICY,
+    f_max: float | None = None,
 ) -> None:
     """Check that a source exists, without opening it; of a file the begin is read.
 
     Raises
     ------
     SourceError
-        If it has none of the three forms, the scene is unknown, the file is missing, of an unknown
-        format or refused by `n_taxels`, or the module of the driver is missing.
+        If it has none of these forms, the scene is unknown, a board's settings or device are wrong,
+        the file is missing, of an unknown format or refused by `n_taxels`, or the module of the
+        driver is missing.
     """
     kind, colon, rest = source.partition(":")
     if not (kind and colon and rest):
@@ -54,6 +63,9 @@ def check_source(
         from sparseskin.nodes.bridges.ros2_source import check
 
         check(source)
+    elif is_board(source):
+        board = describe_board(source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
+        check_board(board)
     elif not source.startswith(FILE):
         check_module(source)
     else:
@@ -91,7 +103,7 @@ def check_module(target: str) -> None:
         if package:
             raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause
     if found is None:
-        hint = did_you_mean(module, ("scene", "file")) if len(module) < 8 else ""
+        hint = did_you_mean(module, ("scene", "file", *KINDS)) if len(module) < 8 else ""
         hint = hint if "did you mean" in hint else ""
         raise SourceError(f"{target}: there is no module {module!r}, installed or in {here}{hint}")
     names = _names_of(Path(found.origin)) if found.origin else None
@@ -134,11 +146,12 @@ def open_source(
     Parameters
     ----------
     source : str
-        "scene:NAME", "file:PATH" or "module:callable".
+        "scene:NAME", "file:PATH", "serial:DEVICE", "udp:PORT", "can:CHANNEL" or "module:callable".
     seed : int
         Seed of a scene; not used by files and drivers.
     n_rows, n_cols, unit, f_max
-        Properties that a file or driver does not state, as in `open_file` and `open_callable`.
+        Properties that a file, board or driver does not state, as in `open_file`, `describe_board`
+        and `open_callable`.
     policy : Policy
         What to do with readings of a file that are not finite or below 0.
 
@@ -147,6 +160,10 @@ def open_source(
     SourceError
         If the source is missing or malformed, or a setting contradicts it.
     """
+    if is_board(source):
+        return BoardSource(
+            describe_board(source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
+        )
     check_source(source, n_rows, n_cols, unit, policy)
     if source.startswith(SCENE):
         stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": unit, "f_max": f_max}

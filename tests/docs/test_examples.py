@@ -12,8 +12,10 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 #: Drivers of hardware: test_drivers.py runs them against simulated skins.
 DRIVERS = {"serial_skin", "udp_skin"}
 WITH_PICTURE = {"first_contact", "your_own_skin", "choosing_m"}
+ARGUMENTS = {"board_emulator": ["--frames", "3"]}
 #: A word of what an example prints last, so that one that prints nothing is noticed.
 LAST_LINE = {
+    "board_emulator": "3 frames sent, 0 not",
     "choosing_m": "contact frames",
     "compress_and_reconstruct": "533 measurements",
     "first_contact": "preset skin",
@@ -49,7 +51,7 @@ def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: st
 def test_an_example_runs_and_prints_its_result(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = ["out.png"] if name in WITH_PICTURE else []
+    arguments = ["out.png"] if name in WITH_PICTURE else ARGUMENTS.get(name, [])
     run(name, tmp_path, monkeypatch, *arguments)
     assert LAST_LINE[name] in capsys.readouterr().out.splitlines()[-1]
     if name in WITH_PICTURE:

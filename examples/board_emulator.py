@@ -1,0 +1,55 @@
+"""An emulated FlexiTac on a pseudo terminal: a ball that rolls over the skin. It prints the device.
+
+    python examples/board_emulator.py
+    sparseskin scope "serial:DEVICE?profile=flexitac_16x32"
+
+Its frames are those of the firmware: AA 55, then 16 x 32 bytes row by row, without a checksum.
+"""
+
+import argparse
+import os
+import pty
+import time
+import tty
+
+import numpy as np
+
+MARK, SHAPE = b"\xaa\x55", (16, 32)
+UNTOUCHED, PRESSED = 4.0, 180.0  # counts
+NOISE = 1.0  # counts, standard deviation
+RADIUS = 3.0  # taxels
+
+
+def reading(t_s, rng):
+    rows, cols = np.indices(SHAPE)
+    row, col = 7.5 + 5 * np.sin(1.3 * t_s), 15.5 + 12 * np.sin(0.7 * t_s)
+    press = np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / RADIUS**2)
+    counts = UNTOUCHED + PRESSED * press + NOISE * rng.standard_normal(SHAPE)
+    return np.clip(counts, 0, 255).astype(np.uint8)
+
+
+def main():
+    parser = argparse.ArgumentParser(description="An emulated FlexiTac on a pseudo terminal.")
+    parser.add_argument("--rate", type=float, default=100.0, help="frames a second")
+    parser.add_argument("--frames", type=int, default=10**9, help="frames to send")
+    options = parser.parse_args()
+    board, host = pty.openpty()
+    tty.setraw(host)
+    os.set_blocking(board, False)
+    print(os.ttyname(host), flush=True)
+    rng, begin = np.random.default_rng(0), time.monotonic()
+    sent = dropped = 0
+    left = b""  # of the frame that the line has taken in part
+    for k in range(options.frames):
+        time.sleep(max(0.0, begin + k / options.rate - time.monotonic()))
+        frame = left or MARK + reading(k / options.rate, rng).tobytes()
+        try:  # as a real line, it does not wait for a reader
+            left = frame[os.write(board, frame) :]
+            sent += not left
+        except BlockingIOError:
+            dropped += 1
+    print(f"{sent} frames sent, {dropped} not: nobody read")
+
+
+if __name__ == "__main__":
+    main()

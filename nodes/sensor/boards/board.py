@@ -1,0 +1,124 @@
+"""What the name of a source states of a board: serial:DEVICE, udp:PORT or can:CHANNEL."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.errors import SourceError, SparseskinError
+from sparseskin.nodes.sensor.files.parsed import check_stated_shape
+
+from .can_chunks import chunks_of
+from .can_port import check_can
+from .framing import Framing
+from .readings import Layout
+from .serial_port import check_serial
+from .settings import (
+    KINDS,
+    BoardSettings,
+    CanSettings,
+    UdpSettings,
+    profile_names,
+    read_settings,
+    split_source,
+)
+from .udp_port import check_udp
+
+
+@dataclass(frozen=True)
+class Board:
+    """What the name of a source and the sensor's settings state of a board."""
+
+    name: str
+    kind: str
+    address: str
+    settings: BoardSettings
+    layout: Layout
+    framing: Framing
+    skin: Skin
+
+
+def is_board(source: str) -> bool:
+    """True if a source is named as a board is: serial:, udp: or can:."""
+    return source.partition(":")[0] in KINDS
+
+
+def describe_board(
+    source: str,
+    *,
+    n_rows: int | None = None,
+    n_cols: int | None = None,
+    unit: str | None = None,
+    f_max: float | None = None,
+) -> Board:
+    """Read all that is stated of a board, without opening it.
+
+    Parameters
+    ----------
+    source : str
+        "serial:DEVICE?KEY=VALUE&...", "udp:PORT?..." or "can:CHANNEL?...".
+    n_rows, n_cols, unit, f_max
+        Properties that the source may leave out.
+
+    Raises
+    ------
+    SourceError
+        If a key or value is not allowed, one is missing, or two contradict each other.
+    """
+    kind, address, query = split_source(source)
+    name = f"{kind}:{address}"
+    with naming_board(name):
+        if not address:
+            raise SourceError("nothing follows; expected " + _FORMS[kind])
+        settings = read_settings(kind, query)
+        given: dict[str, Any] = {"rows": n_rows, "cols": n_cols, "f_max": f_max}
+        missing = {k: v for k, v in given.items() if v is not None and getattr(settings, k) is None}
+        if unit is not None and settings.unit == "raw":
+            missing["unit"] = unit
+        settings = dataclasses.replace(settings, **missing)
+        layout = settings.layout()
+        check_stated_shape(layout.n_rows, layout.n_cols, n_rows, n_cols, "the source")
+        for key, stated in (("f_max", f_max), ("unit", unit)):
+            if stated is not None and stated != getattr(settings, key):
+                raise SourceError(
+                    f"{key} = {stated} is stated, but the source has {getattr(settings, key)}"
+                )
+        framing = settings.framing(layout)
+        settings.check_port()
+        if isinstance(settings, CanSettings):
+            chunks_of(settings, framing)
+        pitch_m = None if settings.pitch_mm is None else settings.pitch_mm / 1000
+        top = settings.range(layout)
+        skin = Skin(layout.n_rows, layout.n_cols, top, settings.unit, pitch_m)
+        return Board(name, kind, address, settings, layout, framing, skin)
+
+
+def check_board(board: Board) -> None:
+    """Raise SourceError if the port of a board is not there, or cannot be opened by this user."""
+    with naming_board(board.name):
+        if isinstance(board.settings, UdpSettings):
+            check_udp(board.address)
+        elif isinstance(board.settings, CanSettings):
+            check_can(board.address, board.settings.interface)
+        else:
+            check_serial(board.address)
+
+
+@contextmanager
+def naming_board(name: str) -> Iterator[None]:
+    try:
+        yield
+    except SparseskinError as error:
+        raise SourceError(f"{name}: {error}") from error
+
+
+_FORMS = {
+    "serial": "serial:DEVICE?profile=NAME, as serial:/dev/ttyUSB0?profile="
+    + next(iter(profile_names()), "NAME"),
+    "udp": "udp:PORT?KEY=VALUE&KEY=VALUE, as udp:5005?rows=16&cols=16",
+    "can": "can:CHANNEL?KEY=VALUE&KEY=VALUE, as can:can0?ids=0x100-0x11F&rows=16&cols=16",
+}

@@ -1,0 +1,144 @@
+"""A board on a CAN bus, opened by python-can."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from pathlib import Path
+from typing import Any
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import did_you_mean
+
+from .can_chunks import HIGHEST_STANDARD_ID, Assembler, chunks_of
+from .framing import Counts, Frame, FrameParser, Framing, Sequence, split_packet
+from .ports import Arrived, needed_module
+from .settings import CanSettings
+
+CAN_TYPE = "280"
+"""ARPHRD_CAN in /sys/class/net/NAME/type. Source: linux/if_arp.h."""
+MAX_FILTERS = 64
+"""Most arbitration ids that the kernel is asked to filter, one by one; chosen."""
+MAX_MESSAGES = 1024
+"""CAN frames of one call at most; chosen, so that a flood ends."""
+
+
+class CanPort:
+    """Frames spread over the frames of a CAN bus."""
+
+    def __init__(
+        self, address: str, settings: CanSettings, framing: Framing, counts: Counts
+    ) -> None:
+        self.address, self._settings, self._framing = address, settings, framing
+        self._counts = counts
+        self._chunks = chunks_of(settings, framing)
+        self._sequence = Sequence(framing.sequence_bytes, counts)
+        self._assembler = Assembler(self._chunks, counts)
+        self._parser = FrameParser(framing, counts) if self._chunks.is_stream else None
+        self.n_bytes = self._n_errors = 0
+        self._bus: Any = None
+
+    def open(self) -> None:
+        can = needed_module("can", "python-can", "can")
+        settings, ids = self._settings, self._chunks.ids
+        check_can(self.address, settings.interface)
+        self._assembler.reset()
+        self._sequence.reset()
+        if self._parser is not None:
+            self._parser.reset()
+        options: dict[str, Any] = {} if settings.bitrate is None else {"bitrate": settings.bitrate}
+        if len(ids) <= MAX_FILTERS:
+            options["can_filters"] = [
+                {"can_id": one, "can_mask": 0x1FFFFFFF, "extended": one > HIGHEST_STANDARD_ID}
+                for one in ids
+            ]
+        try:
+            self._bus = can.Bus(
+                channel=self.address, interface=settings.interface, fd=settings.fd, **options
+            )
+        except (can.CanError, OSError, ValueError, TypeError, ImportError, KeyError) as error:
+            reason = " ".join(str(error).split())
+            raise SourceError(f"cannot be opened: {reason}") from error
+
+    def receive(self, wait_s: float) -> list[Arrived]:
+        from can import CanError
+
+        frames: list[Arrived] = []
+        for k in range(MAX_MESSAGES):
+            try:
+                message = self._bus.recv(0 if k else wait_s)
+            except CanError as error:
+                raise OSError(str(error)) from error
+            if message is None:
+                break
+            if message.is_error_frame or message.is_remote_frame:
+                self._n_errors += message.is_error_frame
+                continue
+            if message.is_extended_id != (message.arbitration_id > HIGHEST_STANDARD_ID):
+                continue
+            frames += self._taken(message.arbitration_id, bytes(message.data))
+            if frames:
+                break
+        return frames
+
+    def _taken(self, arbitration_id: int, data: bytes) -> list[Arrived]:
+        if arbitration_id not in self._chunks.ids:
+            return []
+        self.n_bytes += len(data)
+        now_ns = time.monotonic_ns()
+        if self._parser is not None:
+            return [(now_ns, frame) for frame in self._parser.feed(data)]
+        whole = self._assembler.add(arbitration_id, data)
+        if whole is None:
+            return []
+        for raw in split_packet(self._framing, whole, self._counts):
+            payload, number = self._framing.split(raw)
+            if self._sequence.admit(number):
+                self._counts.frames += 1
+                return [(now_ns, Frame(payload, number, self.n_bytes))]
+            self._counts.dropped_bytes += len(raw)
+        return []
+
+    def close(self) -> None:
+        if self._bus is not None:
+            with contextlib.suppress(Exception):  # a driver of any vendor
+                self._bus.shutdown()
+            self._bus = None
+
+    def lost(self) -> dict[str, int]:
+        """Error frames that the controller has reported."""
+        return {"port_errors": self._n_errors}
+
+    def hint(self) -> str:
+        return "; also ids, chunk, index, counter"
+
+
+def check_can(channel: str, interface: str) -> None:
+    """Raise SourceError unless a channel is named, and of socketcan is there and up."""
+    needed_module("can", "python-can", "can")
+    if interface != "socketcan":
+        from can.interfaces import VALID_INTERFACES
+
+        if interface not in VALID_INTERFACES:
+            raise SourceError(
+                f"interface: python-can has no {interface[:40]!r}"
+                f"{did_you_mean(interface, VALID_INTERFACES)}"
+            )
+        return
+    channels = can_channels()
+    if channel not in channels:
+        hint = did_you_mean(channel, channels)
+        raise SourceError(f"there is no CAN interface {channel}{hint}")
+    with contextlib.suppress(OSError, ValueError):
+        if not int(Path(f"/sys/class/net/{channel}/flags").read_text(), 16) & 1:
+            raise SourceError(f"the CAN interface {channel} is down: ip link set {channel} up")
+
+
+def can_channels() -> list[str]:
+    """CAN interfaces of this host that Linux knows."""
+    found = []
+    for path in Path("/sys/class/net").glob("*/type"):
+        with contextlib.suppress(OSError):
+            if path.read_text().strip() == CAN_TYPE:
+                found.append(path.parent.name)
+    return sorted(found)

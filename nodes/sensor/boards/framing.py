@@ -1,0 +1,316 @@
+"""Frames in bytes: where one begins and ends, and if it is whole. The payload is not interpreted.
+
+A frame is
+
+    start bytes | sequence number | skipped bytes | payload | checksum | end bytes
+
+of which all but the payload may be absent; its length is fixed. `FrameParser` finds frames in a
+stream of bytes, of which some may be lost, extra or wrong:
+
+- with a CRC of 16 bits or more, a frame is accepted when its CRC is right;
+- with a weaker checksum or none, it is accepted when the start bytes of the next frame follow its
+  last byte. After an error two frames in a row must fit so, and no other place in the same stretch
+  of bytes may fit as well: the start bytes can occur among the readings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+from .checksums import CHECKSUMS, Checksum
+
+LATE = 16
+"""A sequence number that is lower than the last one by at most so many is of a frame that came too
+late; by more, of a board that was started again. Chosen: packets overtake few others."""
+MAX_CHECKS = 64
+"""Places that are tried after an error for each call, and eight more for each frame's length of
+bytes; chosen, so that no bytes take much longer to parse than frames do."""
+
+
+@dataclass
+class Counts:
+    """What came and was not used.
+
+    Attributes
+    ----------
+    frames : int
+        Frames accepted.
+    bad_frames : int
+        Frames whose checksum, end bytes or length was wrong, or that lacked a part.
+    missing_frames : int
+        Frames that never came, by their sequence numbers.
+    late_frames : int
+        Frames that came twice, or after a later one.
+    dropped_bytes : int
+        Bytes in no accepted frame.
+    """
+
+    frames: int = 0
+    bad_frames: int = 0
+    missing_frames: int = 0
+    late_frames: int = 0
+    dropped_bytes: int = 0
+
+    def as_dict(self) -> dict[str, int]:
+        """The counters by name."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """An accepted frame: its payload, its sequence number if it has one, and the number of bytes of
+    the stream up to its end.
+    """
+
+    payload: bytes
+    sequence: int | None
+    end: int
+
+
+@dataclass(frozen=True)
+class Framing:
+    """The parts of a frame.
+
+    Attributes
+    ----------
+    payload_bytes : int
+        Length of the payload, 1 or more.
+    start, end : bytes
+        Fixed bytes at both ends, b"" for none.
+    sequence_bytes : int
+        Length of the sequence number: 0 (none), 1, 2 or 4.
+    skip : int
+        Bytes between it and the payload that are not used.
+    checksum : str
+        A name of `CHECKSUMS`.
+    checksum_from : "start", "sequence" or "payload"
+        First part that the checksum covers; the payload is the last.
+    byte_order : "little" or "big"
+        Order of the bytes of sequence number and checksum.
+    """
+
+    payload_bytes: int
+    start: bytes = b""
+    end: bytes = b""
+    sequence_bytes: int = 0
+    skip: int = 0
+    checksum: str = "none"
+    checksum_from: Literal["start", "sequence", "payload"] = "sequence"
+    byte_order: Literal["little", "big"] = "little"
+
+    @property
+    def n_bytes(self) -> int:
+        """Length of a frame."""
+        return self._payload_at + self.payload_bytes + self._check.n_bytes + len(self.end)
+
+    @property
+    def is_strong(self) -> bool:
+        """True if a frame can be believed for its checksum alone."""
+        return self._check.is_strong
+
+    @property
+    def _check(self) -> Checksum:
+        return CHECKSUMS[self.checksum]
+
+    @property
+    def _payload_at(self) -> int:
+        return len(self.start) + self.sequence_bytes + self.skip
+
+    def encode(self, payload: bytes, sequence: int = 0) -> bytes:
+        """A frame as a board sends it; its skipped bytes are 0. For emulators and tests."""
+        number = sequence % (1 << 8 * self.sequence_bytes) if self.sequence_bytes else 0
+        head = self.start + number.to_bytes(self.sequence_bytes, self.byte_order)
+        body = head + bytes(self.skip) + payload
+        check = self._check.compute(body[self._covered_from :])
+        return body + check.to_bytes(self._check.n_bytes, self.byte_order) + self.end
+
+    @property
+    def _covered_from(self) -> int:
+        starts = {"start": 0, "sequence": len(self.start), "payload": self._payload_at}
+        return starts[self.checksum_from]
+
+    def is_whole(self, raw: bytes) -> bool:
+        """True if `n_bytes` bytes are a frame: start, checksum and end are right."""
+        return raw.startswith(self.start) and raw.endswith(self.end) and self._is_right(raw)
+
+    def _is_right(self, raw: bytes) -> bool:
+        n_check = self._check.n_bytes
+        if not n_check:
+            return True
+        at = self._payload_at + self.payload_bytes
+        stated = int.from_bytes(raw[at : at + n_check], self.byte_order)
+        return self._check.compute(raw[self._covered_from : at]) == stated
+
+    def split(self, raw: bytes) -> tuple[bytes, int | None]:
+        """Payload and sequence number of a whole frame."""
+        at, n = self._payload_at, self.sequence_bytes
+        first = len(self.start)
+        number = int.from_bytes(raw[first : first + n], self.byte_order) if n else None
+        return raw[at : at + self.payload_bytes], number
+
+
+class Sequence:
+    """Counts the frames that are missing between sequence numbers of `n_bytes` bytes."""
+
+    def __init__(self, n_bytes: int, counts: Counts) -> None:
+        self._modulus = 1 << 8 * n_bytes
+        self._last: int | None = None
+        self._counts = counts
+
+    def reset(self) -> None:
+        """Expect any number next: the board was unplugged."""
+        self._last = None
+
+    def admit(self, number: int | None) -> bool:
+        """Count a frame by its number; False for one that came before, or after a later one."""
+        if number is None:
+            return True
+        last, self._last = self._last, number
+        if last is None:
+            return True
+        ahead = (number - last) % self._modulus
+        behind = self._modulus - ahead
+        if ahead == 0 or behind <= min(LATE, self._modulus // 8):
+            self._last = last
+            self._counts.late_frames += 1
+            return False
+        if ahead <= self._modulus // 2:
+            self._counts.missing_frames += ahead - 1
+        return True
+
+
+class FrameParser:
+    """Finds the frames in a stream of bytes, however it is cut.
+
+    Parameters
+    ----------
+    framing : Framing
+        With start bytes.
+    counts : Counts
+        Counters to add to.
+    """
+
+    def __init__(self, framing: Framing, counts: Counts | None = None) -> None:
+        if not framing.start:
+            raise ValueError("a stream needs start bytes")
+        self.framing = framing
+        self.counts = Counts() if counts is None else counts
+        self._sequence = Sequence(framing.sequence_bytes, self.counts)
+        self._buffer = bytearray()
+        self._offset = 0  # of the buffer in the stream
+        self._in_step = False  # a frame begins at the begin of the buffer
+
+    @property
+    def n_waiting(self) -> int:
+        """Bytes that are neither dropped nor part of an accepted frame yet."""
+        return len(self._buffer)
+
+    def reset(self) -> None:
+        """Drop what is waiting: the stream was interrupted."""
+        self._drop(len(self._buffer))
+        self._in_step = False
+        self._sequence.reset()
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Add bytes to the stream; return the frames that are accepted now, in order."""
+        self._buffer += data
+        checks = MAX_CHECKS + 8 * len(self._buffer) // self.framing.n_bytes
+        frames: list[Frame] = []
+        while True:
+            if self._in_step:
+                if not self._take(frames):
+                    return frames
+            elif not checks:
+                self._drop(max(0, len(self._buffer) - len(self.framing.start) + 1))
+                return frames
+            else:
+                checks -= 1
+                search = self._search_one if self.framing.is_strong else self._search_two
+                if not search():
+                    return frames
+
+    def _take(self, frames: list[Frame]) -> bool:
+        """Accept or refuse the frame at the begin; False if more bytes must come first."""
+        framing, buffer = self.framing, self._buffer
+        n, n_start = framing.n_bytes, len(framing.start)
+        confirmed = framing.is_strong
+        if len(buffer) < (n if confirmed else n + n_start):
+            return False
+        raw = bytes(buffer[:n])
+        confirmed = confirmed or buffer[n : n + n_start] == framing.start
+        if not (confirmed and framing.is_whole(raw)):
+            self.counts.bad_frames += 1
+            self._in_step = False
+            if framing.is_strong:
+                self._drop(1)
+            return True
+        del buffer[:n]
+        self._offset += n
+        payload, number = framing.split(raw)
+        if self._sequence.admit(number):
+            self.counts.frames += 1
+            frames.append(Frame(payload, number, self._offset))
+        else:
+            self.counts.dropped_bytes += n
+        return True
+
+    def _search_one(self) -> bool:
+        """Drop what is before the next frame with a right checksum."""
+        framing = self.framing
+        if not self._find_start() or len(self._buffer) < framing.n_bytes:
+            return False
+        if framing.is_whole(bytes(self._buffer[: framing.n_bytes])):
+            self._in_step = True
+        else:
+            self._drop(1)
+        return True
+
+    def _search_two(self) -> bool:
+        """Drop what is before the next two frames in a row, where no other two fit as well."""
+        framing, buffer = self.framing, self._buffer
+        n, start = framing.n_bytes, framing.start
+        if not self._find_start() or len(buffer) < 2 * n + len(start):
+            return False
+        fitting: list[int] = []
+        at = n_tried = 0
+        while 0 <= at < n and len(fitting) < 2 and n_tried < MAX_CHECKS:
+            if buffer.startswith(start, at + n):
+                n_tried += 1
+                if framing.is_whole(bytes(buffer[at : at + n])):
+                    fitting.append(at)
+            at = buffer.find(start, at + 1)
+        if len(fitting) == 1 and n_tried < MAX_CHECKS:
+            self._drop(fitting[0])
+            self._in_step = True
+        else:
+            self._drop(n)
+        return True
+
+    def _find_start(self) -> bool:
+        """Drop what is before the next start bytes, or what may be their begin."""
+        found = self._buffer.find(self.framing.start)
+        if found < 0:
+            self._drop(max(0, len(self._buffer) - len(self.framing.start) + 1))
+        else:
+            self._drop(found)
+        return found >= 0
+
+    def _drop(self, n: int) -> None:
+        del self._buffer[:n]
+        self._offset += n
+        self.counts.dropped_bytes += n
+
+
+def split_packet(framing: Framing, packet: bytes, counts: Counts) -> list[bytes]:
+    """The whole frames of a packet that holds frames alone; what is not is counted."""
+    n = framing.n_bytes
+    if not packet or len(packet) % n:
+        counts.bad_frames += 1
+        counts.dropped_bytes += len(packet)
+        return []
+    parts = [packet[k : k + n] for k in range(0, len(packet), n)]
+    whole = [part for part in parts if framing.is_whole(part)]
+    counts.bad_frames += len(parts) - len(whole)
+    counts.dropped_bytes += n * (len(parts) - len(whole))
+    return whole

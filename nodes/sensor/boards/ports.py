@@ -1,0 +1,78 @@
+"""The interface of a port that a board sends to."""
+
+from __future__ import annotations
+
+import importlib
+from collections import Counter
+from itertools import pairwise
+from types import ModuleType
+from typing import Protocol
+
+from sparseskin.nodes.errors import SourceError
+
+from .framing import Frame, Framing
+
+MAX_READS = 64
+"""Reads of one call at most; chosen, so that a flood ends."""
+READ_BYTES = 1 << 16
+
+Arrived = tuple[int, Frame]
+"""Time of arrival on the monotonic clock, nanoseconds; the frame."""
+
+
+class Port(Protocol):
+    """A port with the parser of its frames.
+
+    Attributes
+    ----------
+    n_bytes : int
+        Bytes received since it was made.
+    """
+
+    n_bytes: int
+
+    def open(self) -> None:
+        """Open the device; SourceError if it cannot be."""
+        ...
+
+    def receive(self, wait_s: float) -> list[Arrived]:
+        """Frames that came; none after `wait_s` without any. OSError if the device is gone."""
+        ...
+
+    def close(self) -> None:
+        """Close the device; may be called more than once."""
+        ...
+
+    def lost(self) -> dict[str, int]:
+        """What kernel and driver have dropped, by its name."""
+        ...
+
+    def hint(self) -> str:
+        """What the bytes show that came last, where no frame was among them; "" for nothing."""
+        ...
+
+
+def needed_module(name: str, package: str, extra: str) -> ModuleType:
+    """Import a package of an extra; SourceError if it is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise SourceError(
+            f"{package} is not installed: pip install 'sparseskin[{extra}]'"
+        ) from error
+
+
+def hint_of_stream(framing: Framing, recent: bytes) -> str:
+    """What bytes of a stream show, in which no frame was found: other start bytes, or length."""
+    start = framing.start.hex(" ").upper()
+    places, at = [], recent.find(framing.start)
+    while at >= 0:
+        places.append(at)
+        at = recent.find(framing.start, at + 1)
+    if len(places) < 2:
+        return "" if len(recent) < framing.n_bytes else f"; the start bytes {start} hardly occur"
+    distance, times = Counter(b - a for a, b in pairwise(places)).most_common(1)[0]
+    if times < 2 or distance == framing.n_bytes:
+        return ""
+    extra = framing.n_bytes - framing.payload_bytes
+    return f"; from {start} to {start} it is {distance} bytes, {distance - extra} of readings"

@@ -1,0 +1,116 @@
+"""A board on a serial port, opened by pyserial."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import select
+import stat
+import struct
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import did_you_mean
+
+from .framing import Counts, FrameParser, Framing
+from .ports import MAX_READS, READ_BYTES, Arrived, hint_of_stream, needed_module
+from .settings import SerialSettings
+
+TIOCGICOUNT = 0x545D
+"""Linux: counters of a serial port. Source: asm-generic/ioctls.h; struct serial_icounter_struct."""
+DEVICES = ("ttyUSB*", "ttyACM*", "ttyAMA*", "rfcomm*", "cu.usb*")
+"""Names in /dev of serial ports that a board may be at: USB, the pins of small computers, radio."""
+
+
+class SerialPort:
+    """A stream of bytes from a serial port."""
+
+    def __init__(
+        self, address: str, settings: SerialSettings, framing: Framing, counts: Counts
+    ) -> None:
+        self.address, self._settings = address, settings
+        self.parser = FrameParser(framing, counts)
+        self.n_bytes = 0
+        self._port: Any = None
+        self._arrivals: deque[tuple[int, int]] = deque(maxlen=4096)  # end in the stream, time
+        self._overruns = 0
+        self._recent: deque[bytes] = deque(maxlen=64)
+
+    def open(self) -> None:
+        serial = needed_module("serial", "pyserial", "serial")
+        check_serial(self.address)
+        self.parser.reset()
+        try:
+            self._port = serial.Serial(self.address, self._settings.baud, timeout=0, exclusive=True)
+        except (OSError, ValueError) as error:  # SerialException is an OSError
+            number = error.errno if isinstance(error, OSError) else None
+            reason = str(error) if number is None else os.strerror(number)
+            if "lock" in str(error):
+                reason = "another program has it open"
+            raise SourceError(f"cannot be opened: {reason}") from error
+
+    def receive(self, wait_s: float) -> list[Arrived]:
+        fd = self._port.fileno()
+        frames: list[Arrived] = []
+        if not select.select([fd], [], [], wait_s)[0]:
+            return frames
+        for k in range(MAX_READS):
+            data = os.read(fd, READ_BYTES)
+            if not data:
+                if k:
+                    break
+                raise OSError("the device is gone")  # it was readable, and has nothing
+            now_ns = time.monotonic_ns()
+            self.n_bytes += len(data)
+            self._recent.append(data)
+            self._arrivals.append((self.n_bytes, now_ns))
+            frames += [(self._arrival_of(frame.end), frame) for frame in self.parser.feed(data)]
+        return frames
+
+    def _arrival_of(self, end: int) -> int:
+        while self._arrivals[0][0] < end:
+            self._arrivals.popleft()
+        return self._arrivals[0][1]
+
+    def close(self) -> None:
+        if self._port is not None:
+            self.lost()
+            with contextlib.suppress(OSError):
+                self._port.close()
+            self._port = None
+
+    def lost(self) -> dict[str, int]:
+        """Errors that the driver of the port has counted: overruns, framing, parity."""
+        if self._port is not None:
+            with contextlib.suppress(OSError):
+                raw = fcntl.ioctl(self._port.fileno(), TIOCGICOUNT, bytes(80))
+                _, _, _, _, _, _, frame, overrun, parity, _, buffer = struct.unpack("11i", raw[:44])
+                self._overruns = max(self._overruns, frame + overrun + parity + buffer)
+        return {"port_errors": self._overruns}
+
+    def hint(self) -> str:
+        return hint_of_stream(self.parser.framing, b"".join(self._recent))
+
+
+def check_serial(device: str) -> None:
+    """Raise SourceError unless a device is there that this user may read."""
+    try:
+        found = os.stat(device)
+    except (OSError, ValueError):
+        hint = did_you_mean(device, serial_devices())
+        raise SourceError(f"there is no device {device}{hint}") from None
+    if not stat.S_ISCHR(found.st_mode):
+        raise SourceError("is no serial port")
+    if not os.access(device, os.R_OK | os.W_OK):
+        raise SourceError(
+            "this user may not open it; on most systems members of the group dialout may"
+        )
+
+
+def serial_devices() -> list[str]:
+    """Serial ports of this host that a board may be at."""
+    return sorted(str(path) for name in DEVICES for path in Path("/dev").glob(name))

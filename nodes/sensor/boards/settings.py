@@ -1,0 +1,310 @@
+"""Settings of a board: what its frames look like, and the port that they come from.
+
+They are stated in the name of the source, serial:DEVICE?KEY=VALUE&KEY=VALUE, and in a profile, a
+TOML file of the same keys; the name of the source goes before the profile.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import ipaddress
+import re
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from sparseskin.nodes.errors import SourceError, SparseskinError
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.sensor.files.parsed import check_grid, check_unit, shown
+from sparseskin.nodes.settings import Settings, setting
+from sparseskin.nodes.toml import MAX_CHARS, parse_toml
+
+from .checksums import CHECKSUMS
+from .framing import Framing
+from .readings import DTYPES, ORDERS, Layout, order_of
+
+PROFILES = Path(__file__).parent / "profiles"
+MAX_FIXED_BYTES = 64
+"""Most start or end bytes."""
+
+
+@dataclass(frozen=True)
+class BoardSettings(Settings):
+    """Settings of every board."""
+
+    start: str = setting("", "bytes with which each frame begins, in hexadecimal digits: AA55")
+    sequence: str = setting(
+        "none", "number of the frame, after the start bytes", choices=("none", "u8", "u16", "u32")
+    )
+    skip: int = setting(0, "bytes before the readings that are not used", low=0, high=1024)
+    checksum: str = setting("none", "checksum after the readings", choices=tuple(CHECKSUMS))
+    checksum_from: str = setting(
+        "sequence",
+        "what the checksum begins with; it covers all from there to the last reading",
+        choices=("start", "sequence", "payload"),
+    )
+    end: str = setting("", "bytes with which each frame ends, in hexadecimal digits: 0D0A")
+    dtype: str = setting("uint8", "type of a reading", choices=DTYPES)
+    byte_order: str = setting("little", "order of the bytes of a number", choices=("little", "big"))
+    rows: int | None = setting(None, "rows of the skin", low=1, high=4096)
+    cols: int | None = setting(None, "columns of the skin", low=1, high=4096)
+    order: str = setting("rows", "row after row, or column after column", choices=ORDERS)
+    row_order: str = setting(
+        "forward", "places of the rows as they are sent: forward, reversed, or 2,0,1"
+    )
+    col_order: str = setting("forward", "the same of the columns")
+    zero: float = setting(0.0, "count of an untouched taxel", low=-1e30, high=1e30)
+    scale: float = setting(1.0, "reading of one count above zero", low=1e-30, high=1e30)
+    unit: str = setting("raw", "unit of the readings")
+    f_max: float | None = setting(
+        None, "upper end of the range, in unit; that of the type by default", low=1e-9, high=1e30
+    )
+    pitch_mm: float | None = setting(None, "distance of two taxels", low=1e-3, high=1e3)
+
+    needs_start: ClassVar[bool] = False
+
+    @property
+    def shape(self) -> tuple[int, int] | None:
+        """(rows, cols), None unless both are stated."""
+        return (self.rows, self.cols) if self.rows and self.cols else None
+
+    def layout(self) -> Layout:
+        """Layout of the readings; SourceError if a key is missing or wrong."""
+        if self.rows is None or self.cols is None:
+            missing = "rows" if self.rows is None else "cols"
+            raise SourceError(f"{missing} is not stated; add {missing}=NUMBER, or a profile")
+        check_grid(self.rows, self.cols, "rows, cols")
+        check_unit("unit", self.unit)
+        orders = []
+        for key, n in (("row_order", self.rows), ("col_order", self.cols)):
+            order = order_of(getattr(self, key), n)
+            if order is None:
+                raise SourceError(
+                    f"{key}: {shown(getattr(self, key))} is not allowed; allowed: forward, "
+                    f"reversed, or each of 0..{n - 1} once, with commas"
+                )
+            orders.append(order)
+        return Layout(
+            n_rows=self.rows,
+            n_cols=self.cols,
+            dtype=self.dtype,
+            byte_order=self.byte_order,
+            order=self.order,
+            row_order=orders[0],
+            col_order=orders[1],
+            scale=self.scale,
+            zero=self.zero,
+        )
+
+    def range(self, layout: Layout) -> float:
+        """Upper end of the range; SourceError if it is not known."""
+        f_max = layout.highest if self.f_max is None else self.f_max
+        if f_max is None:
+            raise SourceError(f"f_max is not stated, and {self.dtype} has no largest value")
+        if not f_max > 0:
+            raise SourceError(
+                f"zero = {self.zero:g} leaves no range: the largest reading is {f_max:g}"
+            )
+        return f_max
+
+    def framing(self, layout: Layout) -> Framing:
+        """Framing of the readings; SourceError if a key is wrong."""
+        start = _bytes_of("start", self.start)
+        if self.needs_start and not start:
+            raise SourceError("start is not stated; add start=HEX, the bytes that begin a frame")
+        return Framing(
+            layout.n_bytes,
+            start=start,
+            end=_bytes_of("end", self.end),
+            sequence_bytes={"none": 0, "u8": 1, "u16": 2, "u32": 4}[self.sequence],
+            skip=self.skip,
+            checksum=self.checksum,
+            checksum_from=typing.cast(Any, self.checksum_from),
+            byte_order="big" if self.byte_order == "big" else "little",
+        )
+
+    def check_port(self) -> None:
+        """Raise SourceError if a key of the port is wrong."""
+
+
+@dataclass(frozen=True)
+class SerialSettings(BoardSettings):
+    """Settings of a board on a serial port."""
+
+    baud: int = setting(115200, "bits a second", low=50, high=50_000_000)
+    needs_start: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class UdpSettings(BoardSettings):
+    """Settings of a board that sends UDP packets, each of one frame or several."""
+
+    bind: str = setting("127.0.0.1", "address of this host to receive at; 0.0.0.0 for all")
+    sender: str | None = setting(None, "address of the board; packets of others are dropped")
+
+    def check_port(self) -> None:
+        for key in ("bind", "sender"):
+            value = getattr(self, key)
+            try:
+                if value is not None and ipaddress.ip_address(value).version != 4:
+                    raise ValueError
+            except ValueError:
+                raise SourceError(f"{key}: {shown(value)} is no IPv4 address") from None
+
+
+@dataclass(frozen=True)
+class CanSettings(BoardSettings):
+    """Settings of a board on a CAN bus: a frame of the skin is spread over several CAN frames."""
+
+    ids: str = setting("", "arbitration ids in order of the readings: 0x100-0x10F, or 0x100,0x102")
+    chunk: int | None = setting(
+        None,
+        "bytes of the frame in one CAN frame; 8, or 64 with fd, less index and counter",
+        low=1,
+        high=64,
+    )
+    index: str = setting(
+        "none", "number of the chunk, first in each CAN frame", choices=("none", "u8", "u16")
+    )
+    counter: str = setting(
+        "none", "number of the skin's frame, next in each CAN frame", choices=("none", "u8")
+    )
+    fd: bool = setting(False, "CAN-FD: up to 64 bytes a CAN frame")
+    interface: str = setting("socketcan", "interface of python-can: socketcan, slcan, pcan ...")
+    bitrate: int | None = setting(
+        None, "bits a second; of socketcan it is that of the interface", low=1000, high=20_000_000
+    )
+
+
+KINDS: dict[str, type[BoardSettings]] = {
+    "serial": SerialSettings,
+    "udp": UdpSettings,
+    "can": CanSettings,
+}
+"""Settings by the begin of the source's name."""
+
+
+def _bytes_of(key: str, text: str) -> bytes:
+    try:
+        data = bytes.fromhex(text)
+    except ValueError:
+        raise SourceError(
+            f"{key}: {shown(text)} is not allowed; allowed are pairs of hexadecimal digits, "
+            "e.g. AA55"
+        ) from None
+    if len(data) > MAX_FIXED_BYTES:
+        raise SourceError(f"{key}: {len(data)} bytes; at most {MAX_FIXED_BYTES}")
+    return data
+
+
+def split_source(source: str) -> tuple[str, str, dict[str, str]]:
+    """Kind, address and query of "KIND:ADDRESS?KEY=VALUE&KEY=VALUE".
+
+    Raises
+    ------
+    SourceError
+        If a part of the query is no KEY=VALUE, or a key is stated twice.
+    """
+    kind, _, rest = source.partition(":")
+    address, _, query = rest.partition("?")
+    values: dict[str, str] = {}
+    for part in query.split("&") if query else ():
+        key, equals, value = part.partition("=")
+        if not (key and equals):
+            raise SourceError(f"{kind}:{address}: {shown(part)} is no KEY=VALUE")
+        if key in values:
+            raise SourceError(f"{kind}:{address}: {key} is stated twice")
+        values[key] = value
+    return kind, address, values
+
+
+def read_settings(kind: str, values: Mapping[str, str]) -> BoardSettings:
+    """Settings of a board of a kind of `KINDS`, from a query.
+
+    Raises
+    ------
+    SparseskinError
+        If a key or value of the query or of its profile is not allowed.
+    """
+    cls = KINDS[kind]
+    own = dict(values)
+    profile = own.pop("profile", None)
+    stated = {} if profile is None else read_profile(profile)
+    keys = [field.name for field in dataclasses.fields(cls)]
+    hints = typing.get_type_hints(cls)
+    for key, text in own.items():
+        if key not in keys:
+            raise SourceError(f"{key}: unknown key{did_you_mean(key, [*keys, 'profile'])}")
+        stated[key] = _value(key, text, hints[key])
+    return cls.from_mapping({key: value for key, value in stated.items() if key in keys})
+
+
+def read_profile(name: str) -> dict[str, Any]:
+    """Keys and values of a profile: its name if it comes with the package, or the path of a file
+    that ends in .toml. `about`, one line on the board, is left out.
+
+    Raises
+    ------
+    SourceError
+        If there is none, or it is no TOML of known keys.
+    """
+    own = name.endswith(".toml") or "/" in name
+    path = Path(name) if own else PROFILES / f"{name}.toml"
+    if not own and not (re.fullmatch(r"\w+", name) and path.is_file()):
+        hint = did_you_mean(name, profile_names())
+        raise SourceError(f"profile: there is no {shown(name)}{hint}; or the path of a .toml file")
+    values = read_toml(path)
+    known = {field.name for cls in KINDS.values() for field in dataclasses.fields(cls)}
+    for key, value in values.items():
+        if key not in known | {"about"}:
+            raise SourceError(f"profile {name}: {key}: unknown key{did_you_mean(key, known)}")
+        if isinstance(value, list):
+            values[key] = ",".join(map(str, value))
+    values.pop("about", None)
+    for cls in KINDS.values():
+        keys = {field.name for field in dataclasses.fields(cls)}
+        try:
+            cls.from_mapping({key: value for key, value in values.items() if key in keys})
+        except SparseskinError as error:
+            raise SourceError(f"profile {name}: {error}") from error
+    return values
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """A profile as it is written; SourceError if it cannot be read."""
+    try:
+        if not path.is_file():
+            raise SourceError(f"profile: {path}: there is no such file")
+        with path.open("rb") as file:
+            raw = file.read(MAX_CHARS + 1)
+        return parse_toml(raw.decode("utf-8"))
+    except OSError as error:
+        raise SourceError(f"profile: {path}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise SourceError(f"profile: {path}: no TOML ({shown(error, 120)})") from error
+
+
+def profile_names() -> list[str]:
+    """Names of the profiles that come with the package."""
+    return sorted(path.stem for path in PROFILES.glob("*.toml"))
+
+
+def _value(key: str, text: str, hint: Any) -> Any:
+    """A text of a query as the type of its key."""
+    options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    if str in options:
+        return text
+    if bool in options:
+        if text not in ("true", "false"):
+            raise SourceError(f"{key}: {shown(text)} is not allowed; allowed: true, false")
+        return text == "true"
+    try:
+        if "_" in text or len(text) > 40:
+            raise ValueError
+        return int(text) if int in options else float(text)
+    except ValueError:
+        what = "whole number" if int in options else "number"
+        raise SourceError(f"{key}: {shown(text)} is no {what}") from None
