@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     )
     from .frames import Measurements, Reconstruction, Resultant, Taxels, Truth
     from .skin import Skin
-    from .state import End, PhiState, SkinState, SolverState
+    from .state import Calibration, End, PhiState, SkinState, SolverState
     from .topics import topic_of
     from .wire import MAX_MESSAGE_BYTES, decode, encode, size_bytes
 
 __all__ = [
-    "MAX_MESSAGE_BYTES", "End", "FieldError", "MalformedError", "Measurements", "Message",
-    "MessageError", "NotFiniteError", "OversizedError", "PhiState", "Reconstruction", "Resultant",
-    "ShapeError", "Skin", "SkinState", "SolverState", "Taxels", "TruncatedError", "Truth",
-    "UnknownSchemaError", "VersionError", "decode", "encode", "size_bytes", "topic_of",
+    "MAX_MESSAGE_BYTES", "Calibration", "End", "FieldError", "MalformedError", "Measurements",
+    "Message", "MessageError", "NotFiniteError", "OversizedError", "PhiState", "Reconstruction",
+    "Resultant", "ShapeError", "Skin", "SkinState", "SolverState", "Taxels", "TruncatedError",
+    "Truth", "UnknownSchemaError", "VersionError", "decode", "encode", "size_bytes", "topic_of",
 ]  # fmt: skip
 
 _MODULES = ("topics", "errors", "base", "frames", "skin", "state", "wire")

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from .base import Message
-from .errors import MessageError
+from .errors import MessageError, ShapeError
 from .fields import MAX_ELEMENTS, MAX_SIDE, Array, Flag, Integer, Real, Text, wire
-from .frames import FINGERPRINT_PATTERN
+from .frames import FINGERPRINT_PATTERN, Floats
 from .skin import Skin
 from .topics import MAX_NAME, NAME_PATTERN, topic_of
 
@@ -36,6 +36,8 @@ class SkinState(Message):
         Noise model: standard deviation at mid-range and at both ends, in `unit`.
     has_taxels : bool
         False if the skin is compressed outside the graph, so that /PATCH/taxels is not published.
+    f_min : float
+        Lower end of the range, 0 or less, in `unit`: below 0, noise around 0 is not clipped.
     """
 
     schema: ClassVar[str] = "skin"
@@ -54,6 +56,7 @@ class SkinState(Message):
     sigma_mid: float = wire(Real(0.0))
     sigma_end: float = wire(Real(0.0))
     has_taxels: bool = wire(Flag(), default=True, omitted=True)
+    f_min: float = wire(Real(high=0.0), default=0.0, omitted=True)
 
     def validate(self) -> None:
         _ = self.skin  # raises where the mask does not fit the grid
@@ -62,6 +65,47 @@ class SkinState(Message):
     def skin(self) -> Skin:
         """The skin itself."""
         return Skin(self.n_rows, self.n_cols, self.f_max, self.unit, self.pitch_m, self.mask)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Calibration(Message):
+    """The calibration of a skin in use, with which raw readings became forces.
+
+    A raw reading c became clip(R(g (c - b)) - w, f_min, f_max): w is the drift that is followed,
+    which is not published.
+
+    Attributes
+    ----------
+    name : str
+        Name of the skin.
+    baseline, gains : ndarray of float32, shape (n_rows, n_cols), or None
+        b in raw readings, and g; None: 0, and 1.
+    response_reading : ndarray of float32, shape (K, 1, 1) or (K, n_rows, n_cols), or None
+        Readings at the knots of R, of all taxels or of each; None: R is the identity.
+    response_force : ndarray of float32, shape (K,), or None
+        Forces at the knots, in the skin's unit.
+    """
+
+    schema: ClassVar[str] = "calibration"
+    latched: ClassVar[bool] = True
+
+    name: str = wire(Text(64))
+    baseline: Floats | None = wire(Array("<f4", 2, optional=True))
+    gains: Floats | None = wire(Array("<f4", 2, optional=True))
+    response_reading: Floats | None = wire(Array("<f4", 3, optional=True))
+    response_force: Floats | None = wire(Array("<f4", 1, optional=True))
+
+    def validate(self) -> None:
+        reading, force = self.response_reading, self.response_force
+        if (reading is None) != (force is None):
+            raise ShapeError("response_reading, response_force: expected both of them or none")
+        if reading is not None and force is not None and len(reading) != len(force):
+            raise ShapeError(f"response_reading: {len(reading)} knots, but {len(force)} forces")
+        grids = [one for one in (self.baseline, self.gains) if one is not None]
+        if reading is not None and reading.shape[1:] != (1, 1):
+            grids.append(reading[0])
+        if len({grid.shape for grid in grids}) > 1:
+            raise ShapeError("baseline, gains, response_reading: expected one shape")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -20,7 +20,7 @@ from .errors import (
 )
 from .fields import MAX_ELEMENTS
 from .frames import Measurements, Reconstruction, Resultant, Taxels, Truth
-from .state import End, PhiState, SkinState, SolverState
+from .state import Calibration, End, PhiState, SkinState, SolverState
 from .topics import MAX_TOPIC_BYTES
 
 MAX_MESSAGE_BYTES = 8 * MAX_ELEMENTS + 65536
@@ -29,7 +29,7 @@ MAX_MESSAGE_BYTES = 8 * MAX_ELEMENTS + 65536
 SCHEMAS: dict[str, type[Message]] = {
     cls.schema: cls
     for cls in (
-        *(SkinState, Truth, Taxels, PhiState, Measurements),
+        *(SkinState, Calibration, Truth, Taxels, PhiState, Measurements),
         *(SolverState, Resultant, Reconstruction, End),
     )
 }

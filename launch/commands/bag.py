@@ -38,6 +38,7 @@ EXPORTS = {
     "csv": ("_csv", f"{_CONVERT}.csv:export_csv"),
     "ros2": ("_ros2", f"{_CONVERT}.ros2:export_ros2"),
     "foxglove": ("_foxglove.mcap", f"{_CONVERT}.foxglove:export_foxglove"),
+    "skin": (".toml", f"{_CONVERT}.skin:export_skin"),
 }
 """Of each kind of export the ending of the default name of its output, and its function."""
 READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz", "nan", "negative")
@@ -63,10 +64,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = f"default: NAME_recovered{FILE_SUFFIX}"
     recover.add_argument("--out", metavar="NEW", type=Path, help=about)
     _configure_import(add("import", _import, "make a bag of a file of frames"))
-    export = add("export", _export, "convert a bag to NumPy, CSV, ROS 2 or Foxglove")
+    export = add("export", _export, "convert a bag to NumPy, CSV, ROS 2 or Foxglove; its skin")
     export.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}")
     export.add_argument("--to", choices=tuple(EXPORTS), required=True, help="the format")
-    about = "default: NAME.npz, NAME_csv, NAME_ros2 or NAME_foxglove.mcap"
+    about = "default: NAME.npz, NAME_csv, NAME_ros2, NAME_foxglove.mcap or NAME.toml"
     export.add_argument("--out", metavar="PATH", type=Path, help=about)
     about = "only these topics; default: all with frames"
     export.add_argument("--topics", metavar="TOPIC", nargs="+", help=about)
@@ -154,7 +155,8 @@ def _with_options(message: str, file: str) -> str:
 def _export(arguments: argparse.Namespace) -> int:
     """Convert the frames of a bag: npz (one file a patch, which a source file:PATH reads), csv (a
     folder, one file a topic, one frame a line), ros2 (a folder with CDR messages and
-    metadata.yaml), or foxglove (an .mcap with Foxglove's schemas).
+    metadata.yaml), foxglove (an .mcap with Foxglove's schemas), or skin (the file skin.toml of a
+    calibrated skin).
     """
     from sparseskin.nodes.recorder.bag.reader import BagReader
 

@@ -193,7 +193,7 @@ def _how(job: Job, made_by: str) -> str:
 def _graph(job: Job, out: Path) -> LaunchFile:
     """The graph that reprocesses a recording: a launch file that is never written."""
     from sparseskin.launch.launchfile.load import load_tables
-    from sparseskin.messages import Measurements, PhiState, SkinState, Taxels, Truth
+    from sparseskin.messages import Calibration, Measurements, PhiState, SkinState, Taxels, Truth
     from sparseskin.messages.topics import split_topic
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
@@ -211,6 +211,7 @@ def _graph(job: Job, out: Path) -> LaunchFile:
     if start_from == "measurements" and changes_edge:
         raise SettingsError("--from measurements: the compressor cannot be changed then")
     schemas = [SkinState.schema, Taxels.schema, Truth.schema]
+    schemas += [Calibration.schema] if Calibration.schema in present else []
     tables: dict[str, dict[str, Any]] = {}
     if start_from == "measurements":
         schemas += [PhiState.schema, Measurements.schema]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.messages import Message, PhiState, SkinState
+from sparseskin.messages import Calibration, Message, PhiState, SkinState
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context, Node
@@ -90,7 +90,8 @@ class Recorder(Node[RecorderSettings]):
         self._waiting.append((now_ns, message))
         waited = len(self._waiting) >= PATIENCE_MESSAGES
         waited &= now_ns - self._waiting[0][0] >= PATIENCE_NS
-        if len(self._states) == len(STATES) or waited or len(self._waiting) >= MOST_WAITING:
+        known = {state.schema for state in self._states.values()}
+        if known >= set(STATES) or waited or len(self._waiting) >= MOST_WAITING:
             self._begin()
         return ()
 
@@ -143,7 +144,8 @@ class Recorder(Node[RecorderSettings]):
             raise
 
 
-STATES = tuple(schema for schema, cls in SCHEMAS.items() if cls.latched)
+STATES = tuple(schema for schema, cls in SCHEMAS.items() if cls.latched and cls is not Calibration)
+"""States that every graph publishes."""
 
 
 def metadata_of(states: Iterable[Message], launch: str, graph: str) -> dict[str, str]:
@@ -170,4 +172,28 @@ def metadata_of(states: Iterable[Message], launch: str, graph: str) -> dict[str,
         "launch": launch,
         "phi": json.dumps(phis),
         "versions": json.dumps(versions),
-    }
+    } | _calibrations(states)
+
+
+def _calibrations(states: Iterable[Message]) -> dict[str, str]:
+    """Metadata of calibrated skins; their arrays are in the messages."""
+    skins = {state.patch: state for state in states if isinstance(state, SkinState)}
+    found = {}
+    for state in states:
+        if isinstance(state, Calibration) and (skin := skins.get(state.patch)):
+            parts = ("baseline", "gains", "response_reading")
+            found[state.patch] = {
+                "name": state.name,
+                "rows": skin.n_rows,
+                "cols": skin.n_cols,
+                "pitch_mm": None if skin.pitch_m is None else 1000 * skin.pitch_m,
+                "unit": skin.unit,
+                "f_min": skin.f_min,
+                "f_max": skin.f_max,
+                "noise": skin.sigma_end,
+                "masked": 0 if skin.mask is None else int((~skin.mask).sum()),
+                "calibrated": [
+                    name.partition("_")[0] for name in parts if getattr(state, name) is not None
+                ],
+            }
+    return {"skin": json.dumps(found)} if found else {}

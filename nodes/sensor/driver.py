@@ -8,12 +8,14 @@ from collections.abc import Iterable, Iterator
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable, one_line
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.calibration.zero import ZeroWatch
 from sparseskin.nodes.sensor.files.parsed import (
     check_grid,
     check_number,
@@ -29,7 +31,9 @@ class DriverSource:
     attributes are those of a `Source`: the driver's own where it has them, or else the name
     `module:callable`, a skin of the first frame's shape, and "taxels" to deliver. `n_clipped` is
     the number of readings clipped so far, 1 a taxel and frame; `lowest` and `highest` are the
-    extremes of the frames that had such, before they were clipped.
+    extremes of the frames that had such, before they were clipped. With `raw`, none is: a
+    calibration converts them. `watch`, where it is set, looks for noise around 0 in the first
+    frames; `notice` is what it has found, "" for nothing.
     """
 
     def __init__(
@@ -40,7 +44,11 @@ class DriverSource:
         f_max: float | None,
         unit: str | None,
         rate_hz: float | None,
+        raw: bool = False,
     ) -> None:
+        self._raw = raw
+        self.watch: ZeroWatch | None = None
+        self.notice = ""
         self._target = target
         self._driver = driver
         self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
@@ -194,6 +202,8 @@ class DriverSource:
                 )
         is_float = array.dtype in (np.float32, np.float64)
         # The common case; the comparison is false for a NaN.
+        if self.watch is not None:
+            self._look(array)
         if mask is None and is_float and 0 <= array.min() <= array.max() <= self._f_max:
             return array.astype(np.float32)
         with np.errstate(all="ignore"):
@@ -207,12 +217,22 @@ class DriverSource:
                 f"{where}, row {row}, column {col}: {values[row, col]} is no force; "
                 "a fault of the sensor or its driver"
             )
+        if self._raw:
+            return values.astype(np.float32)
         n_clipped = int(np.count_nonzero((values < 0) | (values > self._f_max)))
         if n_clipped:
             self.n_clipped += n_clipped
             self.lowest = min(self.lowest, float(values.min()))
             self.highest = max(self.highest, float(values.max()))
         return np.clip(values, 0, self._f_max).astype(np.float32)
+
+    def _look(self, readings: npt.NDArray[Any]) -> None:
+        assert self.watch is not None
+        exists = readings if self._skin is None else readings[self._skin.exists]
+        with np.errstate(all="ignore"):
+            self.notice = self.watch.add(exists.astype(np.float64).ravel())
+        if self.watch.done:
+            self.watch = None
 
     def _own_skin(self, skin: object, f_max: float | None, unit: str | None) -> Skin:
         if not isinstance(skin, Skin):
@@ -236,6 +256,7 @@ def open_callable(
     f_max: float | None = None,
     unit: str | None = None,
     rate_hz: float | None = None,
+    raw: bool = False,
 ) -> DriverSource:
     """Open a user's sensor driver.
 
@@ -251,6 +272,8 @@ def open_callable(
         Upper end of the range and its unit; by default those of the driver's skin, or 2.5 N.
     rate_hz : float, optional
         Frame rate, in place of the driver's own.
+    raw : bool
+        True: readings are not clipped to the range.
 
     Raises
     ------
@@ -271,7 +294,7 @@ def open_callable(
             f"{target}: returned {type(driver).__name__}; expected a generator or an iterable of "
             "(stamp_ns, forces)"
         )
-    return DriverSource(target, driver, f_max=f_max, unit=unit, rate_hz=rate_hz)
+    return DriverSource(target, driver, f_max=f_max, unit=unit, rate_hz=rate_hz, raw=raw)
 
 
 def _failure(target: str, error: Exception) -> SourceError:

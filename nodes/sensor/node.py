@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import replace
+from typing import Any, ClassVar
 
-from sparseskin.messages import Message, SkinState, Taxels, Truth, topic_of
-from sparseskin.nodes.errors import SettingsError
+from sparseskin.messages import Calibration, Message, SkinState, Taxels, Truth, topic_of
+from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .boards.board import describe_board, is_board
 from .boards.source import BoardSource, dropped_text
+from .calibration.chain import Chain
+from .calibration.description import SkinDescription
+from .calibration.skin_file import load_skin
+from .calibration.stage import Stage, described, fitted
+from .calibration.zero import ZeroWatch
 from .driver import DriverSource
 from .files.head import n_taxels
-from .files.parsed import NAN_WAYS, NEGATIVE_WAYS, Policy
 from .files.recorded import RecordedSource
 from .noise import NoiseModel
-from .sources import FILE, SCENE, check_source, open_source
+from .settings import SensorSettings
+from .source import Source
+from .sources import FILE, SCENE, open_source
 
 DEFAULT_RATE_HZ = 100.0
 """Frame rate of scenes and of recordings without a rate of their own."""
@@ -33,86 +38,31 @@ WAIT_S = 0.05
 _Frame = tuple[Floats, Floats | None]  # taxels, and truth where it is known
 
 
-@dataclass(frozen=True)
-class SensorSettings(PatchSettings):
-    """Settings of the sensor node."""
-
-    source: str = setting(
-        "scene:drag_wrench_64",
-        "where frames come from: scene:NAME, file:PATH, serial:DEVICE, udp:PORT, can:CHANNEL or "
-        "module:callable",
-        decides=True,
-    )
-    rate_hz: float | None = setting(
-        None,
-        "frames a second; not stated: a recording's own rate, a driver's own pace, "
-        "100 for a scene; 0: as fast as its subscribers process them",
-        low=0.0,
-        high=100_000.0,
-        live=True,
-    )
-    seed: int = setting(0, "seed of the scene and of the noise", low=0, high=2**32 - 1)
-    noise: float = setting(
-        1.0,
-        "noise added to a known truth, in multiples of the paper's",
-        low=0.0,
-        high=100.0,
-        live=True,
-    )
-    n_rows: int | None = setting(
-        None,
-        "rows of a plain CSV's frame, or those that a file or driver must have",
-        low=1,
-        high=4096,
-    )
-    n_cols: int | None = setting(
-        None,
-        "columns of a plain CSV's frame, or those that a file or driver must have",
-        low=1,
-        high=4096,
-    )
-    unit: str | None = setting(None, "unit of a file's or driver's readings")
-    f_max: float | None = setting(
-        None, "upper end of a file's or driver's range, in its unit", low=1e-9, high=1e9
-    )
-    nan: str = setting("refuse", "readings of a file that are not finite", choices=NAN_WAYS)
-    negative: str = setting("refuse", "readings of a file below 0", choices=NEGATIVE_WAYS)
-
-    @property
-    def policy(self) -> Policy:
-        """What to do with invalid readings of a file."""
-        return Policy(self.nan, self.negative)
-
-    def check(self) -> None:
-        with naming("source"):
-            check_source(self.source, self.n_rows, self.n_cols, self.unit, self.policy, self.f_max)
-        if self.source.startswith(SCENE):
-            for key in ("n_rows", "n_cols", "unit", "f_max"):
-                if getattr(self, key) is not None:
-                    raise SettingsError(f"{key}: a scene has its own")
-
-
 class Sensor(SourceNode[SensorSettings]):
-    """Publishes /PATCH/skin once, then /PATCH/taxels, and /PATCH/truth where it is known.
+    """Publishes /PATCH/skin once, then /PATCH/taxels, and /PATCH/truth where it is known; with a
+    calibration, /PATCH/calibration at the start and after each tare.
 
     Frames of a scene or a recording are computed before their tick, so that their stamp is the
     time of acquisition without the time of simulation.
     """
 
     Settings = SensorSettings
+    commands: ClassVar[Mapping[str, str]] = {
+        **SourceNode.commands,
+        "tare": "take the next frames, of the untouched skin, for the baseline: their number, or "
+        "null for 30",
+    }
 
     def __init__(self, settings: SensorSettings, context: Context) -> None:
         super().__init__(settings, context)
-        self._source = open_source(
-            settings.source,
-            seed=settings.seed,
-            n_rows=settings.n_rows,
-            n_cols=settings.n_cols,
-            unit=settings.unit,
-            f_max=settings.f_max,
-            policy=settings.policy,
-        )
-        self.skin = self._source.skin
+        described = load_skin(settings.skin) if settings.skin else None
+        self._source = _open(settings)
+        try:
+            self._stage = self._made_stage(described)
+        except Exception:
+            self.close({})
+            raise
+        self.skin = self._stage.chain.skin if self._stage else self._source.skin
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
         self._live = isinstance(self._source, DriverSource | BoardSource)
@@ -120,20 +70,28 @@ class Sensor(SourceNode[SensorSettings]):
         self.rate_hz = self._chosen_rate()
         self._frames: Iterator[tuple[int, Floats]] = iter(self._source)
         self._next: _Frame | None = None
-        self._n_frames = self._n_clipped = self._n_logged = 0
+        source = self._source
+        watched = source.delivers == "taxels" and self._stage is None and settings.f_min is None
+        if isinstance(source, DriverSource | BoardSource) and watched:
+            source.watch = ZeroWatch(self.skin.f_max)
+        self._n_frames = self._n_logged = 0
         self._missed_hz = 0.0
         if not self._live:
             self._prepare()
 
     @classmethod
     def outputs(cls, settings: SensorSettings) -> tuple[str, ...]:
-        return tuple(topic_of(settings.patch, cls.schema) for cls in (SkinState, Taxels, Truth))
+        stated = (Calibration,) if settings.is_calibrated else ()
+        kinds: tuple[type[Message], ...] = (SkinState, *stated, Taxels, Truth)
+        return tuple(topic_of(settings.patch, kind.schema) for kind in kinds)
 
     @classmethod
     def facts(cls, settings: SensorSettings) -> Mapping[str, Any]:
         source, n_rows, n_cols = settings.source, settings.n_rows, settings.n_cols
         n: int | None
-        if source.startswith(SCENE):
+        if settings.skin:  # a source that masks further cells shows when it runs
+            n = load_skin(settings.skin).skin.n_taxels
+        elif source.startswith(SCENE):
             n = open_source(source, seed=settings.seed).skin.n_taxels
         elif is_board(source):
             unit, f_max = settings.unit, settings.f_max
@@ -150,6 +108,8 @@ class Sensor(SourceNode[SensorSettings]):
         if isinstance(self._source, RecordedSource):
             for line in self._source.treated.lines(self._source.policy, self.skin.unit):
                 self.context.log(line)
+        # First, so that a recorder knows it once the graph's other states follow from the skin.
+        yield from self._calibration()
         yield self._describe()
 
     def change(self, settings: SensorSettings) -> Iterable[Message]:
@@ -165,6 +125,8 @@ class Sensor(SourceNode[SensorSettings]):
         if new_pace:
             self.rate_hz = self._chosen_rate()
             self.begin(self.context.clock.now_ns())
+        if self._stage is not None:
+            self._stage.set_drift(settings.drift)
         yield self._describe()
 
     @property
@@ -174,6 +136,12 @@ class Sensor(SourceNode[SensorSettings]):
 
     def _describe(self) -> SkinState:
         skin, has_truth = self.skin, self._source.delivers == "truth"
+        sigmas = (self._noise.sigma_mid, self._noise.sigma_end) if has_truth else (0.0, 0.0)
+        f_min = 0.0
+        if self._stage is not None:
+            found = self._stage.description
+            noise, f_min = found.noise or 0.0, found.f_min
+            sigmas = (noise if found.noise_mid is None else found.noise_mid), noise
         return SkinState(
             stamp_ns=self.context.clock.now_ns(),
             patch=self.settings.patch,
@@ -182,9 +150,25 @@ class Sensor(SourceNode[SensorSettings]):
             seed=self.settings.seed,
             rate_hz=self.rate_hz,
             has_truth=has_truth,
-            sigma_mid=self._noise.sigma_mid if has_truth else 0.0,
-            sigma_end=self._noise.sigma_end if has_truth else 0.0,
+            sigma_mid=sigmas[0],
+            sigma_end=sigmas[1],
+            f_min=f_min,
         )
+
+    def _calibration(self) -> Iterable[Message]:
+        if self._stage is not None:
+            self._stage.is_news = False
+            yield self._stage.message(self.context.clock.now_ns(), self.settings.patch)
+
+    def command(self, name: str, value: Any) -> str:
+        if name != "tare":
+            return super().command(name, value)
+        if self._stage is None:
+            raise RefusedError(
+                "tare: this sensor has no baseline; state sensor.skin, or sensor.tare, in the "
+                "launch file"
+            )
+        return self._stage.tare(value)
 
     def tick(self, tick: Tick) -> Iterable[Message]:
         stamp_ns = tick.stamp_ns
@@ -194,6 +178,8 @@ class Sensor(SourceNode[SensorSettings]):
             stamp_ns = max(stamp_ns, self.context.clock.now_ns())
         if isinstance(self._source, BoardSource):
             stamp_ns = self._board_ns
+        if self._stage is not None and self._stage.is_news:
+            yield from self._calibration()
         if self._next is None:
             return
         taxels, truth = self._next
@@ -209,7 +195,8 @@ class Sensor(SourceNode[SensorSettings]):
     def state(self) -> dict[str, Any]:
         # Without a stated rate, the pace of a driver is its own and not known.
         paced = self._live and self.settings.rate_hz is None
-        return {**super().state(), **({} if paced else {"rate_hz": self.rate_hz})}
+        stage = self._stage.state() if self._stage is not None else {}
+        return {**super().state(), **({} if paced else {"rate_hz": self.rate_hz}), **stage}
 
     def status(self) -> str:
         total = f" of {self._source.n_frames}" if self._source.n_frames is not None else ""
@@ -229,22 +216,29 @@ class Sensor(SourceNode[SensorSettings]):
         board = {"board": source.figures()} if isinstance(source, BoardSource) else {}
         if isinstance(source, RecordedSource) and (invalid := source.treated.counts()):
             return {"clipped": 0, "invalid": invalid}
-        if not isinstance(source, DriverSource | BoardSource) or not self._n_clipped:
+        clipper = self._clipper
+        if clipper is None or not clipper.n_clipped:
             return {"clipped": 0, **board}
-        read = {"lowest": source.lowest, "highest": source.highest}
+        read = {"lowest": clipper.lowest, "highest": clipper.highest}
         allowed = {"f_max": self.skin.f_max, "unit": self.skin.unit}
-        return {"clipped": self._n_clipped, **read, **allowed, **board}
+        return {"clipped": clipper.n_clipped, **read, **allowed, **board}
+
+    @property
+    def _clipper(self) -> Chain | DriverSource | BoardSource | None:
+        """What clips readings to the range, if anything does."""
+        if self._stage is not None:
+            return self._stage.chain
+        source = self._source
+        return source if isinstance(source, DriverSource | BoardSource) else None
 
     def _watch_range(self) -> None:
         """Log clipped readings, each time their number has doubled: a wrong sign, unit or range."""
-        source = self._source
-        n_clipped = source.n_clipped if isinstance(source, DriverSource | BoardSource) else 0
+        n_clipped = self._clipper.n_clipped if self._clipper is not None else 0
         if n_clipped > 2 * self._n_logged:
             self._n_logged = n_clipped
             self.context.log(
                 f"{n_clipped} readings outside 0..{self.skin.f_max:g} {self.skin.unit} were clipped"
             )
-        self._n_clipped = n_clipped
 
     def _watch_rate(self, now_ns: int) -> None:
         """Log, once for each rate, that frames are acquired more slowly than asked."""
@@ -278,11 +272,23 @@ class Sensor(SourceNode[SensorSettings]):
             )
             return
         try:
-            _, forces = next(self._frames)
+            stamp_ns, forces = next(self._frames)
+            while self._stage is not None:
+                converted = self._stage.process(forces, stamp_ns)
+                if converted is not None:
+                    forces = converted
+                    break
+                if self._live:  # a tick a frame, so that a slow skin answers commands meanwhile
+                    self._next = None
+                    return
+                stamp_ns, forces = next(self._frames)
         except StopIteration:
             self._next, self.exhausted = None, True
+            if self._stage is not None and self._stage.is_starting:
+                self.context.log(f"{self._source.name}: ended before its tare")
             return
         self._watch_range()
+        self._log_notice()
         if self._source.delivers == "taxels":
             self._next = (forces, None)
             return
@@ -298,8 +304,10 @@ class Sensor(SourceNode[SensorSettings]):
             return None
         arrived_ns, forces = frame
         self._board_ns = max(now_ns - board.age_ns(arrived_ns), self._board_ns + 1)
+        found = forces if self._stage is None else self._stage.process(forces, arrived_ns)
         self._watch_range()
-        return forces
+        self._log_notice()
+        return found
 
     def _log_lines(self, board: BoardSource) -> None:
         while board.lines:
@@ -314,9 +322,44 @@ class Sensor(SourceNode[SensorSettings]):
             self._source.receive(0.0)
         self._log_lines(self._source)
 
+    def _log_notice(self) -> None:
+        """Log that noise lies around 0, where a source has found it."""
+        source = self._source
+        if isinstance(source, DriverSource | BoardSource) and source.notice:
+            self.context.log(f"{source.notice} (settings of the sensor)")
+            source.notice = ""
+
+    def _made_stage(self, found: SkinDescription | None) -> Stage | None:
+        s, source = self.settings, self._source
+        if not s.is_calibrated:
+            return None
+        where = s.skin or source.name
+        if source.delivers == "truth":
+            raise SourceError(f"{where}: {source.name} delivers true forces, which need none")
+        found = found or described(source.name, source.skin)
+        found = fitted(found, source.skin, where)
+        if s.f_min is not None:
+            found = replace(found, f_min=max(s.f_min, -found.f_max))
+        return Stage(found, s.tare, s.drift, s.f_min is None, self.context.log)
+
     def _measured(self, truth: Floats) -> _Frame:
         """Return the readings of true forces, and these."""
         taxels = self._noise.apply(truth, self._rng)
         if self.skin.mask is not None:
             taxels[~self.skin.mask] = 0.0
         return taxels, truth
+
+
+def _open(settings: SensorSettings) -> Source:
+    """Open the source; that of a calibrated skin delivers readings of any unit, sign and size."""
+    n_rows, n_cols = settings.shape_for_source()
+    return open_source(
+        settings.source,
+        seed=settings.seed,
+        n_rows=n_rows,
+        n_cols=n_cols,
+        unit=settings.unit,
+        f_max=settings.f_max,
+        policy=settings.policy,
+        raw=settings.is_calibrated,
+    )

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 import symtable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -18,7 +19,13 @@ from sparseskin.nodes.lookup import (
     search_here,
 )
 from sparseskin.nodes.sensor.files.head import n_taxels
-from sparseskin.nodes.sensor.files.parsed import DEFAULT_POLICY, Policy, check_stated_shape
+from sparseskin.nodes.sensor.files.parsed import (
+    DEFAULT_POLICY,
+    KEEP,
+    REFUSE,
+    Policy,
+    check_stated_shape,
+)
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES, open_file
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, check_scene, open_scene
 
@@ -140,6 +147,7 @@ def open_source(
     unit: str | None = None,
     f_max: float | None = None,
     policy: Policy = DEFAULT_POLICY,
+    raw: bool = False,
 ) -> Source:
     """Open a source.
 
@@ -154,17 +162,20 @@ def open_source(
         and `open_callable`.
     policy : Policy
         What to do with readings of a file that are not finite or below 0.
+    raw : bool
+        True: readings may have any sign and size, as a calibration converts them.
 
     Raises
     ------
     SourceError
         If the source is missing or malformed, or a setting contradicts it.
     """
+    if raw and policy.negative == REFUSE:
+        policy = replace(policy, negative=KEEP)
     if is_board(source):
-        return BoardSource(
-            describe_board(source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
-        )
-    check_source(source, n_rows, n_cols, unit, policy)
+        board = describe_board(source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
+        return BoardSource(board, raw)
+    check_source(source, n_rows, n_cols, "raw" if raw and unit is None else unit, policy)
     if source.startswith(SCENE):
         stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": unit, "f_max": f_max}
         for name, value in stated.items():
@@ -174,7 +185,7 @@ def open_source(
     if source.startswith(FILE):
         path = source.removeprefix(FILE)
         return open_file(path, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max, policy=policy)
-    driver = _open_driver(source, f_max, unit)
+    driver = _open_driver(source, f_max, unit, raw)
     try:
         check_stated_shape(*driver.skin.shape, n_rows, n_cols, source)
     except SourceError:
@@ -183,9 +194,9 @@ def open_source(
     return driver
 
 
-def _open_driver(source: str, f_max: float | None, unit: str | None) -> DriverSource:
+def _open_driver(source: str, f_max: float | None, unit: str | None, raw: bool) -> DriverSource:
     if source.startswith(ROS2):
         from sparseskin.nodes.bridges.ros2_source import frames
 
-        return DriverSource(source, frames(source), f_max=f_max, unit=unit, rate_hz=None)
-    return open_callable(source, f_max=f_max, unit=unit)
+        return DriverSource(source, frames(source), f_max=f_max, unit=unit, rate_hz=None, raw=raw)
+    return open_callable(source, f_max=f_max, unit=unit, raw=raw)

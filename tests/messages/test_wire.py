@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from sparseskin.messages import (
+    Calibration,
     End,
     FieldError,
     MalformedError,
@@ -76,6 +77,24 @@ def skin_states(draw: st.DrawFn) -> SkinState:
         has_truth=draw(st.booleans()),
         sigma_mid=draw(positive),
         sigma_end=draw(positive),
+        f_min=-draw(positive),
+    )
+
+
+@st.composite
+def calibrations(draw: st.DrawFn) -> Calibration:
+    shape = draw(st.tuples(st.integers(1, 6), st.integers(1, 6)))
+    k = draw(st.integers(1, 4))
+    values = st.floats(-1e6, 1e6, width=32)
+    grids = st.none() | hnp.arrays(np.float32, shape, elements=values)
+    curves = draw(st.sampled_from([None, (k, 1, 1), (k, *shape)]))
+    return Calibration(
+        **{key: draw(value) for key, value in headers.items()},
+        name=draw(texts),
+        baseline=draw(grids),
+        gains=draw(grids),
+        response_reading=None if curves is None else np.ones(curves, np.float32),
+        response_force=None if curves is None else np.ones(k, np.float32),
     )
 
 
@@ -121,6 +140,7 @@ messages: st.SearchStrategy[Message] = st.one_of(
         done_ns=numbers,
     ),
     skin_states(),
+    calibrations(),
     st.builds(
         PhiState,
         **headers,
@@ -179,7 +199,7 @@ def test_an_end_is_recognised_by_its_payload(message: Message) -> None:
 
 def test_every_schema_is_in_the_property() -> None:
     built = {"taxels", "truth", "measurements", "resultant", "reconstruction"}
-    built |= {"skin", "phi", "solver", "end"}
+    built |= {"skin", "calibration", "phi", "solver", "end"}
     assert set(SCHEMAS) == built
 
 
@@ -428,3 +448,27 @@ def test_a_mask_must_fit_the_grid_and_hold_booleans() -> None:
     ):
         with pytest.raises(error):
             decode_body(body | change, b"/skin/skin")
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"response_force": None}, "expected both of them or none"),
+        ({"response_force": np.ones(3, np.float32)}, "2 knots, but 3 forces"),
+        ({"gains": np.ones((3, 2), np.float32)}, "expected one shape"),
+        ({"response_reading": np.ones((2, 3, 2), np.float32)}, "expected one shape"),
+    ],
+)
+def test_a_calibration_whose_parts_do_not_fit_is_refused(
+    changes: dict[str, object], what: str
+) -> None:
+    fields: dict[str, object] = {
+        "name": "palm",
+        "baseline": np.zeros((2, 3), np.float32),
+        "gains": None,
+        "response_reading": np.ones((2, 1, 1), np.float32),
+        "response_force": np.ones(2, np.float32),
+    }
+    Calibration(stamp_ns=0, patch="skin", **fields)  # type: ignore[arg-type]
+    with pytest.raises(ShapeError, match=what):
+        Calibration(stamp_ns=0, patch="skin", **(fields | changes))  # type: ignore[arg-type]

@@ -12,6 +12,7 @@ import numpy as np
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.calibration.zero import ZeroWatch
 
 from .board import Board, check_board, naming_board
 from .can_port import CanPort
@@ -51,6 +52,8 @@ class BoardSource:
     ----------
     board : Board
         Description of the board.
+    raw : bool
+        True: readings are not clipped, as a calibration converts them.
 
     Raises
     ------
@@ -62,8 +65,11 @@ class BoardSource:
     rate_hz: float | None = None
     n_frames: int | None = None
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Board, raw: bool = False) -> None:
         check_board(board)
+        self._raw = raw
+        self.watch: ZeroWatch | None = None
+        self.notice = ""
         self.name = board.name
         self.skin = board.skin
         self.n_clipped = 0
@@ -192,11 +198,16 @@ class BoardSource:
     def _checked(self, forces: Floats) -> Floats | None:
         """Readings clipped to the range; None if one is no number."""
         f_max = self.skin.f_max
+        if self.watch is not None:
+            self.notice = self.watch.add(forces.ravel())
+            self.watch = None if self.watch.done else self.watch
         if 0 <= forces.min() <= forces.max() <= f_max:  # False for a NaN
             return forces
         if not np.isfinite(forces).all():
             self.n_not_finite += 1
             return None
+        if self._raw:
+            return forces
         self.n_clipped += int(np.count_nonzero((forces < 0) | (forces > f_max)))
         self.lowest = min(self.lowest, float(forces.min()))
         self.highest = max(self.highest, float(forces.max()))

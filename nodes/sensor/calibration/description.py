@@ -17,14 +17,16 @@ MAX_NAME = 64
 """Longest name of a skin, characters."""
 MAX_UNIT = 32
 """Longest unit, characters, as in a message."""
+MAX_CURVES = 1 << 19
+"""Most numbers of the response curves, so that a message holds them beside baseline and gains."""
 
 
 @dataclass(frozen=True, eq=False)
 class SkinDescription:
     """The description of one skin, as its skin.toml states it.
 
-    A raw reading c of a taxel becomes the force R(g (c - b)) + offset: b its baseline, g its gain,
-    R the response curve, which is the identity where none is stated.
+    A raw reading c of a taxel becomes the force R(g (c - b)): b its baseline, g its gain, R the
+    response curve, which is the identity where none is stated.
 
     Attributes
     ----------
@@ -52,8 +54,8 @@ class SkinDescription:
         it was not measured.
     noise_mid : float or None
         The same at half the range; None: as `noise`.
-    offset : float
-        Added to all forces, 0..f_max, so that noise around 0 is not clipped; in `unit`.
+    f_min : float
+        Lower end of the range, -f_max..0, in `unit`: below 0, noise around 0 is not clipped.
 
     Raises
     ------
@@ -73,7 +75,7 @@ class SkinDescription:
     response: Response | None = None
     noise: float | None = None
     noise_mid: float | None = None
-    offset: float = 0.0
+    f_min: float = 0.0
 
     def __post_init__(self) -> None:
         for key, longest in (("name", MAX_NAME), ("unit", MAX_UNIT)):
@@ -93,7 +95,7 @@ class SkinDescription:
         self._check_number("pitch_mm", 1e-6, 1e6)
         self._check_number("noise", 0.0, self.f_max)
         self._check_number("noise_mid", 0.0, self.f_max)
-        self._check_number("offset", 0.0, self.f_max)
+        self._check_number("f_min", -self.f_max, 0.0)
         if self.noise is None and self.noise_mid is not None:
             raise SkinFileError("noise_mid: is stated without noise")
         self._check_array("mask", np.bool_)
@@ -114,6 +116,10 @@ class SkinDescription:
                 f"response.reading: shape {self.response.reading.shape}; expected K numbers, "
                 f"or K grids of {self.shape}"
             )
+        if self.response is not None and self.response.reading.size > MAX_CURVES:
+            raise SkinFileError(
+                f"response.reading: {self.response.reading.size} numbers; at most {MAX_CURVES}"
+            )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -129,9 +135,9 @@ class SkinDescription:
 
     @property
     def changes_readings(self) -> bool:
-        """True if a reading and its force may differ: a baseline, gains, curve or offset."""
+        """True if a reading and its force may differ: a baseline, gains or a curve."""
         stated = (self.baseline, self.gains, self.response)
-        return self.offset > 0 or any(one is not None for one in stated)
+        return any(one is not None for one in stated)
 
     def _check_number(self, key: str, low: float, high: float) -> None:
         value = getattr(self, key)

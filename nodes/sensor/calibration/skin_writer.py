@@ -77,8 +77,8 @@ def _text(skin: SkinDescription, large: Mapping[str, Any], arrays_name: str) -> 
         value = getattr(skin, key)
         if value is not None:
             lines.append(f"{key} = {_value(value)}")
-    if skin.offset:
-        lines.append(f"offset = {_value(skin.offset)}")
+    if skin.f_min:
+        lines.append(f"f_min = {_value(skin.f_min)}")
     if skin.mask is not None and "mask" not in large:
         texts = ["".join("1" if one else "0" for one in row) for row in skin.mask]
         lines += ["mask = [", *(f'    "{text}",' for text in texts), "]"]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sparseskin.messages.fields import MAX_ELEMENTS
 
-from .parsed import HOLD, MASK, OFFSET, REFUSE, ZERO, Parsed, Policy
+from .parsed import HOLD, KEEP, MASK, OFFSET, REFUSE, ZERO, Parsed, Policy
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def treat(parsed: Parsed, policy: Policy) -> tuple[Parsed, Treated]:
     bad_nan, n_nan = _counted(parsed.forces, _not_finite)
     bad_negative, n_negative = _counted(parsed.forces, _below_zero)
     n_nan *= policy.nan != REFUSE
-    n_negative *= policy.negative != REFUSE
+    n_negative *= policy.negative not in (REFUSE, KEEP)
     if not (n_nan or n_negative):
         return parsed, Treated()
     exists = np.ones(bad_nan.shape, np.bool_) if parsed.mask is None else parsed.mask

@@ -36,18 +36,20 @@ of their taxel (0 before the first); or their taxels are masked."""
 NEGATIVE_WAYS = (REFUSE, ZERO, OFFSET, MASK)
 """Readings below 0: the file is refused; they become 0; the lowest reading is subtracted from all;
 or their taxels are masked."""
+KEEP = "keep"
+"""Readings below 0 of a skin that is calibrated: they remain, as a baseline is subtracted."""
 
 
 @dataclass(frozen=True)
 class Policy:
-    """Ways to treat invalid readings, one of `NAN_WAYS` and one of `NEGATIVE_WAYS`."""
+    """Ways to treat invalid readings, one of `NAN_WAYS` and one of `NEGATIVE_WAYS` or `KEEP`."""
 
     nan: str = REFUSE
     negative: str = REFUSE
 
     def check(self, name: str) -> None:
         """Raise SourceError if a way is not known; `name` is the file, for the error."""
-        for key, ways in (("nan", NAN_WAYS), ("negative", NEGATIVE_WAYS)):
+        for key, ways in (("nan", NAN_WAYS), ("negative", (*NEGATIVE_WAYS, KEEP))):
             if getattr(self, key) not in ways:
                 raise SourceError(
                     f"{name}: {key} = {shown(getattr(self, key))}; allowed are {', '.join(ways)}"
@@ -242,8 +244,8 @@ def check_stated_shape(
             raise SourceError(f"{where}: {what} = {stated} is stated, but the frames have {actual}")
 
 
-def check_readings(forces: npt.NDArray[Any], where: str) -> None:
-    """Raise SourceError unless all readings are finite and in [0, 1e30]; 0 in masked cells.
+def check_readings(forces: npt.NDArray[Any], where: str, low: float = 0.0) -> None:
+    """Raise SourceError unless all readings are finite and in [low, 1e30]; 0 in masked cells.
 
     `forces` has the shape (n_frames, n_rows, n_cols). The error names frame and cell, from 0.
     """
@@ -252,11 +254,14 @@ def check_readings(forces: npt.NDArray[Any], where: str) -> None:
     for first in range(0, len(forces), step):
         with np.errstate(all="ignore"):
             values = forces[first : first + step].astype(np.float64)
-        if values.min() >= 0 and values.max() <= MAX_READING:  # False for a NaN
+        if values.min() >= low and values.max() <= MAX_READING:  # False for a NaN
             continue
         for what, bad in (
             (f"is not finite{NAN_HINT}", ~np.isfinite(values)),
-            (f"is below 0; a range starts at 0{NEGATIVE_HINT}", values < 0),
+            (
+                f"is below {low:g}" if low else f"is below 0; a range starts at 0{NEGATIVE_HINT}",
+                values < low,
+            ),
             (f"is above {MAX_READING:g}", values > MAX_READING),
         ):
             if bad.any():

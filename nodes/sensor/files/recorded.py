@@ -25,6 +25,8 @@ from .novel_asc import parse_novel_asc
 from .own_csv import is_own_csv, parse_own_csv
 from .parsed import (
     DEFAULT_POLICY,
+    KEEP,
+    MAX_READING,
     NO_UNIT,
     Parsed,
     Policy,
@@ -159,7 +161,8 @@ def open_file(
         raise SourceError(f"{name}: {n_frames} frames; at most {MAX_FRAMES} are allowed")
     check_grid(rows, cols, name)
     check_stated_shape(rows, cols, n_rows, n_cols, name)
-    check_readings(parsed.forces, name)
+    keeps = policy.negative == KEEP
+    check_readings(parsed.forces, name, -MAX_READING if keeps else 0.0)
     forces, mask = parsed.forces, parsed.mask
     if crop is not None:
         window = _window(crop, rows, cols, name)
@@ -173,8 +176,8 @@ def open_file(
     skin = Skin(
         n_rows=frames.shape[1],
         n_cols=frames.shape[2],
-        f_max=_range(frames, f_max if f_max is not None else parsed.f_max, name),
-        unit=_unit(unit, parsed, name),
+        f_max=_range(frames, f_max if f_max is not None else parsed.f_max, name, keeps),
+        unit=_unit(unit or ("raw" if keeps and parsed.unit is None else None), parsed, name),
         pitch_m=parsed.pitch_m,
         mask=mask,
     )
@@ -229,8 +232,10 @@ def _window(crop: Sequence[int], rows: int, cols: int, name: str) -> tuple[slice
     return slice(row_start, row_stop), slice(col_start, col_stop)
 
 
-def _range(frames: Floats, stated: float | None, name: str) -> float:
+def _range(frames: Floats, stated: float | None, name: str, keeps: bool) -> float:
     peak = float(frames.max())
+    if keeps:
+        return max(peak, stated or 1.0)
     if stated is None:
         if peak == 0:
             raise SourceError(f"{name}: all readings are 0, so its range is unknown; state f_max")

@@ -55,7 +55,7 @@ def test_a_file_with_all_keys(tmp_path: Path) -> None:
     text = HEAD + (
         'name = "left palm"\nunit = "kPa"\npitch_mm = 2.5\nmask = ["110", "111"]\n'
         "baseline = 12\ngains = [[1, 2, 3], [-4, 5, 6.5]]\nnoise = 0.01\nnoise_mid = 0.02\n"
-        "offset = 0.05\n[response]\nreading = [1, 3]\nforce = [0.5, 2.5]\n"
+        "f_min = -0.05\n[response]\nreading = [1, 3]\nforce = [0.5, 2.5]\n"
     )
     skin = load_skin(write(tmp_path, text))
     assert skin.skin.pitch_m == 0.0025
@@ -96,7 +96,7 @@ def skins(draw: st.DrawFn) -> SkinDescription:
         pitch_mm=draw(st.none() | sizes),
         response=draw(st.none() | st.just(Response(reading, steps.cumsum()))),
         noise=draw(st.none() | st.floats(0.0, 1.0)),
-        offset=draw(st.just(0.0) | st.floats(0.0, 1.0)),
+        f_min=draw(st.just(0.0) | st.floats(-1.0, -1e-9)),
         **chosen,
     )
 
@@ -164,7 +164,7 @@ def test_a_table_of_another_file_is_read_as_a_skin(tmp_path: Path) -> None:
         ("rows = 2\ncols = 3\nf_max = 0", "f_max: expected a number"),
         (HEAD + "noise = 3", "noise: expected a number in 0..2.5"),
         (HEAD + "noise_mid = 1", "noise_mid: is stated without noise"),
-        (HEAD + "offset = -1", "offset: expected a number in 0..2.5, got -1"),
+        (HEAD + "f_min = 1", "f_min: expected a number in -2.5..0, got 1"),
         (HEAD + "unit = ''", "unit: expected a printable text"),
         (HEAD + 'name = "a\\u001b[2J"', "name: expected a printable text"),
         (HEAD + f"name = '{'x' * 65}'", "name: 65 characters; at most 64"),

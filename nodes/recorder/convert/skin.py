@@ -1,0 +1,47 @@
+"""Export of the calibration in a bag to skin.toml."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from sparseskin.messages import Calibration, MessageError, decode
+from sparseskin.nodes.recorder.bag.format import BagError
+from sparseskin.nodes.recorder.bag.frames import patch_of, skin_of
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.sensor.calibration.carried import description_of
+from sparseskin.nodes.sensor.calibration.response import SkinFileError
+from sparseskin.nodes.sensor.calibration.skin_writer import save_skin
+
+
+def export_skin(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
+    """Write the last calibration of each patch as skin.toml, `out` or OUT_PATCH.toml each for
+    several patches; their paths.
+
+    Raises BagError if there is none, or it is malformed, OutputError if a file exists or cannot be
+    written.
+    """
+    held = {topic for topic, info in bag.topics.items() if info.schema == Calibration.schema}
+    wanted = sorted(held if topics is None else held & set(topics))
+    if not wanted:
+        raise BagError(f"{bag.path}: holds no calibration of a skin")
+    last: dict[str, Calibration] = {}
+    for recorded in bag.messages(wanted):
+        try:
+            message = decode(recorded.topic.encode(), recorded.payload)
+        except MessageError as error:
+            raise BagError(f"{bag.path}: {recorded.topic}: {error}") from error
+        if isinstance(message, Calibration):
+            last[recorded.topic] = message
+    written = []
+    for topic, message in last.items():
+        patch = patch_of(topic)
+        path = out if len(last) == 1 else out.with_name(f"{out.stem}_{patch}{out.suffix}")
+        state = skin_of(bag, patch)
+        try:
+            if state is None:
+                raise SkinFileError("its skin is missing")
+            written += save_skin(path, description_of(state, message))
+        except SkinFileError as error:
+            raise BagError(f"{bag.path}: {topic}: {error}") from error
+    return written

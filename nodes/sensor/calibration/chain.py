@@ -1,0 +1,160 @@
+"""From raw readings to forces: baseline, gains, response curve, drift, mask, range."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+
+from .description import SkinDescription
+from .drift import DRIFT_RATE, Drift
+
+TARE_FRAMES = 30
+"""Frames of a tare unless stated otherwise, chosen: their median has a quarter of their noise."""
+MAX_TARE_FRAMES = 10_000
+MAX_TARE_READINGS = 1 << 26
+"""Most readings of a tare, chosen: 256 MiB."""
+MOVED = 0.05
+"""Change of a taxel's force by a tare above which it is reported, in parts of f_max; chosen."""
+
+
+@dataclass(frozen=True)
+class Tared:
+    """Result of a tare: the largest change of the force of an untouched taxel, in the skin's unit,
+    and the number of taxels whose force changed by more than `MOVED` f_max.
+    """
+
+    largest: float
+    n_moved: int
+
+
+class Chain:
+    """Converts the raw readings of one skin to forces.
+
+    A raw reading c of a taxel becomes
+
+        f = clip(R(g (c - b)) - w, f_min, f_max),
+
+    b the baseline, g the gain, R the response curve, w the drift; 0 in masked cells. Hysteresis is
+    not modelled: a reading that comes back slowly after a press shows as a force.
+
+    Parameters
+    ----------
+    description : SkinDescription
+        The skin.
+    drift_rate : float
+        Largest rate of the drift that is followed, in parts of f_max a second; 0: none is.
+
+    Attributes
+    ----------
+    description : SkinDescription
+        The skin, with the baseline in use; it contains no drift.
+    skin : Skin
+        Geometry and range of the forces.
+    drift : Drift
+        The drift that is followed.
+    n_clipped : int
+        Readings above f_max, and below f_min by more than noise, so far; 1 a taxel and frame.
+    lowest, highest : float
+        Extremes of the frames that had such, before they were clipped.
+    """
+
+    def __init__(self, description: SkinDescription, drift_rate: float = DRIFT_RATE) -> None:
+        self.description = description
+        self.skin: Skin = description.skin
+        d = description
+        self.drift = Drift(d.shape, d.f_max, d.noise or 0.0, drift_rate)
+        self._dead: Mask | None = None if self.skin.mask is None else ~self.skin.mask
+        self.n_clipped = 0
+        self.lowest, self.highest = np.inf, -np.inf
+        self._taring: list[npt.NDArray[Any]] = []
+        self._n_tare = 0
+
+    def apply(self, raw: npt.NDArray[Any], stamp_ns: int) -> Floats:
+        """Return the forces of a frame.
+
+        Parameters
+        ----------
+        raw : ndarray of a real number, shape (rows, cols)
+            Raw readings, finite where a taxel exists; not modified.
+        stamp_ns : int
+            Time of the frame, nanoseconds.
+
+        Returns
+        -------
+        ndarray of float32, shape (rows, cols)
+            A fresh array in [f_min, f_max], in the skin's unit.
+        """
+        d = self.description
+        found = self.unclipped(raw)
+        found -= self.drift.value
+        self.drift.update(found, stamp_ns)
+        low, high = float(found.min()), float(found.max())
+        if high > d.f_max or low < d.f_min - self.drift.threshold:
+            outside = (found > d.f_max) | (found < d.f_min - self.drift.threshold)
+            self.n_clipped += int(np.count_nonzero(outside))
+            self.lowest, self.highest = min(self.lowest, low), max(self.highest, high)
+        return np.clip(found, d.f_min, d.f_max, out=found).astype(np.float32)
+
+    def unclipped(self, raw: npt.NDArray[Any]) -> Doubles:
+        """Forces of raw readings, shape (..., rows, cols), without drift and range."""
+        d = self.description
+        found: Doubles = np.array(raw, dtype=np.float64)
+        if d.baseline is not None:
+            found -= d.baseline
+        if d.gains is not None:
+            found *= d.gains
+        if d.response is not None:
+            found = d.response.forces(found)
+        if self._dead is not None:
+            found[..., self._dead] = 0.0
+        return found
+
+    def begin_tare(self, n_frames: int) -> None:
+        """Collect the next frames given to `collect`; a tare under way is forgotten.
+        Raises SourceError if they would not fit in memory.
+        """
+        if n_frames * self.skin.n_rows * self.skin.n_cols > MAX_TARE_READINGS:
+            most = MAX_TARE_READINGS // (self.skin.n_rows * self.skin.n_cols)
+            raise SourceError(f"tare: {n_frames} frames of this skin; at most {most}")
+        self._taring, self._n_tare = [], n_frames
+
+    @property
+    def tare_left(self) -> int:
+        """Number of frames that a tare still waits for; 0: none is under way."""
+        return self._n_tare - len(self._taring)
+
+    def collect(self, raw: npt.NDArray[Any]) -> Tared | None:
+        """Add a frame to the tare under way; return its result with the last one."""
+        if not self.tare_left:
+            return None
+        self._taring.append(np.array(raw, dtype=np.float32))
+        if self.tare_left:
+            return None
+        frames, self._taring, self._n_tare = self._taring, [], 0
+        return self.tare(frames)
+
+    def tare(self, frames: Sequence[npt.NDArray[Any]]) -> Tared:
+        """Take the median of untouched frames for the baseline, and forget the drift.
+
+        Raises
+        ------
+        SourceError
+            If there is no frame.
+        """
+        if not len(frames):
+            raise SourceError("tare: no frame")
+        baseline = np.median(np.asarray(frames), axis=0).astype(np.float64)
+        before = self.unclipped(baseline) - self.drift.value
+        self.description = replace(self.description, baseline=baseline)
+        self.drift.reset()
+        moved = np.abs(np.where(self.skin.exists, before, 0.0))
+        n_moved = int(np.count_nonzero(moved > MOVED * self.skin.f_max))
+        return Tared(float(moved.max()), n_moved)

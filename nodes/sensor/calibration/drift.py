@@ -1,0 +1,135 @@
+"""Slow drift of the baseline, followed only where a skin is untouched.
+
+The drift w of a taxel, in newtons, is subtracted from its force. While the taxel is untouched, w
+follows the force f that is left, with the time constant tau and at most the rate r:
+
+    dw/dt = clip(f / tau, -r, r),    |w| <= w_max,
+
+so that a constant press of any force loses at most r t in the time t, and none above the threshold
+at which a taxel counts as touched. Where r limits, w follows the median of the force, which single
+outliers do not move.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparseskin.messages.skin import CONTACT_FRACTION
+from sparseskin.nodes.numerics.arrays import Doubles, Mask
+
+DRIFT_RATE = 1e-4
+"""Largest rate of the drift that is followed, in parts of f_max a second. Chosen: a press of 60 s
+loses 0.6 % of f_max at most."""
+
+
+@dataclass(frozen=True)
+class DriftTuning:
+    """Constants of the drift that is followed; all chosen.
+
+    Attributes
+    ----------
+    tau_s : float
+        Time constant, seconds: long against a touch, short against warming up.
+    most : float
+        Largest drift that is followed, in parts of f_max.
+    sigmas : float
+        Standard deviations of the noise above which a taxel is touched: at 100 Hz, noise alone
+        reaches it once in five minutes. At least `CONTACT_FRACTION` of f_max.
+    hold_s : float
+        Time after a touch for which the drift of the taxel and of its eight neighbours is held,
+        seconds: a reading creeps back after a press.
+    period_s : float
+        Shortest time between two updates, seconds.
+    gap_s : float
+        Longest time that one update stands for, seconds: a pause is not made up for.
+    """
+
+    tau_s: float = 10.0
+    most: float = 0.1
+    sigmas: float = 4.0
+    hold_s: float = 5.0
+    period_s: float = 0.05
+    gap_s: float = 0.5
+
+
+class Drift:
+    """The drift of each taxel, in the unit of the forces.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns.
+    f_max, noise : float
+        Upper end of the range, and standard deviation of an untouched taxel's noise, 0 if not
+        known.
+    rate : float
+        Largest rate that is followed, in parts of f_max a second; 0: none is.
+
+    Attributes
+    ----------
+    value : ndarray of float64, shape (rows, cols)
+        The drift, to be subtracted from forces.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        f_max: float,
+        noise: float,
+        rate: float = DRIFT_RATE,
+        tuning: DriftTuning = DriftTuning(),
+    ) -> None:
+        self._t = tuning
+        self.rate = rate
+        self._f_max = f_max
+        self._most = tuning.most * f_max
+        self.threshold = max(tuning.sigmas * noise, CONTACT_FRACTION * f_max)
+        self.value: Doubles = np.zeros(shape)
+        self._touched_ns: Doubles = np.full(shape, -np.inf)
+        self._last_ns: int | None = None
+
+    def reset(self) -> None:
+        """Forget the drift, as after a tare."""
+        self.value[:] = 0.0
+        self._touched_ns[:] = -np.inf
+
+    def update(self, forces: Doubles, stamp_ns: int) -> None:
+        """Follow the drift by one frame.
+
+        Parameters
+        ----------
+        forces : ndarray of float64, shape (rows, cols)
+            Forces that are left after subtraction of the drift, not clipped.
+        stamp_ns : int
+            Time of the frame, nanoseconds; frames within `period_s` are skipped.
+        """
+        if not self.rate:
+            return
+        if self._last_ns is None or stamp_ns < self._last_ns:
+            self._last_ns = stamp_ns
+        dt_s = (stamp_ns - self._last_ns) / 1e9
+        if 0 < dt_s < self._t.period_s:
+            return
+        self._last_ns = stamp_ns
+        touched = forces > self.threshold
+        if touched.any():
+            self._touched_ns[spread(touched)] = stamp_ns
+        dt_s = min(dt_s, self._t.gap_s)
+        most = self.rate * self._f_max * dt_s
+        step = np.clip(forces * (dt_s / self._t.tau_s), -most, most)
+        step[stamp_ns - self._touched_ns < self._t.hold_s * 1e9] = 0.0
+        self.value += step
+        np.clip(self.value, -self._most, self._most, out=self.value)
+
+
+def spread(touched: Mask) -> Mask:
+    """A mask and the eight neighbours of each of its cells."""
+    grown = touched.copy()
+    grown[1:] |= touched[:-1]
+    grown[:-1] |= touched[1:]
+    across = grown.copy()
+    grown[:, 1:] |= across[:, :-1]
+    grown[:, :-1] |= across[:, 1:]
+    return grown

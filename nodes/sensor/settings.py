@@ -1,0 +1,124 @@
+"""Settings of the sensor node."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.settings import PatchSettings, naming, setting
+
+from .calibration.chain import MAX_TARE_FRAMES
+from .calibration.skin_file import load_skin
+from .files.parsed import KEEP, NAN_WAYS, NEGATIVE_WAYS, REFUSE, Policy
+from .sources import SCENE, check_source
+
+
+@dataclass(frozen=True)
+class SensorSettings(PatchSettings):
+    """Settings of the sensor node."""
+
+    source: str = setting(
+        "scene:drag_wrench_64",
+        "where frames come from: scene:NAME, file:PATH, serial:DEVICE, udp:PORT, can:CHANNEL or "
+        "module:callable",
+        decides=True,
+    )
+    rate_hz: float | None = setting(
+        None,
+        "frames a second; not stated: a recording's own rate, a driver's own pace, "
+        "100 for a scene; 0: as fast as its subscribers process them",
+        low=0.0,
+        high=100_000.0,
+        live=True,
+    )
+    seed: int = setting(0, "seed of the scene and of the noise", low=0, high=2**32 - 1)
+    noise: float = setting(
+        1.0,
+        "noise added to a known truth, in multiples of the paper's",
+        low=0.0,
+        high=100.0,
+        live=True,
+    )
+    n_rows: int | None = setting(
+        None,
+        "rows of a plain CSV's frame, or those that a file or driver must have",
+        low=1,
+        high=4096,
+    )
+    n_cols: int | None = setting(
+        None,
+        "columns of a plain CSV's frame, or those that a file or driver must have",
+        low=1,
+        high=4096,
+    )
+    unit: str | None = setting(None, "unit of a file's or driver's readings")
+    f_max: float | None = setting(
+        None, "upper end of a file's or driver's range, in its unit", low=1e-9, high=1e9
+    )
+    nan: str = setting("refuse", "readings of a file that are not finite", choices=NAN_WAYS)
+    negative: str = setting(
+        "refuse",
+        "readings of a file below 0; with a calibration, they are kept by default",
+        choices=NEGATIVE_WAYS,
+    )
+    skin: str = setting(
+        "",
+        "file skin.toml with shape, pitch, unit, range, mask, calibration and noise of the skin, "
+        "whose source delivers raw readings",
+    )
+    tare: int = setting(
+        0,
+        "number of first frames, of the untouched skin, whose median is the baseline; 0: the "
+        "baseline is that of the skin's file",
+        low=0,
+        high=MAX_TARE_FRAMES,
+    )
+    drift: float | None = setting(
+        None,
+        "largest drift of the baseline that is followed while a taxel is untouched, in parts of "
+        "f_max a second; not stated: 0.0001 with a calibration or tare, else 0",
+        low=0.0,
+        high=1.0,
+        live=True,
+    )
+    f_min: float | None = setting(
+        None,
+        "lower end of the range, 0 or less, in the unit of the forces: below 0, noise around 0 is "
+        "not clipped; not stated: that of the skin's file, or 0",
+        low=-1e9,
+        high=0.0,
+    )
+
+    @property
+    def policy(self) -> Policy:
+        """What to do with invalid readings of a file."""
+        keeps = self.is_calibrated and self.negative == REFUSE
+        return Policy(self.nan, KEEP if keeps else self.negative)
+
+    @property
+    def is_calibrated(self) -> bool:
+        """True if raw readings are converted to forces."""
+        return bool(self.skin or self.tare or self.f_min)
+
+    def shape_for_source(self) -> tuple[int | None, int | None]:
+        """Rows and columns that are stated for the source: for a .csv those of the skin's file."""
+        if self.skin and self.source.endswith(".csv"):
+            found = load_skin(self.skin)
+            return self.n_rows or found.rows, self.n_cols or found.cols
+        return self.n_rows, self.n_cols
+
+    def check(self) -> None:
+        unit = self.unit
+        if self.skin:
+            for key in ("unit", "f_max"):
+                if getattr(self, key) is not None:
+                    raise SettingsError(f"{key}: the file of the skin has its own")
+            with naming("skin"):
+                load_skin(self.skin)
+            unit = "raw" if self.source.endswith(".csv") else None
+        with naming("source"):
+            check_source(self.source, *self.shape_for_source(), unit, self.policy, self.f_max)
+        if self.source.startswith(SCENE):
+            for key in ("n_rows", "n_cols", "unit", "f_max", "skin", "tare", "drift", "f_min"):
+                if getattr(self, key) not in (None, "", 0):
+                    raise SettingsError(f"{key}: a scene has its own")

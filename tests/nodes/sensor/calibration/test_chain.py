@@ -1,0 +1,191 @@
+"""From counts to newtons: each step in closed form."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.calibration.chain import Chain
+from sparseskin.nodes.sensor.calibration.description import SkinDescription
+from sparseskin.nodes.sensor.calibration.response import Response
+
+SHAPE = (3, 4)
+SECOND = 1_000_000_000
+
+
+def skin(**changes: Any) -> SkinDescription:
+    return SkinDescription("palm", *SHAPE, 2.5, **changes)
+
+
+def still(description: SkinDescription) -> Chain:
+    """A chain that follows no drift."""
+    return Chain(description, drift_rate=0.0)
+
+
+counts = arrays(np.float64, SHAPE, elements=st.floats(0, 4095))
+gains = arrays(np.float64, SHAPE, elements=st.floats(1e-4, 1e-2) | st.floats(-1e-2, -1e-4))
+pressed = arrays(np.float64, SHAPE, elements=st.floats(0, 2.5))
+
+
+@given(counts, gains, pressed)
+def test_forces_come_back_from_counts(
+    baseline: np.ndarray, gain: np.ndarray, force: np.ndarray
+) -> None:
+    curve = Response(np.array([0.2, 1.0, 2.0]), np.array([0.5, 1.2, 2.5]))
+    raw = baseline + curve.readings(force) / gain
+    chain = still(skin(baseline=baseline, gains=gain, response=curve))
+    np.testing.assert_allclose(chain.apply(raw, 0), force, atol=1e-6)
+
+
+@given(counts, gains, st.integers(1, 9))
+def test_a_tare_of_a_constant_offset_is_exact(
+    offset: np.ndarray, gain: np.ndarray, n_frames: int
+) -> None:
+    raw = offset.astype(np.float32)  # as a source delivers it
+    chain = still(skin(gains=gain))
+    chain.tare([raw] * n_frames)
+    assert not chain.apply(raw, 0).any()
+    np.testing.assert_array_equal(chain.description.baseline, raw)
+
+
+def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count() -> None:
+    chain = still(skin())
+    frames = [np.full(SHAPE, 7.0)] * 20 + [np.full(SHAPE, 900.0)] * 9
+    chain.begin_tare(len(frames))
+    results = [chain.collect(frame) for frame in frames]
+    assert results[:-1] == [None] * 28
+    assert results[-1] is not None
+    assert results[-1].largest == 7.0
+    assert results[-1].n_moved == 12
+    assert chain.tare_left == 0
+    assert (chain.apply(np.full(SHAPE, 9.0), 0) == 2.0).all()
+
+
+def test_a_tare_of_no_or_too_many_frames_is_refused() -> None:
+    chain = still(SkinDescription("s", 1024, 1024, 1.0))
+    with pytest.raises(SourceError, match="at most 64"):
+        chain.begin_tare(65)
+    with pytest.raises(SourceError, match="no frame"):
+        chain.tare([])
+
+
+def test_masked_cells_are_0_whatever_they_read() -> None:
+    mask = np.ones(SHAPE, dtype=np.bool_)
+    mask[1, 2] = False
+    raw = np.full(SHAPE, 1.5)
+    raw[1, 2] = 1e9
+    chain = still(skin(mask=mask))
+    forces = chain.apply(raw, 0)
+    assert forces[1, 2] == 0
+    assert (forces[mask] == 1.5).all()
+    assert chain.n_clipped == 0
+
+
+def test_readings_beyond_the_range_are_clipped_and_counted_noise_below_0_is_not() -> None:
+    chain = still(skin(noise=0.01))
+    raw = np.zeros(SHAPE)
+    raw[0, :3] = 3.0, -0.03, -0.05
+    forces = chain.apply(raw, 0)
+    assert list(forces[0]) == [2.5, 0, 0, 0]
+    assert (chain.n_clipped, chain.lowest, chain.highest) == (2, -0.05, 3.0)
+
+
+def test_a_lower_end_below_0_keeps_the_mean_of_noise_centred_on_0() -> None:
+    rng = np.random.default_rng(3)
+    chain = still(skin(noise=0.01, f_min=-0.05))
+    frames = np.stack([chain.apply(rng.normal(0, 0.01, SHAPE), 0) for _ in range(4000)])
+    # Of 48000 readings the mean is normal with 0.01 / sqrt(48000).
+    assert abs(frames.mean()) < 4 * 0.01 / np.sqrt(frames.size)
+    clipped = np.clip(frames, 0, None).mean()
+    assert clipped == pytest.approx(0.01 / np.sqrt(2 * np.pi), rel=0.02)
+
+
+def run(chain: Chain, force: Any, seconds: float, rate_hz: float = 100.0) -> np.ndarray:
+    """Forces at the end of `seconds` under a force, a number or a function of time in seconds."""
+    n = round(seconds * rate_hz)
+    for k in range(n + 1):
+        t = k / rate_hz
+        value = force(t) if callable(force) else force
+        found = chain.apply(
+            np.broadcast_to(np.asarray(value, dtype=float), SHAPE), round(t * SECOND)
+        )
+    return found
+
+
+@pytest.mark.parametrize("force", [0.011, 0.02, 0.1, 1.0, 2.5])
+def test_a_steady_press_of_60_s_loses_nothing_above_the_threshold(force: float) -> None:
+    # The threshold of a skin whose noise is not known: 0.004 of 2.5 N.
+    assert run(Chain(skin()), force, 60) == pytest.approx(force, abs=1e-7)
+
+
+@pytest.mark.parametrize("force", [0.001, 0.005, 0.0099])
+def test_below_the_threshold_a_press_of_60_s_loses_at_most_the_stated_part_of_the_range(
+    force: float,
+) -> None:
+    lost = force - run(Chain(skin()), force, 60)
+    assert (lost >= 0).all()
+    # 60 s at 1e-4 of 2.5 N a second are 0.015 N: 0.6 % of the range, and never more than the press.
+    assert (lost <= min(force, 60 * 1e-4 * 2.5) + 1e-7).all()
+    assert min(force, 60 * 1e-4 * 2.5) < 0.01 * 2.5
+
+
+def test_the_edge_of_a_press_is_held_too() -> None:
+    press = np.zeros(SHAPE)
+    press[1, 1], press[1, 2] = 1.0, 0.008
+    found = run(Chain(skin()), press, 60)
+    np.testing.assert_allclose(found, press, atol=1e-7)
+
+
+def test_a_drift_slower_than_the_rate_is_followed_with_the_lag_of_the_time_constant() -> None:
+    # A first-order low pass lags a ramp of rate q by tau q: 10 s x 1e-4 N/s.
+    found = run(Chain(skin()), lambda t: 1e-4 * t, 200)
+    np.testing.assert_allclose(found, 1e-3, rtol=0.02)
+
+
+def test_a_drift_is_followed_downwards_from_any_depth() -> None:
+    chain = Chain(skin())
+    run(chain, -0.02, 400)
+    np.testing.assert_allclose(chain.drift.value, -0.02, atol=1e-4)
+
+
+def test_the_total_drift_is_bounded() -> None:
+    chain = Chain(skin())
+    run(chain, -1.0, 2000, rate_hz=2.0)
+    np.testing.assert_allclose(chain.drift.value, -0.25)
+
+
+def test_a_pause_is_not_made_up_for() -> None:
+    chain = Chain(skin())
+    chain.apply(np.full(SHAPE, 0.005), 0)
+    chain.apply(np.full(SHAPE, 0.005), 3600 * SECOND)
+    assert (chain.drift.value <= 0.5 * 1e-4 * 2.5 + 1e-12).all()
+
+
+def test_drift_is_held_after_a_touch() -> None:
+    chain = Chain(skin())
+    run(chain, lambda t: 1.0 if t < 1 else 0.005, 5.9)
+    assert not chain.drift.value.any()
+    run(chain, 0.005, 9)
+    assert (chain.drift.value >= 0).all()
+
+
+def test_noise_alone_moves_the_baseline_by_less_than_a_tenth_of_it() -> None:
+    rng = np.random.default_rng(0)
+    chain = Chain(skin(noise=0.0141))
+    for k in range(6000):
+        chain.apply(rng.normal(0, 0.0141, SHAPE), k * 10_000_000)
+    assert np.abs(chain.drift.value).max() < 0.1 * 0.0141
+
+
+def test_a_tare_forgets_the_drift() -> None:
+    chain = Chain(skin())
+    run(chain, -0.02, 60)
+    assert chain.drift.value.any()
+    chain.tare([np.full(SHAPE, -0.02)])
+    assert not chain.drift.value.any()

@@ -1,0 +1,210 @@
+"""The sensor node with the file of a skin: what it publishes, tares and refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sparseskin.messages import Calibration, Message, SkinState, Taxels
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
+from sparseskin.nodes.node import Context, Tick
+from sparseskin.nodes.sensor.calibration.description import SkinDescription
+from sparseskin.nodes.sensor.calibration.response import Response
+from sparseskin.nodes.sensor.calibration.skin_writer import save_skin
+from sparseskin.nodes.sensor.node import Sensor
+
+SHAPE = (3, 4)
+BASELINE = 100.0 + np.arange(12.0).reshape(SHAPE)
+TRUTH = np.linspace(0, 2, 12).reshape(SHAPE)
+MASK = np.ones(SHAPE, dtype=np.bool_)
+MASK[2, 0] = False
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A skin of 0.01 N a count, its file, and a recording of counts: 40 untouched, 60 pressed."""
+    described = SkinDescription(
+        *("palm", *SHAPE, 2.5),
+        pitch_mm=2.0,
+        mask=MASK,
+        baseline=BASELINE,
+        gains=np.full(SHAPE, 0.01),
+        noise=0.02,
+        noise_mid=0.03,
+    )
+    save_skin(tmp_path / "palm.toml", described)
+    raw = np.concatenate(
+        [np.tile(BASELINE, (40, 1, 1)), np.tile(BASELINE + 100 * TRUTH, (60, 1, 1))]
+    )
+    np.save(tmp_path / "counts.npy", raw)
+    np.save(tmp_path / "signed.npy", raw - 105)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+class Run:
+    """A sensor, its log and what it publishes."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.log: list[str] = []
+        context = Context("s", ManualClock(), log=self.log.append)
+        self.settings = Sensor.Settings(**{"source": "file:counts.npy", **settings})
+        self.settings.check()
+        self.sensor = Sensor(self.settings, context)
+        self.published: list[Message] = list(self.sensor.start())
+        self.n = 0
+
+    def frames(self, n: int) -> list[np.ndarray]:
+        found = []
+        for _ in range(n):
+            made = list(self.sensor.acquire(Tick(self.n, self.n)))
+            self.published += made
+            self.n += 1
+            found += [one.forces for one in made if isinstance(one, Taxels)]
+        return found
+
+    def of(self, kind: type[Message]) -> list[Any]:
+        return [one for one in self.published if isinstance(one, kind)]
+
+
+@pytest.mark.usefixtures("folder")
+def test_counts_become_newtons_and_the_state_is_that_of_the_file() -> None:
+    run = Run(skin="palm.toml")
+    frames = run.frames(100)
+    assert len(frames) == 100
+    assert not frames[0].any()
+    np.testing.assert_allclose(frames[-1], np.where(MASK, TRUTH, 0), atol=1e-6)
+    (state,) = run.of(SkinState)
+    assert (state.f_max, state.unit, state.pitch_m, state.f_min) == (2.5, "N", 0.002, 0)
+    assert (state.sigma_end, state.sigma_mid, state.has_truth) == (0.02, 0.03, False)
+    np.testing.assert_array_equal(state.mask, MASK)
+    (calibration,) = run.of(Calibration)
+    assert calibration.name == "palm"
+    np.testing.assert_array_equal(calibration.baseline, BASELINE.astype(np.float32))
+    assert calibration.response_force is None
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_tare_at_the_start_takes_its_frames_and_works_without_a_file() -> None:
+    run = Run(source="file:signed.npy", tare=30, f_max=250.0)
+    frames = run.frames(100)
+    assert len(frames) == 70
+    assert not frames[0].any()
+    np.testing.assert_allclose(frames[-1], 100 * TRUTH, rtol=1e-6)
+    assert run.log == ["tared: forces changed by at most 6 raw"]
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_tare_on_command_is_announced_and_published() -> None:
+    run = Run(skin="palm.toml")
+    run.frames(50)
+    assert run.sensor.command("tare", 20) == "the baseline becomes the median of the next 20 frames"
+    assert run.sensor.state()["tare_left"] == 20
+    frames = run.frames(21)
+    # The frames of the tare are published with the baseline before.
+    np.testing.assert_allclose(frames[18], np.where(MASK, TRUTH, 0), atol=1e-6)
+    assert run.sensor.state()["tare_left"] == 0
+    assert not run.frames(1)[0].any()
+    _, after = run.of(Calibration)
+    np.testing.assert_allclose(after.baseline, BASELINE + 100 * TRUTH, rtol=1e-6)
+    (line,) = run.log
+    assert line.startswith("tared: forces changed by at most 2 N, of 10 taxels by more than 5 %")
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_tare_is_refused_without_a_calibration_or_with_a_wrong_number() -> None:
+    with pytest.raises(RefusedError, match=r"has no baseline; state sensor\.skin, or sensor\.tare"):
+        Run().sensor.command("tare", None)
+    sensor = Run(skin="palm.toml").sensor
+    for value in (0, -1, 10_001, True, "all", 2.5):
+        with pytest.raises(RefusedError, match="is no number of frames"):
+            sensor.command("tare", value)
+    assert "next 30 frames" in sensor.command("tare", None)
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_recording_that_ends_before_its_tare_says_so() -> None:
+    run = Run(tare=200)
+    assert run.frames(3) == []
+    assert run.log == ["counts: ended before its tare"]
+    assert run.sensor.exhausted
+
+
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        ({"skin": "plam.toml"}, "skin: plam.toml: cannot be read"),
+        ({"skin": "palm.toml", "f_max": 1.0}, "f_max: the file of the skin has its own"),
+        ({"skin": "palm.toml", "source": "scene:path_40"}, "skin: a scene has its own"),
+        ({"tare": 10, "source": "scene:path_40"}, "tare: a scene has its own"),
+        ({"skin": "palm.toml", "n_rows": 4}, "n_rows = 4 is stated, but the frames have 3"),
+        ({"f_min": 0.1}, "f_min: 0.1 is outside"),
+    ],
+)
+@pytest.mark.usefixtures("folder")
+def test_wrong_settings_are_refused_in_one_line(settings: dict[str, Any], line: str) -> None:
+    with pytest.raises(SettingsError) as raised:
+        Run(**settings)
+    assert line in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_source_of_another_shape_is_refused(folder: Path) -> None:
+    np.save(folder / "small.npy", np.ones((5, 2, 2)))
+    with pytest.raises(SourceError, match=r"describes 3 x 4 taxels, but the source has 2 x 2"):
+        Run(skin="palm.toml", source="file:small.npy")
+
+
+def test_negative_counts_of_a_driver_are_not_clipped_before_the_baseline(folder: Path) -> None:
+    (folder / "signed_skin.py").write_text(
+        "import numpy as np\n\n\ndef frames():\n"
+        "    for k in range(100):\n        yield k * 10_000_000, np.load('signed.npy')[k]\n"
+    )
+    save_skin(
+        folder / "signed.toml",
+        SkinDescription(
+            *("signed", *SHAPE, 2.5),
+            baseline=BASELINE - 105,
+            gains=np.full(SHAPE, 0.01),
+            response=Response(np.array([1.0, 2.0]), np.array([1.0, 2.5])),
+        ),
+    )
+    run = Run(skin="signed.toml", source="signed_skin:frames")
+    frames = run.frames(90)
+    expected = np.where(TRUTH < 1, TRUTH, 1 + 1.5 * (TRUTH - 1))
+    np.testing.assert_allclose(frames[-1], expected, atol=1e-6)
+    (calibration,) = run.of(Calibration)
+    assert calibration.response_reading.shape == (2, 1, 1)
+    run.sensor.close({})
+
+
+def test_noise_around_0_is_noticed_with_the_setting_that_mends_it(folder: Path) -> None:
+    noise = np.random.default_rng(0).normal(0, 0.0125, (250, *SHAPE))
+    np.save(folder / "noise.npy", noise)
+    (folder / "noisy_skin.py").write_text(
+        "import numpy as np\n\n\ndef frames():\n"
+        "    for k, frame in enumerate(np.load('noise.npy')):\n        yield k, frame\n"
+    )
+    run = Run(source="noisy_skin:frames")
+    run.frames(250)
+    (line,) = [one for one in run.log if "noise around 0" in one]
+    assert "f_min = -0.0" in line
+    kept = Run(source="noisy_skin:frames", f_min=-0.05)
+    frames = np.stack(kept.frames(250))
+    np.testing.assert_allclose(frames, noise, atol=1e-6)
+    assert kept.log == []
+    assert kept.of(SkinState)[0].f_min == -0.05
+
+
+@pytest.mark.usefixtures("folder")
+def test_drift_is_followed_only_with_a_calibration_unless_stated_and_can_be_changed() -> None:
+    assert Run(f_min=-1.0).sensor._stage.chain.drift.rate == 0.0  # type: ignore[union-attr]
+    run = Run(skin="palm.toml")
+    drift = run.sensor._stage.chain.drift  # type: ignore[union-attr]
+    assert drift.rate == 1e-4
+    list(run.sensor.change(run.settings.changed({"drift": 0.0})))
+    assert drift.rate == 0.0
