@@ -82,6 +82,7 @@ STUDIES = {
     "endurance": Study(
         "the default solver over a million frames: memory, drift, recovery after changes"
     ),
+    "bridges": Study("what bridges to other tools cost, and cost the graph beside them"),
     "latency": Study("time from acquisition to reconstruction at 1 kHz, by stage"),
     "gpu": Study(
         "the default solver for 1 to 1024 patches at once, on a GPU; without one, nothing is run"

@@ -73,6 +73,8 @@ class GraphRun:
             "XDG_STATE_HOME": str(self.folder / "state"),
             **(environment or {}),
         }
+        self.environment: dict[str, str] = self._environment
+        """Environment of its processes, for one that is to be found among them."""
         self.stack = contextlib.ExitStack()
         """Contexts that end before the graph is killed."""
         out, err = ((self.folder / f"{name}.txt").open("wb") for name in ("stdout", "stderr"))

@@ -27,7 +27,7 @@ from sparseskin.nodes.recorder.bag.format import (
 from sparseskin.nodes.sensor.files.parsed import NAN_WAYS, NEGATIVE_WAYS, REFUSE
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES
 
-from .options import add_commands
+from .options import add_commands, whole
 
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -39,6 +39,7 @@ EXPORTS = {
     "ros2": ("_ros2", f"{_CONVERT}.ros2:export_ros2"),
     "foxglove": ("_foxglove.mcap", f"{_CONVERT}.foxglove:export_foxglove"),
     "skin": (".toml", f"{_CONVERT}.skin:export_skin"),
+    "lerobot": ("_lerobot", f"{_CONVERT}.lerobot:export_lerobot"),
 }
 """Of each kind of export the ending of the default name of its output, and its function."""
 READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz", "nan", "negative")
@@ -64,13 +65,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = f"default: NAME_recovered{FILE_SUFFIX}"
     recover.add_argument("--out", metavar="NEW", type=Path, help=about)
     _configure_import(add("import", _import, "make a bag of a file of frames"))
-    export = add("export", _export, "convert a bag to NumPy, CSV, ROS 2 or Foxglove; its skin")
+    export = add("export", _export, "convert a bag to NumPy, CSV, ROS 2, Foxglove, LeRobot")
     export.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}")
     export.add_argument("--to", choices=tuple(EXPORTS), required=True, help="the format")
-    about = "default: NAME.npz, NAME_csv, NAME_ros2, NAME_foxglove.mcap or NAME.toml"
+    about = "default: NAME.npz, NAME_csv, NAME_ros2, NAME_foxglove.mcap, NAME_lerobot or NAME.toml"
     export.add_argument("--out", metavar="PATH", type=Path, help=about)
     about = "only these topics; default: all with frames"
     export.add_argument("--topics", metavar="TOPIC", nargs="+", help=about)
+    about = "of lerobot: rows a second (default: 30)"
+    export.add_argument("--fps", metavar="N", type=whole(1), help=about)
+    about = "of lerobot: tactile frames a row (default: as many as come meanwhile)"
+    export.add_argument("--window", metavar="K", type=whole(1), help=about)
 
 
 def _configure_import(parser: argparse.ArgumentParser) -> None:
@@ -155,18 +160,22 @@ def _with_options(message: str, file: str) -> str:
 def _export(arguments: argparse.Namespace) -> int:
     """Convert the frames of a bag: npz (one file a patch, which a source file:PATH reads), csv (a
     folder, one file a topic, one frame a line), ros2 (a folder with CDR messages and
-    metadata.yaml), foxglove (an .mcap with Foxglove's schemas), or skin (the file skin.toml of a
-    calibrated skin).
+    metadata.yaml), foxglove (an .mcap with Foxglove's schemas), lerobot (a folder, a dataset of
+    codebase version v3.0), or skin (the file skin.toml of a calibrated skin).
     """
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
     ending, target = EXPORTS[arguments.to]
     export = find_callable(target, BagError)
+    stated = {key: getattr(arguments, key) for key in ("fps", "window")}
+    options = {key: value for key, value in stated.items() if value is not None}
+    if options and arguments.to != "lerobot":
+        raise BagError(f"--{next(iter(options))}: goes with --to lerobot")
     with BagReader(arguments.bag) as bag:
         out = arguments.out or bag.path.with_name(_stem(bag.path) + ending)
         if bag.recovered:
             print(f"{bag.path}: {bag.recovered}", file=sys.stderr)
-        for path in export(bag, out, arguments.topics):
+        for path in export(bag, out, arguments.topics, **options):
             print(path)
     return 0
 

@@ -135,7 +135,7 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
         elif bridge := node.get("bridge"):
             dropped = bridge["dropped"] + sum(node.get("lost", {}).values())
             where = printable(bridge["where"])
-            print(f"{name}: {bridge['sent']} frames sent to {where}, {dropped} messages dropped")
+            print(f"{name}: {bridge['sent']} frames published at {where}, {dropped} dropped")
         elif node["type"] == "player" and "played" in node:
             print(f"{printable(node['played']['file'])}: {node['played']['frames']} frames played")
 

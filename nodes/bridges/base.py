@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import lru_cache
 from importlib.util import find_spec
 from typing import Any, TypeVar
+
+import numpy as np
 
 from sparseskin.messages import (
     Message,
@@ -17,10 +20,12 @@ from sparseskin.messages import (
     Truth,
     topic_of,
 )
+from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.settings import Settings, check_patch, setting
 
 Map = Taxels | Truth | Reconstruction
@@ -74,6 +79,13 @@ def stamp_of(stamp_ns: int) -> tuple[int, int]:
     return divmod(stamp_ns, 1_000_000_000)
 
 
+@lru_cache(maxsize=64)
+def _moments(n_rows: int, n_cols: int) -> tuple[Doubles, Doubles, tuple[Doubles, Doubles]]:
+    """Ones and numbers of the rows; ones and numbers of the columns."""
+    rows, cols = np.arange(n_rows, dtype=np.float64), np.arange(n_cols, dtype=np.float64)
+    return np.ones(n_rows), rows, (np.ones(n_cols), cols)
+
+
 @dataclass
 class Figures:
     """Numbers of one map, as tools plot them; those that are not known are left out.
@@ -91,11 +103,11 @@ class Figures:
     def of(cls, message: Map, f_max: float, latency_ns: int | None) -> Figures:
         """Figures of a map of a skin with range [0, f_max]; `latency_ns` from the acquisition."""
         forces = message.forces
-        made = cls(message.seq, float(forces.sum(dtype="f8")), float(forces.max(initial=0.0)))
-        if made.total > 0 and made.peak > 0.004 * f_max:
-            rows, cols = forces.sum(axis=1, dtype="f8"), forces.sum(axis=0, dtype="f8")
-            made.more["row"] = float(rows @ range(len(rows))) / made.total
-            made.more["col"] = float(cols @ range(len(cols))) / made.total
+        ones, rows, cols = _moments(*forces.shape)
+        made = cls(message.seq, float(ones @ (sums := forces @ cols[0])), float(forces.max()))
+        if made.total > 0 and made.peak > CONTACT_FRACTION * f_max:
+            made.more["row"] = float(rows @ sums) / made.total
+            made.more["col"] = float(ones @ (forces @ cols[1])) / made.total
         if latency_ns is not None:
             made.more["latency_ms"] = latency_ns / 1e6
         if isinstance(message, Reconstruction):
@@ -173,7 +185,7 @@ class Bridge(Node[S]):
 
     def status(self) -> str:
         dropped = f", {self.n_dropped} dropped" if self.n_dropped else ""
-        return f"{self.where()}: {self.n_sent} frames sent{dropped}"
+        return f"{self.where()}: {self.n_sent} frames published{dropped}"
 
     def report(self) -> dict[str, Any]:
         return {"bridge": {"where": self.where(), "sent": self.n_sent, "dropped": self.n_dropped}}

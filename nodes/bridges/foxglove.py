@@ -50,7 +50,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
 
     Settings = FoxgloveSettings
     watches = True
-    patience_s = 0.004  # messages of one frame are read together
+    patience_s = 0.008  # not visible to a person; messages are read together
 
     def __init__(self, settings: FoxgloveSettings, context: Context) -> None:
         super().__init__(settings, context)
@@ -77,6 +77,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
                 f"port: cannot listen at {settings.host}:{settings.port}: {one_line(error)}; "
                 "0: a free one"
             ) from error
+        self._url = f"ws://{settings.host}:{self._server.port}"
 
     def start(self) -> Iterable[Message]:
         for patch in self.settings.patches:
@@ -88,7 +89,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
         return ()
 
     def where(self) -> str:
-        return f"ws://{self.settings.host}:{self._server.port}"
+        return self._url
 
     def status(self) -> str:
         n = self._listener.n_clients

@@ -53,7 +53,7 @@ class LeRobotBridge(Bridge[LeRobotSettings]):
     """
 
     Settings = LeRobotSettings
-    patience_s = 0.004
+    patience_s = 0.008  # a quarter of the time between two images; messages are read together
 
     def __init__(self, settings: LeRobotSettings, context: Context) -> None:
         super().__init__(settings, context)

@@ -1,0 +1,375 @@
+"""Export of a bag to a dataset of LeRobot: for each video frame a window of tactile frames.
+
+Source of the layout: huggingface/lerobot, `src/lerobot/datasets/`, codebase version v3.0, read in
+lerobot 0.4.4 and 0.6.2.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages import Measurements, Reconstruction, SkinState, Taxels
+from sparseskin.messages.topics import split_topic
+from sparseskin.nodes.files import whole_folder
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.recorder.bag.format import BagError
+from sparseskin.nodes.recorder.bag.frames import frame_topics, frames, skin_of
+from sparseskin.nodes.recorder.bag.reader import BagReader
+
+INSTALL = 'writing for LeRobot needs pyarrow; pip install "sparseskin[lerobot]"'
+VERSION = "v3.0"
+TASK = "touch"
+FPS = 30
+MAX_FPS, MAX_WINDOW = 1000, 4096
+BLOCK_BYTES = 1 << 26
+"""Size of what is held in memory at once, bytes: a recording may be larger than the memory."""
+QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+CHUNK = "chunk-000/file-000.parquet"
+INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """One topic: its frames (n_frames, N) and their stamps, ascending, in nanoseconds."""
+
+    topic: str
+    name: str
+    shape: tuple[int, int]
+    skin: SkinState | None
+    stamps_ns: npt.NDArray[np.int64]
+    values: npt.NDArray[np.float32]
+
+    @property
+    def rate_hz(self) -> float:
+        seconds = (self.stamps_ns[-1] - self.stamps_ns[0]) / 1e9
+        return float((len(self.stamps_ns) - 1) / seconds) if seconds > 0 else 0.0
+
+    def window(self, times_ns: npt.NDArray[np.int64], size: int) -> npt.NDArray[np.int64]:
+        """Numbers of the last `size` frames at or before each time, shape (n_times, size); the
+        first frame again where there were fewer.
+        """
+        last = np.searchsorted(self.stamps_ns, times_ns, side="right") - 1
+        chosen: npt.NDArray[np.int64] = last[:, None] - np.arange(size - 1, -1, -1)
+        return np.maximum(chosen, 0)
+
+
+def export_lerobot(
+    bag: BagReader,
+    out: Path,
+    topics: Iterable[str] | None = None,
+    fps: int = FPS,
+    window: int | None = None,
+) -> list[Path]:
+    """Write a dataset of one episode into a new folder `out`; the paths of its files.
+
+    Parameters
+    ----------
+    topics
+        Topics of maps; by default the reconstructions, or else the taxels.
+    fps : int
+        Rows a second, the rate of the video that the dataset is for.
+    window : int, optional
+        Number K of tactile frames a row; by default as many as come in 1 / fps, rounded up.
+
+    Row k is that of the time t = t0 + k / fps, where t0 is the stamp from which on there are frames
+    of all topics. Its feature observation.tactile.NAME, float32 (K, N), holds the last K frames at
+    or before t, the newest last, each row after row; observation.tactile.NAME.age, float32 (K,),
+    how long before t each was acquired, in seconds. Before K frames have come, the first stands
+    in place of those that are missing. NAME is PATCH for reconstructions, PATCH_SCHEMA for others.
+
+    Raises BagError if pyarrow is not installed, the bag has no such frames, or a number is out of
+    its range; OutputError if the folder exists or cannot be written.
+    """
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError as error:
+        raise BagError(INSTALL) from error
+    if not 1 <= fps <= MAX_FPS:
+        raise BagError(f"--fps: {fps} is outside 1..{MAX_FPS}")
+    if window is not None and not 1 <= window <= MAX_WINDOW:
+        raise BagError(f"--window: {window} is outside 1..{MAX_WINDOW}")
+    with whole_folder(out), tempfile.TemporaryDirectory(dir=out, prefix=".frames") as scratch:
+        streams = [_read(bag, topic, Path(scratch)) for topic in _wanted(bag, topics)]
+        first_ns = max(int(stream.stamps_ns[0]) for stream in streams)
+        last_ns = min(int(stream.stamps_ns[-1]) for stream in streams)
+        if last_ns < first_ns:
+            raise BagError(f"{bag.path}: its topics have no time in common")
+        n = int((last_ns - first_ns) * fps // 1_000_000_000) + 1
+        times_ns = first_ns + (np.arange(n, dtype=np.int64) * 1_000_000_000) // fps
+        windows = {s.name: window or _size(s, fps) for s in streams}
+        return _write(out, bag, streams, times_ns, fps, windows)
+
+
+def _wanted(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
+    """Topics of maps: those requested; or else the reconstruction of each patch, or its taxels."""
+    found = frame_topics(bag, topics)
+    if topics is not None:
+        for topic in found:
+            if split_topic(topic)[1] == Measurements.schema:
+                raise BagError(f"{topic}: measurements are no map; allowed are topics of forces")
+        return found
+    best: dict[str, str] = {}
+    for schema in (Taxels.schema, Reconstruction.schema):
+        for topic in found:
+            if split_topic(topic)[1] == schema:
+                best[split_topic(topic)[0]] = topic
+    if not best:
+        raise BagError(f"{bag.path}: holds neither reconstructions nor taxels")
+    return list(best.values())
+
+
+def _read(bag: BagReader, topic: str, folder: Path) -> _Stream:
+    patch, schema = split_topic(topic)
+    name = patch if schema == Reconstruction.schema else f"{patch}_{schema}"
+    stamps: list[int] = []
+    shape: tuple[int, ...] = ()
+    path = folder / name
+    with path.open("wb") as file:
+        for frame in frames(bag, [topic], "read"):
+            stamp_ns = frame.message.stamp_ns
+            shape = shape or frame.array.shape
+            if frame.array.shape != shape:
+                raise BagError(f"{bag.path}: {topic}: the shape of its frames changes")
+            if stamps and stamp_ns <= stamps[-1]:
+                continue  # played again, or late
+            file.write(np.ascontiguousarray(frame.array, "<f4").tobytes())
+            stamps.append(stamp_ns)
+    if not stamps:
+        raise BagError(f"{bag.path}: {topic}: states messages, but holds none")
+    n_taxels = shape[0] * shape[1]
+    values = np.memmap(path, "<f4", "r", shape=(len(stamps), n_taxels))
+    stamps_ns = np.array(stamps, np.int64)
+    return _Stream(topic, name, (shape[0], shape[1]), skin_of(bag, patch), stamps_ns, values)
+
+
+def _size(stream: _Stream, fps: int) -> int:
+    return min(max(1, int(np.ceil(stream.rate_hz / fps - 1e-6))), MAX_WINDOW)
+
+
+def _write(
+    out: Path,
+    bag: BagReader,
+    streams: list[_Stream],
+    times_ns: npt.NDArray[np.int64],
+    fps: int,
+    windows: dict[str, int],
+) -> list[Path]:
+    features: dict[str, dict[str, Any]] = {}
+    stats: dict[str, dict[str, Any]] = {}
+    for stream in streams:
+        size, key = windows[stream.name], f"observation.tactile.{stream.name}"
+        n_taxels = stream.values.shape[1]
+        features[key] = {"dtype": "float32", "shape": [size, n_taxels], "names": None}
+        features[f"{key}.age"] = {"dtype": "float32", "shape": [size], "names": None}
+        stats[key] = _stats_of(stream, stream.window(times_ns, size))
+        stats[f"{key}.age"] = _stats(_ages(stream, times_ns, size))
+    n = len(times_ns)
+    for name in INDICES:
+        dtype = "float32" if name == "timestamp" else "int64"
+        features[name] = {"dtype": dtype, "shape": [1], "names": None}
+        stats[name] = _stats(_index(name, 0, n, fps)[:, None])
+    files = {
+        "meta/info.json": json.dumps(_info(features, n, fps), indent=4),
+        "meta/stats.json": json.dumps(stats),
+        "README.md": _readme(bag, streams, windows, int(times_ns[0]), fps),
+    }
+    for name, text in files.items():
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_text(text, encoding="utf-8")
+    _write_rows(out / "data" / CHUNK, streams, times_ns, fps, windows)
+    _write_tasks(out / "meta/tasks.parquet")
+    _write_episode(out / "meta/episodes" / CHUNK, stats, n)
+    tables = [f"data/{CHUNK}", "meta/tasks.parquet", f"meta/episodes/{CHUNK}"]
+    return [out / name for name in (*files, *tables)]
+
+
+def _info(features: dict[str, Any], n: int, fps: int) -> dict[str, Any]:
+    return {
+        "codebase_version": VERSION,
+        "robot_type": None,
+        "total_episodes": 1,
+        "total_frames": n,
+        "total_tasks": 1,
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": fps,
+        "splits": {"train": "0:1"},
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": None,
+        "features": features,
+    }
+
+
+def _index(name: str, begin: int, end: int, fps: int) -> npt.NDArray[Any]:
+    """A column that every dataset has, of rows begin to end - 1 of the only episode."""
+    if name == "timestamp":
+        return (np.arange(begin, end) / fps).astype(np.float32)
+    if name in ("frame_index", "index"):
+        return np.arange(begin, end, dtype=np.int64)
+    return np.zeros(end - begin, np.int64)
+
+
+def _ages(stream: _Stream, times_ns: npt.NDArray[np.int64], size: int) -> Floats:
+    chosen = stream.stamps_ns[stream.window(times_ns, size)]
+    ages: Floats = ((times_ns[:, None] - chosen) / 1e9).astype(np.float32)
+    return ages
+
+
+def _stats(values: npt.NDArray[Any]) -> dict[str, Any]:
+    """Statistics over the rows (axis 0), as lists."""
+    wide = values.astype(np.float64)
+    found = {
+        "min": wide.min(axis=0).tolist(),
+        "max": wide.max(axis=0).tolist(),
+        "mean": wide.mean(axis=0).tolist(),
+        "std": wide.std(axis=0).tolist(),
+        "count": [len(values)],
+    }
+    levels = np.quantile(values, list(QUANTILES.values()), axis=0)
+    return found | {name: level.tolist() for name, level in zip(QUANTILES, levels, strict=True)}
+
+
+def _stats_of(stream: _Stream, chosen: npt.NDArray[np.int64]) -> dict[str, Any]:
+    """Statistics of the windows of a stream, (K, N) each; a block of taxels at a time."""
+    n, size = chosen.shape
+    n_taxels = stream.values.shape[1]
+    block = max(1, BLOCK_BYTES // (8 * n))
+    found: dict[str, Any] = {}
+    for k in range(size):
+        parts = [
+            _stats(stream.values[chosen[:, k], begin : begin + block])
+            for begin in range(0, n_taxels, block)
+        ]
+        for name in parts[0]:
+            if name == "count":
+                found[name] = [n]
+            else:
+                row = [value for part in parts for value in part[name]]
+                found.setdefault(name, []).append(np.array(row, np.float32).tolist())
+    return found
+
+
+def _write_rows(
+    path: Path,
+    streams: list[_Stream],
+    times_ns: npt.NDArray[np.int64],
+    fps: int,
+    windows: dict[str, int],
+) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    fields: list[Any] = []
+    for stream in streams:
+        key = f"observation.tactile.{stream.name}"
+        fields.append(pa.field(key, pa.list_(pa.list_(pa.float32()))))
+        fields.append(pa.field(f"{key}.age", pa.list_(pa.float32())))
+    for name in INDICES:
+        fields.append(pa.field(name, pa.float32() if name == "timestamp" else pa.int64()))
+    schema = pa.schema(fields)
+    path.parent.mkdir(parents=True)
+    widest = sum(4 * windows[s.name] * s.values.shape[1] for s in streams)
+    with pq.ParquetWriter(path, schema, compression="snappy") as writer:
+        for begin, end in _blocks(len(times_ns), max(1, BLOCK_BYTES // widest)):
+            times = times_ns[begin:end]
+            columns = []
+            for stream in streams:
+                size = windows[stream.name]
+                columns.append(_nested(stream.values[stream.window(times, size)]))
+                columns.append(_nested(_ages(stream, times, size)))
+            columns += [pa.array(_index(name, begin, end, fps)) for name in INDICES]
+            writer.write_table(pa.Table.from_arrays(columns, schema=schema))
+
+
+def _blocks(n: int, size: int) -> Iterator[tuple[int, int]]:
+    for begin in range(0, n, size):
+        yield begin, min(n, begin + size)
+
+
+def _nested(values: Floats) -> Any:
+    """An array of Arrow, of lists for each dimension after the first."""
+    import pyarrow as pa
+
+    made = pa.array(np.ascontiguousarray(values).ravel())
+    for k in range(values.ndim - 1, 0, -1):
+        n = int(np.prod(values.shape[:k]))
+        offsets = np.arange(n + 1, dtype=np.int32) * values.shape[k]
+        made = pa.ListArray.from_arrays(pa.array(offsets), made)
+    return made
+
+
+def _write_tasks(path: Path) -> None:
+    """The task by its number; pandas reads the text as the index."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    def column(name: str, kind: str, numpy_type: str) -> dict[str, Any]:
+        types = {"pandas_type": kind, "numpy_type": numpy_type, "metadata": None}
+        return {"name": name, "field_name": name, **types}
+
+    described = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
+        "pandas_version": "2.0.0",
+    }
+    table = pa.table({"task_index": pa.array([0], pa.int64()), "task": pa.array([TASK])})
+    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(described)}), path)
+
+
+def _write_episode(path: Path, stats: dict[str, dict[str, Any]], n: int) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    row: dict[str, Any] = {
+        "episode_index": 0,
+        "tasks": [TASK],
+        "length": n,
+        "data/chunk_index": 0,
+        "data/file_index": 0,
+        "dataset_from_index": 0,
+        "dataset_to_index": n,
+        "meta/episodes/chunk_index": 0,
+        "meta/episodes/file_index": 0,
+    }
+    for feature, found in stats.items():
+        row |= {f"stats/{feature}/{name}": value for name, value in found.items()}
+    path.parent.mkdir(parents=True)
+    pq.write_table(pa.table({name: [value] for name, value in row.items()}), path)
+
+
+def _readme(
+    bag: BagReader, streams: list[_Stream], windows: dict[str, int], first_ns: int, fps: int
+) -> str:
+    lines = [
+        "---", "task_categories:", "- robotics", "tags:", "- LeRobot", "- tactile", "---", "",
+        f"# {bag.path.name}", "",
+        f"LeRobot dataset, codebase version {VERSION}, {fps} rows a second, one episode. Row 0 is "
+        f"that of the stamp {first_ns} ns.", "",
+        "| feature | frames a row | taxels (rows x columns) | unit | range | pitch | topic |",
+        "|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for stream in streams:
+        skin = stream.skin
+        unit, top = (skin.unit, f"0..{skin.f_max:g}") if skin is not None else ("-", "-")
+        pitch = f"{1000 * skin.pitch_m:g} mm" if skin is not None and skin.pitch_m else "-"
+        lines.append(
+            f"| observation.tactile.{stream.name} | {windows[stream.name]} | "
+            f"{stream.shape[0]} x {stream.shape[1]} | {unit} | {top} | {pitch} | {stream.topic} |"
+        )
+    lines += [
+        "",
+        "Of each row the last frames at or before its time, the newest last; `.age` is the time "
+        "since each was acquired, in seconds.",
+        "",
+    ]
+    return "\n".join(lines)

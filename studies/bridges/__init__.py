@@ -1,0 +1,1 @@
+"""What bridges cost, and what they cost the graph beside them."""
