@@ -95,6 +95,9 @@ class Reconstruction(Message):
         Estimated RMS error of a taxel, in the skin's unit, where the solver estimates it.
     trusted : bool
         False if that error is a large part of the forces; True also where it is not estimated.
+    unchanged : bool
+        True if the measurements changed by no more than their noise: the frame was not solved, and
+        its forces are those of the frame before.
     """
 
     schema: ClassVar[str] = "reconstruction"
@@ -110,6 +113,7 @@ class Reconstruction(Message):
     skipped: int = wire(Integer(), default=0, omitted=True)
     error: float | None = wire(Real(0.0, optional=True), default=None, omitted=True)
     trusted: bool = wire(Flag(), default=True, omitted=True)
+    unchanged: bool = wire(Flag(), default=False, omitted=True)
 
     def validate(self) -> None:
         if self.sd is not None and self.sd.shape != self.forces.shape:

@@ -6,7 +6,9 @@ import math
 from typing import Any
 
 from .base import Message, omitted_fields, wire_fields
+from .batches import MAX_NAMES, Names
 from .fields import MAX_ELEMENTS, MAX_SIDE, Array, FieldKind, Flag, Integer, Real, Samples, Text
+from .topics import NAME_PATTERN
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -48,6 +50,9 @@ def _property(kind: FieldKind) -> dict[str, Any]:
         return {"type": "boolean"}
     if isinstance(kind, Text):
         return {"type": "string", "maxLength": kind.longest, "pattern": f"^(?:{kind.pattern})$"}
+    if isinstance(kind, Names):
+        pattern = f"^{NAME_PATTERN}( {NAME_PATTERN})*$"
+        return {"type": "string", "maxLength": MAX_NAMES, "pattern": pattern}
     if isinstance(kind, Samples):
         codes = _array(
             kind,

@@ -10,6 +10,7 @@ import msgpack
 import numpy as np
 
 from .base import Message, omitted_fields, once_a_class, wire_fields
+from .batches import BATCHES
 from .errors import (
     FieldError,
     MalformedError,
@@ -26,13 +27,12 @@ from .topics import MAX_TOPIC_BYTES
 MAX_MESSAGE_BYTES = 8 * MAX_ELEMENTS + 65536
 """Largest payload, bytes: two of the largest float32 arrays and room for the other fields."""
 
-SCHEMAS: dict[str, type[Message]] = {
-    cls.schema: cls
-    for cls in (
-        *(SkinState, Calibration, Truth, Taxels, PhiState, Measurements),
-        *(SolverState, Resultant, Reconstruction, End),
-    )
-}
+_CLASSES: tuple[type[Message], ...] = (
+    *(SkinState, Calibration, Truth, Taxels, PhiState, Measurements),
+    *(SolverState, Resultant, Reconstruction, End),
+    *BATCHES.values(),
+)
+SCHEMAS: dict[str, type[Message]] = {cls.schema: cls for cls in _CLASSES}
 """Message classes by schema name."""
 
 _END: bytes = msgpack.packb("schema") + msgpack.packb(End.schema)

@@ -24,10 +24,12 @@ from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
 
 TRANSPORTS = ("ipc", "tcp")
 RECORDER = "recorder"
+SKIN = "skin"
+"""Table of the patches of a body."""
 INSECURE = "insecure"
 TO_NAME = "RECORDING"
 """Placeholder in a launch file for a recording that the user has to name."""
-TABLES = ("graph", "nodes", "hosts", "security")
+TABLES = ("graph", "nodes", "hosts", "security", SKIN)
 MAX_NODES = 256
 """Nodes of a graph."""
 MAX_ERRORS = 50
@@ -51,6 +53,7 @@ class Checker:
         self.errors: list[str] = []
         self.overridden: dict[tuple[str, ...], str] = {}
         self.launched = text
+        self.templates: dict[str, str] = {}
         self.restart = RestartPolicy()
 
     def check(self, overrides: Sequence[str], record: str | None) -> LaunchFile:
@@ -68,6 +71,7 @@ class Checker:
             self.override(override, tables)
         changes = "".join(f"# --set {override}\n" for override in overrides)
         self.launched = changes + self.text
+        tables = self.expanded(tables)
         if record is not None:
             tables[RECORDER] = {"type": "recorder", "out": record}
             self.overridden[RECORDER, "out"] = f"{RECORDER}.out={record}"
@@ -178,12 +182,41 @@ class Checker:
             good[name] = dict(table)
         return good
 
+    def expanded(self, tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        """The tables with the nodes that serve the body of the table [skin], where there is one."""
+        if SKIN not in self.tree:
+            return tables
+        from .body import expand, read_skin, settings_names  # with it simulated scenes
+
+        folder = Path() if (SKIN, "body") in self.overridden else self.folder
+        batches = read_skin(self.tree[SKIN], folder, self.fault)
+        if not batches:
+            raise LaunchError(self.errors[:MAX_ERRORS])
+        found: dict[str, dict[str, Any]] = {}
+        for name, table in tables.items():
+            try:
+                fields = settings_names(node_class(table["type"]))
+            except (SparseskinError, KeyError, TypeError):  # reported with the node
+                fields = set()
+            made = expand(name, table, fields, batches)
+            self.templates |= dict.fromkeys(made, name)
+            for again in made:
+                if again in found or (again != name and again in tables):
+                    self.fault(("nodes", name), f"makes a node '{again}', of which there is one")
+            found |= made
+        if len(found) > MAX_NODES:
+            self.errors.append(f"{self.shown}: {len(found)} nodes; at most {MAX_NODES} are allowed")
+            raise LaunchError(self.errors[:MAX_ERRORS])
+        return found
+
     def override(self, text: str, tables: dict[str, dict[str, Any]]) -> None:
         match = re.fullmatch(r"([^.=]+)\.([^.=]+)(?:\.([^.=]+))?=(.*)", text, re.DOTALL)
         if match is None:
             self.errors.append(f"--set {text}: expected NODE.KEY=VALUE")
             return
         node, key, part, raw = match.groups()
+        if node == SKIN and isinstance(self.tree.get(SKIN), dict):
+            tables = {SKIN: self.tree[SKIN]}
         if node not in tables:
             self.errors.append(f"--set {text}: unknown node '{node}'{did_you_mean(node, tables)}")
             return
@@ -253,8 +286,11 @@ class Checker:
 
     def fault(self, place: tuple[str, ...], what: str) -> None:
         """Note an error at a place, with the line of the file or the --set it comes from."""
-        if place[0] == "nodes" and place[1:] in self.overridden:
-            self.errors.append(f"--set {self.overridden[place[1:]]}: {what}")
+        if place[0] == "nodes" and len(place) > 1:
+            place = ("nodes", self.templates.get(place[1], place[1]), *place[2:])
+        stated = place if place[0] == SKIN else place[1:]
+        if stated in self.overridden:
+            self.errors.append(f"--set {self.overridden[stated]}: {what}")
             return
         line = _line_of(self.text, place)
         where = f"{self.shown}:{line}" if line else self.shown

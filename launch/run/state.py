@@ -94,6 +94,7 @@ def _node_state(fleet: Fleet, node: NodeProcess) -> dict[str, Any]:
         "name": node.name,
         "type": node.spec.type_name,
         "patch": getattr(settings, "patch", None),
+        "patches": list(getattr(settings, "patches", ())),
         "condition": fleet.condition(node),
         "restarts": fleet.n_restarts(node.name),
         "line": node.line,

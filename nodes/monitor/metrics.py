@@ -226,7 +226,8 @@ class PatchMetrics:
     """Pairs a patch's messages by stamp and accumulates the figures of its summary.
 
     `late` is true if the graph already ran when the monitor joined it; `clock_of` as in `Delay`.
-    `latency_ns` is the latency of the last reconstruction; None while a clock is unknown.
+    `latency_ns` is the latency of the last reconstruction; None while a clock is unknown. `idle` is
+    True while the newest frame was published as unchanged, `unchanged` the number of such frames.
     """
 
     def __init__(self, late: bool = False, clock_of: ClockOf = same_clock) -> None:
@@ -249,7 +250,8 @@ class PatchMetrics:
         self._ended = False
         self.bytes_in = self.bytes_out = 0
         self.bits: int | None = None
-        self.lost_so_far = self.skipped = 0
+        self.lost_so_far = self.skipped = self.unchanged = 0
+        self.idle = False
         self.unpaired = 0
         self._pending: OrderedDict[int, FrameMetrics] = OrderedDict()
 
@@ -332,6 +334,8 @@ class PatchMetrics:
                 self.latency_ns = self._delay.of(message)
                 if self.latency_ns is not None:
                     self.latency.add(self.latency_ns)
+                self.idle = message.unchanged
+                self.unchanged += message.unchanged
                 self.solve.add(message.solve_ns)
                 if self._joining:
                     self._join(message.stamp_ns)
@@ -446,6 +450,7 @@ class PatchMetrics:
                 "lost": self.lost,
                 "unpaired": self.unpaired + len(self._pending),
             },
+            "unchanged": self.unchanged,
             "reference": _reference(skin),
             "psnr_db": {
                 "noisy": self.noisy.summary(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,13 +20,16 @@ from sparseskin.messages import (
     Truth,
     topic_of,
 )
+from sparseskin.messages.batches import BATCHES, BatchMessage
 from sparseskin.messages.topics import split_topic
+from sparseskin.nodes.batch import batch_topic, check_patches
+from sparseskin.nodes.clock import ClockEstimate
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context, Node
-from sparseskin.nodes.settings import Settings, check_patch, setting
+from sparseskin.nodes.settings import Settings, check_patch, naming, setting
 
-from .metrics import PatchMetrics
-from .table import status_line
+from .metrics import ClockOf, PatchMetrics
+from .table import FEW, status_line, status_of_many
 
 if TYPE_CHECKING:
     from .live.feed import Feed
@@ -38,6 +41,7 @@ REQUIRED = (SkinState, PhiState, Measurements, SolverState, Reconstruction)
 OPTIONAL = (Taxels, Truth, Resultant)
 """A compressor outside the graph publishes no taxels."""
 WATCHED = (*REQUIRED, *OPTIONAL)
+_SINGLE = {cls.schema: single for single, cls in BATCHES.items()}
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,9 @@ class MonitorSettings(Settings):
     """Settings of the monitor node."""
 
     patches: tuple[str, ...] = setting(("skin",), "names of the patches to watch")
+    batches: dict[str, Any] | None = setting(
+        None, "a table of the batches to watch: the names of the patches of each, by its name"
+    )
     page: bool = setting(True, "serve a live page on 127.0.0.1, where the graph has a launcher")
     port: int = setting(
         8470, "port of the page; a free one where it is busy, or 0", low=0, high=65535
@@ -57,10 +64,24 @@ class MonitorSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.patches:
+        if not self.patches and not self.batches:
             raise SettingsError("patches: expected at least one name")
         for k, patch in enumerate(self.patches):
             check_patch(f"patches[{k}]", patch)
+        for batch, names in (self.batches or {}).items():
+            with naming(f"batches.{batch}"):
+                check_patch("name", batch)
+                if not isinstance(names, list | tuple):
+                    raise SettingsError(f"expected a list of names, got {names!r}")
+                check_patches(tuple(names))
+        if len(set(self.all_patches)) < len(self.all_patches):
+            raise SettingsError("batches: a patch occurs twice")
+
+    @property
+    def all_patches(self) -> tuple[str, ...]:
+        """Names of all patches, those of batches too."""
+        batches = (self.batches or {}).values()
+        return (*self.patches, *(name for names in batches for name in names))
 
 
 class Monitor(Node[MonitorSettings]):
@@ -79,20 +100,24 @@ class Monitor(Node[MonitorSettings]):
         self._patches = {
             patch: PatchMetrics(context.late, context.clock_of) for patch in settings.patches
         }
+        for batch, names in (settings.batches or {}).items():
+            clock_of = _clock_of_batch(context, batch)
+            self._patches |= {name: PatchMetrics(context.late, clock_of) for name in names}
+        self._held: dict[str, Any] = {}
         self._feed: Feed | None = None
         self._page: PageServer | None = None
         self._opener: Path | None = None
         self._next_summary_ns = 0
         self._status_ns = context.clock.now_ns()
-        self._status_frames = dict.fromkeys(settings.patches, 0)
+        self._status_frames = dict.fromkeys(settings.all_patches, 0)
 
     @classmethod
     def inputs(cls, settings: MonitorSettings) -> tuple[str, ...]:
-        return tuple(topic_of(patch, k.schema) for patch in settings.patches for k in REQUIRED)
+        return _topics(settings, REQUIRED)
 
     @classmethod
     def optional_inputs(cls, settings: MonitorSettings) -> tuple[str, ...]:
-        return tuple(topic_of(patch, k.schema) for patch in settings.patches for k in OPTIONAL)
+        return _topics(settings, OPTIONAL)
 
     def start(self) -> Iterable[Message]:
         ask = self.context.ask
@@ -100,7 +125,7 @@ class Monitor(Node[MonitorSettings]):
             from .live.feed import Feed
             from .live.notices import Notices
 
-            self._feed = Feed(self.settings.patches)
+            self._feed = Feed(self.settings.all_patches)
             self._notices = Notices(self._feed)
         if self._feed is not None and self.settings.page and ask is not None:
             from .live.server import PageServer
@@ -115,17 +140,35 @@ class Monitor(Node[MonitorSettings]):
         return ()
 
     def step(self, message: Message) -> Iterable[Message]:
+        if isinstance(message, BatchMessage):
+            for part in message.split(self._held):
+                self._add(part)
+        elif message.patch in (self.settings.batches or {}):
+            for name in self._names_of(message.patch):
+                self._add(replace(message, patch=name))
+        else:
+            self._add(message)
+        return ()
+
+    def _names_of(self, patch: str) -> tuple[str, ...]:
+        """Names of the patches of a batch; of a single patch its own."""
+        return tuple((self.settings.batches or {}).get(patch, (patch,)))
+
+    def _add(self, message: Message) -> None:
         metrics = self._patches[message.patch]
         complete = metrics.add(message)
         if self._feed is not None:
             self._feed.frame(message.patch, message, complete, metrics.latency_ns)
-        return ()
 
     def ended(self, topic: str, n_messages: int) -> Iterable[Message]:
         patch, schema = split_topic(topic)
-        self._patches[patch].end(schema, n_messages)
-        if self._feed is not None and schema == Reconstruction.schema:
-            self._feed.update(summaries=self.report()["patches"], ended=patch)
+        single = _SINGLE.get(schema, schema)
+        names = self._names_of(patch)
+        for name in names:
+            self._patches[name].end(single, n_messages)
+        if self._feed is not None and single == Reconstruction.schema:
+            for name in names:
+                self._feed.update(summaries={name: self._patches[name].summary()}, ended=name)
         return ()
 
     def idle(self) -> None:
@@ -161,11 +204,16 @@ class Monitor(Node[MonitorSettings]):
         now_ns = self.context.clock.now_ns()
         seconds = (now_ns - self._status_ns) / 1e9
         self._status_ns = now_ns
-        lines = []
+        rates_hz = {}
         for patch, metrics in self._patches.items():
             new = metrics.reconstructed - self._status_frames[patch]
             self._status_frames[patch] = metrics.reconstructed
-            lines.append(status_line(patch, metrics, new / seconds if seconds > 0 else 0.0))
+            rates_hz[patch] = new / seconds if seconds > 0 else 0.0
+        if len(rates_hz) > FEW:
+            return status_of_many(self._patches, sum(rates_hz.values()) / len(rates_hz))
+        lines = [
+            status_line(patch, metrics, rates_hz[patch]) for patch, metrics in self._patches.items()
+        ]
         return "  ||  ".join(lines)
 
     def report(self) -> dict[str, Any]:
@@ -185,3 +233,19 @@ class Monitor(Node[MonitorSettings]):
         with os.fdopen(os.open(self._opener, flags, 0o600), "w") as file:
             file.write(f'<meta http-equiv="refresh" content="0; url={url}">\n')
         return webbrowser.open(self._opener.as_uri())
+
+
+def _topics(settings: MonitorSettings, classes: tuple[type[Message], ...]) -> tuple[str, ...]:
+    """Topics of all patches and batches, of some classes of messages."""
+    single = [topic_of(patch, cls.schema) for patch in settings.patches for cls in classes]
+    batches = [topic_of(batch, cls.schema) for batch in settings.batches or {} for cls in classes]
+    return (*single, *map(batch_topic, batches))
+
+
+def _clock_of_batch(context: Context, batch: str) -> ClockOf:
+    """Clocks of the publishers of a batch's topics, by the topics of its patches."""
+
+    def clock_of(topic: str) -> ClockEstimate | None:
+        return context.clock_of(batch_topic(topic_of(batch, split_topic(topic)[1])))
+
+    return clock_of

@@ -15,6 +15,8 @@ WIDTH = 78
 LABELS = {"m": "M", "kind": "phi", "sigma_mid": "noise sigma"}
 MAX_CHANGES = 4
 """Changes of settings that the table lists."""
+FEW = 4
+"""Most patches that are shown with all their figures; of more, each has one row."""
 
 
 def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
@@ -43,8 +45,38 @@ def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
     return " | ".join(parts)
 
 
+def status_of_many(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
+    """State of many patches in one line; `rate_hz` is the mean of their rates.
+
+    Frames, skips and losses are those of the worst patch, PSNR is the mean of the recent ones,
+    latency that of the slowest patch.
+    """
+    every = list(patches.values())
+    asked = max((m.skin.rate_hz for m in every if m.skin is not None), default=0.0)
+    rate = f"{rate_hz:.0f} of {asked:g} Hz" if asked else f"{rate_hz:.0f} Hz"
+    parts = [
+        f"{len(every)} patches: {min(m.reconstructed for m in every)} frames, {rate}, "
+        f"skipped {max(m.skipped for m in every)}, lost {max(m.lost_so_far for m in every)}",
+        f"idle {sum(m.idle for m in every)}",
+    ]
+    pressed = [m for m in every if m.reconstruction.in_contact]
+    trusted = [t for m in pressed if (t := m.trust.recent()) is not None]
+    if trusted:
+        parts.append(f"trusted {share_of(sum(trusted) / len(trusted))}")
+    psnr = [p for m in pressed if (p := m.reconstruction.recent()) is not None]
+    if psnr:
+        parts.append(f"PSNR of contact frames {sum(psnr) / len(psnr):.1f} dB")
+    latency = max((found for m in every if (found := m.latency.summary())),
+                  key=lambda found: found["p50"], default=None)  # fmt: skip
+    if latency:
+        parts.append(f"latency p50 {latency['p50']:.1f}, p99 {latency['p99']:.1f} ms")
+    return " | ".join(parts)
+
+
 def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
     """The summary of every patch as text for a terminal of 80 columns."""
+    if len(patches) > FEW:
+        return _many_table(patches)
     return "\n".join(_patch_table(name, patch) for name, patch in patches.items())
 
 
@@ -103,6 +135,34 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
             rows.append(f"{'trusted by the solver':<24}{frames_of:<17}" + _trust(trust))
     if patch["changes"]:
         rows.insert(1, _changes(patch["changes"]))
+    rows.append("=" * WIDTH)
+    return "\n".join(rows)
+
+
+def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
+    """One row a patch: counts of frames, mean PSNR of all and of contact frames, latency."""
+    first = next(iter(patches.values()))
+    rows = [
+        f" {len(patches)} patches: {printable(str(first['scene']))} ".center(WIDTH, "="),
+        f"{'':<12}{'frames':>8}{'skipped':>8}{'lost':>6}{'idle':>7}"
+        f"{'PSNR dB':>10}{'contact':>8}{'latency p50':>12}{'p99 ms':>7}",
+    ]
+    for name, patch in patches.items():
+        frames, psnr = patch["frames"], patch["psnr_db"]["reconstruction"]
+        n = frames["reconstructed"]
+        means = [psnr[k] and psnr[k]["mean"] for k in ("all", "contact")]
+        times = [patch["latency_ms"] and patch["latency_ms"][k] for k in ("p50", "p99")]
+        idle = f"{100 * patch['unchanged'] / n:.0f} %" if n else NONE
+        rows.append(
+            f"{printable(name)[:12]:<12}{n:>8}{frames['skipped']:>8}{frames['lost']:>6}{idle:>7}"
+            f"{shown(means[0], '.1f'):>10}{shown(means[1], '.1f'):>8}"
+            f"{shown(times[0], '.2f'):>12}{shown(times[1], '.2f'):>7}"
+        )
+    total = {
+        key: sum(patch["frames"][key] for patch in patches.values())
+        for key in ("sensed", "reconstructed", "skipped", "lost")
+    } | {"unchanged": sum(patch["unchanged"] for patch in patches.values())}
+    rows.append(f"{'all':<12}" + ", ".join(f"{key} {n}" for key, n in total.items()))
     rows.append("=" * WIDTH)
     return "\n".join(rows)
 

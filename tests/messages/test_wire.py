@@ -38,6 +38,7 @@ from sparseskin.messages import (
     encode,
     size_bytes,
 )
+from sparseskin.messages.batches import BATCHES, MeasurementsBatch, ReconstructionBatch
 from sparseskin.messages.fields import MAX_ELEMENTS, Real
 from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS, is_end
 
@@ -113,6 +114,33 @@ def reconstructions_with_sd(draw: st.DrawFn) -> Reconstruction:
     )
 
 
+@st.composite
+def batches(draw: st.DrawFn) -> Message:
+    """A message of a batch, of any class."""
+    head = {key: draw(value) for key, value in headers.items()}
+    head["names"] = tuple(draw(st.lists(names, min_size=1, max_size=5, unique=True)))
+    n, cls = len(head["names"]), draw(st.sampled_from(list(BATCHES.values())))
+    if cls is MeasurementsBatch:
+        return MeasurementsBatch(**head, y=np.tile(draw(forces(1)), (n, 1)), phi=draw(prints))
+    maps = np.tile(draw(forces(2)), (n, 1, 1))
+    if cls is not ReconstructionBatch:
+        return cls(**head, forces=maps)
+    of = {key: draw(hnp.arrays(np.bool_, n)) for key in ("unchanged", "trusted")}
+    changed = maps[~of["unchanged"]]
+    return ReconstructionBatch(
+        **head,
+        **of,
+        forces=changed if len(changed) else None,
+        phi=draw(prints),
+        iterations=draw(hnp.arrays(np.int32, n, elements=st.integers(0, 1000))),
+        residual=np.ones(n, np.float32),
+        error=np.full(n, -1, np.float32),
+        solve_ns=draw(hnp.arrays(np.int64, n, elements=numbers)),
+        done_ns=draw(numbers),
+        skipped=draw(numbers),
+    )
+
+
 elements = st.integers(1, MAX_ELEMENTS)
 messages: st.SearchStrategy[Message] = st.one_of(
     st.builds(Taxels, **headers, forces=forces(2)),
@@ -130,7 +158,9 @@ messages: st.SearchStrategy[Message] = st.one_of(
         skipped=numbers,
         error=st.none() | positive,
         trusted=st.booleans(),
+        unchanged=st.booleans(),
     ),
+    batches(),
     reconstructions_with_sd(),
     st.builds(Resultant, **headers, total=positive, total_sd=positive, done_ns=numbers),
     st.builds(
@@ -200,6 +230,7 @@ def test_an_end_is_recognised_by_its_payload(message: Message) -> None:
 def test_every_schema_is_in_the_property() -> None:
     built = {"taxels", "truth", "measurements", "resultant", "reconstruction"}
     built |= {"skin", "calibration", "phi", "solver", "end"}
+    built |= {"taxels_batch", "truth_batch", "measurements_batch", "reconstruction_batch"}
     assert set(SCHEMAS) == built
 
 

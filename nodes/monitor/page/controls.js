@@ -28,7 +28,8 @@ export class Controls {
 
   // Show the state of the graph; rebuild the controls if its nodes differ.
   show(graph, patch) {
-    const nodes = graph.nodes.filter((node) => node.patch === patch || "seek" in node.commands);
+    const serves = (node) => node.patch === patch || (node.patch && node.patches.includes(patch));
+    const nodes = graph.nodes.filter((node) => serves(node) || "seek" in node.commands);
     const shape = JSON.stringify([patch, nodes.map((node) => [node.name, node.type])]);
     if (shape !== this.shape) {
       this.shape = shape;
@@ -54,7 +55,7 @@ export class Controls {
     buttons.append(this.button("launch", "record", "● Record", { id: "record" }));
     this.root.append(buttons, this.answerLine("launch"));
     for (const [type, key, label] of SETTINGS) {
-      for (const node of nodes.filter((found) => found.type === type)) {
+      for (const node of nodes.filter((found) => found.type.replace(/_batch$/, "") === type)) {
         const entry = node.controls.find((found) => found.key === key);
         if (entry) this.root.append(this.field(node.name, entry, label));
       }

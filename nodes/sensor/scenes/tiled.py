@@ -1,0 +1,209 @@
+"""Scenes of a body: many equal patches of skin, of which a part is pressed in turn.
+
+| scene | pressed by | active | period | pressed for | which patches                          |
+|-------|------------|--------|--------|-------------|----------------------------------------|
+| lying | a limb     | 1 / 2  | 10 s   | 9 s         | others in each period: the body turns  |
+| hug   | a limb     | 2 / 5  | 4 s    | 2.5 s       | the same, one after the other in 0.8 s |
+| walk  | a sole     | 1 / 4  | 1.1 s  | 0.6 s       | the same, alternating: left and right  |
+
+"active" is the part of the patches that are pressed in a period; all others are idle.
+
+A press is simulated once for each shape of patches, by the contact model of `contact`: a limb (a
+round bead) or a sole (heel and ball) falls from 2 mm on the skin, settles for 1.2 s, and is lifted
+at 0.1 m/s. Every press replays that simulation: the settled frame is repeated for as long as the
+body rests, and patches differ by mirroring and by the time of their press. Body sizes are those of
+the patch; their weights are such that the settled forces are near 0.3 N a taxel. Frames are 2 ms
+apart.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.numerics.arrays import Floats
+
+from .bodies import Body, build_sole, capsule, slab
+from .contact import GRAVITY_M_S2
+from .motion import Lift
+from .scenes import SKIN
+from .simulation import Scene, SceneSource
+
+SETTLE_S, LIFT_S = 1.2, 0.2
+"""Time from the fall to rest, and from the begin of the lift to the last contact; chosen: the
+oscillation decays to e^(-4.9 x 1.2) = 0.3 %."""
+FRAME_S = 0.002
+"""Time between the frames of a press that are kept."""
+DROP_M = 0.002
+SINK_M = 0.003
+"""Depth to which a settled body sinks, about: 122.24 N/m x 3 mm = 0.37 N a taxel at most."""
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """Times of the presses of a scene, as in the table of this module.
+
+    `moves` is True if other patches are pressed in each period, `spread_s` the time over which the
+    presses of one period begin, `alternate` True if every second one is half a period later.
+    """
+
+    body: Callable[[tuple[int, int], float], Body]
+    active: float
+    period_s: float
+    pressed_s: float
+    moves: bool = False
+    spread_s: float = 0.0
+    alternate: bool = False
+
+
+class TiledScene:
+    """True forces on equal patches as a function of time.
+
+    Parameters
+    ----------
+    name : str
+        One of `TILED`.
+    skin : Skin
+        That of every patch, in newtons.
+    n_patches : int
+        Number of patches.
+    active : float, optional
+        Part of the patches that are pressed in a period, in [0, 1], in place of the scene's.
+    seed : int
+        Of the order of the patches; walk presses the first ones.
+
+    Raises
+    ------
+    SourceError
+        If there is no scene of that name, or the skin has no pitch or is none of newtons.
+    """
+
+    def __init__(
+        self, name: str, skin: Skin, n_patches: int, active: float | None = None, seed: int = 0
+    ) -> None:
+        check_tiled(name)
+        if skin.pitch_m is None or skin.unit != "N":
+            raise SourceError(f"scene {name}: the skin's pitch and forces in N have to be known")
+        self.name = name
+        self.skin = skin
+        self.n_patches = n_patches
+        self._tiling = TILED[name]
+        part = self._tiling.active if active is None else active
+        self._n_active = min(n_patches, math.ceil(part * n_patches))
+        order = np.arange(n_patches)
+        self._order = (
+            order if self._tiling.alternate else np.random.default_rng(seed).permutation(n_patches)
+        )
+        self._press = _press(name, skin.shape, skin.pitch_m, skin.f_max)
+
+    def forces(self, t_s: float) -> Floats:
+        """Return true forces in N, float32, shape (n_patches, n_rows, n_cols), a fresh array."""
+        out = np.zeros((self.n_patches, *self.skin.shape), np.float32)
+        for patch, since_s in self._pressed(t_s):
+            frame = self._press[self._index(since_s)]
+            out[patch] = frame[:: 1 - 2 * (patch % 2), :: 1 - 2 * (patch // 2 % 2)]
+        if self.skin.mask is not None:
+            out[:, ~self.skin.mask] = 0.0
+        return out
+
+    def _pressed(self, t_s: float) -> list[tuple[int, float]]:
+        """Patches pressed at a time, each with the time since its press began."""
+        tiling, n = self._tiling, self._n_active
+        found = []
+        for period in {int(t_s // tiling.period_s), int(t_s // tiling.period_s) - 1} - {-1}:
+            first = period * n if tiling.moves else 0
+            for k in range(n):
+                late_s = tiling.spread_s * k / max(1, n - 1)
+                late_s += tiling.period_s / 2 * (tiling.alternate and k % 2)
+                since_s = t_s - period * tiling.period_s - late_s
+                if 0 <= since_s < tiling.pressed_s:
+                    found.append((int(self._order[(first + k) % self.n_patches]), since_s))
+        return found
+
+    def _index(self, since_s: float) -> int:
+        """Number of the frame of the press."""
+        left_s = self._tiling.pressed_s - since_s
+        settled = min(since_s, self._settle_s)
+        if left_s < LIFT_S:
+            settled = self._settle_s + LIFT_S - left_s
+        return min(len(self._press) - 1, int(settled / FRAME_S))
+
+    @property
+    def _settle_s(self) -> float:
+        return min(SETTLE_S, self._tiling.pressed_s - LIFT_S)
+
+
+def check_tiled(name: str) -> None:
+    """Raise SourceError if there is no scene of a body of that name."""
+    if name not in TILED:
+        raise SourceError(f"no scene of a body is called {name!r}{did_you_mean(name, TILED)}")
+
+
+@functools.lru_cache(maxsize=8)
+def _press(name: str, shape: tuple[int, int], pitch_m: float, f_max: float) -> Floats:
+    """Frames of one press, every `FRAME_S`: float32, shape (n_frames, n_rows, n_cols)."""
+    tiling = TILED[name]
+    settle_s = min(SETTLE_S, tiling.pressed_s - LIFT_S)
+    scene = Scene(
+        name=name,
+        shape=shape,
+        n_steps=round(1e3 * (settle_s + LIFT_S)),
+        dt_ns=1_000_000,
+        body=tiling.body(shape, pitch_m),
+        surface=replace(SKIN, pitch_m=pitch_m),
+        drop_height_m=DROP_M,
+        motion=Lift(at_s=settle_s),
+        f_max_n=f_max,
+    )
+    every = round(1e3 * FRAME_S)
+    frames = [forces for k, (_, forces) in enumerate(SceneSource(scene, 0)) if k % every == 0]
+    return np.stack(frames)
+
+
+def _limb(shape: tuple[int, int], pitch_m: float) -> Body:
+    """A round bead over half the longer side of a patch."""
+    height, width = shape[0] * pitch_m, shape[1] * pitch_m
+    radius = 0.5 * max(min(height, width), 2 * pitch_m)
+    end = (0.25 * width, 0.0) if width >= height else (0.0, 0.25 * height)
+    half = math.sqrt(2 * radius * SINK_M)
+    area = (2 * math.hypot(*end) + 2 * half) * 2 * half
+    bead = capsule((-end[0], -end[1]), end, radius)
+    bounds = (-end[0] - radius, end[0] + radius, -end[1] - radius, end[1] + radius)
+    mass = _mass(min(area, height * width), pitch_m, 0.6)
+    return Body(build_sole([bead], bounds, pitch_m / 2), mass, mass * radius**2)
+
+
+def _foot(shape: tuple[int, int], pitch_m: float) -> Body:
+    """A sole: heel and ball, flat, along the longer side of a patch."""
+    height, width = shape[0] * pitch_m, shape[1] * pitch_m
+    long, wide = max(height, width), min(height, width)
+    parts = [(-0.4 * long, -0.12 * long, 0.16 * wide), (0.03 * long, 0.4 * long, 0.24 * wide)]
+    slabs, area = [], 0.0
+    for start, stop, half in parts:
+        ends = (start, stop, -half, half) if width >= height else (-half, half, start, stop)
+        slabs.append(slab(*ends, 0.0))
+        area += (stop - start) * 2 * half
+    reach = (0.4 * long, 0.24 * wide) if width >= height else (0.24 * wide, 0.4 * long)
+    sole = build_sole(slabs, (-reach[0], reach[0], -reach[1], reach[1]), pitch_m / 2)
+    mass = _mass(area, pitch_m, 1.0)
+    return Body(sole, mass, mass * long**2 / 12)
+
+
+def _mass(area_m2: float, pitch_m: float, part: float) -> float:
+    """Mass in kg under which the taxels of an area sink by `SINK_M`, `part` of it on average."""
+    n = max(1.0, area_m2 / pitch_m**2)
+    return n * part * SKIN.stiffness * SINK_M / GRAVITY_M_S2
+
+
+TILED: dict[str, Tiling] = {
+    "lying": Tiling(_limb, 1 / 2, 10.0, 9.0, moves=True, spread_s=0.8),
+    "hug": Tiling(_limb, 2 / 5, 4.0, 2.5, spread_s=0.8),
+    "walk": Tiling(_foot, 1 / 4, 1.1, 0.6, alternate=True),
+}

@@ -1,0 +1,173 @@
+"""Bodies: patches of a body file or equal ones, checked whole, and the nodes that serve them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sparseskin.launch.launchfile.body import Batch, read_skin
+from sparseskin.launch.launchfile.load import LaunchError, load
+from sparseskin.nodes.bus import Bus
+
+GOOD = """
+[[patches]]
+name = "left_palm"
+rows = 8
+cols = 8
+position_mm = [0, 10.5, 20]
+orientation = [1, 0, 0, 0]
+
+[[patches]]
+name = "right_palm"
+rows = 8
+cols = 8
+
+[[patches]]
+name = "forearm"
+rows = 12
+cols = 6
+mask = ["111111", "111111", "111111", "111111", "111111", "111111",
+        "111111", "111111", "111111", "111111", "111110", "111100"]
+noise = 0.01
+
+[[patches]]
+name = "sole"
+skin = "sole.toml"
+compressor = { ratio = 2.0 }
+"""
+SOLE = "rows = 6\ncols = 10\nf_max = 5.0\npitch_mm = 8.0\n"
+
+
+@pytest.fixture
+def body(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sole.toml").write_text(SOLE)
+    (tmp_path / "body.toml").write_text(GOOD)
+    return tmp_path / "body.toml"
+
+
+def lines_of(*overrides: str) -> list[str]:
+    with pytest.raises(LaunchError) as caught:
+        load("body", overrides)
+    return caught.value.lines
+
+
+def test_equal_patches_are_one_batch_of_four_nodes() -> None:
+    launch = load("body", ["skin.patches=3", "skin.rows=12", "sensor.rate_hz=20"])
+    assert list(launch.nodes) == ["sensor", "compressor", "reconstructor", "monitor"]
+    sensor = launch.nodes["sensor"].settings
+    assert sensor.patches == ("p0", "p1", "p2")
+    assert (sensor.n_rows, sensor.n_cols, sensor.rate_hz) == (12, 64, 20)
+    assert launch.nodes["monitor"].settings.all_patches == sensor.patches
+    assert {link.topic for link in launch.links if link.reader == "reconstructor"} == {
+        *("/body/skin", "/body/phi", "/body/measurements_batch"),
+    }
+
+
+def test_patches_of_a_body_file_are_served_in_batches_of_equal_ones(body: Path) -> None:
+    launch = load("body", ["skin.body=body.toml"])
+    patches = {n: s.settings.patches for n, s in launch.nodes.items() if s.type_name != "monitor"}
+    assert patches == {
+        f"{node}_{k}": names
+        for node in ("sensor", "compressor", "reconstructor")
+        for k, names in enumerate((("left_palm", "right_palm"), ("forearm",), ("sole",)), 1)
+    }
+    forearm, sole = (launch.nodes[f"sensor_{k}"].settings for k in (2, 3))
+    assert forearm.skin().n_taxels == 69
+    assert (forearm.sigma_end, forearm.f_max, forearm.pitch_mm) == (0.01, 2.5, 5.0)
+    assert (sole.n_rows, sole.n_cols, sole.f_max, sole.pitch_mm) == (6, 10, 5.0, 8.0)
+    assert [launch.nodes[f"compressor_{k}"].settings.ratio for k in (1, 2, 3)] == [3, 3, 2]
+    assert launch.nodes["monitor"].settings.all_patches == (
+        *("left_palm", "right_palm", "forearm", "sole"),
+    )
+
+
+def test_frames_of_all_patches_reach_the_monitor(body: Path) -> None:
+    launch = load("body", ["skin.body=body.toml"])
+    bus = Bus({name: (spec.cls, spec.settings) for name, spec in launch.nodes.items()})
+    bus.run(12)
+    patches = bus.reports()["monitor"]["patches"]
+    assert {name: patch["frames"]["reconstructed"] for name, patch in patches.items()} == (
+        dict.fromkeys(("left_palm", "right_palm", "forearm", "sole"), 12)
+    )
+    assert patches["sole"]["f_max"] == 5.0
+    assert patches["forearm"]["n"] == 69
+
+
+def test_pose_and_names_are_those_of_the_file(body: Path) -> None:
+    faults: list[str] = []
+    batches = read_skin({"body": "body.toml"}, Path(), lambda _, what: faults.append(what))
+    assert faults == []
+    first, second = batches[0].patches
+    assert first.position_mm == (0.0, 10.5, 20.0)
+    assert second.orientation == (1.0, 0.0, 0.0, 0.0)
+
+
+def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds() -> None:
+    def sizes(**table: int) -> list[int]:
+        batches = read_skin(table, Path(), lambda place, what: pytest.fail(what))
+        return [len(batch.patches) for batch in batches]
+
+    assert sizes(patches=10, batch=4) == [4, 4, 2]
+    assert sizes(patches=244) == [244]
+    assert sizes(patches=300) == [256, 44]
+    assert sizes(patches=5, rows=512, cols=1024) == [2, 2, 1]
+    names = [b.name for b in read_skin({"patches": 9, "batch": 5}, Path(), lambda *_: None)]
+    assert names == ["body_1", "body_2"]
+    assert isinstance(read_skin({"patches": 1}, Path(), lambda *_: None)[0], Batch)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "line"),
+    [
+        ("rows = 12", "rows = 0", "patches[2] (forearm): rows: expected a whole number in 1..4096"),
+        ("rows = 12\n", "", "patches[2] (forearm): rows: is missing"),
+        ('"111100"', '"1111"', "patches[2] (forearm): mask: row 11: expected 6 characters 0 and 1"),
+        ("noise =", "nose =", "patches[2].nose: unknown key (did you mean 'noise'?)"),
+        ('"left_palm"', '"Left palm"', "patches[0].name: 'Left palm' is no name"),
+        ('"left_palm"', '"sole"', "patches[3].name: 'sole' occurs twice"),
+        ("[0, 10.5, 20]", "[0, 1]", "(left_palm).position_mm: expected 3 finite numbers"),
+        ("[1, 0, 0, 0]", "[1, 1, 0, 0]", "orientation: expected [w, x, y, z] of norm 1"),
+        ("ratio = 2.0", "ration = 2", "(sole).compressor.ration: unknown key"),
+        ("ratio = 2.0", 'phi = "acts"', "(sole).compressor.phi: acts chooses other rows"),
+        ('"sole.toml"', '"none.toml"', "none.toml: cannot be read"),
+        ('skin = "sole.toml"', 'points = "a.csv"', "(sole).points: taxels at free points are not"),
+        ('"sole.toml"', '"sole.toml"\nrows = 3', "(sole).rows: is stated beside skin"),
+        ("[[patches]]", "[patches]", "body.toml: cannot be read"),
+    ],
+)  # fmt: skip
+def test_a_fault_of_a_body_file_is_one_line_with_its_place(
+    body: Path, before: str, after: str, line: str
+) -> None:
+    body.write_text(GOOD.replace(before, after))
+    (found,) = lines_of("skin.body=body.toml")
+    assert found.startswith("--set skin.body=body.toml: ")
+    assert line in found
+
+
+def test_all_faults_of_a_body_file_are_reported_at_once(body: Path) -> None:
+    body.write_text(GOOD.replace("rows = 12", "rows = 0").replace("ratio = 2.0", "ratio = 0.5"))
+    assert len(lines_of("skin.body=body.toml")) == 2
+
+
+@pytest.mark.parametrize(
+    ("overrides", "line"),
+    [
+        (["skin.patches=0"], "--set skin.patches=0: got 0; expected a whole number in 1..4096"),
+        (["skin.patchs=3"], "unknown key (did you mean 'patches'?)"),
+        (["skin.rows=5000"], "--set skin.rows=5000: expected a whole number in 1..4096, got 5000"),
+        (["skin.batch=0"], "--set skin.batch=0: expected a whole number in 1..256"),
+        (["skin.patches=200", "skin.batch=2"], "301 nodes; at most 256 are allowed"),
+        (["sensor.rate_hz=-1"], "--set sensor.rate_hz=-1: -1.0 is outside 0.0..100000.0"),
+        (["sensor.source=scene:hugs"], "'scene:hugs' is not available for a batch"),
+    ],
+)
+def test_a_fault_of_the_table_or_of_a_node_is_one_line(overrides: list[str], line: str) -> None:
+    (found,) = lines_of(*overrides)
+    assert line in found
+
+
+def test_a_fault_of_a_node_that_is_made_for_each_batch_names_its_table(body: Path) -> None:
+    found = lines_of("skin.body=body.toml", "reconstructor.iterations=0")
+    assert set(found) == {"--set reconstructor.iterations=0: 0 is outside 1..1000"}
