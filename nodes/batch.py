@@ -18,19 +18,11 @@ from sparseskin.messages.topics import split_topic
 
 from .errors import RefusedError, SettingsError
 from .node import Context, Node
-from .settings import PatchSettings, check_patch, setting
+from .settings import PatchSettings, check_patch
 
 S = TypeVar("S", bound=PatchSettings)
-PATCHES_DOC = (
-    "names of the patches served, all with the same skin; `patch` is then the name of the batch"
-)
 LOGGED = 3
 """Lines of one kind that are logged for single patches; then the 10th, 100th ... of them."""
-
-
-def patches_setting() -> Any:
-    """Declare the setting `patches` of a node that serves a batch."""
-    return setting((), PATCHES_DOC)
 
 
 def check_patches(names: tuple[str, ...]) -> None:

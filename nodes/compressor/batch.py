@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sparseskin.nodes.batch import BatchNode, check_patches, patches_setting
+from sparseskin.nodes.batch import BatchNode, check_patches
 from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.settings import setting
 
 from .node import Compressor, CompressorSettings
 
@@ -17,7 +18,9 @@ CHOSEN_ANEW = ("acts", "adaptive")
 class CompressorBatchSettings(CompressorSettings):
     """Settings of the compressor node of a batch."""
 
-    patches: tuple[str, ...] = patches_setting()
+    patches: tuple[str, ...] = setting(
+        (), "names of the patches served, all with the same skin; patch is the name of their batch"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -11,7 +11,7 @@ import numpy as np
 from sparseskin.messages import Message, MessageError, SkinState, TaxelsBatch, TruthBatch, topic_of
 from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
-from sparseskin.nodes.batch import batch_topic, check_patches, patches_setting
+from sparseskin.nodes.batch import batch_topic, check_patches
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.node import Context, SourceNode, Tick
@@ -32,10 +32,12 @@ MAX_TAXELS = MAX_ELEMENTS
 class SensorBatchSettings(PatchSettings):
     """Settings of the sensor node of a batch."""
 
-    patches: tuple[str, ...] = patches_setting()
+    patches: tuple[str, ...] = setting(
+        (), "names of the patches served, all with the same skin; patch is the name of their batch"
+    )
     source: str = setting(
         "scene:lying",
-        f"scene of a body ({', '.join(TILED)}), or of one patch, which all patches then show",
+        "scene of a body (scene:lying, scene:hug, scene:walk), or of a patch, which all then show",
         decides=True,
     )
     rate_hz: float = setting(

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sparseskin.nodes.batch import BatchNode, check_patches, patches_setting
+from sparseskin.nodes.batch import BatchNode, check_patches
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
+from sparseskin.nodes.settings import setting
 
 
 @dataclass(frozen=True)
 class ReconstructorBatchSettings(ReconstructorSettings):
     """Settings of the reconstructor node of a batch."""
 
-    patches: tuple[str, ...] = patches_setting()
+    patches: tuple[str, ...] = setting(
+        (), "names of the patches served, all with the same skin; patch is the name of their batch"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -63,7 +63,7 @@ def test_every_scene_has_a_launch_file_that_checks(name: str) -> None:
 
 def test_all_bundled_files_are_known() -> None:
     assert bundled_names() == sorted(
-        [*SCENES, "edge", "replay", "replay_taxels", "replay_measurements", "two_patches"]
+        [*SCENES, "body", "edge", "replay", "replay_measurements", "replay_taxels", "two_patches"]
     )
 
 
