@@ -8,6 +8,7 @@ from typing import Any
 VERSIONS = {
     "launch-summary": 1,
     "reprocess-summary": 1,
+    "source-list": 1,
     "graph-list": 1,
     "node-list": 1,
     "node-info": 1,

@@ -32,6 +32,8 @@ COMMANDS = {
     "reprocess": (".reprocess", "put recordings through other settings, offline"),
     "learn-basis": (".learn_basis", "learn a basis from a recording"),
     "edge": (".edge", "export a compressor in C for a board, count its instructions"),
+    "sources": (".sources", "list what a sensor of this host can read"),
+    "scope": (".scope", "show the frames of a source in the terminal"),
     "scenes": (".scenes", "list the scenes, make short recordings of them"),
     "study": ("sparseskin.studies.command", "compute tables and charts anew"),
     "completion": (".completion", "print the completion script of a shell"),

@@ -1,0 +1,73 @@
+"""A map of readings as lines of a terminal: two taxels a character, one above the other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import Floats
+
+COLOURS = (234, 17, 18, 54, 55, 91, 127, 163, 161, 197, 203, 209, 215, 221, 228, 230)
+"""Colours of a palette of 256 from dark to bright, chosen: brightness rises with the reading, so
+that it shows without colours too."""
+LETTERS = " .:-=+*#%@"
+"""Marks of the same, where there are no colours."""
+UPPER_HALF = "▀"
+RESET = "\x1b[0m"
+
+
+def heat_map(
+    forces: Floats, top: float, width: int, height: int, coloured: bool = True
+) -> list[str]:
+    """Lines that show a frame.
+
+    Parameters
+    ----------
+    forces : ndarray of float32, shape (n_rows, n_cols)
+        Readings, 0 or more.
+    top : float
+        Reading of the brightest colour, above 0.
+    width, height : int
+        Characters of the map at most, 1 or more each; a taxel becomes a square as large as fits.
+        Where there are more taxels than places, a place shows the largest of its taxels.
+    coloured : bool
+        False for letters without colours.
+
+    Returns
+    -------
+    list of str
+        Lines, at most `height`, each with at most `width` characters beside codes of colours.
+    """
+    n_rows, n_cols = forces.shape
+    # A character is about twice as high as wide: with colours it holds two places, with letters a
+    # place has two characters.
+    places_high, places_wide = (2 * height, width) if coloured else (height, max(1, width // 2))
+    grown = min(places_high // n_rows, places_wide // n_cols)
+    if grown >= 1:
+        places = np.repeat(np.repeat(forces, grown, axis=0), grown, axis=1)
+    else:
+        k = max(-(-n_rows // places_high), -(-n_cols // places_wide))
+        padded = np.pad(forces, ((0, -n_rows % k), (0, -n_cols % k)))
+        places = padded.reshape(padded.shape[0] // k, k, -1, k).max((1, 3))
+    if not coloured:
+        levels = _levels(places, top, len(LETTERS))
+        return ["".join(LETTERS[level] * 2 for level in row) for row in levels]
+    if len(places) % 2:
+        places = np.vstack([places, np.zeros((1, places.shape[1]), places.dtype)])
+    levels = _levels(places, top, len(COLOURS))
+    return [_line(*rows) for rows in zip(levels[::2], levels[1::2], strict=True)]
+
+
+def _levels(places: Floats, top: float, n: int) -> list[list[int]]:
+    share = np.clip(places / top, 0, 1)
+    found: list[list[int]] = np.minimum((share * n).astype(int), n - 1).tolist()
+    return found
+
+
+def _line(upper: list[int], lower: list[int]) -> str:
+    parts, last = [], (-1, -1)
+    for pair in zip(upper, lower, strict=True):
+        if pair != last:
+            parts.append(f"\x1b[38;5;{COLOURS[pair[0]]};48;5;{COLOURS[pair[1]]}m")
+            last = pair
+        parts.append(UPPER_HALF)
+    return "".join(parts) + RESET
