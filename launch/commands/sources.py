@@ -19,8 +19,8 @@ MAX_FILES = 20
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `sources`."""
     parser.description = (
-        "List what a sensor of this host can read. sparseskin scope SOURCE shows its frames; a graph "
-        "reads it with --set sensor.source=SOURCE."
+        "List what a sensor of this host can read. sparseskin scope SOURCE shows the frames of a "
+        "source; a graph reads it with --set sensor.source=SOURCE."
     )
     parser.add_argument("--json", action="store_true", help="print the list")
     parser.set_defaults(run=_sources)

@@ -41,8 +41,8 @@ class SerialPort:
         self._recent: deque[bytes] = deque(maxlen=64)
 
     def open(self) -> None:
-        serial = needed_module("serial", "pyserial", "serial")
         check_serial(self.address)
+        serial = needed_module("serial", "pyserial", "serial")
         self.parser.reset()
         try:
             self._port = serial.Serial(self.address, self._settings.baud, timeout=0, exclusive=True)
@@ -97,7 +97,8 @@ class SerialPort:
 
 
 def check_serial(device: str) -> None:
-    """Raise SourceError unless a device is there that this user may read."""
+    """Raise SourceError unless a device is there that this user may read, and pyserial is."""
+    needed_module("serial", "pyserial", "serial")
     try:
         found = os.stat(device)
     except (OSError, ValueError):

@@ -75,7 +75,10 @@ class BoardSettings(Settings):
         """Layout of the readings; SourceError if a key is missing or wrong."""
         if self.rows is None or self.cols is None:
             missing = "rows" if self.rows is None else "cols"
-            raise SourceError(f"{missing} is not stated; add {missing}=NUMBER, or a profile")
+            raise SourceError(
+                f"{missing} is not stated; add {missing}=NUMBER, or profile=NAME "
+                "(sparseskin sources lists them)"
+            )
         check_grid(self.rows, self.cols, "rows, cols")
         check_unit("unit", self.unit)
         orders = []

@@ -1,0 +1,73 @@
+"""Emulated boards: a pseudo terminal that can be unplugged, and packets to a UDP port."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import socket
+import threading
+import tty
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+
+class Line:
+    """A serial port whose device is a link; `unplug` removes it, as when a cable is drawn."""
+
+    def __init__(self, folder: Path) -> None:
+        self.device = folder / "ttyTEST"
+        self._fd = -1
+        self.plug()
+
+    def plug(self) -> None:
+        """Plug the board in: a new device of the same name."""
+        self._fd, host = pty.openpty()
+        tty.setraw(host)
+        self.device.symlink_to(os.ttyname(host))
+        self._host = host
+
+    def unplug(self) -> None:
+        """Draw the cable."""
+        self.device.unlink()
+        os.close(self._fd)
+        os.close(self._host)
+        self._fd = -1
+
+    def send(self, data: bytes) -> None:
+        """Send bytes; a line that is full waits for its reader."""
+        while data:
+            data = data[os.write(self._fd, data) :]
+
+    def sending(self, pieces: Iterable[bytes]) -> threading.Thread:
+        """Send from a thread."""
+
+        def run() -> None:
+            with contextlib.suppress(OSError):  # the test has closed the line
+                for piece in pieces:
+                    self.send(piece)
+
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+        return thread
+
+    def close(self) -> None:
+        if self._fd >= 0:
+            self.unplug()
+
+
+@contextlib.contextmanager
+def a_line(folder: Path) -> Iterator[Line]:
+    """A line that is closed at the end."""
+    line = Line(folder)
+    try:
+        yield line
+    finally:
+        line.close()
+
+
+def send_packets(port: int, *packets: bytes) -> None:
+    """Send packets to a port of the loopback interface."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
+        for packet in packets:
+            board.sendto(packet, ("127.0.0.1", port))
