@@ -14,13 +14,12 @@ from sparseskin.messages.topics import topic_of
 from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.node import Context
+from sparseskin.nodes.recorder.convert.foxglove import grid, raw_image
 from sparseskin.nodes.settings import setting
 
-from .base import LOOPBACK, Bridge, BridgeSettings, Figures, Map, check_installed, stamp_of
+from .base import LOOPBACK, Bridge, BridgeSettings, Figures, Map, check_installed
 from .parameters import GraphParameters
 
-UNKNOWN_PITCH_M = 0.001
-"""Side of a cell where the pitch of the skin is not known: 1 mm, a chosen scale."""
 BACKLOG = 1024
 """Messages that the server keeps for a client that reads slowly; beyond it drops the oldest."""
 MAX_NAMES = 1024
@@ -97,45 +96,14 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
 
     def send(self, message: Map, skin: SkinState) -> None:
         topic = message.topic
-        image, grid, figures = (
+        image, cells, figures = (
             self._channels[name] for name in (topic, f"{topic}/grid", f"{topic}/figures")
         )
-        types = self._fox.messages
-        n_rows, n_cols = message.forces.shape
-        timestamp = types.Timestamp(*stamp_of(message.stamp_ns))
-        data = b""
-        if image.has_sinks() or grid.has_sinks():
-            data = message.forces.astype("<f4", copy=False).tobytes()
         if image.has_sinks():
-            image.log(
-                types.RawImage(
-                    timestamp=timestamp,
-                    frame_id=message.patch,
-                    width=n_cols,
-                    height=n_rows,
-                    encoding="32FC1",
-                    step=4 * n_cols,
-                    data=data,
-                ),
-                log_time=message.stamp_ns,
-            )
-        if grid.has_sinks():
-            side_m = skin.pitch_m or UNKNOWN_PITCH_M
-            kind = types.PackedElementFieldNumericType.Float32
-            grid.log(
-                types.Grid(
-                    timestamp=timestamp,
-                    frame_id=message.patch,
-                    pose=types.Pose(position=types.Vector3(), orientation=types.Quaternion(w=1.0)),
-                    column_count=n_cols,
-                    cell_size=types.Vector2(x=side_m, y=side_m),
-                    row_stride=4 * n_cols,
-                    cell_stride=4,
-                    fields=[types.PackedElementField(name="force", offset=0, type=kind)],
-                    data=data,
-                ),
-                log_time=message.stamp_ns,
-            )
+            image.log(raw_image(message, message.forces), log_time=message.stamp_ns)
+        if cells.has_sinks():
+            layers = {"force": message.forces}
+            cells.log(grid(message, layers, skin), log_time=message.stamp_ns)
         if figures.has_sinks():
             latency_ns = self.context.clock.now_ns() - message.stamp_ns
             figures.log(

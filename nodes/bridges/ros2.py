@@ -19,8 +19,8 @@ from . import cdr
 from .base import Bridge, BridgeSettings, Map, check_installed, stamp_of
 
 KINDS = ("image", "points", "array")
-UNKNOWN_PITCH_M = 0.001
-"""Distance of points where the pitch of the skin is not known: 1 mm, a chosen scale."""
+UNKNOWN_PITCH_M = 1.0
+"""Distance of points where the pitch of the skin is not known: places then count taxels."""
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def test_each_frame_arrives_with_its_pixels_and_stamp(bridge: FoxgloveBridge) ->
             assert seconds * 10**9 + nanoseconds == message.stamp_ns
 
 
-@pytest.mark.parametrize(("pitch_m", "side_m"), [(0.005, 0.005), (None, 0.001)])
+@pytest.mark.parametrize(("pitch_m", "side_m"), [(0.005, 0.005), (None, 1.0)])
 def test_a_grid_has_the_pitch_as_its_cell_size(
     bridge: FoxgloveBridge, pitch_m: float | None, side_m: float
 ) -> None:
