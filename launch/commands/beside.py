@@ -1,4 +1,4 @@
-"""The commands `sparseskin monitor` and `record`, nodes beside a running graph, and `play`."""
+"""The commands `sparseskin monitor` and `record`, nodes beside a running graph."""
 
 from __future__ import annotations
 
@@ -14,25 +14,7 @@ from sparseskin.launch.run.running import RunningGraph, choose_graph
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 
-from .options import add_graph, add_page, naming_options, print_ends, real, whole
-from .scenes import SCENARIOS, resolve_recording
-
-PLAY_KEYS = {
-    " ": ("player", "pause"),
-    "right": ("player", "step"),
-    "up": ("player", "faster"),
-    "down": ("player", "slower"),
-}
-STEP_KEYS = PLAY_KEYS | {" ": ("player", "step"), "\n": ("player", "step")}
-PLAY_OPTIONS = {
-    "rate": "--rate",
-    "start_s": "--start",
-    "duration_s": "--duration",
-    "topics": "--topics",
-    "remap": "--remap",
-    "wait": "--wait",
-}
-"""Settings of the player, and the options that state them."""
+from .options import add_graph, add_page, naming_options, print_ends, whole
 
 
 def configure_monitor(parser: argparse.ArgumentParser) -> None:
@@ -127,61 +109,4 @@ def _record(arguments: argparse.Namespace) -> int:
     if code == 0 and "recording" not in summary["nodes"][name]:
         print(f"{out}: nothing was recorded: the recorder had not started yet", file=sys.stderr)
         return EXIT_NOTHING
-    return code
-
-
-def configure_play(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `play`."""
-    parser.description = (
-        "Publish what was recorded, as it was recorded. Keys: space pauses, right plays one frame, "
-        "up and down change the rate, q ends."
-    )
-    parser.add_argument("file", metavar="F.mcap|NAME", help=f"recording; or {', '.join(SCENARIOS)}")
-    about = "times the recorded speed; 0: as fast as it is read"
-    parser.add_argument("--rate", type=real(False), default=1.0, metavar="R", help=about)
-    parser.add_argument("--loop", action="store_true", help="start again at the end")
-    parser.add_argument(
-        "--start", type=real(False), default=0.0, metavar="S", help="seconds to skip"
-    )
-    parser.add_argument("--duration", type=real(False), metavar="S", help="seconds to play")
-    parser.add_argument("--pause", action="store_true", help="start paused")
-    parser.add_argument("--step", action="store_true", help="play one frame a key")
-    parser.add_argument("--topics", nargs="+", default=[], metavar="T", help="topics to play")
-    about = "other names for topics or patches"
-    parser.add_argument("--remap", nargs="+", default=[], metavar="A:=B", help=about)
-    about = "send no frame before all readers have handled the last"
-    parser.add_argument("--lockstep", action="store_true", help=about)
-    parser.add_argument(
-        "--wait", type=whole(0), default=0, metavar="K", help="wait for K readers first"
-    )
-    parser.set_defaults(run=_play)
-
-
-def _play(arguments: argparse.Namespace) -> int:
-    """Run a player as a graph of its own, which others may join."""
-    from sparseskin.launch.launchfile.load import single_node
-    from sparseskin.launch.run.launcher import Launcher
-    from sparseskin.launch.run.terminal import Terminal
-
-    path = resolve_recording(arguments.file)
-    values: dict[str, Any] = {
-        "file": str(path),
-        "rate": arguments.rate,
-        "loop": arguments.loop,
-        "start_s": arguments.start,
-        "paused": arguments.pause or arguments.step,
-        "topics": arguments.topics,
-        "remap": arguments.remap,
-        "lockstep": arguments.lockstep,
-        "wait": arguments.wait,
-        "verbatim": not (arguments.loop or arguments.remap),
-    }
-    if arguments.duration is not None:
-        values["duration_s"] = arguments.duration
-    with naming_options(PLAY_OPTIONS):
-        launch = replace(single_node("player", "player", values), name=path.stem)
-    keys = STEP_KEYS if arguments.step else PLAY_KEYS
-    launcher = Launcher(launch, Terminal(), keys=keys)
-    code = launcher.run()
-    print_ends(launcher.summary()["nodes"])
     return code

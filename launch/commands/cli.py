@@ -27,7 +27,7 @@ COMMANDS = {
     "topic": (".topic", "list the topics of a running graph, print and measure their messages"),
     "record": (".beside", "record topics of a running graph"),
     "bridge": (".bridge", "show a running graph to Foxglove, ROS 2 or LeRobot"),
-    "play": (".beside", "play a recording"),
+    "play": (".play", "play a recording"),
     "bag": (".bag", "look into a recording, repair it, convert it"),
     "reprocess": (".reprocess", "put recordings through other settings, offline"),
     "learn-basis": (".learn_basis", "learn a basis from a recording"),

@@ -41,9 +41,11 @@ def add_graph(parser: argparse.ArgumentParser, document: str = "") -> None:
     )
 
 
-def add_page(parser: argparse.ArgumentParser) -> None:
+def add_page(
+    parser: argparse.ArgumentParser, about_open: str = "open the live page in a browser"
+) -> None:
     """Add the options of the live page."""
-    parser.add_argument("--open", action="store_true", help="open the live page in a browser")
+    parser.add_argument("--open", action="store_true", help=about_open)
     about = "serve the live page to all users of this host, without a token"
     parser.add_argument("--no-token", action="store_true", help=about)
 

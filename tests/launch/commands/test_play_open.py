@@ -1,0 +1,86 @@
+"""`sparseskin play --open`: what is played, what is computed anew, and the page."""
+
+from __future__ import annotations
+
+import json
+import signal
+import urllib.request
+from pathlib import Path
+
+import pytest
+from bags import frames, make_bag
+from conftest import StartProgram
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.launch.commands.play import shown
+from sparseskin.nodes.errors import SettingsError
+
+FRAME = {"taxels", "truth", "measurements", "reconstruction"}
+STATES = {"skin", "phi", "solver"}
+
+
+def played(*by_patch: set[str]) -> tuple[set[str], list[str]]:
+    schemas, made = shown(Path("a.mcap"), {f"p{k}": each for k, each in enumerate(by_patch)})
+    return set(schemas), made
+
+
+def test_all_that_was_recorded_is_played_and_nothing_computed() -> None:
+    assert played(FRAME | STATES | {"resultant"}) == (FRAME | STATES | {"resultant"}, [])
+
+
+def test_measurements_alone_are_reconstructed() -> None:
+    has = {"skin", "phi", "measurements"}
+    assert played(has) == (has, ["reconstructor"])
+    # What was computed from another reconstruction is not shown beside this one.
+    assert played(has | {"resultant", "truth"}) == (has | {"truth"}, ["reconstructor"])
+
+
+def test_taxels_alone_are_compressed_and_reconstructed() -> None:
+    assert played({"skin", "taxels"}) == ({"skin", "taxels"}, ["compressor", "reconstructor"])
+
+
+def test_several_patches_are_shown_as_far_as_all_of_them_can_be() -> None:
+    taxels = {"skin", "taxels", "truth"}
+    assert played(FRAME | STATES, taxels) == (taxels, ["compressor", "reconstructor"])
+
+
+@pytest.mark.parametrize("has", [set(), {"taxels"}, {"skin", "truth"}, {"skin", "measurements"}])
+def test_too_little_to_show_is_one_line(has: set[str]) -> None:
+    with pytest.raises(SettingsError, match="--open: has neither taxels nor measurements"):
+        played(has)
+
+
+def test_the_page_shows_a_recording_of_taxels_again_and_again(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    messages = [m for m in frames(20) if m.schema in ("skin", "taxels")]
+    make_bag(tmp_path / "some.mcap", messages)
+    play = start("play", "some.mcap", "--open")
+    url = play.wait_for("live page: ")
+    play.wait_for("ready: player, compressor, reconstructor, monitor")
+    with urllib.request.urlopen(url) as page:
+        assert b"<title>sparseskin" in page.read()
+    # More frames than the recording has.
+    echo = start("topic", "echo", "/skin/reconstruction", "-n", "50", "--json")
+    code, lines, _ = echo.finish()
+    assert code == 0
+    assert len({json.loads(line)["stamp_ns"] for line in lines.splitlines()}) == 50
+    play.process.send_signal(signal.SIGINT)
+    assert play.finish()[0] == 130
+
+
+@pytest.mark.parametrize(
+    ("options", "fault"),
+    [
+        (["--open", "--topics", "/skin/taxels"], "--topics: does not go with --open"),
+        (["--open", "--remap", "/skin:=/a"], "--remap: does not go with --open"),
+        (["--no-token"], "--no-token: goes with --open"),
+    ],
+)
+def test_options_that_contradict_each_other_are_refused(
+    options: list[str], fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "some.mcap"
+    make_bag(path, frames(3))
+    assert main(["play", str(path), *options]) == 2
+    assert fault in capsys.readouterr().err
