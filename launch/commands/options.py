@@ -129,6 +129,11 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
                 f"{name}: {node['clipped']} readings outside 0..{node['f_max']:g} {unit} were "
                 f"clipped; lowest {node['lowest']:g}, highest {node['highest']:g} {unit}"
             )
+        elif node["type"] == "sensor" and (invalid := node.get("invalid")):
+            print(
+                f"{name}: of the file's readings {invalid['not_finite']} were not finite and "
+                f"{invalid['negative']} below 0 ({invalid['masked_taxels']} taxels masked)"
+            )
         elif node["type"] == "recorder" and (recording := node.get("recording")):
             dropped = sum(node.get("lost", {}).values())
             if not recording["error"]:

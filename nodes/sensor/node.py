@@ -23,6 +23,7 @@ from .files.head import n_taxels
 from .files.recorded import RecordedSource
 from .noise import NoiseModel
 from .settings import SensorSettings
+from .simulators.model import MUJOCO, check_model
 from .source import Source
 from .sources import FILE, SCENE, open_source
 
@@ -100,6 +101,8 @@ class Sensor(SourceNode[SensorSettings]):
         elif source.startswith(FILE):
             path = source.removeprefix(FILE)
             n = n_taxels(path, n_rows, n_cols, settings.unit, settings.policy)
+        elif source.startswith(MUJOCO):
+            n = check_model(source, n_rows, n_cols)
         else:  # otherwise known once the driver runs
             n = n_rows * n_cols if n_rows and n_cols else None
         return {} if n is None else {topic_of(settings.patch, SkinState.schema): n}

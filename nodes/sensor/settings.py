@@ -10,7 +10,7 @@ from sparseskin.nodes.settings import PatchSettings, naming, setting
 from .calibration.chain import MAX_TARE_FRAMES
 from .calibration.skin_file import load_skin
 from .files.parsed import KEEP, NAN_WAYS, NEGATIVE_WAYS, REFUSE, Policy
-from .sources import SCENE, check_source
+from .sources import FORMS, SCENE, check_source
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,7 @@ class SensorSettings(PatchSettings):
 
     source: str = setting(
         "scene:drag_wrench_64",
-        "where frames come from: scene:NAME, file:PATH, serial:DEVICE, udp:PORT, can:CHANNEL or "
-        "module:callable",
+        f"where frames come from: {FORMS}",
         decides=True,
     )
     rate_hz: float | None = setting(

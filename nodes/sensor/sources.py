@@ -1,6 +1,4 @@
-"""Sources by name: scene:NAME, file:PATH, a board (serial:, udp:, can:), ros2:/TOPIC, or
-module:callable.
-"""
+"""Sources by name: a scene, a file, a board, a MuJoCo model, a ROS 2 topic, or a driver."""
 
 from __future__ import annotations
 
@@ -28,6 +26,7 @@ from sparseskin.nodes.sensor.files.parsed import (
 )
 from sparseskin.nodes.sensor.files.recorded import SUFFIXES, open_file
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, check_scene, open_scene
+from sparseskin.nodes.sensor.simulators.model import MUJOCO, check_model
 
 from .boards.board import check_board, describe_board, is_board
 from .boards.settings import KINDS
@@ -39,7 +38,8 @@ SCENE = "scene:"
 FILE = "file:"
 ROS2 = "ros2:"
 FORMS = (
-    "scene:NAME, file:PATH, serial:DEVICE, udp:PORT, can:CHANNEL, ros2:/TOPIC or module:callable"
+    "scene:NAME, file:PATH, mujoco:MODEL.xml#SITE, serial:DEVICE, udp:PORT, can:CHANNEL, "
+    "ros2:/TOPIC or module:callable"
 )
 
 
@@ -57,8 +57,8 @@ def check_source(
     ------
     SourceError
         If it has none of these forms, the scene is unknown, a board's settings or device are wrong,
-        the file is missing, of an unknown format or refused by `n_taxels`, or the module of the
-        driver is missing.
+        the file is missing, of an unknown format or refused by `n_taxels`, the model is refused by
+        `check_model`, or the module of the driver is missing.
     """
     kind, colon, rest = source.partition(":")
     if not (kind and colon and rest):
@@ -73,6 +73,8 @@ def check_source(
     elif is_board(source):
         board = describe_board(source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
         check_board(board)
+    elif source.startswith(MUJOCO):
+        check_model(source, n_rows, n_cols)
     elif not source.startswith(FILE):
         check_module(source)
     else:
@@ -110,7 +112,8 @@ def check_module(target: str) -> None:
         if package:
             raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause
     if found is None:
-        hint = did_you_mean(module, ("scene", "file", *KINDS)) if len(module) < 8 else ""
+        kinds = ("scene", "file", "mujoco", *KINDS)
+        hint = did_you_mean(module, kinds) if len(module) < 8 else ""
         hint = hint if "did you mean" in hint else ""
         raise SourceError(f"{target}: there is no module {module!r}, installed or in {here}{hint}")
     names = _names_of(Path(found.origin)) if found.origin else None
@@ -154,7 +157,7 @@ def open_source(
     Parameters
     ----------
     source : str
-        "scene:NAME", "file:PATH", "serial:DEVICE", "udp:PORT", "can:CHANNEL" or "module:callable".
+        One of the forms in `FORMS`.
     seed : int
         Seed of a scene; not used by files and drivers.
     n_rows, n_cols, unit, f_max
@@ -185,6 +188,10 @@ def open_source(
     if source.startswith(FILE):
         path = source.removeprefix(FILE)
         return open_file(path, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max, policy=policy)
+    if source.startswith(MUJOCO):
+        from sparseskin.nodes.sensor.simulators.source import open_mujoco
+
+        return open_mujoco(source, f_max=f_max, n_rows=n_rows, n_cols=n_cols, unit=unit)
     driver = _open_driver(source, f_max, unit, raw)
     try:
         check_stated_shape(*driver.skin.shape, n_rows, n_cols, source)

@@ -21,6 +21,7 @@ LAST_LINE = {
     "first_contact": "preset skin",
     "missing_taxels": "of 576 cells",
     "noisy_scene": "skin",
+    "mujoco_skin": "times real time",
     "own_basis": "BlockCosine",
     "own_node": "330 frames",
     "own_phi": "RandomSums",
@@ -28,8 +29,11 @@ LAST_LINE = {
     "own_source": "128 of 384",
     "read_recording": "rate_hz",
     "run_graph": "N/8",
+    "simulated_recording": "trusted",
     "your_own_skin": "N/8",
 }
+#: Packages of extras that examples need.
+NEEDS = {"mujoco_skin": "mujoco"}
 
 
 def names() -> list[object]:
@@ -51,6 +55,8 @@ def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: st
 def test_an_example_runs_and_prints_its_result(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name], reason=f"{NEEDS[name]} is not installed")
     arguments = ["out.png"] if name in WITH_PICTURE else ARGUMENTS.get(name, [])
     run(name, tmp_path, monkeypatch, *arguments)
     assert LAST_LINE[name] in capsys.readouterr().out.splitlines()[-1]

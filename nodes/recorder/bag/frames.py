@@ -14,11 +14,9 @@ from sparseskin.messages import (
     Measurements,
     Message,
     MessageError,
-    PhiState,
     Reconstruction,
     Resultant,
     SkinState,
-    SolverState,
     Taxels,
     Truth,
     decode,
@@ -26,6 +24,7 @@ from sparseskin.messages import (
 from sparseskin.messages.base import wire_fields
 from sparseskin.messages.skin import Skin
 from sparseskin.messages.topics import split_topic, topic_of
+from sparseskin.messages.wire import SCHEMAS
 
 from .format import BagError, BagMessage
 from .reader import BagReader
@@ -33,7 +32,7 @@ from .reader import BagReader
 FRAMES = (Taxels, Truth, Measurements, Reconstruction)
 FRAME_SCHEMAS = tuple(cls.schema for cls in FRAMES)
 STREAM_SCHEMAS = (*FRAME_SCHEMAS, Resultant.schema)
-STATES = (SkinState, PhiState, SolverState)
+STATES = tuple(cls for cls in SCHEMAS.values() if cls.latched)
 
 
 def array_names(schema: str) -> tuple[str, str]:
@@ -90,7 +89,7 @@ def _topics_of(bag: BagReader, topics: Iterable[str] | None, schemas: tuple[str,
 
 
 def with_states(bag: BagReader, topics: Iterable[str]) -> list[str]:
-    """Topics, and those of the states (skin, Phi, solver) of their patches."""
+    """Topics, and those of the states (skin, calibration, Phi, solver) of their patches."""
     wanted = list(topics)
     states = [topic_of(patch_of(topic), cls.schema) for topic in wanted for cls in STATES]
     held = [topic for topic in states if topic in bag.topics and bag.topics[topic].n_messages]
@@ -115,7 +114,8 @@ def state_json(message: Message) -> dict[str, Any]:
     values = {name: getattr(message, name) for name in names}
     if (mask := values.get("mask")) is not None:
         values["mask"] = ["".join("01"[cell] for cell in row) for row in mask.astype(int)]
-    return values
+    arrays = {name: value.tolist() for name, value in values.items() if hasattr(value, "tolist")}
+    return values | arrays
 
 
 def streams(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[tuple[Message, int]]:

@@ -110,6 +110,7 @@ class ColumnWriter:
             elif isinstance(kind, Array):
                 self._open(name, np.dtype(kind.dtype), (layout.lengths[name],))
                 self._open(f"{name}_end", np.int64, (n,))
+                self._open(f"{name}_shape", np.int64, (n, kind.ndim))
             elif isinstance(kind, Text):
                 self._open(name, np.dtype(f"<U{layout.lengths[name]}"), (n,))
             else:
@@ -141,6 +142,7 @@ class ColumnWriter:
                 end = begin + (0 if value is None else value.size)
                 if value is not None:
                     column[begin:end] = value.ravel()
+                    self._columns[f"{name}_shape"][k] = value.shape
                 self._ends[name] = self._columns[f"{name}_end"][k] = end
             else:
                 column[k] = np.nan if value is None else value
@@ -168,11 +170,16 @@ def rebuilt(
         for name in [*fields_of(schema), LOG_TIME, BITS, STEP]
         if column_name(schema, name) in arrays
     }
-    ends = {
-        name: arrays[column_name(schema, f"{name}_end")]
-        for name, kind in fields_of(schema).items()
-        if column_name(schema, f"{name}_end") in arrays and isinstance(kind, Array)
-    }
+    ends, shapes = (
+        {
+            name: arrays[column_name(schema, f"{name}_{what}")]
+            for name, kind in fields_of(schema).items()
+            if column_name(schema, f"{name}_{what}") in arrays and isinstance(kind, Array)
+        }
+        for what in ("end", "shape")
+    )
+    if ends.keys() != shapes.keys():
+        raise ValueError(f"arrays of {schema}: _end and _shape, expected both or none")
     for name in ("stamp_ns", LOG_TIME):
         if name not in held:
             raise ValueError(f"holds no array {column_name(schema, name)!r}")
@@ -192,11 +199,9 @@ def rebuilt(
                 values[name] = None
         if "y" in values and BITS in held and (bits := int(held[BITS][k])):
             values["y"] = _quantised(values["y"], bits, float(held[STEP][k]))
-        if "mask" in values and values["mask"] is not None:
-            grid = (int(values.get("n_rows", 0)), int(values.get("n_cols", 0)))
-            if math.prod(grid) != values["mask"].size:
-                raise ValueError(f"array '{schema}_mask': does not fit {grid[0]} x {grid[1]} cells")
-            values["mask"] = values["mask"].reshape(grid)
+        for name, shape in shapes.items():
+            if values.get(name) is not None:
+                values[name] = values[name].reshape([int(side) for side in shape[k]])
         yield int(held[LOG_TIME][k]), cls(**values)
 
 

@@ -15,7 +15,13 @@ from sparseskin.messages import Measurements, Message, Reconstruction
 from sparseskin.messages.fields import Array
 from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.nodes.files import whole_folder
-from sparseskin.nodes.recorder.bag.frames import last_states, patch_of, stream_topics, streams
+from sparseskin.nodes.recorder.bag.frames import (
+    STATES,
+    last_states,
+    patch_of,
+    stream_topics,
+    streams,
+)
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.files.own_csv import FIRST_LINE
 
@@ -32,7 +38,7 @@ def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     its columns, and then a frame a line: `stamp_ns`, the figures of the message, and the taxels
     r0c0, r0c1, ... row after row (or the measurements y0, y1, ...), in the shortest decimals that
     give the same float32 again. The second line is a comment with the states of the patch as
-    JSON: shape, range, unit, pitch, mask, Phi, solver; so the sensor's `file:` source reads it as
+    JSON: shape, range, unit, pitch, mask, calibration, Phi, solver; so the sensor's `file:` source reads it as
     it is. Standard deviations are in PATCH_reconstruction_sd.csv. stamps.csv lists topic, frame
     (from 0) and stamp_ns, below a line with these names.
 
@@ -82,7 +88,7 @@ def _head(
     patch = patch_of(topic)
     described = {
         schema: states[topic_of(patch, schema)]
-        for schema in ("skin", "phi", "solver")
+        for schema in (cls.schema for cls in STATES)
         if topic_of(patch, schema) in states
     }
     return f"{FIRST_LINE}{topic}{suffix}\n# {json.dumps(described)}\n{','.join(names)}\n"

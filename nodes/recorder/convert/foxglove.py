@@ -45,7 +45,7 @@ def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = No
       grid;
     - all numbers of the message, and the sum of the frame, as protobuf on /PATCH/SCHEMA/figures
       (sparseskin.ReconstructionFigures ...);
-    - skin, Phi and solver as JSON on /PATCH/skin, /PATCH/phi, /PATCH/solver.
+    - skin, calibration, Phi and solver as JSON on /PATCH/skin, /PATCH/phi ...
 
     Stamps are those of the acquisition, log times those of the recording. The bag's metadata are
     metadata of the file.

@@ -66,8 +66,8 @@ def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
     not of measurements) and /PATCH/reconstruction/residual; where the solver estimates its error,
     /PATCH/reconstruction/error, and /PATCH/reconstruction/trusted, a std_msgs/msg/Bool. Standard
     deviations are an Image on /PATCH/reconstruction/sd, the resultant's numbers Float32 on
-    /PATCH/resultant/NAME. Skin (with its mask), Phi and solver are JSON in a std_msgs/msg/String on
-    /PATCH/skin, /PATCH/phi and /PATCH/solver.
+    /PATCH/resultant/NAME. Skin (with its mask), calibration, Phi and solver are JSON in a
+    std_msgs/msg/String on /PATCH/skin, /PATCH/phi ...
 
     Raises BagError if mcap-ros2-support is not installed, the bag has no such frames, or a stamp
     does not fit into ROS's 31 bits of seconds; OutputError if the folder exists or cannot be

@@ -50,7 +50,9 @@ def parse_mat(raw: bytes, name: str, n_rows: int | None, n_cols: int | None) -> 
         arrays = _version_5(raw, name)
     arrays = {key: _plain(key, array) for key, array in arrays.items()}
     key = forces_name({key: array.ndim for key, array in arrays.items()}, name)
-    arrays[key] = np.moveaxis(*_ordered(arrays[key], n_rows, n_cols, name))
+    forces = arrays[key]
+    axis = _frame_axis(forces.shape, n_rows, n_cols, name)
+    arrays[key] = np.moveaxis(forces[:, :, None] if forces.ndim == 2 else forces, axis, 0)
     return parsed_arrays(arrays, name)
 
 
@@ -69,9 +71,8 @@ def mat_shape(
         held = _variables(file, head, name)
         dimensions = {key: len(shape) for key, shape in held.items() if key not in NPZ_NAMES[1:]}
         shape, masked = held[forces_name(dimensions, name)], "mask" in held
-    empty = np.broadcast_to(np.int8(0), shape)  # a view: no memory
-    ordered = np.moveaxis(*_ordered(empty, n_rows, n_cols, name))
-    return () if masked else ordered.shape
+    axis = _frame_axis(shape, n_rows, n_cols, name)
+    return () if masked else (shape[:2] if axis == 2 else shape[1:])
 
 
 def is_hdf5(raw: bytes) -> bool:
@@ -102,11 +103,14 @@ def _variables(file: IO[bytes], head: bytes, name: str) -> dict[str, tuple[int, 
         held = whosmat(file)
     except Exception as error:
         raise SourceError(f"{name}: not a readable .mat file ({shown(error, 80)})") from error
-    return {
+    found = {
         str(key): tuple(int(side) for side in shape)
         for key, shape, kind in held
         if kind in _NUMERIC or (key, kind) == ("unit", "char")
     }
+    if any(min(shape, default=0) < 0 for shape in found.values()):
+        raise SourceError(f"{name}: not a readable .mat file (a side below 0)")
+    return found
 
 
 def _check_growth(raw: bytes, name: str) -> None:
@@ -145,20 +149,14 @@ def _plain(key: str, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return array
 
 
-def _ordered(
-    array: npt.NDArray[Any], n_rows: int | None, n_cols: int | None, name: str
-) -> tuple[npt.NDArray[Any], int, int]:
-    """An array of three dimensions, and the place its frames have and are to have."""
-    if array.ndim == 2:
-        array = array[:, :, None]
-    if array.ndim != 3 or (n_rows is None and n_cols is None):
-        raise SourceError(f"{name}{NO_ORDER} (it holds {' x '.join(map(str, array.shape))})")
-    for sides, source in ((array.shape[:2], 2), (array.shape[1:], 0)):
-        if all(
-            stated in (None, side) for stated, side in zip((n_rows, n_cols), sides, strict=True)
-        ):
-            return array, source, 0
-    sizes = " x ".join(map(str, array.shape))
+def _frame_axis(shape: tuple[int, ...], n_rows: int | None, n_cols: int | None, name: str) -> int:
+    """Which dimension counts the frames: 2 or 0; 2 of one frame, whose array has two dimensions."""
+    sizes = " x ".join(map(str, shape))
+    if len(shape) not in (2, 3) or (n_rows is None and n_cols is None):
+        raise SourceError(f"{name}{NO_ORDER} (it holds {sizes})")
+    for axis, (rows, cols) in ((2, shape[:2]), (0, shape[-2:])):
+        if n_rows in (None, rows) and n_cols in (None, cols):
+            return axis
     raise SourceError(
         f"{name}: holds {sizes}, which is not n_rows = {n_rows}, n_cols = {n_cols} and frames"
     )

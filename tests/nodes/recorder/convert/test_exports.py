@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sparseskin.messages import (
+    Calibration,
     Measurements,
     Message,
     PhiState,
@@ -74,6 +75,19 @@ def rich_frames() -> list[Message]:
         found += [taxels, truth, measurements, resultant, reconstruction]
         if k == 5:
             found.append(replace(skin_state(), stamp_ns=k * PERIOD_NS, rate_hz=50.0, mask=None))
+            gains = np.full((N_ROWS, N_COLS), 2.0, np.float32)
+            reading = np.arange(3, dtype=np.float32).reshape(3, 1, 1)
+            found.append(
+                Calibration(
+                    stamp_ns=k * PERIOD_NS,
+                    patch="skin",
+                    name="palm",
+                    baseline=None,
+                    gains=gains,
+                    response_reading=reading,
+                    response_force=reading.ravel(),
+                )
+            )
     return [m.published("0123456789abcdef", seq) for seq, m in enumerate(found)]
 
 
