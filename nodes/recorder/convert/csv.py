@@ -38,9 +38,9 @@ def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     its columns, and then a frame a line: `stamp_ns`, the figures of the message, and the taxels
     r0c0, r0c1, ... row after row (or the measurements y0, y1, ...), in the shortest decimals that
     give the same float32 again. The second line is a comment with the states of the patch as
-    JSON: shape, range, unit, pitch, mask, calibration, Phi, solver; so the sensor's `file:` source reads it as
-    it is. Standard deviations are in PATCH_reconstruction_sd.csv. stamps.csv lists topic, frame
-    (from 0) and stamp_ns, below a line with these names.
+    JSON: shape, range, unit, pitch, mask, calibration, Phi, solver; so the sensor's `file:` source
+    reads it as it is. Standard deviations are in PATCH_reconstruction_sd.csv. stamps.csv lists
+    topic, frame (from 0) and stamp_ns, below a line with these names.
 
     Raises BagError if the bag has no such frames, OutputError if the folder exists or cannot be
     written.

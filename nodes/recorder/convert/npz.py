@@ -53,8 +53,9 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     All other fields of all messages are arrays SCHEMA_FIELD with one entry a message, e.g.
     `reconstruction_sd` (NaN in frames without one), `reconstruction_trusted`, `resultant_total`,
     `phi_seed`; None is NaN. Arrays of any length (`skin_mask`, `measurements_places`) stand one
-    behind the other; SCHEMA_FIELD_end and SCHEMA_FIELD_shape have the end and shape of each. `patch`, `metadata` and `counts`
-    (JSON) are those of the bag. So `import_npz` makes the same messages of it again.
+    behind the other; SCHEMA_FIELD_end and SCHEMA_FIELD_shape have the end and shape of each.
+    `patch`, `metadata` and `counts` (JSON) are those of the bag. So `NpzExport` makes the same
+    messages of it again.
 
     Raises BagError if the bag has no such frames or their shape changes, OutputError if a file
     exists or cannot be written.

@@ -110,7 +110,7 @@ def _head(lines: list[str], name: str) -> tuple[float, list[str], int]:
     top = lines[:_HEAD_LINES]
     if not is_novel_asc("\n".join(top).encode("latin-1")):
         raise SourceError(f"{name}: no line 'scanning rate [Hz]:'; not a pliance or pedar export")
-    rate = next(match[1] for line in top if (match := _RATE.search(line)))
+    rate = next((match[1] for line in top if (match := _RATE.search(line))), "none")
     rate_hz = parse_number(rate, f"{name}, scanning rate", 1e-6, 1e6)
     unit = next((match[1] for line in top if (match := _UNIT.search(line))), "none")
     if unit != "kPa":
