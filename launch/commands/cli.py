@@ -34,6 +34,8 @@ COMMANDS = {
     "edge": (".edge", "export a compressor in C for a board, count its instructions"),
     "sources": (".sources", "list what a sensor of this host can read"),
     "scope": (".scope", "show the frames of a source in the terminal"),
+    "calibrate": (".calibrate", "make the file of a skin: from counts to newtons"),
+    "tare": (".tare", "take the readings of the untouched skin of a running graph for zero"),
     "scenes": (".scenes", "list the scenes, make short recordings of them"),
     "study": ("sparseskin.studies.command", "compute tables and charts anew"),
     "completion": (".completion", "print the completion script of a shell"),

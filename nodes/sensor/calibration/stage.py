@@ -56,6 +56,7 @@ class Stage:
             self._watch = ZeroWatch(description.f_max, description.noise or 0.0)
         self._starting = tare > 0
         self.is_news = False
+        self._tared = ""
         if tare:
             self._begin(tare)
 
@@ -104,9 +105,10 @@ class Stage:
         return f"the baseline becomes the median of the next {n_frames} frames"
 
     def state(self) -> dict[str, Any]:
-        """State for the operator: frames that a tare waits for, and the largest drift."""
+        """State for the operator: frames that a tare waits for, largest drift, last tare."""
         drift = float(np.abs(self.chain.drift.value).max())
-        return {"tare_left": self.chain.tare_left, "drift": float(f"{drift:.3g}")}
+        found = {"tare_left": self.chain.tare_left, "drift": float(f"{drift:.3g}")}
+        return {**found, "tared": self._tared} if self._tared else found
 
     def message(self, stamp_ns: int, patch: str) -> Calibration:
         """The calibration in use, as a message."""
@@ -123,11 +125,12 @@ class Stage:
     def _report(self, tared: Tared) -> None:
         self.is_news = self._calibrated = True
         skin = self.chain.skin
-        line = f"tared: forces changed by at most {tared.largest:.3g} {skin.unit}"
+        line = f"forces changed by at most {tared.largest:.3g} {skin.unit}"
         if tared.n_moved:
             line += f", of {tared.n_moved} taxels by more than {100 * MOVED:g} % of the range"
             line += ": a touch while taring, or a baseline that was old"
-        self._log(line)
+        self._tared = line
+        self._log(f"tared: {line}")
 
     def _look(self, raw: npt.NDArray[Any]) -> None:
         """Look for noise around 0, once."""

@@ -1,0 +1,248 @@
+"""The command `sparseskin calibrate`: from raw readings of a skin to its file skin.toml."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sparseskin.nodes.errors import SparseskinError
+
+from .options import real, whole
+
+if TYPE_CHECKING:
+    from sparseskin.nodes.sensor.calibration.fit import Fit
+    from sparseskin.nodes.sensor.calibration.frames import Live, Recording
+    from sparseskin.nodes.sensor.calibration.press import Press
+
+UNTOUCHED = "3s"
+STEP_S = 2.0
+"""Time for which a guided step collects frames under a load, seconds; chosen: a hand is steady."""
+CURVES = ("shared", "taxel", "linear")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `calibrate`."""
+    parser.description = (
+        "Calibrate a skin: baseline, noise and faulty taxels from untouched frames, gains and "
+        "response curve from presses of known weight. Without --press it asks for each step."
+    )
+    parser.add_argument("source", metavar="SOURCE", help="as sensor.source; readings may be raw")
+    about = "file to write, NAME.toml; large arrays lie beside it in NAME.npz"
+    parser.add_argument("--out", metavar="F.toml", type=Path, required=True, help=about)
+    about = "untouched frames: the first seconds (3s), a part of a recording (5-8s), or a file"
+    parser.add_argument("--untouched", metavar="WHERE", default=UNTOUCHED, help=about)
+    about = (
+        "a load and its frames, as 500g:12-15s, 4.9N:FILE; with an area that carries it evenly, as "
+        "500g@all:FILE, 500g@4-11x8-15:12-15s (rows x columns); may be repeated"
+    )
+    parser.add_argument("--press", metavar="LOAD[@AREA]:WHERE", action="append", help=about)
+    about = "ask nothing: take no presses, or those of --press"
+    parser.add_argument("--no-questions", action="store_true", help=about)
+    about = "live sources: seconds to wait before each step, in place of Enter"
+    parser.add_argument("--wait", metavar="S", type=real(above_0=False), help=about)
+    about = "even loads of several weights: one curve for all taxels, one each, or none"
+    parser.add_argument("--curve", choices=CURVES, default=CURVES[0], help=about)
+    parser.add_argument("--name", help="name of the skin; default: that of the file")
+    about = "upper end of a taxel's range; default: 1.25 times the largest force of a press"
+    parser.add_argument("--f-max", metavar="X", type=real(above_0=True), help=about)
+    about = "unit of the readings where there are no presses; default: that of the source"
+    parser.add_argument("--unit", help=about)
+    about = "distance of neighbouring taxels; default: that of the source"
+    parser.add_argument("--pitch-mm", metavar="X", type=real(above_0=True), help=about)
+    about = "let the range begin below 0, so that noise around 0 is not clipped"
+    parser.add_argument("--keep-noise", action="store_true", help=about)
+    for what in ("rows", "cols"):
+        about = f"{what} of a plain .csv's frame"
+        parser.add_argument(f"--n-{what}", metavar="N", type=whole(1), help=about)
+    parser.set_defaults(run=_calibrate)
+
+
+def _calibrate(arguments: argparse.Namespace) -> int:
+    from sparseskin.nodes.files import TAKEN, OutputError
+    from sparseskin.nodes.sensor.calibration.fit import fit
+    from sparseskin.nodes.sensor.calibration.frames import open_frames
+    from sparseskin.nodes.sensor.calibration.response import SkinFileError
+    from sparseskin.nodes.sensor.calibration.skin_writer import save_skin
+
+    out: Path = arguments.out
+    if out.suffix != ".toml":
+        raise SkinFileError(f"--out {out}: expected a name that ends in .toml")
+    for path in (out, out.with_suffix(".npz")):
+        if path.exists():  # before a person has pressed
+            raise OutputError(f"--out {path}: {TAKEN}")
+    reader = open_frames(arguments.source, arguments.n_rows, arguments.n_cols)
+    try:
+        guided = not (arguments.press or arguments.no_questions)
+        steps = _Steps(arguments, reader, guided)
+        untouched = steps.untouched()
+        presses = steps.presses()
+    finally:
+        reader.close()
+    skin = reader.skin
+    pitch_mm = None if skin.pitch_m is None else 1000 * skin.pitch_m
+    found = fit(
+        arguments.name or out.stem,
+        untouched,
+        presses,
+        f_max=arguments.f_max or (None if presses else skin.f_max),
+        unit=arguments.unit or skin.unit,
+        pitch_mm=arguments.pitch_mm or pitch_mm,
+        mask=skin.mask,
+        curve=arguments.curve,
+        keep_noise=arguments.keep_noise,
+    )
+    print("\n".join(report(found)))
+    for path in save_skin(out, found.skin):
+        print(f"{path}: written")
+    print(f"use it: sparseskin launch replay --set sensor.source={arguments.source} ", end="")
+    print(f"--set sensor.skin={out}")
+    return 0
+
+
+class _Steps:
+    """The steps of a calibration: asked for in the terminal, waited for, or taken from files."""
+
+    def __init__(
+        self, arguments: argparse.Namespace, reader: Recording | Live, guided: bool
+    ) -> None:
+        self._arguments = arguments
+        self._reader = reader
+        self._guided = guided
+        self._shape = reader.skin.shape
+
+    def untouched(self) -> Any:
+        """Frames of the untouched skin."""
+        return self._frames(self._arguments.untouched, "Leave the skin untouched")
+
+    def presses(self) -> list[Press]:
+        """Loads and their frames: those of --press, or those that a person states."""
+        if not self._guided:
+            return [self._stated(text) for text in self._arguments.press or ()]
+        found: list[Press] = []
+        while (press := self._asked()) is not None:
+            found.append(press)
+        return found
+
+    def _stated(self, text: str) -> Press:
+        from sparseskin.nodes.sensor.calibration.press import (
+            LOADS,
+            CalibrationError,
+            Press,
+            read_area,
+            read_load,
+        )
+
+        what, colon, where = text.partition(":")
+        if not (colon and where):
+            raise CalibrationError(
+                f"--press {text}: expected LOAD[@AREA]:WHERE, LOAD as {LOADS}, WHERE as 5-8s or "
+                "a file"
+            )
+        load, at, area = what.partition("@")
+        try:
+            force = read_load(load)
+            cells = read_area(area, self._shape) if at else None
+            frames = self._frames(where, f"Put {what} on the skin")
+        except SparseskinError as error:
+            raise CalibrationError(f"--press {text}: {error}") from error
+        return Press(what, force, frames, cells)
+
+    def _asked(self) -> Press | None:
+        """A load that a person puts on the skin; None if there is none any more."""
+        from sparseskin.nodes.sensor.calibration.press import (
+            AREAS,
+            LOADS,
+            Press,
+            read_area,
+            read_load,
+        )
+
+        force = self._answer(f"Load on the skin ({LOADS}; empty: no more): ", read_load)
+        if force is None:
+            return None
+
+        def area_of(text: str) -> tuple[int, int, int, int]:
+            return read_area(text, self._shape)
+
+        area = self._answer(f"Area that carries it evenly ({AREAS}; empty: not known): ", area_of)
+        label = f"{force:.4g}N" + ("" if area is None else "@{}-{}x{}-{}".format(*area))
+        if self._reader.is_live:
+            return Press(label, force, self._frames(f"{STEP_S:g}s", f"Put {label} on"), area)
+
+        def frames_of(text: str) -> Any:
+            return self._frames(text, "")
+
+        frames = self._answer("Part of the recording (START-STOPs), or a file: ", frames_of)
+        return None if frames is None else Press(label, force, frames, area)
+
+    def _answer(self, question: str, read: Callable[[str], Any]) -> Any:
+        """What a person answers, asked again until it can be read; None for an empty line."""
+        while True:
+            text = _line(question)
+            if not text:
+                return None
+            try:
+                return read(text)
+            except SparseskinError as error:
+                print(error)
+
+    def _frames(self, where: str, request: str) -> Any:
+        """Frames of a part of the source, or of a file."""
+        from sparseskin.nodes.sensor.calibration.frames import file_frames, read_part
+
+        part = read_part(where)
+        if part is None:
+            return file_frames(where, self._arguments.n_rows, self._arguments.n_cols)
+        if self._reader.is_live:
+            seconds = part[1] - part[0]
+            if self._arguments.wait is not None:
+                print(f"{request}: {seconds:g} s in {self._arguments.wait:g} s", flush=True)
+                time.sleep(self._arguments.wait)
+            else:
+                _line(f"{request}, then press Enter ({seconds:g} s): ")
+        return self._reader.part(*part)
+
+
+def _line(question: str) -> str:
+    """A line of standard input, "" at its end."""
+    print(question, end="", flush=True)
+    text = sys.stdin.readline()
+    if not (text and sys.stdin.isatty()):
+        print()
+    return text.strip()
+
+
+def report(found: Fit) -> list[str]:
+    """Lines about a calibration: the skin, its faulty taxels, how well it measures its presses."""
+    skin = found.skin
+    masked = found.stuck + found.noisy + found.dead
+    noise = skin.noise or 0.0
+    lines = [
+        f"{skin.name}: {skin.rows} x {skin.cols} taxels, "
+        f"{skin.f_min:g}..{skin.f_max:g} {skin.unit}",
+        f"noise      {noise:.3g} {skin.unit} ({found.noise_raw:.3g} raw), "
+        f"of {found.n_frames} untouched frames",
+        f"masked     {masked} taxels"
+        + (f": {found.stuck} stuck, {found.noisy} noisy, {found.dead} dead" if masked else ""),
+    ]
+    if skin.response is not None:
+        own = "each taxel" if skin.response.reading.ndim == 3 else "all taxels"
+        lines.append(f"response   {len(skin.response.force)} knots for {own}")
+    if found.presses:
+        head = ("PRESS", "STATED N", "MEASURED N", "ERROR %", "TAXELS +- %", "BEFORE +- %")
+        lines += ["", "{:<18}{:>10}{:>12}{:>9}{:>13}{:>13}".format(*head)]
+    for one in found.presses:
+        error = 100 * (one.measured / one.force - 1)
+        spreads = [
+            "-" if value is None else f"{100 * value:.1f}"
+            for value in (one.spread, one.spread_before)
+        ]
+        lines.append(
+            f"{one.label[:17]:<18}{one.force:>10.3f}{one.measured:>12.3f}{error:>9.1f}"
+            f"{spreads[0]:>13}{spreads[1]:>13}"
+        )
+    return [*lines, *(f"note: {remark}" for remark in found.remarks)]

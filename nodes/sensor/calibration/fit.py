@@ -1,0 +1,316 @@
+"""Calibration of a skin from untouched frames and presses of known weight."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.numerics.arrays import Doubles, Mask
+
+from .description import SkinDescription
+from .press import CalibrationError, Press, PressResult
+from .response import MAX_KNOTS, MAX_NUMBER, Response
+from .zero import lower_end
+
+Curve = Literal["shared", "taxel", "linear"]
+CURVES: tuple[Curve, ...] = ("shared", "taxel", "linear")
+MAD_TO_SD = 1.4826
+"""Standard deviation of normal noise, in its median absolute deviation; derived."""
+OUTLIER = 5.0
+"""Robust standard deviations from the median beyond which a reading is not of the steady ones."""
+TOUCHED = 4.0
+"""Standard deviations of a mean above which a taxel is pressed; chosen."""
+NOISY = 8.0
+"""Noise of a taxel in that of the median taxel above which it is faulty; chosen."""
+DEAD = 0.1
+"""Response to an even load in that of the median taxel below which a taxel is dead; chosen."""
+HEADROOM = 1.25
+"""Range of a taxel in the largest force of a press, where the range is not stated; chosen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A calibration: the skin, how well it measures its presses, and remarks, a line each.
+
+    `n_frames` is the number of untouched frames, `noise_raw` the noise of the median taxel in raw
+    readings, `stuck`, `noisy` and `dead` the numbers of taxels masked, and why.
+    """
+
+    skin: SkinDescription
+    n_frames: int
+    noise_raw: float
+    stuck: int = 0
+    noisy: int = 0
+    dead: int = 0
+    presses: list[PressResult] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+
+def fit(
+    name: str,
+    untouched: npt.NDArray[Any],
+    presses: Sequence[Press] = (),
+    *,
+    f_max: float | None = None,
+    unit: str = "N",
+    pitch_mm: float | None = None,
+    mask: Mask | None = None,
+    curve: Curve = "shared",
+    keep_noise: bool = False,
+) -> Fit:
+    """Calibrate a skin.
+
+    The baseline is the mean of the steady untouched readings (`steady`). Even loads of one force
+    give each taxel its gain, by least squares through 0; of several forces, with `curve` "shared",
+    also the knots of a curve that all taxels share, or with "taxel" one of each. Where only totals
+    are known, one gain of all taxels follows from them, by least squares.
+
+    Parameters
+    ----------
+    name : str
+        Name of the skin.
+    untouched : ndarray, shape (n, rows, cols)
+        Raw readings of the untouched skin, n >= 2.
+    presses : sequence of Press
+        Known loads; none: readings above the baseline are forces.
+    f_max : float, optional
+        Upper end of the range, in `unit`; by default 1.25 times the largest force of a press.
+    unit, pitch_mm, mask
+        As of `SkinDescription`; with presses the unit is "N".
+    curve : "shared", "taxel" or "linear"
+        Response curve where even loads of several forces are known.
+    keep_noise : bool
+        True: the range begins at -4 standard deviations of the noise, so that none is clipped.
+
+    Raises
+    ------
+    CalibrationError
+        If there are too few frames, a press is not seen, or readings do not rise with force.
+    """
+    untouched = np.asarray(untouched)
+    if untouched.ndim != 3 or len(untouched) < 2:
+        raise CalibrationError(f"untouched: {len(untouched)} frames; at least 2 are needed")
+    shape = (untouched.shape[1], untouched.shape[2])
+    for press in presses:
+        if press.frames.ndim != 3 or press.frames.shape[1:] != shape or not len(press.frames):
+            raise CalibrationError(
+                f"{press.label}: frames of shape {press.frames.shape[1:]}; the untouched ones have "
+                f"{shape}, and at least one is needed"
+            )
+    exists = np.ones(shape, np.bool_) if mask is None else mask.copy()
+    baseline, noise = steady(untouched)
+    stuck = exists & _stuck(untouched, presses)
+    typical = float(np.median(noise[exists & ~stuck])) if (exists & ~stuck).any() else 0.0
+    noisy = exists & (noise > NOISY * typical) & (typical > 0)
+    works = exists & ~stuck & ~noisy
+    rises = [steady(press.frames)[0] - baseline for press in presses]
+    dead = np.zeros(shape, np.bool_)
+    remarks: list[str] = []
+    gains: Doubles | None = None
+    response: Response | None = None
+    even = [k for k, press in enumerate(presses) if press.area is not None]
+    if even:
+        dead = works & _dead(presses, rises, works, even)
+        works &= ~dead
+        gains, response = _even_fit(presses, rises, works, even, curve, remarks)
+    elif presses:
+        floor = TOUCHED * noise
+        gains = np.full(shape, _common_gain(presses, rises, works, floor, remarks))
+    if not works.any():
+        raise CalibrationError("no taxel works: none changes, or all are far noisier than half")
+    top = max((float(rise[works].max()) for rise in rises), default=0.0)
+    unclipped = SkinDescription(
+        *(name, *shape, MAX_NUMBER, "N" if presses else unit, pitch_mm),
+        mask=None if works.all() else works,
+        baseline=baseline,
+        gains=gains,
+        response=response,
+    )
+    forces = [_forces(unclipped, rise) for rise in rises]
+    if f_max is None:
+        if not presses:
+            raise CalibrationError("the range is not known: state f_max, or add presses")
+        top = max(float(force[works].max()) for force in forces)
+        f_max = float(f"{HEADROOM * top:.2g}")
+        remarks.append(
+            f"f_max = {f_max:g} {unclipped.unit} is {HEADROOM:g} times the largest force"
+        )
+    slope = _slope_at_0(unclipped)
+    sigma = min(float(np.median((noise * slope)[works])), f_max)
+    skin = SkinDescription(
+        *(name, *shape, f_max, unclipped.unit, pitch_mm),
+        mask=unclipped.mask,
+        baseline=baseline,
+        gains=gains,
+        response=response,
+        noise=float(f"{sigma:.3g}"),
+        f_min=max(lower_end(sigma), -f_max) if keep_noise else 0.0,
+    )
+    results = [_result(*each, works) for each in zip(presses, rises, forces, strict=True)]
+    faulty = (int(stuck.sum()), int(noisy.sum()), int(dead.sum()))
+    return Fit(skin, len(untouched), typical, *faulty, results, remarks)
+
+
+def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles]:
+    """Mean and standard deviation of each taxel over steady frames, float64 (rows, cols).
+
+    Readings further from the median than `OUTLIER` robust standard deviations, as of a short touch,
+    are left out. Unlike the median, the mean resolves less than one count.
+    """
+    values = np.asarray(frames, dtype=np.float64)
+    apart = values - np.median(values, axis=0)
+    spread = MAD_TO_SD * np.median(np.abs(apart), axis=0)
+    # Of a reading coarser than its noise, half of the frames are the median: none is left out.
+    kept = (np.abs(apart) <= OUTLIER * spread) | (spread == 0)
+    n = np.maximum(kept.sum(axis=0), 1)
+    mean = np.where(kept, apart, 0.0).sum(axis=0) / n
+    variance = np.where(kept, np.square(apart - mean), 0.0).sum(axis=0) / n
+    return np.median(values, axis=0) + mean, np.sqrt(variance)
+
+
+def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
+    """Taxels whose reading never changes, where that of most does."""
+    still = np.ones(untouched.shape[1:], dtype=np.bool_)
+    for frames in (untouched, *(press.frames for press in presses)):
+        still &= (frames == untouched[0]).all(axis=0)
+    return still if still.mean() < 0.5 else np.zeros_like(still)
+
+
+def _dead(
+    presses: Sequence[Press], rises: Sequence[Doubles], works: Mask, even: Sequence[int]
+) -> Mask:
+    """Taxels that respond to no even load that is on them."""
+    answered = np.zeros(works.shape, np.bool_)
+    covered = np.zeros(works.shape, np.bool_)
+    for k in even:
+        cells = presses[k].cells(works.shape) & works
+        if not cells.any():
+            raise CalibrationError(f"{presses[k].label}: no taxel under it works")
+        typical = float(np.median(rises[k][cells]))
+        covered |= cells
+        answered |= cells & (rises[k] * typical > DEAD * typical**2)
+    return covered & ~answered
+
+
+def _even_fit(
+    presses: Sequence[Press],
+    rises: Sequence[Doubles],
+    works: Mask,
+    even: Sequence[int],
+    curve: Curve,
+    remarks: list[str],
+) -> tuple[Doubles, Response | None]:
+    """Gains, and the response curve, of loads that press all taxels of an area evenly."""
+    shape = works.shape
+    levels: dict[float, list[tuple[Doubles, Mask]]] = {}
+    for k in even:
+        cells = presses[k].cells(shape)
+        force = presses[k].force / int(cells.sum())  # dead taxels carry their part of the load
+        key = next((one for one in levels if math.isclose(one, force, rel_tol=1e-6)), force)
+        levels.setdefault(key, []).append((rises[k], cells & works))
+    forces = np.array(sorted(levels))
+    # Of each level the mean rise of each taxel over its presses, NaN where none covers it.
+    rise = np.full((len(forces), *shape), np.nan)
+    for row, force in zip(rise, forces, strict=True):
+        total, times = np.zeros(shape), np.zeros(shape)
+        for one, cells in levels[force]:
+            total[cells] += one[cells]
+            times += cells
+        np.divide(total, times, out=row, where=times > 0)
+    middle = np.array([float(np.nanmedian(row)) for row in rise])
+    sign = math.copysign(1.0, middle[-1])
+    if not (np.diff(sign * middle, prepend=0) > 0).all():
+        read = ", ".join(f"{m:.4g} at {f:.3g} N" for m, f in zip(middle, forces, strict=True))
+        raise CalibrationError(f"readings do not rise with the force of a taxel: {read}")
+    straight = curve == "linear" or len(forces) < 2
+    if len(forces) > MAX_KNOTS:
+        raise CalibrationError(f"{len(forces)} different loads; at most {MAX_KNOTS}")
+    # Without a curve the target is the force itself, else the reading of the median taxel.
+    scale = forces[0] / middle[0]
+    target = (forces if straight else scale * middle).reshape(-1, 1, 1)
+    known = ~np.isnan(rise)
+    filled = np.where(known, rise, 0.0)
+    energy = np.square(filled).sum(axis=0)
+    gains = np.full(shape, np.nan)
+    np.divide((filled * target).sum(axis=0), energy, out=gains, where=works & (energy > 0))
+    unknown = works & ~np.isfinite(gains)
+    gains[~np.isfinite(gains) | ~works] = np.median(gains[np.isfinite(gains) & works])
+    if unknown.any():
+        remarks.append(
+            f"{int(unknown.sum())} taxels lay under no even load: they have the median gain"
+        )
+    if straight:
+        return gains, None
+    if curve == "taxel":
+        return _own_curves(rise, forces, works, scale)
+    return gains, Response(scale * middle, forces)
+
+
+def _own_curves(
+    rise: Doubles, forces: Doubles, works: Mask, scale: float
+) -> tuple[Doubles, Response]:
+    """One gain, and a curve of each taxel; that of the median taxel where one is not known."""
+    reading = scale * rise
+    middle = np.array([float(np.nanmedian(row)) for row in reading]).reshape(-1, 1, 1)
+    with np.errstate(invalid="ignore"):
+        sound = works & (np.diff(reading, axis=0, prepend=0) > 0).all(axis=0)
+    return np.full(works.shape, scale), Response(np.where(sound, reading, middle), forces)
+
+
+def _common_gain(
+    presses: Sequence[Press],
+    rises: Sequence[Doubles],
+    works: Mask,
+    floor: Doubles,
+    remarks: list[str],
+) -> float:
+    """One gain of all taxels from totals: force = gain x the sum of the readings."""
+    sums = []
+    for press, rise in zip(presses, rises, strict=True):
+        pressed = works & (np.abs(rise) > floor / math.sqrt(len(press.frames)))
+        if not pressed.any():
+            raise CalibrationError(f"{press.label}: no taxel reads more than its noise")
+        sums.append(float(rise[pressed].sum()))
+    total = np.array(sums)
+    force = np.array([press.force for press in presses])
+    gain = float(total @ force / (total @ total))
+    apart = np.abs(gain * total / force - 1)
+    if apart.max() > 0.1:
+        label = presses[int(apart.argmax())].label
+        remarks.append(
+            f"{label}: {100 * apart.max():.0f} % off one gain for all: taxels or loads differ; "
+            "even loads over a stated area give each taxel its own"
+        )
+    return gain
+
+
+def _forces(skin: SkinDescription, rise: Doubles) -> Doubles:
+    """Forces of readings above the baseline."""
+    found = rise if skin.gains is None else rise * skin.gains
+    return found if skin.response is None else skin.response.forces(found)
+
+
+def _slope_at_0(skin: SkinDescription) -> Doubles:
+    """Force a raw reading at 0, of each taxel, at least 0."""
+    slope = np.ones(skin.shape) if skin.gains is None else np.abs(skin.gains)
+    return slope if skin.response is None else slope * skin.response.slopes[0]
+
+
+def _result(press: Press, rise: Doubles, forces: Doubles, works: Mask) -> PressResult:
+    if press.area is None:
+        return PressResult(press.label, press.force, float(forces[works].sum()))
+    area = press.cells(works.shape)
+    cells = area & works
+    mean = float(forces[cells].mean())
+    return PressResult(
+        press.label,
+        press.force,
+        mean * int(area.sum()),
+        float(forces[cells].std()) / mean,
+        float(rise[cells].std() / np.abs(rise[cells].mean())),
+    )

@@ -1,0 +1,192 @@
+"""Raw frames for a calibration: parts of a recording, or what a live source delivers now."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages import Taxels, decode
+from sparseskin.nodes.errors import SourceError, SparseskinError
+from sparseskin.nodes.sensor.files.recorded import RecordedSource
+from sparseskin.nodes.sensor.source import Skin, Source
+from sparseskin.nodes.sensor.sources import FILE, SCENE, open_source
+
+from .press import CalibrationError
+
+MAX_READINGS = 1 << 27
+"""Most readings that are kept of one step, chosen: 512 MiB."""
+SILENT_S = 5.0
+"""Time without a frame after which a live source has failed, seconds; chosen."""
+PARTS = "3s, or START-STOPs as 5-8s"
+_PART = re.compile(r"(?:(\d{1,6}(?:\.\d{1,6})?)-)?(\d{1,6}(?:\.\d{1,6})?)s")
+
+Frames = npt.NDArray[Any]
+
+
+def read_part(text: str) -> tuple[float, float] | None:
+    """Start and stop of a part of a recording, seconds; None if a text is no such part.
+    Raises CalibrationError if it is empty.
+    """
+    found = _PART.fullmatch(text)
+    if found is None:
+        return None
+    start, stop = float(found[1] or 0), float(found[2])
+    if not start < stop:
+        raise CalibrationError(f"{text}: the part is empty; expected {PARTS}")
+    return start, stop
+
+
+def file_frames(path: str, n_rows: int | None = None, n_cols: int | None = None) -> Frames:
+    """All frames of a file, as `open_file` reads it, or the taxels of a bag (.mcap).
+
+    Returns
+    -------
+    ndarray of float32, shape (n, n_rows, n_cols)
+
+    Raises
+    ------
+    SparseskinError
+        If it cannot be read, or is a bag with none or several patches.
+    """
+    if Path(path).suffix != ".mcap":
+        source = open_source(FILE + path, seed=0, n_rows=n_rows, n_cols=n_cols, raw=True)
+        assert isinstance(source, RecordedSource)
+        return source.frames
+    return _bag(path)[1]
+
+
+def _bag(path: str) -> tuple[list[int], Frames]:
+    """Stamps and taxels of a bag of one patch."""
+    from sparseskin.nodes.recorder.bag.reader import BagReader
+
+    with BagReader(path) as bag:
+        topics = [topic for topic, info in bag.topics.items() if info.schema == Taxels.schema]
+        if len(topics) != 1:
+            raise CalibrationError(f"{path}: holds {len(topics)} topics of taxels; expected one")
+        stamps, found = [], []
+        for recorded in bag.messages(topics):
+            try:
+                message = decode(recorded.topic.encode(), recorded.payload)
+            except ValueError as error:
+                raise CalibrationError(f"{path}: {error}") from error
+            if isinstance(message, Taxels):
+                stamps.append(message.stamp_ns)
+                found.append(message.forces)
+    if len({frame.shape for frame in found}) != 1:
+        raise CalibrationError(f"{path}: holds no frames of one shape")
+    return [stamp - stamps[0] for stamp in stamps], np.stack(found)
+
+
+class Recording:
+    """Parts of a recording, by their stamps."""
+
+    is_live = False
+
+    def __init__(self, source: RecordedSource) -> None:
+        self.skin: Skin = source.skin
+        self._stamps_s = np.asarray(source.stamp_ns, dtype=np.float64) / 1e9
+        self._frames = source.frames
+
+    def part(self, start_s: float, stop_s: float) -> Frames:
+        """Frames with stamps in [start_s, stop_s), seconds since the first.
+        Raises CalibrationError if there is none.
+        """
+        found = self._frames[(self._stamps_s >= start_s) & (self._stamps_s < stop_s)]
+        if not len(found):
+            last = self._stamps_s[-1]
+            raise CalibrationError(
+                f"{start_s:g}-{stop_s:g}s: no frame of the recording, which lasts {last:g} s"
+            )
+        return found
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+class Live:
+    """Frames of a live source, read in the background so that none is old when it is used."""
+
+    is_live = True
+
+    def __init__(self, source: Source) -> None:
+        self.skin: Skin = source.skin
+        self._source = source
+        self._keep: list[Frames] | None = None
+        self._error = ""
+        self._lock = threading.Condition()
+        self._closing = False
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def part(self, start_s: float, stop_s: float) -> Frames:
+        """Frames of the next `stop_s - start_s` seconds.
+        Raises CalibrationError if none comes, or the source fails or ends.
+        """
+        most = max(2, MAX_READINGS // (self.skin.n_rows * self.skin.n_cols))
+        end = time.monotonic() + stop_s - start_s
+        with self._lock:
+            kept: list[Frames] = []
+            self._keep = kept
+            while not self._error and len(kept) < most:
+                left_s = (end if kept else end + SILENT_S) - time.monotonic()
+                if left_s <= 0:
+                    break
+                self._lock.wait(left_s)
+            self._keep = None
+        if not kept:
+            silent = f"{self._source.name}: no frame in {SILENT_S:g} s"
+            raise CalibrationError(self._error or silent)
+        return np.stack(kept)
+
+    def close(self) -> None:
+        """Close the source, where it can be."""
+        self._closing = True
+        self._thread.join(1.0)
+        close = getattr(self._source, "close", None)
+        if callable(close) and not self._thread.is_alive():
+            close()
+
+    def _read(self) -> None:
+        try:
+            for _, frame in self._source:
+                with self._lock:
+                    if self._keep is not None:
+                        self._keep.append(frame)
+                        self._lock.notify()
+                if self._closing:
+                    return
+            error = f"{self._source.name}: has ended"
+        except SparseskinError as cause:
+            error = str(cause)
+        with self._lock:
+            self._error = error
+            self._lock.notify()
+
+
+def open_frames(
+    source: str, n_rows: int | None = None, n_cols: int | None = None
+) -> Recording | Live:
+    """Open the source of a skin that is to be calibrated, by its name as in `open_source`; a .mcap
+    after "file:" is a bag.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be opened, or delivers true forces, as a scene does.
+    """
+    if source.startswith(SCENE):
+        raise SourceError(f"{source}: delivers true forces, which need no calibration")
+    if source.startswith(FILE) and source.endswith(".mcap"):
+        stamps, frames = _bag(source.removeprefix(FILE))
+        skin = Skin(frames.shape[1], frames.shape[2], max(1.0, float(frames.max())), "raw")
+        return Recording(RecordedSource(Path(source).stem, skin, frames, stamps))
+    opened = open_source(source, seed=0, n_rows=n_rows, n_cols=n_cols, raw=True)
+    if isinstance(opened, RecordedSource):
+        return Recording(opened)
+    return Live(opened)
