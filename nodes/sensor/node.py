@@ -140,10 +140,9 @@ class Sensor(SourceNode[SensorSettings]):
     def _describe(self) -> SkinState:
         skin, has_truth = self.skin, self._source.delivers == "truth"
         sigmas = (self._noise.sigma_mid, self._noise.sigma_end) if has_truth else (0.0, 0.0)
-        f_min = 0.0
         if self._stage is not None:
             found = self._stage.description
-            noise, f_min = found.noise or 0.0, found.f_min
+            noise = found.noise or 0.0
             sigmas = (noise if found.noise_mid is None else found.noise_mid), noise
         return SkinState(
             stamp_ns=self.context.clock.now_ns(),
@@ -155,7 +154,7 @@ class Sensor(SourceNode[SensorSettings]):
             has_truth=has_truth,
             sigma_mid=sigmas[0],
             sigma_end=sigmas[1],
-            f_min=f_min,
+            f_min=self._f_min,
         )
 
     def _calibration(self) -> Iterable[Message]:
@@ -227,6 +226,11 @@ class Sensor(SourceNode[SensorSettings]):
         return {"clipped": clipper.n_clipped, **read, **allowed, **board}
 
     @property
+    def _f_min(self) -> float:
+        """Lower end of the range."""
+        return self._stage.description.f_min if self._stage is not None else 0.0
+
+    @property
     def _clipper(self) -> Chain | DriverSource | BoardSource | None:
         """What clips readings to the range, if anything does."""
         if self._stage is not None:
@@ -240,7 +244,8 @@ class Sensor(SourceNode[SensorSettings]):
         if n_clipped > 2 * self._n_logged:
             self._n_logged = n_clipped
             self.context.log(
-                f"{n_clipped} readings outside 0..{self.skin.f_max:g} {self.skin.unit} were clipped"
+                f"{n_clipped} readings outside {self._f_min:g}..{self.skin.f_max:g} "
+                f"{self.skin.unit} were clipped"
             )
 
     def _watch_rate(self, now_ns: int) -> None:

@@ -30,7 +30,8 @@ export class Controls {
   show(graph, patch) {
     const serves = (node) => node.patch === patch || (node.patch && node.patches.includes(patch));
     const nodes = graph.nodes.filter((node) => serves(node) || "seek" in node.commands);
-    const shape = JSON.stringify([patch, nodes.map((node) => [node.name, node.type])]);
+    const shape = JSON.stringify([patch,
+      nodes.map((node) => [node.name, node.type, "tare_left" in node.state])]);
     if (shape !== this.shape) {
       this.shape = shape;
       this.build(nodes);
@@ -51,6 +52,10 @@ export class Controls {
     const buttons = element("div", { class: "buttons" });
     for (const node of sources) {
       buttons.append(this.button(node.name, "pause", "", { "data-pause": node.name }));
+      if ("tare_left" in node.state) {
+        buttons.append(this.button(node.name, "tare", "Tare", { "data-tare": node.name,
+          title: "take the readings of the untouched skin for zero" }));
+      }
     }
     buttons.append(this.button("launch", "record", "● Record", { id: "record" }));
     this.root.append(buttons, this.answerLine("launch"));
@@ -131,6 +136,18 @@ export class Controls {
     for (const button of this.root.querySelectorAll(`[data-pause="${node.name}"]`)) {
       button.dataset.value = JSON.stringify(!node.state.paused);
       setText(button, node.state.paused ? `▶ Resume` : `❚❚ Pause`);
+    }
+    const tare = this.root.querySelector(`[data-tare="${node.name}"]`);
+    if (tare) {
+      const left = node.state.tare_left;
+      tare.disabled = left > 0;
+      setText(tare, left > 0 ? `Tare: ${left} frames` : "Tare");
+      // The answer said that it began; this is how it ended.
+      if (left > 0) tare.dataset.running = "true";
+      else if (tare.dataset.running && node.state.tared) {
+        delete tare.dataset.running;
+        this.say("launch", "done", `✓ tared: ${node.state.tared}`);
+      }
     }
     const seek = this.root.querySelector(`[data-seek="${node.name}"]`);
     if (seek) this.refreshPlayer(node, seek);

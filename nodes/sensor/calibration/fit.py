@@ -137,9 +137,7 @@ def fit(
             raise CalibrationError("the range is not known: state f_max, or add presses")
         top = max(float(force[works].max()) for force in forces)
         f_max = float(f"{HEADROOM * top:.2g}")
-        remarks.append(
-            f"f_max = {f_max:g} {unclipped.unit} is {HEADROOM:g} times the largest force"
-        )
+        remarks.append(f"f_max = {f_max:g} N is {HEADROOM:g} times the largest force of a press")
     slope = _slope_at_0(unclipped)
     sigma = min(float(np.median((noise * slope)[works])), f_max)
     skin = SkinDescription(

@@ -1,0 +1,178 @@
+"""The commands calibrate and tare: scripted, guided, on recordings and on running graphs."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import PATIENCE_S, StartProgram, wait_until
+
+from sparseskin.launch.commands import tare
+from sparseskin.launch.commands.cli import main
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.sensor.calibration.description import SkinDescription
+from sparseskin.nodes.sensor.calibration.skin_file import load_skin
+from sparseskin.nodes.sensor.calibration.skin_writer import save_skin
+
+SHAPE = (4, 6)
+RNG = np.random.default_rng(0)
+BASELINE = np.round(RNG.uniform(30, 60, SHAPE))
+GAIN = RNG.uniform(50, 150, SHAPE)
+
+
+def counts(force: float, n: int) -> np.ndarray:
+    return BASELINE + GAIN * force + RNG.normal(0, 1, (n, *SHAPE))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A recording at 100 Hz: 3 s untouched, 2 s at 0.5 N and 2 s at 1 N a taxel."""
+    monkeypatch.chdir(tmp_path)
+    parts = [counts(0, 300), counts(0.5, 200), counts(1.0, 200)]
+    np.save("all.npy", np.concatenate(parts))
+    np.save("more.npy", counts(1.0, 50))
+    return tmp_path
+
+
+def assert_calibrated(path: str) -> None:
+    """Newtons within 3 %: of 200 frames, noise of 1 in 50 counts leaves 0.2 %."""
+    skin = load_skin(path)
+    assert skin.gains is not None
+    slope = 1.0 if skin.response is None else skin.response.slopes[-1]
+    np.testing.assert_allclose(skin.gains * slope * GAIN, 1.0, rtol=0.03)
+    assert skin.baseline is not None
+    np.testing.assert_allclose(skin.baseline, BASELINE, atol=0.5)
+
+
+def test_options_alone_calibrate_a_recording(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loads = ("--press", "12N@all:3.2-4.8s", "--press", "24N@all:more.npy")
+    done = main(["calibrate", "file:all.npy", "--out", "palm.toml", *loads, "--pitch-mm", "2.5"])
+    printed = capsys.readouterr().out
+    assert done == 0
+    assert_calibrated("palm.toml")
+    assert load_skin("palm.toml").pitch_mm == 2.5
+    assert "palm: 4 x 6 taxels, 0..1.3 N" in printed
+    assert "12N@all" in printed
+    assert "--set sensor.source=file:all.npy --set sensor.skin=palm.toml" in printed
+
+
+def test_a_person_is_asked_and_wrong_answers_are_asked_again(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = ["heavy", "24N", "everywhere", "all", "9-8s", "5.2-6.8s", ""]
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(answers) + "\n"))
+    assert main(["calibrate", "file:all.npy", "--out", "palm.toml"]) == 0
+    printed = capsys.readouterr().out
+    assert "'heavy' is no load; allowed are" in printed
+    assert "'everywhere' is no area" in printed
+    assert "9-8s: the part is empty" in printed
+    assert_calibrated("palm.toml")
+
+
+def test_without_presses_readings_keep_their_unit(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ("--no-questions", "--f-max", "200", "--keep-noise")
+    assert main(["calibrate", "file:all.npy", "--out", "raw.toml", *options]) == 0
+    skin = load_skin("raw.toml")
+    assert (skin.gains, skin.f_max, skin.unit) == (None, 200.0, "raw")
+    assert skin.noise == pytest.approx(1.0, rel=0.1)
+    assert skin.f_min == pytest.approx(-4, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("--press", "500g"), "--press 500g: expected LOAD[@AREA]:WHERE"),
+        (("--press", "500x:3-4s"), "--press 500x:3-4s: '500x' is no load"),
+        (("--press", "5N@9-9x0-0:3-4s"), "is not on a skin of 4 x 6"),
+        (("--press", "5N:30-40s"), "no frame of the recording, which lasts 6.99 s"),
+        (("--press", "5N:none.npy"), "none.npy: no such file"),
+        (("--untouched", "none.npy", "--no-questions"), "none.npy: no such file"),
+        (("--out", "palm.txt"), "--out palm.txt: expected a name that ends in .toml"),
+        (("--out", "old.toml"), "--out old.toml: exists already"),
+    ],
+)
+def test_what_is_wrong_is_one_line_and_writes_nothing(
+    folder: Path, words: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "old.toml").write_text("mine")
+    before = sorted(folder.iterdir())
+    assert main(["calibrate", "file:all.npy", "--out", "palm.toml", *words]) == 2
+    (printed,) = capsys.readouterr().err.splitlines()
+    assert line in printed
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_scene_needs_none(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", "scene:path_40", "--out", "s.toml"]) == 2
+    assert capsys.readouterr().err == (
+        "scene:path_40: delivers true forces, which need no calibration\n"
+    )
+
+
+LIVE_SKIN = """
+import time, numpy as np
+
+def frames():
+    rng = np.random.default_rng(0)
+    k = 0
+    while True:
+        time.sleep(0.002)
+        k += 1
+        yield time.monotonic_ns(), 40 + rng.normal(0, 1, (4, 6))
+"""
+
+
+@pytest.mark.slow
+def test_a_live_source_is_calibrated_and_tared_while_its_graph_runs(
+    start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "live_skin.py").write_text(LIVE_SKIN)
+    words = ("--untouched", "0.2s", "--no-questions", "--wait", "0", "--f-max", "50")
+    code, out, err = start("calibrate", "live_skin:frames", "--out", "p.toml", *words).finish()
+    assert (code, err) == (0, "")
+    assert "p: 4 x 6 taxels" in out
+    np.testing.assert_allclose(load_skin(tmp_path / "p.toml").baseline, 40, atol=1.5)
+    # A baseline that has become old, by 5.
+    old = SkinDescription("old", *SHAPE, 50.0, unit="N", baseline=np.full(SHAPE, 35.0), noise=1.0)
+    save_skin(tmp_path / "old.toml", old)
+    graph = start(
+        *("launch", "replay", "--record", "run.mcap", "--set", "monitor.port=0"),
+        *("--set", "sensor.source=live_skin:frames", "--set", "sensor.skin=old.toml"),
+        *("--set", "sensor.rate_hz=100"),
+    )
+    graph.wait_for("[launch] ready")
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
+    monkeypatch.setattr("sparseskin.launch.attach.client.PATIENCE_S", PATIENCE_S)
+    wait_until(lambda: main(["node", "list"]) == 0, "the note of the graph")
+    code, out, err = start("tare", "--frames", "50", "--json").finish()
+    assert (code, err) == (0, "")
+    document = json.loads(out)
+    assert document["format"] == "sparseskin/tare/1"
+    assert document["tared"]["sensor"].startswith("forces changed by at most ")
+    code, _, err = start("tare", "compressor").finish()
+    assert (code, err) == (2, "compressor: has no command 'tare' (known: set)\n")
+    assert main(["stop"]) == 0
+    graph.finish()
+    with BagReader(tmp_path / "run.mcap") as bag:
+        assert bag.topics["/skin/calibration"].n_messages == 2
+
+
+def test_a_graph_without_a_calibration_is_not_tared(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nodes = [{"name": "sensor", "type": "sensor", "state": {"paused": False}}]
+    monkeypatch.setattr(tare, "choose_graph", lambda name: SimpleNamespace(label="a (7)"))
+    monkeypatch.setattr(tare, "describe", lambda graph: {"nodes": nodes})
+    assert main(["tare"]) == 2
+    assert capsys.readouterr().err == (
+        "a (7): has no sensor with a calibration; state sensor.skin, or sensor.tare, in the launch "
+        "file\n"
+    )

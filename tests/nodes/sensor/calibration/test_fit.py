@@ -1,0 +1,201 @@
+"""Gains, curves, noise and faulty taxels from presses, against the skin that made the readings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sparseskin.nodes.sensor.calibration.chain import Chain
+from sparseskin.nodes.sensor.calibration.fit import CalibrationError, Curve, fit, steady
+from sparseskin.nodes.sensor.calibration.press import GRAVITY, Press, read_area, read_load
+
+SHAPE = (6, 8)
+N = SHAPE[0] * SHAPE[1]
+RNG = np.random.default_rng(2)
+BASELINE = RNG.uniform(40, 90, SHAPE)
+GAIN = RNG.lognormal(0, 0.3, SHAPE)
+ALL = (0, 5, 0, 7)
+
+
+def linear(force: Any) -> np.ndarray:
+    """Counts of a linear skin: 500 a newton for a taxel of gain 1."""
+    return BASELINE + 500 * GAIN * force
+
+
+def saturating(force: Any) -> np.ndarray:
+    """Counts of a skin whose response is concave, of one shape for all taxels."""
+    return BASELINE + 1500 * GAIN * force / (force + 1.0)
+
+
+def frames(counts: np.ndarray, n: int = 50, sigma: float = 0.0) -> np.ndarray:
+    return counts + np.random.default_rng(0).normal(0, sigma, (n, *SHAPE))
+
+
+def even(model: Any, force: float, **noise: Any) -> Press:
+    return Press(f"{force:g}", force * N, frames(model(force), **noise), ALL)
+
+
+def test_even_loads_give_each_taxel_of_a_linear_skin_its_gain() -> None:
+    found = fit("p", frames(linear(0)), [even(linear, 0.5)], f_max=2.0)
+    np.testing.assert_allclose(found.skin.gains, 1 / (500 * GAIN), rtol=1e-9)
+    np.testing.assert_allclose(found.skin.baseline, BASELINE)
+    assert found.skin.response is None
+    chain = Chain(found.skin, 0.0)
+    force = RNG.uniform(0, 2, SHAPE)
+    np.testing.assert_allclose(chain.apply(linear(force), 0), force, atol=1e-6)
+    (result,) = found.presses
+    assert result.measured == pytest.approx(result.force)
+    assert result.spread == pytest.approx(0, abs=1e-9)
+    assert result.spread_before == pytest.approx(GAIN.std() / GAIN.mean())
+
+
+LEVELS = np.linspace(0.1, 2.0, 20)
+
+
+@pytest.mark.parametrize("curve", ["shared", "taxel"])
+def test_a_curve_through_even_loads_is_exact_at_them_and_within_its_chords_between(
+    curve: Curve,
+) -> None:
+    presses = [even(saturating, force) for force in LEVELS]
+    found = fit("p", frames(saturating(0)), presses, curve=curve)
+    chain = Chain(found.skin, 0.0)
+    for force in LEVELS:
+        np.testing.assert_allclose(chain.apply(saturating(force), 0), force, rtol=1e-6)
+    # Between two knots of spacing h in force the chord errs by at most h**2 / 8 x the curvature of
+    # force over reading, in newtons: |f''| h_u**2 / 8 with u = f / (f + 1), f'' = 2 / (1 - u)**3.
+    for force in (LEVELS[1:] + LEVELS[:-1]) / 2:
+        high = force + 0.05
+        u = np.array([force - 0.05, high]) / (np.array([force - 0.05, high]) + 1)
+        most = 2 / (1 - u[1]) ** 3 * (u[1] - u[0]) ** 2 / 8
+        np.testing.assert_allclose(chain.apply(saturating(force), 0), force, atol=most + 1e-6)
+
+
+def test_a_curve_that_differs_from_taxel_to_taxel_needs_one_each() -> None:
+    knee = RNG.uniform(0.5, 3.0, SHAPE)
+
+    def model(force: float) -> np.ndarray:
+        return BASELINE + 1500 * force / (force + knee)
+
+    presses = [even(model, force) for force in LEVELS]
+    worst = {}
+    for curve in ("shared", "taxel"):
+        found = fit("p", frames(model(0)), presses, curve=curve)  # type: ignore[arg-type]
+        forces = Chain(found.skin, 0.0).apply(model(1.0), 0)
+        worst[curve] = float(np.abs(forces - 1).max())
+    assert worst["taxel"] < 1e-6 < 0.02 < worst["shared"]
+
+
+def test_readings_that_fall_with_force_get_negative_gains() -> None:
+    def model(force: Any) -> np.ndarray:
+        return 1000 - linear(force)
+
+    found = fit("p", frames(model(0)), [even(model, 0.5), even(model, 1.0)])
+    assert found.skin.gains is not None
+    assert (found.skin.gains < 0).all()
+    np.testing.assert_allclose(Chain(found.skin, 0.0).apply(model(0.8), 0), 0.8, rtol=1e-6)
+
+
+def test_a_total_gives_one_gain_for_all() -> None:
+    print_of_it = np.zeros(SHAPE)
+    print_of_it[2:4, 3:6] = 0.7
+    counts = BASELINE + 500 * print_of_it
+    press = Press("5N", float(print_of_it.sum()), frames(counts))
+    found = fit("p", frames(BASELINE), [press])
+    np.testing.assert_allclose(found.skin.gains, 1 / 500)
+    assert found.skin.f_max == pytest.approx(1.25 * 0.7, rel=0.05)
+    assert found.remarks == ["f_max = 0.87 N is 1.25 times the largest force of a press"]
+
+
+def test_totals_that_one_gain_does_not_explain_are_remarked() -> None:
+    loads = [Press(f"{f}N", f * N, frames(saturating(f))) for f in (0.2, 2.0)]
+    remarks = fit("p", frames(saturating(0)), loads).remarks
+    assert any("off one gain for all" in line for line in remarks)
+
+
+def test_noise_is_measured_in_newtons_and_a_short_touch_does_not_count() -> None:
+    untouched = frames(linear(0), n=400, sigma=2.0)
+    untouched[:20] += 300.0
+    found = fit("p", untouched, [even(linear, 1.0, n=400)], keep_noise=True)
+    # The median taxel of a standard deviation of 2 counts, known to 3.5 % each.
+    assert found.skin.noise == pytest.approx(2.0 / (500 * np.median(GAIN)), rel=0.1)
+    assert found.skin.f_min == pytest.approx(-4 * found.skin.noise, rel=0.05)
+    np.testing.assert_allclose(found.skin.baseline, BASELINE, atol=0.6)
+
+
+def test_the_mean_of_steady_readings_resolves_less_than_a_count() -> None:
+    values = np.random.default_rng(1).normal(10.3, 1.0, (4000, 1, 1))
+    mean, sd = steady(np.round(values))
+    assert mean[0, 0] == pytest.approx(10.3, abs=0.07)
+    # Rounding to counts adds 1 / 12 to the variance.
+    assert sd[0, 0] == pytest.approx(np.sqrt(1 + 1 / 12), rel=0.05)
+
+
+def test_stuck_noisy_and_dead_taxels_are_masked() -> None:
+    noise = np.random.default_rng(3).normal(0, 1.0, (200, *SHAPE))
+    untouched, pressed = linear(0) + noise, linear(1.0) + noise[::-1]
+    for readings in (untouched, pressed):
+        readings[:, 0, 0] = 77.0
+        readings[:, 1, 1] = linear(0)[1, 1] + 40 * noise[:, 1, 1]
+    pressed[:, 2, 2] = untouched[:, 2, 2]
+    found = fit("p", untouched, [Press("a", 1.0 * N, pressed, ALL)])
+    assert (found.stuck, found.noisy, found.dead) == (1, 1, 1)
+    assert found.skin.mask is not None
+    assert [tuple(cell) for cell in np.argwhere(~found.skin.mask)] == [(0, 0), (1, 1), (2, 2)]
+    # The dead ones carry their part of the load: the others still measure theirs.
+    assert found.presses[0].measured == pytest.approx(N, rel=1e-3)
+
+
+def test_a_skin_of_whole_counts_without_noise_has_no_stuck_taxels() -> None:
+    found = fit("p", np.full((9, *SHAPE), 5.0), f_max=250.0, unit="raw")
+    assert found.stuck == 0
+    assert found.skin.mask is None
+    assert (found.skin.unit, found.skin.noise) == ("raw", 0.0)
+
+
+def test_taxels_under_no_even_load_get_the_median_gain() -> None:
+    load = Press("a", 0.5 * 24, frames(linear(0.5)), (0, 5, 0, 3))
+    found = fit("p", frames(linear(0)), [load])
+    assert found.skin.gains is not None
+    np.testing.assert_allclose(found.skin.gains[:, 4:], np.median(found.skin.gains[:, :4]))
+    assert "24 taxels lay under no even load: they have the median gain" in found.remarks
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"untouched": frames(BASELINE)[:1]}, "untouched: 1 frames; at least 2 are needed"),
+        (
+            {"presses": [replace(even(linear, 1.0), area=(0, 6, 0, 7))]},
+            "are not on a skin of 6 x",
+        ),
+        ({"presses": [replace(even(linear, 1.0), frames=np.ones((2, 3, 3)))]}, "frames of shape"),
+        (
+            {"presses": [even(linear, 0.5), replace(even(linear, 0.4), force=N)]},
+            "readings do not rise with the force of a taxel",
+        ),
+        ({"presses": [Press("1N", 1.0, frames(BASELINE))]}, "1N: no taxel reads more than its no"),
+        ({"f_max": None}, "the range is not known"),
+    ],
+)
+def test_what_cannot_be_calibrated_is_refused(change: dict[str, Any], line: str) -> None:
+    values: dict[str, Any] = {"untouched": frames(BASELINE), "presses": [], "f_max": None}
+    with pytest.raises(CalibrationError) as raised:
+        fit("p", **(values | change))
+    assert line in str(raised.value)
+
+
+def test_loads_and_areas_are_read() -> None:
+    assert read_load("500g") == pytest.approx(0.5 * GRAVITY)
+    assert read_load(" 2.5 kg") == pytest.approx(2.5 * GRAVITY)
+    assert (read_load("4.9N"), read_load("800mN")) == (4.9, 0.8)
+    assert read_area("all", SHAPE) == ALL
+    assert read_area("1-2x3-4", SHAPE) == (1, 2, 3, 4)
+    for text in ("", "5", "5lb", "-5g", "1e9g", "0g", "nanN"):
+        with pytest.raises(CalibrationError, match="is no load"):
+            read_load(text)
+    for text in ("1-2", "some", "0-6x0-7", "2-1x0-0"):
+        with pytest.raises(CalibrationError):
+            read_area(text, SHAPE)
