@@ -65,8 +65,8 @@ def _names(place: str, text: str) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _part(cls: type[Message], values: dict[str, Any]) -> Any:
-    """A message of fields that were checked with the whole batch."""
+def unchecked(cls: type[Message], values: dict[str, Any]) -> Any:
+    """A message of fields that were checked before, all of them stated."""
     made = object.__new__(cls)
     made.__dict__.update(values)
     return made
@@ -117,7 +117,7 @@ class _ForcesBatch(BatchMessage):
 
     def split(self, held: MutableMapping[str, Floats]) -> list[Any]:
         return [
-            _part(self.single, {**self._common(name), "forces": forces})
+            unchecked(self.single, {**self._common(name), "forces": forces})
             for name, forces in zip(self.names, self.forces, strict=True)
         ]
 
@@ -165,7 +165,7 @@ class MeasurementsBatch(BatchMessage):
     def split(self, held: MutableMapping[str, Floats]) -> list[Any]:
         same = {"phi": self.phi, "places": None, "nodes": None}
         return [
-            _part(self.single, {**self._common(name), "y": y, **same})
+            unchecked(self.single, {**self._common(name), "y": y, **same})
             for name, y in zip(self.names, self.y, strict=True)
         ]
 
@@ -251,7 +251,7 @@ class ReconstructionBatch(BatchMessage):
                 "trusted": bool(self.trusted[k]),
                 "unchanged": unchanged,
             }
-            parts.append(_part(self.single, {**self._common(name), **fields}))
+            parts.append(unchecked(self.single, {**self._common(name), **fields}))
         return parts
 
     @classmethod

@@ -104,7 +104,7 @@ class BatchNode(Node[S]):
         if isinstance(message, BatchMessage):
             if message.names != self._names:
                 raise RefusedError(f"{message.topic}: of other patches than this node serves")
-            yield from self._joined(self._step_all(message.split(self._held)))
+            yield from self._joined(self._step_all(message))
         else:
             yield from self._set_up(
                 lambda name, node: node.step(dataclasses.replace(message, patch=name))
@@ -144,9 +144,9 @@ class BatchNode(Node[S]):
         text = self._first.status()
         return f"{text}, {len(self._names)} patches" if text else ""
 
-    def _step_all(self, parts: list[Any]) -> Iterator[list[Message]]:
+    def _step_all(self, message: BatchMessage) -> Iterator[list[Message]]:
         """Messages of each patch's node for its part of a message."""
-        for part in parts:
+        for part in message.split(self._held):
             yield list(self.nodes[part.patch].step(part))
 
     def _joined(self, answers: Iterable[list[Message]]) -> Iterator[Message]:

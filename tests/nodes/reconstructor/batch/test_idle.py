@@ -1,0 +1,124 @@
+"""Idle patches: false alarms as stated, contacts noticed, forces as if all had been solved."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sparseskin.messages import ReconstructionBatch, SkinState
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.batch import CompressorBatch
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.reconstructor.batch.idle import FALSE_ALARMS, REFRESH, IdleWatch
+from sparseskin.nodes.reconstructor.batch.node import ReconstructorBatch
+from sparseskin.nodes.sensor.batch import SensorBatch
+from sparseskin.nodes.sensor.scenes.tiled import TiledScene
+from sparseskin.studies.scale.missed import Watched, false_alarms, missed
+
+SIDE = 32
+BATCH: dict[str, Any] = {"patch": "body", "patches": ("left", "right", "back", "hand")}
+
+
+def batches(n_frames: int, **changes: Any) -> list[ReconstructionBatch]:
+    """Reconstructions of a walking body, two patches of which are idle."""
+    sensor = {"n_rows": SIDE, "n_cols": SIDE, "source": "scene:walk", "active": 0.5}
+    bus = Bus(
+        {
+            "sensor": (SensorBatch, SensorBatch.Settings(**BATCH, **sensor)),
+            "compressor": (CompressorBatch, CompressorBatch.Settings(**BATCH)),
+            "reconstructor": (ReconstructorBatch, ReconstructorBatch.Settings(**BATCH, **changes)),
+        }
+    )
+    made = [m for messages in bus.frames(n_frames) for m in messages]
+    return [m for m in made if isinstance(m, ReconstructionBatch)]
+
+
+@pytest.mark.parametrize("pressed", [False, True])
+def test_false_alarms_are_about_as_many_as_stated(pressed: bool) -> None:
+    truth = np.zeros((SIDE, SIDE), np.float32)
+    if pressed:
+        truth = TiledScene("hug", Skin(SIDE, SIDE, 2.5, pitch_m=0.005), 1).forces(2.2)[0]
+    # Of 5120 frames 5 are expected to alarm: 20 or more have a probability below 1e-6.
+    assert 0 <= false_alarms(truth, 16, 5 * REFRESH) < 4 * FALSE_ALARMS
+
+
+def test_a_contact_of_three_sigma_is_noticed_at_once_and_one_of_one_sigma_soon() -> None:
+    assert missed(SIDE, 8, 3.0, 20).shares[0] == 0.0
+    assert missed(SIDE, 8, 2.0, 20).shares[1] == 0.0
+    assert missed(SIDE, 8, 1.0, 20).shares[2] <= 0.1
+    faint = missed(SIDE, 8, 0.05, 20)
+    assert faint.shares[0] >= 0.9
+    assert faint.shares == tuple(sorted(faint.shares, reverse=True))
+
+
+def test_an_idle_patch_is_solved_at_least_every_64_frames_and_not_all_at_once() -> None:
+    truth = np.zeros((SIDE, SIDE), np.float32)
+    watched = Watched(8, SIDE, truth)
+    solved = np.array([watched.frame(truth) for _ in range(2 * REFRESH)])
+    assert (solved[:REFRESH].sum(axis=0) >= 1).all()
+    assert solved.sum(axis=1).max() <= 3
+    assert watched.watch.idle.all()
+
+
+def test_a_contact_ends_the_idle_state_and_the_patch_is_idle_again_under_a_constant_one() -> None:
+    truth = np.zeros((SIDE, SIDE), np.float32)
+    watched = Watched(2, SIDE, truth)
+    truth[8:16, 8:16] = 0.3
+    assert watched.frame(truth).all()
+    assert watched.frame(truth).all()
+    assert not watched.watch.idle.any()
+    for patch in range(2):
+        watched.watch.solved(patch, truth)
+    for _ in range(20):
+        watched.frame(truth)
+    assert watched.watch.idle.all()
+
+
+def test_a_skin_that_states_no_noise_is_always_solved() -> None:
+    skin = Skin(8, 8, 2.5)
+    state = SkinState(stamp_ns=0, patch="skin", **vars(skin), source="", seed=0, rate_hz=1.0,
+                      has_truth=False, sigma_mid=0.0, sigma_end=0.0)  # fmt: skip
+    phi = make_phi("sbhe", n=64, m=32, seed=0)
+    watch = IdleWatch(3, state, [phi])
+    for _ in range(50):
+        assert watch.to_solve(phi.fingerprint, np.zeros((3, 32), np.float32)).all()
+
+
+def test_idle_patches_are_published_as_unchanged_with_the_forces_of_their_last_solve() -> None:
+    found = batches(60)
+    held: dict[str, Any] = {}
+    last: dict[str, bytes] = {}
+    n_unchanged = dict.fromkeys(BATCH["patches"], 0)
+    for batch in found:
+        for part in batch.split(held):
+            if part.unchanged:
+                n_unchanged[part.patch] += 1
+                assert part.forces.tobytes() == last[part.patch]
+                assert (part.iterations, part.solve_ns) == (0, 0)
+            last[part.patch] = part.forces.tobytes()
+    assert n_unchanged["back"] > 40
+    assert n_unchanged["hand"] > 40
+    assert n_unchanged["left"] < n_unchanged["back"]
+
+
+def test_without_the_skip_all_are_solved_and_with_it_the_forces_are_nearly_the_same() -> None:
+    held: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
+    differences = []
+    for skipping, solving in zip(batches(60), batches(60, skip_idle=False), strict=True):
+        assert not solving.unchanged.any()
+        pairs = zip(skipping.split(held[0]), solving.split(held[1]), strict=True)
+        differences += [a.forces - b.forces for a, b in pairs]
+    assert np.sqrt(np.mean(np.square(differences))) < 0.1 * 0.0141
+
+
+def test_the_skip_can_be_switched_while_the_graph_runs() -> None:
+    context = Context("node", ManualClock(1))
+    node = ReconstructorBatch(ReconstructorBatch.Settings(**BATCH), context)
+    node.change(ReconstructorBatch.Settings(**BATCH, skip_idle=False))
+    assert node.state()["idle"] == 0
+    assert node.settings.skip_idle is False
