@@ -74,6 +74,11 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     frame = np.full((12, 32), 0.5)
     np.save(tmp_path / "log.npy", frame[None])
     np.savetxt(tmp_path / "log.csv", frame.reshape(1, -1), delimiter=",")
+    models = ROOT / "examples" / "models"
+    shutil.copytree(models, tmp_path / "examples" / "models")
+    np.save(tmp_path / "simulated.npy", frame[None])
+    np.savez(tmp_path / "simulated.npz", forces=frame[None])
+    (tmp_path / "my_robot.py").write_text("def pad():\n    yield 0, [[0.5] * 32] * 12\n")
     (tmp_path / "my_skin.py").write_text("def frames():\n    yield 0, [[0.5] * 32] * 12\n")
     return tmp_path
 

@@ -76,7 +76,7 @@ def overrides(launch: str | None, begun: str) -> list[str]:
         ("path_40", "sensor.nothing=", []),
         ("no_such_file", "", []),
         ("own.toml", "", ["camera.", "mine."]),
-        ("own.toml", "camera.n", ["camera.noise=", *CELLS]),
+        ("own.toml", "camera.n", ["camera.noise=", *CELLS, "camera.nan=", "camera.negative="]),
         ("own.toml", "mine.", []),
         ("", "", []),
         (None, "", ["compressor.", "reconstructor."]),
