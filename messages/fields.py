@@ -184,6 +184,38 @@ class Array(FieldKind):
         self._check_finite(name, value)
         return value
 
+    def dtype_of(self, value: Any) -> str:
+        """Dtype of a checked array as it travels."""
+        return self.dtype
+
+    def extra_of(self, value: Any) -> tuple[float, ...]:
+        """Numbers of a frame that its array needs: the step of a quantised one."""
+        return ()
+
+    def data_of(self, value: Any) -> Any:
+        """Bytes of a checked array, not copied where it has them already."""
+        return value.data
+
+    def checked_form(self, name: str, form: Any) -> tuple[str, tuple[int, ...], int]:
+        """Dtype, shape and number of bytes of an array, by [dtype, shape], or MessageError."""
+        if not isinstance(form, list) or len(form) != 2:
+            raise MalformedError(f"{name}: expected dtype and shape")
+        if form[0] != self.dtype:
+            raise ShapeError(f"{name}: expected dtype {self.dtype}, got {str(form[0])[:32]!r}")
+        shape = _sides(name, form[1])
+        self._check_shape(name, shape)
+        return self.dtype, shape, math.prod(shape) * self._dtype.itemsize
+
+    def of_data(
+        self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes
+    ) -> npt.NDArray[Any]:
+        """The array of bytes, as many as `checked_form` returned; MessageError if not finite."""
+        if self._dtype.kind == "b" and max(data) > 1:
+            raise MalformedError(f"{name}: a boolean byte other than 0 and 1")
+        value: npt.NDArray[Any] = np.ndarray(shape, self._dtype, data)
+        self._check_finite(name, value)
+        return value
+
     @functools.cached_property
     def _dtype(self) -> np.dtype[Any]:
         return np.dtype(self.dtype)
@@ -243,18 +275,48 @@ class Samples(Array):
         if raw.keys() != _QUANTISED_KEYS:
             raise MalformedError(f"{name}: expected a map of dtype, shape, order, step and data")
         dtype, shape, step, data = (raw[key] for key in ("dtype", "shape", "step", "data"))
-        if not isinstance(dtype, str) or not dtype.removeprefix("int").isdecimal():
-            raise ShapeError(f"{name}: expected dtype intB, got {str(dtype)[:32]!r}")
-        bits = int(dtype.removeprefix("int")[:4])
-        if dtype != f"int{bits}" or raw["order"] != "C":
+        bits = _bits_of(name, dtype)
+        if raw["order"] != "C":
             raise ShapeError(f"{name}: dtype {dtype[:32]!r} in order {str(raw['order'])[:8]!r}")
         self._check_shape(name, _sides(name, shape))
-        if type(step) is not float or not isinstance(data, bytes):
-            raise MalformedError(f"{name}: step must be a float and data a bin field")
-        _check_quantiser(name, bits, step)
+        if not isinstance(data, bytes):
+            raise MalformedError(f"{name}: data must be a bin field")
         (m,) = shape
-        if len(data) != n_bytes(m, bits):
+        if MIN_BITS <= bits <= MAX_BITS and len(data) != n_bytes(m, bits):
             raise ShapeError(f"{name}: {m} numbers of {bits} bits do not fit {len(data)} bytes")
+        return self._of_codes(name, m, bits, step, data)
+
+    def dtype_of(self, value: Any) -> str:
+        return f"int{value.bits}" if isinstance(value, Quantised) else self.dtype
+
+    def extra_of(self, value: Any) -> tuple[float, ...]:
+        return (value.step,) if isinstance(value, Quantised) else ()
+
+    def data_of(self, value: Any) -> Any:
+        if isinstance(value, Quantised):
+            return packed(value.codes(), value.bits)
+        return super().data_of(value)
+
+    def checked_form(self, name: str, form: Any) -> tuple[str, tuple[int, ...], int]:
+        if not isinstance(form, list) or len(form) != 2 or form[0] == self.dtype:
+            return super().checked_form(name, form)
+        bits, shape = _bits_of(name, form[0]), _sides(name, form[1])
+        self._check_shape(name, shape)
+        _check_quantiser(name, bits, 1.0)
+        return form[0], shape, n_bytes(shape[0], bits)
+
+    def of_data(
+        self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes
+    ) -> npt.NDArray[Any]:
+        if dtype == self.dtype:
+            return super().of_data(name, dtype, shape, extra, data)
+        return self._of_codes(name, shape[0], _bits_of(name, dtype), extra, data)
+
+    @staticmethod
+    def _of_codes(name: str, m: int, bits: int, step: Any, data: bytes) -> Quantised:
+        if type(step) is not float:
+            raise MalformedError(f"{name}: step must be a float")
+        _check_quantiser(name, bits, step)
         codes = unpacked(data, m, bits)
         if codes.max() > largest_code(bits):
             raise MalformedError(f"{name}: a code beyond {largest_code(bits)}")
@@ -266,6 +328,16 @@ def _sides(name: str, shape: Any) -> tuple[int, ...]:
     if not isinstance(shape, list) or not set(map(type, shape)) <= {int}:
         raise MalformedError(f"{name}: shape must be a list of whole numbers")
     return tuple(shape)
+
+
+def _bits_of(name: str, dtype: Any) -> int:
+    """Number of bits of the dtype "intB", or ShapeError."""
+    if not isinstance(dtype, str) or not dtype.removeprefix("int").isdecimal():
+        raise ShapeError(f"{name}: expected dtype intB, got {str(dtype)[:32]!r}")
+    bits = int(dtype.removeprefix("int")[:4])
+    if dtype != f"int{bits}":
+        raise ShapeError(f"{name}: expected dtype intB, got {dtype[:32]!r}")
+    return bits
 
 
 def _check_quantiser(name: str, bits: int, step: float) -> None:

@@ -1,8 +1,12 @@
-"""The wire form: a topic and one msgpack map. Nothing on the wire is ever executed."""
+"""The wire forms: a topic and one msgpack map, or for frames a head and arrays (`parts`).
+
+Frames travel in parts; recordings hold maps, and a map of any message is read from the wire too.
+Nothing on the wire is ever executed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,30 +14,27 @@ import msgpack
 import numpy as np
 
 from .base import Message, omitted_fields, once_a_class, wire_fields
-from .batches import BATCHES
 from .errors import (
     FieldError,
     MalformedError,
     OversizedError,
-    TruncatedError,
-    UnknownSchemaError,
-    VersionError,
 )
 from .fields import MAX_ELEMENTS
-from .frames import Measurements, Reconstruction, Resultant, Taxels, Truth
-from .state import Calibration, End, PhiState, SkinState, SolverState
+from .parts import Parts, decode_parts, encode_parts, travels_in_parts, unpacked
+from .schemas import SCHEMAS, class_of
+from .state import End
 from .topics import MAX_TOPIC_BYTES
+
+__all__ = [
+    "MAX_MESSAGE_BYTES", "SCHEMAS", "Payload", "decode", "encode", "is_end", "payload_of",
+    "size_bytes", "wire_parts",
+]  # fmt: skip
 
 MAX_MESSAGE_BYTES = 8 * MAX_ELEMENTS + 65536
 """Largest payload, bytes: two of the largest float32 arrays and room for the other fields."""
 
-_CLASSES: tuple[type[Message], ...] = (
-    *(SkinState, Calibration, Truth, Taxels, PhiState, Measurements),
-    *(SolverState, Resultant, Reconstruction, End),
-    *BATCHES.values(),
-)
-SCHEMAS: dict[str, type[Message]] = {cls.schema: cls for cls in _CLASSES}
-"""Message classes by schema name."""
+MAX_PARTS = 16
+"""Largest number of parts, its topic included."""
 
 _END: bytes = msgpack.packb("schema") + msgpack.packb(End.schema)
 """Bytes after the first one, the number of fields, in the payload of an End."""
@@ -67,13 +68,29 @@ def _form(cls: type[Message]) -> _Form:
     )
 
 
-def is_end(payload: bytes) -> bool:
+Payload = bytes | Parts
+"""A message as received, without its topic: one map, or head and arrays."""
+
+
+def is_end(payload: Payload) -> bool:
     """True if a payload made by `encode` is that of an End, without decoding it."""
-    return payload[1 : 1 + len(_END)] == _END
+    return isinstance(payload, bytes) and payload[1 : 1 + len(_END)] == _END
+
+
+def wire_parts(message: Message) -> tuple[Any, ...]:
+    """Turn a message into the parts that travel: its topic first, and bytes or arrays of them."""
+    return encode_parts(message) if travels_in_parts(type(message)) else encode(message)
+
+
+def payload_of(parts: Sequence[bytes]) -> Payload:
+    """Payload of the parts of a received message, its topic first; b"" where there is none."""
+    if len(parts) == 2:
+        return parts[1]
+    return tuple(parts[1:]) if 2 < len(parts) <= MAX_PARTS else b""
 
 
 def encode(message: Message) -> tuple[bytes, bytes]:
-    """Turn a message into its two wire parts, (topic, payload)."""
+    """Turn a message into topic and payload, one map: the form of recordings."""
     form = _form(type(message))
     # The attributes of a message are its fields, in order of declaration.
     body = {"schema": message.schema, "version": message.version, **message.__dict__}
@@ -87,22 +104,25 @@ def encode(message: Message) -> tuple[bytes, bytes]:
     return message.topic.encode(), msgpack.packb(body)
 
 
-def decode(topic: bytes, payload: bytes) -> Message:
-    """Turn two wire parts back into the message; its arrays are read-only views of `payload`.
+def decode(topic: bytes, payload: Payload) -> Message:
+    """Turn topic and payload back into the message; its arrays are read-only views of `payload`.
 
     Raises
     ------
     MessageError
-        One of its subclasses for every input that `encode` cannot have made: malformed,
+        One of its subclasses for every input that the encoders cannot have made: malformed,
         truncated, oversized, an unknown schema or version, a wrong shape, a value out of range,
         NaN or infinity, or another topic than the message's own.
     """
     if len(topic) > MAX_TOPIC_BYTES:
         raise OversizedError(f"topic of {len(topic)} bytes, at most {MAX_TOPIC_BYTES}")
-    if len(payload) > MAX_MESSAGE_BYTES:
-        raise OversizedError(f"message of {len(payload)} bytes, at most {MAX_MESSAGE_BYTES}")
-    body = _unpack(payload)
-    form = _form(_class_of(body))
+    n_bytes = len(payload) if isinstance(payload, bytes) else sum(map(len, payload))
+    if n_bytes > MAX_MESSAGE_BYTES:
+        raise OversizedError(f"message of {n_bytes} bytes, at most {MAX_MESSAGE_BYTES}")
+    if not isinstance(payload, bytes):
+        return decode_parts(topic, payload)
+    body: dict[object, object] = unpacked(payload, dict, n_bytes)
+    form = _form(class_of(body))
     for name, default in form.omitted.items():
         body.setdefault(name, default)
     if body.keys() != form.keys:
@@ -115,30 +135,5 @@ def decode(topic: bytes, payload: bytes) -> Message:
 
 
 def size_bytes(message: Message) -> int:
-    """Size on the wire in bytes, topic and payload."""
-    return sum(map(len, encode(message)))
-
-
-def _unpack(payload: bytes) -> dict[object, object]:
-    try:
-        limits = {"max_str_len": 4096, "max_array_len": 16, "max_map_len": 64, "max_ext_len": 0}
-        body = msgpack.unpackb(payload, raw=False, strict_map_key=True, **limits)
-    except msgpack.exceptions.ExtraData as error:
-        raise MalformedError("more than one msgpack object in a message") from error
-    except Exception as error:  # msgpack documents no narrower class for malformed bytes
-        if "incomplete" in str(error):
-            raise TruncatedError(f"message cut off after {len(payload)} bytes") from error
-        raise MalformedError(f"not a msgpack map: {str(error)[:120]}") from error
-    if not isinstance(body, dict):
-        raise MalformedError(f"expected one msgpack map, got {type(body).__name__}")
-    return body
-
-
-def _class_of(body: dict[object, object]) -> type[Message]:
-    name, version = body.get("schema"), body.get("version")
-    if not isinstance(name, str) or name not in SCHEMAS:
-        raise UnknownSchemaError(f"schema {str(name)[:64]!r} (known: {', '.join(SCHEMAS)})")
-    cls = SCHEMAS[name]
-    if type(version) is not int or version != cls.version:
-        raise VersionError(f"{name}: version {str(version)[:20]}, this program reads {cls.version}")
-    return cls
+    """Size on the wire in bytes, topic and all other parts."""
+    return sum(getattr(part, "nbytes", None) or len(part) for part in wire_parts(message))

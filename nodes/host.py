@@ -13,7 +13,7 @@ from typing import Any
 
 from sparseskin.messages import End, Message, MessageError, decode
 from sparseskin.messages.topics import split_topic
-from sparseskin.messages.wire import SCHEMAS
+from sparseskin.messages.wire import SCHEMAS, Payload
 
 from .errors import RefusedError, SparseskinError
 from .lookup import one_line
@@ -144,7 +144,7 @@ class NodeHost:
             yield from self.finish(tick.stamp_ns)
 
     def receive_bytes(
-        self, topic: bytes, payload: bytes, overtaken: bool = False
+        self, topic: bytes, payload: Payload, overtaken: bool = False
     ) -> Iterator[Message]:
         """Decode and process one message; one that cannot be decoded is counted.
 

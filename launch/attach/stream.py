@@ -18,8 +18,9 @@ import zmq
 
 from sparseskin.launch.run.running import RunningGraph, is_running
 from sparseskin.messages import End
+from sparseskin.messages.parts import head_of
 from sparseskin.messages.topics import split_topic
-from sparseskin.messages.wire import SCHEMAS
+from sparseskin.messages.wire import SCHEMAS, Payload
 from sparseskin.nodes.clock import SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.network.keys import read_key_pair
@@ -49,7 +50,7 @@ class Arrival(NamedTuple):
     """
 
     topic: bytes
-    payload: bytes
+    payload: Payload
     at_ns: int
     run_id: str
     seq: int
@@ -59,7 +60,8 @@ class Arrival(NamedTuple):
     @property
     def n_bytes(self) -> int:
         """Its size on the wire, topic and payload."""
-        return len(self.topic) + len(self.payload)
+        parts = (self.payload,) if isinstance(self.payload, bytes) else self.payload
+        return len(self.topic) + sum(map(len, parts))
 
 
 class Losses:
@@ -214,13 +216,17 @@ def latched_note(topic: str) -> str:
     return " (latched: sent when it changes)" if schema is not None and schema.latched else ""
 
 
-def _arrival(topic: bytes, payload: bytes, at_ns: int) -> Arrival | None:
+def _arrival(topic: bytes, payload: Payload, at_ns: int) -> Arrival | None:
     """A message with its head read, its fields unchecked; None where it has none."""
+    ends = False
     try:
-        body: Any = msgpack.unpackb(payload, raw=False, max_map_len=64, max_ext_len=0)
-        ends = body["schema"] == End.schema
-        seq = body["n_messages"] if ends else body["seq"]
-        head = (str(body["run_id"]), seq, body["stamp_ns"])
+        if isinstance(payload, bytes):
+            body: Any = msgpack.unpackb(payload, raw=False, max_map_len=64, max_ext_len=0)
+            ends = body["schema"] == End.schema
+            seq = body["n_messages"] if ends else body["seq"]
+            head = (str(body["run_id"]), seq, body["stamp_ns"])
+        else:
+            head = head_of(payload[0])
     except Exception:  # msgpack promises no narrower family for hostile bytes
         return None
     if type(head[1]) is not int or type(head[2]) is not int:

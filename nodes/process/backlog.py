@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-from sparseskin.messages.wire import is_end
+from sparseskin.messages.wire import Payload, is_end
 from sparseskin.nodes.network.sockets import QUEUE_FRAMES, Reader
 
 
@@ -13,7 +13,7 @@ class Waiting(NamedTuple):
     """A message as received, and True if it is to be skipped because newer ones wait."""
 
     topic: bytes
-    payload: bytes
+    payload: Payload
     overtaken: bool
 
 
@@ -27,7 +27,7 @@ class Backlog:
     def __init__(self, reader: Reader, streams: frozenset[bytes]) -> None:
         self._reader = reader
         self._streams = streams
-        self._queue: deque[tuple[bytes, bytes]] = deque()
+        self._queue: deque[tuple[bytes, Payload]] = deque()
 
     def take(self, depth: int) -> Waiting | None:
         """Next message, or None; `depth` newer ones of its stream overtake it, 0: none does."""

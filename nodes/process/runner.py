@@ -251,6 +251,8 @@ class Runner:
             if waiting is None:
                 return
             if self.reader.is_ask(waiting.topic):
+                if not isinstance(waiting.payload, bytes):
+                    continue  # not from a writer
                 if self.network.take_time(waiting.payload):
                     continue
                 self.asked = True

@@ -16,6 +16,7 @@ from sparseskin.launch.launchfile.spec import NodeSpec
 from sparseskin.launch.run.process import NodeProcess
 from sparseskin.messages import End, Message, encode
 from sparseskin.messages.topics import split_topic
+from sparseskin.messages.wire import wire_parts
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import wall_offset_ns
 from sparseskin.nodes.compressor.node import Compressor
@@ -105,9 +106,14 @@ def hostile_parts(
     """`n` random or mutated messages under the topics that a node listens to."""
     sound = sound_messages(HOSTILE_RUN, 1)
     good = [encode(message) for message in sound if message.topic in topics]
+    frames = [
+        tuple(map(bytes, wire_parts(message)))
+        for message in sound
+        if message.topic in topics and not message.latched
+    ]
     for _ in range(n):
         topic, payload = good[rng.integers(len(good))]
-        match rng.integers(6):
+        match rng.integers(7):
             case 0:
                 yield topic, rng.bytes(int(rng.integers(0, MAX_RANDOM_BYTES)))
             case 1:
@@ -118,11 +124,22 @@ def hostile_parts(
                 yield (topic, payload, b"one part too many")
             case 4:
                 yield topic, good[rng.integers(len(good))][1]  # sound, but perhaps not here
-            case _:
-                mutated = bytearray(payload)
-                for place in rng.integers(len(mutated), size=rng.integers(1, 6)):
-                    mutated[place] = rng.integers(256)
-                yield topic, bytes(mutated)
+            case 5:
+                yield topic, _mutated(payload, rng)
+            case _:  # one part of a frame is another one, or missing
+                parts = list(frames[rng.integers(len(frames))])
+                place = 1 + int(rng.integers(len(parts) - 1))
+                other = frames[rng.integers(len(frames))][-1]
+                parts[place] = (_mutated(parts[place], rng), other, b"")[rng.integers(3)]
+                yield tuple(parts[: len(parts) - int(rng.integers(2))])
+
+
+def _mutated(payload: bytes, rng: np.random.Generator) -> bytes:
+    """A copy with up to five bytes changed."""
+    mutated = bytearray(payload)
+    for place in rng.integers(len(mutated), size=rng.integers(1, 6)):
+        mutated[place] = rng.integers(256)
+    return bytes(mutated)
 
 
 def hostile_subscription(rng: np.random.Generator) -> bytes:
@@ -193,7 +210,7 @@ class Harness:
 
     def send(self, messages: Iterable[Message]) -> None:
         """Publish messages of its topics."""
-        self.write(encode(message) for message in messages if message.topic in self.topics)
+        self.write(wire_parts(message) for message in messages if message.topic in self.topics)
 
     def subscribe(self, notes: Iterable[bytes]) -> None:
         """Send the node subscriptions, as they stand, over one connection."""

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from sparseskin.messages import decode, encode
+from sparseskin.messages.wire import payload_of
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.host import NodeHost
@@ -49,9 +50,9 @@ def test_hostile_messages_end_no_node(type_name: str, tmp_path: Path) -> None:
     host = host_of(type_name, tmp_path, lines)
     list(host.start())
     rng = np.random.default_rng(5)
-    for topic, payload, *more in hostile_parts(host.inputs, N_MESSAGES, rng):
-        # As `Reader.receive` does with more than two parts.
-        list(host.receive_bytes(topic, b"" if more else payload))
+    for parts in hostile_parts(host.inputs, N_MESSAGES, rng):
+        # As `Reader.receive` does.
+        list(host.receive_bytes(parts[0], payload_of(parts)))
         host.idle()
     refused = host.counts.refused
     assert sum(refused.values()) > N_MESSAGES / 2

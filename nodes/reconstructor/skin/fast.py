@@ -14,7 +14,7 @@ from sparseskin.nodes.reconstructor.solvers.fast import CompiledProjection
 
 from .noise_level import NoiseLevel
 from .prediction import Prediction
-from .solver import Read, Tested
+from .sums import Read, Tested
 from .tuning import SkinTuning
 
 LINE = 16

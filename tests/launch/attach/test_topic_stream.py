@@ -15,7 +15,7 @@ from conftest import wait_until
 from sparseskin.launch.attach.stream import Arrival, Losses, TopicStream
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.run.running import RunningGraph, RunningNode, announced
-from sparseskin.messages import End, Message, Taxels, decode
+from sparseskin.messages import End, Message, Taxels, decode, size_bytes
 from sparseskin.nodes.network.gate import Gate
 from sparseskin.nodes.network.keys import KeyFileError, make_key_files, read_key_pair
 from sparseskin.nodes.network.sockets import QUEUE_FRAMES, Writer, make_context
@@ -96,7 +96,7 @@ def test_it_sees_the_messages_as_they_are_sent_and_when(publisher: Publisher) ->
     assert (end.seq, end.ends) == (3, True)
     for one in frames:
         assert decode(one.topic, one.payload).stamp_ns == one.stamp_ns < one.at_ns
-        assert one.n_bytes == len(TOPIC) + len(one.payload)
+        assert one.n_bytes == size_bytes(decode(one.topic, one.payload))
 
 
 def test_its_publisher_does_not_know_of_it_and_waits_for_nothing(publisher: Publisher) -> None:

@@ -10,7 +10,8 @@ import pytest
 import zmq
 from conftest import wait_until
 
-from sparseskin.messages import Message, PhiState, Taxels, decode
+from sparseskin.messages import MalformedError, Message, PhiState, Taxels, decode
+from sparseskin.messages.wire import Payload
 from sparseskin.nodes.network.sockets import Reader, Writer, make_context
 
 TAXELS, PHI = "/skin/taxels", "/skin/phi"
@@ -39,7 +40,7 @@ def phi() -> PhiState:
 
 
 def next_message(reader: Reader) -> Message:
-    found: list[tuple[bytes, bytes]] = []
+    found: list[tuple[bytes, Payload]] = []
 
     def came() -> bool:
         parts = reader.receive()
@@ -96,19 +97,25 @@ def test_a_topic_that_begins_like_another_is_not_taken_for_it(
     reader = Reader(context, "reader", [writer.endpoint], [TAXELS])
     wait_until(lambda: is_present(writer, "reader"), "the reader")
     writer.socket.send_multipart((b"/skin/taxels_raw", b"payload"))
-    writer.socket.send_multipart((b"/skin/taxels", b"one", b"two"))
+    for n_parts in (0, 2, 16):
+        writer.socket.send_multipart((b"/skin/taxels", *[b"part"] * n_parts))
     writer.send(taxels(3))
-    found: list[tuple[bytes, bytes]] = []
+    found: list[tuple[bytes, Payload]] = []
 
-    def took_two() -> bool:
+    def took_all() -> bool:
         parts = reader.receive()
         if parts is not None:
             found.append(parts)
-        return len(found) == 2
+        return len(found) == 4
 
-    wait_until(took_two, "two messages")
-    assert found[0] == (b"/skin/taxels", b"")
-    assert decode(*found[1]).seq == 3
+    wait_until(took_all, "four messages")
+    # Of no part, and of more than any message has, nothing is left but the topic.
+    assert found[0] == found[2] == (b"/skin/taxels", b"")
+    assert found[1] == (b"/skin/taxels", (b"part", b"part"))
+    for wrong in found[:3]:
+        with pytest.raises(MalformedError):
+            decode(*wrong)
+    assert decode(*found[3]).seq == 3
 
 
 def test_an_endpoint_in_use_is_refused(context: zmq.Context[Any], endpoint: str) -> None:

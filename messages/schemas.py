@@ -1,0 +1,28 @@
+"""All schemas of messages, and the class of one that was received."""
+
+from __future__ import annotations
+
+from .base import Message
+from .batches import BATCHES
+from .errors import UnknownSchemaError, VersionError
+from .frames import Measurements, Reconstruction, Resultant, Taxels, Truth
+from .state import Calibration, End, PhiState, SkinState, SolverState
+
+_CLASSES: tuple[type[Message], ...] = (
+    *(SkinState, Calibration, Truth, Taxels, PhiState, Measurements),
+    *(SolverState, Resultant, Reconstruction, End),
+    *BATCHES.values(),
+)
+SCHEMAS: dict[str, type[Message]] = {cls.schema: cls for cls in _CLASSES}
+"""Message classes by schema name."""
+
+
+def class_of(body: dict[object, object]) -> type[Message]:
+    """Class of a message, by the schema and version in its map, or MessageError."""
+    name, version = body.get("schema"), body.get("version")
+    if not isinstance(name, str) or name not in SCHEMAS:
+        raise UnknownSchemaError(f"schema {str(name)[:64]!r} (known: {', '.join(SCHEMAS)})")
+    cls = SCHEMAS[name]
+    if type(version) is not int or version != cls.version:
+        raise VersionError(f"{name}: version {str(version)[:20]}, this program reads {cls.version}")
+    return cls
