@@ -5,11 +5,16 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import select
 import socket
 import threading
+import time
 import tty
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+
+PATIENCE_S = 60.0
+"""When a send is given up, seconds: far beyond what any takes."""
 
 
 class Line:
@@ -24,26 +29,32 @@ class Line:
         """Plug the board in: a new device of the same name."""
         self._fd, host = pty.openpty()
         tty.setraw(host)
+        os.set_blocking(self._fd, False)
         self.device.symlink_to(os.ttyname(host))
         self._host = host
 
     def unplug(self) -> None:
         """Draw the cable."""
         self.device.unlink()
-        os.close(self._fd)
+        fd, self._fd = self._fd, -1
+        os.close(fd)
         os.close(self._host)
-        self._fd = -1
 
     def send(self, data: bytes) -> None:
-        """Send bytes; a line that is full waits for its reader."""
+        """Send bytes; a line that is full waits for its reader. OSError once it is unplugged."""
+        deadline = time.monotonic() + PATIENCE_S
         while data:
-            data = data[os.write(self._fd, data) :]
+            try:
+                data = data[os.write(self._fd, data) :]
+            except BlockingIOError:
+                assert time.monotonic() < deadline, "nobody reads the line"
+                select.select([], [self._fd], [], 0.05)
 
     def sending(self, pieces: Iterable[bytes]) -> threading.Thread:
         """Send from a thread."""
 
         def run() -> None:
-            with contextlib.suppress(OSError):  # the test has closed the line
+            with contextlib.suppress(OSError, ValueError):  # the test has closed the line
                 for piece in pieces:
                     self.send(piece)
 

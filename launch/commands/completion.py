@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import contextlib
 import functools
 import glob
 import os
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 # Imports of one kind of value stand where it is offered: a key is pressed, and a person waits.
 LAUNCH_FILES = Path(__file__).parent.parent
+PROFILES = LAUNCH_FILES.parent / "nodes" / "sensor" / "boards" / "profiles"
 FILES = ("FILE", "BAG", "NEW", "PATH", "OUT.json", "F.mcap", "G.mcap", "REC.mcap", "B.npz")
 FOLDERS = ("DIR", "D")
 """Metavars of arguments that are files, and folders."""
@@ -91,6 +93,8 @@ def _values(prefix: str, metavar: str, typed: argparse.Namespace) -> Words:
         case "NODE.KEY=VALUE":
             types = node_types(typed.name or "") if "name" in typed else REPROCESSED
             return _overrides(prefix, types)
+        case "SOURCE":
+            return sources(prefix)
         case "NAME|FILE.toml":
             bundled = sorted(path.stem for path in LAUNCH_FILES.glob("*.toml"))
             return _bare(bundled) | _paths(prefix, folders_only=False)
@@ -146,8 +150,49 @@ def _overrides(prefix: str, types: Mapping[str, str]) -> Words:
     key, equals, _ = rest.partition("=")
     if not equals:
         return {f"{name}.{e['key']}=": e["doc"] for e in entries}
+    if types[name] == "sensor" and key == "source":
+        return {f"{name}.source={word}": about for word, about in sources(rest[7:]).items()}
     values = (value for e in entries if e["key"] == key for value in offered_values(e))
     return _bare(f"{name}.{key}={value}" for value in values)
+
+
+def sources(prefix: str) -> Words:
+    """Sources that begin with what has been typed: kinds, then scenes, files, serial ports and CAN
+    interfaces, and after a "?" profiles and keys.
+    """
+    kind, colon, rest = prefix.partition(":")
+    boards = _source("sparseskin.nodes.sensor.boards.settings")
+    if not colon:
+        return _bare(f"{one}:" for one in ("scene", "file", *boards["KINDS"]))
+    address, query, _ = rest.partition("?")
+    if kind in boards["KINDS"] and query:
+        begun = prefix.rpartition("&")[0] + "&" if "&" in prefix else f"{kind}:{address}?"
+        found = {f"{begun}profile={path.stem}": "" for path in PROFILES.glob("*.toml")}
+        settings = _declared(*boards[f"{kind.capitalize()}Settings"])
+        keys = {f"{begun}{entry['key']}=": entry["doc"] for entry in settings}
+        return dict(sorted(found.items())) | keys
+    match kind:
+        case "scene":
+            scenes = _source("sparseskin.nodes.sensor.scenes.scenes")
+            return _bare(f"scene:{name}" for name in scenes["SCENES"])
+        case "file":
+            return {f"file:{path}": "" for path in _paths(rest, folders_only=False)}
+        case "serial":
+            names = _source("sparseskin.nodes.sensor.boards.serial_port")["DEVICES"]
+            paths = (path for one in names for path in sorted(glob.glob(f"/dev/{one}")))
+            return _bare(f"serial:{path}?" for path in paths)
+        case "can":
+            return _bare(f"can:{Path(path).parent.name}?" for path in _can_types())
+    return {}
+
+
+def _can_types() -> list[str]:
+    found = []
+    for path in sorted(glob.glob("/sys/class/net/*/type")):
+        with contextlib.suppress(OSError):
+            if Path(path).read_text().strip() == "280":  # ARPHRD_CAN
+                found.append(path)
+    return found
 
 
 def declared_settings(type_name: str) -> list[dict[str, Any]]:
@@ -230,6 +275,8 @@ class _Source(dict[str, Any]):
                 return "".join(self.value(part) for part in node.values)
             case ast.FormattedValue():
                 return self.value(node.value)
+            case ast.Call(ast.Name("tuple"), [words]):
+                return tuple(self.value(words))
             case ast.Call(ast.Attribute(between, "join"), [words]):
                 return self.value(between).join(self.value(words))
         raise ValueError(f"{ast.unparse(node)}: not read from the source")

@@ -26,6 +26,7 @@ TYPES: dict[str, Callable[[Any], bool]] = {
     "any": lambda value: True,
 }
 COMMANDS = {
+    "source-list": "sources",
     "graph-list": "graph list",
     "node-list": "node list",
     "node-info": "node info reconstructor",

@@ -16,6 +16,9 @@ from sparseskin.launch.commands.completion import candidates, declared_settings
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.registry import NODE_TYPES, node_class
 
+BEGUN = "sensor.source=udp:1?rows=2&"
+C = ("checksum", "checksum_from", "cols", "col_order")
+"""Keys of a board that begin with c."""
 CELLS = ["camera.n_rows=", "camera.n_cols="]
 OFFERED = ("key", "type", "doc", "choices", "known")
 SHELLS = ("bash", "zsh", "fish")
@@ -42,6 +45,8 @@ def no_graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("study stability --out ", ["a folder/"]),
         ("bag info my", ["my\\ skin.mcap"]),
         ("launch path_40 --set sensor.source=scene:x --fr", ["--frames"]),
+        ("scope sc", ["scene:"]),
+        ("scope udp:5005?profile=nu", ["numbered"]),
         ("launch path_40 --set=mon", ["monitor.page="]),
         ("launch path_40 --set reconstructor.preset=pa", ["paper"]),
         ("launch path_40 --set sensor.source=scene:x --set compressor.bl", ["compressor.block="]),
@@ -72,6 +77,11 @@ def overrides(launch: str | None, begun: str) -> list[str]:
         ("path_40", "compressor.b", ["compressor.bits=", "compressor.block="]),
         ("path_40", "reconstructor.preset=", [f"reconstructor.preset={p}" for p in PRESETS]),
         ("path_40", "reconstructor.uncertainty=t", ["reconstructor.uncertainty=true"]),
+        ("path_40", "sensor.source=s", ["sensor.source=scene:", "sensor.source=serial:"]),
+        ("path_40", "sensor.source=scene:p", ["sensor.source=scene:path_40"]),
+        ("path_40", "sensor.source=serial:d?bau", ["sensor.source=serial:d?baud="]),
+        ("path_40", f"{BEGUN}c", [f"{BEGUN}{key}=" for key in C]),
+        ("path_40", "sensor.source=can:d?id", ["sensor.source=can:d?ids="]),
         ("path_40", "nothing.", []),
         ("path_40", "sensor.nothing=", []),
         ("no_such_file", "", []),
