@@ -8,8 +8,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sparseskin.studies import looped
+from sparseskin.studies.evaluate import in_contact
 from sparseskin.studies.latency import study as latency
-from sparseskin.studies.latency.study import QUANTILES, STAGES, figures, measure, stages_ns
+from sparseskin.studies.latency.study import (
+    QUANTILES,
+    SCENES,
+    STAGES,
+    figures,
+    measure,
+    stages_ns,
+)
+from sparseskin.studies.scene_frames import scene_frames
 
 
 def test_the_stages_of_a_frame_add_up_to_its_age() -> None:
@@ -23,6 +33,15 @@ def test_the_stages_of_a_frame_add_up_to_its_age() -> None:
     # The host was free 800 ns after it, 400 after the measurements had been sent.
     assert second == [110, 20, 190, 80, 50, 400, 50, 600]
     assert [sum(first), sum(second)] == [1700, 1500]
+
+
+@pytest.mark.parametrize("scene", SCENES.values())
+def test_the_skin_is_touched_in_the_frames_that_are_timed(scene: str) -> None:
+    source = getattr(looped, scene)
+    _, first, n, _ = source.args
+    assert source.args[0] == scene
+    frames = scene_frames(scene, 0, first, first + n, n // 8)
+    assert all(in_contact(truth, 2.5) for truth, _ in frames)
 
 
 def test_frames_that_are_lost_on_the_way_are_left_out() -> None:
