@@ -29,7 +29,8 @@ class PatchFeed:
     """One patch: its newest maps, each with its time of arrival, and its history.
 
     While frames are reconstructed, `maps` and `resultant` are of one frame; otherwise `maps` are
-    the newest of each kind. Their names are those of the schemas. `newest_trusted` is that of the
+    the newest of each kind. Their names are those of the schemas. `idle` is true while the newest
+    frame was published as unchanged. `newest_trusted` is that of the
     newest reconstruction shown, `untrusted_s` the time of the last one not to be trusted.
     """
 
@@ -45,6 +46,7 @@ class PatchFeed:
     ended: bool = False
     newest_trusted: bool = True
     untrusted_s: float = -math.inf
+    idle: bool = False
 
     @property
     def stale_s(self) -> float:
@@ -107,6 +109,7 @@ class Feed:
             feed.maps = {each.schema: each.forces for each in maps if each is not None}
             feed.resultant = complete.resultant
             if complete.reconstruction is not None:
+                feed.idle = complete.reconstruction.unchanged
                 feed.note_trust(complete.reconstruction, now_s)
             feed.came_s.update(dict.fromkeys(feed.maps, now_s))
             feed.n_maps += 1

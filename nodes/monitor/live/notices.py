@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -25,6 +26,8 @@ TROUBLED = ("failed", "not answering", "restarting", "starting")
 
 Notice = tuple[str, str]
 """Tone, "bad" or "note", and text."""
+FEW = 4
+"""Most patches whose notices of one kind are shown one by one."""
 
 
 class Notices:
@@ -45,10 +48,8 @@ class Notices:
             found.append((BAD, f"No state of the nodes has arrived for {age}."))
         for node in (feed.graph or {}).get("nodes", []):
             found += self._of_node(node, now_s)
-        for name, patch in feed.patches.items():
-            prefix = f"{name}: " if len(feed.patches) > 1 else ""
-            found += [(tone, prefix + text) for tone, text in self._of_patch(name, patch, now_s)]
-        return found
+        by_patch = {name: [*self._of_patch(name, p, now_s)] for name, p in feed.patches.items()}
+        return found + _grouped(by_patch)
 
     def _of_node(self, node: dict[str, Any], now_s: float) -> Iterator[Notice]:
         name, condition = node["name"], node["condition"]
@@ -102,6 +103,26 @@ class Notices:
         while len(seen) > 1 and seen[1][0] <= now_s - RECENT_S:
             seen.popleft()
         return count - seen[0][1] if seen[-1][0] > now_s - RECENT_S else 0
+
+
+def _grouped(by_patch: Mapping[str, list[Notice]]) -> list[Notice]:
+    """Notices of all patches; those of more than `FEW` patches that differ in numbers alone are
+    one, with the text of the first patch.
+    """
+    if len(by_patch) == 1:
+        return next(iter(by_patch.values()))
+    kinds: dict[tuple[str, str], list[tuple[str, str]]] = {}
+    for name, notices in by_patch.items():
+        for tone, text in notices:
+            kinds.setdefault((tone, re.sub(r"[0-9.]+", "#", text)), []).append((name, text))
+    found = []
+    for (tone, _), those in kinds.items():
+        if len(those) > FEW:
+            name, text = those[0]
+            found.append((tone, f"{name} and {len(those) - 1} other patches: {text}"))
+        else:
+            found += [(tone, f"{name}: {text}") for name, text in those]
+    return found
 
 
 def ago(seconds: float) -> str:

@@ -24,6 +24,8 @@ from .notices import Notices, host_lines
 FRAME_S = 1 / 30
 """Pages are drawn 30 times a second."""
 OVERVIEW_S = 0.1
+FULL_RATE = 32
+"""Patches of an overview that is drawn 10 times a second; one of more is drawn less often."""
 STATE_S = 0.1
 SLACK_S = 0.005
 """A frame that is early by at most this time is sent, not delayed by another period."""
@@ -60,7 +62,8 @@ class StreamReader:
         self._feed = feed
         self._notices = notices
         self._patch = patch
-        self._period_s = FRAME_S if patch is not None else OVERVIEW_S
+        slower = max(1.0, len(feed.patches) / FULL_RATE)
+        self._period_s = FRAME_S if patch is not None else OVERVIEW_S * slower
         self._n_maps = dict.fromkeys(feed.patches, -1)
         self._shown = list(feed.patches) if patch is None else [patch]
         self._n_rows = 0
@@ -119,6 +122,10 @@ class StreamReader:
                 self._n_maps[name] = patch.n_maps
                 names = set(patch.maps) if self._patch else {Reconstruction.schema}
                 maps = {key: array for key, array in patch.maps.items() if key in names}
+                if self._patch is None and not self._is_new(
+                    f"map {name}", maps.get(Reconstruction.schema)
+                ):
+                    continue  # an idle patch
                 yield {"kind": "maps", "patch": name, **_resultant(patch)}, dict(maps)
         if self._patch is not None:
             first, rows = feed.patches[self._patch].history.since(self._n_rows)
@@ -154,6 +161,7 @@ class StreamReader:
             "lost": self._lost(patch),
             "ended": patch.ended,
             "trusted": patch.trusted(now_s),
+            "idle": patch.idle,
         }
         if self._is_new(f"summary {name}", patch.summary):
             state["summary"] = patch.summary

@@ -9,6 +9,7 @@ import { Strips } from "./strips.js";
 
 const STRIPS_MS = 250;
 const TEXT_MS = 100;
+const MANY = 9; // patches; of more, the overview shows small maps with few figures
 
 const model = {
   run: null, connection: "connecting", heard: 0, silent: 0, over: false, quiet: false,
@@ -219,6 +220,7 @@ function drawNotices() {
 
 function drawOverview() {
   const root = byId("overview"), names = Object.keys(model.state?.patches ?? {});
+  root.classList.toggle("many", names.length > MANY);
   if (root.children.length !== names.length) {
     root.replaceChildren(...names.map((name) => element("a",
       { class: "card", id: `card-${name}`, href: `#/${name}` },
@@ -229,15 +231,22 @@ function drawOverview() {
     const card = byId(`card-${name}`);
     const age = state.age_s.reconstruction;
     card.classList.toggle("stale", !state.ended && !(age <= state.stale_s));
-    setText(card.querySelector("p"), [
+    const now = state.ended ? "ended" : age === undefined ? "no frame yet"
+      : age > state.stale_s ? `stale for ${ago(age)}` : state.idle ? "idle" : "live";
+    const skipped = s.frames?.skipped ? [`${s.frames.skipped} skipped`] : [];
+    const lost = state.lost ? [`${state.lost} lost`] : [];
+    setText(card.querySelector("p"), names.length > MANY ? [
+      now, fixed(mean(s, "reconstruction"), 1, "dB"), ...skipped, ...lost,
+      ...(state.trusted ? [] : ["not trusted"]),
+    ].join(" · ") : [
       s.ratio ? `${s.ratio.toFixed(2)} : 1` : "–",
       `PSNR ${fixed(mean(s, "noisy"), 1)} → ${fixed(mean(s, "reconstruction"), 1, "dB")}`,
       `latency p50 ${fixed(s.latency_ms?.p50, 1)}, p99 ${fixed(s.latency_ms?.p99, 1, "ms")}`,
       `${state.lost} lost`,
       ...(trusted(s) ? [trusted(s)] : []),
+      ...skipped,
       ...(state.trusted ? [] : ["not trusted now"]),
-      state.ended ? "ended" : age === undefined ? "no frame yet"
-        : age > state.stale_s ? `stale for ${ago(age)}` : "live",
+      now,
     ].join(" · "));
   }
 }

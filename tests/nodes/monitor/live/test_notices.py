@@ -229,3 +229,14 @@ def test_measurements_that_are_left_out_are_reported_while_they_are(desk: Desk) 
     assert desk.look() == [(BAD, "reconstructor: too many measurements are inconsistent.")]
     desk.news(node_state("reconstructor", state={"left_out": "", "swamped": False}))
     assert desk.look() == []
+
+
+def test_notices_of_many_patches_that_differ_in_numbers_alone_are_one() -> None:
+    feed = Feed(tuple(f"p{k}" for k in range(6)))
+    texts = [text for _, text in Notices(feed).all(feed.pulse_s)]
+    assert texts == ["p0 and 5 other patches: no frame has arrived yet."]
+    few = Feed(("palm", "sole"))
+    assert [text for _, text in Notices(few).all(few.pulse_s)] == [
+        "palm: no frame has arrived yet.",
+        "sole: no frame has arrived yet.",
+    ]
