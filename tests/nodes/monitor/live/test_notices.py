@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from feeds import FakeTime, Graph, graph_state, node_state
 
-from sparseskin.nodes.monitor.live.feed import STALE_S
+from sparseskin.nodes.monitor.live.feed import STALE_S, Feed
 from sparseskin.nodes.monitor.live.notices import BAD, GRAPH_S, NOTE, RECENT_S, Notice, Notices, ago
 
 PAUSE = {"pause": "acquire no frame"}
