@@ -66,6 +66,11 @@ class SkinState(Message):
         """The skin itself."""
         return Skin(self.n_rows, self.n_cols, self.f_max, self.unit, self.pitch_m, self.mask)
 
+    @property
+    def clips_noise(self) -> bool:
+        """True if the range clips more than a fortieth of the noise of an untouched taxel."""
+        return self.f_min > -2 * self.sigma_end or not self.f_min
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration(Message):

@@ -178,7 +178,7 @@ class Compressor(Node[CompressorSettings]):
         rows, m = s.rows_and_m(n)
         phi = make_phi(s.phi, n=n, m=m, seed=s.seed, block=s.block)
         exists = state.skin.exists
-        layout(phi, exists, state.sigma_end, state.f_max)
+        layout(phi, exists, state.sigma_end, state.f_max, state.clips_noise)
         subsets = row_subsets(phi, rows)
         self._warn(phi)
         self._state, self._subsets, self._subset, self._rows = state, subsets, 0, rows

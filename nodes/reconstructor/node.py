@@ -369,7 +369,7 @@ def phis_to_invert(
     if stated is not None:
         rows, m = stated
         phi = make_phi(s.phi, n=n, m=m, seed=s.phi_seed, block=s.phi_block)
-        layout(phi, exists, state.sigma_end, state.f_max)
+        layout(phi, exists, state.sigma_end, state.f_max, state.clips_noise)
         return row_subsets(phi, rows)
     # Nothing named over the wire is ever imported: a Phi of the user's own has to be stated.
     if announced.kind not in KINDS:
@@ -383,7 +383,7 @@ def phis_to_invert(
         phi = make_phi(
             announced.kind, n=n, m=announced.m, seed=announced.seed, block=announced.block
         )
-        layout(phi, exists, state.sigma_end, state.f_max)
+        layout(phi, exists, state.sigma_end, state.f_max, state.clips_noise)
         subsets = row_subsets(phi, announced.rows)
     except PhiError as error:
         raise RefusedError(f"{announced.topic}: {error}") from error

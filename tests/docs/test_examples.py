@@ -11,10 +11,11 @@ import pytest
 EXAMPLES = Path(__file__).parents[2] / "examples"
 #: Drivers of hardware: test_drivers.py runs them against simulated skins.
 DRIVERS = {"serial_skin", "udp_skin"}
-WITH_PICTURE = {"first_contact", "your_own_skin", "choosing_m"}
+WITH_PICTURE = {"first_contact", "your_own_skin", "choosing_m", "calibrate"}
 ARGUMENTS = {"board_emulator": ["--frames", "3"]}
 #: A word of what an example prints last, so that one that prints nothing is noticed.
 LAST_LINE = {
+    "calibrate": "drift followed",
     "board_emulator": "3 frames sent, 0 not",
     "choosing_m": "contact frames",
     "compress_and_reconstruct": "533 measurements",

@@ -117,11 +117,14 @@ class AdaptivePhi(Phi):
         self.rows: Indices = np.arange(self.m)
         self.chosen: Mask = np.zeros(self.tree.n_nodes, dtype=np.bool_)
 
-    def state_noise(self, sigma_end: float, f_max: float) -> None:
-        """State the standard deviation of an untouched taxel's noise, 0 if not known, and f_max."""
-        self.bias = CLIP_MEAN * sigma_end
-        self.variance = (CLIP_SD * sigma_end) ** 2
-        noise = UNTOUCHED_SIGMAS * CLIP_SD * sigma_end
+    def state_noise(self, sigma_end: float, f_max: float, clipped: bool = True) -> None:
+        """State the standard deviation of an untouched taxel's noise, 0 if not known, f_max, and
+        whether that noise is clipped at 0.
+        """
+        self.bias = CLIP_MEAN * sigma_end if clipped else 0.0
+        sd = CLIP_SD * sigma_end if clipped else sigma_end
+        self.variance = sd**2
+        noise = UNTOUCHED_SIGMAS * sd
         self.untouched = max(noise, UNTOUCHED_FRACTION * f_max)
 
     def choose(self, chosen: Mask) -> None:
@@ -361,8 +364,14 @@ def follow_nodes(phi: Phi, code: npt.NDArray[np.uint8] | None) -> None:
         raise PhiError(f'{phi.kind}: measurements with nodes; allowed: phi "adaptive" alone')
 
 
-def layout(phi: Any, exists: Mask, sigma_end: float = 0.0, f_max: float = PAPER_F_MAX_N) -> None:
+def layout(
+    phi: Any,
+    exists: Mask,
+    sigma_end: float = 0.0,
+    f_max: float = PAPER_F_MAX_N,
+    clipped: bool = True,
+) -> None:
     """Lay out an `AdaptivePhi` on a grid, and state its noise; other kinds are left unchanged."""
     if isinstance(phi, AdaptivePhi):
         phi.lay_out(exists)
-        phi.state_noise(sigma_end, f_max)
+        phi.state_noise(sigma_end, f_max, clipped)

@@ -1,17 +1,17 @@
 """Slow drift of the baseline, followed only where a skin is untouched.
 
 The drift w of a taxel, in newtons, is subtracted from its force. While the taxel is untouched, w
-follows the force f that is left, with the time constant tau and at most the rate r:
+follows the smoothed force f that is left, with the time constant tau and at most the rate r:
 
     dw/dt = clip(f / tau, -r, r),    |w| <= w_max,
 
 so that a constant press of any force loses at most r t in the time t, and none above the threshold
-at which a taxel counts as touched. Where r limits, w follows the median of the force, which single
-outliers do not move.
+at which a taxel counts as touched.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,8 +35,11 @@ class DriftTuning:
     most : float
         Largest drift that is followed, in parts of f_max.
     sigmas : float
-        Standard deviations of the noise above which a taxel is touched: at 100 Hz, noise alone
-        reaches it once in five minutes. At least `CONTACT_FRACTION` of f_max.
+        Threshold of a touch, in standard deviations of the noise; at least `CONTACT_FRACTION` of
+        f_max. A taxel is touched where its smoothed force is above it, or one frame above twice
+        of it: noise is not, with a drift of half the threshold either.
+    smooth_s : float
+        Time constant of the smoothed force, seconds.
     hold_s : float
         Time after a touch for which the drift of the taxel and of its eight neighbours is held,
         seconds: a reading creeps back after a press.
@@ -49,6 +52,7 @@ class DriftTuning:
     tau_s: float = 10.0
     most: float = 0.1
     sigmas: float = 4.0
+    smooth_s: float = 0.5
     hold_s: float = 5.0
     period_s: float = 0.05
     gap_s: float = 0.5
@@ -88,11 +92,13 @@ class Drift:
         self.threshold = max(tuning.sigmas * noise, CONTACT_FRACTION * f_max)
         self.value: Doubles = np.zeros(shape)
         self._touched_ns: Doubles = np.full(shape, -np.inf)
+        self._smooth: Doubles | None = None
         self._last_ns: int | None = None
 
     def reset(self) -> None:
         """Forget the drift, as after a tare."""
         self.value[:] = 0.0
+        self._smooth = None
         self._touched_ns[:] = -np.inf
 
     def update(self, forces: Doubles, stamp_ns: int) -> None:
@@ -113,12 +119,15 @@ class Drift:
         if 0 < dt_s < self._t.period_s:
             return
         self._last_ns = stamp_ns
-        touched = forces > self.threshold
+        if self._smooth is None:
+            self._smooth = forces.copy()
+        self._smooth += (1 - math.exp(-dt_s / self._t.smooth_s)) * (forces - self._smooth)
+        touched = (self._smooth > self.threshold) | (forces > 2 * self.threshold)
         if touched.any():
             self._touched_ns[spread(touched)] = stamp_ns
         dt_s = min(dt_s, self._t.gap_s)
         most = self.rate * self._f_max * dt_s
-        step = np.clip(forces * (dt_s / self._t.tau_s), -most, most)
+        step = np.clip(self._smooth * (dt_s / self._t.tau_s), -most, most)
         step[stamp_ns - self._touched_ns < self._t.hold_s * 1e9] = 0.0
         self.value += step
         np.clip(self.value, -self._most, self._most, out=self.value)
