@@ -1,5 +1,8 @@
 """A skin on a serial line: each frame is AA 55, then 12 x 32 bytes row by row, then their sum
-modulo 256. It needs the standard library alone; with pyserial (`pip install pyserial`),
+modulo 256. As a pattern for other lines: this one needs no code, but the source
+serial:/dev/ttyUSB0?rows=12&cols=32&start=AA55&checksum=sum8&baud=2000000.
+
+It needs the standard library alone; with pyserial (`pip install pyserial`),
 `serial.Serial(DEVICE, 2000000, timeout=2)` and its `read` replace `opened` and `read`.
 
     SKIN_DEVICE=/dev/ttyUSB0 sparseskin launch replay --set sensor.source=serial_skin:frames

@@ -1,6 +1,9 @@
 """A skin that sends each frame as one UDP packet: 40 x 40 unsigned 16-bit integers.
 
 sparseskin launch replay --set sensor.source=udp_skin:frames
+
+As a pattern for other packets: these need no code, but the source
+udp:5005?rows=40&cols=40&dtype=uint16.
 """
 
 import os

@@ -239,4 +239,4 @@ def _picture(view: View, now_s: float, size: os.terminal_size) -> str:
         coloured = "NO_COLOR" not in os.environ
         lines += heat_map(view.forces, view.top, size.columns - 1, room, coloured)
     # Each line is written over the one before it, and the rest of the screen is cleared.
-    return "\x1b[H" + "".join(f"{line}\x1b[K\r\n" for line in lines) + "\x1b[J"
+    return "\x1b[H" + "".join(f"{line}\x1b[K\n" for line in lines) + "\x1b[J"
