@@ -22,7 +22,7 @@ VERSIONS = {
     "topic-bw": 1,
     "topic-delay": 1,
     "bag-info": 1,
-    "tare": 1,
+    "tare-result": 1,
 }
 """Version of each format: 1 more where a field goes or changes its meaning; new ones may come."""
 

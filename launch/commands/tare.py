@@ -41,7 +41,7 @@ def _tare(arguments: argparse.Namespace) -> int:
             raise GraphError(f"{name}: {answer.text.removeprefix(f'{name}: ')}")
     results = {name: _wait(graph, name) for name in names}
     lines = [f"{name}: {text}" for name, text in results.items()]
-    return show(arguments, "tare", {"graph": graph.label, "tared": results}, lines)
+    return show(arguments, "tare-result", {"graph": graph.label, "tared": results}, lines)
 
 
 def _calibrated(graph: RunningGraph) -> list[str]:

@@ -21,6 +21,7 @@ LAST_LINE = {
     "compress_and_reconstruct": "533 measurements",
     "first_contact": "preset skin",
     "missing_taxels": "of 576 cells",
+    "noise_around_zero": "kept, f_min = -0.056 N, reconstruction",
     "noisy_scene": "skin",
     "mujoco_skin": "times real time",
     "own_basis": "BlockCosine",

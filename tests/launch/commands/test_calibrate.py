@@ -155,7 +155,7 @@ def test_a_live_source_is_calibrated_and_tared_while_its_graph_runs(
     code, out, err = start("tare", "--frames", "50", "--json").finish()
     assert (code, err) == (0, "")
     document = json.loads(out)
-    assert document["format"] == "sparseskin/tare/1"
+    assert document["format"] == "sparseskin/tare-result/1"
     assert document["tared"]["sensor"].startswith("forces changed by at most ")
     code, _, err = start("tare", "compressor").finish()
     assert (code, err) == (2, "compressor: has no command 'tare' (known: set)\n")

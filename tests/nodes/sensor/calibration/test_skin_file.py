@@ -299,3 +299,14 @@ def test_each_taxel_has_its_own_curve() -> None:
 def test_a_curve_beyond_all_numbers_is_refused() -> None:
     with pytest.raises(SkinFileError, match="at most"):
         Response(np.array([1.0]), np.array([10 * MAX_NUMBER]))
+
+
+def test_the_file_of_the_documentation_is_read(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[4] / "docs" / "calibration.md").read_text(encoding="utf-8")
+    text = page.partition("```text\n")[2].partition("```")[0]
+    row = f'    "{"1" * 32}",\n'
+    text = text.replace("    # ... 16 of them\n", 15 * row)
+    text = "".join(line for line in text.splitlines(True) if not line.startswith("arrays"))
+    skin = load_skin(write(tmp_path, text))
+    assert skin.shape == (16, 32)
+    assert skin.response is not None
