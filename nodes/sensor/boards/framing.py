@@ -88,6 +88,9 @@ class Framing:
         First part that the checksum covers; the payload is the last.
     byte_order : "little" or "big"
         Order of the bytes of sequence number and checksum.
+    confirm : bool
+        False to accept a frame with a weak checksum or none at its last byte, one frame earlier;
+        one that lost bytes may then be accepted with bytes of the next in their place.
     """
 
     payload_bytes: int
@@ -98,6 +101,7 @@ class Framing:
     checksum: str = "none"
     checksum_from: Literal["start", "sequence", "payload"] = "sequence"
     byte_order: Literal["little", "big"] = "little"
+    confirm: bool = True
 
     @property
     def n_bytes(self) -> int:
@@ -234,7 +238,7 @@ class FrameParser:
         """Accept or refuse the frame at the begin; False if more bytes must come first."""
         framing, buffer = self.framing, self._buffer
         n, n_start = framing.n_bytes, len(framing.start)
-        confirmed = framing.is_strong
+        confirmed = framing.is_strong or not framing.confirm
         if len(buffer) < (n if confirmed else n + n_start):
             return False
         raw = bytes(buffer[:n])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections import Counter
+from collections.abc import Callable
 from itertools import pairwise
 from types import ModuleType
 from typing import Protocol
@@ -62,8 +63,12 @@ def needed_module(name: str, package: str, extra: str) -> ModuleType:
         ) from error
 
 
-def hint_of_stream(framing: Framing, recent: bytes) -> str:
-    """What bytes of a stream show, in which no frame was found: other start bytes, or length."""
+def hint_of_stream(
+    framing: Framing, recent: bytes, fitting: Callable[[int], str] = lambda n_bytes: ""
+) -> str:
+    """What bytes of a stream show, in which no frame was found: other start bytes, or length.
+    `fitting` returns the profile of frames of a length, "" for none.
+    """
     start = framing.start.hex(" ").upper()
     places, at = [], recent.find(framing.start)
     while at >= 0:
@@ -75,4 +80,7 @@ def hint_of_stream(framing: Framing, recent: bytes) -> str:
     if times < 2 or distance == framing.n_bytes:
         return ""
     extra = framing.n_bytes - framing.payload_bytes
-    return f"; from {start} to {start} it is {distance} bytes, {distance - extra} of readings"
+    profile = fitting(distance)
+    return f"; from {start} to {start} it is {distance} bytes, {distance - extra} of readings" + (
+        f", as of profile={profile}" if profile else ""
+    )

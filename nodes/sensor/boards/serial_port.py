@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import os
 import select
 import stat
@@ -18,7 +19,7 @@ from sparseskin.nodes.lookup import did_you_mean
 
 from .framing import Counts, FrameParser, Framing
 from .ports import MAX_READS, READ_BYTES, Arrived, hint_of_stream, needed_module
-from .settings import SerialSettings
+from .settings import SerialSettings, fitting_profile
 
 TIOCGICOUNT = 0x545D
 """Linux: counters of a serial port. Source: asm-generic/ioctls.h; struct serial_icounter_struct."""
@@ -93,7 +94,9 @@ class SerialPort:
         return {"port_errors": self._overruns}
 
     def hint(self) -> str:
-        return hint_of_stream(self.parser.framing, b"".join(self._recent))
+        framing = self.parser.framing
+        fitting = functools.partial(fitting_profile, framing.start)
+        return hint_of_stream(framing, b"".join(self._recent), fitting)
 
 
 def check_serial(device: str) -> None:

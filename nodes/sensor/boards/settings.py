@@ -6,6 +6,7 @@ TOML file of the same keys; the name of the source goes before the profile.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import ipaddress
 import re
@@ -45,6 +46,11 @@ class BoardSettings(Settings):
         "sequence",
         "what the checksum begins with; it covers all from there to the last reading",
         choices=("start", "sequence", "payload"),
+    )
+    confirm: bool = setting(
+        True,
+        "without a CRC: wait for the start of the next frame; false: one frame earlier, but one "
+        "that lost bytes may get through",
     )
     end: str = setting("", "bytes with which each frame ends, in hexadecimal digits: 0D0A")
     dtype: str = setting("uint8", "type of a reading", choices=DTYPES)
@@ -127,6 +133,7 @@ class BoardSettings(Settings):
             checksum=self.checksum,
             checksum_from=typing.cast(Any, self.checksum_from),
             byte_order="big" if self.byte_order == "big" else "little",
+            confirm=self.confirm,
         )
 
     def check_port(self) -> None:
@@ -293,6 +300,19 @@ def read_toml(path: Path) -> dict[str, Any]:
 def profile_names() -> list[str]:
     """Names of the profiles that come with the package."""
     return sorted(path.stem for path in PROFILES.glob("*.toml"))
+
+
+def fitting_profile(start: bytes, n_bytes: int) -> str:
+    """The profile of the package whose frames have these start bytes and this length; "" if none
+    has.
+    """
+    for name in profile_names():
+        with contextlib.suppress(SparseskinError):  # one without rows and columns
+            settings = read_settings("serial", {"profile": name})
+            framing = settings.framing(settings.layout())
+            if (framing.start, framing.n_bytes) == (start, n_bytes):
+                return name
+    return ""
 
 
 def _value(key: str, text: str, hint: Any) -> Any:

@@ -150,6 +150,16 @@ class TestWithoutErrors:
         assert [frame.payload for frame in frames] == payloads[:found]
         assert parser.n_waiting == (len(payloads) - found) * PLAIN.n_bytes
 
+    def test_without_confirmation_a_frame_is_accepted_at_its_last_byte(self) -> None:
+        framing = Framing(12, start=MARK, confirm=False)
+        sent = [framing.encode(bytes([k] * 12)) for k in range(6)]
+        frames, parser = parsed(framing, sent[:3])
+        assert [frame.payload[0] for frame in frames] == [0, 1, 2]
+        # A frame that lost a byte takes one of the next along; those after it are right again.
+        frames = parser.feed(b"".join([sent[3][:-1], *sent[0:5]]))
+        assert [frame.payload[0] for frame in frames] == [3, 1, 2, 3, 4]
+        assert frames[0].payload[-1] == MARK[0]
+
     def test_a_static_pattern_that_looks_like_start_bytes_is_not_believed(self) -> None:
         # Two places fit equally: none is taken until the readings change.
         held = b"\x01\x02\x03" + MARK + b"\x04" * 7
