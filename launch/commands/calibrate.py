@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 import time
 from collections.abc import Callable
@@ -98,8 +99,9 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     print("\n".join(report(found)))
     for path in save_skin(out, found.skin):
         print(f"{path}: written")
-    print(f"use it: sparseskin launch replay --set sensor.source={arguments.source} ", end="")
-    print(f"--set sensor.skin={out}")
+    settings = (f"sensor.source={arguments.source}", f"sensor.skin={out}")
+    words = " ".join(f"--set {shlex.quote(one)}" for one in settings)
+    print(f"use it: sparseskin launch replay {words}")
     return 0
 
 

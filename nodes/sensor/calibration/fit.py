@@ -27,6 +27,8 @@ TOUCHED = 4.0
 """Standard deviations of a mean above which a taxel is pressed; chosen."""
 NOISY = 8.0
 """Noise of a taxel in that of the median taxel above which it is faulty; chosen."""
+TOUCHED_SHARE = 0.01
+"""Share of noisy taxels above which the skin was rather touched; chosen."""
 DEAD = 0.1
 """Response to an even load in that of the median taxel below which a taxel is dead; chosen."""
 HEADROOM = 1.25
@@ -108,9 +110,12 @@ def fit(
     typical = float(np.median(noise[exists & ~stuck])) if (exists & ~stuck).any() else 0.0
     noisy = exists & (noise > NOISY * typical) & (typical > 0)
     works = exists & ~stuck & ~noisy
+    remarks: list[str] = []
+    if noisy.sum() > TOUCHED_SHARE * exists.sum():
+        n = int(noisy.sum())
+        remarks.append(f"{n} taxels are noisy: was the skin touched where it should not be?")
     rises = [steady(press.frames)[0] - baseline for press in presses]
     dead = np.zeros(shape, np.bool_)
-    remarks: list[str] = []
     gains: Doubles | None = None
     response: Response | None = None
     even = [k for k, press in enumerate(presses) if press.area is not None]
