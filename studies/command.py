@@ -87,6 +87,9 @@ STUDIES = {
     "gpu": Study(
         "the default solver for 1 to 1024 patches at once, on a GPU; without one, nothing is run"
     ),
+    "scale": Study(
+        "a body of 1 to 244 patches: time, memory, idle patches, and the rate that is held live"
+    ),
     "soak": Study("a long run: memory, open files, lost frames", options=("minutes",)),
     "fuzz": Study("hostile messages on the sockets of nodes that run, and mutated launch files"),
     "faults": Study("a graph under faults: frames lost, and time to recover"),

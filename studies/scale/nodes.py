@@ -1,0 +1,94 @@
+"""Time and memory of the nodes of a batch, wire form included, without sockets."""
+
+from __future__ import annotations
+
+import gc
+import os
+import time
+from typing import Any
+
+import numpy as np
+
+from sparseskin.messages import Message, decode, encode
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.node import Context, Tick
+from sparseskin.nodes.process.proc import own_bytes
+from sparseskin.nodes.registry import make_settings, node_class
+
+STATIONS = ("edge", "host")
+HELD = 24
+"""Frames that are kept and played again and again, 1 ms apart; chosen."""
+
+
+def time_batch(point: dict[str, Any]) -> dict[str, Any]:
+    """Processor time of edge and host for one frame of all patches of a lying body, at 1 kHz.
+
+    Parameters
+    ----------
+    point : dict
+        patches, side: number of patches, and taxels along a side of each; idle: part of them that
+        nothing presses; skip_idle: True if idle patches are not solved; n_frames, seed: frames that
+        are timed, and the seed of the noise.
+
+    Returns
+    -------
+    dict of str to float
+        edge_us, host_us: median processor time of a frame and patch, microseconds: decoding,
+        the node's step, encoding; bytes: of the measurements of a frame of all patches; memory_mb:
+        memory of the reconstructor node for one patch, MB; unchanged: part of the frames not
+        solved.
+    """
+    patches, side, n_frames = (point[key] for key in ("patches", "side", "n_frames"))
+    names = [f"p{k}" for k in range(patches)]
+    common = {"patch": "body", "patches": names}
+    source = {
+        "source": "scene:lying",
+        "active": 1.0 - point["idle"],
+        "seed": point["seed"],
+        "rate_hz": 100.0,
+    }
+    sensor = _made("sensor_batch", {**common, **source, "n_rows": side, "n_cols": side})
+    edge = _made("compressor_batch", common)
+    (skin,) = sensor.start()
+    (phi,) = edge.step(skin)
+    # The next frame is 1 s later, when the bodies have landed and still move; then each 1 ms.
+    list(sensor.acquire(Tick(0, 0)))
+    list(sensor.change(sensor.settings.changed({"rate_hz": 1000.0})))
+    frames = [next(iter(sensor.acquire(Tick(10_000_000 * (k + 1), k)))) for k in range(HELD)]
+    gc.collect()
+    before = own_bytes(os.getpid())
+    host = _made("reconstructor_batch", {**common, "skip_idle": point["skip_idle"]})
+    list(host.step(skin))
+    list(host.step(phi))
+    spent: dict[str, list[float]] = {station: [] for station in STATIONS}
+    n_unchanged = n_bytes = 0
+    # Rows rotate over three subsets, HELD is a multiple of them; idle patches are found meanwhile.
+    for k in range(HELD + n_frames):
+        sent = encode(frames[k % HELD])
+        (measured,) = _timed(edge, sent, spent["edge"])
+        (found,) = _timed(host, measured, spent["host"])
+        if k >= HELD:
+            n_bytes = len(measured[1])
+            n_unchanged += int(np.count_nonzero(decode(*found).unchanged))  # type: ignore[attr-defined]
+    memory = own_bytes(os.getpid()) - before
+    us = {f"{key}_us": 1e6 * float(np.median(t[HELD:])) / patches for key, t in spent.items()}
+    return {
+        **us,
+        "bytes": float(n_bytes),
+        "memory_mb": memory / patches / 1e6,
+        "unchanged": n_unchanged / patches / n_frames,
+    }
+
+
+def _made(type_name: str, values: dict[str, Any]) -> Any:
+    cls = node_class(type_name)
+    return cls(make_settings(cls, values), Context(type_name, ManualClock(1)))
+
+
+def _timed(node: Any, parts: tuple[bytes, bytes], spent: list[float]) -> list[tuple[bytes, bytes]]:
+    """Let a node process a message in its wire form; note the processor time."""
+    begin_s = time.process_time()
+    message: Message = decode(*parts)
+    sent = [encode(each) for each in node.step(message)]
+    spent.append(time.process_time() - begin_s)
+    return sent
