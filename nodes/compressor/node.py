@@ -16,7 +16,13 @@ from sparseskin.nodes.compressor.phi.acts import (
     packed_places,
 )
 from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
-from sparseskin.nodes.compressor.phi.base import KINDS, Phi, check_parameters, make_phi
+from sparseskin.nodes.compressor.phi.base import (
+    KINDS,
+    Phi,
+    check_parameters,
+    make_phi,
+    phi_class,
+)
 from sparseskin.nodes.compressor.phi.rotation import (
     RATIO,
     ROTATING,
@@ -27,7 +33,6 @@ from sparseskin.nodes.compressor.phi.rotation import (
     rows_and_m,
 )
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
-from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
@@ -43,7 +48,9 @@ class CompressorSettings(PatchSettings):
         "sbhe",
         "measurement matrix: sbhe, full, subsample, gaussian, acts (taxels chosen anew in each "
         "frame, for the solver interpolation), adaptive (rows where forces changed, chosen anew in "
-        "each frame, for the solver skin) or module:Class",
+        "each frame, for the solver skin), row_local (columns of a row summed), local:SIDE "
+        "(sbhe within neighbourhoods of SIDE x SIDE taxels), file:PHI.npz (a sparse matrix) or "
+        "module:Class",
         known=KINDS,
         decides=True,
     )
@@ -75,7 +82,7 @@ class CompressorSettings(PatchSettings):
         if self.block & (self.block - 1):
             raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
         with naming("phi"):
-            made_by = find_class("phi", self.phi, KINDS, PhiError)
+            made_by = phi_class(self.phi)
         if self.rows == ROTATING and isinstance(made_by, type):
             check_rotates(made_by, self.phi)
 
@@ -133,7 +140,7 @@ class Compressor(Node[CompressorSettings]):
         if n is None:
             return
         rows, m = s.rows_and_m(n)
-        made_by = find_class("phi", s.phi, KINDS, PhiError)
+        made_by = phi_class(s.phi)
         with naming("ratio" if s.m is None else "m"):
             check_parameters(n, m, s.seed, s.block)
             if isinstance(made_by, type) and issubclass(made_by, Phi):

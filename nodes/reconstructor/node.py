@@ -23,7 +23,7 @@ from sparseskin.messages import (
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.acts import follow
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, layout
-from sparseskin.nodes.compressor.phi.base import KINDS, Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import Phi, is_built_in, make_phi
 from sparseskin.nodes.compressor.phi.rotation import can_rotate, row_subsets
 from sparseskin.nodes.errors import (
     PhiError,
@@ -372,7 +372,7 @@ def phis_to_invert(
         layout(phi, exists, state.sigma_end, state.f_max, state.clips_noise)
         return row_subsets(phi, rows)
     # Nothing named over the wire is ever imported: a Phi of the user's own has to be stated.
-    if announced.kind not in KINDS:
+    if not is_built_in(announced.kind):
         raise RefusedError(
             f"{announced.topic}: phi '{announced.kind}' is not built in; "
             "state it as the reconstructor's phi"

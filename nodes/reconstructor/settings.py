@@ -9,9 +9,9 @@ from typing import Any
 
 from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
-from sparseskin.nodes.compressor.phi.base import KINDS, make_phi
+from sparseskin.nodes.compressor.phi.base import is_built_in, make_phi, phi_class
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROWS, rows_and_m
-from sparseskin.nodes.errors import PhiError, SettingsError, SolverError
+from sparseskin.nodes.errors import SettingsError, SolverError
 from sparseskin.nodes.lookup import did_you_mean, find_class, nearest_of
 from sparseskin.nodes.numerics.compiled import FAST, check_fast
 from sparseskin.nodes.reconstructor.bases.base import BASES, find_basis, make_basis
@@ -131,7 +131,7 @@ class ReconstructorSettings(PatchSettings):
         check_fast(self.fast)
         if self.phi != ANNOUNCED:
             with naming("phi"):
-                find_class("phi", self.phi, KINDS, PhiError)
+                phi_class(self.phi)
         if self.preset not in PRESETS:
             raise SettingsError(
                 f"preset: '{self.preset}' is not known{did_you_mean(self.preset, PRESETS)}; "
@@ -186,7 +186,7 @@ class ReconstructorSettings(PatchSettings):
         """
         if self.phi != ANNOUNCED:
             kind = self.phi
-        elif kind not in KINDS:
+        elif not is_built_in(kind):
             raise SettingsError(
                 f"phi: the compressor's '{kind}' is not built in, and is not imported because a "
                 f"message names it; state phi = '{kind}' here too, its M as phi_m (default: "
@@ -194,7 +194,7 @@ class ReconstructorSettings(PatchSettings):
             )
         chosen = self.chosen()["solver"]
         solver = find_class("solver", chosen, SOLVERS, SolverError)
-        phi = find_class("phi", kind, KINDS, PhiError)
+        phi = phi_class(kind)
         if isinstance(phi, type):
             with naming("solver"):
                 check_reads(chosen, solver, kind, phi)

@@ -58,7 +58,7 @@ QUICK_ITERATIONS = (5, 20)
 RATIOS = (2, 3, 4, 8, 16)
 QUICK_RATIOS = (3, 8)
 #: Every Phi but the one that no solver of sums inverts.
-SUM_KINDS = tuple(kind for kind in KINDS if kind not in ("acts", "adaptive"))
+SUM_KINDS = tuple(kind for kind in KINDS if kind not in ("acts", "adaptive", "row_local"))
 #: With every basis and every Phi.
 PARTS_RATIOS = (3, 4, 8)
 #: Keys of a point that neither name a solver or basis nor set one.

@@ -18,7 +18,9 @@ from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask
 
 from .base import Phi, fingerprint_of
+from .local import LocalSbhePhi
 from .quadtree import N_DETAILS, Quadtree
+from .row_local import RowLocalPhi
 
 CLIP_MEAN, CLIP_SD = 0.399, 0.584
 """Mean and standard deviation of an untouched taxel's noise clipped at 0, in standard deviations of
@@ -371,7 +373,8 @@ def layout(
     f_max: float = PAPER_F_MAX_N,
     clipped: bool = True,
 ) -> None:
-    """Lay out an `AdaptivePhi` on a grid, and state its noise; other kinds are left unchanged."""
-    if isinstance(phi, AdaptivePhi):
+    """Lay out a matrix on a grid, and state its noise, where its kind depends on them."""
+    if isinstance(phi, AdaptivePhi | LocalSbhePhi | RowLocalPhi):
         phi.lay_out(exists)
+    if isinstance(phi, AdaptivePhi):
         phi.state_noise(sigma_end, f_max, clipped)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.lookup import find_class
+from sparseskin.nodes.lookup import find_callable, find_class
 from sparseskin.nodes.numerics.arrays import Floats
 
 KINDS = {
@@ -21,6 +22,13 @@ KINDS = {
     "gaussian": "sparseskin.nodes.compressor.phi.gaussian:GaussianPhi",
     "acts": "sparseskin.nodes.compressor.phi.acts:ActsPhi",
     "adaptive": "sparseskin.nodes.compressor.phi.adaptive:AdaptivePhi",
+    "row_local": "sparseskin.nodes.compressor.phi.row_local:RowLocalPhi",
+}
+LOCAL, STORED = "local:", "file:"
+"""Prefixes of kinds with a parameter: the side of a neighbourhood, and a path."""
+_WITH_PARAMETER = {
+    LOCAL: "sparseskin.nodes.compressor.phi.local:local_class",
+    STORED: "sparseskin.nodes.compressor.phi.stored:stored_class",
 }
 _INTERFACE = (
     *("kind", "n", "m", "ratio", "lipschitz", "fingerprint"),
@@ -151,6 +159,26 @@ class Phi(ABC):
         return out
 
 
+def phi_class(kind: str) -> Callable[..., Any]:
+    """Return the class of a kind, as `make_phi` takes it.
+
+    Raises
+    ------
+    PhiError
+        If there is none.
+    """
+    prefix, colon, parameter = kind.partition(":")
+    if colon and (home := _WITH_PARAMETER.get(f"{prefix}:")):
+        made: Callable[..., Any] = find_callable(home, PhiError)(parameter)
+        return made
+    return find_class("phi", kind, KINDS, PhiError)
+
+
+def is_built_in(kind: str) -> bool:
+    """True for a kind that a message may name: one that opens no file and imports no module."""
+    return kind in KINDS or kind.startswith(LOCAL)
+
+
 def check_parameters(n: int, m: int, seed: int, block: int) -> None:
     """Raise PhiError, naming the parameter, its value and what is allowed."""
     for name, value in (("n", n), ("m", m), ("seed", seed), ("block", block)):
@@ -188,8 +216,10 @@ def make_phi(kind: str, n: int, m: int, seed: int, block: int = 32) -> Phi:
     kind : str
         "sbhe" (scrambled block Hadamard, the paper's), "full" (every taxel), "subsample"
         (single taxels), "gaussian" (dense), "acts" (single taxels, chosen anew in each frame),
-        "adaptive" (rows of a quad tree, chosen anew in each frame), or "module:Class" for your own,
-        with the constructor and the interface of `Phi`.
+        "adaptive" (rows of a quad tree, chosen anew in each frame), "row_local" (columns of a row
+        summed), "local:SIDE" (sbhe within neighbourhoods of SIDE x SIDE taxels), "file:PHI.npz" (a
+        sparse matrix), or "module:Class" for your own, with the constructor and the interface of
+        `Phi`.
     n, m, seed, block : int
         As in `Phi`.
 
@@ -198,7 +228,7 @@ def make_phi(kind: str, n: int, m: int, seed: int, block: int = 32) -> Phi:
     PhiError
         If the kind is unknown, a parameter is not allowed, or a class of your own is not a Phi.
     """
-    cls = find_class("phi", kind, KINDS, PhiError)
+    cls = phi_class(kind)
     check_parameters(n, m, seed, block)
     try:
         made = cls(n=n, m=m, seed=seed, block=block)

@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from copy import copy
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.numerics.arrays import Indices
 
-from .base import KINDS, Phi
+from .base import STORED, Phi, phi_class
 
 FIXED, ROTATING = "fixed", "rotating"
 ROWS = (FIXED, ROTATING)
@@ -50,7 +49,7 @@ def rows_and_m(
     m : int, optional
         M, in place of `ratio`.
     ratio : float
-        N / M; see `m_of`. Kind "full" has M = N whatever is stated.
+        N / M; see `m_of`. Kind "full" has M = N whatever is stated, "file:PATH" the M of its file.
 
     Raises
     ------
@@ -59,10 +58,14 @@ def rows_and_m(
     """
     if kind == "full":
         return rows or FIXED, n
+    if kind.startswith(STORED) and m is None:
+        from .stored import load_matrix
+
+        return rows or FIXED, load_matrix(kind.removeprefix(STORED))[3][0]
     if rows is None:
         rotating_m = m_of(n, ratio, ROTATING) if m is None else m
         in_turn = rotating_m < n <= MAX_SUBSETS * rotating_m
-        made_by = find_class("phi", kind, KINDS, PhiError)
+        made_by = phi_class(kind)
         rows = ROTATING if in_turn and isinstance(made_by, type) and can_rotate(made_by) else FIXED
     return rows, m_of(n, ratio, rows) if m is None else m
 
@@ -101,10 +104,14 @@ class RotatingPhi(Phi):
         """
         twins: list[Phi] = []
         for rows in split_rows(self._order, self.m):
-            twin = copy(self)
+            twin = self._twin()
             twin._keep(rows)
             twins.append(twin)
         return twins
+
+    def _twin(self) -> Self:
+        """Return a matrix that shares the arrays of this one."""
+        return copy(self)
 
 
 def row_subsets(phi: Phi, rows: str) -> list[Phi]:

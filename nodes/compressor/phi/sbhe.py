@@ -45,14 +45,11 @@ class SbhePhi(RotatingPhi):
     def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
         super().__init__(n, m, seed, block)
         rng = np.random.default_rng(seed)
-        self.permutation: Indices = rng.permutation(n).astype(np.intp)
-        self.permutation.setflags(write=False)
+        permutation = rng.permutation(n).astype(np.intp)
         self._order: Indices = rng.permutation(n).astype(np.intp)
 
         self.hadamard = BlockHadamard(n, block)
-        #: Taxel that belongs to each place of the transform's input, shape (n,).
-        self.scramble: Indices = self.permutation[self.hadamard.order_in]
-        self._unscramble: Indices = np.argsort(self.scramble)
+        self._arrange(permutation)
         self._y_and_zero = np.zeros(m + 1, dtype=np.float32)
         self._keep(np.sort(self._order[:m]))
 
@@ -60,6 +57,14 @@ class SbhePhi(RotatingPhi):
         b = np.zeros(n, dtype=np.float32)
         self._transform, self._result = self.hadamard.program(self._a, b)
         self._transposed = self.hadamard.transposed(self._a, b)
+
+    def _arrange(self, permutation: Indices) -> None:
+        """Set P_N, intp, shape (n,)."""
+        permutation.setflags(write=False)
+        self.permutation: Indices = permutation
+        #: Taxel that belongs to each place of the transform's input, shape (n,).
+        self.scramble: Indices = permutation[self.hadamard.order_in]
+        self._unscramble: Indices = np.argsort(self.scramble)
 
     def _keep(self, rows: Indices) -> None:
         rows.setflags(write=False)

@@ -1,0 +1,102 @@
+"""Scrambled block Hadamard rows whose taxels lie in one neighbourhood: short wires."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.numerics.arrays import Indices, Mask
+
+from .sbhe import SbhePhi
+
+MAX_SIDE = 4096
+
+
+class LocalSbhePhi(SbhePhi):
+    """Phi = Q_M W P_N, with a permutation P_N within neighbourhoods of `side` x `side` cells.
+
+    The taxels of a neighbourhood are shuffled among themselves, and neighbourhoods follow one
+    another row by row, to and fro, so that each touches the one before it. Where the block size
+    does not divide the taxels of a neighbourhood, a block takes the rest from the next one. One
+    neighbourhood as large as the skin is `SbhePhi`.
+
+    Until `lay_out` states the grid, it is a square of n taxels, or else one row of them.
+
+    Raises
+    ------
+    PhiError
+        As in `Phi`.
+    """
+
+    side: ClassVar[int] = MAX_SIDE
+
+    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+        super().__init__(n, m, seed, block)
+        root = math.isqrt(n)
+        self.lay_out(np.ones((root, root) if root * root == n else (1, n), dtype=np.bool_))
+
+    def lay_out(self, exists: Mask) -> None:
+        """State the grid of the taxels; `exists`: bool (n_rows, n_cols), n of them True.
+
+        Raises
+        ------
+        PhiError
+            If there are more or fewer taxels than n.
+        """
+        if np.count_nonzero(exists) != self.n:
+            raise PhiError(
+                f"{self.kind}: n = {self.n}, but {np.count_nonzero(exists)} taxels exist"
+            )
+        rng = np.random.default_rng(self.seed)
+        self._arrange(neighbourhood_order(exists, self.side, rng))
+        self._keep(np.sort(self._order[: self.m]))
+
+
+def neighbourhood_order(exists: Mask, side: int, rng: np.random.Generator) -> Indices:
+    """Return the taxels, shuffled within neighbourhoods of `side` x `side` cells.
+
+    Parameters
+    ----------
+    exists : ndarray of bool, shape (n_rows, n_cols)
+        True where there is a taxel.
+    side : int
+        Side of a neighbourhood, cells; those at the last rows and columns are smaller.
+    rng : Generator
+
+    Returns
+    -------
+    ndarray of intp, shape (n,)
+        Numbers of the taxels, counted row by row.
+    """
+    n_rows, n_cols = exists.shape
+    number = np.cumsum(exists.ravel()).reshape(exists.shape) - 1
+    parts = []
+    for k, top in enumerate(range(0, n_rows, side)):
+        lefts = range(0, n_cols, side)
+        for left in lefts if k % 2 == 0 else reversed(lefts):
+            window = np.s_[top : top + side, left : left + side]
+            parts.append(rng.permutation(number[window][exists[window]]))
+    order: Indices = np.concatenate(parts).astype(np.intp)
+    return order
+
+
+@functools.cache
+def local_class(text: str) -> type[LocalSbhePhi]:
+    """Return the class of a kind "local:SIDE".
+
+    Raises
+    ------
+    PhiError
+        If SIDE is no whole number in 1..4096.
+    """
+    if not (text.isascii() and text.isdigit() and 1 <= int(text[:6]) <= MAX_SIDE):
+        raise PhiError(
+            f'phi "local:{text[:40]}": expected local:SIDE, the side of a neighbourhood in cells, '
+            f"1..{MAX_SIDE}"
+        )
+    side = int(text)
+    return type("LocalSbhePhi", (LocalSbhePhi,), {"kind": f"local:{side}", "side": side})

@@ -1,0 +1,154 @@
+"""Sums within rows of a row-column array: several columns driven at once, a conversion a row."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+
+from .base import Phi, fingerprint_of
+from .hadamard import hadamard_matrix
+from .rotation import RotatingPhi, split_rows
+
+MAX_COLS = 1024
+"""Largest number of columns: B has as many rows."""
+
+
+class RowLocalPhi(RotatingPhi):
+    """The same patterns of columns in every row: y[t, r] = sum over c of B[t, c] x[r, c].
+
+    A shift register drives the columns of one pattern at once, and each row is converted. Driven
+    columns count 1, others 0: s_t. The pattern of all columns, s_0, is always measured, and the
+    edge sends y_0 = s_0 and y_t = 2 s_t - s_0, so that B holds +1 and -1, divided by sqrt(n_cols):
+    rows of a Hadamard matrix with shuffled columns; where n_cols is no power of two, the first
+    n_cols columns of the next larger one.
+
+    Measurements are numbered pattern by pattern. M = n_rows T measures T patterns in each row;
+    other M measure the last pattern in some rows only.
+
+    Until `lay_out` states the grid, it is a square of n taxels, or else one column of them.
+
+    Attributes
+    ----------
+    patterns : ndarray of float32, shape (n_cols, n_cols)
+        B of all patterns; row 0 is that of all columns.
+    rows : ndarray of intp, shape (m,)
+        t n_rows + r of each measurement, ascending.
+
+    Raises
+    ------
+    PhiError
+        If m is less than n_rows, once the grid is stated; and as in `Phi`.
+    """
+
+    kind = "row_local"
+
+    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+        super().__init__(n, m, seed, block)
+        root = math.isqrt(n)
+        self._arrange(*((root, root) if root * root == n else (n, 1)))
+
+    def lay_out(self, exists: Mask) -> None:
+        """State the grid of the taxels; `exists`: bool (n_rows, n_cols), all True.
+
+        Raises
+        ------
+        PhiError
+            If a cell has no taxel, there are not n cells, fewer measurements than rows, or more
+            than 1024 columns.
+        """
+        n_rows, n_cols = exists.shape
+        if not exists.all() or exists.size != self.n:
+            raise PhiError(f"row_local: allowed: a grid of n = {self.n} taxels without gaps")
+        if n_cols > MAX_COLS:
+            raise PhiError(f"row_local: {n_cols} columns; allowed: {MAX_COLS} or fewer")
+        if self.m < n_rows:
+            raise PhiError(
+                f"row_local: m = {self.m} is not allowed; allowed: {n_rows} or more, a pattern of "
+                f"{n_rows} rows"
+            )
+        self._arrange(n_rows, n_cols)
+
+    def _arrange(self, n_rows: int, n_cols: int) -> None:
+        self.shape = (n_rows, n_cols)
+        rng = np.random.default_rng(self.seed)
+        size = 1 << (n_cols - 1).bit_length()
+        order = np.append(0, 1 + rng.permutation(size - 1))
+        signs = _independent(hadamard_matrix(size)[np.ix_(order, rng.permutation(n_cols))])
+        b = signs / math.sqrt(n_cols)
+        #: Largest eigenvalue of B B^T of all patterns, rounded up: 1 for powers of two.
+        self._lipschitz = math.ceil(float(np.linalg.eigvalsh(b @ b.T)[-1]) * 1e4 - 1e-2) / 1e4
+        self.patterns: Floats = b.astype(np.float32)
+        self.patterns.setflags(write=False)
+        self._order = np.arange(self.n, dtype=np.intp)
+        self._keep(self._order[: self.m])
+
+    def _keep(self, rows: Indices) -> None:
+        rows.setflags(write=False)
+        self.rows: Indices = rows
+        self._used, self._place = np.unique(rows // self.shape[0], return_inverse=True)
+        self._b = np.ascontiguousarray(self.patterns[self._used])
+        self._place = self._place * self.shape[0] + rows % self.shape[0]
+        self.fingerprint = fingerprint_of(self.kind, self.n, self.m, 1, self.patterns, rows)
+
+    def row_subsets(self) -> list[Phi]:
+        """As in `RotatingPhi`; every subset has the pattern of all columns."""
+        n_rows = self.shape[0]
+        if self.m == n_rows:
+            raise PhiError(
+                f'rows: "rotating" is not allowed for m = {self.m}; allowed: more than {n_rows}, '
+                "one pattern of all columns"
+            )
+        all_columns, others = self._order[:n_rows], self._order[n_rows:]
+        twins: list[Phi] = []
+        parts = split_rows(others, min(self.m - n_rows, others.size)) if others.size else [others]
+        for part in parts:
+            twin = self._twin()
+            twin._keep(np.concatenate([all_columns, part]))
+            twins.append(twin)
+        return twins
+
+    @property
+    def lipschitz(self) -> float:
+        """Largest eigenvalue of B B^T of all patterns, rounded up: 1 for powers of two."""
+        return self._lipschitz
+
+    def dense(self) -> npt.NDArray[np.float64]:
+        """Return the explicit matrix, float64, shape (m, n)."""
+        n_rows, n_cols = self.shape
+        matrix = np.zeros((self.m, n_rows, n_cols))
+        for measurement, row in zip(matrix, self.rows, strict=True):
+            measurement[row % n_rows] = self.patterns[row // n_rows]
+        return matrix.reshape(self.m, self.n)
+
+    def _forward(self, x: Floats, out: Floats) -> None:
+        # einsum adds in numpy, always in one order; the order of a matmul depends on the BLAS.
+        sums = np.einsum("tc,rc->tr", self._b, x.reshape(self.shape))
+        sums.reshape(-1).take(self._place, None, out, "clip")
+
+    def _adjoint(self, y: Floats, out: Floats) -> None:
+        sums = np.zeros(len(self._used) * self.shape[0], dtype=np.float32)
+        sums[self._place] = y
+        grid = sums.reshape(-1, self.shape[0])
+        np.einsum("tr,tc->rc", grid, self._b, out=out.reshape(self.shape))
+
+
+def _independent(signs: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the first n_cols rows that are linearly independent, of (size, n_cols)."""
+    n_cols = signs.shape[1]
+    if len(signs) == n_cols:
+        return signs
+    kept: list[int] = []
+    found = np.zeros((0, n_cols))
+    for k, row in enumerate(signs):
+        rest = row - found.T @ (found @ row)
+        rest -= found.T @ (found @ rest)  # once more, for the rounding
+        length = float(np.linalg.norm(rest))
+        if length > 1e-6:
+            kept.append(k)
+            found = np.concatenate([found, rest[None] / length])
+    return signs[kept]

@@ -1,0 +1,180 @@
+"""A sparse measurement matrix from a file, for hardware that exists."""
+
+from __future__ import annotations
+
+import functools
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.fields import MAX_ELEMENTS
+from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
+from sparseskin.nodes.numerics.arrays import Floats
+
+from .base import Phi, fingerprint_of
+
+MAX_FILE_BYTES = 1 << 28
+"""Largest file that is read."""
+MAX_ARRAY_BYTES = 1 << 29
+"""Largest size of its arrays together."""
+MAX_ENTRY = 1e6
+"""Largest size of an entry."""
+N_POWER_STEPS = 200
+MARGIN = 1.02
+"""Factor on the eigenvalue that the power method finds, which is never too large. Chosen: a solver
+diverges where it is 4/3 of `lipschitz`."""
+_NAMES = ("indices", "indptr", "data", "shape", "format")
+
+
+class StoredPhi(Phi):
+    """Phi as a file states it; the seed and the block size are not used.
+
+    Attributes
+    ----------
+    path : str
+        An .npz as `scipy.sparse.save_npz` writes a matrix in format "csr" of shape (m, n).
+
+    Raises
+    ------
+    PhiError
+        If the file is missing, too large, no such archive, or not a matrix of m x n finite numbers
+        with an entry in each row; and as in `Phi`.
+    """
+
+    path: ClassVar[str] = ""
+
+    @classmethod
+    def check_size(cls, n: int, m: int, seed: int, block: int) -> None:
+        super().check_size(n, m, seed, block)
+        shape = load_matrix(cls.path)[3]
+        if shape != (m, n):
+            raise PhiError(f"{cls.path}: is {shape[0]} x {shape[1]}; expected m x n = {m} x {n}")
+
+    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+        super().__init__(n, m, seed, block)
+        self._columns, starts, self._data, _ = load_matrix(self.path)
+        self._rows = np.repeat(np.arange(m), np.diff(starts))
+        self.fingerprint = fingerprint_of("file", n, m, 1, self._columns, starts, self._data)
+
+    @cached_property
+    def lipschitz(self) -> float:
+        """Bound of the largest eigenvalue of Phi Phi^T, by the power method with a margin of 2 %.
+
+        At most the product of the largest sums of sizes in a row and in a column, which is never
+        too small.
+        """
+        size = np.abs(self._data.astype(np.float64))
+        of_row = np.bincount(self._rows, size, self.m).max()
+        of_column = np.bincount(self._columns, size, self.n).max()
+        x = np.random.default_rng(0).standard_normal(self.n)
+        largest = 0.0
+        for _ in range(N_POWER_STEPS):
+            x = self._backward(self._ahead(x))
+            largest = float(np.linalg.norm(x))
+            x /= largest
+        return min(MARGIN * largest, float(of_row * of_column))
+
+    def dense(self) -> npt.NDArray[np.float64]:
+        """Return the explicit matrix, float64, shape (m, n)."""
+        matrix = np.zeros((self.m, self.n))
+        np.add.at(matrix, (self._rows, self._columns), self._data)
+        return matrix
+
+    def _forward(self, x: Floats, out: Floats) -> None:
+        out[:] = self._ahead(x)
+
+    def _adjoint(self, y: Floats, out: Floats) -> None:
+        out[:] = self._backward(y)
+
+    def _ahead(self, x: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        # bincount adds in float64, in the order of the entries.
+        return np.bincount(self._rows, self._data * x[self._columns], self.m)
+
+    def _backward(self, y: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        return np.bincount(self._columns, self._data * y[self._rows], self.n)
+
+
+Loaded = tuple[
+    npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.float32], tuple[int, int]
+]
+
+
+def load_matrix(path: str) -> Loaded:
+    """Read and check a sparse matrix: columns, starts of the rows, entries, and its shape.
+
+    Raises
+    ------
+    PhiError
+        As in `StoredPhi`.
+    """
+    try:
+        found = Path(path).stat()
+    except (OSError, ValueError) as error:
+        raise PhiError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}") from error
+    if not Path(path).is_file():
+        raise PhiError(f"{path}: is no file")
+    if found.st_size > MAX_FILE_BYTES:
+        raise PhiError(f"{path}: {found.st_size} bytes; at most {MAX_FILE_BYTES}")
+    return _load(path, (found.st_mtime_ns, found.st_size, found.st_ino))
+
+
+@functools.lru_cache(maxsize=4)
+def _load(path: str, _of: tuple[int, int, int]) -> Loaded:
+    """As above, of one form of the file."""
+    try:
+        raw = Path(path).read_bytes()
+        wanted = read_npz(raw, lambda names: [n for n in names if n in _NAMES], MAX_ARRAY_BYTES)
+    except OSError as error:
+        raise PhiError(f"{path}: cannot be read: {error.strerror}") from error
+    except ArrayFileError as error:
+        raise PhiError(f"{path}: {error}") from error
+    try:
+        return _checked(wanted)
+    except PhiError as error:
+        raise PhiError(f"{path}: {error}") from error
+
+
+def _checked(arrays: dict[str, npt.NDArray[np.generic]]) -> Loaded:
+    for name in _NAMES:
+        if name not in arrays:
+            raise PhiError(f"has no array {name}; expected a file of scipy.sparse.save_npz")
+    kind = arrays["format"]
+    if kind.shape != () or kind.dtype.kind not in "SU" or str(kind.astype(str)) != "csr":
+        raise PhiError('format: expected "csr"; convert it by matrix.tocsr()')
+    for name in ("indices", "indptr", "shape"):
+        if arrays[name].ndim != 1 or arrays[name].dtype.kind not in "iu":
+            raise PhiError(f"{name}: expected a list of whole numbers")
+    if arrays["shape"].size != 2:
+        raise PhiError(f"shape: {arrays['shape'].size} numbers; expected 2")
+    m, n = (int(side) for side in arrays["shape"].tolist())
+    if not 1 <= m <= n <= MAX_ELEMENTS:
+        raise PhiError(f"shape: {m} x {n}; allowed: 1 <= m <= n <= {MAX_ELEMENTS}")
+    data, indices, indptr = arrays["data"], arrays["indices"], arrays["indptr"]
+    if data.ndim != 1 or data.dtype.kind not in "iufb" or data.size != indices.size:
+        raise PhiError("data: expected as many numbers as indices")
+    if indptr.size != m + 1 or int(indptr[0]) != 0 or int(indptr[-1]) != data.size:
+        raise PhiError(f"indptr: expected {m + 1} numbers from 0 to {data.size}")
+    if not (indptr[1:] > indptr[:-1]).all():  # type: ignore[operator]
+        raise PhiError("indptr: expected an entry in each row")
+    if not ((indices >= 0) & (indices < n)).all():  # type: ignore[operator]
+        raise PhiError(f"indices: expected columns in 0..{n - 1}")
+    with np.errstate(all="ignore"):
+        entries = data.astype(np.float32)
+    if not (np.abs(entries) <= MAX_ENTRY).all():
+        raise PhiError(f"data: expected finite numbers of at most {MAX_ENTRY:g}")
+    starts = indptr.astype(np.int32)
+    if not (np.add.reduceat(np.abs(entries), starts[:-1]) > 0).all():
+        raise PhiError("data: a row holds zeros alone")
+    for array in (entries, starts):
+        array.setflags(write=False)
+    return indices.astype(np.int32), starts, entries, (m, n)
+
+
+def stored_class(path: str) -> type[StoredPhi]:
+    """Return the class of a kind "file:PATH", whose file is checked; Raises as the class."""
+    load_matrix(path)
+    return type("StoredPhi", (StoredPhi,), {"kind": f"file:{path}", "path": path})

@@ -1,0 +1,195 @@
+"""A sparse matrix from a file: its operators, and what is refused of a hostile file."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from sparseskin.launch.launchfile.load import LaunchError, load
+from sparseskin.messages import Measurements, PhiState, Reconstruction
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.phi import stored
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.rotation import rows_and_m
+from sparseskin.nodes.errors import PhiError
+
+
+def matrix_of(m: int, n: int, seed: int = 0) -> Any:
+    rng = np.random.default_rng(seed)
+    dense = rng.standard_normal((m, n)) * (rng.random((m, n)) < 0.2)
+    dense[np.arange(m), rng.integers(0, n, m)] = 1.0
+    return scipy.sparse.csr_matrix(dense.astype(np.float32))
+
+
+@pytest.mark.parametrize(("m", "n"), [(1, 1), (1, 7), (5, 13), (30, 64), (33, 33)])
+def test_operators_are_adjoint_and_are_those_of_the_file(m: int, n: int, tmp_path: Path) -> None:
+    path = tmp_path / "phi.npz"
+    matrix = matrix_of(m, n)
+    scipy.sparse.save_npz(path, matrix)
+    phi = make_phi(f"file:{path}", n, m, 0)
+    rng = np.random.default_rng(1)
+    u, v = rng.standard_normal(n).astype(np.float32), rng.standard_normal(m).astype(np.float32)
+    forward, back = phi.forward(u), phi.adjoint(v)
+    scale = np.linalg.norm(u) * np.linalg.norm(v) * np.sqrt(phi.lipschitz)
+    assert abs(float(forward.astype(float) @ v) - float(u.astype(float) @ back)) <= 2e-6 * scale
+    np.testing.assert_allclose(phi.dense(), matrix.toarray())
+    np.testing.assert_allclose(forward, matrix @ u, atol=1e-5)
+    largest = np.linalg.eigvalsh(phi.dense() @ phi.dense().T)[-1]
+    assert largest <= phi.lipschitz * (1 + 1e-6) <= 1.1 * largest * (1 + 1e-6)
+    assert rows_and_m(phi.kind, n) == ("fixed", m)
+
+
+def test_another_matrix_has_another_fingerprint(tmp_path: Path) -> None:
+    prints = []
+    for seed in range(3):
+        path = tmp_path / f"{seed}.npz"
+        scipy.sparse.save_npz(path, matrix_of(5, 9, seed))
+        prints.append(make_phi(f"file:{path}", 9, 5, 0).fingerprint)
+    assert len(set(prints)) == 3
+
+
+def parts() -> dict[str, Any]:
+    matrix = matrix_of(4, 6)
+    return {
+        "indices": matrix.indices,
+        "indptr": matrix.indptr,
+        "data": matrix.data,
+        "shape": np.array([4, 6]),
+        "format": np.array(b"csr"),
+    }
+
+
+def changed(name: str, change: Callable[[Any], Any]) -> dict[str, Any]:
+    arrays = parts()
+    arrays[name] = change(arrays[name].copy())
+    return arrays
+
+
+def first(value: Any) -> Callable[[Any], Any]:
+    def change(array: Any) -> Any:
+        array[0] = value
+        return array
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("arrays", "line"),
+    [
+        ({}, "has no array indices"),
+        ({k: v for k, v in parts().items() if k != "data"}, "has no array data"),
+        (changed("format", lambda a: np.array(b"coo")), 'format: expected "csr"'),
+        (changed("format", lambda a: np.array([1, 2])), 'format: expected "csr"'),
+        (changed("shape", lambda a: np.array([4, 6, 1])), "shape: 3 numbers"),
+        (changed("shape", lambda a: np.array([6, 4])), "shape: 6 x 4; allowed"),
+        (changed("shape", lambda a: np.array([4, 2**40])), "shape: 4 x"),
+        (changed("shape", lambda a: np.array([4.0, 6.0])), "shape: expected a list of whole"),
+        (changed("indptr", first(1)), "indptr: expected 5 numbers from 0"),
+        (changed("indptr", lambda a: a[:-1]), "indptr: expected 5 numbers"),
+        (
+            changed("indptr", lambda a: np.array([0, 0, 1, 2, a[-1]])),
+            "indptr: expected an entry in each row",
+        ),
+        (
+            changed("indptr", lambda a: np.array([0, 9, 1, 2, a[-1]])),
+            "indptr: expected an entry in each row",
+        ),
+        (changed("indices", first(6)), "indices: expected columns in 0..5"),
+        (changed("indices", first(-1)), "indices: expected columns in 0..5"),
+        (changed("data", lambda a: a[:-1]), "data: expected as many numbers as indices"),
+        (changed("data", lambda a: a.astype(np.complex64)), "data: expected as many numbers"),
+        (changed("data", first(np.nan)), "data: expected finite numbers"),
+        (changed("data", first(np.inf)), "data: expected finite numbers"),
+        (changed("data", first(1e7)), "data: expected finite numbers of at most 1e+06"),
+        (changed("data", lambda a: a * 0), "data: a row holds zeros alone"),
+    ],
+)
+def test_a_file_that_is_no_such_matrix_is_refused_with_its_name(
+    arrays: dict[str, Any], line: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "phi.npz"
+    np.savez(path, **arrays)
+    with pytest.raises(PhiError) as refused:
+        make_phi(f"file:{path}", 6, 4, 0)
+    assert str(refused.value).startswith(f"{path}: {line}")
+
+
+def test_objects_bombs_and_folders_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "phi.npz"
+    np.savez(path, **{**parts(), "data": np.array([print] * 4, dtype=object)}, allow_pickle=True)
+    with pytest.raises(PhiError, match="Python objects"):
+        make_phi(f"file:{path}", 6, 4, 0)
+    np.savez(path, **parts())
+    monkeypatch.setattr(stored, "MAX_ARRAY_BYTES", 100)
+    with pytest.raises(PhiError, match="its arrays would have"):
+        make_phi(f"file:{path}", 6, 4, 0)
+    with pytest.raises(PhiError, match="is no file"):
+        make_phi(f"file:{tmp_path}", 6, 4, 0)
+    with pytest.raises(PhiError, match="cannot be read: No such file"):
+        make_phi("file:none.npz", 6, 4, 0)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damaged_bytes_are_refused_by_a_line_or_are_a_matrix(
+    data: st.DataObject, tmp_path: Path
+) -> None:
+    file = io.BytesIO()
+    np.savez(file, **parts())
+    raw = bytearray(file.getvalue())
+    for _ in range(data.draw(st.integers(1, 6))):
+        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
+    path = tmp_path / f"{abs(hash(bytes(raw)))}.npz"
+    path.write_bytes(raw)
+    try:
+        phi = make_phi(f"file:{path}", 6, 4, 0)
+    except PhiError as error:
+        assert "\n" not in str(error)
+    else:
+        assert np.isfinite(phi.forward(np.ones(6, np.float32))).all()
+
+
+def test_another_size_is_refused_before_the_start(tmp_path: Path) -> None:
+    path = tmp_path / "phi.npz"
+    scipy.sparse.save_npz(path, matrix_of(4, 6))
+    with pytest.raises(PhiError, match="is 4 x 6; expected m x n = 4 x 7"):
+        make_phi(f"file:{path}", 7, 4, 0)
+    with pytest.raises(LaunchError) as refused:
+        load("path_40", [f"compressor.phi=file:{path}", f"reconstructor.phi=file:{path}"])
+    assert any("is 4 x 6; expected m x n = 4 x 1600" in line for line in refused.value.lines)
+
+
+def test_a_graph_measures_and_reconstructs_by_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "phi.npz"
+    source = make_phi("sbhe", 1600, 400, 3)
+    scipy.sparse.save_npz(path, scipy.sparse.csr_matrix(source.dense().astype(np.float32)))
+    stated = [f"{node}.phi=file:{path}" for node in ("compressor", "reconstructor")]
+    nodes = load("path_40", stated).nodes.values()
+    bus = Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
+    frames = list(bus.frames(3))
+    assert bus.hosts["reconstructor"].counts.refused == {}
+    found = [m for messages in frames for m in messages]
+    assert len([m for m in found if isinstance(m, Reconstruction)]) == 3
+    assert {len(m.y) for m in found if isinstance(m, Measurements)} == {400}
+    announced: Any = bus.hosts["reconstructor"].node
+    assert isinstance(announced._announced, PhiState)
+    assert announced._announced.kind == f"file:{path}"
+
+
+def test_a_file_that_only_a_message_names_is_not_opened(tmp_path: Path) -> None:
+    path = tmp_path / "phi.npz"
+    scipy.sparse.save_npz(path, matrix_of(400, 1600))
+    with pytest.raises(LaunchError) as refused:
+        load("path_40", [f"compressor.phi=file:{path}"])
+    assert any("is not built in" in line for line in refused.value.lines)

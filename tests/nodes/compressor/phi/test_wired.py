@@ -1,0 +1,172 @@
+"""Matrices for short wires: their operators, and that sums stay where their wires are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparseskin.nodes.compressor.phi.adaptive import layout
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.local import LocalSbhePhi, neighbourhood_order
+from sparseskin.nodes.compressor.phi.rotation import row_subsets, rows_and_m
+from sparseskin.nodes.compressor.phi.row_local import RowLocalPhi
+from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
+
+SHAPES = [(8, 8), (5, 7), (12, 32), (1, 9), (16, 24)]
+
+
+def laid_out(kind: str, shape: tuple[int, int], m: int, seed: int = 0) -> Phi:
+    phi = make_phi(kind, shape[0] * shape[1], m, seed)
+    layout(phi, np.ones(shape, dtype=np.bool_))
+    return phi
+
+
+def assert_operators(phi: Phi) -> None:
+    """The dot test, and agreement of both directions with the dense matrix."""
+    rng = np.random.default_rng(5)
+    u = rng.standard_normal(phi.n).astype(np.float32)
+    v = rng.standard_normal(phi.m).astype(np.float32)
+    ahead, back, dense = phi.forward(u), phi.adjoint(v), phi.dense()
+    scale = float(np.linalg.norm(u) * np.linalg.norm(v)) * np.sqrt(phi.lipschitz)
+    assert abs(float(ahead.astype(float) @ v) - float(u.astype(float) @ back)) <= 2e-6 * scale
+    np.testing.assert_allclose(ahead, dense @ u, atol=1e-5)
+    np.testing.assert_allclose(back, dense.T @ v, atol=1e-5)
+    largest = np.linalg.eigvalsh(dense @ dense.T)[-1]
+    assert phi.lipschitz >= largest * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("kind", ["local:1", "local:3", "local:4", "local:100", "row_local"])
+def test_operators_are_adjoint_and_agree_with_the_dense_matrix(
+    kind: str, shape: tuple[int, int]
+) -> None:
+    n = shape[0] * shape[1]
+    for m in {n // 3 if kind != "row_local" else max(shape[0], n // 3), n}:
+        phi = laid_out(kind, shape, max(1, m), seed=3)
+        assert_operators(phi)
+        assert len({one.fingerprint for one in row_subsets(phi, "fixed")}) == 1
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("kind", ["local:4", "row_local"])
+def test_row_subsets_together_measure_all_rows(kind: str, shape: tuple[int, int]) -> None:
+    n = shape[0] * shape[1]
+    phi = laid_out(kind, shape, max(n // 3, shape[0] + 1))
+    subsets = row_subsets(phi, "rotating")
+    assert len({one.fingerprint for one in subsets}) == len(subsets) >= 2
+    for one in subsets:
+        assert one.m == phi.m
+        assert_operators(one)
+    together = np.concatenate([one.dense() for one in subsets])
+    assert np.linalg.matrix_rank(together) == n
+
+
+@pytest.mark.parametrize("side", [4, 8, 16])
+def test_a_block_sums_taxels_of_its_neighbourhood_alone(side: int) -> None:
+    phi = laid_out(f"local:{side}", (32, 48), 512)
+    blocks = phi.permutation.reshape(-1, 32)  # type: ignore[attr-defined]
+    rows, cols = np.divmod(blocks, 48)
+    # A block of 32 fills two neighbourhoods of 4 x 4, and lies within larger ones.
+    n_neighbourhoods = [
+        len(set(zip(r // side, c // side, strict=True))) for r, c in zip(rows, cols, strict=True)
+    ]
+    assert set(n_neighbourhoods) == {max(1, 32 // side**2)}
+    assert np.sort(blocks.ravel()).tolist() == list(range(32 * 48))
+
+
+@given(
+    n_rows=st.integers(1, 12),
+    n_cols=st.integers(1, 12),
+    side=st.integers(1, 13),
+    seed=st.integers(0, 99),
+)
+def test_each_taxel_is_once_in_the_order_and_neighbourhoods_stay_together(
+    n_rows: int, n_cols: int, side: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    exists = rng.random((n_rows, n_cols)) < 0.7
+    exists[0, 0] = True
+    order = neighbourhood_order(exists, side, rng)
+    assert sorted(order.tolist()) == list(range(int(exists.sum())))
+    rows, cols = np.divmod(np.flatnonzero(exists)[order], n_cols)
+    visited = list(dict.fromkeys(zip(rows // side, cols // side, strict=True)))
+    runs = 1 + np.count_nonzero(np.diff(rows // side) | np.diff(cols // side))
+    assert len(visited) == runs
+
+
+def test_a_mask_is_laid_out_by_its_existing_taxels() -> None:
+    exists = np.ones((8, 8), dtype=np.bool_)
+    exists[2:5, 3:6] = False
+    phi = make_phi("local:4", 55, 20, 0)
+    layout(phi, exists)
+    assert_operators(phi)
+    with pytest.raises(PhiError, match="n = 55, but 64 taxels exist"):
+        layout(phi, np.ones((8, 8), dtype=np.bool_))
+    with pytest.raises(PhiError, match="without gaps"):
+        layout(make_phi("row_local", 55, 20, 0), exists)
+
+
+def test_rows_of_a_row_column_array_sum_one_row_each() -> None:
+    phi = laid_out("row_local", (6, 16), 6 * 5)
+    dense = phi.dense().reshape(5, 6, 6, 16)
+    for t in range(5):
+        for r in range(6):
+            assert np.count_nonzero(np.abs(dense[t, r]).sum(axis=1)) == 1
+            np.testing.assert_array_equal(dense[t, r, r], dense[t, 0, 0])
+    np.testing.assert_allclose(dense[0, 0, 0], 0.25)  # all columns
+    np.testing.assert_allclose(phi.dense() @ phi.dense().T, np.eye(30), atol=1e-6)
+
+
+def test_driven_sums_give_the_signs_of_a_pattern() -> None:
+    """y_t = 2 s_t - s_0 of the driven sums s is what the matrix states, times sqrt(n_cols)."""
+    phi = laid_out("row_local", (4, 8), 4 * 8)
+    assert isinstance(phi, RowLocalPhi)
+    x = np.random.default_rng(0).random((4, 8)).astype(np.float32)
+    driven = (phi.patterns > 0).astype(np.float64) @ x.T
+    y = np.concatenate([driven[:1], 2 * driven[1:] - driven[0]]) / np.sqrt(8)
+    np.testing.assert_allclose(phi.forward(x.ravel()), y.ravel(), rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["local:8", "row_local"])
+def test_a_static_press_is_reconstructed_from_rotating_rows(kind: str) -> None:
+    shape = (16, 16)
+    press = np.zeros(shape, np.float32)
+    press[4:9, 6:11] = 1.0
+    subsets = row_subsets(laid_out(kind, shape, 96), "rotating")
+    solver = make_rotating_solver("skin", subsets, make_basis("haar", *shape), None)
+    for k in range(30):
+        phi = subsets[k % len(subsets)]
+        solver.use(phi)
+        forces = solver.solve(phi.forward(press.ravel()))
+    assert np.abs(forces - press).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("kind", "line"),
+    [
+        ("local:", 'phi "local:": expected local:SIDE'),
+        ("local:0", "1..4096"),
+        ("local:x", "1..4096"),
+        ("local:99999999", "1..4096"),
+        ("local", "is not known"),
+    ],
+)
+def test_a_kind_without_a_side_is_refused(kind: str, line: str) -> None:
+    with pytest.raises(PhiError, match=line):
+        make_phi(kind, 64, 8, 0)
+
+
+def test_too_few_measurements_for_a_pattern_are_refused() -> None:
+    with pytest.raises(PhiError, match="m = 7 is not allowed; allowed: 8 or more"):
+        laid_out("row_local", (8, 8), 7)
+    with pytest.raises(PhiError, match="allowed: more than 8"):
+        row_subsets(laid_out("row_local", (8, 8), 8), "rotating")
+
+
+def test_rows_rotate_by_default_where_they_can() -> None:
+    assert rows_and_m("local:8", 100)[0] == rows_and_m("row_local", 100)[0] == "rotating"
+    assert issubclass(type(make_phi("local:8", 64, 8, 0)), LocalSbhePhi)
