@@ -75,6 +75,10 @@ STUDIES = {
         options=("recordings", "seeds"),
         numpy_only=True,
     ),
+    "wiring": Study(
+        "PSNR against the length of wires, from local to scrambled sums; circuits of row sums",
+        numpy_only=True,
+    ),
     "bases": Study(
         "in which basis forces are sparse: D2, D4 and others, learned ones; adaptive sampling",
         numpy_only=True,
