@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sparseskin.messages import Measurements, Message, PhiState, SkinState, topic_of
+from sparseskin.messages.skin import Skin
 from sparseskin.nodes.node import Context, SourceNode, Tick
+from sparseskin.nodes.sensor.boards.source import dropped_text
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .description import EdgeDescription
-from .frames import EdgeFrame, FrameReader
-from .line import check_line, open_line
+from .frames import read_frame, tag_of
+from .wire import EdgeWire, describe_wire
 
 COUNTS = "counts"
-FAULTS = {
-    "missing_frames": "never came",
-    "bad_frames": "had a wrong checksum",
-    "other_matrix": "are of another matrix",
-}
+WAIT_S = 0.05
+"""Longest wait for a frame, seconds; chosen as for boards: commands and signals wait no longer."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +27,11 @@ class EdgeSettings(PatchSettings):
     """Settings of the edge node."""
 
     source: str = setting(
-        "serial:/dev/ttyACM0", "where its frames come from: serial:DEVICE or udp:PORT", decides=True
+        "serial:/dev/ttyACM0",
+        "where its frames come from: serial:DEVICE?baud=NUMBER, or udp:PORT?bind=ADDRESS",
+        decides=True,
     )
     description: str = setting("edge.toml", "file that was exported with its program")
-    baud: int = setting(2_000_000, "symbols a second of a serial line", low=9600, high=4_000_000)
     unit: str | None = setting(None, "unit of the forces; counts if not stated")
     f_max: float | None = setting(
         None, "force at full scale, in that unit; not stated: the largest count", low=1e-9, high=1e9
@@ -42,32 +41,36 @@ class EdgeSettings(PatchSettings):
     )
 
     def check(self) -> None:
-        with naming("source"):
-            check_line(self.source)
         with naming("description"):
-            EdgeDescription.read(Path(self.description))
+            described = EdgeDescription.read(Path(self.description))
+        with naming("source"):
+            describe_wire(self.source, described, self.skin(described))
+
+    def skin(self, described: EdgeDescription) -> Skin:
+        """The skin whose forces are measured."""
+        f_max = float(described.full_scale) if self.f_max is None else self.f_max
+        shape = described.n_rows, described.n_cols
+        return Skin(*shape, f_max, self.unit or COUNTS, self.pitch_m, described.mask)
 
 
 class Edge(SourceNode[EdgeSettings]):
     """Publishes /PATCH/skin and /PATCH/phi once, then /PATCH/measurements.
 
-    The stamp of a frame is the time at which it has been read. Frames of another matrix than those
-    described are counted and never published.
+    The stamp of a frame is the time at which its last byte was read. Frames of another matrix than
+    those described are counted and never published.
     """
 
     Settings = EdgeSettings
 
     def __init__(self, settings: EdgeSettings, context: Context) -> None:
         super().__init__(settings, context)
-        self._description = EdgeDescription.read(Path(settings.description))
-        self._reader = FrameReader(self._description)
-        self._frames: deque[EdgeFrame] = deque()
-        full_scale = self._description.full_scale
-        self._f_max = float(full_scale) if settings.f_max is None else settings.f_max
-        self._of_count = self._f_max / full_scale
-        self._logged: dict[str, int] = {}
+        self._described = EdgeDescription.read(Path(settings.description))
+        self.skin = settings.skin(self._described)
+        self._of_count = self.skin.f_max / self._described.full_scale
+        self._n_frames = self._n_other = self._n_logged = 0
+        self._stamp_ns = 0
         with naming("source"):
-            self._line = open_line(settings.source, settings.baud)
+            self._wire = EdgeWire(describe_wire(settings.source, self._described, self.skin))
 
     @classmethod
     def outputs(cls, settings: EdgeSettings) -> tuple[str, ...]:
@@ -85,18 +88,13 @@ class Edge(SourceNode[EdgeSettings]):
         }
 
     def start(self) -> Iterable[Message]:
-        d, s = self._description, self.settings
+        d, s = self._described, self.settings
         stamp_ns = self.context.clock.now_ns()
         yield SkinState(
             stamp_ns=stamp_ns,
             patch=s.patch,
-            n_rows=d.n_rows,
-            n_cols=d.n_cols,
-            f_max=self._f_max,
-            unit=s.unit or COUNTS,
-            pitch_m=s.pitch_m,
-            mask=d.mask,
-            source=s.source,
+            **vars(self.skin),
+            source=self._wire.name,
             seed=0,
             rate_hz=0.0,
             has_truth=False,
@@ -117,53 +115,59 @@ class Edge(SourceNode[EdgeSettings]):
         )
 
     def tick(self, tick: Tick) -> Iterable[Message]:
-        while not self._frames:
-            data = self._line.read()
-            if self._line.packets:
-                found = self._reader.packet(data)
-                self._frames.extend([] if found is None else [found])
-            else:
-                self._frames.extend(self._reader.feed(data))
-            self._log_faults()
-        frame = self._frames.popleft()
+        found = self._wire.next_payload(WAIT_S)
+        self._log_lines()
+        frame = None if found is None else read_frame(self._described, found[1])
+        self.acquired = frame is not None
+        if found is None:
+            return
+        arrived_ns, payload = found
+        if frame is None:
+            self._n_other += 1
+            self._log_other(payload)
+            return
+        self._n_frames += 1
+        now_ns = self.context.clock.now_ns()
+        self._stamp_ns = max(now_ns - self._wire.age_ns(arrived_ns), self._stamp_ns + 1)
         yield Measurements(
-            stamp_ns=max(tick.stamp_ns, self.context.clock.now_ns()),
+            stamp_ns=self._stamp_ns,
             patch=self.settings.patch,
-            y=frame.measurements(self._description.bits, self._of_count),
+            y=frame.measurements(self._described.bits, self._of_count),
             phi=frame.phi,
         )
 
+    def idle(self) -> None:
+        if self.paused:
+            self._wire.discard()
+        self._log_lines()
+
     def status(self) -> str:
-        d, counts = self._description, self._counts()
-        faults = "".join(f", {n} {FAULTS[name]}" for name, n in counts.items() if n)
-        n = self._reader.n_frames
-        return f"{self.settings.source}: frame {n}, {d.m} of {d.bits} bits{faults}"
+        d, dropped = self._described, dropped_text(self._wire.figures())
+        text = f"{self._wire.name}: frame {self._n_frames}, {d.m} of {d.bits} bits"
+        if self._n_other:
+            text += f"; {self._n_other} of another matrix"
+        text += f"; dropped: {dropped}" if dropped else ""
+        return text if self._wire.is_there else f"{text}; the device is gone"
 
     def report(self) -> dict[str, Any]:
-        return {"frames": self._reader.n_frames, **self._counts()}
+        figures = {**self._wire.figures(), "frames": self._n_frames, "other_matrix": self._n_other}
+        return {"board": figures}
 
     def close(self, counts: dict[str, Any]) -> None:
-        self._line.close()
+        self._wire.close()
 
-    def _counts(self) -> dict[str, int]:
-        reader = self._reader
-        return {
-            "missing_frames": reader.n_lost,
-            "bad_frames": reader.n_damaged,
-            "other_matrix": reader.n_strangers,
-        }
+    def _log_lines(self) -> None:
+        while self._wire.lines:
+            self.context.log(self._wire.lines.popleft())
 
-    def _log_faults(self) -> None:
-        """Log the number of each fault each time that it has doubled."""
-        for name, n in self._counts().items():
-            if n <= 2 * self._logged.get(name, 0):
-                continue
-            self._logged[name] = n
-            line = f"{self.settings.source}: {n} frames {FAULTS[name]}"
-            if name == "other_matrix":
-                described = ", ".join(f"{tag:08x}" for tag in self._description.tags)
-                line += (
-                    f" (the last {self._reader.stranger}; described {described}): is "
-                    f"{self.settings.description} that of the program on the board?"
-                )
-            self.context.log(line)
+    def _log_other(self, payload: bytes) -> None:
+        """Log frames of another matrix, each time that their number has doubled."""
+        if self._n_other <= 2 * self._n_logged:
+            return
+        self._n_logged = self._n_other
+        described = ", ".join(f"{tag:08x}" for tag in self._described.tags)
+        self.context.log(
+            f"{self._wire.name}: {self._n_other} frames of another matrix (the last "
+            f"{tag_of(payload):08x}; described {described}): is {self.settings.description} that "
+            "of the program on the board?"
+        )

@@ -92,10 +92,10 @@ class StoredPhi(Phi):
 
     def _ahead(self, x: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
         # bincount adds in float64, in the order of the entries.
-        return np.bincount(self._rows, self._data * x[self._columns], self.m)
+        return np.asarray(np.bincount(self._rows, self._data * x[self._columns], self.m), float)
 
     def _backward(self, y: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-        return np.bincount(self._columns, self._data * y[self._rows], self.n)
+        return np.asarray(np.bincount(self._columns, self._data * y[self._rows], self.n), float)
 
 
 Loaded = tuple[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import subprocess
@@ -28,10 +29,14 @@ from sparseskin.messages import (
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor, CompressorSettings
 from sparseskin.nodes.edge.description import EdgeDescription
+from sparseskin.nodes.edge.frames import read_frame
+from sparseskin.nodes.edge.twin import compressed
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.scenes.scenes import open_scene
+
+pytest.importorskip("serial", reason="pyserial is not installed")
 
 N_FRAMES = 40
 
@@ -60,6 +65,16 @@ def line() -> Iterator[tuple[int, str]]:
     os.close(host)
 
 
+def _feed(edge: subprocess.Popen[bytes], counts: bytes) -> None:
+    """Write counts to a program again and again, as fast as it reads them, until it ends."""
+    assert edge.stdin is not None
+    with contextlib.suppress(OSError):
+        while True:
+            edge.stdin.write(counts)
+    with contextlib.suppress(OSError):
+        edge.stdin.close()
+
+
 def recorded(path: Path, kind: type[Any]) -> list[Any]:
     with BagReader(path) as bag:
         topics = [f"/skin/{kind.schema}"]
@@ -67,9 +82,11 @@ def recorded(path: Path, kind: type[Any]) -> list[Any]:
 
 
 def by_python(
-    d: EdgeDescription, skin: SkinState, counts: npt.NDArray[np.uint16]
+    d: EdgeDescription, skin: SkinState, counts: npt.NDArray[np.uint16], begin: int
 ) -> tuple[list[Measurements], list[Reconstruction]]:
-    """Measurements and reconstructions of the nodes in Python, for the same counts."""
+    """Measurements and reconstructions of the nodes in Python, for the same counts, again and
+    again, from frame `begin` on.
+    """
     made = {"rows": d.rows, "m": d.m, "bits": d.bits, "block": d.block, "seed": d.seed}
     compressor = Compressor(CompressorSettings(**made), Context("c", ManualClock(1)))  # type: ignore[arg-type]
     reconstructor = Reconstructor(ReconstructorSettings(), Context("r", ManualClock(1)))
@@ -77,9 +94,11 @@ def by_python(
     for state in compressor.step(skin):
         list(reconstructor.step(state))
     measured, restored = [], []
-    for k, frame in enumerate(counts):
-        taxels = Taxels(stamp_ns=k + 2, patch="skin", forces=frame.astype(np.float32))
-        (message,) = compressor.step(taxels)
+    for k in range(begin + N_FRAMES):
+        forces = counts[k % len(counts)].astype(np.float32)
+        (message,) = compressor.step(Taxels(stamp_ns=k + 2, patch="skin", forces=forces))
+        if k < begin:
+            continue
         assert isinstance(message, Measurements)
         measured.append(message)
         restored += [m for m in reconstructor.step(message) if isinstance(m, Reconstruction)]
@@ -93,10 +112,8 @@ def test_its_frames_are_reconstructed_as_those_of_the_edge_in_python(
     out = compiled(d, tmp_path)
     counts = counts_of_scene(N_FRAMES, d.full_scale)
     board, device = line
-    # It waits with its frames until the graph reads them: a terminal holds its writer up.
     edge = subprocess.Popen([out / "edge_stream"], stdin=subprocess.PIPE, stdout=board)
-    assert edge.stdin is not None
-    feed = threading.Thread(target=edge.stdin.write, args=(as_input(d, counts),), daemon=True)
+    feed = threading.Thread(target=_feed, args=(edge, as_input(d, counts)), daemon=True)
     feed.start()
     try:
         program = start(
@@ -111,14 +128,18 @@ def test_its_frames_are_reconstructed_as_those_of_the_edge_in_python(
         edge.kill()
         edge.wait()
         feed.join()
-        edge.stdin.close()
     assert code == 0, stderr
     recording = tmp_path / "out.mcap"
     (skin,), (phi,) = recorded(recording, SkinState), recorded(recording, PhiState)
     assert (skin.skin.shape, skin.has_taxels) == ((40, 40), False)
     assert (skin.unit, skin.f_max, phi.rows, phi.m) == ("counts", 4095.0, "rotating", d.m)
-    measured, restored = by_python(d, skin, counts)
     in_c, restored_in_c = recorded(recording, Measurements), recorded(recording, Reconstruction)
+    # What came before the line was opened is not read: the frames begin somewhere in the cycle.
+    cycle = [read_frame(d, sent[4:-2]) for sent in compressed(d, np.tile(counts, (3, 1, 1)))]
+    begin = [frame.measurements(d.bits, 1.0).tobytes() for frame in cycle if frame].index(
+        in_c[0].y.tobytes()
+    )
+    measured, restored = by_python(d, skin, counts, begin)
     assert [m.y.tobytes() for m in in_c] == [m.y.tobytes() for m in measured]
     assert [m.y.step for m in in_c] == [m.y.step for m in measured]  # type: ignore[attr-defined]
     assert [m.phi for m in in_c] == [m.phi for m in measured]

@@ -17,10 +17,11 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor, CompressorSettings
 from sparseskin.nodes.edge.description import EdgeDescription
 from sparseskin.nodes.edge.export import COPIED, export
-from sparseskin.nodes.edge.frames import FrameReader
+from sparseskin.nodes.edge.frames import framing_of, read_frame
 from sparseskin.nodes.edge.twin import compressed
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.node import Context
+from sparseskin.nodes.sensor.boards.framing import FrameParser
 
 
 def described(n_rows: int, n_cols: int, ratio: float = 3, holes: bool = False, **more: Any) -> Any:
@@ -99,14 +100,16 @@ def test_its_frames_are_the_messages_of_a_compressor_node(name: str, tmp_path: P
     )
     list(node.step(skin))
     frames = random_counts(d, 3 * len(d.subsets) + 6)
-    found = list(FrameReader(d).feed(sent(compiled(d, tmp_path), d, frames)))
-    assert len(found) == len(frames)
+    arrived = FrameParser(framing_of(d)).feed(sent(compiled(d, tmp_path), d, frames))
+    assert [one.sequence for one in arrived] == list(range(len(frames)))
+    found = [read_frame(d, one.payload) for one in arrived]
     for counts, frame in zip(frames, found, strict=True):
         forces = counts.astype(np.float32)
         if d.mask is not None:
             forces[~d.mask] = 0
         (message,) = node.step(Taxels(stamp_ns=2, patch="skin", forces=forces))
         assert isinstance(message, Measurements)
+        assert frame is not None
         assert frame.phi == message.phi
         assert frame.measurements(d.bits, 1.0).tobytes() == message.y.tobytes()
         assert frame.step == message.y.step  # type: ignore[attr-defined]
