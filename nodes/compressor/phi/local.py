@@ -32,6 +32,7 @@ class LocalSbhePhi(SbhePhi):
         As in `Phi`.
     """
 
+    by_blocks = True
     side: ClassVar[int] = MAX_SIDE
 
     def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
@@ -99,4 +100,5 @@ def local_class(text: str) -> type[LocalSbhePhi]:
             f"1..{MAX_SIDE}"
         )
     side = int(text)
-    return type("LocalSbhePhi", (LocalSbhePhi,), {"kind": f"local:{side}", "side": side})
+    stated = {"kind": f"local:{side}", "side": side, "by_blocks": True}
+    return type("LocalSbhePhi", (LocalSbhePhi,), stated)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeGuard
+
 import numpy as np
 import numpy.typing as npt
 
@@ -41,6 +43,7 @@ class SbhePhi(RotatingPhi):
     """
 
     kind = "sbhe"
+    by_blocks = True  # of this class itself; a subclass has to state it anew
 
     def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
         super().__init__(n, m, seed, block)
@@ -104,3 +107,10 @@ class SbhePhi(RotatingPhi):
         self._y_and_zero.take(self._spread, None, self._result, "clip")
         run(self._transposed)
         self._a.take(self._unscramble, None, out, "clip")
+
+
+def is_sbhe(phi: object) -> TypeGuard[SbhePhi]:
+    """Return True if permutation, blocks and rows state all of a matrix, so that a solver may apply
+    it by them: not for a subclass, which may have changed what its operators do, unless it says so.
+    """
+    return isinstance(phi, SbhePhi) and vars(type(phi)).get("by_blocks", False) is True

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
 from sparseskin.nodes.numerics.compiled import use_compiled
@@ -125,7 +125,7 @@ class SkinSolver(Solver):
 
         n = phi.n
         self._subsets = {phi.fingerprint: 0}
-        compiled = use_compiled(fast) and type(phi) is SbhePhi
+        compiled = use_compiled(fast) and is_sbhe(phi)
         self._projection = make_projection(phi, compiled)
         self._place_of_cell = np.full(self.mask.size, n, dtype=np.intp)
         self._place_of_cell[self.taxels[self._projection.order]] = np.arange(n)
