@@ -32,8 +32,11 @@ from sparseskin.nodes.compressor.phi.rotation import (
     row_subsets,
     rows_and_m,
 )
+from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
 from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.numerics.compiled import use_compiled
+from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .limits import compression_warnings
@@ -111,6 +114,10 @@ class Compressor(Node[CompressorSettings]):
     def __init__(self, settings: CompressorSettings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
+        # Loaded before the first frame, which does not wait for it.
+        self._compiled = settings.phi == "sbhe" and use_compiled("auto")
+        if self._compiled:
+            compile_loops("phi", "auto", context.log)
         self._state: SkinState | None = None
         self._subsets: list[Phi] = []  # one matrix a row subset
         self._subset = 0
@@ -187,6 +194,9 @@ class Compressor(Node[CompressorSettings]):
         exists = state.skin.exists
         layout(phi, exists, state.sigma_end, state.f_max, state.clips_noise)
         subsets = row_subsets(phi, rows)
+        for one in subsets:
+            if self._compiled and is_sbhe(one):
+                one.compile()
         self._warn(phi)
         self._state, self._subsets, self._subset, self._rows = state, subsets, 0, rows
         self._cells = None if state.mask is None else np.flatnonzero(state.mask)

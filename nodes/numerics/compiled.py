@@ -21,12 +21,12 @@ FAST = ("auto", "on", "off")
 ENVIRONMENT = "SPARSESKIN_FAST"
 """Environment variable that replaces "auto": "off" for numpy alone."""
 
-SOLVERS = ("skin", "fista")
-"""Solvers that have compiled loops."""
+SOLVERS = ("skin", "fista", "phi")
+"""Solvers that have compiled loops, and Phi, the edge's."""
 MAX_PLACES = 2**16
 """Cells up to which tables hold places in 16 bits, half the room in the cache."""
 
-COMPILING = "compiled loops: compiling, once on this machine; some 20 s"
+COMPILING = "compiled loops: compiling, once on this machine; some 10 s"
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

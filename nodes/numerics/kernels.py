@@ -55,6 +55,36 @@ def hadamard(v: A, groups: A) -> None:
 
 
 @compiled()
+def butterflies(v: A, start: int, run: int, stop: int) -> None:
+    """Sums and differences of partners that are `run` apart, in place."""
+    for base in range(start, stop, 2 * run):
+        a, b = v[base : base + run], v[base + run : base + 2 * run]
+        for k in range(run):
+            a[k], b[k] = a[k] + b[k], a[k] - b[k]
+
+
+@compiled(f"void({R}, {P}, {G}, {P}, {V}, {V}, {V})")
+def measure(x: A, deal: A, groups: A, places: A, scale: A, v: A, y: A) -> None:
+    """y = Phi x, with the sums of `BlockHadamard` in its order: the same bits.
+
+    deal: taxel of each place of the dealt vector v; places: place of each measurement in it.
+    """
+    for p in range(v.size):
+        v[p] = x[deal[p]]
+    for g in range(groups.shape[0]):
+        start, size, count = groups[g, 0], groups[g, 1], groups[g, 2]
+        stop = start + size * count
+        if size > 1:
+            butterflies(v, start, count, stop)
+        run = size * count // 2
+        while run > count:
+            butterflies(v, start, run, stop)
+            run //= 2
+    for i in range(y.size):
+        y[i] = v[places[i]] * scale[i]
+
+
+@compiled()
 def halve(v: A, levels: int) -> None:
     """Haar steps of a tiled vector along both axes, in place: sums and differences, not scaled."""
     part = v.size
@@ -246,6 +276,20 @@ MEASURED, READ, KEPT, ONES, SCALE = range(5)
 STILL, SIGNIFICANT, FREEDOM, FAILED_PART, FAILED_NOISE = range(5)
 
 
+@compiled()
+def copy(source: A, target: A) -> None:
+    """Copy a vector; a slice assignment does the same, and takes far longer to compile."""
+    for k in range(target.size):
+        target[k] = source[k]
+
+
+@compiled()
+def fill(target: A) -> None:
+    """Set a vector to 0."""
+    for k in range(target.size):
+        target[k] = 0
+
+
 @compiled(sums_in_any_order=True)
 def change(y: A, last: A, step: A) -> Any:
     """Squares of y - last and of its change; step becomes y - last, last becomes y."""
@@ -304,10 +348,10 @@ def move(
         down[k] = x[below[k]] - x[above[k]]
     for k in range(n):
         right[k] = x[beside[k]] - x[before[k]]
-    row_d[:] = down
-    row_r[:] = right
-    hadamard(row_d, groups)
-    hadamard(row_r, groups)
+    copy(down, row_d)
+    copy(right, row_r)
+    for row in range(ROW_DOWN, ROW_RIGHT + 1):  # compiled once
+        hadamard(work[row, :n], groups)
     for k in range(n):
         row_d[k] *= measured[k]
         row_r[k] *= measured[k]
@@ -350,8 +394,8 @@ def move(
     moved_e2 = np.float64(dot(moved_innovation, moved_innovation))
     if not moved_e2 < most:
         return e2
-    x[:] = moved
-    innovation[:] = moved_innovation
+    copy(moved, x)
+    copy(moved_innovation, innovation)
     return moved_e2
 
 
@@ -362,7 +406,7 @@ def follow_prediction(work: A, table: A, groups: A, moved: bool) -> float:
     n = read.size
     y, rows, whole, values = work[Y, :n], work[ROW_X, :n], work[WHOLE, :n], work[VALUES, :n]
     if moved:
-        rows[:] = work[X, :n]
+        copy(work[X, :n], rows)
         hadamard(rows, groups)
         for k in range(n):
             row = scale[k] * rows[k]
@@ -400,15 +444,15 @@ def skin_read(
     if begun:
         changed2, second2 = change(y, last, step)
     else:
-        last[:] = y
-    rows[:] = 0
+        copy(y, last)
+    fill(rows)
     for i in range(y.size):
         rows[places[i]] = y[i]
     seen = dot(x, x) > 0
     if not seen:
-        whole[:] = 0
+        fill(whole)
     elif not known:
-        whole[:] = x
+        copy(x, whole)
         hadamard(whole, groups)
         for k in range(n):
             whole[k] *= table[SCALE, k]
@@ -423,13 +467,13 @@ def skin_read(
         if failed:
             moved = True
             e2 = y2
-            x[:] = 0
-            innovation[:] = rows
+            fill(x)
+            copy(rows, innovation)
     along, correction2 = align(innovation, work[CORRECTION, :n], read)
     if remembers:
         if failed:
-            work[KNOWN, :n] = 0
-            work[VALUES, :n] = 0
+            fill(work[KNOWN, :n])
+            fill(work[VALUES, :n])
         change2 = follow_prediction(work, table, groups, moved)
     elif moved:
         for k in range(n):
@@ -446,8 +490,8 @@ def skin_aim(work: A, table: A, gain: float, counted: float, remembers: bool) ->
     measured, read, kept, scale = table[MEASURED], table[READ], table[KEPT], table[SCALE]
     n = read.size
     target, weights = work[TARGET, :n], work[WEIGHTS, :n]
-    work[Z, :n] = work[X, :n]
-    work[TOTAL, :n] = 0
+    copy(work[X, :n], work[Z, :n])
+    fill(work[TOTAL, :n])
     if not remembers:
         y, innovation = work[Y, :n], work[INNOVATION, :n]
         rest = np.float32(1 - gain)
@@ -489,7 +533,7 @@ def _skin_iterate(
     beta = np.float32(momentum)
     for k in range(shifts.size):
         there, back = to_canvas[shifts[k]], from_canvas[shifts[k]]
-        u[:] = z
+        copy(z, u)
         hadamard(u, groups)
         power = residual(target, weights, u, r)
         hadamard(u, groups)
@@ -536,7 +580,7 @@ def skin_test(work: A, table: A, groups: A, factor: float) -> Any:
         mean = np.float32(factor)
         for p in range(n):
             x[p] = total[p] * mean
-    fitted[:] = x
+    copy(x, fitted)
     hadamard(fitted, groups)
     return judge(x, work[Y, :n], table[ONES], table[SCALE], fitted)
 
@@ -588,9 +632,21 @@ def tiled_image(w: A, order: A, grid: A, v: A, scratch: A, image: A) -> None:
 
 
 LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
+    "phi": (measure,),
     "skin": (
-        *(dealt_forward, dealt_adjoint, skin_read, skin_aim, skin_iterate, skin_test, skin_end),
+        *(
+            dealt_forward,
+            dealt_adjoint,
+            skin_read,
+            skin_aim,
+            skin_iterate,
+            skin_test,
+            skin_end,
+        ),
     ),
     "fista": (fista, tiled_image),
 }
-"""Loops of each solver, by its name; beyond `MAX_PLACES` cells it has others with larger tables."""
+"""Loops of each solver, by its name, and of "phi".
+
+Beyond `MAX_PLACES` cells solvers have others, with larger tables.
+"""

@@ -25,6 +25,7 @@ from sparseskin.nodes.compressor.phi.acts import follow
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, layout
 from sparseskin.nodes.compressor.phi.base import Phi, is_built_in, make_phi
 from sparseskin.nodes.compressor.phi.rotation import can_rotate, row_subsets
+from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import (
     PhiError,
     RefusedError,
@@ -34,6 +35,7 @@ from sparseskin.nodes.errors import (
 )
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.compiled import SOLVERS, use_compiled
 from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
@@ -63,6 +65,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         super().__init__(settings, context)
         settings.check()
         compile_loops(settings.chosen()["solver"], settings.fast, context.log)
+        if settings.chosen()["solver"] in SOLVERS:
+            compile_loops("phi", settings.fast, context.log)
         _rehearse(settings)
         self._skin: SkinState | None = None
         self._announced: PhiState | None = None
@@ -175,6 +179,10 @@ class Reconstructor(Node[ReconstructorSettings]):
         for warning in dict.fromkeys(warnings):
             self.context.log(warning)
         self._solver = solver
+        if chosen["solver"] in SOLVERS and use_compiled(self.settings.fast):
+            for one in subsets:
+                if is_sbhe(one):
+                    one.compile()
         self._subsets = {one.fingerprint: one for one in subsets}
         self._watch.set_up(self._subsets, state, solver.mask)
         self._trust_log.begin(len(self._subsets), can_rotate(phi))
@@ -259,7 +267,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         filled = self._watch.filled(forces)
         done_ns = self.context.clock.now_ns()
         fitted = phi.forward(forces.reshape(-1)[self._solver.taxels])
-        residual = math.sqrt(float(np.mean(np.square(fitted - y, dtype=np.float64))))
+        left = np.subtract(fitted, y, dtype=np.float64)
+        residual = math.sqrt(float(np.dot(left, left)) / left.size)
         yield Reconstruction(
             stamp_ns=measurements.stamp_ns,
             patch=self.settings.patch,

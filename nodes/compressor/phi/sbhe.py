@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeGuard
+from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,9 @@ from sparseskin.nodes.numerics.programs import run
 from .base import fingerprint_of
 from .hadamard import BlockHadamard, hadamard_matrix
 from .rotation import RotatingPhi
+
+if TYPE_CHECKING:
+    from .fast import CompiledForward
 
 
 class SbhePhi(RotatingPhi):
@@ -72,6 +75,7 @@ class SbhePhi(RotatingPhi):
     def _keep(self, rows: Indices) -> None:
         rows.setflags(write=False)
         self.rows: Indices = rows
+        self._compiled: CompiledForward | None = None
         self.fingerprint = fingerprint_of(
             self.kind, self.n, self.m, self.block, self.permutation, rows
         )
@@ -96,7 +100,18 @@ class SbhePhi(RotatingPhi):
             start += size
         return matrix
 
+    def compile(self) -> None:
+        """Compute `forward` in compiled loops from now on: the same bits; needs numba."""
+        from .fast import CompiledForward
+
+        self._compiled = CompiledForward(
+            self.permutation, self.hadamard.sizes, self.rows, self.scale
+        )
+
     def _forward(self, x: Floats, out: Floats) -> None:
+        if self._compiled is not None:
+            self._compiled(x, out)
+            return
         x.take(self.scramble, None, self._a, "clip")
         run(self._transform)
         self._result.take(self.row_places, None, out, "clip")
