@@ -1,19 +1,19 @@
-"""HDF5: one dataset of frames, read by h5py (the extra `files`)."""
+"""HDF5: one dataset of frames, read by h5py (the extra `files`) in a process of its own."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
 
 from .arrays import NPZ_NAMES, forces_name, parsed_arrays
+from .isolated import in_child
 from .parsed import Parsed, shown
 
 INSTALL = 'reading HDF5 needs h5py; pip install "sparseskin[files]"'
@@ -37,47 +37,67 @@ def parse_hdf5(raw: bytes, name: str) -> Parsed:
         If h5py is not installed, the bytes are no HDF5, do not hold one such dataset, or an array
         is larger than allowed or not as in an .npz.
     """
-    arrays, _ = hdf5_arrays(raw, name)
+    arrays, _ = hdf5_arrays(name, len(raw))
     return parsed_arrays(arrays, name)
 
 
-def hdf5_arrays(raw: bytes, name: str) -> tuple[dict[str, npt.NDArray[Any]], bool]:
-    """The dataset of frames, and those that describe it; True if MATLAB wrote them, whose
-    dimensions stand in reverse order.
+def hdf5_arrays(name: str, n_bytes: int) -> tuple[dict[str, npt.NDArray[Any]], bool]:
+    """The dataset of frames of a file, and those that describe it; True if MATLAB wrote them, whose
+    dimensions stand in reverse order. `n_bytes` is the size of the file.
     """
-    most = max(MAX_GROWN_BYTES, MAX_GROWTH * len(raw))
-    with _opened(raw, name) as (file, h5py):
-        forces = _forces(file, h5py, name)
-        held: dict[str, Any] = {"forces": forces}
-        for key in NPZ_NAMES[1:]:
-            beside = forces.parent.get(key, getlink=True)
-            if isinstance(beside, h5py.HardLink) and isinstance(forces.parent[key], h5py.Dataset):
-                held[key] = forces.parent[key]
-        size = sum(one.size * one.dtype.itemsize for one in held.values())
-        if size > most:
-            raise SourceError(f"{name}: its datasets have {size} bytes; at most {most} are allowed")
-        arrays = {key: _read(one, h5py, name) for key, one in held.items()}
-        for key in NPZ_NAMES[1:]:
-            if key not in arrays and key in forces.attrs:
-                arrays[key] = _text_or_number(forces.attrs[key])
-        return arrays, _MATLAB_CLASS in forces.attrs
+    _check_installed(name)
+    arrays = in_child("hdf5-arrays", name, n_bytes)
+    return arrays, bool(arrays.pop(_MATLAB_CLASS))
 
 
-def hdf5_shape(raw: bytes, name: str) -> tuple[tuple[int, ...], bool]:
-    """Shape of the dataset of frames, and True where a mask stands beside it."""
-    with _opened(raw, name) as (file, h5py):
+def hdf5_shape(name: str, n_bytes: int) -> tuple[tuple[int, ...], bool]:
+    """Shape of the dataset of frames of a file, and True where a mask stands beside it."""
+    _check_installed(name)
+    found = in_child("hdf5-shape", name, n_bytes)
+    return tuple(found["shape"].tolist()), bool(found["has_mask"])
+
+
+def _check_installed(name: str) -> None:
+    if find_spec("h5py") is None:
+        raise SourceError(f"{name}: {INSTALL}")
+
+
+def read_shape(name: str, most: int) -> dict[str, npt.NDArray[Any]]:
+    """The shape of the frames, and whether there is a mask; runs in a child."""
+    with _opened(name) as (file, h5py):
         forces = _forces(file, h5py, name)
-        return forces.shape, "mask" in forces.parent or "mask" in forces.attrs
+        has_mask = "mask" in forces.parent or "mask" in forces.attrs
+        return {"shape": np.array(forces.shape), "has_mask": np.array(has_mask)}
+
+
+def read_arrays(name: str, most: int) -> dict[str, npt.NDArray[Any]]:
+    """The arrays of a file, of at most `most` bytes together; runs in a child."""
+    with _opened(name) as (file, h5py):
+        return _arrays(_forces(file, h5py, name), h5py, name, most)
+
+
+def _arrays(forces: Any, h5py: Any, name: str, most: int) -> dict[str, npt.NDArray[Any]]:
+    held: dict[str, Any] = {"forces": forces}
+    for key in NPZ_NAMES[1:]:
+        beside = forces.parent.get(key, getlink=True)
+        if isinstance(beside, h5py.HardLink) and isinstance(forces.parent[key], h5py.Dataset):
+            held[key] = forces.parent[key]
+    size = sum(one.size * one.dtype.itemsize for one in held.values())
+    if size > most:
+        raise SourceError(f"{name}: its datasets have {size} bytes; at most {most} are allowed")
+    arrays = {key: _read(one, h5py, name) for key, one in held.items()}
+    for key in NPZ_NAMES[1:]:
+        if key not in arrays and key in forces.attrs:
+            arrays[key] = _text_or_number(forces.attrs[key])
+    return arrays | {_MATLAB_CLASS: np.array(_MATLAB_CLASS in forces.attrs)}
 
 
 @contextmanager
-def _opened(raw: bytes, name: str) -> Iterator[Any]:
+def _opened(name: str) -> Iterator[Any]:
+    import h5py
+
     try:
-        import h5py
-    except ImportError as error:
-        raise SourceError(f"{name}: {INSTALL}") from error
-    try:
-        with h5py.File(io.BytesIO(raw), "r") as file:
+        with h5py.File(name, "r") as file:
             yield file, h5py
     except SourceError:
         raise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from io import SEEK_END
 from pathlib import Path
 from typing import IO
 
@@ -91,7 +92,7 @@ def _n_taxels(
         elif suffix == ".mat":
             shape = mat_shape(file, path, n_rows, n_cols)
         elif suffix in (".h5", ".hdf5"):
-            shape, has_mask = hdf5_shape(file.read(), path)
+            shape, has_mask = hdf5_shape(path, file.seek(0, SEEK_END))
             shape = () if has_mask else shape
         else:
             shape, masked = _of_text(file, suffix, path, n_rows, n_cols, unit, policy)

@@ -5,16 +5,17 @@ from __future__ import annotations
 import io
 import struct
 import zlib
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
 
 from .arrays import NPZ_NAMES, forces_name, parsed_arrays
 from .hdf5 import hdf5_arrays, hdf5_shape
+from .isolated import in_child
 from .parsed import Parsed, shown
 
 _NUMERIC = (
@@ -44,10 +45,10 @@ def parse_mat(raw: bytes, name: str, n_rows: int | None, n_cols: int | None) -> 
         its order of dimensions is not decided, or a variable is not as in an .npz.
     """
     if is_hdf5(raw):
-        arrays, transposed = hdf5_arrays(raw, name)
+        arrays, transposed = hdf5_arrays(name, len(raw))
         arrays = {key: array.T for key, array in arrays.items()} if transposed else arrays
     else:
-        arrays = _version_5(raw, name)
+        arrays = in_child("mat-arrays", name, len(raw))
     arrays = {key: _plain(key, array) for key, array in arrays.items()}
     key = forces_name({key: array.ndim for key, array in arrays.items()}, name)
     forces = arrays[key]
@@ -59,18 +60,16 @@ def parse_mat(raw: bytes, name: str, n_rows: int | None, n_cols: int | None) -> 
 def mat_shape(
     file: IO[bytes], name: str, n_rows: int | None, n_cols: int | None
 ) -> tuple[int, ...]:
-    """Shape of the frames as above, from the headers of the variables; () where a mask decides
-    which cells are taxels.
+    """Shape of a frame as above, from the headers of the variables; () where a mask decides which
+    cells are taxels.
     """
-    head = file.read(_HEAD_BYTES)
-    file.seek(0)
+    head, n_bytes = file.read(_HEAD_BYTES), file.seek(0, io.SEEK_END)
     if is_hdf5(head):
-        shape, masked = hdf5_shape(file.read(), name)
+        shape, masked = hdf5_shape(name, n_bytes)
         shape = shape[::-1]
     else:
-        held = _variables(file, head, name)
-        dimensions = {key: len(shape) for key, shape in held.items() if key not in NPZ_NAMES[1:]}
-        shape, masked = held[forces_name(dimensions, name)], "mask" in held
+        found = in_child("mat-shape", name, n_bytes)
+        shape, masked = tuple(found["shape"].tolist()), bool(found["has_mask"])
     axis = _frame_axis(shape, n_rows, n_cols, name)
     return () if masked else (shape[:2] if axis == 2 else shape[1:])
 
@@ -80,8 +79,19 @@ def is_hdf5(raw: bytes) -> bool:
     return raw.startswith((b"\x89HDF", b"MATLAB 7.3"))
 
 
-def _version_5(raw: bytes, name: str) -> dict[str, npt.NDArray[Any]]:
-    _check_growth(raw, name)
+def read_shape(name: str, most: int) -> dict[str, npt.NDArray[Any]]:
+    """Shape of the variable of frames, and whether there is a mask; runs in a child."""
+    with open(name, "rb") as file:
+        held = _variables(file, file.read(_HEAD_BYTES), name)
+    dimensions = {key: len(shape) for key, shape in held.items() if key not in NPZ_NAMES[1:]}
+    shape = held[forces_name(dimensions, name)]
+    return {"shape": np.array(shape), "has_mask": np.array("mask" in held)}
+
+
+def read_arrays(name: str, most: int) -> dict[str, npt.NDArray[Any]]:
+    """The variables that are read, of at most `most` bytes together; runs in a child."""
+    raw = Path(name).read_bytes()
+    _check_growth(raw, name, most)
     held = _variables(io.BytesIO(raw), raw, name)
     wanted = [key for key in held if "forces" not in held or key in NPZ_NAMES]
     from scipy.io import loadmat
@@ -99,6 +109,7 @@ def _variables(file: IO[bytes], head: bytes, name: str) -> dict[str, tuple[int, 
         raise SourceError(f"{name}: not a .mat file of MATLAB 5 or later")
     from scipy.io import whosmat
 
+    file.seek(0)
     try:
         held = whosmat(file)
     except Exception as error:
@@ -113,10 +124,9 @@ def _variables(file: IO[bytes], head: bytes, name: str) -> dict[str, tuple[int, 
     return found
 
 
-def _check_growth(raw: bytes, name: str) -> None:
+def _check_growth(raw: bytes, name: str, most: int) -> None:
     """Refuse compressed variables that would fill the memory: zeros shrink to a thousandth."""
     order = ">" if raw[126:128] == b"MI" else "<"
-    most = max(MAX_GROWN_BYTES, MAX_GROWTH * len(raw))
     at, total = _HEAD_BYTES, 0
     while at + 8 <= len(raw):
         kind, size = struct.unpack_from(f"{order}II", raw, at)

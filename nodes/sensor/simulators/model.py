@@ -100,6 +100,7 @@ def load_model(path: str) -> Any:
         import mujoco
     except ImportError as error:
         raise SourceError(f"{path}: {INSTALL}") from error
+    mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT here
     try:
         if path.lower().endswith(".mjb"):
             return mujoco.MjModel.from_binary_path(path)

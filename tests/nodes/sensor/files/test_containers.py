@@ -17,7 +17,9 @@ from scipy.io import savemat
 
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError, SparseskinError
+from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.node import Context
+from sparseskin.nodes.sensor.files import isolated
 from sparseskin.nodes.sensor.files.head import n_taxels
 from sparseskin.nodes.sensor.files.parsed import Policy
 from sparseskin.nodes.sensor.files.recorded import open_file
@@ -25,6 +27,21 @@ from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 
 FRAMES = np.arange(60, dtype=np.float64).reshape(5, 3, 4)
 STATED = {"n_rows": 3, "n_cols": 4}
+ISOLATED = "sparseskin.nodes.sensor.files.isolated"
+
+
+@pytest.fixture(autouse=True)
+def direct(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run readers in this process, without the start of another, unless a test is of that."""
+    if "isolated" in request.keywords:
+        return
+
+    def read(task: str, name: str, n_bytes: int) -> Any:
+        most = max(isolated.MAX_GROWN_BYTES, isolated.MAX_GROWTH * n_bytes)
+        return find_callable(isolated.TASKS[task], SourceError)(name, most)
+
+    for module in ("matlab", "hdf5"):
+        monkeypatch.setattr(f"sparseskin.nodes.sensor.files.{module}.in_child", read)
 
 
 # --- .mat ------------------------------------------------------------------------------------
@@ -82,7 +99,7 @@ def test_a_mat_file_that_is_not_plain_is_refused(
 def test_a_mat_file_that_would_fill_the_memory_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sparseskin.nodes.sensor.files.matlab.MAX_GROWN_BYTES", 1 << 25)
+    monkeypatch.setattr(f"{ISOLATED}.MAX_GROWN_BYTES", 1 << 25)
     zeros = zlib.compress(bytes(1 << 24), 9)
     savemat(made := io.BytesIO(), {"a": FRAMES})
     bomb = struct.pack("<II", 15, len(zeros)) + zeros
@@ -106,18 +123,6 @@ def refusal(read: Callable[[], object]) -> str:
 def changed(raw: bytes, place: int, piece: bytes) -> bytes:
     at = place % len(raw)
     return raw[:at] + piece + raw[at + len(piece) :]
-
-
-@settings(max_examples=80, deadline=None, suppress_health_check=SHARED)
-@given(place=st.integers(0, 10**6), piece=st.binary(min_size=1, max_size=8), cut=st.booleans())
-def test_a_damaged_mat_file_is_read_or_refused_in_one_line(
-    tmp_path: Path, place: int, piece: bytes, cut: bool
-) -> None:
-    savemat(made := io.BytesIO(), {"forces": FRAMES, "unit": "N"}, do_compression=place % 2 == 0)
-    raw = made.getvalue()
-    (tmp_path / "a.mat").write_bytes(raw[: place % len(raw)] if cut else changed(raw, place, piece))
-    assert refusal(lambda: open_file(tmp_path / "a.mat", **STATED)).isprintable()
-    assert refusal(lambda: n_taxels(str(tmp_path / "a.mat"), **STATED)).isprintable()
 
 
 # --- .h5 -------------------------------------------------------------------------------------
@@ -184,6 +189,46 @@ def test_without_the_extra_hdf5_names_the_command_that_installs_it(
     (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
     with pytest.raises(SourceError, match=r'pip install "sparseskin\[files\]"'):
         open_file(tmp_path / "a.h5")
+
+
+# --- in a process of their own ---------------------------------------------------------------
+
+
+@pytest.mark.isolated
+@pytest.mark.parametrize("suffix", [".mat", ".h5"])
+def test_a_file_is_read_in_a_process_of_its_own_and_a_damaged_one_refused(
+    h5py: Any, tmp_path: Path, suffix: str
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".mat":
+        savemat(path, {"forces": FRAMES, "note": {"a": 1}})
+    else:
+        with h5py.File(path, "w") as file:
+            file["forces"] = FRAMES
+    assert np.array_equal(open_file(path, **STATED).frames, FRAMES)
+    raw = bytearray(path.read_bytes())
+    raw[200:] = bytes(reversed(raw[200:]))
+    path.write_bytes(raw)
+    line = refusal(lambda: open_file(path, **STATED))
+    assert line.startswith(f"{path}: ")
+    assert line.isprintable()
+
+
+@pytest.mark.isolated
+def test_a_file_on_which_its_reader_fails_or_hangs_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    savemat(tmp_path / "a.mat", {"forces": FRAMES})
+    monkeypatch.setattr(f"{ISOLATED}.sys.executable", "/bin/false")
+    with pytest.raises(SourceError, match=r"its reader failed \(status 1\)"):
+        open_file(tmp_path / "a.mat", **STATED)
+    hanging = tmp_path / "python"
+    hanging.write_text("#!/bin/sh\nexec sleep 60\n")
+    hanging.chmod(0o755)
+    monkeypatch.setattr(f"{ISOLATED}.sys.executable", str(hanging))
+    monkeypatch.setattr(f"{ISOLATED}.START_S", 0.1)
+    with pytest.raises(SourceError, match="not read within 0 s; a damaged file"):
+        open_file(tmp_path / "a.mat", **STATED)
 
 
 # --- .asc ------------------------------------------------------------------------------------

@@ -239,13 +239,20 @@ def test_a_simulation_that_diverges_is_reported(tmp_path: Path) -> None:
     ],
 )
 def test_a_model_without_a_skin_or_contact_is_refused_in_one_line(
-    tmp_path: Path, bodies: str, site: str, more: str, text: str
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    bodies: str,
+    site: str,
+    more: str,
+    text: str,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     address = model_of(bodies, tmp_path, site, more)
     with pytest.raises(SourceError) as refused:
         check_source(f"mujoco:{address}")
     assert text in str(refused.value)
     assert str(refused.value).isprintable()
+    assert [path.name for path in tmp_path.iterdir()] == ["model.xml"]  # no log of MuJoCo
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,81 @@
+"""Readers of formats whose libraries fail on damaged files, each call in a process of its own.
+
+For a few changed bytes HDF5's library enters endless loops, and SciPy's reader of .mat ends the
+process. So they run in a child whose time and memory are bounded:
+`python -m sparseskin.nodes.sensor.files.isolated TASK PATH MOST_BYTES`.
+"""
+
+from __future__ import annotations
+
+import io
+import resource
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import find_callable
+from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+
+_FILES = "sparseskin.nodes.sensor.files"
+TASKS = {
+    "hdf5-arrays": f"{_FILES}.hdf5:read_arrays",
+    "hdf5-shape": f"{_FILES}.hdf5:read_shape",
+    "mat-arrays": f"{_FILES}.matlab:read_arrays",
+    "mat-shape": f"{_FILES}.matlab:read_shape",
+}
+"""Functions of (path, most bytes of the arrays): arrays by name, or SourceError."""
+START_S, BYTES_PER_S = 60.0, 1e7
+"""Time that a child has, in s: to start, and by size; chosen, far above what it takes (1 s of the
+processor for a small .mat), as a host may be loaded."""
+_OTHER_BYTES = 1 << 31
+"""Memory that a child may have besides twice the arrays, for interpreter and libraries; chosen."""
+_REFUSED = 3
+"""Exit status of a child that printed why it refuses the file."""
+
+
+def in_child(task: str, name: str, n_bytes: int) -> dict[str, npt.NDArray[Any]]:
+    """Arrays of a file of `n_bytes`, by one of the `TASKS`.
+
+    Raises
+    ------
+    SourceError
+        If the task does, or its process fails or takes too long.
+    """
+    most = max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
+    # -P: no module of the current directory is imported.
+    command = [sys.executable, "-P", "-m", f"{_FILES}.isolated", task, name, str(most)]
+    limit_s = START_S + n_bytes / BYTES_PER_S
+    try:
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=limit_s, check=False
+        )
+    except subprocess.TimeoutExpired:
+        raise SourceError(f"{name}: not read within {limit_s:.0f} s; a damaged file?") from None
+    if done.returncode == _REFUSED:
+        raise SourceError(done.stderr.decode("utf-8", "replace").strip())
+    if done.returncode:
+        raise SourceError(f"{name}: its reader failed (status {done.returncode}); a damaged file?")
+    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as held:
+        return {key: held[key] for key in held}
+
+
+def main(task: str, name: str, most: int) -> int:
+    """The child: read a file and write its arrays as .npz to standard output."""
+    limit = 2 * most + _OTHER_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    try:
+        arrays = find_callable(TASKS[task], SourceError)(name, most)
+    except SourceError as error:
+        print(error, file=sys.stderr)
+        return _REFUSED
+    plain = {key: array for key, array in arrays.items() if not array.dtype.hasobject}
+    np.savez(sys.stdout.buffer, **plain)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1], sys.argv[2], int(sys.argv[3])))
