@@ -23,6 +23,10 @@ class SourceError(SparseskinError):
     """A sensor source (scene, file or driver) is missing, malformed or delivered a bad frame."""
 
 
+class NotHereError(SourceError):
+    """A device, or the package that opens it, is not on this host; it may be on another."""
+
+
 class PhiError(SparseskinError):
     """A measurement matrix cannot be made as asked."""
 

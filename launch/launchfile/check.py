@@ -13,10 +13,11 @@ from typing import Any
 from sparseskin.launch.run.restarts import RESTART_KEYS, RestartPolicy
 from sparseskin.messages.errors import MessageError
 from sparseskin.messages.topics import check_name
-from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.errors import NotHereError, SparseskinError
 from sparseskin.nodes.graph import Link, join
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.registry import make_settings, node_class
+from sparseskin.nodes.settings import Settings
 from sparseskin.nodes.toml import parse_toml
 
 from .hosts import check_exposure, give_ports, read_hosts, read_place, read_security
@@ -55,6 +56,7 @@ class Checker:
         self.launched = text
         self.templates: dict[str, str] = {}
         self.restart = RestartPolicy()
+        self.places: dict[str, Any] = {}
 
     def check(self, overrides: Sequence[str], record: str | None) -> LaunchFile:
         for key in self.tree:
@@ -75,7 +77,7 @@ class Checker:
         if record is not None:
             tables[RECORDER] = {"type": "recorder", "out": record}
             self.overridden[RECORDER, "out"] = f"{RECORDER}.out={record}"
-        places = {}
+        places = self.places
         for node_name, table in tables.items():
             if hosts and not (node_name == RECORDER and record is not None):
                 places[node_name] = read_place(node_name, table, hosts, self.fault)
@@ -252,7 +254,7 @@ class Checker:
             try:
                 settings = make_settings(cls, right)
                 if decided:
-                    settings.check()
+                    self.check_settings(name, settings)
             except SparseskinError as error:
                 if str(error).partition(":")[0] in values.keys() - right.keys():
                     return None  # it has to be stated
@@ -267,6 +269,19 @@ class Checker:
                     del right[key]
                 continue
             return NodeSpec(name, type_name, cls, values, settings, restart) if decided else None
+
+    def check_settings(self, name: str, settings: Settings) -> None:
+        """Check settings; a device that is not on this host is looked for by the node itself where
+        nodes are placed on hosts.
+        """
+        try:
+            settings.check()
+        except SparseskinError as error:
+            cause: BaseException | None = error
+            while cause is not None and not isinstance(cause, NotHereError):
+                cause = cause.__cause__
+            if cause is None or name not in self.places:
+                raise
 
     def node_fault(self, name: str, values: dict[str, Any], error: Exception) -> tuple[str, str]:
         """Note an error that begins with the key of a node; return the key and, of a table, its

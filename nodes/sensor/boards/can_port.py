@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.errors import NotHereError, SourceError
 from sparseskin.nodes.lookup import did_you_mean
 
 from .can_chunks import HIGHEST_STANDARD_ID, Assembler, chunks_of
@@ -128,10 +128,10 @@ def check_can(channel: str, interface: str) -> None:
     channels = can_channels()
     if channel not in channels:
         hint = did_you_mean(channel, channels)
-        raise SourceError(f"there is no CAN interface {channel}{hint}")
+        raise NotHereError(f"there is no CAN interface {channel}{hint}")
     with contextlib.suppress(OSError, ValueError):
         if not int(Path(f"/sys/class/net/{channel}/flags").read_text(), 16) & 1:
-            raise SourceError(f"the CAN interface {channel} is down: ip link set {channel} up")
+            raise NotHereError(f"the CAN interface {channel} is down: ip link set {channel} up")
 
 
 def can_channels() -> list[str]:

@@ -9,7 +9,7 @@ from itertools import pairwise
 from types import ModuleType
 from typing import Protocol
 
-from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.errors import NotHereError
 
 from .framing import Frame, Framing
 
@@ -54,11 +54,11 @@ class Port(Protocol):
 
 
 def needed_module(name: str, package: str, extra: str) -> ModuleType:
-    """Import a package of an extra; SourceError if it is not installed."""
+    """Import a package of an extra; NotHereError if it is not installed."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise SourceError(
+        raise NotHereError(
             f"{package} is not installed: pip install 'sparseskin[{extra}]'"
         ) from error
 

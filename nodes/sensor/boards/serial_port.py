@@ -14,7 +14,7 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.errors import NotHereError, SourceError
 from sparseskin.nodes.lookup import did_you_mean
 
 from .framing import Counts, FrameParser, Framing
@@ -106,7 +106,7 @@ def check_serial(device: str) -> None:
         found = os.stat(device)
     except (OSError, ValueError):
         hint = did_you_mean(device, serial_devices())
-        raise SourceError(f"there is no device {device}{hint}") from None
+        raise NotHereError(f"there is no device {device}{hint}") from None
     if not stat.S_ISCHR(found.st_mode):
         raise SourceError("is no serial port")
     if not os.access(device, os.R_OK | os.W_OK):
