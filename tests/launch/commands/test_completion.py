@@ -17,7 +17,7 @@ from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.registry import NODE_TYPES, node_class
 
 BEGUN = "sensor.source=udp:1?rows=2&"
-C = ("checksum", "checksum_from", "cols", "col_order")
+C = ("checksum", "checksum_from", "confirm", "cols", "col_order")
 """Keys of a board that begin with c."""
 CELLS = ["camera.n_rows=", "camera.n_cols="]
 OFFERED = ("key", "type", "doc", "choices", "known")
