@@ -339,8 +339,8 @@ def read_recording(
     Parameters
     ----------
     path : str or path
-        A bag (.mcap, .mcap.part), or any file that the sensor reads: Novel .lst, Tekscan .csv and
-        .asf, XSENSOR .csv, .npy, .npz, plain .csv.
+        A bag (.mcap, .mcap.part), or any file that the sensor reads: Novel .lst and .asc, Tekscan
+        .csv and .asf, XSENSOR .csv, .npy, .npz, .mat, .h5, plain .csv.
     patch : str, optional
         Patch to read; needed where a bag has several.
     **stated
