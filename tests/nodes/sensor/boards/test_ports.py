@@ -17,7 +17,6 @@ from conftest import free_port, wait_until
 from sparseskin.messages import Taxels
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.edge.frames import START
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor.boards import source as source_module
@@ -321,15 +320,3 @@ class TestNode:
         assert sensor.rate_hz == 0
         assert not sensor.follows_readers
         sensor.close({})
-
-
-def test_the_framing_of_an_exported_edge_is_one_of_these() -> None:
-    from sparseskin.nodes.edge import frames as edge
-
-    # AA 55, u16 number, u32 Phi and f32 step (skipped here), codes, CRC-16 of all after AA 55.
-    framing = Framing(10, start=START, sequence_bytes=2, skip=8, checksum="crc16")
-    head = edge._HEADER.pack(7, 1, 2.0)
-    body = head + b"0123456789"
-    raw = START + body + edge.crc16(body).to_bytes(2, "little")
-    assert framing.is_whole(raw)
-    assert framing.split(raw) == (b"0123456789", 7)
