@@ -35,7 +35,7 @@ soak: .venv/installed-charts
 
 # Pictures of the live page in several states, in docs/ (needs chromium, chromium-driver).
 shots: .venv/installed-dev
-	PYTHONPATH=tests $(BIN)/python tests/shots.py
+	PYTHONPATH=tests $(BIN)/python tests/shots.py $(SHOTS)
 
 # The tables and charts of four studies, in out/ (50 minutes; the quick ones 8).
 charts charts-quick: .venv/installed-charts

@@ -251,7 +251,13 @@ def write_csv(out: Path, name: str, rows: Rows) -> str:
     return f"[{path.name}]({path.name})"
 
 
-def fill_page(out: Path, name: str, template: Path | None = None, **values: Any) -> Path:
+def fill_page(
+    out: Path,
+    name: str,
+    template: Path | None = None,
+    conclusion: Sequence[str] = (),
+    **values: Any,
+) -> Path:
     """Fill a template and write it as the study's page `name.md`.
 
     Parameters
@@ -263,6 +269,8 @@ def fill_page(out: Path, name: str, template: Path | None = None, **values: Any)
     template : Path, optional
         Markdown with Jinja2 expressions; `x|f(".1f")` formats a number as Python does. By
         default `page.md` in the folder of the study of that name.
+    conclusion : sequence of str
+        What the figures show, three lines at most; they stand below the title.
     **values
         What the expressions name; a data frame is shown as a table.
 
@@ -285,6 +293,9 @@ def fill_page(out: Path, name: str, template: Path | None = None, **values: Any)
     path = out / f"{name}.md"
     template = template or Path(__file__).parent / name.replace("-", "_") / "page.md"
     text = environment.from_string(template.read_text(encoding="utf-8")).render(values)
+    if conclusion:
+        title, _, rest = text.lstrip().partition("\n")
+        text = "\n".join([title, "", *(f"- {line}" for line in conclusion[:3]), rest])
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:

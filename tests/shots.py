@@ -1,15 +1,19 @@
 """Pictures of the live page in several states, for a person to look at: `make shots`.
 
-They are of real graphs, in a real browser; written to docs/.
+They are of real graphs, in a real browser; written to docs/. `make shots SHOTS="hero contact"`
+takes some of them.
 """
 
 from __future__ import annotations
 
+import base64
+import io
 import os
 import re
 import signal
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +21,11 @@ from browser import browser, dark, lack
 from conftest import Program, wait_until
 
 DOCS = Path(__file__).parent.parent / "docs"
+DRAGGED_FROM = 1200
+"""The wrench of drag_wrench_40 lies on the skin and is dragged from about this frame on."""
+CONTACT_HZ, CONTACT_FROM, CONTACT_S = 20, 300, 15.0
+"""It touches the skin at frame 320."""
+CONTACT_FPS, COLOURS, MAX_BYTES = 8, 128, 2_000_000
 
 
 def text(page: Any, selector: str) -> str:
@@ -34,10 +43,83 @@ def n_drawn(page: Any) -> int:
     return int(page.execute_script("return Number(document.body.dataset.drawn ?? 0)"))
 
 
-def touched(page: Any) -> bool:
-    """True if a body presses on the skin now and there is some history to show."""
+def touched(page: Any, n: int = 800) -> bool:
+    """True if a body presses on the skin now and `n` frames of history have been drawn."""
     found = re.search(r"total ([0-9.]+) N", text(page, '[data-panel="truth"] figcaption'))
-    return found is not None and float(found[1]) > 8 and n_drawn(page) > 800
+    return found is not None and float(found[1]) > 8 and n_drawn(page) > n
+
+
+def hero(page: Any, folder: Path) -> None:
+    """A wrench is dragged over the skin, and the solver trusts what it makes of it."""
+    program = Program(
+        "launch", "drag_wrench_40", "--set", "sensor.rate_hz=100", "--set", "monitor.port=0",
+        cwd=folder,
+    )  # fmt: skip
+    marks = "return document.querySelectorAll('[data-mark]:not([data-mark=\"\"])').length"
+    try:
+        page.get(program.wait_for("live page: "))
+        wait_until(lambda: n_frames(page) >= DRAGGED_FROM, "the drag")
+        wait_until(
+            lambda: (
+                touched(page, 0) and not text(page, "#notices") and not page.execute_script(marks)
+            ),
+            "a trusted contact",
+        )
+        shoot(page, "live")
+    finally:
+        program.kill_all()
+        program.process.communicate()
+
+
+def contact(page: Any, folder: Path) -> None:
+    """The first contact of a wrench, as an animated picture of the maps."""
+    from PIL import Image
+
+    rate = f"sensor.rate_hz={CONTACT_HZ}"
+    program = Program(
+        "launch", "drag_wrench_40", "--set", rate, "--set", "monitor.port=0", cwd=folder
+    )
+    frames: list[Image.Image] = []
+    times_s: list[float] = []
+    try:
+        page.get(program.wait_for("live page: "))
+        wait_until(lambda: n_frames(page) >= CONTACT_FROM, "the time before the contact")
+        # A notice that comes or goes would move the maps.
+        page.execute_script("document.querySelector('#notices').style.display = 'none'")
+        box = page.execute_script(
+            "const r = document.querySelector('#maps').getBoundingClientRect();"
+            "return {x: r.x, y: r.y, width: r.width, height: r.height}"
+        )
+        shot = {"format": "png", "clip": {**box, "scale": 1}}
+        began_s = time.monotonic()
+        while (now_s := time.monotonic() - began_s) < CONTACT_S:
+            data = page.execute_cdp_cmd("Page.captureScreenshot", shot)["data"]
+            with Image.open(io.BytesIO(base64.b64decode(data))) as image:
+                frames.append(image.convert("RGB"))
+            times_s.append(now_s)
+            # Pictures more often than that make the file larger, and nothing clearer.
+            time.sleep(max(0.0, began_s + len(frames) / CONTACT_FPS - time.monotonic()))
+    finally:
+        program.kill_all()
+        program.process.communicate()
+    path = DOCS / "contact.gif"
+    ends_s = [*times_s[1:], CONTACT_S]
+    durations = [round(1e3 * (b - a)) for a, b in zip(times_s, ends_s, strict=True)]
+    # One palette, of a frame in contact, so that what stands still is the same bytes.
+    palette = frames[-1].quantize(colors=COLOURS, dither=Image.Dither.NONE)
+    small = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in frames]
+    small[0].save(
+        path, save_all=True, append_images=small[1:], duration=durations, loop=0, optimize=True
+    )
+    size = path.stat().st_size
+    print(f"docs/contact.gif: {len(frames)} pictures, {size / 1e6:.2f} MB", flush=True)
+    assert size < MAX_BYTES, f"{path}: larger than {MAX_BYTES} bytes"
+
+
+def n_frames(page: Any) -> int:
+    """Number of frames that the page shows."""
+    found = re.search(r"Frames\s+(\d+)", text(page, "#headline"))
+    return int(found[1]) if found else 0
 
 
 def one_patch(page: Any, folder: Path) -> None:
@@ -49,7 +131,6 @@ def one_patch(page: Any, folder: Path) -> None:
     try:
         page.get(program.wait_for("live page: "))
         wait_until(lambda: touched(page), "the wrench on the skin")
-        shoot(page, "live")
         sensor = program.pid_of("sensor")
         os.kill(sensor, signal.SIGSTOP)
         wait_until(lambda: "not answering" in text(page, "#nodes"), "the notice")
@@ -84,9 +165,12 @@ def main() -> int:
         print(lack(), file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory() as folder, browser(Path(folder) / "profile") as page:
-        one_patch(page, Path(folder))
-        two_patches(page, Path(folder))
+        for name in sys.argv[1:] or SHOTS:
+            SHOTS[name](page, Path(folder))
     return 0
+
+
+SHOTS = {"hero": hero, "contact": contact, "stale": one_patch, "patches": two_patches}
 
 
 if __name__ == "__main__":

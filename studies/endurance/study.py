@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -140,11 +140,28 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     fill_page(
         out,
         "endurance",
+        conclusion=conclusion(found),
         scenes=SCENES,
         lost=LOST,
         table=pd.DataFrame(rows),
         csv=write_csv(out, "endurance", rows),
     )
+
+
+def conclusion(found: Sequence[dict[str, Any]]) -> list[str]:
+    """What a stream of frames without end does to the solver."""
+    frames = sum(figures["n_frames"] for figures in found)
+    not_finite = sum(figures["not_finite"] for figures in found)
+    drifts = [figures["rounds_db"][-1] - figures["rounds_db"][0] for figures in found]
+    jumps = np.concatenate([np.array(figures["jumps_db"], float) for figures in found])
+    within = float(np.mean(jumps <= ALLOWED_DB)) if jumps.size else 1.0
+    return [
+        f"{frames:,} frames in {len(found)} streams, {not_finite} of them not finite.",
+        f"From the first round to the last the mean PSNR changes by {min(drifts):+.2f} to "
+        f"{max(drifts):+.2f} dB.",
+        f"After {100 * within:.1f} % of {jumps.size:,} jumps the solver is within "
+        f"{ALLOWED_DB:g} dB of one that starts there.",
+    ]
 
 
 def summary(point: dict[str, Any], figures: dict[str, Any]) -> dict[str, str]:

@@ -49,6 +49,13 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     fill_page(
         out,
         "fuzz",
+        conclusion=[
+            f"{sum(of['n'] for of in sent):,} hostile messages to {len(sent)} types of nodes: "
+            f"{sum(bool(of['alive']) for of in sent)} live and go on.",
+            f"{sum(sum(of['refused'].values()) for of in sent):,} were refused and counted.",
+            f"{sum(point['n'] for point in lots):,} mutated launch files: "
+            f"{sum(found['n_faulty'] for found in files)} were not answered as they have to be.",
+        ],
         n_sound=nodes.N_SOUND,
         table=pd.DataFrame(rows, dtype=object),
         n_files=sum(point["n"] for point in lots),

@@ -79,6 +79,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     fill_page(
         out,
         "moving",
+        conclusion=conclusion(means),
         speed=SPEED,
         active=100 * TOUCHED,
         sizes=_sizes(sizes),
@@ -93,6 +94,22 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         bodies=_table(frame, ["side", "course", "body"], "mean_db"),
         csv=write_csv(out, "methods", frame),
     )
+
+
+def conclusion(means: pd.DataFrame) -> list[str]:
+    """Means of each course over both sizes, at the smallest ratio N / M."""
+    some = means[means["ratio"] == means["ratio"].min()]
+    found = some.groupby(["course", "method"])["mean_db"].mean()
+
+    def shown(course: str, method: str) -> str:
+        known = (course, method) in found.index
+        return f"{method} {found[course, method]:.1f} dB" if known else f"{method} -"
+
+    return [
+        f"*{course}*, N/{some['ratio'].min():g}: "
+        f"{', '.join(shown(course, method) for method in (ROTATED, SKIN, PAPER, RAW))}."
+        for course in some["course"].unique()
+    ]
 
 
 def pressed(point: Point) -> dict[str, Any]:

@@ -76,6 +76,25 @@ class Filtered:
         return Solved(np.where(self._mean < DEAD_ZONE_N, np.float32(0), self._mean))
 
 
+def conclusion(frame: pd.DataFrame) -> list[str]:
+    """Means over all scenes, at the highest and the lowest rate."""
+    means = frame.groupby(["method", "rate_hz"])[["gain_db", "mean_db"]].mean()
+    high, low = frame["rate_hz"].max(), frame["rate_hz"].min()
+
+    def above(method: str, other: str, rate_hz: float) -> str:
+        found = means.loc[(method, rate_hz), "mean_db"] - means.loc[(other, rate_hz), "mean_db"]
+        return f"{found:+.1f} dB at {rate_hz:g} Hz"
+
+    both = [f"{means.loc[(SKIN, hz), 'gain_db']:+.1f} dB at {hz:g} Hz" for hz in (high, low)]
+    return [
+        f"Gain of `skin` at N/{RATIO} over preset paper, mean of the scenes: {', '.join(both)}.",
+        f"Against the same solver with all taxels: {above(SKIN, ALL, high)}, "
+        f"{above(SKIN, ALL, low)}: what compression costs.",
+        f"Against a filter of all taxels: {above(SKIN, FILTERED, high)}, "
+        f"{above(SKIN, FILTERED, low)}.",
+    ]
+
+
 def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     """Compute the study and write its page; see `command.Study`."""
     span_s = QUICK_SPAN_S if quick else SPAN_S
@@ -94,6 +113,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     fill_page(
         out,
         "rates",
+        conclusion=conclusion(frame),
         ratio=RATIO,
         span_s=span_s,
         jump_sigmas=JUMP_SIGMAS,

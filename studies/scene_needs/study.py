@@ -52,6 +52,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     fill_page(
         out,
         "scene-needs",
+        conclusion=conclusion(rows),
         quick=quick,
         quick_steps=QUICK_STEPS,
         chart=_chart(out, frame),
@@ -74,6 +75,22 @@ def verdict(row: Row) -> str:
     if not matters:
         return "rightly left out"
     return "left out" if (row["scene"], row["variant"]) in _LEFT_OUT else "missing"
+
+
+def conclusion(rows: Sequence[Row]) -> list[str]:
+    """What the verdicts amount to."""
+    n = {kind: sum(row["verdict"] == kind for row in rows) for kind in ("needed", "kept")}
+    n_carried = sum(bool(row["carried"]) for row in rows)
+    n_added = len(rows) - n_carried
+    n_missing = sum(row["verdict"] == "missing" for row in rows)
+    needed = {row["variant"] for row in rows if row["verdict"] == "needed"}
+    return [
+        f"Of {n_carried} terms that the scenes carry, {n['needed']} change the frames by more than "
+        f"the noise and are needed; {n['kept']} are kept for another reason, which is stated.",
+        f"Of {n_added} that they do not carry, {n_added - n_missing} would change less than the "
+        f"noise, or are left out for a stated reason; {n_missing} are missing.",
+        f"Needed in some scene: {', '.join(sorted(needed)) or 'none'}.",
+    ]
 
 
 def summary(rows: Sequence[Row], quick: bool) -> str:
@@ -112,7 +129,7 @@ def _chart(out: Path, frame: pd.DataFrame) -> str:
         "scene-needs",
         "Change of each scene's frames, in dB as PSNR: the further left, the larger.",
         *(len(scenes), 3),
-        size_in=(9.5, 2.9 * -(-len(scenes) // 3) + 0.6),
+        size_in=(9.5, 3.2 * -(-len(scenes) // 3) + 1.1),
         legend_columns=5,
     )
     with chart:
@@ -120,6 +137,12 @@ def _chart(out: Path, frame: pd.DataFrame) -> str:
             mine = frame[frame["scene"] == scene]
             noise_db = mine["noise_db"].iloc[0]
             axes.axvspan(10.0, noise_db, color="#dddddd", zorder=0, label="above the noise")
+            for place, text in (
+                ((10.0 + noise_db) / 2, "above the noise:\nneeded"),
+                ((noise_db + 105.0) / 2, "below the noise:\ncan be left out"),
+            ):
+                style: dict[str, Any] = {"ha": "center", "va": "top", "color": "0.3"}
+                axes.text(place, len(names) + 0.75, text, fontsize=8, **style)
             for carried, colour, marker, label in (
                 (True, PALETTE[0], "o", "removed"),
                 (False, PALETTE[1], "s", "added"),
@@ -130,7 +153,12 @@ def _chart(out: Path, frame: pd.DataFrame) -> str:
                 axes.hlines(heights, worst, changes, color=colour, lw=1.0)
                 axes.plot(changes, heights, marker, color=colour, label=label)
                 axes.plot(worst, heights, "|", color=colour, ms=9, label=f"{label}: worst frame")
-            axes.set(xlim=(10.0, 105.0), ylim=(-0.6, len(names) - 0.4), title=scene)
+            axes.set(xlim=(10.0, 105.0), ylim=(-0.6, len(names) + 0.9), title=scene)
             axes.set_yticks(range(len(names)), [""] * len(names) if k % 3 else names)
-        chart.label("change of the frames, dB", "")
+        chart.figure.suptitle(
+            "What a scene needs: its frames with one term removed or added, against its own\n"
+            "(mark: mean of the contact frames; line: to the worst of them)",
+            fontsize=10,
+        )
+        chart.label("change, dB (left: larger)", "")
     return chart.markdown

@@ -51,9 +51,19 @@ SWEPT = {
         "bytes sent a frame",
         swept_m,
         "Bytes of a frame's message against PSNR, frames 1 ms apart: along each line M grows, from "
-        "N/16 (quick: N/8) to N/2 (N/3), each solver with its iterations; grey: the Pareto front",
+        "N/16 (quick: N/8) to N/2 (N/3), each solver with its iterations; the default is *skin, "
+        "rotating rows*, the paper's method *fista, preset paper*, and *tv* the best of the others "
+        "by the mean of 40 x 40 taxels; thin and grey: all others",
     ),
 }
+FOCUS = {
+    "skin, rotating rows": 2,
+    "skin, preset skin": 1,
+    "tv": 4,
+    "fista, preset paper": 0,
+}
+"""Series in colour in the chart of bytes, and the place of each in the palette."""
+OTHERS = "other solvers"
 _BLACK = PALETTE[-1]
 #: Column, heading and format of the tables of rows.
 _SHOWN = (
@@ -79,6 +89,7 @@ def write(out: Path, results: Results, absent: Sequence[str], quick: bool) -> No
     fill_page(
         out,
         "speed-accuracy",
+        conclusion=_conclusion(results),
         quick=quick,
         centre_ratio=CENTRE_RATIO,
         variants=variants(),
@@ -109,6 +120,24 @@ def write(out: Path, results: Results, absent: Sequence[str], quick: bool) -> No
             write_csv(out, "libraries", results.raced),
         ],
     )
+
+
+def _conclusion(results: Results) -> list[str]:
+    """The default beside the paper's method and the reading of all taxels, at M = N/3."""
+    lines = []
+    for panel in results.pools:
+        rows = _swept(results, panel, "n_bytes")
+        rows = rows[rows["ratio"] == CENTRE_RATIO].set_index("label")
+        raw, _ = raw_and_zoned(results.readings, panel)
+        known = [label for label in FOCUS if label in rows.index]
+        figures = ", ".join(f"*{label}* {rows.loc[label, 'mean_db']:.1f}" for label in known)
+        lines.append(
+            f"{panel}, M = N/{CENTRE_RATIO}, mean PSNR of contact frames in dB: {figures}; all "
+            f"taxels sent {raw['mean_db']:.1f}."
+        )
+    best = _swept(results, results.pools[0], "n_bytes")
+    best = best[best["ratio"] == CENTRE_RATIO].sort_values("mean_db").iloc[-1]
+    return [*lines[:2], f"The best of {results.pools[0]} at these bytes: *{best['label']}*."]
 
 
 def _table(parts: Any) -> str:
@@ -175,10 +204,17 @@ def _draw(out: Path, results: Results, x: str, pooled: bool) -> str:
 
 def _draw_panel(axes: Axes, results: Results, panel: str, x: str, y: str) -> None:
     rows, curve = results.of(panel), SWEPT[x][2]
-    for k, label in enumerate(rows["label"].unique()):
-        along, style = curve(rows, label), series_style(k)
+    labels = list(rows["label"].unique())
+    if x == "n_bytes":  # those in colour last, on top of the others
+        labels = sorted(labels, key=lambda label: label in FOCUS)
+    for k, label in enumerate(labels):
+        along = curve(rows, label)
+        if x == "n_bytes":
+            axes.plot(along[x], along[y], **_focused(label))
+            continue
+        style = series_style(k)
         axes.plot(along[x], along[y], label=label, markersize=5, **style)
-        if x != "median_ms" or "preset" not in label:
+        if "preset" not in label:
             continue
         style |= {"markerfacecolor": "white", "linestyle": ""}
         for row in swept_m(rows, label).to_dict("records"):
@@ -189,9 +225,10 @@ def _draw_panel(axes: Axes, results: Results, panel: str, x: str, y: str) -> Non
             note: dict[str, Any] = {"fontsize": 6, "va": "center", "color": style["color"]}
             note |= {"xytext": (4, 0), "textcoords": "offset points"}
             axes.annotate(f"N/{row['ratio']}", place, **note)
-    best = front(_swept(results, panel, x), x, y)
-    grey: dict[str, Any] = {"color": "0.6", "linewidth": 5, "alpha": 0.5, "zorder": 0}
-    axes.step(best[x], best[y], where="post", label="Pareto front", **grey)
+    if x != "n_bytes":
+        best = front(_swept(results, panel, x), x, y)
+        grey: dict[str, Any] = {"color": "0.6", "linewidth": 5, "alpha": 0.5, "zorder": 0}
+        axes.step(best[x], best[y], where="post", label="Pareto front", **grey)
     for reading, text, line in zip(
         raw_and_zoned(results.readings, panel),
         ("all taxels sent, noisy", "all taxels sent, best dead zone"),
@@ -203,6 +240,14 @@ def _draw_panel(axes: Axes, results: Results, panel: str, x: str, y: str) -> Non
             axes.plot(reading[x], reading[y], color=_BLACK, marker=MARKERS[-1])
     axes.set_xscale("log")
     _plain_ticks(axes)
+
+
+def _focused(label: str) -> dict[str, Any]:
+    """Style of a series in the chart of bytes, its label included."""
+    if label not in FOCUS:
+        return {"color": "0.75", "linewidth": 0.9, "zorder": 1, "label": OTHERS}
+    k = FOCUS[label]
+    return series_style(k) | {"linewidth": 2.0, "markersize": 6, "zorder": 3, "label": label}
 
 
 def _plain_ticks(axes: Axes) -> None:
