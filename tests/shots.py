@@ -23,8 +23,8 @@ from conftest import Program, wait_until
 DOCS = Path(__file__).parent.parent / "docs"
 DRAGGED_FROM = 1200
 """The wrench of drag_wrench_40 lies on the skin and is dragged from about this frame on."""
-CONTACT_HZ, CONTACT_FROM, CONTACT_S = 20, 300, 15.0
-"""It touches the skin at frame 320."""
+CONTACT_HZ, CONTACT_FROM, CONTACT_S = 55, 300, 15.0
+"""It touches the skin at frame 320, bounces twice, and lies on it from about frame 850 on."""
 CONTACT_FPS, COLOURS, MAX_BYTES = 8, 128, 2_000_000
 
 
@@ -52,7 +52,7 @@ def touched(page: Any, n: int = 800) -> bool:
 def hero(page: Any, folder: Path) -> None:
     """A wrench is dragged over the skin, and the solver trusts what it makes of it."""
     program = Program(
-        "launch", "drag_wrench_40", "--set", "sensor.rate_hz=100", "--set", "monitor.port=0",
+        "launch", "drag_wrench_40", "--set", "sensor.rate_hz=50", "--set", "monitor.port=0",
         cwd=folder,
     )  # fmt: skip
     marks = "return document.querySelectorAll('[data-mark]:not([data-mark=\"\"])').length"
