@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -35,7 +37,7 @@ from sparseskin.nodes.compressor.phi.rotation import (
 from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
 from sparseskin.nodes.node import Context, Node
-from sparseskin.nodes.numerics.compiled import use_compiled
+from sparseskin.nodes.numerics.compiled import ENVIRONMENT, use_compiled
 from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
@@ -114,8 +116,10 @@ class Compressor(Node[CompressorSettings]):
     def __init__(self, settings: CompressorSettings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
-        # Loaded before the first frame, which does not wait for it.
-        self._compiled = settings.phi == "sbhe" and use_compiled("auto")
+        # numba takes a second to import, for which the start of a graph is not to wait: it is used
+        # where it is loaded already, or asked for. The measurements are the same to the bit.
+        wanted = "numba" in sys.modules or os.environ.get(ENVIRONMENT) == "on"
+        self._compiled = wanted and settings.phi == "sbhe" and use_compiled("auto")
         if self._compiled:
             compile_loops("phi", "auto", context.log)
         self._state: SkinState | None = None
