@@ -18,6 +18,8 @@ from sparseskin.nodes.registry import make_settings, node_class
 STATIONS = ("edge", "host")
 HELD = 24
 """Frames that are kept and played again and again, 1 ms apart; chosen."""
+WARM_UP = 16
+"""Frames before those that are timed: a patch is idle after 12; chosen."""
 
 
 def time_batch(point: dict[str, Any]) -> dict[str, Any]:
@@ -63,15 +65,15 @@ def time_batch(point: dict[str, Any]) -> dict[str, Any]:
     spent: dict[str, list[float]] = {station: [] for station in STATIONS}
     n_unchanged = n_bytes = 0
     # Rows rotate over three subsets, HELD is a multiple of them; idle patches are found meanwhile.
-    for k in range(HELD + n_frames):
+    for k in range(WARM_UP + n_frames):
         sent = encode(frames[k % HELD])
         (measured,) = _timed(edge, sent, spent["edge"])
         (found,) = _timed(host, measured, spent["host"])
-        if k >= HELD:
+        if k >= WARM_UP:
             n_bytes = len(measured[1])
             n_unchanged += int(np.count_nonzero(decode(*found).unchanged))  # type: ignore[attr-defined]
     memory = own_bytes(os.getpid()) - before
-    us = {f"{key}_us": 1e6 * float(np.median(t[HELD:])) / patches for key, t in spent.items()}
+    us = {f"{key}_us": 1e6 * float(np.median(t[WARM_UP:])) / patches for key, t in spent.items()}
     return {
         **us,
         "bytes": float(n_bytes),
