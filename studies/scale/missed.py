@@ -106,4 +106,4 @@ def missed_lines(rows: list[Missed], alarms: Mapping[str, float]) -> list[str]:
         shares = "".join(f"{100 * share:>10.1f}%" for share in each.shares)
         lines.append(f"{f'{each.side} x {each.side}':<12}{each.sigmas:>3g} sigma{shares}")
     stated = ", ".join(f"{name} {100 * share:.2f} %" for name, share in alarms.items())
-    return [*lines, f"false alarms a frame: {stated}"]
+    return [*lines, f"frames solved though nothing changed: {stated}"]

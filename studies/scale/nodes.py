@@ -16,10 +16,10 @@ from sparseskin.nodes.process.proc import own_bytes
 from sparseskin.nodes.registry import make_settings, node_class
 
 STATIONS = ("edge", "host")
-HELD = 24
-"""Frames that are kept and played again and again, 1 ms apart; chosen."""
-WARM_UP = 16
-"""Frames before those that are timed: a patch is idle after 12; chosen."""
+WARM_UP = 24
+"""Frames before those that are timed: a patch is idle after 12, and solvers adapt; chosen."""
+LANDED_S = 1.5
+"""Time of the first frame, when all bodies have landed and still move a little; chosen."""
 
 
 def time_batch(point: dict[str, Any]) -> dict[str, Any]:
@@ -53,10 +53,9 @@ def time_batch(point: dict[str, Any]) -> dict[str, Any]:
     edge = _made("compressor_batch", common)
     (skin,) = sensor.start()
     (phi,) = edge.step(skin)
-    # The next frame is 1 s later, when the bodies have landed and still move; then each 1 ms.
+    # The next frame is of the time when all have landed, then come frames each 1 ms.
     list(sensor.acquire(Tick(0, 0)))
     list(sensor.change(sensor.settings.changed({"rate_hz": 1000.0})))
-    frames = [next(iter(sensor.acquire(Tick(10_000_000 * (k + 1), k)))) for k in range(HELD)]
     gc.collect()
     before = own_bytes(os.getpid())
     host = _made("reconstructor_batch", {**common, "skip_idle": point["skip_idle"]})
@@ -64,9 +63,8 @@ def time_batch(point: dict[str, Any]) -> dict[str, Any]:
     list(host.step(phi))
     spent: dict[str, list[float]] = {station: [] for station in STATIONS}
     n_unchanged = n_bytes = 0
-    # Rows rotate over three subsets, HELD is a multiple of them; idle patches are found meanwhile.
     for k in range(WARM_UP + n_frames):
-        sent = encode(frames[k % HELD])
+        sent = encode(next(iter(sensor.acquire(Tick(1_000_000 * (k + 1), k + 1)))))
         (measured,) = _timed(edge, sent, spent["edge"])
         (found,) = _timed(host, measured, spent["host"])
         if k >= WARM_UP:

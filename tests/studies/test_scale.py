@@ -61,4 +61,4 @@ def test_rates_are_lowered_until_no_frame_is_skipped(monkeypatch: pytest.MonkeyP
 def test_the_table_of_missed_contacts() -> None:
     lines = missed_lines([Missed(8, 1.0, (0.9, 0.5, 0.0, 0.0))], {"untouched": 0.0012})
     assert lines[1].split() == ["8", "x", "8", "1", "sigma", "90.0%", "50.0%", "0.0%", "0.0%"]
-    assert lines[-1] == "false alarms a frame: untouched 0.12 %"
+    assert lines[-1] == "frames solved though nothing changed: untouched 0.12 %"
