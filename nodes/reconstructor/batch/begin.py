@@ -252,7 +252,12 @@ def _plan(
     more = xp.where(more >= 0, be.at_most(more, float(most)), be.number(0.0))
     more = xp.where(settling, be.number(float(most)), more)
     s["wait"] = s["wait"] - 1
-    due = (s["wait"] <= 0) & (s["exceeds"] | s["is_smooth"])
+    noise = frame["known_noise"]
+    touch = frame["power_read"] - noise
+    coarse = s["has_estimate"] & s["rotating"] & (touch > TUNING.untouched * noise) & t.tests
+    coarse = coarse & (s["error2"] + noise > TUNING.trusted**2 * touch)
+    frame["coarse"] = coarse
+    due = (s["wait"] <= 0) & (s["exceeds"] | coarse | s["is_smooth"])
     begins = (frame["nothing_known"] | (due & (s["left"] <= 0))) & t.tests
     s["left"] = be.choose(begins, s["left"] * 0 + TUNING.trial, s["left"])
     both = s["left"] > 0

@@ -40,8 +40,9 @@ def tested(t: Tables, frame: State, x: Array, number: int) -> tuple[State, Array
         What the smooth model is given, of all patches.
     """
     whole, error2 = test(t, frame, x, number)
-    excess = _excess(error2, frame["known_noise"], max(1, t.n_held))
-    needed = frame["uses_smooth"] & ~(frame["uses_haar"] & ~(excess > 0))
+    noise = t.be.xp.minimum(frame["known_noise"], frame["numbers"]["most_noise"])
+    exceeds = _excess(error2, noise, max(1, t.n_held)) > 0
+    needed = frame["uses_smooth"] & (~frame["uses_haar"] | frame["coarse"] | exceeds)
     haar = {"x": x, "whole": whole, "error2": error2}
     return haar, needed, known_of(t, frame, number)
 
@@ -115,6 +116,7 @@ def finish(
     # A kernel may read what is not a number as 0.
     finite = xp.isfinite(power) & xp.isfinite(frame["power_read"] + s["s2"] + s["bias"])
     error, trusted = _judge(t, frame, x, power, error2, is_smooth)
+    s["error2"] = error * error
     s["has_estimate"] = s["has_estimate"] | True
     state = {"x": x, "other": other, "correction": x - frame["x"], NUMBERS: pack(be, s)}
     state |= {name: frame[name] for name in ("values", "known") if name in frame}
@@ -139,6 +141,7 @@ def _choose(t: Tables, s: Numbers, frame: State, haar: State, smooth: State) -> 
     """
     be, xp = t.be, t.be.xp
     noise, failed = frame["known_noise"], frame["nothing_known"]
+    bound = xp.minimum(noise, s["most_noise"])
     with_haar, with_smooth = frame["uses_haar"], smooth["made"]
     both, was_smooth = with_haar & with_smooth, s["is_smooth"]
     first = both & (s["left"] == TUNING.trial)
@@ -147,19 +150,32 @@ def _choose(t: Tables, s: Numbers, frame: State, haar: State, smooth: State) -> 
     for name, estimate, made in (("haar", haar, with_haar), ("smooth", smooth, with_smooth)):
         now, old = estimate["error2"], s[f"{name}_error"]
         last = be.choose(failed | others[name] | (old < 0), now, old)
-        last = xp.minimum(last, TUNING.error_fading * now + noise)
+        last = xp.minimum(last, TUNING.error_fading * now + bound)
         mean = TUNING.error_memory * last + (1 - TUNING.error_memory) * now
         means[name] = s[f"{name}_error"] = be.choose(made, mean, old)
         worse = made & ~both & (now > TUNING.worse * last)
         s["wait"] = be.choose(worse, now * 0, s["wait"])
     count = max(1, t.n_held)
-    clearly = 1 + 2 * TUNING.margin / math.sqrt(count * TUNING.error_frames)
-    bound = clearly * means["smooth"] + xp.minimum(noise, means["smooth"])
-    better = means["haar"] > bound
+    frames = count * TUNING.error_frames
+    if t.n_held:
+        none = noise * 0 + math.inf
+        least = xp.minimum(
+            be.choose(with_haar, means["haar"], none), be.choose(with_smooth, means["smooth"], none)
+        )
+        slack = 1 + 2 * math.sqrt(2 / frames)
+        s["most_noise"] = xp.minimum(s["most_noise"], slack * least)
+    bound = xp.minimum(noise, s["most_noise"])
+    s["most_noise"] = TUNING.noise_growth_rotating * s["most_noise"]
+    averaged = (1 - frame["gain"] * be.double(s["rotating"])) * bound
+    averaged = xp.minimum(averaged, means["smooth"])
+    clearly = 1 + 2 * TUNING.margin / math.sqrt(frames)
+    better = means["haar"] > clearly * means["smooth"] + averaged
     s["left"] = be.choose(both, s["left"] - 1, noise * 0)
     decides = both & (failed | (s["left"] <= 0))
     longer = be.at_most(2 * s["period"], float(TUNING.seldom))
-    period = be.choose(better == was_smooth, longer, noise * 0 + TUNING.often)
+    longer = be.choose(s["left"] <= 0, longer, s["period"])
+    same = (better == was_smooth) & ~frame["coarse"]
+    period = be.choose(same, longer, noise * 0 + TUNING.often)
     s["period"] = be.choose(decides, period, s["period"])
     s["wait"] = be.choose(decides, period, s["wait"])
     keeps = both & ~decides & was_smooth
@@ -169,12 +185,9 @@ def _choose(t: Tables, s: Numbers, frame: State, haar: State, smooth: State) -> 
     s["since_jump"] = be.choose(was_smooth & ~is_smooth, noise * 0, s["since_jump"])
     mean = be.choose(is_smooth, means["smooth"], means["haar"])
     now = be.choose(is_smooth, smooth["error2"], haar["error2"])
-    excess = xp.maximum(
-        _excess(mean, noise, count * TUNING.error_frames), _excess(now, noise, count)
-    )
-    error2 = be.at_least(excess, 0.0)
-    s["exceeds"] = error2 > 0
-    return error2, now
+    excess = xp.maximum(_excess(mean, noise, frames), _excess(now, noise, count))
+    s["exceeds"] = xp.maximum(_excess(mean, bound, frames), _excess(now, bound, count)) > 0
+    return be.at_least(excess, 0.0), now
 
 
 def _update_bias(

@@ -22,6 +22,7 @@ FIRST = {
     **{"bias": 0.0, "bias_frames": 0.0, "least_s2": np.inf},
     **{"s2": 0.0, "since_jump": 0.0, "trust": 1.0},
     **{"haar_error": -1.0, "smooth_error": -1.0},
+    **{"error2": 0.0, "most_noise": np.inf},
     **{"wait": 0.0, "period": float(TUNING.often), "left": 0.0},
     **{"next_shift": 0.0, "subset": 0.0, "drift": 0.0, "remembered": 0.0},
 }

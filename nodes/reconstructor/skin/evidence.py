@@ -78,7 +78,8 @@ class HeldOut:
         self._errors: dict[str, float] = {}
         self._seen: tuple[tuple[float, float], ...] = ()
         self._wait, self._period, self._left = 0, self._t.often, 0
-        self._exceeds_noise = True
+        self._exceeds_noise, self._coarse = True, False
+        self._most_noise = math.inf
 
     def use(self, subset: int) -> None:
         """Hold out measurements of this row subset, which the projection now is of."""
@@ -93,13 +94,17 @@ class HeldOut:
             self._subsets[subset] = 1 - held, np.flatnonzero(held), np.sort(measurements)
         self.kept, self._rows, self.measurements = self._subsets[subset]
 
-    def models(self, failed: bool) -> tuple[str, ...]:
+    def models(self, failed: bool, coarse: bool) -> tuple[str, ...]:
         """Return the models that this frame is to be estimated by.
 
-        `failed` if the prediction of the frame is worth nothing.
+        `failed` if the prediction of the frame is worth nothing; `coarse` if the last error, and
+        the noise, are large beside what touches the skin: then a noise level that is too high
+        must not pass for the reason.
         """
         self._wait -= 1
-        due = self._wait <= 0 and (self._exceeds_noise or self.model == SMOOTH)
+        self._coarse = coarse
+        doubted = self._exceeds_noise or coarse or self.model == SMOOTH
+        due = self._wait <= 0 and doubted
         if self._compares and (failed or (due and not self._left)):
             self._left = self._t.trial
         if self._left:
@@ -111,14 +116,16 @@ class HeldOut:
 
         Residuals, float32, and the variance of the noise are as in `choose`.
         """
-        return not _excess(mean_square(residual), noise, max(1, residual.size)) > 0
+        noise = min(noise, self._most_noise)
+        exceeds = _excess(mean_square(residual), noise, max(1, residual.size)) > 0
+        return not (self._coarse or exceeds)
 
     def residual(self, y: Floats, fitted: Floats) -> Floats:
         """Return the held-out part of y - fitted; all are vectors of rows, float32."""
         residual: Floats = y[self._rows] - fitted[self._rows]
         return residual
 
-    def choose(self, residuals: dict[str, Floats], noise: float, failed: bool) -> str:
+    def choose(self, residuals: dict[str, Floats], noise: float, failed: bool, gain: float) -> str:
         """Process the estimates of a frame; return the model whose estimate is used.
 
         Parameters
@@ -130,8 +137,12 @@ class HeldOut:
             Variance of the noise on a measurement, squared newtons; 0 where it is not known.
         failed : bool
             True if errors of earlier frames say nothing of this one.
+        gain : float
+            Part of the innovation that the Haar model adds to its prediction, 0..1: it averages the
+            rest of the noise out.
         """
         errors, now = self._errors, {}
+        read, noise = noise, min(noise, self._most_noise)
         for model, residual in residuals.items():
             now[model] = mean_square(residual)
             begins = failed or (
@@ -143,10 +154,17 @@ class HeldOut:
             errors[model] = self._t.error_memory * last + (1 - self._t.error_memory) * now[model]
             if len(residuals) == 1 and now[model] > self._t.worse * last:
                 self._wait = 0
+        # A residual is noise and error: it bounds the noise, which motion makes seem too large.
+        if self._n_held:
+            slack = 1 + 2 * math.sqrt(2 / (self._n_held * self._t.error_frames))
+            least = slack * min(errors[model] for model in residuals)
+            self._most_noise = min(self._most_noise, least)
+        noise = min(read, self._most_noise)
+        self._most_noise *= self._t.noise_growth_rotating
         if len(residuals) == 2:
             self._left -= 1
             if failed or not self._left:
-                self._compare(noise)
+                self._compare((1 - gain) * noise)
         else:
             (self.model,) = residuals
             self._left = 0
@@ -165,16 +183,19 @@ class HeldOut:
         """
         return max([0.0, *(_excess(mean, noise, count) for mean, count in self._seen)])
 
-    def _compare(self, noise: float) -> None:
-        """Choose a model by the errors of both, and when to compare them again."""
+    def _compare(self, averaged: float) -> None:
+        """Choose a model by the errors of both, and when to compare them again.
+
+        `averaged`: part of the noise variance that the Haar model averages out in time, which its
+        errors do not show so soon. The smooth model follows each frame.
+        """
         haar, smooth = self._errors[HAAR], self._errors[SMOOTH]
         clearly = 1 + 2 * self._t.margin / math.sqrt(self._n_held * self._t.error_frames)
-        # The smooth model follows each frame: its residuals do not show the noise that it keeps.
-        # They bound the noise: no more than that was read.
-        better = SMOOTH if haar > clearly * smooth + min(noise, smooth) else HAAR
-        self._period = (
-            min(2 * self._period, self._t.seldom) if better == self.model else self._t.often
-        )
+        better = SMOOTH if haar > clearly * smooth + min(averaged, smooth) else HAAR
+        if better != self.model or self._coarse:
+            self._period = self._t.often
+        elif not self._left:
+            self._period = min(2 * self._period, self._t.seldom)
         self.model, self._wait = better, self._period
 
 

@@ -98,6 +98,8 @@ class ReferenceSolver:
         self.model = "haar" if self.m >= self.t.comparable else "smooth"
         self.errors: dict[str, float] = {}
         self.wait, self.period, self.left, self.exceeds_noise = 0, self.t.often, 0, True
+        # If the last error is large beside the touch; bound of the noise by held-out residuals.
+        self.coarse, self.most_noise = False, math.inf
         self.last: dict[str, Doubles] = {}
         self.error: float | None = None
         self.trusted = True
@@ -126,6 +128,9 @@ class ReferenceSolver:
         weights[held] = 0
 
         # While both models are compared, each starts from its own last estimate.
+        touch = mean_square(read) - noise
+        self.coarse = self.rotating and self.error is not None and touch > t.untouched * noise
+        self.coarse = self.coarse and self.error**2 + noise > t.trusted**2 * touch
         models = self.models_to_compute(cold)
         start = {model: x_p if cold else self.last.get(model, x_p) for model in models}
         start[self.model] = x_p
@@ -143,7 +148,9 @@ class ReferenceSolver:
             count = self.max_iterations if settling else min(count, self.max_iterations)
             estimates["haar"] = self.haar(start["haar"], target, weights, limits, count)
             residuals["haar"] = (self.values - self.w @ estimates["haar"])[held]
-        if "smooth" in models and ("haar" not in models or exceeds(residuals["haar"], noise)):
+        needed = "haar" not in models or self.coarse
+        needed = needed or exceeds(residuals["haar"], min(noise, self.most_noise))
+        if "smooth" in models and needed:
             used = np.setdiff1d(np.flatnonzero(age < math.inf), held)
             least_noise = noise + t.least_noise * mean_square(y)
             variance = least_noise + t.memory_doubt * self.drift * age[used]
@@ -154,7 +161,7 @@ class ReferenceSolver:
             if self.one_by_one:
                 residuals["smooth"] = left_out[np.isin(used, self.rows[subset])]
 
-        before, beyond = self.model, self.choose(residuals, noise, cold)
+        before, beyond = self.model, self.choose(residuals, noise, cold, gain)
         if (before, self.model) == ("smooth", "haar"):
             # The gain has fallen meanwhile, without the noise of the smooth model.
             self.since_jump = 0
@@ -350,35 +357,47 @@ class ReferenceSolver:
     def models_to_compute(self, cold: bool) -> tuple[str, ...]:
         """Return the models that this frame is to be estimated by."""
         t, self.wait = self.t, self.wait - 1
-        due = self.wait <= 0 and (self.exceeds_noise or self.model == "smooth")
+        doubted = self.exceeds_noise or self.coarse or self.model == "smooth"
+        due = self.wait <= 0 and doubted
         if self.compares and (cold or (due and not self.left)):
             self.left = t.trial
         return ("haar", "smooth") if self.left else (self.model,)
 
-    def choose(self, residuals: dict[str, Any], noise: float, cold: bool) -> float:
+    def choose(self, residuals: dict[str, Any], noise: float, cold: bool, gain: float) -> float:
         """Set the model of the frame; return its mean squared error beyond the noise."""
         t, now = self.t, {model: mean_square(r) for model, r in residuals.items()}
+        bound = min(noise, self.most_noise)
         for model, error in now.items():
             begins = len(now) == 2 and self.left == t.trial and model != self.model
             last = error if cold or begins else self.errors.get(model, error)
-            last = min(last, t.error_fading * error + noise)
+            last = min(last, t.error_fading * error + bound)
             self.errors[model] = t.error_memory * last + (1 - t.error_memory) * error
             if len(now) == 1 and error > t.worse * last:
                 self.wait = 0
+        # A residual is noise and error: it bounds the noise, which motion makes seem too large.
+        if self.n_held:
+            slack = 1 + 2 * math.sqrt(2 / (self.n_held * t.error_frames))
+            self.most_noise = min(self.most_noise, slack * min(self.errors[one] for one in now))
+        bound = min(noise, self.most_noise)
+        self.most_noise *= t.noise_growth_rotating
         if len(now) < 2:
             (self.model,) = now
         self.left = self.left - 1 if len(now) == 2 else 0
         if len(now) == 2 and (cold or not self.left):
             haar, smooth = self.errors["haar"], self.errors["smooth"]
             clearly = 1 + 2 * t.margin / math.sqrt(self.n_held * t.error_frames)
-            better = "smooth" if haar > clearly * smooth + min(noise, smooth) else "haar"
-            self.period = min(2 * self.period, t.seldom) if better == self.model else t.often
+            # What Haar averages out in time does not show so soon.
+            averaged = min((1 - gain * self.rotating) * bound, smooth)
+            better = "smooth" if haar > clearly * smooth + averaged else "haar"
+            if better != self.model or self.coarse:
+                self.period = t.often
+            elif not self.left:
+                self.period = min(2 * self.period, t.seldom)
             self.model, self.wait = better, self.period
         count = max(1, len(residuals[self.model]))
-        beyond = excess(now[self.model], noise, count)
-        beyond = max(0.0, beyond, excess(self.errors[self.model], noise, count * t.error_frames))
-        self.exceeds_noise = beyond > 0
-        return beyond
+        means = (now[self.model], count), (self.errors[self.model], count * t.error_frames)
+        self.exceeds_noise = any(excess(mean, bound, number) > 0 for mean, number in means)
+        return max(0.0, *(excess(mean, noise, number) for mean, number in means))
 
     def follow_bias(
         self, ones: Doubles, residual: Doubles, x: Doubles, held_residual: Doubles

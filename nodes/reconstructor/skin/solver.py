@@ -265,7 +265,7 @@ class SkinSolver(Solver):
         self._threshold = threshold * self._projection.step_size
         more = self._t.iterations_per_nis * max(0.0, self._gain.nis - self._t.expected_nis)
         more = self.max_iterations if settling else min(more, self.max_iterations)
-        models = self._held_out.models(self._nothing_known)
+        models = self._held_out.models(self._nothing_known, self._coarse)
         self._n_haar = (
             min(self.max_iterations, self.iterations + int(more)) if HAAR in models else 0
         )
@@ -468,7 +468,9 @@ class SkinSolver(Solver):
             self._projection.whole(self._smooth.x, self._fitted[SMOOTH])
             self._residuals[SMOOTH] = self._residual_of(SMOOTH)
         before = self.model
-        chosen = self._held_out.choose(self._residuals, self.known_noise, self._nothing_known)
+        # Only rotating rows hold out others in the next frame: with fixed ones, all noise counts.
+        gain = self._gain.gain if self._rotating else 0.0
+        chosen = self._held_out.choose(self._residuals, self.known_noise, self._nothing_known, gain)
         if (before, chosen) == (SMOOTH, HAAR):
             # The gain has fallen meanwhile, without the noise of the smooth model.
             self._noise.since_jump = 0
@@ -518,6 +520,19 @@ class SkinSolver(Solver):
     def _nothing_known(self) -> bool:
         """True if the past says nothing of this frame."""
         return self._prediction.failed or not self._has_estimate
+
+    @property
+    def _coarse(self) -> bool:
+        """True if the last error, and the noise, are large beside what touches the skin.
+
+        Not asked of fixed rows: the same measurements are held out of each frame, so that another
+        comparison would be no other evidence.
+        """
+        noise = self.known_noise
+        touch = self._power_read - noise
+        if self.error is None or not self._rotating or touch <= self._t.untouched * noise:
+            return False
+        return self.error**2 + noise > self._t.trusted**2 * touch
 
     @property
     def known_noise(self) -> float:

@@ -30,9 +30,9 @@ def residual(mean_square: float) -> Floats:
 
 def frame(held: HeldOut, haar: float, smooth: float, noise: float = 0.0) -> tuple[str, ...]:
     """Process a frame in which each model has this mean square; return those that were asked."""
-    asked = held.models(failed=False)
+    asked = held.models(failed=False, coarse=False)
     errors = {HAAR: haar, SMOOTH: smooth}
-    held.choose({name: residual(errors[name]) for name in asked}, noise, failed=False)
+    held.choose({name: residual(errors[name]) for name in asked}, noise, failed=False, gain=0.0)
     return asked
 
 
@@ -106,7 +106,7 @@ def normal_errors(mean_square: float, noise: float, n_frames: int = 400) -> list
     held, found = held_out(), []
     for _ in range(n_frames):
         drawn = rng.normal(0, math.sqrt(mean_square), N_HELD).astype(np.float32)
-        held.choose({HAAR: drawn}, noise, failed=False)
+        held.choose({HAAR: drawn}, noise, failed=False, gain=0.0)
         found.append(held.error2(noise))
     return found
 
@@ -126,23 +126,23 @@ def test_residuals_far_above_the_noise_are_the_error() -> None:
     assert min(found) > 0.6
     held = held_out()
     for _ in range(30):
-        held.choose({HAAR: residual(0.25)}, 1e-4, failed=False)
+        held.choose({HAAR: residual(0.25)}, 1e-4, failed=False, gain=0.0)
     assert held.error2(1e-4) == pytest.approx(0.25, rel=1e-2)
 
 
 def test_without_known_noise_all_of_the_residual_is_error() -> None:
     held = held_out()
-    held.choose({HAAR: residual(0.01)}, 0.0, failed=False)
+    held.choose({HAAR: residual(0.01)}, 0.0, failed=False, gain=0.0)
     assert held.error2(0.0) == pytest.approx(0.01, rel=1e-5)
 
 
 def test_a_single_bad_frame_counts_in_full_at_once_and_ends_with_what_caused_it() -> None:
     held = held_out()
     for _ in range(10):
-        held.choose({HAAR: residual(1e-4)}, 0.0, failed=False)
-    held.choose({HAAR: residual(1.0)}, 0.0, failed=False)
+        held.choose({HAAR: residual(1e-4)}, 0.0, failed=False, gain=0.0)
+    held.choose({HAAR: residual(1.0)}, 0.0, failed=False, gain=0.0)
     assert held.error2(0.0) == pytest.approx(1, rel=1e-5)
-    held.choose({HAAR: residual(1e-4)}, 0.0, failed=False)
+    held.choose({HAAR: residual(1e-4)}, 0.0, failed=False, gain=0.0)
     assert held.error2(0.0) == pytest.approx(
         (TUNING.error_memory * TUNING.error_fading + 1 - TUNING.error_memory) * 1e-4, rel=1e-4
     )
@@ -151,8 +151,8 @@ def test_a_single_bad_frame_counts_in_full_at_once_and_ends_with_what_caused_it(
 def test_errors_before_a_scene_jumped_are_forgotten() -> None:
     held = held_out()
     for _ in range(10):
-        held.choose({HAAR: residual(1.0)}, 0.0, failed=False)
-    held.choose({HAAR: residual(0.01)}, 0.0, failed=True)
+        held.choose({HAAR: residual(1.0)}, 0.0, failed=False, gain=0.0)
+    held.choose({HAAR: residual(0.01)}, 0.0, failed=True, gain=0.0)
     assert held.error2(0.0) == pytest.approx(0.01, rel=1e-5)
 
 
@@ -173,9 +173,9 @@ def test_the_smooth_model_is_chosen_only_if_haars_error_exceeds_its_own_by_the_n
 def test_the_estimate_that_is_used_is_that_of_the_model_chosen_if_it_was_made() -> None:
     held = held_out()
     errors = {HAAR: residual(1.0), SMOOTH: residual(0.01)}
-    assert held.choose(errors, 0.0, failed=True) == SMOOTH
+    assert held.choose(errors, 0.0, failed=True, gain=0.0) == SMOOTH
     assert held.error2(0.0) == pytest.approx(0.01, rel=1e-5)
-    assert held.choose({HAAR: residual(1.0)}, 0.0, failed=False) == HAAR
+    assert held.choose({HAAR: residual(1.0)}, 0.0, failed=False, gain=0.0) == HAAR
     assert held.error2(0.0) == pytest.approx(1.0, rel=1e-5)
 
 
@@ -228,8 +228,8 @@ def test_a_frame_of_which_the_past_says_nothing_is_estimated_by_both_models() ->
     held = held_out()
     for _ in range(10):
         frame(held, 1.0, 2.0)
-    assert held.models(failed=False) == (HAAR,)
-    assert held.models(failed=True) == (HAAR, SMOOTH)
+    assert held.models(failed=False, coarse=False) == (HAAR,)
+    assert held.models(failed=True, coarse=False) == (HAAR, SMOOTH)
 
 
 @pytest.mark.parametrize(
@@ -245,8 +245,8 @@ def test_models_that_cannot_be_compared_are_not(
 ) -> None:
     held = held_out(n, m, one_by_one)
     for failed in (True, False, True):
-        assert held.models(failed) == (model,)
-        held.choose({model: residual(1.0)}, 0.0, failed)
+        assert held.models(failed, coarse=False) == (model,)
+        held.choose({model: residual(1.0)}, 0.0, failed, gain=0.0)
     assert held.model == model
 
 
@@ -257,4 +257,59 @@ def test_reset_forgets_all_frames() -> None:
     assert (held.model, held.error2(0.0) > 0) == (SMOOTH, True)
     held.reset()
     assert (held.model, held.error2(0.0)) == (HAAR, 0)
-    assert held.models(failed=False) == (HAAR, SMOOTH)
+    assert held.models(failed=False, coarse=False) == (HAAR, SMOOTH)
+
+
+def test_models_are_compared_where_the_error_is_large_though_noise_may_explain_it() -> None:
+    held = held_out()
+    for _ in range(100):
+        frame(held, 1.0, 0.9, noise=1.0)
+    assert held.models(failed=False, coarse=False) == (HAAR,)
+    assert held.suffices(residual(1.0), 1.0)
+    assert held.models(failed=False, coarse=True) == (HAAR, SMOOTH)
+    assert not held.suffices(residual(1.0), 1.0)
+
+
+def test_held_out_residuals_bound_the_noise() -> None:
+    held = held_out()
+    assert held.suffices(residual(1.0), 1.0)
+    # 0.1 is noise and error of the smooth model: the noise cannot be 1.
+    frame(held, 1.0, 0.1, noise=1.0)
+    assert not held.suffices(residual(1.0), 1.0)
+    assert held.suffices(residual(0.1), 1.0)
+    held.reset()
+    assert held.suffices(residual(1.0), 1.0)
+
+
+@pytest.mark.parametrize(("gain", "chosen"), [(0.0, HAAR), (1.0, SMOOTH)])
+def test_the_noise_that_haar_averages_out_counts_as_far_as_it_does(
+    gain: float, chosen: str
+) -> None:
+    held = held_out()
+    errors = {HAAR: residual(1.5), SMOOTH: residual(1.0)}
+    assert held.choose(errors, 1.0, failed=True, gain=gain) == chosen
+
+
+def test_models_are_compared_often_while_the_error_is_large() -> None:
+    held = held_out()
+    compared = 0
+    for _ in range(120):
+        models = held.models(failed=False, coarse=True)
+        compared += len(models) == 2
+        held.choose({model: residual(1.0) for model in models}, 0.0, failed=False, gain=0.0)
+    cycle = TUNING.trial + TUNING.often - 1
+    assert compared >= 120 * TUNING.trial // cycle - TUNING.trial
+
+
+def test_frames_of_which_the_past_says_nothing_do_not_space_out_comparisons() -> None:
+    held = held_out()
+    for _ in range(20):
+        models = held.models(failed=True, coarse=False)
+        held.choose({model: residual(1.0) for model in models}, 0.0, failed=True, gain=1.0)
+    while len(held.models(failed=False, coarse=False)) == 2:
+        held.choose({HAAR: residual(1.0), SMOOTH: residual(1.0)}, 0.0, failed=False, gain=0.0)
+    frames = 0
+    while len(held.models(failed=False, coarse=False)) == 1:
+        held.choose({HAAR: residual(1.0)}, 0.0, failed=False, gain=0.0)
+        frames += 1
+    assert frames <= 2 * TUNING.often
