@@ -129,8 +129,8 @@ class ReferenceSolver:
 
         # While both models are compared, each starts from its own last estimate.
         touch = mean_square(read) - noise
-        self.coarse = self.rotating and self.error is not None and touch > t.untouched * noise
-        self.coarse = self.coarse and self.error**2 + noise > t.trusted**2 * touch
+        last2 = 0.0 if self.error is None else self.error**2 + noise
+        self.coarse = self.rotating and touch > t.untouched * noise and last2 > t.trusted**2 * touch
         models = self.models_to_compute(cold)
         start = {model: x_p if cold else self.last.get(model, x_p) for model in models}
         start[self.model] = x_p
