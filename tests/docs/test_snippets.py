@@ -157,6 +157,8 @@ def test_a_command_of_the_pages_is_accepted(
     assert cli.make_parser(arguments).parse_args(arguments).run
     if shutil.which("dot") is None and "--svg" in arguments:
         arguments[arguments.index("--svg")] = "--dot"
+    if "lerobot" in arguments:
+        pytest.importorskip("pyarrow")
     if " ".join(arguments).startswith(QUICK):
         assert cli.main(arguments) == 0
     elif arguments[0] == "launch" and runnable(arguments):

@@ -154,9 +154,9 @@ class NpzExport:
             version = self._arrays[FORMAT]
             if version.shape != () or version != VERSION:
                 raise ValueError(f"array {FORMAT!r}: version {version}; {VERSION} can be read")
-            self.patch = str(self._arrays["patch"])
-            metadata = json.loads(str(self._arrays["metadata"]))
-            self.counts = json.loads(str(self._arrays["counts"]))
+            self.patch = self._text("patch")
+            metadata = json.loads(self._text("metadata"))
+            self.counts = json.loads(self._text("counts"))
             texts = isinstance(metadata, dict) and all(
                 isinstance(text, str) for text in metadata.values()
             )
@@ -166,6 +166,13 @@ class NpzExport:
         except (KeyError, ArrayFileError, ValueError, RecursionError) as error:
             missing = f"holds no array {error}" if isinstance(error, KeyError) else str(error)
             raise SourceError(f"{path}: {missing}") from error
+
+    def _text(self, name: str) -> str:
+        """Return an array that holds one text; raise KeyError or ValueError."""
+        array = self._arrays[name]
+        if array.shape != () or array.dtype.kind != "U":
+            raise ValueError(f"array {name!r}: {array.dtype} {array.shape}; expected one text")
+        return str(array)
 
     def write(self, bag: BagWriter) -> int:
         """Record its messages in the order of their times of recording; the number of taxels'

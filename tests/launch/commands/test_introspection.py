@@ -403,7 +403,7 @@ def test_a_pipe_that_closes_is_no_matter(folder: Path) -> None:
 def test_a_shell_completes_names_of_the_running_graph(folder: Path) -> None:
     assert words("node info ") == NODES
     assert words("topic hz --window 50 /skin/ta") == ["/skin/taxels"]
-    assert words("param set sensor ") == ["rate_hz", "noise"]
+    assert words("param set sensor ") == ["rate_hz", "noise", "drift"]
     assert "seed" in words("param get sensor ")
     assert words("param set reconstructor preset pa") == ["paper"]
     assert words("param set sensor noise 1 ra") == ["rate_hz"]

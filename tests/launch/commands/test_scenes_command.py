@@ -39,7 +39,8 @@ def test_a_scenario_is_small_whole_complete_and_in_contact(name: str, tmp_path: 
     with BagReader(path) as bag:
         assert bag.recovered == ""
         unasked = ("end", "resultant", "calibration")
-        assert set(bag.topics) == {f"/skin/{name}" for name in SCHEMAS if name not in unasked}
+        asked = [name for name in SCHEMAS if name not in unasked and not name.endswith("_batch")]
+        assert set(bag.topics) == {f"/skin/{name}" for name in asked}
         assert bag.topics["/skin/taxels"].rate_hz == pytest.approx(100)
         peaks = []
         for message in bag.messages(["/skin/truth"]):

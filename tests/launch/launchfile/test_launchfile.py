@@ -132,7 +132,8 @@ def test_all_bundled_files_are_known() -> None:
         (
             "scene:path_40",
             "path_40",
-            'f.toml:6: nodes.sensor.source: source "path_40": expected scene:NAME, file:PATH or '
+            'f.toml:6: nodes.sensor.source: source "path_40": expected scene:NAME, file:PATH, '
+            "mujoco:MODEL.xml#SITE, serial:DEVICE, udp:PORT, can:CHANNEL, ros2:/TOPIC or "
             'module:callable (did you mean "scene:path_40"?)',
         ),
         (

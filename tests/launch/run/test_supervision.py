@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, load
 from sparseskin.launch.run.control_socket import ControlClient
 from sparseskin.launch.run.restarts import NEVER, ON_FAILURE, RestartPolicy, Restarts
-from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.errors import SettingsError, SparseskinError
 
 GRAPH = (BUNDLED / "path_40.toml").read_text()
 
@@ -152,6 +152,21 @@ def launched(start: StartProgram, tmp_path: Path, keys: str, *arguments: str) ->
     return program
 
 
+def connected(path: Path) -> ControlClient:
+    """Connect to a control socket as soon as a launcher listens there."""
+    found: list[ControlClient] = []
+
+    def listens() -> bool:
+        try:
+            found.append(ControlClient(str(path)))
+        except SparseskinError:
+            return False
+        return True
+
+    wait_until(listens, "the control socket")
+    return found[0]
+
+
 def killed(program: Program, node: str) -> None:
     """Kill a node that is there, and wait until the launcher says so."""
     ending = f"sparseskin.nodes.process.run_node {node}"
@@ -169,8 +184,7 @@ def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(
 ) -> None:
     program = launched(start, tmp_path, 'restart = "on-failure"')
     path = tmp_path / "graphs" / f"{program.process.pid}.sock"
-    wait_until(path.exists, "the control socket")
-    client = ControlClient(str(path))
+    client = connected(path)
     client.send({"watch": True})
 
     def wait_for(node: str, **wanted: Any) -> None:
@@ -223,10 +237,9 @@ def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(
 def test_a_monitor_that_is_stopped_holds_up_nobody(start: StartProgram, tmp_path: Path) -> None:
     program = launched(start, tmp_path, "", "--set", "sensor.rate_hz=20")
     path = tmp_path / "graphs" / f"{program.process.pid}.sock"
-    wait_until(path.exists, "the control socket")
+    client = connected(path)
     monitor = program.pid_of("monitor")
     os.kill(monitor, signal.SIGSTOP)
-    client = ControlClient(str(path))
     client.send({"watch": True})
     n_news = 0
 
@@ -247,8 +260,7 @@ def test_a_recorder_that_is_killed_leaves_no_recording_on(
 ) -> None:
     program = launched(start, tmp_path, "", "--set", "sensor.rate_hz=20")
     path = tmp_path / "graphs" / f"{program.process.pid}.sock"
-    wait_until(path.exists, "the control socket")
-    client = ControlClient(str(path))
+    client = connected(path)
 
     def answered(number: str, value: Any) -> dict[str, Any]:
         client.send({"id": number, "node": "launch", "command": "record", "value": value})
