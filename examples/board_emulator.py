@@ -1,5 +1,7 @@
 """An emulated FlexiTac on a pseudo terminal: a ball that rolls over the skin. It prints the device.
 
+With --still the ball stands; with --untouched 20 it is put on after 20 s, as for a calibration.
+
     python examples/board_emulator.py
     sparseskin scope "serial:DEVICE?profile=flexitac_16x32"
 
@@ -20,10 +22,14 @@ NOISE = 1.0  # counts, standard deviation
 RADIUS = 3.0  # taxels
 
 
-def reading(t_s, rng):
+def reading(t_s, rng, options):
     rows, cols = np.indices(SHAPE)
-    row, col = 7.5 + 5 * np.sin(1.3 * t_s), 15.5 + 12 * np.sin(0.7 * t_s)
-    press = np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / RADIUS**2)
+    row, col = 7.5, 15.5
+    if not options.still:
+        row, col = row + 5 * np.sin(1.3 * t_s), col + 12 * np.sin(0.7 * t_s)
+    press = (t_s >= options.untouched) * np.exp(
+        -((rows - row) ** 2 + (cols - col) ** 2) / RADIUS**2
+    )
     counts = UNTOUCHED + PRESSED * press + NOISE * rng.standard_normal(SHAPE)
     return np.clip(counts, 0, 255).astype(np.uint8)
 
@@ -32,6 +38,9 @@ def main():
     parser = argparse.ArgumentParser(description="An emulated FlexiTac on a pseudo terminal.")
     parser.add_argument("--rate", type=float, default=100.0, help="frames a second")
     parser.add_argument("--frames", type=int, default=10**9, help="frames to send")
+    parser.add_argument("--still", action="store_true", help="the ball does not move")
+    about = "seconds before the ball is put on"
+    parser.add_argument("--untouched", type=float, metavar="S", default=0.0, help=about)
     options = parser.parse_args()
     board, host = pty.openpty()
     tty.setraw(host)
@@ -42,7 +51,7 @@ def main():
     left = b""  # of the frame that the line has taken in part
     for k in range(options.frames):
         time.sleep(max(0.0, begin + k / options.rate - time.monotonic()))
-        frame = left or MARK + reading(k / options.rate, rng).tobytes()
+        frame = left or MARK + reading(k / options.rate, rng, options).tobytes()
         try:  # as a real line, it does not wait for a reader
             left = frame[os.write(board, frame) :]
             sent += not left

@@ -201,9 +201,12 @@ class _Steps:
             return file_frames(where, self._arguments.n_rows, self._arguments.n_cols)
         if self._reader.is_live:
             seconds = part[1] - part[0]
-            if self._arguments.wait is not None:
-                print(f"{request}: {seconds:g} s in {self._arguments.wait:g} s", flush=True)
-                time.sleep(self._arguments.wait)
+            wait_s = self._arguments.wait
+            if wait_s is None and self._arguments.no_questions:
+                wait_s = 0.0
+            if wait_s is not None:
+                print(f"{request}: {seconds:g} s in {wait_s:g} s", flush=True)
+                time.sleep(wait_s)
             else:
                 _line(f"{request}, then press Enter ({seconds:g} s): ")
         return self._reader.part(*part)

@@ -252,7 +252,7 @@ class PatchMetrics:
         self.bits: int | None = None
         self.lost_so_far = self.skipped = self.unchanged = 0
         self.idle = False
-        self.unpaired = 0
+        self.unpaired = self.compared = 0
         self._pending: OrderedDict[int, FrameMetrics] = OrderedDict()
 
     @property
@@ -405,6 +405,7 @@ class PatchMetrics:
         if self.skin.has_truth and frame.truth is None:
             return None
         del self._pending[stamp_ns]
+        self.compared += 1
         # Both streams count the same frames: the difference of their counts is lost.
         frame.lost = self.lost_so_far = max(0, frame.n_sensed - frame.n_answered)
         cells = self.skin.mask if self.skin.mask is not None else slice(None)
@@ -451,6 +452,7 @@ class PatchMetrics:
                 "unpaired": self.unpaired + len(self._pending),
             },
             "unchanged": self.unchanged,
+            "compared": self.compared,
             "reference": _reference(skin),
             "psnr_db": {
                 "noisy": self.noisy.summary(),

@@ -95,7 +95,8 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
         title.center(WIDTH, "="),
         f"frames      sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
         + (f"skipped {frames['skipped']}, " if frames["skipped"] else "")
-        + f"lost {frames['lost']}",
+        + f"lost {frames['lost']}"
+        + _compared(patch),
         f"measured    {patch['phi']}{', rotating rows' if patch['rows'] == 'rotating' else ''}: "
         f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
         f"range 0..{shown(patch['f_max'], 'g')} {patch['unit']}"
@@ -137,6 +138,13 @@ def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
         rows.insert(1, _changes(patch["changes"]))
     rows.append("=" * WIDTH)
     return "\n".join(rows)
+
+
+def _compared(patch: Mapping[str, Any]) -> str:
+    """How many frames the figures are of, where they are not of all reconstructed ones."""
+    if patch["compared"] >= patch["frames"]["reconstructed"]:
+        return ""
+    return f"; figures of {patch['compared']} (the others came too late)"
 
 
 def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:

@@ -29,6 +29,10 @@ NOISY = 8.0
 """Noise of a taxel in that of the median taxel above which it is faulty; chosen."""
 TOUCHED_SHARE = 0.01
 """Share of noisy taxels above which the skin was rather touched; chosen."""
+OUTLIERS = 0.01
+"""Share of unsteady readings above which the skin was rather touched; chosen."""
+MOVED = 0.2
+"""Part of a load that its steady readings may lack; chosen."""
 DEAD = 0.1
 """Response to an even load in that of the median taxel below which a taxel is dead; chosen."""
 HEADROOM = 1.25
@@ -114,7 +118,13 @@ def fit(
     if noisy.sum() > TOUCHED_SHARE * exists.sum():
         n = int(noisy.sum())
         remarks.append(f"{n} taxels are noisy: was the skin touched where it should not be?")
+    elif (share := _unsteady(untouched, exists)) > OUTLIERS:
+        remarks.append(
+            f"{100 * share:.0f} % of the untouched readings come and go: was the skin touched?"
+        )
     rises = [steady(press.frames)[0] - baseline for press in presses]
+    for press, rise in zip(presses, rises, strict=True):
+        _check_still(press, rise, baseline, noise, works)
     dead = np.zeros(shape, np.bool_)
     gains: Doubles | None = None
     response: Response | None = None
@@ -174,6 +184,28 @@ def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles]:
     mean = np.where(kept, apart, 0.0).sum(axis=0) / n
     variance = np.where(kept, np.square(apart - mean), 0.0).sum(axis=0) / n
     return np.median(values, axis=0) + mean, np.sqrt(variance)
+
+
+def _unsteady(frames: npt.NDArray[Any], exists: Mask) -> float:
+    """Share of readings that `steady` leaves out."""
+    apart = np.abs(np.asarray(frames, dtype=np.float64) - np.median(frames, axis=0))
+    spread = MAD_TO_SD * np.median(apart, axis=0)
+    left_out = (apart > OUTLIER * spread)[:, exists & (spread > 0)]
+    return float(left_out.mean()) if left_out.size else 0.0
+
+
+def _check_still(
+    press: Press, rise: Doubles, baseline: Doubles, noise: Doubles, works: Mask
+) -> None:
+    """Raise CalibrationError if the load moved: its frames read it, its steady readings do not."""
+    above = np.asarray(press.frames, dtype=np.float64)[:, works] - baseline[works]
+    read, kept = float(np.median(above.sum(axis=1))), float(rise[works].sum())
+    chance = TOUCHED * math.sqrt(float(np.square(noise[works]).sum()))
+    if abs(read - kept) > MOVED * abs(read) + chance:
+        raise CalibrationError(
+            f"{press.label}: the load moves: its frames add up to {read:.4g}, the readings that "
+            f"stay to {kept:.4g}; let it stand still"
+        )
 
 
 def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:

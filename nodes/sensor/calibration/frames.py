@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages import Taxels, decode
+from sparseskin.messages.state import Calibration
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.sensor.files.recorded import RecordedSource
 from sparseskin.nodes.sensor.source import Skin, Source
@@ -69,6 +70,10 @@ def _bag(path: str) -> tuple[list[int], Frames]:
         topics = [topic for topic, info in bag.topics.items() if info.schema == Taxels.schema]
         if len(topics) != 1:
             raise CalibrationError(f"{path}: holds {len(topics)} topics of taxels; expected one")
+        if any(info.schema == Calibration.schema for info in bag.topics.values()):
+            raise CalibrationError(
+                f"{path}: its taxels are forces, of a calibrated skin; expected raw readings"
+            )
         stamps, found = [], []
         for recorded in bag.messages(topics):
             try:
@@ -178,7 +183,7 @@ def open_frames(
     Raises
     ------
     SourceError
-        If it cannot be opened, or delivers true forces, as a scene does.
+        If it cannot be opened, or delivers forces, as a scene does.
     """
     if source.startswith(SCENE):
         raise SourceError(f"{source}: delivers true forces, which need no calibration")

@@ -133,6 +133,20 @@ def test_the_mean_of_steady_readings_resolves_less_than_a_count() -> None:
     assert sd[0, 0] == pytest.approx(np.sqrt(1 + 1 / 12), rel=0.05)
 
 
+def test_a_load_that_moves_is_refused_and_a_touched_skin_remarked() -> None:
+    # One taxel after the other: the frames read the load, the median of each taxel does not.
+    moving = frames(linear(0), n=N, sigma=1.0)
+    for k in range(N):
+        moving[k].flat[k] += 500
+    with pytest.raises(CalibrationError, match=r"1N: the load moves: .* let it stand still"):
+        fit("p", frames(linear(0), sigma=1.0), [Press("1N", 1.0, moving, None)], f_max=2.0)
+    touched = frames(linear(0), sigma=1.0)
+    touched[:4] += 500 * (np.arange(N).reshape(SHAPE) < N // 4)
+    found = fit("p", touched, f_max=2.0)
+    assert found.remarks == ["2 % of the untouched readings come and go: was the skin touched?"]
+    assert fit("p", frames(linear(0), sigma=1.0), f_max=2.0).remarks == []
+
+
 def test_stuck_noisy_and_dead_taxels_are_masked() -> None:
     noise = np.random.default_rng(3).normal(0, 1.0, (200, *SHAPE))
     untouched, pressed = linear(0) + noise, linear(1.0) + noise[::-1]
