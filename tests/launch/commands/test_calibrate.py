@@ -135,10 +135,11 @@ def test_a_live_source_is_calibrated_and_tared_while_its_graph_runs(
     start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "live_skin.py").write_text(LIVE_SKIN)
-    words = ("--untouched", "0.2s", "--no-questions", "--wait", "0", "--f-max", "50")
+    words = ("--untouched", "0.2s", "--no-questions", "--f-max", "50")
     code, out, err = start("calibrate", "live_skin:frames", "--out", "p.toml", *words).finish()
     assert (code, err) == (0, "")
     assert "p: 4 x 6 taxels" in out
+    assert "press Enter" not in out
     np.testing.assert_allclose(load_skin(tmp_path / "p.toml").baseline, 40, atol=1.5)
     # A baseline that has become old, by 5.
     old = SkinDescription("old", *SHAPE, 50.0, unit="N", baseline=np.full(SHAPE, 35.0), noise=1.0)
@@ -163,6 +164,12 @@ def test_a_live_source_is_calibrated_and_tared_while_its_graph_runs(
     graph.finish()
     with BagReader(tmp_path / "run.mcap") as bag:
         assert bag.topics["/skin/calibration"].n_messages == 2
+    # Its taxels are no raw readings any more.
+    code, _, err = start("calibrate", "file:run.mcap", "--out", "again.toml", *words).finish()
+    assert (code, err) == (
+        2,
+        "run.mcap: its taxels are forces, of a calibrated skin; expected raw readings\n",
+    )
 
 
 def test_a_graph_without_a_calibration_is_not_tared(

@@ -285,6 +285,17 @@ def test_frames_that_are_never_reconstructed_do_not_accumulate() -> None:
     assert metrics.summary()["frames"]["unpaired"] == 3 * MAX_PENDING
 
 
+def test_the_table_states_of_how_many_frames_its_figures_are() -> None:
+    frames = [message for seq in range(3) for message in frame(seq, 1.0, 1.0, 1.0)]
+    stated = "reconstructed 3, lost 0"
+    whole = summary_table({"skin": metrics_of(skin(), PHI, SOLVER, *frames).summary()})
+    assert f"{stated}\n" in whole
+    # The truth of the last frame is missing.
+    cut = [m for m in frames if not (isinstance(m, Truth) and m.stamp_ns == frames[-1].stamp_ns)]
+    part = summary_table({"skin": metrics_of(skin(), PHI, SOLVER, *cut).summary()})
+    assert f"{stated}; figures of 2 (the others came too late)\n" in part
+
+
 def test_times_and_bytes_and_names() -> None:
     messages = frame(0, 1.0, 1.0, 1.0)
     summary = metrics_of(skin(), PHI, SOLVER, *messages).summary()
