@@ -106,6 +106,12 @@ class BatchMessage(Message):
         raise NotImplementedError
 
 
+def _head(patch: str, parts: Sequence[Any]) -> dict[str, Any]:
+    """Return stamp, name and patches of the batch `patch` of these messages."""
+    names = tuple(part.patch for part in parts)
+    return {"stamp_ns": parts[0].stamp_ns, "patch": patch, "names": names}
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _ForcesBatch(BatchMessage):
     """Forces of all patches, float32, shape (n_patches, n_rows, n_cols)."""
@@ -124,9 +130,7 @@ class _ForcesBatch(BatchMessage):
     @classmethod
     def join(cls, patch: str, parts: Sequence[Any]) -> Self:
         return cls(
-            stamp_ns=parts[0].stamp_ns,
-            patch=patch,
-            names=tuple(part.patch for part in parts),
+            **_head(patch, parts),
             forces=np.stack([part.forces for part in parts]),
         )
 
@@ -172,9 +176,7 @@ class MeasurementsBatch(BatchMessage):
     @classmethod
     def join(cls, patch: str, parts: Sequence[Any]) -> Self:
         return cls(
-            stamp_ns=parts[0].stamp_ns,
-            patch=patch,
-            names=tuple(part.patch for part in parts),
+            **_head(patch, parts),
             y=np.stack([part.y for part in parts]),
             phi=parts[0].phi,
         )
@@ -259,9 +261,7 @@ class ReconstructionBatch(BatchMessage):
         changed = [part.forces for part in parts if not part.unchanged]
         errors = [NO_ERROR if part.error is None else part.error for part in parts]
         return cls(
-            stamp_ns=parts[0].stamp_ns,
-            patch=patch,
-            names=tuple(part.patch for part in parts),
+            **_head(patch, parts),
             forces=np.stack(changed) if changed else None,
             unchanged=np.array([part.unchanged for part in parts]),
             phi=parts[0].phi,

@@ -177,6 +177,13 @@ class Node(Generic[S]):
         return {}
 
 
+RATE_S = 2.0
+"""Time after which the rate reached is compared with the one asked, in seconds; chosen, so that a
+short delay at the start is made up for before."""
+KEPT_RATE = 0.9
+"""Share of the rate asked below which the sensor logs a warning."""
+
+
 class SourceNode(Node[S]):
     """A node without inputs, driven by ticks."""
 
@@ -195,6 +202,7 @@ class SourceNode(Node[S]):
     }
     _t0_ns: int = 0
     _n_ticks: int = 0
+    _missed_hz: float = 0.0
     _paused: bool = False
 
     @property
@@ -211,6 +219,16 @@ class SourceNode(Node[S]):
         """Start the schedule now: the first tick is due after one period."""
         self._t0_ns = now_ns
         self._n_ticks = 0
+
+    def _watch_rate(self, now_ns: int) -> None:
+        """Log, once for each rate, that frames are acquired more slowly than asked."""
+        passed_s = (now_ns - self._t0_ns) / 1e9
+        if not self._t0_ns or passed_s < RATE_S or self.rate_hz == self._missed_hz:
+            return
+        reached_hz = self._n_ticks / passed_s
+        if reached_hz < KEPT_RATE * self.rate_hz:
+            self._missed_hz = self.rate_hz
+            self.context.log(f"{self.rate_hz:g} Hz asked, {reached_hz:.1f} Hz reached")
 
     def next_tick_ns(self) -> int | None:
         """Time of the next tick on the graph's clock; None while paused."""

@@ -18,7 +18,7 @@ from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
-from .node import DEFAULT_RATE_HZ, KEPT_RATE, RATE_S
+from .node import DEFAULT_RATE_HZ
 from .noise import NoiseModel
 from .scenes.scenes import SCENES, open_scene
 from .scenes.tiled import TILED, TiledScene
@@ -129,7 +129,6 @@ class SensorBatch(SourceNode[SensorBatchSettings]):
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
         self._n_frames = 0
-        self._missed_hz = 0.0
         self._frames = self._truths()
         self._next: tuple[Floats, Floats] | None = None
         self._prepare()
@@ -227,13 +226,3 @@ class SensorBatch(SourceNode[SensorBatchSettings]):
         if self.skin.mask is not None:
             taxels[:, ~self.skin.mask] = 0.0
         return taxels, truth
-
-    def _watch_rate(self, now_ns: int) -> None:
-        """Log, once for each rate, that frames are acquired more slowly than asked."""
-        passed_s = (now_ns - self._t0_ns) / 1e9
-        if not self._t0_ns or passed_s < RATE_S or self.rate_hz == self._missed_hz:
-            return
-        reached_hz = self._n_ticks / passed_s
-        if reached_hz < KEPT_RATE * self.rate_hz:
-            self._missed_hz = self.rate_hz
-            self.context.log(f"{self.rate_hz:g} Hz asked, {reached_hz:.1f} Hz reached")

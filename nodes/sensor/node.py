@@ -29,11 +29,6 @@ from .sources import FILE, SCENE, open_source
 
 DEFAULT_RATE_HZ = 100.0
 """Frame rate of scenes and of recordings without a rate of their own."""
-RATE_S = 2.0
-"""Time after which the rate reached is compared with the one asked, in seconds; chosen, so that a
-short delay at the start is made up for before."""
-KEPT_RATE = 0.9
-"""Share of the rate asked below which the sensor logs a warning."""
 WAIT_S = 0.05
 """Longest wait for a frame of a board, seconds; chosen: commands and signals wait no longer."""
 _Frame = tuple[Floats, Floats | None]  # taxels, and truth where it is known
@@ -76,7 +71,6 @@ class Sensor(SourceNode[SensorSettings]):
         if isinstance(source, DriverSource | BoardSource) and watched:
             source.watch = ZeroWatch(self.skin.f_max)
         self._n_frames = self._n_logged = 0
-        self._missed_hz = 0.0
         if not self._live:
             self._prepare()
 
@@ -247,16 +241,6 @@ class Sensor(SourceNode[SensorSettings]):
                 f"{n_clipped} readings outside {self._f_min:g}..{self.skin.f_max:g} "
                 f"{self.skin.unit} were clipped"
             )
-
-    def _watch_rate(self, now_ns: int) -> None:
-        """Log, once for each rate, that frames are acquired more slowly than asked."""
-        passed_s = (now_ns - self._t0_ns) / 1e9
-        if not self._t0_ns or passed_s < RATE_S or self.rate_hz == self._missed_hz:
-            return
-        reached_hz = self._n_ticks / passed_s
-        if reached_hz < KEPT_RATE * self.rate_hz:
-            self._missed_hz = self.rate_hz
-            self.context.log(f"{self.rate_hz:g} Hz asked, {reached_hz:.1f} Hz reached")
 
     def _chosen_noise(self) -> NoiseModel:
         return NoiseModel.for_range(self.skin.f_max, self.settings.noise)

@@ -156,8 +156,9 @@ class HeldOut:
                 self._wait = 0
         # A residual is noise and error: it bounds the noise, which motion makes seem too large.
         if self._n_held:
-            slack = 1 + 2 * math.sqrt(2 / (self._n_held * self._t.error_frames))
-            least = slack * min(errors[model] for model in residuals)
+            least = _slack(self._n_held * self._t.error_frames) * min(
+                errors[model] for model in residuals
+            )
             self._most_noise = min(self._most_noise, least)
         noise = min(read, self._most_noise)
         self._most_noise *= self._t.noise_growth_rotating
@@ -205,9 +206,12 @@ def mean_square(residual: Floats) -> float:
 
 
 def _excess(mean: float, noise: float, count: float) -> float:
-    """Return a mean of squared residuals less what noise explains, squared newtons.
+    """Return a mean of squared residuals less what noise explains, squared newtons."""
+    return mean - noise * _slack(count)
 
-    That is the variance of the noise and twice the standard deviation of a mean of as many squared
-    normal variables.
+
+def _slack(count: float) -> float:
+    """Return a variance and twice the standard deviation of a mean of `count` squared normal
+    variables, in that variance.
     """
-    return mean - noise * (1 + 2 * math.sqrt(2 / count))
+    return 1 + 2 * math.sqrt(2 / count)
