@@ -18,7 +18,8 @@ from zmq.utils import z85
 from sparseskin.nodes.host import log_some
 
 from .keys import KeyPair
-from .sockets import HANDSHAKE_MS, MAX_EVENTS, monitor_event
+from .sockets import MAX_EVENTS
+from .zeromq import HANDSHAKE_MS, monitor_event
 
 ZAP_ENDPOINT = "inproc://zeromq.zap.01"
 ZAP_DOMAIN = b"sparseskin"

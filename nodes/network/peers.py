@@ -8,7 +8,8 @@ import zmq
 
 from sparseskin.nodes.clock import ClockEstimate, ClockOffset
 
-from .sockets import Peer, Reader, monitor_event, read_times
+from .sockets import Peer, Reader, read_times
+from .zeromq import monitor_event
 
 ASK_NS = 250_000_000
 """Period of the questions for the time of other hosts."""

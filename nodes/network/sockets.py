@@ -16,22 +16,32 @@ and each writer publishes "WRITER!T1:T2:T3" on the tag of that reader.
 
 from __future__ import annotations
 
-import contextlib
-import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import zmq
 
-from sparseskin.messages import MAX_MESSAGE_BYTES, Message
+from sparseskin.messages import MAX_MESSAGE_BYTES, End, Message
 from sparseskin.messages.wire import Payload, payload_of, wire_parts
 from sparseskin.nodes.files import is_served
 
+from .direct import DirectInlet, DirectOutlet
 from .keys import KeyPair
+from .transport import JOINS, PRESENCE, Inlet, Outlet, Parts, Send
+from .zeromq import (
+    HANDSHAKE_MS,
+    MAX_SUBSCRIPTIONS,
+    Guard,
+    ZmqInlet,
+    ZmqOutlet,
+    make_context,
+    watch_for_death,
+)
 
-PRESENCE = b"@"
+__all__ = ["Peer", "Reader", "Writer", "make_context", "read_times"]
+
 OBSERVER = "~"
 """Begins the name in the tag of a reader that is never asked."""
 FAREWELL_MS = 500
@@ -43,82 +53,30 @@ MAX_TIMES_BYTES = 160
 MAX_TIME_DIGITS = 20
 MAX_WRITERS = 256
 MAX_READERS = 128
-MAX_SUBSCRIPTIONS = 4096
-"""Readers and subscriptions beyond these are not counted, and one line is logged."""
+"""Readers, and subscriptions, beyond these are not counted, and one line is logged."""
 MAX_EVENTS = 1000
 """Largest number of subscriptions, or of events of connections, between two looks at messages."""
 QUEUE_FRAMES = 1000
 """High-water mark of each queue: one second at 1 kHz before messages are dropped and counted."""
-
-HANDSHAKE_MS = 2000
-"""Longest handshake; ZeroMQ's default of 30 s would hide a wrong key."""
-HEARTBEAT_MS, DEAD_MS = 500, 1500
-"""Over a network: period of heartbeats, and silence after which a peer counts as disconnected."""
-CONNECT_MS = 800
-"""Time after which a pending connection is tried again; TCP by itself waits ever longer."""
-RECONNECT_MS, MAX_RECONNECT_MS = 100, 500
-
-
-class Guard(Protocol):
-    """Access control of a writer's socket, e.g. a `gate.Gate`."""
-
-    def guard(self, writer: zmq.Socket[bytes]) -> None:
-        """Admit allowed readers only; called before the socket is bound."""
-
-    def subscribed(self, fd: int) -> None:
-        """Note that a subscription came by a connection, given by its file descriptor."""
-
-
-def make_context() -> zmq.Context[zmq.Socket[bytes]]:
-    """Return a context whose sockets never delay the end of a process."""
-    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-    context.linger = 0
-    return context
-
-
-def is_readable(socket: zmq.Socket[bytes]) -> bool:
-    """True if a message waits; a tenth of the time of `poll(0)`, or of a receive that fails."""
-    return bool(int(socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)
-
-
-def monitor_event(monitor: zmq.Socket[bytes]) -> tuple[int, int, str]:
-    """The next event of a socket monitor, its value, and the endpoint: zmq_socket_monitor(3).
-
-    `zmq.utils.monitor` does the same and imports asyncio, which every node would wait for.
-    """
-    head, endpoint = monitor.recv_multipart()
-    event, value = struct.unpack("=Hi", head)
-    return event, value, endpoint.decode(errors="replace")
-
-
-def watch_for_death(socket: zmq.Socket[bytes]) -> None:
-    """Let a socket detect links that break silently, for all later binds and connections."""
-    for option, value_ms in (
-        (zmq.HEARTBEAT_IVL, HEARTBEAT_MS),
-        (zmq.HEARTBEAT_TIMEOUT, DEAD_MS),
-        (zmq.HEARTBEAT_TTL, DEAD_MS),
-        (zmq.CONNECT_TIMEOUT, CONNECT_MS),
-        (zmq.RECONNECT_IVL, RECONNECT_MS),
-        (zmq.RECONNECT_IVL_MAX, MAX_RECONNECT_MS),
-    ):
-        socket.setsockopt(option, value_ms)
 
 
 @dataclass(frozen=True)
 class Peer:
     """A writer as its readers know it: name of the node, and where it is bound.
 
-    `host` is "" for this one, `key`, its public key, "" where it needs none.
+    `host` is "" for this one, `key`, its public key, "" where it needs none; `direct`, the path of
+    its socket for direct links, "" for none.
     """
 
     writer: str
     endpoint: str
     host: str = ""
     key: str = ""
+    direct: str = ""
 
 
 class Writer:
-    """Publishing side of a node: an XPUB socket, and the latched messages it repeats.
+    """Publishing side of a node: its transports, and the latched messages it repeats.
 
     Parameters
     ----------
@@ -129,6 +87,8 @@ class Writer:
         hosts, "tcp://ADDRESS:PORT", or "" for none.
     gate, now_ns, log
         Guard of the socket; the graph's clock, for readers on other hosts; receives one line.
+    direct : DirectOutlet, optional
+        Direct links to nodes of this host, beside ZeroMQ.
 
     Attributes
     ----------
@@ -151,12 +111,12 @@ class Writer:
         gate: Guard | None = None,
         now_ns: Callable[[], int] | None = None,
         log: Callable[[str], None] = lambda line: None,
+        direct: DirectOutlet | None = None,
     ) -> None:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.XPUB)
         self.socket.setsockopt(zmq.XPUB_VERBOSE, 1)
         self.socket.setsockopt(zmq.SNDHWM, QUEUE_FRAMES)
         self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_NOTE_BYTES)
-        self._gate = gate
         if gate is not None:
             gate.guard(self.socket)
         # Unlike all others, a bind to the path of a file replaces the one who listens there.
@@ -167,6 +127,9 @@ class Writer:
         if public:
             watch_for_death(self.socket)
             self.socket.bind(public)
+        # A direct link first: its reader wakes up while the other transport is served.
+        zeromq = ZmqOutlet(self.socket, gate)
+        self._outlets: list[Outlet] = [zeromq] if direct is None else [direct, zeromq]
         self.present: set[str] = set()
         self._observers: set[str] = set()
         self._name = name
@@ -177,31 +140,49 @@ class Writer:
         self._asks = 0
         self._answered: dict[str, int] = {}
         self._processed: dict[str, int] = {}
-        self._latched: dict[bytes, bytes] = {}
+        self._latched: dict[bytes, Parts] = {}
 
     def send(self, message: Message) -> None:
-        """Publish a message to the subscribers of its topic."""
-        parts = wire_parts(message)
+        """Publish a message to the subscribers of its topic; where there is none, encode none."""
+        topic = message.topic.encode()
         if message.latched:
-            self._latched[parts[0]] = parts[1]
-        self.socket.send_multipart(parts)
+            self._latched[topic] = wire_parts(message)
+            self.publish(self._latched[topic])
+            return
+        wanted = [outlet for outlet in self._outlets if outlet.wants(topic)]
+        if not wanted:  # a reader may have come since
+            self.serve_subscriptions()
+            wanted = [outlet for outlet in self._outlets if outlet.wants(topic)]
+        if wanted:
+            parts, frame = wire_parts(message), not isinstance(message, End)
+            for outlet in wanted:
+                outlet.send(parts, frame)
+
+    def publish(self, parts: Parts) -> None:
+        """Send parts to the subscribers of their topic as they are."""
+        for outlet in self._outlets:
+            if outlet.wants(parts[0]):
+                outlet.send(parts)
 
     def serve_subscriptions(self) -> None:
         """Process waiting subscriptions: note present readers, repeat latched messages."""
+        for outlet in self._outlets:
+            self._serve(outlet)
+
+    def _serve(self, outlet: Outlet) -> None:
         for _ in range(MAX_EVENTS):  # a flood must not keep a node from its work
-            if not is_readable(self.socket):
+            received = outlet.note()
+            if received is None:
                 return
-            frame = self.socket.recv(copy=False)
-            note = frame.bytes
-            if self._gate is not None:
-                with contextlib.suppress(zmq.ZMQError):  # by no connection, in a process
-                    self._gate.subscribed(frame.get(zmq.SRCFD))
-            joins, topic = note[:1] == b"\x01", note[1:]
-            self._count(joins)
-            if topic.startswith(PRESENCE):
-                self._note_presence(topic[1:].decode(errors="replace"), joins)
-            elif joins and topic in self._latched:
-                self.socket.send_multipart((topic, self._latched[topic]))
+            self._take(*received)
+
+    def _take(self, note: bytes, reply: Send) -> None:
+        joins, topic = note[:1] == JOINS, note[1:]
+        self._count(joins)
+        if topic.startswith(PRESENCE):
+            self._note_presence(topic[1:].decode(errors="replace"), joins)
+        elif joins and topic in self._latched:
+            reply(self._latched[topic])
 
     def ask(self) -> int:
         """Ask all present readers to answer when they have processed all messages sent so far."""
@@ -209,7 +190,7 @@ class Writer:
         for reader in self.present - self._observers:
             self._answered.setdefault(reader, self._asks - 1)
             note = f"{self._name}:{self._asks}".encode()
-            self.socket.send_multipart((PRESENCE + reader.encode(), note))
+            self.publish((PRESENCE + reader.encode(), note))
         return self._asks
 
     def awaits(self, ask: int) -> bool:
@@ -237,7 +218,7 @@ class Writer:
             return
         if t1_ns.isdecimal() and len(t1_ns) <= MAX_TIME_DIGITS:
             note = f"{self._name}!{t1_ns}:{self._now_ns()}:{self._now_ns()}".encode()
-            self.socket.send_multipart((PRESENCE + reader.encode(), note))
+            self.publish((PRESENCE + reader.encode(), note))
 
     def _note_presence(self, tag: str, joins: bool) -> None:
         asking, is_time, t1_ns = tag.partition("!")
@@ -263,7 +244,7 @@ class Writer:
 
 
 class Reader:
-    """Subscribing side of a node: a SUB socket connected to all its writers.
+    """Subscribing side of a node: its transports, connected to all its writers.
 
     Parameters
     ----------
@@ -278,6 +259,8 @@ class Reader:
     keys, read_ahead
         Keys of this host, for writers that need them; number of messages of a writer that wait
         here, further ones wait at the writer.
+    direct : DirectInlet, optional
+        For direct links to writers of this host.
     """
 
     def __init__(
@@ -290,6 +273,7 @@ class Reader:
         keys: KeyPair | None = None,
         read_ahead: int = QUEUE_FRAMES,
         observes: bool = False,
+        direct: DirectInlet | None = None,
     ) -> None:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.SUB)
         self.socket.setsockopt(zmq.RCVHWM, read_ahead)
@@ -302,12 +286,21 @@ class Reader:
             self.socket.setsockopt(zmq.CURVE_PUBLICKEY, keys.public.encode())
             self.socket.setsockopt(zmq.CURVE_SECRETKEY, keys.secret.encode())
             self.socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
+        self._zeromq, self._direct = ZmqInlet(self.socket), direct
+        self._inlets: list[Inlet] = [self._zeromq] if direct is None else [direct, self._zeromq]
+        self._connected: list[Inlet] = []
         for topic in sorted(self._topics):
-            self.socket.subscribe(topic)
+            self._subscribe(topic)
         if present:
-            self.socket.subscribe(self._tag)
+            self._subscribe(self._tag)
         for endpoint in endpoints:
             self.connect(endpoint)
+
+    def connect_direct(self, path: str) -> None:
+        """Connect to one more writer by a direct link, in place of ZeroMQ."""
+        assert self._direct is not None
+        self._add(self._direct)
+        self._direct.connect(path)
 
     def connect(self, endpoint: str, server_key: str = "", distant: bool = False) -> None:
         """Connect to one more writer, with its public key if it needs keys.
@@ -318,7 +311,14 @@ class Reader:
             self.socket.setsockopt(zmq.CURVE_SERVERKEY, server_key.encode())
         if distant:
             watch_for_death(self.socket)
+        self._add(self._zeromq)
         self.socket.connect(endpoint)
+
+    def close(self) -> None:
+        """Close all connections."""
+        self.socket.close()
+        if self._direct is not None:
+            self._direct.close()
 
     def reconnect(self, endpoint: str, server_key: str = "", distant: bool = False) -> None:
         """Connect again after a refused handshake, which ZeroMQ does not do by itself."""
@@ -332,14 +332,23 @@ class Reader:
         message without a payload, or of too many parts, is returned as one with an empty payload,
         for the decoder to refuse and count. An ask is a payload under the reader's own tag.
         """
-        while is_readable(self.socket):
-            try:
-                parts = self.socket.recv_multipart(zmq.NOBLOCK)
-            except zmq.Again:
-                return None
-            if parts[0] in self._topics or parts[0] == self._tag:
-                return parts[0], payload_of(parts)
+        for inlet in self._connected:
+            while (parts := inlet.receive()) is not None:
+                if parts[0] in self._topics or parts[0] == self._tag:
+                    return parts[0], payload_of(parts)
         return None
+
+    def _add(self, inlet: Inlet) -> None:
+        if inlet not in self._connected:
+            self._connected.append(inlet)
+
+    def _subscribe(self, topic: bytes) -> None:
+        for inlet in self._inlets:
+            inlet.subscribe(topic)
+
+    def _unsubscribe(self, topic: bytes) -> None:
+        for inlet in self._inlets:
+            inlet.unsubscribe(topic)
 
     def is_ask(self, topic: bytes) -> bool:
         """True if a topic is that of asks, to be answered by `answer`."""
@@ -348,9 +357,9 @@ class Reader:
     def ask_time(self, now_ns: int) -> None:
         """Ask all writers for the time on their clocks; the answers arrive like asks."""
         tag = self._tag + b"!%d" % now_ns
-        self.socket.subscribe(tag)
+        self._zeromq.subscribe(tag)  # of this host the clock is the same
         if self._time_tag:
-            self.socket.unsubscribe(self._time_tag)
+            self._zeromq.unsubscribe(self._time_tag)
         self._time_tag = tag
 
     def answer(self, note: bytes) -> None:
@@ -359,9 +368,9 @@ class Reader:
         if len(note) > MAX_ASK_BYTES or len(self._answers) >= MAX_WRITERS:
             return  # not one of the writers
         tag = self._tag + b"#" + note
-        self.socket.subscribe(tag)
+        self._subscribe(tag)
         if writer in self._answers:
-            self.socket.unsubscribe(self._answers[writer])
+            self._unsubscribe(self._answers[writer])
         self._answers[writer] = tag
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,14 +13,11 @@ from conftest import wait_until
 
 from sparseskin.messages import MalformedError, Message, PhiState, Taxels, decode
 from sparseskin.messages.wire import Payload
+from sparseskin.nodes.network.direct import DirectInlet, DirectOutlet
+from sparseskin.nodes.network.poll import Poll
 from sparseskin.nodes.network.sockets import Reader, Writer, make_context
 
 TAXELS, PHI = "/skin/taxels", "/skin/phi"
-
-
-@pytest.fixture(params=["inproc://writer", "tcp://127.0.0.1:*", "ipc://{}/s"])
-def endpoint(request: pytest.FixtureRequest, tmp_path: Any) -> str:
-    return str(request.param).format(tmp_path)
 
 
 @pytest.fixture
@@ -27,6 +25,56 @@ def context() -> Iterator[zmq.Context[Any]]:
     made = make_context()
     yield made
     made.destroy(linger=0)
+
+
+@pytest.fixture(params=["inproc://writer", "tcp://127.0.0.1:*", "ipc://{}/s"])
+def endpoint(request: pytest.FixtureRequest, tmp_path: Any) -> str:
+    return str(request.param).format(tmp_path)
+
+
+class Pair:
+    """A writer and its readers over one transport: an endpoint of ZeroMQ, or "direct"."""
+
+    def __init__(self, context: zmq.Context[Any], endpoint: str, folder: Path) -> None:
+        self._context, self._path = context, str(folder / "direct.unix")
+        self._is_direct = endpoint == "direct"
+        self._poll = Poll()
+        outlet = DirectOutlet(self._path, self._poll, print) if self._is_direct else None
+        self.writer = Writer(
+            context, "inproc://beside" if self._is_direct else endpoint, direct=outlet
+        )
+
+    def reader(self, name: str, *topics: str) -> Reader:
+        if not self._is_direct:
+            return Reader(self._context, name, [self.writer.endpoint], topics)
+        reader = Reader(self._context, name, (), topics, direct=DirectInlet(self._poll, print))
+        reader.connect_direct(self._path)
+        return reader
+
+    def is_present(self, name: str) -> bool:
+        self._poll.look()
+        self.writer.serve_subscriptions()
+        return name in self.writer.present
+
+    def next_message(self, reader: Reader) -> Message:
+        return decode(*self.next_messages(reader, 1)[0])
+
+    def next_messages(self, reader: Reader, n: int) -> list[tuple[bytes, Payload]]:
+        found: list[tuple[bytes, Payload]] = []
+
+        def came() -> bool:
+            self._poll.look()
+            while len(found) < n and (parts := reader.receive()) is not None:
+                found.append(parts)
+            return len(found) == n
+
+        wait_until(came, f"{n} messages")
+        return found
+
+
+@pytest.fixture(params=["inproc://writer", "tcp://127.0.0.1:*", "ipc://{}/s", "direct"])
+def pair(request: pytest.FixtureRequest, tmp_path: Path, context: zmq.Context[Any]) -> Pair:
+    return Pair(context, str(request.param).format(tmp_path), tmp_path)
 
 
 def taxels(seq: int) -> Taxels:
@@ -39,83 +87,76 @@ def phi() -> PhiState:
     )
 
 
-def next_message(reader: Reader) -> Message:
-    found: list[tuple[bytes, Payload]] = []
-
-    def came() -> bool:
-        parts = reader.receive()
-        if parts is not None:
-            found.append(parts)
-        return bool(found)
-
-    wait_until(came, "a message")
-    return decode(*found[0])
-
-
-def is_present(writer: Writer, name: str) -> bool:
-    writer.serve_subscriptions()
-    return name in writer.present
-
-
-def test_a_present_reader_misses_nothing(context: zmq.Context[Any], endpoint: str) -> None:
-    writer = Writer(context, endpoint)
-    reader = Reader(context, "reader", [writer.endpoint], [TAXELS])
-    wait_until(lambda: is_present(writer, "reader"), "the reader")
+def test_a_present_reader_misses_nothing(pair: Pair) -> None:
+    reader = pair.reader("reader", TAXELS)
+    wait_until(lambda: pair.is_present("reader"), "the reader")
     for seq in range(500):
-        writer.send(taxels(seq))
-    assert [next_message(reader).seq for _ in range(500)] == list(range(500))
+        pair.writer.send(taxels(seq))
+    found = [decode(*parts).seq for parts in pair.next_messages(reader, 500)]
+    assert found == list(range(500))
 
 
-def test_a_late_subscriber_receives_latched_messages_only(
-    context: zmq.Context[Any], endpoint: str
-) -> None:
-    writer = Writer(context, endpoint)
-    writer.send(phi())
-    writer.send(taxels(0))
+def test_a_late_subscriber_receives_latched_messages_only(pair: Pair) -> None:
+    pair.writer.send(phi())
+    pair.writer.send(taxels(0))
     for name in ("first", "second"):
-        reader = Reader(context, name, [writer.endpoint], [TAXELS, PHI])
-        wait_until(lambda name=name: is_present(writer, name), name)  # type: ignore[misc]
-        writer.send(taxels(1))
-        assert next_message(reader) == phi()
-        assert next_message(reader).seq == 1
+        reader = pair.reader(name, TAXELS, PHI)
+        wait_until(lambda name=name: pair.is_present(name), name)  # type: ignore[misc]
+        pair.writer.send(taxels(1))
+        assert pair.next_message(reader) == phi()
+        assert pair.next_message(reader).seq == 1
 
 
-def test_a_reader_that_leaves_is_no_longer_present(
-    context: zmq.Context[Any], endpoint: str
-) -> None:
-    writer = Writer(context, endpoint)
-    reader = Reader(context, "reader", [writer.endpoint], [TAXELS])
-    wait_until(lambda: is_present(writer, "reader"), "the reader")
-    reader.socket.close()
-    wait_until(lambda: not is_present(writer, "reader"), "its leaving")
+def test_a_reader_that_leaves_is_no_longer_present(pair: Pair) -> None:
+    reader = pair.reader("reader", TAXELS)
+    wait_until(lambda: pair.is_present("reader"), "the reader")
+    reader.close()
+    wait_until(lambda: not pair.is_present("reader"), "its leaving")
 
 
-def test_a_topic_that_begins_like_another_is_not_taken_for_it(
-    context: zmq.Context[Any], endpoint: str
-) -> None:
-    writer = Writer(context, endpoint)
-    reader = Reader(context, "reader", [writer.endpoint], [TAXELS])
-    wait_until(lambda: is_present(writer, "reader"), "the reader")
-    writer.socket.send_multipart((b"/skin/taxels_raw", b"payload"))
-    for n_parts in (0, 2, 16):
-        writer.socket.send_multipart((b"/skin/taxels", *[b"part"] * n_parts))
-    writer.send(taxels(3))
-    found: list[tuple[bytes, Payload]] = []
+def test_a_writer_knows_when_all_that_it_sent_is_processed(pair: Pair) -> None:
+    reader = pair.reader("reader", TAXELS)
+    wait_until(lambda: pair.is_present("reader"), "the reader")
+    pair.writer.send(taxels(0))
+    ask = pair.writer.ask()
+    assert pair.writer.awaits(ask)
+    frame, (topic, note) = pair.next_messages(reader, 2)
+    assert decode(*frame).seq == 0
+    assert reader.is_ask(topic)
+    assert isinstance(note, bytes)
+    reader.answer(note)
 
-    def took_all() -> bool:
-        parts = reader.receive()
-        if parts is not None:
-            found.append(parts)
-        return len(found) == 4
+    def has_answered() -> bool:
+        return pair.is_present("reader") and not pair.writer.awaits(ask)
 
-    wait_until(took_all, "four messages")
+    wait_until(has_answered, "the answer")
+    assert pair.writer.has_answered("reader", ask)
+
+
+def test_a_topic_that_begins_like_another_is_not_taken_for_it(pair: Pair) -> None:
+    reader = pair.reader("reader", TAXELS)
+    wait_until(lambda: pair.is_present("reader"), "the reader")
+    pair.writer.publish((b"/skin/taxels_raw", b"payload"))
     # Of no part, and of more than any message has, nothing is left but the topic.
-    assert found[0] == found[2] == (b"/skin/taxels", b"")
-    assert found[1] == (b"/skin/taxels", (b"part", b"part"))
-    for wrong in found[:3]:
+    pair.writer.publish((b"/skin/taxels",))
+    pair.writer.publish((b"/skin/taxels", b"part", b"part"))
+    pair.writer.send(taxels(3))
+    found = pair.next_messages(reader, 3)
+    assert found[:2] == [(b"/skin/taxels", b""), (b"/skin/taxels", (b"part", b"part"))]
+    for wrong in found[:2]:
         with pytest.raises(MalformedError):
             decode(*wrong)
-    assert decode(*found[3]).seq == 3
+    assert decode(*found[2]).seq == 3
+
+
+def test_of_a_message_with_too_many_parts_nothing_is_left(
+    context: zmq.Context[Any], endpoint: str, tmp_path: Path
+) -> None:
+    pair = Pair(context, endpoint, tmp_path)
+    reader = pair.reader("reader", TAXELS)
+    wait_until(lambda: pair.is_present("reader"), "the reader")
+    pair.writer.publish((b"/skin/taxels", *[b"part"] * 16))
+    assert pair.next_messages(reader, 1) == [(b"/skin/taxels", b"")]
 
 
 def test_an_endpoint_in_use_is_refused(context: zmq.Context[Any], endpoint: str) -> None:
@@ -131,6 +172,11 @@ def test_junk_subscriptions_do_no_harm(context: zmq.Context[Any]) -> None:
     for note in (b"", b"\x01", b"\x02x", b"\x01@\xff\xfe", b"\x01" + b"t" * 200, b"\x00@gone"):
         junk.send(note)
     reader = Reader(context, "reader", [writer.endpoint], [TAXELS])
-    wait_until(lambda: is_present(writer, "reader"), "the reader")
+
+    def is_present() -> bool:
+        writer.serve_subscriptions()
+        return "reader" in writer.present
+
+    wait_until(is_present, "the reader")
     writer.send(taxels(0))
-    assert next_message(reader).seq == 0
+    wait_until(lambda: (parts := reader.receive()) is not None and len(parts[1]) == 2, "a frame")
