@@ -18,6 +18,8 @@ SLOW_HZ = 1.0
 STEP = 0.75
 """Factor from one rate that is tried to the next; chosen."""
 MAX_TRIALS = 5
+DEPTH = 4
+"""Frames that may wait for the reconstructor, which others pause now and then on two cores."""
 
 
 class OpenPage:
@@ -63,6 +65,7 @@ def run_at(rate_hz: float, patches: int, active: float, seconds: float) -> dict[
         "sensor.active": active,
         "sensor.rate_hz": SLOW_HZ,
         "monitor.port": 0,
+        "reconstructor.depth": DEPTH,
     }
     changes = [part for key, v in settings.items() for part in ("--set", f"{key}={v}")]
     with GraphRun("body", *changes) as run:

@@ -49,8 +49,8 @@ def time_batch(point: dict[str, Any]) -> dict[str, Any]:
         "seed": point["seed"],
         "rate_hz": 100.0,
     }
-    sensor = _made("sensor_batch", {**common, **source, "n_rows": side, "n_cols": side})
-    edge = _made("compressor_batch", common)
+    sensor = made_node("sensor_batch", {**common, **source, "n_rows": side, "n_cols": side})
+    edge = made_node("compressor_batch", common)
     (skin,) = sensor.start()
     (phi,) = edge.step(skin)
     # The next frame is of the time when all have landed, then come frames each 1 ms.
@@ -58,15 +58,16 @@ def time_batch(point: dict[str, Any]) -> dict[str, Any]:
     list(sensor.change(sensor.settings.changed({"rate_hz": 1000.0})))
     gc.collect()
     before = own_bytes(os.getpid())
-    host = _made("reconstructor_batch", {**common, "skip_idle": point["skip_idle"]})
+    host = made_node("reconstructor_batch", {**common, "skip_idle": point["skip_idle"]})
     list(host.step(skin))
     list(host.step(phi))
     spent: dict[str, list[float]] = {station: [] for station in STATIONS}
     n_unchanged = n_bytes = 0
     for k in range(WARM_UP + n_frames):
-        sent = encode(next(iter(sensor.acquire(Tick(1_000_000 * (k + 1), k + 1)))))
-        (measured,) = _timed(edge, sent, spent["edge"])
-        (found,) = _timed(host, measured, spent["host"])
+        (taxels, _) = sensor.acquire(Tick(1_000_000 * (k + 1), k + 1))
+        sent = encode(taxels)
+        (measured,) = timed_step(edge, sent, spent["edge"])
+        (found,) = timed_step(host, measured, spent["host"])
         if k >= WARM_UP:
             n_bytes = len(measured[1])
             n_unchanged += int(np.count_nonzero(decode(*found).unchanged))  # type: ignore[attr-defined]
@@ -80,12 +81,15 @@ def time_batch(point: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _made(type_name: str, values: dict[str, Any]) -> Any:
+def made_node(type_name: str, values: dict[str, Any]) -> Any:
+    """Make a node of a type with settings, without sockets."""
     cls = node_class(type_name)
     return cls(make_settings(cls, values), Context(type_name, ManualClock(1)))
 
 
-def _timed(node: Any, parts: tuple[bytes, bytes], spent: list[float]) -> list[tuple[bytes, bytes]]:
+def timed_step(
+    node: Any, parts: tuple[bytes, bytes], spent: list[float]
+) -> list[tuple[bytes, bytes]]:
     """Let a node process a message in its wire form; note the processor time."""
     begin_s = time.process_time()
     message: Message = decode(*parts)

@@ -16,9 +16,10 @@ from sparseskin.nodes.sensor.scenes.tiled import TiledScene
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import cells, fill_page, markdown, write_csv
 
-from .live import rate_held
+from .live import DEPTH, rate_held
 from .missed import FRAMES, false_alarms, missed, missed_lines
 from .nodes import time_batch
+from .offline import throughput, throughput_table
 
 SIDE = 64
 PATCHES, QUICK_PATCHES = (1, 4, 16, 64, 244), (1, 4)
@@ -33,6 +34,8 @@ SIGMAS = (1.0, 2.0, 3.0)
 TRIED_S, LAST_S = 10.0, 60.0
 #: Patches, part pressed, rate tried first, and seconds of the last run.
 LIVE = ((16, 0.25, 100.0, 0.0), (16, 0.1, 150.0, 0.0), (GOAL, 0.25, 8.0, LAST_S))
+#: Frames of all patches in a task of recorded frames, and least frames of a task.
+OFFLINE_PATCH_FRAMES, LEAST_OFFLINE = 400, 3
 WIRE_BYTES_HZ = 1e9 / 8
 """Bytes a second of a gigabit link."""
 
@@ -50,6 +53,12 @@ def points_of(quick: bool, seed: int) -> list[Point]:
         for idle in (0.0, IDLE)
         for n in (QUICK_PATCHES if quick else PATCHES)
     ]
+
+
+def offline_of(quick: bool) -> tuple[list[int], list[int]]:
+    """Patches of the bodies whose recorded frames are timed, and frames of a task."""
+    patches = list(QUICK_PATCHES if quick else PATCHES)
+    return patches, [max(OFFLINE_PATCH_FRAMES // n, LEAST_OFFLINE) for n in patches]
 
 
 def exponent(taxels: list[float], seconds: list[float]) -> float:
@@ -98,11 +107,19 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     table = missed_lines(found, alarms)
     trials = [] if quick else [t for a in LIVE for t in rate_held(*_live(*a))]
     load = os.getloadavg()[0]
+    offline = throughput_table(throughput(*offline_of(quick), SIDE, seed))
     text = table_of(one, two)
     live = "not run (--quick)" if quick else live_table(pd.DataFrame(trials))
     fill_page(
         out,
         "scale",
+        conclusion=[
+            f"Time grows with the number of taxels to the power {slope:.2f}.",
+            f"A million taxels at 1 kHz take {goal['edge_cores']:.0f} cores of edges and "
+            f"{goal['host_cores']:.0f} of hosts, as fast as this one.",
+            f"Their measurements are {goal['gigabyte_s']:.2f} GB/s: {goal['links']:.0f} gigabit "
+            f"links in place of {goal['full_links']:.0f}.",
+        ],
         side=SIDE,
         table=text,
         exponent=slope,
@@ -111,6 +128,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         frames=FRAMES,
         missed="\n".join(table),
         live=live,
+        depth=DEPTH,
+        offline=offline,
         load=load,
         n_cores=len(os.sched_getaffinity(0)),
         csv=write_csv(out, "times", one),
@@ -122,7 +141,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         f"{goal['host_cores']:.0f} of hosts; {goal['gigabyte_s']:.2f} GB/s of measurements, "
         f"{goal['links']:.0f} gigabit links in place of {goal['full_links']:.0f}"
     )
-    print("\n".join(["", *table, "", live]))
+    print("\n".join(["", *table, "", live, "", "recorded frames, wall-clock time:", offline]))
     print(f"load of the machine at the end: {load:.1f} on {os.cpu_count()} cores", file=sys.stderr)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("pandas", reason="the extra charts is not installed")
 
-from sparseskin.studies.scale import live
+from sparseskin.studies.scale import live, offline
 from sparseskin.studies.scale.missed import Missed, missed_lines
 from sparseskin.studies.scale.nodes import time_batch
 from sparseskin.studies.scale.study import exponent, needed, points_of
@@ -62,3 +62,17 @@ def test_the_table_of_missed_contacts() -> None:
     lines = missed_lines([Missed(8, 1.0, (0.9, 0.5, 0.0, 0.0))], {"untouched": 0.0012})
     assert lines[1].split() == ["8", "x", "8", "1", "sigma", "90.0%", "50.0%", "0.0%", "0.0%"]
     assert lines[-1] == "frames solved though nothing changed: untouched 0.12 %"
+
+
+def test_recorded_frames_are_counted_in_frames_and_bytes_of_their_taxels(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(offline, "WAYS", {"one core": "serial", "two threads": "thread:2"})
+    found = offline.throughput([2], [3], 8, 0)
+    assert [one["way"] for one in found] == ["one core", "two threads"]
+    for one in found:
+        assert one["taxels"] == 2 * 64
+        assert one["bytes_s"] == pytest.approx(4 * 128 * one["frames_s"])
+    lines = offline.throughput_table(found).splitlines()
+    assert "two threads" in lines[0]
+    assert lines[2].startswith("| 128 |")

@@ -43,8 +43,13 @@ def array_names(schema: str) -> tuple[str, str]:
 
 
 def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
-    """`f_max` and `unit` of a skin; `mask`, `pitch_m` and `rate_hz` where known."""
-    optional = {"mask": skin.mask, "pitch_m": skin.pitch_m or None, "rate_hz": rate_hz or None}
+    """`f_max` and `unit` of a skin; `mask`, `points`, `pitch_m` and `rate_hz` where known."""
+    optional = {
+        "mask": skin.mask,
+        "points": skin.points,
+        "pitch_m": skin.pitch_m or None,
+        "rate_hz": rate_hz or None,
+    }
     known = {name: value for name, value in optional.items() if value is not None}
     return {"f_max": skin.f_max, "unit": skin.unit, **known}
 

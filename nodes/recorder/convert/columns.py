@@ -180,7 +180,8 @@ def rebuilt(
     )
     if ends.keys() != shapes.keys():
         raise ValueError(f"arrays of {schema}: _end and _shape, expected both or none")
-    for name in ("stamp_ns", LOG_TIME):
+    needed = ("stamp_ns", LOG_TIME, *((STEP,) if BITS in held else ()))
+    for name in needed:
         if name not in held:
             raise ValueError(f"holds no array {column_name(schema, name)!r}")
     n = len(held["stamp_ns"]) if held["stamp_ns"].ndim else 0

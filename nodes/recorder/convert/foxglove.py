@@ -40,7 +40,7 @@ def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = No
     - the frames as foxglove.RawImage, 32FC1, on the same topic; measurements are 1 x M;
     - taxels, truth and reconstruction as foxglove.Grid on /PATCH/SCHEMA/grid, field `force`, in
       metres: x along a row, y along a column, from the middle of the skin, which is the origin of
-      the frame PATCH;
+      the frame PATCH; of a skin of points also as foxglove.PointCloud on /PATCH/SCHEMA/points;
     - the standard deviations as a RawImage on /PATCH/reconstruction/sd, and as field `sd` of that
       grid;
     - all numbers of the message, and the sum of the frame, as protobuf on /PATCH/SCHEMA/figures
@@ -98,7 +98,7 @@ class _Channels:
         import foxglove
         from foxglove import channels
 
-        if schema in ("RawImage", "Grid"):
+        if schema in ("RawImage", "Grid", "PointCloud"):
             return getattr(channels, f"{schema}Channel")(topic, context=self._context)
         if schema == "json":
             return foxglove.Channel(topic, message_encoding="json", context=self._context)
@@ -125,6 +125,8 @@ def _messages(message: Message, skin: SkinState | None) -> Iterable[tuple[str, A
             yield f"{topic}/sd", "RawImage", raw_image(message, message.sd)
             layers["sd"] = message.sd
         yield f"{topic}/grid", "Grid", grid(message, layers, skin)
+        if skin is not None and skin.points is not None:
+            yield f"{topic}/points", "PointCloud", point_cloud(message, layers, skin)
     if has_figures(cls):
         yield f"{topic}/figures", cls, encoded(cls, figure_values(message))
 
@@ -179,6 +181,43 @@ def grid(
             for k, name in enumerate(layers)
         ],
         data=data.tobytes(),
+    )
+
+
+def point_cloud(
+    message: Message, layers: dict[str, npt.NDArray[np.float32]], skin: SkinState
+) -> Any:
+    """foxglove.PointCloud of the layers of a frame on a skin of points: x, y, z in metres, and each
+    layer, float32 (n_rows, n_cols), at the taxels that exist.
+    """
+    from foxglove.messages import (
+        PackedElementField,
+        PackedElementFieldNumericType,
+        PointCloud,
+        Pose,
+        Quaternion,
+        Vector3,
+    )
+
+    assert skin.points is not None
+    exists = skin.skin.exists
+    names = ("x", "y", "z", *layers)
+    columns = [*skin.points[:, :3].T, *(layer[exists] for layer in layers.values())]
+    return PointCloud(
+        timestamp=_timestamp(message.stamp_ns),
+        frame_id=message.patch,
+        pose=Pose(
+            position=Vector3(x=0.0, y=0.0, z=0.0),
+            orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
+        ),
+        point_stride=FLOAT32_BYTES * len(names),
+        fields=[
+            PackedElementField(
+                name=name, offset=FLOAT32_BYTES * k, type=PackedElementFieldNumericType.Float32
+            )
+            for k, name in enumerate(names)
+        ],
+        data=np.stack(columns, axis=-1).astype("<f4").tobytes(),
     )
 
 

@@ -15,20 +15,25 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.array_files import (
     MAX_HEAD_BYTES,
     ArrayFileError,
+    ArrayPart,
     is_npz,
+    npy_parts,
     npy_shape,
     npz_member,
+    npz_parts,
     npz_shapes,
     read_npy,
     read_npz,
 )
-from sparseskin.nodes.numerics.arrays import Mask
+from sparseskin.nodes.numerics.arrays import Floats, Mask
 
 from .parsed import (
     DEFAULT_POLICY,
+    REFUSE,
     Parsed,
     Policy,
     check_grid,
+    check_part,
     is_missing,
     is_number,
     parse_number,
@@ -38,9 +43,12 @@ from .parsed import (
     text_lines,
 )
 
+MAX_CHECKED_BYTES = 1 << 30
+"""Readings of an .npy or .npz that are checked before a graph starts, bytes; chosen: seconds. The
+sensor checks all."""
 _MOST = 64
 """Arrays of an .npz without `forces` whose shapes are looked at."""
-NPZ_NAMES = ("forces", "stamp_ns", "rate_hz", "mask", "f_max", "unit", "pitch_m")
+NPZ_NAMES = ("forces", "stamp_ns", "rate_hz", "mask", "f_max", "unit", "pitch_m", "points")
 """Names of the arrays that are read from an .npz; all others are ignored."""
 
 
@@ -64,7 +72,8 @@ def parse_npz(raw: bytes, name: str) -> Parsed:
     It holds `forces`, shape (n_frames, n_rows, n_cols), or one 3-D array of any name, and
     optionally `stamp_ns`, shape (n_frames,), rising integers; `rate_hz`, `f_max` and `pitch_m`,
     one number each; `unit`, a text; `mask`, shape (n_rows, n_cols), True or 1 where a taxel
-    exists. Values of cells without a taxel are ignored, and become 0.
+    exists; `points`, float32 of shape (n_taxels, 6): place in metres and unit normal of each taxel
+    of a skin that is no flat grid. Values of cells without a taxel are ignored, and become 0.
 
     Raises
     ------
@@ -88,6 +97,9 @@ def parsed_arrays(arrays: Mapping[str, npt.NDArray[Any]], name: str) -> Parsed:
     mask = _mask(arrays["mask"], forces.shape[1:], name) if "mask" in arrays else None
     if mask is not None:
         forces = np.where(mask, forces, forces.dtype.type(0))
+    points = None
+    if "points" in arrays:
+        points = _points(arrays["points"], mask, forces.shape[1:], f"{name}, array 'points'")
     unit = None
     if "unit" in arrays:
         if arrays["unit"].shape != () or arrays["unit"].dtype.kind != "U":
@@ -104,7 +116,23 @@ def parsed_arrays(arrays: Mapping[str, npt.NDArray[Any]], name: str) -> Parsed:
         pitch_m=_scalar(arrays, "pitch_m", name),
         mask=mask,
         f_max=_scalar(arrays, "f_max", name),
+        points=points,
     )
+
+
+def _points(
+    array: npt.NDArray[Any], mask: Mask | None, shape: tuple[int, ...], where: str
+) -> Floats:
+    """Places and normals on the grid, float32 (n_rows, n_cols, 6)."""
+    exists = np.ones(shape, dtype=np.bool_) if mask is None else mask
+    expected = (int(np.count_nonzero(exists)), 6)
+    if array.shape != expected or array.dtype != np.float32:
+        raise SourceError(
+            f"{where}: {array.dtype} of shape {array.shape}; expected float32 of {expected}"
+        )
+    found = np.zeros((*shape, 6), dtype=np.float32)
+    found[exists] = array
+    return found
 
 
 def npy_file_shape(file: IO[bytes], name: str) -> tuple[int, ...]:
@@ -131,15 +159,50 @@ def npz_file_shape(file: IO[bytes], name: str) -> tuple[tuple[int, ...], int | N
         If it is no archive, does not hold frames, or the mask is malformed.
     """
     with _refusing(name):
-        shapes = npz_shapes(file, lambda held: ["forces"] if "forces" in held else held[:_MOST])
-        found = forces_name({key: len(one) for key, one in shapes.items()}, name)
-        shape = shapes[found]
-        _check_dimensions(shape, f"{name}, array {shown(found)}")
-        masked = npz_shapes(file, lambda held: ["mask"] if "mask" in held else [])
-        if not masked:
-            return shape, None
-        mask = npz_member(file, "mask", 8 * MAX_ELEMENTS + MAX_HEAD_BYTES)
-        return shape, int(_mask(mask, shape[1:], name).sum())
+        _, shape, mask = _npz_frames(file, name)
+    return shape, None if mask is None else int(mask.sum())
+
+
+def _npz_frames(file: IO[bytes], name: str) -> tuple[str, tuple[int, ...], Mask | None]:
+    """Name and shape of the frames of an .npz, and its mask."""
+    shapes = npz_shapes(file, lambda held: ["forces"] if "forces" in held else held[:_MOST])
+    found = forces_name({key: len(one) for key, one in shapes.items()}, name)
+    shape = shapes[found]
+    _check_dimensions(shape, f"{name}, array {shown(found)}")
+    if not npz_shapes(file, lambda held: ["mask"] if "mask" in held else []):
+        return found, shape, None
+    mask = npz_member(file, "mask", 8 * MAX_ELEMENTS + MAX_HEAD_BYTES)
+    return found, shape, _mask(mask, shape[1:], name)
+
+
+def check_npy(file: IO[bytes], name: str, n_bytes: int, policy: Policy) -> None:
+    """Check the readings of an .npy of frames, as they are read: the first `MAX_CHECKED_BYTES`.
+
+    Raises
+    ------
+    SourceError
+        If the array is refused by `parse_npy`, or a reading by `policy`.
+    """
+    with _refusing(name):
+        _check_parts(npy_parts(file, n_bytes, MAX_CHECKED_BYTES), name, None, policy, name)
+
+
+def check_npz(file: IO[bytes], name: str, policy: Policy) -> None:
+    """As `check_npy`, of the frames of an .npz, whose shapes are those of `npz_file_shape`."""
+    with _refusing(name):
+        found, _, mask = _npz_frames(file, name)
+        parts = npz_parts(file, found, MAX_CHECKED_BYTES)
+        _check_parts(parts, f"{name}, array {shown(found)}", mask, policy, name)
+
+
+def _check_parts(
+    parts: Iterator[ArrayPart], array: str, mask: Mask | None, policy: Policy, name: str
+) -> None:
+    for part in parts:
+        _check_dtype(part.values.dtype, array)
+        if part.values.dtype.kind == "u":
+            return
+        check_part(part, name, policy.low, mask, finite=policy.nan == REFUSE)
 
 
 def parse_plain_csv(
@@ -238,12 +301,14 @@ def forces_name(dimensions: Mapping[str, int], name: str) -> str:
 
 
 def _as_frames(array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
-    if array.dtype.kind not in "iuf":
-        raise SourceError(
-            f"{where}: dtype {shown(array.dtype)}; allowed are integers and floating point"
-        )
+    _check_dtype(array.dtype, where)
     _check_dimensions(array.shape, where)
     return array
+
+
+def _check_dtype(dtype: np.dtype[Any], where: str) -> None:
+    if dtype.kind not in "iuf":
+        raise SourceError(f"{where}: dtype {shown(dtype)}; allowed are integers and floating point")
 
 
 def _check_dimensions(shape: tuple[int, ...], where: str) -> None:

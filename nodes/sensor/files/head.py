@@ -1,4 +1,6 @@
-"""The number of taxels of a recording, from the begin of its file."""
+"""The number of taxels of a recording, from the begin of its file; of arrays, their readings are
+checked.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from typing import IO
 from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.nodes.errors import SourceError
 
-from .arrays import npy_file_shape, npz_file_shape, parse_plain_csv
+from .arrays import check_npy, check_npz, npy_file_shape, npz_file_shape, parse_plain_csv
 from .emed import emed_shape
 from .hdf5 import hdf5_shape
 from .matlab import mat_shape
@@ -58,7 +60,8 @@ def n_taxels(
     ------
     SourceError
         If the file cannot be read, its begin is malformed, its shape is not allowed or not the
-        one that is stated, or it is a .csv of numbers with neither a stated shape nor unit.
+        one that is stated, it is a .csv of numbers with neither a stated shape nor unit, or
+        `policy` refuses a reading of an .npy or .npz.
     """
     try:
         found = Path(path).stat()
@@ -101,6 +104,11 @@ def _n_taxels(
     rows, cols = shape[-2:]
     check_grid(rows, cols, path)
     check_stated_shape(rows, cols, n_rows, n_cols, path)
+    with open(path, "rb") as file:
+        if suffix == ".npy":
+            check_npy(file, path, Path(path).stat().st_size, policy)
+        elif suffix == ".npz":
+            check_npz(file, path, policy)
     return rows * cols if masked is None else masked or None  # no taxel: refused as it is read
 
 

@@ -1,14 +1,16 @@
-"""Readers of formats whose libraries fail on damaged files, each call in a process of its own.
+"""Readers of files whose libraries fail on damaged ones, each call in a process of its own.
 
 For a few changed bytes HDF5's library enters endless loops, and SciPy's reader of .mat ends the
-process. So they run in a child whose time and memory are bounded:
-`python -m sparseskin.nodes.sensor.files.isolated TASK PATH MOST_BYTES`.
+process; a MuJoCo model of a few lines takes any time and memory. So they run in a child whose time
+and memory are bounded: `python -m sparseskin.nodes.sensor.files.isolated TASK NAME MOST_BYTES`.
 """
 
 from __future__ import annotations
 
 import io
+import os
 import resource
+import signal
 import subprocess
 import sys
 from typing import Any
@@ -26,8 +28,9 @@ TASKS = {
     "hdf5-shape": f"{_FILES}.hdf5:read_shape",
     "mat-arrays": f"{_FILES}.matlab:read_arrays",
     "mat-shape": f"{_FILES}.matlab:read_shape",
+    "mujoco-shape": "sparseskin.nodes.sensor.simulators.source:read_shape",
 }
-"""Functions of (path, most bytes of the arrays): arrays by name, or SourceError."""
+"""Functions of (name, most bytes of the arrays): arrays by name, or SourceError."""
 START_S, BYTES_PER_S = 60.0, 1e7
 """Time that a child has, in s: to start, and by size; chosen, far above what it takes (1 s of the
 processor for a small .mat), as a host may be loaded."""
@@ -38,7 +41,8 @@ _REFUSED = 3
 
 
 def in_child(task: str, name: str, n_bytes: int) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of a file of `n_bytes`, by one of the `TASKS`.
+    """Arrays of a file of `n_bytes`, by one of the `TASKS`; `name` is its path, and what else the
+    task reads from it.
 
     Raises
     ------
@@ -54,26 +58,47 @@ def in_child(task: str, name: str, n_bytes: int) -> dict[str, npt.NDArray[Any]]:
             command, stdin=subprocess.DEVNULL, capture_output=True, timeout=limit_s, check=False
         )
     except subprocess.TimeoutExpired:
-        raise SourceError(f"{name}: not read within {limit_s:.0f} s; a damaged file?") from None
+        raise SourceError(
+            f"{name}: not read within {limit_s:.0f} s; a damaged or huge file?"
+        ) from None
     if done.returncode == _REFUSED:
-        raise SourceError(done.stderr.decode("utf-8", "replace").strip())
+        # The last line: the library may have printed before.
+        raise SourceError(done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2])
     if done.returncode:
-        raise SourceError(f"{name}: its reader failed (status {done.returncode}); a damaged file?")
+        how = _ended(done.returncode)
+        raise SourceError(f"{name}: its reader {how}; a damaged or huge file?")
     with np.load(io.BytesIO(done.stdout), allow_pickle=False) as held:
         return {key: held[key] for key in held}
+
+
+def _ended(status: int) -> str:
+    """The end of a process, in words."""
+    if status >= 0:
+        return f"failed (status {status})"
+    try:
+        return f"was ended by {signal.Signals(-status).name}"
+    except ValueError:
+        return f"was ended by signal {-status}"
 
 
 def main(task: str, name: str, most: int) -> int:
     """The child: read a file and write its arrays as .npz to standard output."""
     limit = 2 * most + _OTHER_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-    try:
-        arrays = find_callable(TASKS[task], SourceError)(name, most)
-    except SourceError as error:
-        print(error, file=sys.stderr)
-        return _REFUSED
-    plain = {key: array for key, array in arrays.items() if not array.dtype.hasobject}
-    np.savez(sys.stdout.buffer, **plain)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    # A library that writes to standard output must not write among the arrays.
+    with os.fdopen(os.dup(1), "wb") as out:
+        os.dup2(2, 1)
+        try:
+            arrays = find_callable(TASKS[task], SourceError)(name, most)
+        except SourceError as error:
+            print(error, file=sys.stderr)
+            return _REFUSED
+        except MemoryError:
+            print(f"{name}: needs more memory than is allowed to its reader", file=sys.stderr)
+            return _REFUSED
+        plain = {key: array for key, array in arrays.items() if not array.dtype.hasobject}
+        np.savez(out, **plain)
     return 0
 
 

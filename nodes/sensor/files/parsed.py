@@ -13,7 +13,8 @@ import numpy.typing as npt
 from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
 from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.numerics.array_files import ArrayPart
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 
 MAX_READING = 1e30
 """Largest reading, chosen: float32 holds it, and the sum of a frame of such readings."""
@@ -61,6 +62,11 @@ class Policy:
         return MASK in (self.nan, self.negative)
 
     @property
+    def low(self) -> float:
+        """Smallest reading that is not refused."""
+        return {REFUSE: 0.0, KEEP: -MAX_READING}.get(self.negative, -math.inf)
+
+    @property
     def refuses(self) -> bool:
         """True if all invalid readings are refused."""
         return self.nan == self.negative == REFUSE
@@ -89,6 +95,8 @@ class Parsed:
         True where a taxel exists.
     f_max : float or None
         Upper end of the range, in `unit`.
+    points : ndarray of float32, shape (n_rows, n_cols, 6), or None
+        Place in metres and unit normal of each taxel; of cells without one, anything.
     """
 
     forces: npt.NDArray[Any]
@@ -98,6 +106,7 @@ class Parsed:
     pitch_m: float | None = None
     mask: Mask | None = None
     f_max: float | None = None
+    points: Floats | None = None
 
 
 def shown(text: object, limit: int = 40) -> str:
@@ -250,24 +259,40 @@ def check_readings(forces: npt.NDArray[Any], where: str, low: float = 0.0) -> No
     `forces` has the shape (n_frames, n_rows, n_cols). The error names frame and cell, from 0.
     """
     # A part at a time: a recording of bytes would become eight times as large.
-    step = max(1, MAX_ELEMENTS // forces[0].size)
+    size = forces[0].size
+    step = max(1, MAX_ELEMENTS // size)
     for first in range(0, len(forces), step):
-        with np.errstate(all="ignore"):
-            values = forces[first : first + step].astype(np.float64)
-        if values.min() >= low and values.max() <= MAX_READING:  # False for a NaN
-            continue
-        for what, bad in (
-            (f"is not finite{NAN_HINT}", ~np.isfinite(values)),
-            (
-                f"is below {low:g}" if low else f"is below 0; a range starts at 0{NEGATIVE_HINT}",
-                values < low,
-            ),
-            (f"is above {MAX_READING:g}", values > MAX_READING),
-        ):
-            if bad.any():
-                k, row, col = np.argwhere(bad)[0]
-                place = f"{where}: frame {first + k}, row {row}, column {col}"
-                raise SourceError(f"{place}: {values[k, row, col]:g} {what}")
+        part = ArrayPart(forces.shape, "C", first * size, forces[first : first + step].reshape(-1))
+        check_part(part, where, low)
+
+
+def check_part(
+    part: ArrayPart, where: str, low: float = 0.0, mask: Mask | None = None, finite: bool = True
+) -> None:
+    """As `check_readings`, of some readings of a recording, and of existing taxels alone; `finite`
+    False: those that are not finite are allowed.
+    """
+    with np.errstate(all="ignore"):
+        values = part.values.astype(np.float64)
+    if not finite:
+        values[~np.isfinite(values)] = 0.0
+    if values.min() >= low and values.max() <= MAX_READING:  # False for a NaN
+        return
+    for what, bad in (
+        (f"is not finite{NAN_HINT}", ~np.isfinite(values)),
+        (
+            f"is below {low:g}" if low else f"is below 0; a range starts at 0{NEGATIVE_HINT}",
+            values < low,
+        ),
+        (f"is above {MAX_READING:g}", values > MAX_READING),
+    ):
+        numbers = np.flatnonzero(bad)
+        frames, rows, cols = np.unravel_index(part.first + numbers, part.shape, order=part.order)
+        kept = np.flatnonzero(mask[rows, cols]) if mask is not None else np.arange(len(numbers))
+        if kept.size:
+            k = kept[0]
+            place = f"{where}: frame {frames[k]}, row {rows[k]}, column {cols[k]}"
+            raise SourceError(f"{place}: {values[numbers[k]]:g} {what}")
 
 
 def stack_frames(frames: list[npt.NDArray[Any]], where: str) -> Doubles:

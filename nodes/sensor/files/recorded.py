@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from sparseskin.messages.errors import MessageError
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.skin import Skin
@@ -163,11 +164,12 @@ def open_file(
     check_stated_shape(rows, cols, n_rows, n_cols, name)
     keeps = policy.negative == KEEP
     check_readings(parsed.forces, name, -MAX_READING if keeps else 0.0)
-    forces, mask = parsed.forces, parsed.mask
+    forces, mask, points = parsed.forces, parsed.mask, parsed.points
     if crop is not None:
         window = _window(crop, rows, cols, name)
         forces = forces[:, *window]
         mask = None if mask is None else mask[window].copy()
+        points = None if points is None else points[window]
     if mask is not None and not mask.any():
         raise SourceError(f"{name}: no cell of the skin is a taxel, all are masked")
     frames = forces.astype(np.float32)
@@ -181,6 +183,11 @@ def open_file(
         pitch_m=parsed.pitch_m,
         mask=mask,
     )
+    if points is not None:
+        try:
+            skin = replace(skin, points=points[skin.exists])
+        except MessageError as error:
+            raise SourceError(f"{name}, array 'points': {error}") from error
     return RecordedSource(
         Path(name).stem,
         skin,

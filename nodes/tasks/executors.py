@@ -6,32 +6,40 @@ import os
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 
-from .errors import SettingsError
-from .lookup import did_you_mean, find_callable
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import did_you_mean, find_callable
+
+from . import dask_cluster
 
 KINDS = ("process", "thread")
-FORMS = "serial, process:N, thread:N or module:factory"
-MAX_WORKERS = 1024
+DASK = "dask"
+FORMS = f"serial, process:N, thread:N, {dask_cluster.FORMS}, or module:factory"
+MAX_WORKERS = dask_cluster.MAX_WORKERS
 
 
 def make_executor(spec: str) -> Executor:
     """Make an executor, or raise SettingsError.
 
     `spec` is "serial", one task after the other; "process:N" or "thread:N", N workers on this host;
-    or "module:factory", a user's callable that returns a `concurrent.futures.Executor`.
+    "dask:local", "dask:local:N" or "dask:tcp://HOST:PORT", the workers of a Dask cluster; or
+    "module:factory", a user's callable that returns a `concurrent.futures.Executor`.
     """
     if spec == "serial":
         return ThreadPoolExecutor(1)
     kind, colon, rest = spec.partition(":")
+    if kind == DASK:
+        return dask_cluster.make_dask_executor(spec)
     if not (kind and colon and rest) or (rest.isdecimal() and kind not in KINDS):
-        raise SettingsError(f"--executor {spec}: expected {FORMS}{did_you_mean(kind, KINDS)}")
+        raise SettingsError(
+            f"--executor {spec}: expected {FORMS}{did_you_mean(kind, (*KINDS, DASK))}"
+        )
     if kind in KINDS:
         if not rest.isdecimal() or not 1 <= int(rest) <= MAX_WORKERS:
             raise SettingsError(f"--executor {spec}: expected 1..{MAX_WORKERS} workers")
         if kind == "thread":
             return ThreadPoolExecutor(int(rest))
         # Read by the numeric libraries when a worker starts: one core each.
-        for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        for threads in dask_cluster.SINGLE_THREADED:
             os.environ.setdefault(threads, "1")
         # Spawned: a forked worker would inherit locks held by threads of this process.
         return ProcessPoolExecutor(int(rest), mp_context=get_context("spawn"))

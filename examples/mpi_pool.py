@@ -1,0 +1,40 @@
+"""An executor of your own: the processes of an MPI job, with mpi4py.
+
+mpiexec -n 5 python -m mpi4py.futures -m sparseskin.launch.commands.entry \\
+    reprocess drag.mcap --out drag8.mcap --slices auto --executor mpi_pool:pool
+mpiexec -n 3 python -m mpi4py.futures examples/mpi_pool.py           # by itself
+
+One process hands out the work, the others (4, and 2) do it. The same goes for `study`.
+"""
+
+import numpy as np
+
+from sparseskin.nodes.tasks.executors import make_executor
+
+
+def pool():
+    """All processes of this job but the first."""
+    from mpi4py.futures import MPIPoolExecutor
+
+    return MPIPoolExecutor()
+
+
+def worker(k: int) -> tuple[int, float]:
+    """A stand-in for work: number of the process, and a figure."""
+    from mpi4py import MPI
+
+    matrix = np.random.default_rng(k).normal(size=(64, 64))
+    return MPI.COMM_WORLD.Get_rank(), float(np.linalg.norm(matrix))
+
+
+def main() -> None:
+    with make_executor("mpi_pool:pool") as executor:
+        found = list(executor.map(worker, range(8)))
+    ranks = sorted({rank for rank, _ in found})
+    print(
+        f"{len(found)} tasks on processes {ranks}, mean norm {np.mean([x for _, x in found]):.1f}"
+    )
+
+
+if __name__ == "__main__":
+    main()

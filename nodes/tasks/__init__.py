@@ -1,0 +1,1 @@
+"""Independent tasks of offline runs, and the executors that compute them."""

@@ -1,0 +1,93 @@
+"""Independent tasks, computed by an executor and yielded as they finish."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Generator, Hashable, Iterator, Mapping
+from concurrent.futures import Executor, Future, as_completed
+from contextlib import contextmanager
+from multiprocessing.connection import wait
+from typing import TypeVar
+
+from .executors import make_executor
+
+K = TypeVar("K", bound=Hashable)
+A = TypeVar("A")
+R = TypeVar("R")
+
+
+def computed(
+    executor_name: str, function: Callable[[A], R], tasks: Mapping[K, A]
+) -> Generator[tuple[K, Future[R]], None, None]:
+    """Yield the key and the finished future of each task, in the order in which they finish.
+
+    If the caller stops, by an exception or Ctrl-C, the tasks that are left are cancelled and
+    worker processes of this host are ended. They end with this process, too, however it ends.
+
+    Parameters
+    ----------
+    executor_name : str
+        As in `make_executor`.
+    function : callable
+        At the top of a module, so that a worker finds it by name; takes one task.
+    tasks : mapping
+        Arguments by key.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such executor.
+    """
+    if not tasks:
+        return
+    before = set(multiprocessing.active_children())
+    executor: Executor = make_executor(executor_name)
+    try:
+        # Ctrl-C reaches the workers too; they inherit that they ignore it.
+        with _interrupts_ignored():
+            futures = {executor.submit(_run, function, task): key for key, task in tasks.items()}
+        for future in as_completed(futures):
+            yield futures[future], future
+    except BaseException:
+        executor.shutdown(wait=False, cancel_futures=True)
+        for worker in set(multiprocessing.active_children()) - before:
+            worker.terminate()
+        raise
+    executor.shutdown()
+
+
+def _run(function: Callable[[A], R], task: A) -> R:
+    """Compute one task, in a worker or in this process."""
+    _end_with_parent()
+    return function(task)
+
+
+def _end_with_parent() -> None:
+    """In a worker: end this process when the process that started it is gone."""
+    parent = multiprocessing.parent_process()
+    if parent is None or any(thread.name == _WATCH for thread in threading.enumerate()):
+        return
+
+    def watch() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, name=_WATCH, daemon=True).start()
+
+
+_WATCH = "parent-watch"
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,107 @@
+"""Bags of batches read as those of single patches."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bags import N_COLS, N_ROWS, PHI, record, skin_state
+
+from sparseskin import read_recording
+from sparseskin.launch.commands.cli import main
+from sparseskin.messages import Reconstruction, Taxels, decode
+from sparseskin.messages.batches import ReconstructionBatch, TaxelsBatch
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.recorder.bag.split import split_bag
+from sparseskin.nodes.recorder.bag.writer import BagWriter
+
+NAMES = ("palm", "back", "sole")
+N_FRAMES = 6
+FORCES = np.random.default_rng(0).random((N_FRAMES, 3, N_ROWS, N_COLS), dtype=np.float32)
+"""Of each frame and patch."""
+
+
+def reconstructed(k: int, p: int) -> Reconstruction:
+    """Of patch 1 every second frame is unchanged."""
+    unchanged = p == 1 and k % 2 == 1
+    return Reconstruction(
+        stamp_ns=k,
+        patch=NAMES[p],
+        seq=k,
+        forces=FORCES[k - unchanged, p],
+        phi=PHI,
+        iterations=k,
+        residual=0.5,
+        solve_ns=7,
+        done_ns=k + 5,
+        error=None if p else 0.25,
+        trusted=p != 2,
+        unchanged=unchanged,
+    )
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    path = tmp_path / "body.mcap"
+    with BagWriter(path, {}) as writer:
+        record(writer, skin_state("body"))
+        for k in range(N_FRAMES):
+            taxels = [Taxels(stamp_ns=k, patch=NAMES[p], forces=FORCES[k, p]) for p in range(3)]
+            record(writer, TaxelsBatch.join("body", taxels))
+            record(
+                writer, ReconstructionBatch.join("body", [reconstructed(k, p) for p in range(3)])
+            )
+        writer.close({})
+    return path
+
+
+def test_messages_are_those_of_the_patches_with_what_is_unchanged(bag: Path) -> None:
+    with BagReader(bag) as whole:
+        split = split_bag(whole)
+        assert list(split.topics) == [
+            f"/{name}/{schema}"
+            for name in sorted(NAMES)
+            for schema in ("reconstruction", "skin", "taxels")
+        ]
+        for p, name in enumerate(NAMES):
+            topic = f"/{name}/reconstruction"
+            assert split.topics[topic].n_messages == N_FRAMES
+            found = [decode(m.topic.encode(), m.payload) for m in split.messages([topic])]
+            for k, message in enumerate(found):
+                assert isinstance(message, Reconstruction)
+                expected = reconstructed(k, p)
+                np.testing.assert_array_equal(message.forces, expected.forces)
+                assert (message.stamp_ns, message.error) == (k, expected.error)
+                assert (message.trusted, message.unchanged) == (p != 2, expected.unchanged)
+        # A part of the time begins with the forces of the message before it.
+        first = next(split.messages(["/back/reconstruction"], start_ns=3))
+        message = decode(first.topic.encode(), first.payload)
+        np.testing.assert_array_equal(message.forces, FORCES[2, 1])  # type: ignore[attr-defined]
+        (state,) = split.messages(["/sole/skin"])
+        assert decode(state.topic.encode(), state.payload).patch == "sole"
+
+
+def test_exports_are_of_each_patch(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bag", "export", str(bag), "--to", "npz"]) == 0
+    assert main(["bag", "export", str(bag), "--to", "csv"]) == 0
+    for p, name in enumerate(NAMES):
+        with np.load(tmp_path / f"body_{name}.npz") as held:
+            np.testing.assert_array_equal(held["forces"], FORCES[:, p])
+            assert held["f_max"] == 2.5
+        assert (tmp_path / "body_csv" / f"{name}_taxels.csv").is_file()
+        found = read_recording(bag, name)
+        np.testing.assert_array_equal(found["forces"], FORCES[:, p])
+    with pytest.raises(SparseskinError, match="has patches back, palm, sole: state one of them"):
+        read_recording(bag)
+
+
+def test_a_bag_without_batches_is_read_as_it_is(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "a.mcap", {}) as writer:
+        record(writer, Taxels(stamp_ns=0, patch="palm", forces=FORCES[0, 0]))
+        writer.close({})
+    with BagReader(tmp_path / "a.mcap") as whole:
+        assert split_bag(whole) is whole

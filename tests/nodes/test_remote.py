@@ -1,0 +1,106 @@
+"""Recordings at addresses: read through a copy, stored, and refused in one line."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+from sparseskin.nodes import remote
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.remote import RemoteError, check_address, file_name, is_remote, local_path
+
+fsspec = pytest.importorskip("fsspec")
+
+
+@pytest.fixture(autouse=True)
+def store() -> Iterator[None]:
+    yield
+    remote.forget_copies()
+    fsspec.filesystem("memory").store.clear()
+
+
+def put(address: str, data: bytes) -> None:
+    with fsspec.open(address, "wb") as file:
+        file.write(data)
+
+
+def test_paths_stay_paths() -> None:
+    for path in ("drag.mcap", "a/b:c.mcap", "C:/drag.mcap", "/tmp/x"):
+        assert not is_remote(path)
+        assert local_path(path) == Path(path)
+    assert file_name("a/b.mcap") == "b.mcap"
+    assert file_name("https://host/a/b.mcap?version=3") == "b.mcap"
+
+
+def test_an_address_is_copied_once_a_process() -> None:
+    put("memory://bucket/a.mcap", b"first")
+    path = local_path("memory://bucket/a.mcap")
+    assert path.read_bytes() == b"first"
+    assert path.name == "a.mcap"
+    put("memory://bucket/a.mcap", b"second")
+    assert local_path("memory://bucket/a.mcap") == path
+    remote.forget_copies()
+    assert local_path("memory://bucket/a.mcap").read_bytes() == b"second"
+
+
+def test_a_file_is_stored_and_none_is_written_over(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"forces")
+    remote.store(path, "memory://out/a.mcap")
+    assert local_path("memory://out/a.mcap").read_bytes() == b"forces"
+    with pytest.raises(RemoteError, match="exists already"):
+        remote.store(path, "memory://out/a.mcap")
+
+
+@pytest.mark.parametrize(
+    ("address", "text"),
+    [
+        ("s4://bucket/a.mcap", "protocol 's4' is not allowed"),
+        ("htps://h/a.mcap", "did you mean 'https'"),
+        ("file:///etc/passwd", "protocol 'file' is not allowed"),
+        ("reference://x", "protocol 'reference' is not allowed"),
+        ("simplecache::s3://bucket/a.mcap", "chained address is not allowed"),
+        ("zip://a.mcap::https://h/b.zip", "chained address is not allowed"),
+        ("://x", "protocol '' is not allowed"),
+    ],
+)
+def test_an_address_that_is_not_allowed_is_one_line(address: str, text: str) -> None:
+    with pytest.raises(SettingsError) as raised:
+        check_address(address)
+    assert text in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_missing_package_and_a_missing_file_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RemoteError, match=r"memory://none/a.mcap: no such file"):
+        local_path("memory://none/a.mcap")
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "fsspec", None)
+        with pytest.raises(SettingsError, match=r"needs the package fsspec; .*sparseskin\[scale\]"):
+            check_address("memory://a/b.mcap")
+    monkeypatch.setitem(sys.modules, "s3fs", None)
+    with pytest.raises(SettingsError, match=r"s3://bucket/a.mcap: ImportError: .*s3fs"):
+        check_address("s3://bucket/a.mcap")
+
+
+def test_a_recording_of_a_web_server(tmp_path: Path) -> None:
+    pytest.importorskip("aiohttp")
+    (tmp_path / "a.mcap").write_bytes(b"forces")
+    handler = partial(SimpleHTTPRequestHandler, directory=str(tmp_path))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            where = f"http://127.0.0.1:{server.server_port}"
+            assert local_path(f"{where}/a.mcap").read_bytes() == b"forces"
+            with pytest.raises(RemoteError, match="no such file"):
+                local_path(f"{where}/b.mcap")
+        finally:
+            server.shutdown()
+            thread.join()
