@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -64,6 +65,11 @@ class SensorBatchSettings(PatchSettings):
     mask: tuple[str, ...] | None = setting(
         None, "a text a row, of 1 for each taxel that exists and 0 for others; all if not stated"
     )
+    points: str = setting(
+        "",
+        "file with the places of the taxels of every patch, as of a sensor, in place of n_rows, "
+        "n_cols, pitch_mm and mask; a scene of a body then presses their virtual grid",
+    )
     sigma_end: float | None = setting(
         None, "noise of an untouched taxel in N; if not stated, the paper's", low=0.0, high=1e9
     )
@@ -76,7 +82,7 @@ class SensorBatchSettings(PatchSettings):
         super().__post_init__()
         check_patches(self.patches)
         n_cells = len(self.patches) * self.n_rows * self.n_cols
-        if n_cells > MAX_TAXELS:
+        if n_cells > MAX_TAXELS and not self.points:
             raise SettingsError(
                 f"patches: {len(self.patches)} of {self.n_rows} x {self.n_cols} are {n_cells} "
                 f"cells; at most {MAX_TAXELS} in one batch: use more batches"
@@ -96,13 +102,21 @@ class SensorBatchSettings(PatchSettings):
                 f"source: {self.source!r} is not available for a batch"
                 f"{nearest_of(name, known)}, after '{SCENE}'"
             )
-        with naming("mask"):
-            self.skin()
+        if self.points and name in SCENES:
+            raise SettingsError(f"points: scene {name} presses a flat grid of its own")
+        with naming("points" if self.points else "mask"):
+            n_cells = len(self.patches) * math.prod(self.skin().shape)
+        if n_cells > MAX_TAXELS:
+            raise SettingsError(f"patches: {n_cells} cells; at most {MAX_TAXELS} in one batch")
 
     def skin(self) -> Skin:
         """The skin of every patch; raises SourceError if it is none."""
         if (name := self.source.removeprefix(SCENE)) in SCENES:
             return open_scene(name, self.seed).skin
+        if self.points:
+            from .layouts.placing import placed  # takes SciPy, which a flat grid does not need
+
+            return placed(self.points).skin(self.f_max, "N")
         rows = self.mask
         mask = None if rows is None else np.array([[c == "1" for c in row] for row in rows])
         if mask is not None and mask.all():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Iterable, Iterator
 from typing import Any, Literal
 
@@ -16,6 +15,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable, one_line
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.calibration.zero import ZeroWatch
+from sparseskin.nodes.sensor.clipped import Clipped
 from sparseskin.nodes.sensor.files.parsed import (
     check_grid,
     check_number,
@@ -29,11 +29,10 @@ class DriverSource:
 
     Readings outside [0, f_max] are clipped, as a sensor saturates at the ends of its range. Its
     attributes are those of a `Source`: the driver's own where it has them, or else the name
-    `module:callable`, a skin of the first frame's shape, and "taxels" to deliver. `n_clipped` is
-    the number of readings clipped so far, 1 a taxel and frame; `lowest` and `highest` are the
-    extremes of the frames that had such, before they were clipped. With `raw`, none is: a
-    calibration converts them. `watch`, where it is set, looks for noise around 0 in the first
-    frames; `notice` is what it has found, "" for nothing.
+    `module:callable`, a skin of the first frame's shape, and "taxels" to deliver. `clipped` counts
+    the readings clipped so far. With `raw`, none is: a calibration converts them. `watch`, where it
+    is set, looks for noise around 0 in the first frames; `notice` is what it has found, "" for
+    nothing.
     """
 
     def __init__(
@@ -53,8 +52,7 @@ class DriverSource:
         self._driver = driver
         self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
         self._skin: Skin | None = None
-        self.n_clipped = 0
-        self.lowest, self.highest = math.inf, -math.inf
+        self.clipped = Clipped()
         self._pending: tuple[int, Floats] | None = None
         self._is_one_shot = False
         self._iterator: Iterator[object] | None = None
@@ -219,11 +217,7 @@ class DriverSource:
             )
         if self._raw:
             return values.astype(np.float32)
-        n_clipped = int(np.count_nonzero((values < 0) | (values > self._f_max)))
-        if n_clipped:
-            self.n_clipped += n_clipped
-            self.lowest = min(self.lowest, float(values.min()))
-            self.highest = max(self.highest, float(values.max()))
+        self.clipped.add(values, 0.0, self._f_max)
         return np.clip(values, 0, self._f_max).astype(np.float32)
 
     def _look(self, readings: npt.NDArray[Any]) -> None:

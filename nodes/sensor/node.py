@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from sparseskin.messages import Calibration, Message, SkinState, Taxels, Truth, topic_of
 from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
@@ -13,19 +13,22 @@ from sparseskin.nodes.numerics.arrays import Floats
 
 from .boards.board import describe_board, is_board
 from .boards.source import BoardSource, dropped_text
-from .calibration.chain import Chain
 from .calibration.description import SkinDescription
 from .calibration.skin_file import load_skin
 from .calibration.stage import Stage, described, fitted
 from .calibration.zero import ZeroWatch
+from .clipped import Clipped, clipped_text
 from .driver import DriverSource
 from .files.head import n_taxels
 from .files.recorded import RecordedSource
 from .noise import NoiseModel
 from .settings import SensorSettings
 from .simulators.model import MUJOCO, check_model
-from .source import Source
+from .source import Skin, Source
 from .sources import FILE, SCENE, open_source
+
+if TYPE_CHECKING:
+    from .layouts.placing import Placement
 
 DEFAULT_RATE_HZ = 100.0
 """Frame rate of scenes and of recordings without a rate of their own."""
@@ -52,19 +55,25 @@ class Sensor(SourceNode[SensorSettings]):
     def __init__(self, settings: SensorSettings, context: Context) -> None:
         super().__init__(settings, context)
         described = load_skin(settings.skin) if settings.skin else None
-        self._source = _open(settings)
+        self._placement = described.placement if described else None
+        if settings.points:
+            from .layouts.placing import placed  # takes SciPy, which a flat grid does not need
+
+            self._placement = placed(settings.points)
+        self._source = _open(settings, self._placement)
         try:
+            self._source_skin = self._placed_skin()
             self._stage = self._made_stage(described)
         except Exception:
             self.close({})
             raise
-        self.skin = self._stage.chain.skin if self._stage else self._source.skin
+        self.skin = self._stage.chain.skin if self._stage else self._source_skin
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
         self._live = isinstance(self._source, DriverSource | BoardSource)
         self._board_ns = -1
         self.rate_hz = self._chosen_rate()
-        self._frames: Iterator[tuple[int, Floats]] = iter(self._source)
+        self._frames = self._on_grid(self._source)
         self._next: _Frame | None = None
         source = self._source
         watched = source.delivers == "taxels" and self._stage is None and settings.f_min is None
@@ -84,7 +93,11 @@ class Sensor(SourceNode[SensorSettings]):
     def facts(cls, settings: SensorSettings) -> Mapping[str, Any]:
         source, n_rows, n_cols = settings.source, settings.n_rows, settings.n_cols
         n: int | None
-        if settings.skin:  # a source that masks further cells shows when it runs
+        if settings.points:
+            from .layouts.files import load_points
+
+            n = load_points(settings.points).n
+        elif settings.skin:  # a source that masks further cells shows when it runs
             n = load_skin(settings.skin).skin.n_taxels
         elif source.startswith(SCENE):
             n = open_source(source, seed=settings.seed).skin.n_taxels
@@ -102,6 +115,10 @@ class Sensor(SourceNode[SensorSettings]):
         return {} if n is None else {topic_of(settings.patch, SkinState.schema): n}
 
     def start(self) -> Iterable[Message]:
+        if self._placement is not None:
+            self.context.log(self._placement.summary())
+            for line in self._placement.points.notes:
+                self.context.log(f"{self._placement.points.name}: {line}")
         if isinstance(self._source, RecordedSource):
             for line in self._source.treated.lines(self._source.policy, self.skin.unit):
                 self.context.log(line)
@@ -212,12 +229,7 @@ class Sensor(SourceNode[SensorSettings]):
         board = {"board": source.figures()} if isinstance(source, BoardSource) else {}
         if isinstance(source, RecordedSource) and (invalid := source.treated.counts()):
             return {"clipped": 0, "invalid": invalid}
-        clipper = self._clipper
-        if clipper is None or not clipper.n_clipped:
-            return {"clipped": 0, **board}
-        read = {"lowest": clipper.lowest, "highest": clipper.highest}
-        allowed = {"f_max": self.skin.f_max, "unit": self.skin.unit}
-        return {"clipped": clipper.n_clipped, **read, **allowed, **board}
+        return {**self._clipped.report(self._f_min, self.skin.f_max, self.skin.unit), **board}
 
     @property
     def _f_min(self) -> float:
@@ -225,22 +237,20 @@ class Sensor(SourceNode[SensorSettings]):
         return self._stage.description.f_min if self._stage is not None else 0.0
 
     @property
-    def _clipper(self) -> Chain | DriverSource | BoardSource | None:
-        """What clips readings to the range, if anything does."""
+    def _clipped(self) -> Clipped:
+        """Readings that were clipped to the range."""
         if self._stage is not None:
-            return self._stage.chain
+            return self._stage.chain.clipped
         source = self._source
-        return source if isinstance(source, DriverSource | BoardSource) else None
+        return source.clipped if isinstance(source, DriverSource | BoardSource) else Clipped()
 
     def _watch_range(self) -> None:
         """Log clipped readings, each time their number has doubled: a wrong sign, unit or range."""
-        n_clipped = self._clipper.n_clipped if self._clipper is not None else 0
-        if n_clipped > 2 * self._n_logged:
-            self._n_logged = n_clipped
-            self.context.log(
-                f"{n_clipped} readings outside {self._f_min:g}..{self.skin.f_max:g} "
-                f"{self.skin.unit} were clipped"
-            )
+        clipped = self._clipped
+        if clipped.n > 2 * self._n_logged:
+            self._n_logged = clipped.n
+            skin = self.skin
+            self.context.log(clipped_text(clipped.report(self._f_min, skin.f_max, skin.unit)))
 
     def _chosen_noise(self) -> NoiseModel:
         return NoiseModel.for_range(self.skin.f_max, self.settings.noise)
@@ -295,6 +305,8 @@ class Sensor(SourceNode[SensorSettings]):
             self.begin(now_ns)  # no frame is made up for
             return None
         arrived_ns, forces = frame
+        if self._placement is not None:
+            forces = self._placement.on_grid(forces)
         self._board_ns = max(now_ns - board.age_ns(arrived_ns), self._board_ns + 1)
         found = forces if self._stage is None else self._stage.process(forces, arrived_ns)
         self._watch_range()
@@ -328,11 +340,30 @@ class Sensor(SourceNode[SensorSettings]):
         where = s.skin or source.name
         if source.delivers == "truth":
             raise SourceError(f"{where}: {source.name} delivers true forces, which need none")
-        found = found or described(source.name, source.skin)
-        found = fitted(found, source.skin, where)
+        found = found or described(source.name, self._source_skin)
+        found = fitted(found, self._source_skin, where)
         if s.f_min is not None:
             found = replace(found, f_min=max(s.f_min, -found.f_max))
         return Stage(found, s.tare, s.drift, s.f_min is None, self.context.log)
+
+    def _placed_skin(self) -> Skin:
+        """The skin of the source, of a layout that of its virtual grid.
+        Raises SourceError if a frame has another number of readings.
+        """
+        skin = self._source.skin
+        if self._placement is None or self.settings.source.startswith(SCENE):
+            return skin
+        self._placement.check_size(skin.n_rows * skin.n_cols)
+        found = self._placement.skin(skin.f_max, skin.unit)
+        return found if skin.mask is None else found.without(~self._placement.on_grid(skin.mask))
+
+    def _on_grid(self, source: Source) -> Iterator[tuple[int, Floats]]:
+        """Frames of the source, those of a layout on its virtual grid."""
+        if self._placement is None or self.settings.source.startswith(SCENE):
+            yield from source
+            return
+        for stamp_ns, forces in source:
+            yield stamp_ns, self._placement.on_grid(forces)
 
     def _measured(self, truth: Floats) -> _Frame:
         """Return the readings of true forces, and these."""
@@ -342,8 +373,12 @@ class Sensor(SourceNode[SensorSettings]):
         return taxels, truth
 
 
-def _open(settings: SensorSettings) -> Source:
+def _open(settings: SensorSettings, placement: Placement | None) -> Source:
     """Open the source; that of a calibrated skin delivers readings of any unit, sign and size."""
+    if placement is not None and settings.source.startswith(SCENE):
+        from .layouts.scenes import PointScene
+
+        return PointScene(settings.source.removeprefix(SCENE), placement, settings.seed)
     n_rows, n_cols = settings.shape_for_source()
     return open_source(
         settings.source,

@@ -65,6 +65,11 @@ class SensorSettings(PatchSettings):
         "file skin.toml with shape, pitch, unit, range, mask, calibration and noise of the skin, "
         "whose source delivers raw readings",
     )
+    points: str = setting(
+        "",
+        "file with the places of the taxels of a skin that is no flat grid, .csv or an iCub's "
+        ".txt, or example:NAME (torso, grip, triangles); a source delivers readings in its order",
+    )
     tare: int = setting(
         0,
         "number of first frames, of the untouched skin, whose median is the baseline; 0: the "
@@ -103,7 +108,8 @@ class SensorSettings(PatchSettings):
         """Rows and columns that are stated for the source: for a .csv those of the skin's file."""
         if self.skin and self.source.endswith(".csv"):
             found = load_skin(self.skin)
-            return self.n_rows or found.rows, self.n_cols or found.cols
+            if found.placement is None:
+                return self.n_rows or found.rows, self.n_cols or found.cols
         return self.n_rows, self.n_cols
 
     def check(self) -> None:
@@ -115,8 +121,16 @@ class SensorSettings(PatchSettings):
             with naming("skin"):
                 load_skin(self.skin)
             unit = "raw" if self.source.endswith(".csv") else None
+        if self.points:
+            if self.skin and load_skin(self.skin).placement is not None:
+                raise SettingsError("points: the file of the skin has its own")
+            from .layouts.files import load_points  # takes SciPy, which a flat grid does not need
+
+            with naming("points"):
+                load_points(self.points)
         with naming("source"):
-            check_source(self.source, *self.shape_for_source(), unit, self.policy, self.f_max)
+            shape = self.shape_for_source()
+            check_source(self.source, *shape, unit, self.policy, self.f_max, bool(self.points))
         if self.source.startswith(SCENE):
             for key in ("n_rows", "n_cols", "unit", "f_max", "skin", "tare", "drift", "f_min"):
                 if getattr(self, key) not in (None, "", 0):

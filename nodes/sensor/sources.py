@@ -50,8 +50,11 @@ def check_source(
     unit: str | None = None,
     policy: Policy = DEFAULT_POLICY,
     f_max: float | None = None,
+    on_points: bool = False,
 ) -> None:
     """Check that a source exists, without opening it; of a file the begin is read.
+
+    `on_points` is True for a skin of points, which has scenes of its own.
 
     Raises
     ------
@@ -65,7 +68,7 @@ def check_source(
         hint = f' (did you mean "{SCENE}{source}"?)' if source in SCENES else ""
         raise SourceError(f'source "{source}": expected {FORMS}{hint}')
     if source.startswith(SCENE):
-        check_scene(rest)
+        _check_scene(rest, on_points)
     elif source.startswith(ROS2):
         from sparseskin.nodes.bridges.ros2_source import check
 
@@ -87,6 +90,25 @@ def check_source(
                 f"{rest}: suffix '{path.suffix}' is not known; allowed are {', '.join(SUFFIXES)}"
             )
         n_taxels(rest, n_rows, n_cols, unit, policy)
+
+
+def _check_scene(name: str, on_points: bool) -> None:
+    """Check that a scene exists, and that it is one of a grid, or one on points."""
+    if name in SCENES and not on_points:
+        return
+    # Takes SciPy, which a flat grid does not need.
+    from .layouts.scenes import SCENES as ON_POINTS
+    from .layouts.scenes import check_point_scene
+
+    if on_points:
+        if name in SCENES:
+            known = ", ".join(ON_POINTS)
+            raise SourceError(f"scene {name} presses a flat grid; allowed on points: {known}")
+        check_point_scene(name)
+    elif name in ON_POINTS:
+        raise SourceError(f"scene {name} presses a skin of points; state points, a file of them")
+    else:
+        check_scene(name)
 
 
 def check_module(target: str) -> None:

@@ -80,6 +80,12 @@ def describe_board(
         if unit is not None and settings.unit == "raw":
             missing["unit"] = unit
         settings = dataclasses.replace(settings, **missing)
+        if "profile" in query and settings.shape is None:
+            form = f"{source}&rows=8&cols=8"
+            raise SourceError(
+                f"profile {query['profile']} is for any size: add rows=NUMBER and cols=NUMBER, as "
+                f"{form}"
+            )
         layout = settings.layout()
         check_stated_shape(layout.n_rows, layout.n_cols, n_rows, n_cols, "the source")
         for key, stated in (("f_max", f_max), ("unit", unit)):

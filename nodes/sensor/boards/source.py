@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ import numpy as np
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.calibration.zero import ZeroWatch
+from sparseskin.nodes.sensor.clipped import Clipped
 
 from .board import Board, check_board, naming_board
 from .can_port import CanPort
@@ -45,8 +45,8 @@ class BoardSource:
     """The frames of a board. Its attributes are those of a `Source`.
 
     What comes is checked: a frame that is not whole, or has a reading that is no number, is counted
-    and dropped; readings outside [0, f_max] are clipped and counted (`n_clipped`, `lowest`,
-    `highest`, as of a driver). A device that goes away is waited for.
+    and dropped; readings outside [0, f_max] are clipped and counted (`clipped`). A device that goes
+    away is waited for.
 
     Parameters
     ----------
@@ -72,8 +72,7 @@ class BoardSource:
         self.notice = ""
         self.name = board.name
         self.skin = board.skin
-        self.n_clipped = 0
-        self.lowest, self.highest = math.inf, -math.inf
+        self.clipped = Clipped()
         self.lines: deque[str] = deque(maxlen=100)
         self.counts = Counts()
         self.n_unused = self.n_not_finite = self.n_gone = 0
@@ -208,9 +207,7 @@ class BoardSource:
             return None
         if self._raw:
             return forces
-        self.n_clipped += int(np.count_nonzero((forces < 0) | (forces > f_max)))
-        self.lowest = min(self.lowest, float(forces.min()))
-        self.highest = max(self.highest, float(forces.max()))
+        self.clipped.add(forces, 0.0, f_max)
         return np.clip(forces, 0, f_max).astype(np.float32)
 
     def figures(self) -> dict[str, int]:

@@ -7,7 +7,7 @@ import numpy as np
 from sparseskin.messages import Calibration, SkinState
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 
-from .description import SkinDescription
+from .description import SkinDescription, points_on_grid
 from .response import Response
 
 
@@ -54,6 +54,7 @@ def description_of(state: SkinState, calibration: Calibration) -> SkinDescriptio
         noise=state.sigma_end or None,
         noise_mid=state.sigma_mid if state.sigma_mid and state.sigma_end else None,
         f_min=state.f_min,
+        points=points_on_grid(state.skin),
     )
 
 

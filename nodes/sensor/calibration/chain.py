@@ -12,6 +12,7 @@ import numpy.typing as npt
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+from sparseskin.nodes.sensor.clipped import Clipped
 
 from .description import SkinDescription
 from .drift import DRIFT_RATE, Drift
@@ -60,10 +61,8 @@ class Chain:
         Geometry and range of the forces.
     drift : Drift
         The drift that is followed.
-    n_clipped : int
-        Readings above f_max, and below f_min by more than noise, so far; 1 a taxel and frame.
-    lowest, highest : float
-        Extremes of the frames that had such, before they were clipped.
+    clipped : Clipped
+        Readings above f_max, and below f_min by more than noise, so far.
     """
 
     def __init__(self, description: SkinDescription, drift_rate: float = DRIFT_RATE) -> None:
@@ -72,8 +71,7 @@ class Chain:
         d = description
         self.drift = Drift(d.shape, d.f_max, d.noise or 0.0, drift_rate)
         self._dead: Mask | None = None if self.skin.mask is None else ~self.skin.mask
-        self.n_clipped = 0
-        self.lowest, self.highest = np.inf, -np.inf
+        self.clipped = Clipped()
         self._taring: list[npt.NDArray[Any]] = []
         self._n_tare = 0
 
@@ -96,11 +94,7 @@ class Chain:
         found = self.unclipped(raw)
         found -= self.drift.value
         self.drift.update(found, stamp_ns)
-        low, high = float(found.min()), float(found.max())
-        if high > d.f_max or low < d.f_min - self.drift.threshold:
-            outside = (found > d.f_max) | (found < d.f_min - self.drift.threshold)
-            self.n_clipped += int(np.count_nonzero(outside))
-            self.lowest, self.highest = min(self.lowest, low), max(self.highest, high)
+        self.clipped.add(found, d.f_min - self.drift.threshold, d.f_max)
         return np.clip(found, d.f_min, d.f_max, out=found).astype(np.float32)
 
     def unclipped(self, raw: npt.NDArray[Any]) -> Doubles:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
 from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 
 from .response import MAX_NUMBER, MAX_SLOPE, MIN_SLOPE, Response, SkinFileError
+
+if TYPE_CHECKING:
+    from sparseskin.nodes.sensor.layouts.placing import Placement
 
 MAX_NAME = 64
 """Longest name of a skin, characters."""
@@ -56,6 +60,11 @@ class SkinDescription:
         The same at half the range; None: as `noise`.
     f_min : float
         Lower end of the range, -f_max..0, in `unit`: below 0, noise around 0 is not clipped.
+    points : ndarray of float32, shape (rows, cols, 6), or None
+        Place in metres and unit normal of the taxel of each cell of a virtual grid, as in
+        `sparseskin.messages.skin.Skin`; of cells without a taxel, anything. None: a flat grid.
+    placement : Placement or None
+        Where the readings of the source are to stand on that grid; None: as they come.
 
     Raises
     ------
@@ -76,6 +85,8 @@ class SkinDescription:
     noise: float | None = None
     noise_mid: float | None = None
     f_min: float = 0.0
+    points: Floats | None = None
+    placement: Placement | None = None
 
     def __post_init__(self) -> None:
         for key, longest in (("name", MAX_NAME), ("unit", MAX_UNIT)):
@@ -101,6 +112,8 @@ class SkinDescription:
         self._check_array("mask", np.bool_)
         self._check_array("baseline", np.float64)
         self._check_array("gains", np.float64)
+        if self.points is not None and self.points.shape != (*self.shape, 6):
+            raise SkinFileError(f"points: shape {self.points.shape}; expected {(*self.shape, 6)}")
         if self.mask is not None and not self.mask.any():
             raise SkinFileError("mask: leaves no taxel")
         if self.baseline is not None and not (np.abs(self.baseline) <= MAX_NUMBER).all():
@@ -131,7 +144,10 @@ class SkinDescription:
         """Geometry and range, as messages carry them."""
         mask = None if self.mask is None or self.mask.all() else self.mask
         pitch_m = None if self.pitch_mm is None else self.pitch_mm / 1000.0
-        return Skin(self.rows, self.cols, self.f_max, self.unit, pitch_m, mask)
+        points = self.points
+        if points is not None:
+            points = points[np.ones(self.shape, np.bool_) if mask is None else mask]
+        return Skin(self.rows, self.cols, self.f_max, self.unit, pitch_m, mask, points)
 
     @property
     def changes_readings(self) -> bool:
@@ -153,3 +169,12 @@ class SkinDescription:
                 f"{key}: {array.dtype} of shape {array.shape}; expected {np.dtype(dtype)} of "
                 f"shape {self.shape}"
             )
+
+
+def points_on_grid(skin: Skin) -> Floats | None:
+    """The points of a skin in the cells of its grid, float32 (n_rows, n_cols, 6); 0 elsewhere."""
+    if skin.points is None:
+        return None
+    found = np.zeros((*skin.shape, 6), dtype=np.float32)
+    found[skin.exists] = skin.points
+    return found

@@ -5,8 +5,9 @@ follows the smoothed force f that is left, with the time constant tau and at mos
 
     dw/dt = clip(f / tau, -r, r),    |w| <= w_max,
 
-so that a constant press of any force loses at most r t in the time t, and none above the threshold
-at which a taxel counts as touched.
+so that a constant force loses at most r t in the time t. A press loses none: above a threshold a
+taxel counts as touched, and below it a press is told from drift by how fast it begins (module
+`steps`). What rises as slowly as a drift is one.
 """
 
 from __future__ import annotations
@@ -19,9 +20,11 @@ import numpy as np
 from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 
+from .steps import LightPresses
+
 DRIFT_RATE = 1e-4
-"""Largest rate of the drift that is followed, in parts of f_max a second. Chosen: a press of 60 s
-loses 0.6 % of f_max at most."""
+"""Largest rate of the drift that is followed, in parts of f_max a second: 0.6 % of f_max a minute.
+Chosen: a force that rises unnoticed loses no more."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,9 @@ class DriftTuning:
         Shortest time between two updates, seconds.
     gap_s : float
         Longest time that one update stands for, seconds: a pause is not made up for.
+    undo_s : float
+        Time of which the drift of a taxel is undone where a press is noticed, seconds at least,
+        and twice that at most: it began before.
     """
 
     tau_s: float = 10.0
@@ -56,6 +62,7 @@ class DriftTuning:
     hold_s: float = 5.0
     period_s: float = 0.05
     gap_s: float = 0.5
+    undo_s: float = 1.5
 
 
 class Drift:
@@ -92,14 +99,25 @@ class Drift:
         self.threshold = max(tuning.sigmas * noise, CONTACT_FRACTION * f_max)
         self.value: Doubles = np.zeros(shape)
         self._touched_ns: Doubles = np.full(shape, -np.inf)
-        self._smooth: Doubles | None = None
+        self._noise = noise
         self._last_ns: int | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        """Begin anew with the next frame."""
+        self._smooth: Doubles | None = None
+        self._light = LightPresses(self.value.shape, self._noise, self._f_max)
+        self._held: Mask = np.zeros(self.value.shape, np.bool_)
+        self._sum: Doubles = np.zeros(self.value.shape)
+        self._n = 0
+        self._before, self._earlier = self.value.copy(), self.value.copy()
+        self._since_s = 0.0
 
     def reset(self) -> None:
         """Forget the drift, as after a tare."""
         self.value[:] = 0.0
-        self._smooth = None
         self._touched_ns[:] = -np.inf
+        self._forget()
 
     def update(self, forces: Doubles, stamp_ns: int) -> None:
         """Follow the drift by one frame.
@@ -109,28 +127,42 @@ class Drift:
         forces : ndarray of float64, shape (rows, cols)
             Forces that are left after subtraction of the drift, not clipped.
         stamp_ns : int
-            Time of the frame, nanoseconds; frames within `period_s` are skipped.
+            Time of the frame, nanoseconds; of frames within `period_s` the mean counts.
         """
         if not self.rate:
             return
         if self._last_ns is None or stamp_ns < self._last_ns:
             self._last_ns = stamp_ns
         dt_s = (stamp_ns - self._last_ns) / 1e9
+        self._sum += forces
+        self._n += 1
         if 0 < dt_s < self._t.period_s:
             return
         self._last_ns = stamp_ns
+        mean, n = self._sum / self._n, self._n
+        self._sum, self._n = np.zeros_like(mean), 0
         if self._smooth is None:
-            self._smooth = forces.copy()
-        self._smooth += (1 - math.exp(-dt_s / self._t.smooth_s)) * (forces - self._smooth)
-        touched = (self._smooth > self.threshold) | (forces > 2 * self.threshold)
-        if touched.any():
-            self._touched_ns[spread(touched)] = stamp_ns
+            self._smooth = mean.copy()
+        self._smooth += (1 - math.exp(-dt_s / self._t.smooth_s)) * (mean - self._smooth)
+        light = spread(self._light.update(mean, n, dt_s, self.rate))
+        touched = spread((self._smooth > self.threshold) | (forces > 2 * self.threshold)) | light
+        self._undo(touched & ~self._held, dt_s)
+        self._held = touched
+        self._touched_ns[touched] = stamp_ns
         dt_s = min(dt_s, self._t.gap_s)
         most = self.rate * self._f_max * dt_s
         step = np.clip(self._smooth * (dt_s / self._t.tau_s), -most, most)
         step[stamp_ns - self._touched_ns < self._t.hold_s * 1e9] = 0.0
         self.value += step
         np.clip(self.value, -self._most, self._most, out=self.value)
+
+    def _undo(self, new: Mask, dt_s: float) -> None:
+        """Take back what was followed of presses that are noticed now."""
+        self.value[new] = np.minimum(self.value, self._earlier)[new]
+        self._since_s += dt_s
+        if self._since_s >= self._t.undo_s:
+            self._since_s = 0.0
+            self._before, self._earlier = self.value.copy(), self._before
 
 
 def spread(touched: Mask) -> Mask:

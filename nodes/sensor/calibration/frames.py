@@ -24,7 +24,7 @@ MAX_READINGS = 1 << 27
 """Most readings that are kept of one step, chosen: 512 MiB."""
 SILENT_S = 5.0
 """Time without a frame after which a live source has failed, seconds; chosen."""
-PARTS = "3s, or START-STOPs as 5-8s"
+PARTS = "seconds as 3s, or START-STOPs as 5-8s"
 _PART = re.compile(r"(?:(\d{1,6}(?:\.\d{1,6})?)-)?(\d{1,6}(?:\.\d{1,6})?)s")
 
 Frames = npt.NDArray[Any]
@@ -32,10 +32,14 @@ Frames = npt.NDArray[Any]
 
 def read_part(text: str) -> tuple[float, float] | None:
     """Start and stop of a part of a recording, seconds; None if a text is no such part.
-    Raises CalibrationError if it is empty.
+    Raises CalibrationError if it is empty, or numbers without their unit.
     """
     found = _PART.fullmatch(text)
     if found is None:
+        if _PART.fullmatch(f"{text}s"):
+            raise CalibrationError(
+                f"{text}: expected seconds, as {text}s, or a file; frames are not counted"
+            )
         return None
     start, stop = float(found[1] or 0), float(found[2])
     if not start < stop:

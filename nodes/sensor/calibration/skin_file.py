@@ -11,31 +11,39 @@ import stat
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sparseskin.messages.errors import MessageError
 from sparseskin.messages.ranges import is_real
+from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 from sparseskin.nodes.toml import parse_toml
 
-from .description import MAX_NAME, SkinDescription
+from .description import MAX_NAME, SkinDescription, points_on_grid
 from .response import MAX_KNOTS, Response, SkinFileError
+
+if TYPE_CHECKING:
+    from sparseskin.nodes.sensor.layouts.placing import Placement
 
 MAX_FILE_CHARS = 1 << 18
 """Longest skin.toml, chosen: eight thousand numbers, as a program writes them."""
 ARRAYS_SUFFIX = ".npz"
 ARRAYS = "arrays"
 """Key that names the .npz with the large arrays."""
-KEYS = (*(field.name for field in fields(SkinDescription)), ARRAYS)
+KEYS = (*(f.name for f in fields(SkinDescription) if f.name != "placement"), ARRAYS)
 """Keys of a skin.toml."""
 REQUIRED = ("rows", "cols", "f_max")
 _RESPONSE_KEYS = ("reading", "force")
-_ARRAY_NAMES = ("mask", "baseline", "gains", "response_reading")
+OF_POINTS = ("rows", "cols", "pitch_mm", "mask")
+"""Keys that are not stated beside `points`: they follow from these."""
+_ARRAY_NAMES = ("mask", "baseline", "gains", "response_reading", "points")
 """Arrays of the .npz: those of the same names, and `response.reading`."""
+_DTYPES: dict[str, Any] = {"mask": np.bool_, "points": np.float32}
+"""Dtypes of these; float64 of the others."""
 
 
 def load_skin(path: str | os.PathLike[str]) -> SkinDescription:
@@ -49,6 +57,10 @@ def load_skin(path: str | os.PathLike[str]) -> SkinDescription:
         `baseline` and `gains` are one number for all taxels, or a list of rows. `response` is a
         table of `reading` and `force`. Instead, an .npz beside the file, named by `arrays`, holds
         `mask`, `baseline`, `gains` and `response_reading`.
+
+        `points` names a file with the places of the taxels (`layouts.files`), in place of rows,
+        cols, pitch_mm and mask; `baseline` and `gains` are then one number, or a list of numbers
+        in the order of that file. Points that are on a grid already are an array of the .npz.
 
     Raises
     ------
@@ -86,12 +98,17 @@ def parse_skin(table: Mapping[str, Any], where: str, folder: Path) -> SkinDescri
         for key in table:
             if key not in KEYS:
                 raise SkinFileError(f"{key[:40]}: unknown key{did_you_mean(key[:40], KEYS)}")
+        if "points" in table:
+            table = {key: value for key, value in table.items() if key != "points"} | _placed(
+                table, folder
+            )
         for key in ("name", *REQUIRED):
             if key not in table:
                 raise SkinFileError(f"{key}: is missing")
         values = {key: value for key, value in table.items() if key != ARRAYS}
         # The shape is checked first: it bounds the size of all arrays.
         plain = ("mask", "baseline", "gains", "response")
+        placement: Placement | None = values.pop("placement", None)
         found = SkinDescription(**{key: v for key, v in values.items() if key not in plain})
         arrays = _load_arrays(table[ARRAYS], folder, found.shape) if ARRAYS in table else {}
         for key in arrays:
@@ -101,13 +118,21 @@ def parse_skin(table: Mapping[str, Any], where: str, folder: Path) -> SkinDescri
         if "mask" in values:
             mask = _mask(values["mask"], found.shape)
         grids: dict[str, Any] = {
-            key: _grid(key, values[key], found.shape) if key in values else arrays.get(key)
+            key: _grid(key, values[key], found.shape, placement)
+            if key in values
+            else arrays.get(key)
             for key in ("baseline", "gains")
         }
         curve = None
         if "response" in values or "response_reading" in arrays:
             curve = _curve(_response(values), arrays.get("response_reading"), found.shape)
-        return replace(found, mask=mask, response=curve, **grids)
+        points = arrays.get("points")
+        if placement is not None:
+            skin = placement.skin(found.f_max, found.unit)
+            mask, points = skin.mask, points_on_grid(skin)
+        return replace(
+            found, mask=mask, response=curve, points=points, placement=placement, **grids
+        )
     except SkinFileError as error:
         raise SkinFileError(f"{where}: {error}") from error
     except MessageError as error:
@@ -139,7 +164,7 @@ def _load_arrays(name: object, folder: Path, shape: tuple[int, int]) -> dict[str
     if not beside or path.resolve().parent != folder.resolve():
         raise SkinFileError(f"{ARRAYS}: {ascii(name)[:80]} is not a file beside the skin's own")
     size = shape[0] * shape[1]
-    most = size * (8 * (2 + MAX_KNOTS) + 1) + (1 << 16)
+    most = size * (8 * (2 + MAX_KNOTS) + 4 * 6 + 1) + (1 << 16)
     try:
         raw = _read(path, most)
         held = read_npz(raw, lambda names: _known_arrays(names), most)
@@ -147,10 +172,11 @@ def _load_arrays(name: object, folder: Path, shape: tuple[int, int]) -> dict[str
         raise SkinFileError(f"{ARRAYS}: {name}: {error}") from error
     found: dict[str, Any] = {}
     for key, array in held.items():
-        wanted = np.dtype(np.bool_ if key == "mask" else np.float64)
+        wanted = np.dtype(_DTYPES.get(key, np.float64))
         if array.dtype != wanted:
             raise SkinFileError(f"{ARRAYS}: {name}: {key} is {array.dtype}; expected {wanted}")
-        if array.shape[-2:] != shape or array.ndim != (3 if key == "response_reading" else 2):
+        fits = array.shape == (*shape, 6) if key == "points" else array.shape[-2:] == shape
+        if not fits or array.ndim != (3 if key in ("response_reading", "points") else 2):
             raise SkinFileError(
                 f"{ARRAYS}: {name}: {key} has shape {array.shape}; the skin has {shape}"
             )
@@ -178,10 +204,19 @@ def _mask(value: Any, shape: tuple[int, int]) -> Mask:
     return np.array([[char == "1" for char in line] for line in value], dtype=np.bool_)
 
 
-def _grid(key: str, value: Any, shape: tuple[int, int]) -> Doubles:
-    """One number for all taxels, or a list of rows."""
+def _grid(
+    key: str, value: Any, shape: tuple[int, int], placement: Placement | None = None
+) -> Doubles:
+    """One number for all taxels, or a list of rows; of points, a list in their order."""
     if is_real(value):
         return np.full(shape, float(value))
+    if placement is not None:
+        if not isinstance(value, list) or not all(map(is_real, value)):
+            raise SkinFileError(f"{key}: expected one number, or a list of one a taxel")
+        try:
+            return placement.on_grid(np.array(value, dtype=np.float64), unused=1.0)
+        except SourceError as error:
+            raise SkinFileError(f"{key}: {error}") from error
     rows, cols = shape
     if not isinstance(value, list) or len(value) != rows:
         raise SkinFileError(f"{key}: expected one number, or a list of {rows} rows of {cols}")
@@ -189,6 +224,25 @@ def _grid(key: str, value: Any, shape: tuple[int, int]) -> Doubles:
         if not isinstance(line, list) or len(line) != cols or not all(map(is_real, line)):
             raise SkinFileError(f"{key}: row {k}: expected {cols} finite numbers")
     return np.array(value, dtype=np.float64)
+
+
+def _placed(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Grid and placement of the file with points that a table names."""
+    # Placing points takes SciPy, which a skin without them does not need.
+    from sparseskin.nodes.sensor.layouts.placing import placed
+
+    for key in OF_POINTS:
+        if key in table:
+            raise SkinFileError(f"{key}: is stated beside points, from which it follows")
+    name = table["points"]
+    if not isinstance(name, str) or not name:
+        raise SkinFileError("points: expected the name of a file")
+    try:
+        found = placed(name if name.startswith("example:") else str(folder / name))
+    except SourceError as error:
+        raise SkinFileError(f"points: {error}") from error
+    rows, cols = found.shape
+    return {"rows": rows, "cols": cols, "pitch_mm": 1000 * found.pitch_m, "placement": found}
 
 
 def _response(values: Mapping[str, Any]) -> Mapping[str, Any]:

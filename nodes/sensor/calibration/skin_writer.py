@@ -40,7 +40,7 @@ def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]
     if path.suffix != ".toml":
         raise SkinFileError(f"{path}: expected a name that ends in .toml")
     large = _large_arrays(skin)
-    if sum(array.size for array in large.values()) <= MAX_INLINE:
+    if skin.points is None and sum(array.size for array in large.values()) <= MAX_INLINE:
         large = {}
     arrays = path.with_suffix(ARRAYS_SUFFIX)
     text = _text(skin, large, arrays.name)
@@ -61,6 +61,8 @@ def _large_arrays(skin: SkinDescription) -> dict[str, npt.NDArray[Any]]:
     found: dict[str, npt.NDArray[Any]] = {}
     if skin.mask is not None:
         found["mask"] = skin.mask
+    if skin.points is not None:
+        found["points"] = skin.points
     for key in ("baseline", "gains"):
         grid = getattr(skin, key)
         if grid is not None and not (grid == grid.flat[0]).all():

@@ -17,7 +17,7 @@ from sparseskin.nodes.numerics.arrays import Floats
 
 from .carried import message_of
 from .chain import MAX_TARE_FRAMES, MOVED, TARE_FRAMES, Chain, Tared
-from .description import SkinDescription
+from .description import SkinDescription, points_on_grid
 from .drift import DRIFT_RATE
 from .zero import ZeroWatch
 
@@ -155,6 +155,8 @@ def fitted(description: SkinDescription, skin: Skin, where: str) -> SkinDescript
             f"{where}: describes {description.rows} x {description.cols} taxels, but the source "
             f"has {skin.n_rows} x {skin.n_cols}"
         )
+    if description.points is None and skin.points is not None:
+        description = replace(description, points=points_on_grid(skin))
     if skin.mask is None:
         return description
     return replace(description, mask=skin.exists & description.skin.exists)
@@ -169,4 +171,5 @@ def described(name: str, skin: Skin) -> SkinDescription:
         unit=skin.unit,
         pitch_mm=pitch_mm,
         mask=skin.mask,
+        points=points_on_grid(skin),
     )

@@ -40,6 +40,40 @@ Field = Callable[[Doubles, Doubles, float], Doubles]
 
 
 @dataclass(frozen=True)
+class Timing:
+    """Lengths of the parts of a course, in frames.
+
+    Attributes
+    ----------
+    before : int
+        Untouched frames at the begin, 0 or more.
+    ramp, pause, held : int
+        As `RAMP`, `PAUSE` and `HELD`, 1 or more.
+
+    Raises
+    ------
+    SettingsError
+        If one is not a whole number of its range.
+    """
+
+    before: int = N_BEFORE
+    ramp: int = RAMP
+    pause: int = PAUSE
+    held: int = HELD
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            least = int(name != "before")
+            if not is_whole(value, least, 2**31):
+                raise SettingsError(
+                    f"timing: {name} is {value!r}; allowed: a whole number from {least}"
+                )
+
+
+TIMING = Timing()
+
+
+@dataclass(frozen=True)
 class SkinErrors:
     """Errors of a skin's readings that are constant or slow, each drawn once a taxel.
 
@@ -102,6 +136,7 @@ def press_frames(
     f_max: float = PAPER_F_MAX_N,
     errors: SkinErrors | None = None,
     noise: NoiseModel | None = None,
+    timing: Timing = TIMING,
 ) -> Iterator[tuple[Floats, Floats]]:
     """Yield the true forces and the readings of a skin that a body presses.
 
@@ -114,7 +149,7 @@ def press_frames(
     shape : (int, int)
         Rows and columns of the skin, 1..4096 each.
     n_frames : int
-        Number of frames; the first `N_BEFORE` are untouched.
+        Number of frames; the first of them are untouched.
     seed : int
         Of all that is drawn: size ratios, places, directions, forces, errors and noise.
     course : str
@@ -135,6 +170,8 @@ def press_frames(
         Of the readings. None: none.
     noise : NoiseModel, optional
         Applied to the readings last. None: none.
+    timing : Timing
+        Frames before the first contact, of a ramp, a pause and a sudden contact.
 
     Yields
     ------
@@ -147,7 +184,7 @@ def press_frames(
         If a parameter is not allowed, or the mask leaves no taxel.
     """
     mask = _checked(body, shape, n_frames, course, speed, active, mask, f_max)
-    frames = _Press(body, mask, seed, course, speed, active, f_max).frames(n_frames)
+    frames = _Press(body, mask, seed, course, speed, active, f_max, timing).frames(n_frames)
     taxels = np.flatnonzero(mask)
     make = (errors or SkinErrors()).applied(taxels.size, seed, f_max)
     rng = np.random.default_rng([seed, 2])
@@ -214,9 +251,11 @@ class _Press:
         speed: float,
         active: float,
         f_max: float,
+        timing: Timing,
     ) -> None:
         rng = np.random.default_rng([seed, 0])
         self._mask, self._course, self._f_max = mask, course, f_max
+        self._timing = timing
         self._sides = np.array(mask.shape, dtype=np.float64)
         cells: Doubles = np.indices(mask.shape).astype(np.float64)
         self._i, self._j = cells[:1], cells[1:]
@@ -262,14 +301,15 @@ class _Press:
 
     def _strength(self, k: Indices) -> Doubles:
         """Part of the full force in frames k."""
-        since = k - N_BEFORE
+        timing, since = self._timing, k - self._timing.before
         if self._course == "moving":
-            part = np.clip((since + 1) / RAMP, 0, 1)
+            part = np.clip((since + 1) / timing.ramp, 0, 1)
         elif self._course == "ramped":
-            phase = since % (2 * RAMP + PAUSE)
-            part = np.clip(np.minimum(phase + 1, 2 * RAMP - phase - 1) / RAMP, 0, 1)
+            phase = since % (2 * timing.ramp + timing.pause)
+            rising, falling = phase + 1, 2 * timing.ramp - phase - 1
+            part = np.clip(np.minimum(rising, falling) / timing.ramp, 0, 1)
         else:
-            part = np.where(since % (HELD + PAUSE) < HELD, 1.0, 0.0)
+            part = np.where(since % (timing.held + timing.pause) < timing.held, 1.0, 0.0)
         found: Doubles = np.where(since < 0, 0.0, part)
         return found
 
@@ -283,7 +323,9 @@ class _Press:
             bent = np.abs((way + self._reach) % period - 2 * self._reach)
             moved: Doubles = middle + bent - self._reach
             return moved
-        turn = np.maximum(k - N_BEFORE, 0) // (HELD + PAUSE) if self._course == "sudden" else 0 * k
+        timing, turn = self._timing, 0 * k
+        if self._course == "sudden":
+            turn = np.maximum(k - timing.before, 0) // (timing.held + timing.pause)
         places = middle + self._jumps[turn % len(self._jumps)]
         return np.broadcast_to(places, (len(k), self._n_paths, 2))
 

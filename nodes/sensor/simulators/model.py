@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from sparseskin.messages.ranges import is_real
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.sensor.files.isolated import in_child
 from sparseskin.nodes.sensor.files.parsed import check_grid, check_stated_shape
 from sparseskin.nodes.sensor.scenes.scenes import SKIN
 
@@ -64,13 +66,15 @@ def split_address(source: str) -> tuple[str, str]:
 
 
 def check_model(source: str, n_rows: int | None, n_cols: int | None) -> int:
-    """Check a source by loading its model; the number of taxels.
+    """Check a source by loading its model and computing its first state, in a process whose time
+    and memory are bounded; the number of taxels.
 
     Raises
     ------
     SourceError
         If MuJoCo is not installed, the file is missing or refused by it, has no such box site, no
-        geom can touch it, or its number of taxels is not allowed or not the one that is stated.
+        geom can touch it, its number of taxels is not allowed or not the one that is stated, or
+        the process fails or takes too long.
     """
     path, site = split_address(source)
     found = Path(path)
@@ -79,6 +83,8 @@ def check_model(source: str, n_rows: int | None, n_cols: int | None) -> int:
         raise SourceError(f"{path}: {what}")
     if found.suffix.lower() not in SUFFIXES:
         raise SourceError(f"{path}: expected a MuJoCo model, {' or '.join(SUFFIXES)}")
+    if find_spec("mujoco") is None:
+        raise SourceError(f"{path}: {INSTALL}")
     state = found.stat()
     shape = _shape(path, site, (state.st_mtime_ns, state.st_size))
     check_stated_shape(*shape, n_rows, n_cols, source)
@@ -86,12 +92,10 @@ def check_model(source: str, n_rows: int | None, n_cols: int | None) -> int:
 
 
 @lru_cache(maxsize=8)
-def _shape(path: str, site: str, _of: tuple[int, int]) -> tuple[int, int]:
-    """Rows and columns, of one form of the file."""
-    model = load_model(path)
-    pad = find_pad(model, site, path)
-    touching_geoms(model, pad, path)
-    return pad.shape
+def _shape(path: str, site: str, of: tuple[int, int]) -> tuple[int, int]:
+    """Rows and columns, of one form of the file: its time and size."""
+    n_rows, n_cols = in_child("mujoco-shape", f"{path}#{site}", of[1])["shape"].tolist()
+    return n_rows, n_cols
 
 
 def load_model(path: str) -> Any:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import one_line
@@ -168,3 +169,8 @@ def open_mujoco(
     if unit not in (None, "N"):
         raise SourceError(f"{source}: unit = {unit} is stated, but a simulation has newtons")
     return MujocoSource(source.removeprefix(MUJOCO), f_max=f_max, n_rows=n_rows, n_cols=n_cols)
+
+
+def read_shape(source: str, most: int) -> dict[str, npt.NDArray[Any]]:
+    """Rows and columns of the skin of a model, whose first state is computed; runs in a child."""
+    return {"shape": np.array(MujocoSource(source).pad.shape)}

@@ -66,14 +66,14 @@ class TestFrames:
         name = module("def frames():\n    yield 0, np.full((1, 2), 90)\n")
         source = open_callable(f"{name}:frames", f_max=100, unit="raw", rate_hz=50)
         assert (source.skin.f_max, source.skin.unit, source.rate_hz) == (100.0, "raw", 50)
-        assert source.n_clipped == 0
+        assert source.clipped.n == 0
 
     def test_readings_beyond_the_range_saturate_and_are_counted(self, module: Writer) -> None:
         source = yielding(module, "(0, [[-0.1, 2.6, 2.5, 0.0]])", "(1, [[1e300, 1, 1, -1e300]])")
         np.testing.assert_array_equal(
             [forces for _, forces in source], [[[0, 2.5, 2.5, 0]], [[2.5, 1, 1, 0]]]
         )
-        assert source.n_clipped == 4
+        assert source.clipped.n == 4
 
     def test_a_driver_may_fill_one_buffer_again_and_again(self, module: Writer) -> None:
         name = module("""
@@ -204,7 +204,7 @@ class TestSourceObject:
         ((stamp, forces),) = source
         assert stamp == 0
         np.testing.assert_array_equal(forces, [[1, 4, 0]])
-        assert source.n_clipped == 1
+        assert source.clipped.n == 1
 
     def test_no_frame_is_pulled_before_it_is_read(self, module: Writer) -> None:
         body = self.BODY.replace("yield 7,", "1 / 0; yield 7,")
@@ -301,4 +301,4 @@ def test_a_frame_is_a_copy_of_what_was_delivered_clipped_and_finite(
     assert forces.dtype == np.float32
     assert not np.shares_memory(forces, delivered)
     np.testing.assert_array_equal(forces, delivered.clip(0, 2.5).astype(np.float32))
-    assert check.n_clipped == (not 0 <= worst <= 2.5)
+    assert check.clipped.n == (not 0 <= worst <= 2.5)

@@ -168,7 +168,7 @@ class TestUdp:
         frames = taken(source, 3)
         # 9 N is clipped to the range; number 4 never came, number 1 came twice.
         assert [float(forces[0, 0]) for _, forces in frames] == [1, 2, 4]
-        assert (source.n_clipped, source.highest) == (6, 9.0)
+        assert (source.clipped.n_above, source.clipped.n, source.clipped.highest) == (6, 6, 9.0)
         figures = source.figures()
         assert (figures["bad_frames"], figures["not_finite_frames"]) == (3, 1)
         assert (figures["missing_frames"], figures["late_frames"]) == (1, 1)

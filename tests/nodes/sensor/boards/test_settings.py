@@ -130,6 +130,15 @@ def test_a_fault_of_a_source_is_one_line_that_names_it(source: str, fault: str) 
     assert "\n" not in str(caught.value)
 
 
+def test_a_profile_of_any_size_asks_for_it() -> None:
+    with pytest.raises(SourceError) as caught:
+        describe_board("serial:/dev/ttyUSB0?profile=numbered")
+    assert str(caught.value) == (
+        "serial:/dev/ttyUSB0: profile numbered is for any size: add rows=NUMBER and cols=NUMBER, "
+        "as serial:/dev/ttyUSB0?profile=numbered&rows=8&cols=8"
+    )
+
+
 def test_a_missing_package_is_one_line_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     # As if it were not installed.
     for name in ("serial", "can"):

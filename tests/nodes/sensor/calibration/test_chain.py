@@ -14,6 +14,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.calibration.chain import Chain
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.calibration.response import Response
+from sparseskin.nodes.sensor.clipped import Clipped
 
 SHAPE = (3, 4)
 SECOND = 1_000_000_000
@@ -84,7 +85,7 @@ def test_masked_cells_are_0_whatever_they_read() -> None:
     forces = chain.apply(raw, 0)
     assert forces[1, 2] == 0
     assert (forces[mask] == 1.5).all()
-    assert chain.n_clipped == 0
+    assert chain.clipped.n == 0
 
 
 def test_readings_beyond_the_range_are_clipped_and_counted_noise_below_0_is_not() -> None:
@@ -93,7 +94,7 @@ def test_readings_beyond_the_range_are_clipped_and_counted_noise_below_0_is_not(
     raw[0, :3] = 3.0, -0.03, -0.05
     forces = chain.apply(raw, 0)
     assert list(forces[0]) == [2.5, 0, 0, 0]
-    assert (chain.n_clipped, chain.lowest, chain.highest) == (2, -0.05, 3.0)
+    assert chain.clipped == Clipped(n_below=1, n_above=1, lowest=-0.05, highest=3.0)
 
 
 def test_a_lower_end_below_0_keeps_the_mean_of_noise_centred_on_0() -> None:
@@ -133,6 +134,61 @@ def test_below_the_threshold_a_press_of_60_s_loses_at_most_the_stated_part_of_th
     # 60 s at 1e-4 of 2.5 N a second are 0.015 N: 0.6 % of the range, and never more than the press.
     assert (lost <= min(force, 60 * 1e-4 * 2.5) + 1e-7).all()
     assert min(force, 60 * 1e-4 * 2.5) < 0.01 * 2.5
+
+
+PAD = (12, 12)
+PRESSED = np.s_[4:8, 4:8]
+FOLLOWED = np.ones(PAD, np.bool_)
+FOLLOWED[2:10, 2:10] = False  # a press holds the taxels around it
+
+
+def drift_under_a_light_press(
+    percent: float, noise: float, *, drift: float = 0.0, seconds: float = 62.0
+) -> np.ndarray:
+    """Drift that is followed, in parts of f_max, once a part of a skin of f_max = 2.5 N was pressed
+    by so many % of it from second 2 on, all its readings rise by `drift` a second, in parts of
+    f_max, and have noise of the standard deviation `noise`, N.
+    """
+    chain = Chain(SkinDescription("palm", *PAD, 2.5, noise=noise or None))
+    rng = np.random.default_rng(0)
+    for k in range(round(20 * seconds)):
+        raw = rng.normal(0, noise, PAD) + 2.5 * drift * k / 20
+        if k >= 40:
+            raw[PRESSED] += 0.025 * percent
+        chain.apply(raw, k * SECOND // 20)
+    return chain.drift.value / 2.5
+
+
+@pytest.mark.parametrize("percent", [0.3, 0.6, 1.0])
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_a_light_press_of_60_s_loses_less_than_1_percent_of_itself(
+    percent: float, noise: float
+) -> None:
+    followed = drift_under_a_light_press(percent, noise)
+    assert followed[PRESSED].mean() <= 0.01 * percent / 100
+
+
+@pytest.mark.parametrize("percent", [0.3, 0.6, 1.0])
+def test_a_light_press_loses_nothing_beside_a_drift_at_the_bounded_rate(percent: float) -> None:
+    rate = 1e-4  # 0.6 % of f_max a minute
+    followed = drift_under_a_light_press(percent, 0.005, drift=rate)
+    # What had drifted before it, and no more: of 2 s.
+    assert followed[PRESSED].mean() <= 2 * rate + 0.01 * percent / 100
+    # Untouched taxels follow, by the lag of the time constant less: 62 s and 10 s, and noise.
+    assert followed[FOLLOWED].mean() == pytest.approx(52 * rate, rel=0.1)
+
+
+def test_drift_alone_at_the_bounded_rate_is_no_press() -> None:
+    followed = drift_under_a_light_press(0.0, 0.005, drift=1e-4)
+    assert followed.mean() == pytest.approx(52e-4, rel=0.1)
+
+
+def test_the_drift_is_followed_again_after_a_light_press() -> None:
+    chain = Chain(skin())
+    run(chain, lambda t: 0.008 if 2 < t < 10 else 0.004 * (t > 10), 12)
+    assert not chain.drift.value.any()
+    run(chain, 0.004, 40)  # stamps go back: a new recording
+    assert (chain.drift.value > 0).all()
 
 
 def test_the_edge_of_a_press_is_held_too() -> None:

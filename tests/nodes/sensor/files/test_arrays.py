@@ -13,8 +13,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from sparseskin.launch.commands import cli
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.files.parsed import KEEP, ZERO, Policy
 from sparseskin.nodes.sensor.files.recorded import UNTIMED_PERIOD_NS, RecordedSource, open_file
+from sparseskin.nodes.sensor.sources import check_source
 
 FORCES = np.arange(24, dtype=np.float64).reshape(2, 3, 4) / 10
 DTYPES = ["<f4", ">f4", "<f8", ">f8", "<f2", "u1", "<u2", ">i4", "<i8", "<u8"]
@@ -314,3 +317,70 @@ class TestAnyBytes:
         assert np.isfinite(frames).all()
         assert frames.min() >= 0
         assert frames.max() <= np.float32(source.skin.f_max)
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+def test_a_reading_that_is_refused_is_found_by_the_check_at_the_same_place(
+    tmp_path: Path, suffix: str, order: Any
+) -> None:
+    forces = np.asarray(np.ones((3, 512, 1024), np.float32), order=order)  # some parts of it
+    forces[2, 511, 7] = np.nan
+    raw = (
+        npy_bytes(forces)
+        if suffix == ".npy"
+        else npz_bytes(forces=forces, mask=np.ones((512, 1024)) > 0)
+    )
+    path = tmp_path / f"skin{suffix}"
+    path.write_bytes(raw)
+    with pytest.raises(SourceError) as of_check:
+        check_source(f"file:{path}")
+    with pytest.raises(SourceError) as of_read:
+        open_file(path)
+    assert str(of_check.value) == str(of_read.value)
+    assert "frame 2, row 511, column 7: nan is not finite; or set nan to" in str(of_check.value)
+    check_source(f"file:{path}", policy=Policy(nan=ZERO))
+
+
+def test_readings_of_cells_without_a_taxel_are_not_checked(tmp_path: Path) -> None:
+    forces = FORCES.copy()
+    forces[:, 1, 2] = np.nan
+    mask = np.ones((3, 4), np.bool_)
+    mask[1, 2] = False
+    path = tmp_path / "skin.npz"
+    path.write_bytes(npz_bytes(forces=forces, mask=mask))
+    check_source(f"file:{path}")
+    forces[1, 0, 0] = -1
+    path.write_bytes(npz_bytes(forces=forces, mask=mask, more=1))
+    with pytest.raises(SourceError, match="frame 1, row 0, column 0: -1 is below 0"):
+        check_source(f"file:{path}")
+    check_source(f"file:{path}", policy=Policy(negative=KEEP))
+
+
+def test_a_reading_that_is_refused_ends_a_launch_before_any_process(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.save(tmp_path / "skin.npy", np.full((2, 32, 32), np.inf))
+    source = f"sensor.source=file:{tmp_path / 'skin.npy'}"
+    assert cli.main(["launch", "replay", "--set", source]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "frame 0, row 0, column 0: inf is not finite; or set nan to zero, hold or mask" in line
+
+
+def test_an_npz_may_hold_the_points_of_its_taxels(tmp_path: Path) -> None:
+    mask = np.array([[True, False], [True, True]])
+    points = np.zeros((3, 6), np.float32)
+    points[:, 0], points[:, 5] = (1, 2, 3), 1
+    path = tmp_path / "points.npz"
+    held = {"forces": np.ones((4, 2, 2)), "mask": mask, "unit": np.array("N"), "points": points}
+    np.savez(path, **held)
+    assert np.array_equal(open_file(str(path)).skin.points, points)
+    for wrong, what in (
+        (points[:2], "array 'points': float32 of shape .2, 6.; expected float32 of .3, 6."),
+        (points.astype(np.float64), "array 'points': float64"),
+        (points * 2, "normal 0 has length 2, expected 1"),
+        (np.where(points == 3, np.nan, points).astype(np.float32), "point 2 is not within"),
+    ):
+        np.savez(path, **{**held, "points": wrong})
+        with pytest.raises(SourceError, match=what):
+            open_file(str(path))

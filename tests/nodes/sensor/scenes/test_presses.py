@@ -20,6 +20,7 @@ from sparseskin.nodes.sensor.scenes.presses import (
     RAMP,
     SKINS,
     SkinErrors,
+    Timing,
     press_frames,
     scattered_mask,
 )
@@ -67,6 +68,29 @@ def test_a_moving_body_moves_by_its_speed_in_each_frame_but_where_it_turns_back(
     centres = np.stack([(pressed * of).sum(axis=(1, 2)) / totals for of in (i, j)], axis=1)
     steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     assert np.median(steps) == pytest.approx(speed, rel=0.05)
+
+
+def test_parts_of_a_course_last_as_many_frames_as_are_stated() -> None:
+    timing = Timing(before=3, ramp=5, pause=2, held=4)
+    ramped, _ = frames_of("gaussian", course="ramped", n=15, timing=timing)
+    totals = ramped.sum(axis=(1, 2))
+    np.testing.assert_allclose(
+        totals / totals.max(),
+        [0, 0, 0, 0.2, 0.4, 0.6, 0.8, 1, 0.8, 0.6, 0.4, 0.2, 0, 0, 0],
+        rtol=1e-5,
+    )
+    sudden, _ = frames_of("gaussian", course="sudden", n=15, timing=timing)
+    touched = sudden.any(axis=(1, 2)).tolist()
+    assert touched == 3 * [False] + 4 * [True] + 2 * [False] + 4 * [True] + 2 * [False]
+    moving, _ = frames_of("peg", course="moving", n=15, speed=0.0, timing=timing)
+    rising = moving.sum(axis=(1, 2))
+    assert np.argmax(rising > 0.999 * rising.max()) == 3 + 5 - 1
+
+
+@pytest.mark.parametrize("part", ["before", "ramp", "pause", "held"])
+def test_a_part_of_a_course_that_is_no_number_of_frames_is_refused(part: str) -> None:
+    with pytest.raises(SettingsError, match=f"timing: {part} is 2.5"):
+        Timing(**{part: 2.5})
 
 
 def test_a_ramped_contact_rests_while_its_force_rises_and_falls() -> None:

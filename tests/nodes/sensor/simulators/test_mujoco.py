@@ -20,14 +20,27 @@ from sparseskin.nodes.sensor.sources import check_source, open_source
 
 mujoco = pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
 
-from sparseskin.nodes.sensor.simulators.model import find_pad, load_model  # noqa: E402
-from sparseskin.nodes.sensor.simulators.source import MujocoSource  # noqa: E402
+from sparseskin.nodes.sensor.simulators.model import (  # noqa: E402
+    check_model,
+    find_pad,
+    load_model,
+)
+from sparseskin.nodes.sensor.simulators.source import MujocoSource, read_shape  # noqa: E402
 from sparseskin.nodes.sensor.simulators.touch import Touch  # noqa: E402
 
 MODELS = Path(__file__).parents[4] / "examples" / "models"
 PAD = f"{MODELS / 'pad.xml'}#pad"
 ARM = f"{MODELS / 'arm.xml'}#tip"
 G = 9.81
+ISOLATED = "sparseskin.nodes.sensor.files.isolated"
+
+
+@pytest.fixture(autouse=True)
+def direct(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check models in this process, without the start of another, unless a test is of that."""
+    if "isolated" not in request.keywords:
+        name = "sparseskin.nodes.sensor.simulators.model.in_child"
+        monkeypatch.setattr(name, lambda task, address, n_bytes: read_shape(address, 0))
 
 
 def model_of(
@@ -283,3 +296,36 @@ def test_a_bad_address_ends_a_launch_with_one_line_before_any_process(
 def test_a_stated_shape_must_be_that_of_the_model() -> None:
     with pytest.raises(SourceError, match="n_rows = 16 is stated, but the frames have 32"):
         check_source(f"mujoco:{PAD}", n_rows=16)
+
+
+@pytest.mark.isolated
+def test_a_model_is_checked_in_a_process_whose_time_and_memory_are_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (MODELS / "pad.xml").read_text()
+    (tmp_path / "pad.xml").write_text(text)
+    assert check_model(f"{tmp_path / 'pad.xml'}#pad", None, None) == 1024
+    huge = tmp_path / "huge.xml"
+    huge.write_text(text.replace("<worldbody>", '<size memory="4000G"/><worldbody>'))
+    with pytest.raises(SourceError, match=r"huge\.xml: MuJoCo refuses it: .*allocate memory$"):
+        check_model(f"{huge}#pad", None, None)
+    many = '<worldbody><replicate count="1000000000"><body><geom size="1"/></body></replicate>'
+    endless = tmp_path / "endless.xml"
+    endless.write_text(text.replace("<worldbody>", many))
+    monkeypatch.setattr(f"{ISOLATED}.START_S", 1.0)
+    with pytest.raises(SourceError, match=r"endless\.xml#pad: not read within 1 s; a damaged or"):
+        check_model(f"{endless}#pad", None, None)
+
+
+@pytest.mark.isolated
+def test_a_model_on_which_mujoco_crashes_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    crashing = tmp_path / "python"
+    crashing.write_text("#!/bin/sh\nkill -SEGV $$\n")
+    crashing.chmod(0o755)
+    monkeypatch.setattr(f"{ISOLATED}.sys.executable", str(crashing))
+    path = tmp_path / "arm.xml"
+    path.write_bytes((MODELS / "arm.xml").read_bytes())
+    with pytest.raises(SourceError, match=r"#tip: its reader was ended by SIGSEGV; a damaged"):
+        check_model(f"{path}#tip", None, None)

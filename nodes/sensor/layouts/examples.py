@@ -1,0 +1,115 @@
+"""Layouts that are computed: a torso, a grip and a patch of triangular modules."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from sparseskin.nodes.numerics.arrays import Doubles, Indices
+
+Layout = tuple[Doubles, Doubles]
+"""Places in metres and unit normals, float64 (n, 3) each."""
+
+TORSO_POINTS = 4000
+_TORSO = np.array(
+    [  # height, half width and half depth in metres: waist, chest, shoulders, neck
+        (0.00, 0.150, 0.100),
+        (0.15, 0.155, 0.105),
+        (0.32, 0.190, 0.125),
+        (0.43, 0.205, 0.120),
+        (0.50, 0.165, 0.100),
+        (0.54, 0.075, 0.065),
+    ]
+)
+"""Elliptic sections of the torso, chosen: about those of an adult."""
+_AROUND = np.linspace(-np.pi, np.pi, 721)
+"""Angles at which the way around a ring is summed."""
+GRIP_RADIUS_M, GRIP_LENGTH_M, GRIP_PITCH_M = 0.035, 0.1, 0.005
+TRIANGLE_PITCH_M = 0.0065
+"""Distance of the taxels of a triangular module, that of an iCub's: 6.5 mm."""
+TRIANGLE_RADIUS_M = 0.06
+
+
+def torso(n: int = TORSO_POINTS) -> Layout:
+    """A torso of n taxels, rings of taxels from waist to neck, open at both ends.
+
+    All taxels are about equally far apart, so that rings have different numbers of them, as many
+    as their length holds: where it changes, the lattice has dislocations.
+    """
+    low, high = 0.002, 0.1
+    for _ in range(30):  # the largest pitch at which there are n, to a nanometre
+        pitch = 0.5 * (low + high)
+        low, high = (pitch, high) if _rings(pitch)[1].sum() >= n else (low, pitch)
+    heights, counts, along = _rings(low)
+    rings = [
+        np.interp(np.arange(count) / count * way[-1], way, _AROUND)
+        for count, way in zip(counts, along, strict=True)
+    ]
+    # The last rings, at the neck, lose what is too much.
+    angles, z = np.concatenate(rings)[:n], np.repeat(heights, counts)[:n]
+    widths, depths = _sections()
+    a, b = widths(z), depths(z)
+    cos, sin = np.cos(angles), np.sin(angles)
+    places = np.stack([b * cos, a * sin, z], axis=1)
+    around = np.stack([-b * sin, a * cos, np.zeros(n)], axis=1)
+    upward = np.stack([depths(z, 1) * cos, widths(z, 1) * sin, np.ones(n)], axis=1)
+    normals = np.cross(around, upward)
+    return places, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def _sections() -> tuple[PchipInterpolator, PchipInterpolator]:
+    """Half width and half depth of the torso by its height, metres."""
+    widths, depths = (PchipInterpolator(_TORSO[:, 0], _TORSO[:, k]) for k in (1, 2))
+    return widths, depths
+
+
+def _rings(pitch: float) -> tuple[Doubles, Indices, Doubles]:
+    """Heights of the rings, their taxels and the way around each at the angles `_AROUND`.
+
+    They are a pitch apart along the mean of the front's and the side's line.
+    """
+    widths, depths = _sections()
+    z = np.linspace(_TORSO[0, 0], _TORSO[-1, 0], 2000)
+    steps = np.mean([np.hypot(np.diff(line(z)), np.diff(z)) for line in (widths, depths)], axis=0)
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    heights = np.interp(np.arange(0, way[-1], pitch), way, z)
+    a, b = widths(heights)[:, None], depths(heights)[:, None]
+    parts = np.hypot(np.diff(b * np.cos(_AROUND)), np.diff(a * np.sin(_AROUND)))
+    along = np.pad(np.cumsum(parts, axis=1), ((0, 0), (1, 0)))
+    return heights, np.maximum(3, (along[:, -1] / pitch).astype(np.intp)), along
+
+
+def grip() -> Layout:
+    """A cylinder of the size of a hand's grip, taxels on a square lattice: 44 x 21."""
+    n = round(2 * math.pi * GRIP_RADIUS_M / GRIP_PITCH_M)
+    k, i = np.meshgrid(np.arange(n), np.arange(round(GRIP_LENGTH_M / GRIP_PITCH_M) + 1))
+    angle = 2 * np.pi * k.ravel() / n
+    normals = np.stack([np.cos(angle), np.sin(angle), np.zeros(angle.size)], axis=1)
+    places = GRIP_RADIUS_M * normals
+    places[:, 2] = GRIP_PITCH_M * i.ravel()
+    return places, normals
+
+
+def triangles(n_rows: int = 6, n_cols: int = 8) -> Layout:
+    """Triangular modules of ten taxels, on a hexagonal lattice, bent to a part of a cylinder."""
+    side = 4  # taxels along the side of a module: 4 + 3 + 2 + 1
+    flat = set()
+    for row, col in np.ndindex(n_rows, n_cols):
+        for i in range(side):
+            for k in range(side - i):
+                flat.add((side * row + i, side * col + k))
+                flat.add((side * (row + 1) - 1 - i, side * (col + 1) - k))
+    cells = np.array(sorted(flat), dtype=np.float64)
+    x = TRIANGLE_PITCH_M * (cells[:, 1] + 0.5 * cells[:, 0])
+    z = TRIANGLE_PITCH_M * math.sqrt(0.75) * cells[:, 0]
+    angle = (x - x.mean()) / TRIANGLE_RADIUS_M
+    normals = np.stack([np.cos(angle), np.sin(angle), np.zeros(len(x))], axis=1)
+    places = TRIANGLE_RADIUS_M * normals
+    places[:, 2] = z
+    return places, normals
+
+
+EXAMPLES: dict[str, Callable[[], Layout]] = {"torso": torso, "grip": grip, "triangles": triangles}

@@ -1,0 +1,224 @@
+"""Readers of files with the places of taxels.
+
+| file | content                                                                                   |
+|------|-------------------------------------------------------------------------------------------|
+| .csv | a line a taxel: x, y, z and, where known, the normal nx, ny, nz; the unit is stated, by a |
+|      | first line `# unit: mm`, or by the names of the columns: x_mm, y_mm, z_mm                 |
+| .txt | taxel positions of an iCub (skinGui, skinManager): keys, `[calibration]`, and for each    |
+|      | reading x y z nx ny nz in metres, zeros where it has no taxel                             |
+
+A layout is a file, or `example:NAME` for one that is computed (`examples`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
+from sparseskin.nodes.sensor.files.parsed import (
+    parse_number,
+    parse_whole,
+    read_bytes,
+    shown,
+    text_lines,
+)
+
+from .examples import EXAMPLES
+from .points import MAX_POINTS, Points, doubled, estimated_normals
+
+EXAMPLE = "example:"
+SUFFIXES = (".csv", ".txt")
+UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Units of a .csv, in metres."""
+MAX_BYTES = 256 * MAX_POINTS
+"""Largest file, bytes; chosen: six numbers of 42 characters a taxel."""
+USUAL_M = 1e-4, 0.2
+"""Distances of taxels in metres outside which a unit is doubted; chosen."""
+_PLACE, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
+_UNIT_LINE = re.compile(r"#\s*unit:\s*(\S+)\s*")
+_ICUB_KEYS = ("name", "spatial_sampling", "taxel2Repr")
+_CALIBRATION = "[calibration]"
+_LEAST_NORMAL = 0.5
+"""Least length of a stated normal; chosen: three decimals and rounding leave 0.9."""
+
+
+def load_points(layout: str) -> Points:
+    """Read a layout.
+
+    Parameters
+    ----------
+    layout : str
+        A path, or `example:NAME`.
+
+    Raises
+    ------
+    SourceError
+        If the file is missing, too large, of an unknown suffix or malformed, or there is no such
+        example.
+    """
+    if layout.startswith(EXAMPLE):
+        name = layout.removeprefix(EXAMPLE)
+        if name not in EXAMPLES:
+            raise SourceError(f"{layout}: no such example{did_you_mean(name, EXAMPLES)}")
+        places, normals = EXAMPLES[name]()
+        order = np.arange(len(places))
+        return Points(name, places, normals, order, len(places), layout=layout)
+    suffix = Path(layout).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise SourceError(
+            f"{shown(layout, 200)}: suffix {shown(suffix)} is not known; allowed are "
+            f"{', '.join(SUFFIXES)}, and {EXAMPLE}{{{', '.join(EXAMPLES)}}}"
+        )
+    size = Path(layout).stat().st_size if Path(layout).is_file() else 0
+    if size > MAX_BYTES:
+        raise SourceError(f"{layout}: {size} bytes; at most {MAX_BYTES} are allowed")
+    lines = text_lines(read_bytes(layout))
+    return _read_csv(lines, layout) if suffix == ".csv" else _read_icub(lines, layout)
+
+
+def _read_csv(lines: Sequence[str], name: str) -> Points:
+    unit, header, rows = None, None, []
+    for number, line in enumerate(lines, start=1):
+        where = f"{name}, line {number}"
+        if line.startswith("#"):
+            if found := _UNIT_LINE.fullmatch(line):
+                unit = _unit(found[1], where)
+            continue
+        if not line.strip():
+            continue
+        cells = [cell.strip() for cell in line.split(",")]
+        if header is None:
+            header, of_names = _header(cells, where)
+            unit = unit or of_names
+            if unit is None:
+                raise SourceError(
+                    f"{name}: the unit of x, y, z is not stated; allowed: a first line "
+                    "'# unit: mm' (or cm, m), or columns x_mm, y_mm, z_mm"
+                )
+            continue
+        rows.append(_row(cells, len(header), where))
+    if header is None or unit is None:
+        raise SourceError(f"{name}: holds no header; expected x,y,z or x,y,z,nx,ny,nz")
+    if not rows:
+        raise SourceError(f"{name}: holds no taxel")
+    values = np.array(rows)
+    places = values[:, :3] * UNITS_M[unit]
+    twice = doubled(places)
+    if twice.any():
+        k = int(np.argmax(twice))
+        raise SourceError(f"{name}: taxel {k} (from 0) stands where another does")
+    return _points(name, places, values[:, 3:], np.arange(len(rows)), len(rows), ())
+
+
+def _unit(text: str, where: str) -> str:
+    if text not in UNITS_M:
+        raise SourceError(f"{where}: unit {shown(text)}; allowed are {', '.join(UNITS_M)}")
+    return text
+
+
+def _header(cells: list[str], where: str) -> tuple[list[str], str | None]:
+    """Columns, and the unit that their names state."""
+    unit = None
+    if "_" in cells[0]:
+        unit = _unit(cells[0].partition("_")[2], where)
+    ending = "" if unit is None else f"_{unit}"
+    place = [axis + ending for axis in _PLACE]
+    if cells not in (place, [*place, *_NORMAL]):
+        raise SourceError(
+            f"{where}: header {shown(','.join(cells), 80)}; expected {','.join(place)} or "
+            f"{','.join((*place, *_NORMAL))}"
+        )
+    return cells, unit
+
+
+def _row(cells: list[str], n: int, where: str) -> list[float]:
+    if len(cells) != n:
+        raise SourceError(f"{where}: {len(cells)} numbers; expected {n}")
+    return [parse_number(cell, where) for cell in cells]
+
+
+def _read_icub(lines: Sequence[str], name: str) -> Points:
+    values, used, in_calibration = [], None, False
+    for number, line in enumerate(lines, start=1):
+        where = f"{name}, line {number}"
+        if not line.strip():
+            continue
+        if in_calibration:
+            values.append(_row(line.split(), 6, where))
+        elif line.strip() == _CALIBRATION:
+            in_calibration = True
+        else:
+            key, _, value = line.strip().replace("\t", " ").partition(" ")
+            if key not in _ICUB_KEYS:
+                raise SourceError(
+                    f"{where}: {shown(key)} is no key of an iCub's taxel positions; expected "
+                    f"{', '.join(_ICUB_KEYS)} or {_CALIBRATION}"
+                )
+            if key == "taxel2Repr":
+                used = _representatives(value, where)
+    if not values:
+        raise SourceError(f"{name}: holds no taxel after {_CALIBRATION}")
+    notes = []
+    if used is not None and len(used) != len(values):
+        # Files of older robots have another number.
+        notes.append(f"taxel2Repr has {len(used)} numbers for {len(values)} lines and is not used")
+        used = None
+    rows = np.array(values)
+    placed = rows[:, :3].any(axis=1) & (True if used is None else used)
+    slots = np.flatnonzero(placed)
+    if not slots.size:
+        raise SourceError(f"{name}: no reading has a place, all are zeros or unused")
+    places = rows[slots, :3]
+    if n_twice := np.count_nonzero(doubled(places)):
+        notes.append(f"{n_twice} of {slots.size} taxels stand where another does")
+    return _points(name, places, rows[slots, 3:], slots, len(rows), tuple(notes))
+
+
+def _representatives(text: str, where: str) -> Mask:
+    """True for each reading of a taxel: negative numbers are of readings that are none."""
+    tokens = text.strip().removeprefix("(").removesuffix(")").split()
+    found = []
+    for token in tokens:
+        whole = parse_whole(token.removeprefix("-"), f"{where}, taxel2Repr", 0, len(tokens))
+        found.append(not token.startswith("-") or whole == 0)
+    return np.array(found, dtype=np.bool_)
+
+
+def _points(
+    name: str,
+    places: Doubles,
+    normals: Doubles,
+    slots: Indices,
+    n_slots: int,
+    notes: tuple[str, ...],
+) -> Points:
+    """The layout, with normals of length 1; those that are not stated, or 0, are estimated."""
+    n = len(places)
+    if n > MAX_POINTS:
+        raise SourceError(f"{name}: {n} taxels; at most {MAX_POINTS} are allowed")
+    lengths = np.linalg.norm(normals, axis=1) if normals.size else np.zeros(n)
+    unknown = lengths < _LEAST_NORMAL
+    if normals.size and (unknown & (lengths > 0)).any():
+        k = int(np.argmax(unknown & (lengths > 0)))
+        found = f"the normal of taxel {k} (from 0) has length {lengths[k]:.3g}"
+        raise SourceError(f"{name}: {found}; expected 1")
+    unit = estimated_normals(places) if unknown.any() else np.zeros_like(places)
+    known = ~unknown
+    if known.any():
+        unit[known] = normals[known] / lengths[known, None]
+    if unknown.any():
+        of_some = "" if unknown.all() else f" of {np.count_nonzero(unknown)} taxels"
+        notes = (*notes, f"the normals{of_some} are estimated from the places of neighbours")
+    if n > 1:
+        nearest = float(np.median(cKDTree(places).query(places, 2)[0][:, 1]))
+        if nearest and not USUAL_M[0] <= nearest <= USUAL_M[1]:
+            notes = (*notes, f"taxels are {1000 * nearest:.3g} mm apart: is the unit right?")
+    layout = str(Path(name).resolve())
+    return Points(Path(name).stem, places, unit, slots, n_slots, notes, layout)

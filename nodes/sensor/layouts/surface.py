@@ -1,0 +1,282 @@
+"""The surface on which points lie: its neighbours, its parts, and each part flattened to a plane.
+
+Neighbours are the nearest points whose normals lie within 72 degrees: the two sides of a thin plate
+are not neighbours. A closed band, as around a torso, is cut open where the fewest neighbours are
+cut apart. Each part is laid flat by multidimensional scaling of the lengths of shortest ways on it,
+and the plane then made as rigid as possible: each point and its neighbours are turned, not
+stretched.
+
+Sources: Tenenbaum, de Silva, Langford, "A global geometric framework for nonlinear dimensionality
+reduction", Science 290, 2000; de Silva, Tenenbaum, "Sparse multidimensional scaling using landmark
+points", Stanford 2004; Liu et al., "A local/global approach to mesh parameterization", Computer
+Graphics Forum 27(5), 2008.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
+
+from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
+
+N_NEIGHBOURS = 8
+"""Neighbours of a point: those of a square grid, diagonals included."""
+_SEARCHED = 4 * N_NEIGHBOURS
+"""Points among which they are searched: half of them may be of another side, the rest too far."""
+LEAST_COSINE = 0.3
+"""Least cosine between normals of neighbours."""
+LONGEST = 3.0
+"""Longest distance of neighbours in those of the nearest: two taxels may be missing between."""
+FLAT = 0.2
+"""Distance from a plane, in those of the nearest, up to which a part is flat already."""
+N_LANDMARKS = 60
+N_RIGID = 30
+"""Rounds in which a plane is made as rigid as possible; chosen: a tenth changes little more."""
+N_SECTORS = 72
+"""Sectors around an axis, of which none is empty where a band is closed."""
+MOST_OUTWARD = 0.9
+"""Part of the normals that point away from the axis of a closed band, at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Pairs of neighbours, each in both directions.
+
+    Attributes
+    ----------
+    a, b : ndarray of intp, shape (n_edges,)
+        Points.
+    length : ndarray of float64, shape (n_edges,)
+        Metres.
+    """
+
+    a: Indices
+    b: Indices
+    length: Doubles
+
+    def only(self, kept: Mask) -> Edges:
+        """Those of a choice, bool (n_edges,)."""
+        return Edges(self.a[kept], self.b[kept], self.length[kept])
+
+    def matrix(self, n: int) -> csr_matrix:
+        """Lengths as a sparse matrix, (n, n)."""
+        return csr_matrix((self.length, (self.a, self.b)), (n, n))
+
+
+def neighbours(places: Doubles, normals: Doubles) -> Edges:
+    """Neighbours of points: float64 (n, 3) each, in metres and of length 1."""
+    n = len(places)
+    if n == 1:
+        return _none()
+    found, near = cKDTree(places).query(places, k=min(_SEARCHED + 1, n))
+    found, near = found[:, 1:], near[:, 1:]
+    cosine = np.einsum("ij,ikj->ik", normals, normals[near])
+    one_side = cosine > LEAST_COSINE
+    nearest = np.where(one_side, found, np.inf).min(axis=1)
+    if not np.isfinite(nearest).any():
+        return _none()
+    # Neighbours of a point that lies apart are farther than those of the others.
+    typical = float(np.median(nearest[np.isfinite(nearest)]))
+    limit = LONGEST * np.maximum(typical, np.where(np.isfinite(nearest), nearest, 0.0))
+    one_side &= found < limit[:, None]
+    kept = one_side & (np.cumsum(one_side, axis=1) <= N_NEIGHBOURS)
+    a, k = np.nonzero(kept)
+    pairs = np.stack([a, near[a, k]], axis=1)
+    pairs = np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0)
+    length = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
+    return Edges(pairs[:, 0], pairs[:, 1], length)
+
+
+def _none() -> Edges:
+    none = np.empty(0, dtype=np.intp)
+    return Edges(none, none, np.empty(0))
+
+
+def parts(edges: Edges, n: int) -> list[Indices]:
+    """Points of each connected part, the largest part first."""
+    n_parts, label = connected_components(edges.matrix(n), directed=False)
+    order = np.argsort(-np.bincount(label, minlength=n_parts), kind="stable")
+    return [np.flatnonzero(label == k) for k in order]
+
+
+def flattened(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
+    """Coordinates in a plane of the points of one part, seen from outside.
+
+    Parameters
+    ----------
+    places, normals : ndarray of float64, shape (n, 3)
+        Metres; of length 1.
+    edges : Edges
+        Their neighbours.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 2)
+        Metres; the second axis points up, as far as the skin has an upper end.
+    """
+    n = len(places)
+    if n < 4:
+        return np.stack([np.concatenate([[0.0], np.cumsum(_steps(places))]), np.zeros(n)], axis=1)
+    frames = _tangents(places, normals, edges)
+    centred = places - places.mean(axis=0)
+    _, size, axes = np.linalg.svd(centred, full_matrices=False)
+    if np.abs(centred @ axes[2]).max() <= FLAT * np.median(edges.length):
+        plane = centred @ axes[:2].T
+    else:
+        edges = edges.only(~_cut(centred, normals, edges))
+        plane = _scaled(edges, n)
+    plane = _as_seen_from_outside(plane, places, frames, edges)
+    if size[2] > 0 and np.abs(centred @ axes[2]).max() > FLAT * np.median(edges.length):
+        plane = _rigid(plane, places, frames, edges)
+    return plane
+
+
+def summed(at: Indices, values: Doubles, n: int) -> Doubles:
+    """Sums of the rows of `values`, (n_edges, k), by their point: float64 (n, k)."""
+    return np.stack([np.bincount(at, column, minlength=n) for column in values.T], axis=1)
+
+
+def _steps(places: Doubles) -> Doubles:
+    found: Doubles = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    return found
+
+
+def _tangents(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
+    """Two axes of the tangent plane of each point, (n, 2, 3), to the right and up from outside.
+
+    The plane is that of its neighbours: normals in files are not always those of the surface.
+    """
+    n = len(places)
+    step = places[edges.b] - places[edges.a]
+    moments = summed(edges.a, (step[:, :, None] * step[:, None, :]).reshape(-1, 9), n)
+    moments = moments.reshape(n, 3, 3)
+    _, axes = np.linalg.eigh(moments)
+    across: Doubles = axes[:, :, 0]
+    side = np.einsum("ij,ij->i", across, normals)
+    across = across * np.where(side < 0, -1.0, 1.0)[:, None]
+    first = np.cross([0.0, 0.0, 1.0], across)
+    level = np.linalg.norm(first, axis=1) < 0.1
+    first[level] = np.cross([0.0, 1.0, 0.0], across[level])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(across, first)], axis=1)
+
+
+def _cut(centred: Doubles, normals: Doubles, edges: Edges) -> Mask:
+    """Edges across which a closed band is cut open, bool (n_edges,); none where it is open."""
+    n = len(centred)
+    best: tuple[float, Mask] | None = None
+    for axis in range(3):
+        one, other = (centred[:, k] for k in range(3) if k != axis)
+        angle = np.arctan2(other, one)
+        radial = centred * (np.arange(3) != axis)
+        outward = np.einsum("ij,ij->i", radial, normals)
+        n_sectors = min(N_SECTORS, max(4, int(np.sqrt(n))))
+        sector = ((angle + np.pi) / (2 * np.pi) * n_sectors).astype(np.intp) % n_sectors
+        if len(np.unique(sector)) < n_sectors or (outward > 0).mean() < MOST_OUTWARD:
+            continue
+        crossing = [
+            np.abs(((angle[edges.a] - at) % (2 * np.pi)) - ((angle[edges.b] - at) % (2 * np.pi)))
+            > np.pi
+            for at in np.linspace(-np.pi, np.pi, N_SECTORS, endpoint=False)
+        ]
+        length = float(np.ptp(centred[:, axis]))
+        if best is None or length > best[0]:
+            best = length, min(crossing, key=np.count_nonzero)
+    return np.zeros(len(edges.a), dtype=np.bool_) if best is None else best[1]
+
+
+def _scaled(edges: Edges, n: int) -> Doubles:
+    """Plane in which distances are about the lengths of shortest ways, (n, 2)."""
+    graph = edges.matrix(n)
+    chosen = [0]
+    ways = [dijkstra(graph, directed=False, indices=0)]
+    first = ways[0].copy()
+    first[~np.isfinite(first)] = 0.0
+    least = ways[0].copy()
+    for _ in range(min(N_LANDMARKS, n) - 1):
+        least[~np.isfinite(least)] = 0.0
+        chosen.append(int(np.argmax(least)))
+        ways.append(dijkstra(graph, directed=False, indices=chosen[-1]))
+        least = np.minimum(least, ways[-1])
+    squared = np.stack(ways) ** 2
+    far = np.isfinite(squared)
+    squared[~far] = squared[far].max()  # a cut may leave a point alone
+    between = squared[:, chosen]
+    mean = between.mean(axis=0)
+    inner = -0.5 * (between - mean[:, None] - mean[None, :] + mean.mean())
+    value, vector = np.linalg.eigh(inner)
+    axes = vector[:, -2:] / np.sqrt(np.maximum(value[-2:], 1e-12))
+    plane: Doubles = -0.5 * (squared - mean[:, None]).T @ axes
+    return plane
+
+
+def _as_seen_from_outside(
+    plane: Doubles, places: Doubles, frames: Doubles, edges: Edges
+) -> Doubles:
+    """The plane, mirrored where it is seen from inside."""
+    turned = _moments(plane, places, frames, edges)
+    if (np.linalg.det(turned) < 0).mean() > 0.5:
+        plane = plane * np.array([-1.0, 1.0])
+    return plane
+
+
+def _moments(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> Doubles:
+    """Sum over neighbours of steps in the plane times steps in the tangent plane, (n, 2, 2)."""
+    n = len(plane)
+    step = plane[edges.b] - plane[edges.a]
+    each = step[:, :, None] * _local(places, frames, edges)[:, None, :]
+    return summed(edges.a, each.reshape(-1, 4), n).reshape(n, 2, 2)
+
+
+def _local(places: Doubles, frames: Doubles, edges: Edges) -> Doubles:
+    """Steps to the neighbours in the tangent plane of the first point, with their full length."""
+    step = np.einsum("eij,ej->ei", frames[edges.a], places[edges.b] - places[edges.a])
+    flat = np.linalg.norm(step, axis=1)
+    found: Doubles = step * (edges.length / np.maximum(flat, 1e-12))[:, None]
+    return found
+
+
+def _rigid(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> Doubles:
+    """The plane after `N_RIGID` rounds in which each neighbourhood is turned and joined."""
+    local = _local(places, frames, edges)
+    solve = Joined(edges, len(plane))
+    back = _reverse(edges)
+    for _ in range(N_RIGID):
+        u, _, v = np.linalg.svd(_moments(plane, places, frames, edges))
+        u[:, :, 1] *= np.sign(np.linalg.det(u @ v))[:, None]
+        step = np.einsum("eij,ej->ei", (u @ v)[edges.a], local)
+        plane = solve(0.5 * (step - step[back]))
+    return plane
+
+
+def _reverse(edges: Edges) -> Indices:
+    """Index of each edge in the other direction."""
+    n = int(edges.a.max()) + 1
+    forth, back = edges.a * n + edges.b, edges.b * n + edges.a
+    order = np.argsort(forth)
+    return order[np.searchsorted(forth[order], back)]
+
+
+class Joined:
+    """Coordinates whose differences along edges are as stated, by weighted least squares."""
+
+    def __init__(self, edges: Edges, n: int, weights: Doubles | None = None) -> None:
+        self._edges, self._n = edges, n
+        self._weights = np.ones(len(edges.a)) if weights is None else weights
+        w = coo_matrix((self._weights, (edges.a, edges.b)), (n, n)).tocsc()
+        degree = np.asarray(w.sum(axis=1)).ravel()
+        # The ridge fixes what differences do not: the middle of each part.
+        laplacian = coo_matrix((degree + 1e-9, (range(n), range(n))), (n, n)).tocsc() - w
+        self._solve = splu(laplacian)
+
+    def __call__(self, steps: Doubles) -> Doubles:
+        """Coordinates, float64 (n, 2), about 0; steps: (n_edges, 2), from a to b, both ways."""
+        right = -summed(self._edges.a, self._weights[:, None] * steps, self._n)
+        found: Doubles = self._solve.solve(right)
+        found -= found.mean(axis=0)
+        return found
