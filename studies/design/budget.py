@@ -1,0 +1,173 @@
+"""The budget of each strategy: time of each stage, the rate that is reached, bytes, accuracy."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from sparseskin.messages.quantised import n_bytes
+from sparseskin.nodes.edge.description import CRC_BYTES, HEADER_BYTES
+from sparseskin.nodes.errors import SettingsError
+
+from .accuracy import Accuracy, accuracy
+from .models.costs import HOP_S, LARGEST, cost
+from .models.wires import Wires, reads_single, wires_of
+from .spec import Design
+from .strategies import STRATEGIES, Strategy
+
+STAGES = ("ADC", "edge", "bus", "host")
+"""Stages that a frame passes; each works on a frame while the one before it has the next."""
+NO_GRID = ("row_local", "local")
+"""Strategies that need a grid: rows of columns, or neighbourhoods of cells."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A strategy on a skin.
+
+    Attributes
+    ----------
+    strategy : Strategy
+    m : int
+        Measurements of a frame.
+    wires : Wires
+    n_bytes : int
+        Bytes of a frame on the bus, with header and checksum of the project's edge (14 bytes).
+    stage_s : dict of str to float
+        Time of a frame in each of `STAGES`, seconds; of the host, of one core.
+    host_rate_hz : float
+        Frames a second that the host's cores can reconstruct.
+    asked_hz : float
+        Rate that the design asks for.
+    accuracy : Accuracy
+        At the rate that is reached.
+    range_n : float
+        Full scale, newtons.
+    patches : int
+        Parts of the skin that the host reconstructs by themselves.
+    """
+
+    strategy: Strategy
+    m: int
+    wires: Wires
+    n_bytes: int
+    stage_s: dict[str, float]
+    host_rate_hz: float
+    asked_hz: float
+    accuracy: Accuracy
+    range_n: float
+    patches: int = 1
+
+    @property
+    def stage_hz(self) -> dict[str, float]:
+        """Frames a second that each stage can process."""
+        return {name: 1 / self.stage_s[name] for name in STAGES[:-1]} | {"host": self.host_rate_hz}
+
+    @property
+    def limit(self) -> str:
+        """The slowest stage."""
+        return min(STAGES, key=self.stage_hz.__getitem__)
+
+    @property
+    def possible_hz(self) -> float:
+        """Rate of the slowest stage, frames a second."""
+        return self.stage_hz[self.limit]
+
+    @property
+    def reached_hz(self) -> float:
+        """Frames a second: those asked for, or fewer."""
+        return min(self.asked_hz, self.possible_hz)
+
+    @property
+    def is_met(self) -> bool:
+        """True if the rate that is asked for is reached."""
+        return self.possible_hz >= self.asked_hz
+
+    @property
+    def light_touch_n(self) -> float:
+        """Least force a taxel, newtons, at which a press of 3 x 3 taxels is found in 90 % of cases;
+        NaN where it is not known.
+        """
+        return self.accuracy.light_touch * self.range_n
+
+    @property
+    def latency_s(self) -> float:
+        """Time from the first conversion of a frame to its reconstruction, queues left out."""
+        return sum(self.stage_s.values()) + HOP_S
+
+    @property
+    def host_cores(self) -> float:
+        """Cores of the host that are busy at the rate that is reached."""
+        return self.reached_hz * self.stage_s["host"] * self.patches
+
+
+def budget(design: Design, only: Collection[str] | None = None) -> list[Row]:
+    """Return the row of each strategy that is possible on the skin, or of those named in `only`.
+
+    Raises
+    ------
+    SettingsError
+        If only strategies are named that need a grid, and the skin has none.
+    """
+    rows = [
+        row_of(strategy, design)
+        for name, strategy in STRATEGIES.items()
+        if (design.n_rows is not None or name not in NO_GRID) and (only is None or name in only)
+    ]
+    if not rows:
+        raise SettingsError(f"{', '.join(NO_GRID)} need a grid: state rows and cols")
+    return rows
+
+
+def row_of(strategy: Strategy, design: Design) -> Row:
+    """Return the row of one strategy.
+
+    The stages overlap, as a frame is converted while the one before it is sent: the rate is that of
+    the slowest stage, and the latency the sum of all.
+    """
+    n = design.n_taxels
+    m = strategy.m(n, design.n_rows)
+    wires = wires_of(strategy, design)
+    sent = frame_bytes(strategy, design)
+    sums = 0 if reads_single(strategy) else m
+    patches = -(-n // LARGEST)
+    host_s = cost(strategy.name, -(-n // patches)).host_s
+    stage_s = {
+        "ADC": design.adc.seconds(wires.conversions),
+        "edge": design.edge.seconds(strategy.name, n, wires.conversions, sums, sent),
+        "bus": design.bus.seconds(sent),
+        "host": host_s,
+    }
+    host_rate_hz = min(design.cores, patches) / (host_s * patches)
+    possible_hz = min(host_rate_hz, *(1 / stage_s[name] for name in STAGES[:-1]))
+    return Row(
+        strategy=strategy,
+        m=m,
+        wires=wires,
+        n_bytes=sent,
+        stage_s=stage_s,
+        host_rate_hz=host_rate_hz,
+        asked_hz=design.rate_hz,
+        accuracy=accuracy(
+            strategy.name,
+            n,
+            design.noise,
+            design.adc.bits if reads_single(strategy) else design.bits,
+            min(design.rate_hz, possible_hz),
+        ),
+        range_n=design.range_n,
+        patches=patches,
+    )
+
+
+def frame_bytes(strategy: Strategy, design: Design) -> int:
+    """Bytes of a frame on the bus.
+
+    Header and checksum of the edge's frames, 14 bytes; M numbers without gaps, of the converter's
+    bits if they are readings, else of the design's; of "adaptive" the choice too, at most 2 bits
+    for each of the about N / 3 nodes of its tree.
+    """
+    n = design.n_taxels
+    bits = design.adc.bits if reads_single(strategy) else design.bits
+    choice = n_bytes(-(-n // 3), 2) if strategy.phi == "adaptive" else 0
+    return HEADER_BYTES + CRC_BYTES + n_bytes(strategy.m(n, design.n_rows), bits) + choice

@@ -1,0 +1,152 @@
+"""The command `sparseskin design`: what a skin would deliver, before it is built."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import nearest_of
+from sparseskin.studies.command import EXTRA
+
+from .spec import KEYS, SIZE_KEYS, Design, make_design, read_file
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `design`."""
+    parser.description = (
+        "Compare ways to read a skin that is not built yet: wires, rate and its limit, bytes,\n"
+        "accuracy, latency, cores. State it by options, by a file with the same keys, or by both:\n"
+        "options replace what the file states."
+    )
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("file", metavar="design.toml", nargs="?", type=Path, help="file of keys")
+    for name, key in KEYS.items():
+        default = "" if key.default is None else f" (default: {key.default})"
+        about = f"{key.about}{default}"
+        parser.add_argument(f"--{name}", metavar=key.form, help=about)
+    about = "write a page, charts and tables here; needs the extra charts"
+    parser.add_argument("--out", metavar="DIR", type=Path, help=about)
+    about = "strategies of the table, with commas between them (default: all)"
+    parser.add_argument("--only", metavar="NAMES", help=about)
+    about = "simulate the skin itself for the figures of accuracy, in place of the stored grid"
+    parser.add_argument("--simulate", action="store_true", help=about)
+    about = "scene of --simulate: its name, or a recording of a truth"
+    parser.add_argument("--scene", metavar="SCENE", help=about)
+    parser.add_argument("--seed", metavar="K", default="0", help="seed of --simulate (default: 0)")
+    about = "print what the models predict for rigs that were built, and exit"
+    parser.add_argument("--rigs", action="store_true", help=about)
+    about = "measure the processor time of edge and host on this computer, print it, and exit"
+    parser.add_argument("--measure-costs", action="store_true", help=about)
+    parser.set_defaults(run=_design)
+
+
+def _design(arguments: argparse.Namespace) -> int:
+    alone = [name for name in ("rigs", "measure_costs") if getattr(arguments, name)]
+    if alone:
+        _refuse_others(arguments, alone)
+        return _rigs() if alone == ["rigs"] else _measure_costs()
+    if (arguments.scene or arguments.seed != "0") and not arguments.simulate:
+        option = "--scene" if arguments.scene else "--seed"
+        raise SettingsError(f"{option}: goes with --simulate")
+    design = design_of(arguments)
+    from . import text
+    from .budget import budget
+
+    if arguments.out is not None:
+        check_out(arguments.out)
+    seed = _seed(arguments.seed)
+    rows = stored = budget(design, _names(arguments.only))
+    if arguments.simulate:
+        from .simulate import comparison, simulated
+
+        rows = simulated(stored, design, arguments.scene, seed)
+    print(text.terminal(rows, design))
+    if arguments.simulate:
+        print(f"\nThe stored grid beside these simulations:\n{comparison(stored, rows)}")
+    if arguments.out is not None:
+        from .page import write_page
+
+        print()
+        print(write_page(arguments.out, rows, design))
+    return 0
+
+
+def design_of(arguments: argparse.Namespace) -> Design:
+    """The design that options and file state; SettingsError names the one that is wrong."""
+    options = {key: value for key in KEYS if (value := getattr(arguments, key)) is not None}
+    stated = {} if arguments.file is None else read_file(arguments.file)
+    if any(key in options for key in SIZE_KEYS):
+        stated = {key: value for key, value in stated.items() if key not in SIZE_KEYS}
+
+    def place(key: str) -> str:
+        return f"--{key}: " if key in options or key not in stated else f"{arguments.file}: {key}: "
+
+    return make_design({**stated, **options}, place)
+
+
+def check_out(out: Path) -> None:
+    """Make the folder of a page, or raise SettingsError."""
+    absent = [package for package in EXTRA if find_spec(package) is None]
+    if absent:
+        missing = f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
+        raise SettingsError(f"--out: {missing}: pip install 'sparseskin[charts]'")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SettingsError(f"--out {out}: {error.strerror}") from error
+
+
+def _refuse_others(arguments: argparse.Namespace, alone: list[str]) -> None:
+    option = f"--{alone[0].replace('_', '-')}"
+    given: list[str] = [f"--{key}" for key in KEYS if getattr(arguments, key) is not None]
+    given += ["--measure-costs"] if len(alone) > 1 else []
+    given += [f"--{key}" for key in ("out", "scene", "simulate", "only") if getattr(arguments, key)]
+    given += [str(arguments.file)] if arguments.file else []
+    if given:
+        raise SettingsError(f"{option}: stands alone; leave out {given[0]}")
+
+
+def _rigs() -> int:
+    from .text import rig_table
+
+    print(rig_table())
+    return 0
+
+
+def _measure_costs() -> int:
+    from .models.costs import as_toml, measure_all
+
+    def progress(shape: tuple[int, int], name: str, found: dict[str, float]) -> None:
+        figures: Any = ", ".join(f"{key} {value:g}" for key, value in found.items())
+        print(f"{shape[0]} x {shape[1]} {name}: {figures}", file=sys.stderr, flush=True)
+
+    found = measure_all(progress)
+    fast = "numba" if find_spec("numba") else "numpy alone"
+    conditions = f"{fast}, {os.cpu_count()} cores, load average {os.getloadavg()[0]:.1f} at the end"
+    print(as_toml(found, conditions), end="")
+    return 0
+
+
+def _names(text: str | None) -> list[str] | None:
+    """Names of strategies that --only states; SettingsError if one is not known."""
+    from .strategies import STRATEGIES
+
+    if text is None:
+        return None
+    names = text.split(",")
+    for name in names:
+        if name not in STRATEGIES:
+            hint = nearest_of(name, STRATEGIES)
+            raise SettingsError(f"--only: strategy {name[:40]!r} is not known{hint}")
+    return names
+
+
+def _seed(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) < 10):
+        raise SettingsError(f"--seed: {text[:20]!r}: expected a whole number, 0 or more")
+    return int(text)

@@ -1,0 +1,85 @@
+"""Time that the converters of a skin take for a frame."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from sparseskin.nodes.errors import SettingsError
+
+from .units import SAMPLES, quantity, shown
+
+FORM = "10bit@200kS/s"
+_ADC = re.compile(r"(\d{1,2})bit@(.+)", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Adc:
+    """Converters behind multiplexers.
+
+    The time of one conversion is that of the converter and, where stated, of what settles after the
+    multiplexer has switched: 1 / rate + settling. Converters that run at once share the conversions
+    of a frame: t = ceil(conversions / converters) (1 / rate + settling).
+
+    Attributes
+    ----------
+    bits : int
+        Bits of a reading, 4..24.
+    rate_hz : float
+        Conversions a second of one converter, as its data sheet states them.
+    converters : int
+        Converters that run at once.
+    settling_s : float
+        Time that a conversion waits after the multiplexer has switched, seconds. Where the signal
+        settles through a resistance R into a capacitance C to half a step of B bits, it is
+        (B + 1) R C ln 2 (`settling_s_of`).
+    """
+
+    bits: int
+    rate_hz: float
+    converters: int = 1
+    settling_s: float = 0.0
+
+    @property
+    def label(self) -> str:
+        """The converters in words."""
+        several = f"{self.converters} x " if self.converters > 1 else ""
+        settle = f" + {self.settling_s * 1e6:g} us" if self.settling_s else ""
+        return f"{several}{self.bits} bit at {self.rate_hz / 1e3:g} kS/s{settle}"
+
+    def seconds(self, conversions: int) -> float:
+        """Time of so many conversions, seconds."""
+        each = -(-conversions // self.converters)
+        return each * (1 / self.rate_hz + self.settling_s)
+
+
+SOURCE = (
+    "ADC: conversions a second as its data sheet states them, and the settling time of the "
+    "multiplexer that the design states; both in each conversion"
+)
+
+
+def settling_s_of(bits: int, ohm: float, farad: float) -> float:
+    """Time in which a step decays to half a step of the converter: (bits + 1) R C ln 2, seconds.
+
+    Source: exp(-t / RC) = 2^-(bits + 1), the charge of a capacitance through a resistance.
+    """
+    return (bits + 1) * ohm * farad * 0.6931471805599453
+
+
+def read_adc(text: object, converters: int, settling_s: float) -> Adc:
+    """Return the converters that a text such as "10bit@200kS/s" states.
+
+    Raises
+    ------
+    SettingsError
+        If the text has another form.
+    """
+    found = _ADC.fullmatch(text) if isinstance(text, str) and len(text) <= 40 else None
+    if found is None:
+        raise SettingsError(f"{shown(text)}: expected bits and conversions a second, as {FORM}")
+    bits = int(found[1])
+    if not 4 <= bits <= 24:
+        raise SettingsError(f"{shown(text)}: {bits} bits; allowed: 4..24")
+    rate_hz = quantity(found[2], SAMPLES, "200kS/s", 1.0, 1e10)
+    return Adc(bits, rate_hz, converters, settling_s)

@@ -1,0 +1,237 @@
+"""Time that the frames of a skin take on the bus between its edge and the host, in closed forms.
+
+Each bus is a bound: no other device sends, no frame is repeated, and the host is never late.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import nearest_of
+
+from .units import BITS_A_SECOND, quantity, shown
+
+LOWEST_BIT_S, HIGHEST_BIT_S = 1e3, 1e11
+
+
+@dataclass(frozen=True)
+class Bus(ABC):
+    """A bus.
+
+    Attributes
+    ----------
+    source : str
+        Where its model comes from, for pages and tables.
+    label : str
+        The bus in words.
+    """
+
+    source: ClassVar[str]
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """The bus in words."""
+
+    @abstractmethod
+    def seconds(self, n_bytes: int) -> float:
+        """Time from the first to the last bit of a frame of `n_bytes`, 1 or more, in seconds; the
+        gap before the next one included.
+        """
+
+
+@dataclass(frozen=True)
+class Serial(Bus):
+    """UART with 8 data bits, no parity and one stop bit (8N1): 10 bits a byte.
+
+    t = 10 n / baud. Source: Microchip, ATmega328P data sheet, frame formats of the USART.
+    """
+
+    source = "UART 8N1, 10 bits a byte: ATmega328P data sheet, frame formats of the USART"
+    baud: float
+
+    @property
+    def label(self) -> str:
+        return f"UART at {rate_text(self.baud)}baud"
+
+    def seconds(self, n_bytes: int) -> float:
+        return 10 * n_bytes / self.baud
+
+
+CLASSIC_BYTES, FD_BYTES = 8, 64
+"""Data bytes of a CAN frame at most."""
+FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+"""Lengths of the data field of a CAN FD frame. Source: ISO 11898-1:2015."""
+
+
+@dataclass(frozen=True)
+class Can(Bus):
+    """Classic CAN, 11-bit identifiers, 8 bytes a frame.
+
+    A frame of n bytes has 34 + 8 n bits from its start to its CRC, into which at most
+    floor((33 + 8 n) / 4) stuff bits are put, and 13 more: CRC delimiter, acknowledgement (2), end
+    of frame (7) and intermission (3). Of 8 bytes: 135 bits.
+
+    Source: ISO 11898-1:2015; bound of the stuff bits as in Davis, Burns, Bril, Lukkien, "Controller
+    Area Network (CAN) schedulability analysis", Real-Time Systems 35, 2007.
+    """
+
+    source = (
+        "CAN, 11-bit identifiers, worst-case stuff bits: ISO 11898-1:2015; Davis et al., Real-Time "
+        "Systems 35, 2007"
+    )
+    bit_s: float
+
+    @property
+    def label(self) -> str:
+        return f"CAN at {rate_text(self.bit_s)}bit/s"
+
+    def frame_bits(self, n_bytes: int) -> int:
+        """Bits of one frame of 0..8 data bytes, stuff bits at their worst."""
+        stuffed = 34 + 8 * n_bytes
+        return stuffed + (stuffed - 1) // 4 + 13
+
+    def seconds(self, n_bytes: int) -> float:
+        full, rest = divmod(n_bytes, CLASSIC_BYTES)
+        bits = full * self.frame_bits(CLASSIC_BYTES) + (self.frame_bits(rest) if rest else 0)
+        return bits / self.bit_s
+
+
+@dataclass(frozen=True)
+class CanFd(Bus):
+    """CAN FD, 11-bit identifiers, 64 bytes a frame, data at a higher rate.
+
+    At the arbitration rate: 17 bits from the start to the bit rate switch, at most 4 stuff bits,
+    and 13 bits from the CRC delimiter to the end of the intermission. At the data rate: 5 bits
+    (error state, length), 8 n bits of data with the other stuff bits, at most
+    floor((21 + 8 n) / 4) of both phases, and the CRC with the stuff count and its fixed stuff bits:
+    27 bits to 16 bytes of data, 32 bits beyond. Source: ISO 11898-1:2015.
+    """
+
+    source = "CAN FD, 11-bit identifiers, 64 data bytes, worst-case stuff bits: ISO 11898-1:2015"
+    arbitration_bit_s: float
+    data_bit_s: float
+
+    @property
+    def label(self) -> str:
+        rates = f"{rate_text(self.arbitration_bit_s)}/{rate_text(self.data_bit_s)}"
+        return f"CAN FD at {rates}bit/s"
+
+    def frame_bits(self, n_bytes: int) -> tuple[int, int]:
+        """Bits of one frame at the arbitration rate and at the data rate, stuff bits at worst.
+
+        `n_bytes` is one of `FD_LENGTHS`.
+        """
+        stuff = (21 + 8 * n_bytes) // 4
+        crc = 27 if n_bytes <= 16 else 32
+        return 17 + 4 + 13, 5 + 8 * n_bytes + (stuff - 4) + crc
+
+    def seconds(self, n_bytes: int) -> float:
+        full, rest = divmod(n_bytes, FD_BYTES)
+        lengths = [(FD_BYTES, full)]
+        if rest:
+            lengths.append((next(n for n in FD_LENGTHS if n >= rest), 1))
+        total = 0.0
+        for length, count in lengths:
+            slow, fast = self.frame_bits(length)
+            total += count * (slow / self.arbitration_bit_s + fast / self.data_bit_s)
+        return total
+
+
+@dataclass(frozen=True)
+class Spi(Bus):
+    """SPI on one data line: 8 clocks a byte, without gaps, as DMA sends.
+
+    t = 8 n / clock. Source: Motorola, SPI Block Guide V03.06. The bus has no
+    framing of its own, and devices may need pauses between bytes: this is a bound.
+    """
+
+    source = "SPI, 8 clocks a byte without gaps: Motorola SPI Block Guide V03.06"
+    clock_hz: float
+
+    @property
+    def label(self) -> str:
+        return f"SPI at {rate_text(self.clock_hz)}Hz"
+
+    def seconds(self, n_bytes: int) -> float:
+        return 8 * n_bytes / self.clock_hz
+
+
+MAX_DATAGRAM = 1472
+"""Data bytes of a UDP datagram that fills an Ethernet frame: 1500 - 20 (IPv4) - 8 (UDP)."""
+
+
+@dataclass(frozen=True)
+class Udp(Bus):
+    """UDP over IPv4 and Ethernet: datagrams of at most 1472 bytes.
+
+    On the wire a datagram of n bytes is preamble 8, header 14, max(46, 28 + n), check
+    sequence 4, and a gap of 12. Source: IEEE 802.3-2018; RFC 791; RFC 768.
+    """
+
+    source = "UDP over IPv4 and Ethernet, 1472 bytes a datagram: IEEE 802.3-2018; RFC 791; RFC 768"
+    bit_s: float
+
+    @property
+    def label(self) -> str:
+        return f"UDP over Ethernet at {rate_text(self.bit_s)}bit/s"
+
+    def wire_bytes(self, n_bytes: int) -> int:
+        """Bytes on the wire for one datagram of 1..1472 data bytes, gap included."""
+        return 8 + 14 + max(46, 28 + n_bytes) + 4 + 12
+
+    def seconds(self, n_bytes: int) -> float:
+        full, rest = divmod(n_bytes, MAX_DATAGRAM)
+        total = full * self.wire_bytes(MAX_DATAGRAM) + (self.wire_bytes(rest) if rest else 0)
+        return 8 * total / self.bit_s
+
+
+FORMS = "serial:2M, can:1M, can-fd[:1M/5M], spi:20M, udp[:100M]"
+"""Forms of a bus in options and files."""
+_DEFAULTS = {"can": "1M", "can-fd": "1M/5M", "udp": "100M", "serial": "", "spi": ""}
+
+
+def read_bus(text: object) -> Bus:
+    """Return the bus that a text states: see `FORMS`.
+
+    Raises
+    ------
+    SettingsError
+        If the text has another form.
+    """
+    kind, _, rate = text.partition(":") if isinstance(text, str) else ("", "", "")
+    if kind not in _DEFAULTS:
+        hint = nearest_of(kind, _DEFAULTS)
+        raise SettingsError(f"{shown(text)}: bus is not known{hint}; expected {FORMS}")
+    rate = rate or _DEFAULTS[kind]
+    if not rate:
+        raise SettingsError(f"{shown(text)}: states no rate; expected such as {kind}:2M")
+    if kind == "can-fd":
+        slow, slash, fast = rate.partition("/")
+        if not slash:
+            raise SettingsError(f"{shown(text)}: expected can-fd:ARBITRATION/DATA, as can-fd:1M/5M")
+        rates = _bit_s(slow, "1M"), _bit_s(fast, "5M")
+        if rates[1] < rates[0]:
+            raise SettingsError(f"{shown(text)}: data are slower than the arbitration")
+        return CanFd(*rates)
+    made: dict[str, type[Serial | Can | Spi | Udp]] = {
+        "serial": Serial,
+        "can": Can,
+        "spi": Spi,
+        "udp": Udp,
+    }
+    return made[kind](_bit_s(rate, "2M"))
+
+
+def rate_text(rate: float) -> str:
+    """A rate with the largest prefix that leaves 1 or more: 2 M, 500 k, 9600 without one."""
+    power = min(3, max(0, int(math.log10(rate) // 3))) if rate >= 1e4 else 0
+    return f"{rate / 1000**power:.6g} {('', 'k', 'M', 'G')[power]}"
+
+
+def _bit_s(text: str, example: str) -> float:
+    return quantity(text, BITS_A_SECOND, example, LOWEST_BIT_S, HIGHEST_BIT_S)

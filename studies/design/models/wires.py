@@ -1,0 +1,87 @@
+"""Wires, crossings and conversions of a strategy on a skin."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.local import LocalSbhePhi
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.compressor.wiring import Wiring, array_wiring, sbhe_wiring
+from sparseskin.studies.design.spec import Design
+from sparseskin.studies.design.strategies import ANALOG, DIGITAL, SINGLE, Strategy
+
+MOST_STAR = 4096
+"""Most taxels for which crossings of single wires are counted: the time grows with the square."""
+
+
+@dataclass(frozen=True)
+class Wires:
+    """Wires of a skin.
+
+    Attributes
+    ----------
+    lines : int
+        Wires that leave the skin or end in an amplifier on it.
+    crossings : int or None
+        Places where two of them cross; None where they were not counted.
+    length_m : float or None
+        Length of all wires, metres; None where it is not known.
+    conversions : int
+        Conversions of a frame.
+    """
+
+    lines: int
+    crossings: int | None
+    length_m: float | None
+    conversions: int
+
+
+def sums_of(strategy: Strategy, design: Design) -> str:
+    """Where the sums of a strategy are made: SBHE as the design states, others as they are."""
+    return design.sums if strategy.phi == "sbhe" else strategy.sums
+
+
+def wires_of(strategy: Strategy, design: Design) -> Wires:
+    """Return the wires of a strategy.
+
+    A row-column array has a line a row and column (`array_wiring`). Analog sums of SBHE have a wire
+    a taxel (`star_wiring`). Of points, the array is the smallest near square that has as many
+    crossings; its length depends on the surface and is not known.
+    """
+    n = design.n_taxels
+    m = strategy.m(n, design.n_rows)
+    sums = sums_of(strategy, design)
+    conversions = n if sums == DIGITAL or strategy.phi == "full" else m
+    if sums == ANALOG and strategy.phi != "row_local":
+        if design.n_rows is None or design.n_cols is None or n > MOST_STAR:
+            return Wires(n, None, None, conversions)
+        star = _star(strategy.phi, design.n_rows, design.n_cols)
+        return Wires(n, star.crossings, star.length * design.pitch_m, conversions)
+    if design.n_rows is None or design.n_cols is None:
+        side = math.isqrt(n - 1) + 1
+        return Wires(side + -(-n // side), n, None, conversions)
+    array = array_wiring(design.n_rows, design.n_cols, conversions)
+    lines = round(array.wires_a_taxel * n)
+    return Wires(lines, array.crossings, array.length * design.pitch_m, conversions)
+
+
+@functools.cache
+def _star(kind: str, n_rows: int, n_cols: int) -> Wiring:
+    """Wires of a kind of SBHE; they do not depend on M."""
+    n = n_rows * n_cols
+    phi = cast(SbhePhi, make_phi(kind, n, n, 0))
+    exists = np.ones((n_rows, n_cols), dtype=np.bool_)
+    if isinstance(phi, LocalSbhePhi):
+        phi.lay_out(exists)
+    return sbhe_wiring(phi, exists)
+
+
+def reads_single(strategy: Strategy) -> bool:
+    """True if each measurement is one taxel, with the bits of the converter."""
+    return strategy.sums == SINGLE

@@ -1,0 +1,348 @@
+"""Simulation of a skin that is read by a strategy: presses in physical time, noise, converter.
+
+Presses
+    `N_SCENES` scenes: each body of `presses.BODIES` with each course of `presses.COURSES`. Bodies
+    touch 3 to 20 % of the taxels (log-uniform) with peaks of 0.2 to 0.9 of the range; moving ones
+    slide by `SPEED` taxels a second; a ramp lasts 50 ms, a sudden contact 100 ms, a pause 50 ms,
+    a scene 0.5 s, whatever the frame rate. `N_UNTOUCHED` untouched frames precede it.
+Noise
+    Normal with one standard deviation at all forces, clipped to the range. All taxels of a frame
+    are read at one time.
+Converter
+    Single taxels are rounded to steps of f_max / (2^bits - 1), sums as the compressor does
+    (`quantiser`): relative to the largest of their frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from sparseskin.messages.quantised import MAX_BITS, MIN_BITS
+from sparseskin.messages.ranges import is_real, is_whole
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.nodes.compressor.phi.adaptive import layout
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
+from sparseskin.nodes.compressor.quantiser import quantised
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import nearest_of
+from sparseskin.nodes.monitor.metrics import psnr_db
+from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES, Timing, press_frames
+from sparseskin.studies.evaluate import Method, in_contact
+
+from .strategies import SINGLE, STRATEGIES, Strategy
+
+F_MAX_N = PAPER_F_MAX_N
+SPEED = 20.0
+"""Speed of moving bodies, taxels a second: 0.1 m/s at a pitch of 5 mm. Chosen: twice the speed at
+which the paper drags."""
+RAMP_S, HELD_S, PAUSE_S, SCENE_S = 0.05, 0.1, 0.05, 0.5
+"""Chosen: those of a quick tap with a finger or a tool."""
+N_UNTOUCHED = 16
+"""Untouched frames at the begin: in as many, rotating rows of N/16 have read all rows."""
+ACTIVE = (0.03, 0.2)
+"""Parts of the taxels that bodies touch. Chosen: from a fingertip to a forearm that leans on."""
+N_SCENES = len(BODIES) * len(COURSES)
+MOST_TAXELS, LEAST_RATE_HZ, MOST_RATE_HZ = 65_536, 1.0, 10_000.0
+"""Sizes and rates that are simulated."""
+SQRT_12 = math.sqrt(12)
+
+
+class Reader(Protocol):
+    """A strategy's edge and host: from a frame's readings to its reconstruction.
+
+    Attributes
+    ----------
+    step_sd : float
+        Standard deviation of the converter's rounding in the last frame, newtons.
+    """
+
+    step_sd: float
+
+    def read(self, taxels: Floats) -> Floats:
+        """Forces from readings, both float32 of shape (n_rows, n_cols), newtons."""
+
+
+class Raster:
+    """Reader of every taxel in every frame, or of some in turn, others keeping their last reading.
+
+    Parameters
+    ----------
+    phis : list of Phi, or None
+        Row subsets of kind "subsample". None: every taxel in every frame.
+    """
+
+    def __init__(self, mask: Mask, bits: int, phis: list[Phi] | None = None) -> None:
+        self._step = np.float32(F_MAX_N / (2**bits - 1))
+        self.step_sd = float(self._step) / SQRT_12
+        taxels = np.flatnonzero(mask)
+        self._read = [taxels[getattr(phi, "rows")] for phi in phis] if phis else [taxels]  # noqa: B009
+        self._held = np.zeros(mask.size, dtype=np.float32)
+        self._frame = 0
+
+    def read(self, taxels: Floats) -> Floats:
+        """See `Reader`."""
+        read = self._read[self._frame % len(self._read)]
+        self._frame += 1
+        self._held[read] = np.rint(taxels.reshape(-1)[read] / self._step) * self._step
+        return self._held.reshape(taxels.shape).copy()
+
+
+class Sums:
+    """Reader of measurements in few bits, reconstructed by the default solver."""
+
+    def __init__(self, method: Method, bits: int) -> None:
+        self._method, self._bits = method, bits
+        self.step_sd = 0.0
+
+    def read(self, taxels: Floats) -> Floats:
+        """See `Reader`."""
+        y = quantised(self._method.measure(taxels), self._bits)
+        self.step_sd = y.step / SQRT_12
+        return self._method.solve(np.asarray(y)).forces
+
+
+def strategy_of(name: str) -> Strategy:
+    """Return the strategy of a name; raises SettingsError if there is none."""
+    if name not in STRATEGIES:
+        raise SettingsError(f"strategy: {name!r} is not known{nearest_of(name, STRATEGIES)}")
+    return STRATEGIES[name]
+
+
+def check_conditions(noise: float, bits: int, rate_hz: float) -> None:
+    """Raise SettingsError, naming the value and what is allowed."""
+    if not is_real(noise, 1e-6, 0.3):
+        raise SettingsError(
+            f"noise: {noise!r} is not allowed; allowed: 1e-06..0.3 of the range (0.01: 1 %)"
+        )
+    if not is_whole(bits, MIN_BITS, MAX_BITS):
+        raise SettingsError(f"bits: {bits!r} is not allowed; allowed: {MIN_BITS}..{MAX_BITS}")
+    if not is_real(rate_hz, LEAST_RATE_HZ, MOST_RATE_HZ):
+        raise SettingsError(
+            f"rate: {rate_hz!r} Hz is not allowed; allowed: {LEAST_RATE_HZ:g}..{MOST_RATE_HZ:g} Hz"
+        )
+
+
+def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: int) -> Reader:
+    """Make the reader of a strategy.
+
+    Parameters
+    ----------
+    strategy : Strategy
+    mask : ndarray of bool, shape (n_rows, n_cols)
+        True where a taxel exists.
+    noise : float
+        Standard deviation of a taxel's noise, as a part of the range.
+    bits : int
+        Of a value that is read or sent.
+    seed : int
+        Of Phi.
+
+    Raises
+    ------
+    PhiError, SolverError
+        If the strategy is not possible on that skin.
+    """
+    n = int(np.count_nonzero(mask))
+    if strategy.phi == "full":
+        return Raster(mask, bits)
+    phi = make_phi(strategy.phi, n, strategy.m(n, mask.shape[0]), seed)
+    layout(phi, mask, noise * F_MAX_N, F_MAX_N)
+    phis = row_subsets(phi, strategy.rows)
+    if strategy.sums == SINGLE:
+        return Raster(mask, bits, phis)
+    chosen = PRESETS["skin"]
+    basis = make_basis(chosen["basis"], *mask.shape)
+    solver = make_rotating_solver(chosen["solver"], phis, basis, mask)
+    return Sums(Method(solver, phis, F_MAX_N), bits)
+
+
+def noise_model(noise: float) -> NoiseModel:
+    """Return noise of one standard deviation at all forces, stated as a part of the range."""
+    return NoiseModel(F_MAX_N, noise * F_MAX_N, noise * F_MAX_N)
+
+
+def timing_at(rate_hz: float) -> Timing:
+    """Return the parts of a press in frames of a rate."""
+    ramp, pause, held = (max(1, round(s * rate_hz)) for s in (RAMP_S, PAUSE_S, HELD_S))
+    return Timing(N_UNTOUCHED, ramp, pause, held)
+
+
+def presses(
+    scene: int, mask: Mask, noise: float, rate_hz: float, seed: int, body: str | None = None
+) -> Iterator[tuple[Floats, Floats]]:
+    """Yield (truth, readings) of one of the scenes, 0..N_SCENES - 1, newtons; see the module.
+
+    `body` replaces that of the scene.
+    """
+    drawn = np.random.default_rng([seed, scene, 4])
+    active = math.exp(drawn.uniform(*np.log(ACTIVE)))
+    return press_frames(
+        body or BODIES[scene % len(BODIES)],
+        (mask.shape[0], mask.shape[1]),
+        N_UNTOUCHED + max(4, round(SCENE_S * rate_hz)),
+        seed * N_SCENES + scene,
+        course=COURSES[scene % len(COURSES)],
+        speed=SPEED / rate_hz,
+        active=active,
+        mask=mask,
+        f_max=F_MAX_N,
+        noise=noise_model(noise),
+        timing=timing_at(rate_hz),
+    )
+
+
+def contact_db(
+    reader: Reader, frames: Iterable[tuple[Floats, Floats]]
+) -> tuple[list[float], float]:
+    """PSNR of each contact frame in dB, and their mean rounding as a part of the range.
+
+    `frames`: (truth, readings), float32 of shape (n_rows, n_cols), newtons.
+
+    Raises
+    ------
+    SettingsError
+        If nothing touches the skin in any frame.
+    """
+    dbs: list[float] = []
+    rounding = 0.0
+    for truth, taxels in frames:
+        error = reader.read(taxels) - truth
+        if in_contact(truth, F_MAX_N):
+            dbs.append(psnr_db(error, F_MAX_N))
+            rounding += reader.step_sd / F_MAX_N
+    if not dbs:
+        raise SettingsError("scene: nothing touches the skin in any of its frames")
+    return dbs, rounding / len(dbs)
+
+
+def scene_accuracy(point: Mapping[str, Any]) -> dict[str, Any]:
+    """Read one scene by all strategies, on the same noise.
+
+    `point`: shape (n_rows, n_cols), noise, bits, rate_hz, scene, seed.
+
+    Returns
+    -------
+    dict
+        By strategy [mean PSNR of contact frames in dB, rounding as a part of the range].
+    """
+    mask = np.ones(tuple(point["shape"]), dtype=np.bool_)
+    noise, seed, scene = point["noise"], point["seed"], point["scene"]
+    frames = list(presses(scene, mask, noise, point["rate_hz"], seed))
+    found = {}
+    for name, strategy in STRATEGIES.items():
+        phi_seed = seed * N_SCENES + scene
+        reader = make_reader(strategy, mask, noise, point["bits"], phi_seed)
+        dbs, rounding = contact_db(reader, frames)
+        found[name] = [float(np.mean(dbs)), rounding]
+    return found
+
+
+TOUCH_SIDE, TOUCH_FRAMES, GAP_FRAMES = 3, 8, 4
+"""Side of a light touch in taxels, frames in which it has to be found, and untouched ones before
+the next. Chosen: rotating rows of N/8 have read all rows in as many frames."""
+SETTLING_FRAMES, FALSE_FRAMES = 24, 60
+"""Untouched frames before the threshold of detection is learnt, and in which it is."""
+TRIALS, MISSES = 20, 2
+"""Touches of one force, and how many may be missed: 10 %."""
+LADDER, LEAP = 1.25, 4
+"""Factor from one tested force to the next, and in how many such steps forces rise until a touch is
+found."""
+
+
+def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float | None:
+    """Find the least force a taxel at which a touch of 3 x 3 taxels is found in 90 % of cases.
+
+    The touch begins from one frame to the next at a random place. It is found if in one of the
+    first 8 frames the mean reconstructed force over its 3 x 3 taxels is larger than that of any
+    3 x 3 taxels in 60 untouched frames, and within 50 % of the true one. Forces are tested from
+    half the noise upwards, 20 touches each, to within steps of 25 %.
+
+    Returns
+    -------
+    float or None
+        Force a taxel as a part of the range; None if not even touches with the whole range are
+        found.
+    """
+    model, rng = noise_model(noise), np.random.default_rng([seed, 5])
+    nothing = np.zeros(mask.shape, dtype=np.float32)
+    sides = tuple(min(TOUCH_SIDE, side) for side in mask.shape)
+    inside = np.lib.stride_tricks.sliding_window_view(mask, sides).all(axis=(-2, -1))
+    places = np.argwhere(inside)
+    if not len(places):
+        places = np.zeros((1, 2), dtype=np.intp)
+
+    def frame(truth: Floats) -> Floats:
+        taxels = model.apply(truth, rng)
+        taxels[~mask] = 0
+        return reader.read(taxels)
+
+    def largest(forces: Floats) -> float:
+        windows = np.lib.stride_tricks.sliding_window_view(forces, sides)
+        return float(windows.mean(axis=(-2, -1)).max())
+
+    for _ in range(SETTLING_FRAMES):
+        frame(nothing)
+    threshold = max(largest(frame(nothing)) for _ in range(FALSE_FRAMES))
+
+    def touched(force: float) -> bool:
+        row, col = places[rng.integers(len(places))]
+        here = slice(row, row + sides[0]), slice(col, col + sides[1])
+        truth = nothing.copy()
+        truth[here] = force
+        found = False
+        for _ in range(TOUCH_FRAMES):
+            mean = float(frame(truth)[here].mean())
+            if mean > threshold and abs(mean - force) <= force / 2:
+                found = True
+                break
+        for _ in range(GAP_FRAMES):
+            frame(nothing)
+        return found
+
+    def is_found(force: float) -> bool:
+        missed = 0
+        for _ in range(TRIALS):
+            missed += not touched(force)
+            if missed > MISSES:
+                return False
+        return True
+
+    # Upwards from half the noise: large steps until a touch is found, then small ones between.
+    rung, missed = 0, -1
+    lowest = noise / 2
+
+    def force_of(rung: int) -> float:
+        return min(1.0, lowest * LADDER**rung)
+
+    while not is_found(F_MAX_N * force_of(rung)):
+        if force_of(rung) == 1:
+            return None
+        rung, missed = rung + LEAP, rung
+    while rung - missed > 1 and missed >= 0:
+        middle = (rung + missed) // 2
+        if is_found(F_MAX_N * force_of(middle)):
+            rung = middle
+        else:
+            missed = middle
+    return force_of(rung)
+
+
+def touch_accuracy(point: Mapping[str, Any]) -> dict[str, Any]:
+    """Find the light touch of all strategies; `point`: shape, noise, bits, seed."""
+    mask = np.ones(tuple(point["shape"]), dtype=np.bool_)
+    noise, bits, seed = point["noise"], point["bits"], point["seed"]
+
+    return {
+        name: light_touch(make_reader(one, mask, noise, bits, seed), mask, noise, seed)
+        for name, one in STRATEGIES.items()
+    }

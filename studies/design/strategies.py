@@ -1,0 +1,102 @@
+"""Ways to read a skin that a design compares: a measurement matrix, its ratio and its rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, m_of
+
+ANALOG, DIGITAL, SINGLE = "analog", "digital", "single"
+"""Where the sums of a measurement are made: by amplifiers before the converter, M conversions a
+frame; by the edge, from all N taxels; or nowhere, as each measurement is one taxel."""
+COMMON_RATIO = 4.0
+"""N / M of all kinds that are compared at one ratio. Chosen: the middle of those of SBHE."""
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """A way to read a skin.
+
+    Attributes
+    ----------
+    name : str
+        Name in tables and in `STRATEGIES`.
+    phi : str
+        Kind of the measurement matrix, as `make_phi` takes it.
+    ratio : float
+        N / M, 1 or more.
+    rows : "fixed" or "rotating"
+        As the setting `rows` of the compressor.
+    sums : "analog", "digital" or "single"
+        Where sums are made, if a design does not state it: see `ANALOG`.
+    label : str
+        The strategy in words.
+    """
+
+    name: str
+    phi: str
+    ratio: float
+    rows: str
+    sums: str
+    label: str
+
+    def m(self, n_taxels: int, n_rows: int | None = None) -> int:
+        """Number of measurements M of a frame.
+
+        Parameters
+        ----------
+        n_taxels : int
+        n_rows : int, optional
+            Rows of the grid; M of `row_local` is a whole number of patterns of so many rows, one of
+            all columns and one more at least.
+        """
+        m = max(1, m_of(n_taxels, self.ratio, self.rows))
+        if self.phi == "row_local" and n_rows:
+            least = min(2 * n_rows, n_taxels)
+            m = min(n_taxels, max(least, m // n_rows * n_rows))
+        return m
+
+
+def _sbhe(ratio: int, rows: str) -> Strategy:
+    about = f"scrambled block Hadamard sums, N/{ratio}, rows {rows}"
+    return Strategy(f"sbhe_{ratio}_{rows}", "sbhe", float(ratio), rows, DIGITAL, about)
+
+
+_ALL = (
+    Strategy("full", "full", 1.0, FIXED, SINGLE, "every taxel in every frame"),
+    Strategy(
+        "one_hot_rotating",
+        "subsample",
+        COMMON_RATIO,
+        ROTATING,
+        SINGLE,
+        "single taxels, N/4, others in each frame",
+    ),
+    *(_sbhe(ratio, rows) for ratio in (3, 4, 8, 16) for rows in (FIXED, ROTATING)),
+    Strategy(
+        "row_local",
+        "row_local",
+        COMMON_RATIO,
+        ROTATING,
+        ANALOG,
+        "binary patterns of columns, summed in each row, N/4",
+    ),
+    Strategy(
+        "local",
+        "local:16",
+        COMMON_RATIO,
+        ROTATING,
+        ANALOG,
+        "SBHE within 16 x 16 taxels, summed in analog, N/4",
+    ),
+    Strategy(
+        "adaptive",
+        "adaptive",
+        COMMON_RATIO,
+        FIXED,
+        DIGITAL,
+        "sums where forces changed, chosen in each frame, N/4",
+    ),
+)
+STRATEGIES: dict[str, Strategy] = {strategy.name: strategy for strategy in _ALL}
+"""Strategies by name, in the order of tables."""

@@ -1,0 +1,237 @@
+"""A design in words and as tables: what breaks first, rows, rigs, sources."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from .budget import STAGES, Row
+from .models.adc import SOURCE as ADC_SOURCE
+from .models.costs import COMMAND, HOP_S, LATENCY_COMMAND, stored
+from .models.edge import instructions
+from .models.rigs import RIGS
+from .models.wires import reads_single
+from .spec import Design
+
+COLUMNS = (
+    *("strategy", "M", "wires", "cross-\nings", "conver-\nsions", "bytes", "Hz", "limit"),
+    *("PSNR\ndB", "band\ndB", "touch\nmN", "latency\nms", "host\ncores"),
+)
+"""Columns of the table of a design, in a terminal in two lines."""
+RIG_COLUMNS = ("rig", "reads", "predicted, Hz", "limit", "published, Hz", "ratio")
+"""Columns of the table of rigs; remarks follow it."""
+
+
+def cells(row: Row) -> tuple[str, ...]:
+    """A row of the table: one text for each of `COLUMNS`."""
+    a = row.accuracy
+    held = "" if row.is_met else "!"
+    has_figure = not math.isnan(a.psnr_db)
+    touch = f"{1e3 * row.light_touch_n:.3g}" if not math.isnan(a.light_touch) else "-"
+    return (
+        row.strategy.name,
+        str(row.m),
+        str(row.wires.lines),
+        "-" if row.wires.crossings is None else f"{row.wires.crossings}",
+        str(row.wires.conversions),
+        str(row.n_bytes),
+        f"{hertz(row.reached_hz)}{held}",
+        row.limit if not row.is_met else f"({row.limit})",
+        f"{a.psnr_db:.1f}{'*' if a.note else ''}" if has_figure else "-",
+        f"{a.low_db:.1f}..{a.high_db:.1f}" if has_figure else "-",
+        touch,
+        f"{row.latency_s * 1e3:.2f}",
+        f"{row.host_cores:.2f}",
+    )
+
+
+def hertz(rate: float) -> str:
+    """A rate in whole Hz, below 10 Hz with three digits."""
+    return f"{rate:.0f}" if rate >= 10 else f"{rate:.3g}"
+
+
+def breaks(row: Row, design: Design, stage: str | None = None) -> str:
+    """What limits a strategy: the stage, what it has to do, its time, the rate that this allows."""
+    stage = stage or row.limit
+    rate = f"{hertz(row.stage_hz[stage])} Hz"
+    ms = f"{row.stage_s[stage] * 1e3:.3g} ms"
+    if stage == "ADC":
+        return f"ADC: {row.wires.conversions} conversions take {ms} ({design.adc.label}): {rate}"
+    if stage == "bus":
+        return f"bus: {row.n_bytes} bytes take {ms} ({design.bus.label}): {rate}"
+    if stage == "edge":
+        sums = 0 if reads_single(row.strategy) else row.m
+        work = f"{instructions(row.wires.conversions, sums, row.n_bytes):,} instructions take {ms}"
+        if design.edge.clock_hz is None:
+            work = f"{ms} a frame"
+        return f"edge: {work} ({design.edge.label}): {rate}"
+    if row.patches > 1:
+        cores = f"{row.patches} patches on {design.cores} cores"
+        return f"host: {ms} a frame and patch, {cores}: {rate}"
+    return f"host: {ms} a frame on one core: {rate}"
+
+
+def first_breaks(rows: Sequence[Row], design: Design) -> list[tuple[str, list[str]]]:
+    """What limits the strategies, each text with the names of those that it holds for."""
+    found: dict[str, list[str]] = {}
+    for row in rows:
+        found.setdefault(breaks(row, design), []).append(row.strategy.name)
+    return list(found.items())
+
+
+def conclusions(rows: Sequence[Row], design: Design) -> list[str]:
+    """At most three sentences: which strategies reach the rate, what breaks first, what would help.
+
+    `rows` are those of `budget`.
+    """
+    met = [row for row in rows if row.is_met]
+    full = next((row for row in rows if row.strategy.name == "full"), None)
+    asked = f"{hertz(design.rate_hz)} Hz"
+    best = max(rows, key=_accuracy)
+    lines = []
+    if met:
+        good, small = max(met, key=_accuracy), min(met, key=lambda row: row.n_bytes)
+        accurately = (
+            ""
+            if math.isnan(good.accuracy.psnr_db)
+            else f"most accurately by {_named(good)}, whose {good.limit} would break first, at "
+            f"{hertz(good.possible_hz)} Hz; "
+        )
+        lines.append(
+            f"{asked} are reached by {len(met)} of {len(rows)} strategies: {accurately}with the "
+            f"fewest bytes, {small.n_bytes} a frame, by {_named(small)}."
+        )
+    else:
+        fast = max(rows, key=lambda row: row.possible_hz)
+        lines.append(
+            f"No strategy reaches {asked}: the fastest is {_named(fast)}, at "
+            f"{hertz(fast.possible_hz)} Hz ({breaks(fast, design)})."
+        )
+    if full is not None:
+        lines.append(f"Reading every taxel breaks first at the {breaks(full, design)}.")
+    if not best.is_met and not math.isnan(best.accuracy.psnr_db):
+        factors = [
+            f"{name} {design.rate_hz / best.stage_hz[name]:.1f} times"
+            for name in STAGES
+            if best.stage_hz[name] < design.rate_hz
+        ]
+        listed = " and ".join(filter(None, [", ".join(factors[:-1]), factors[-1]]))
+        lines.append(
+            f"The most accurate at the rate it reaches is {_named(best)}: for {asked} it needs "
+            f"{listed} as fast."
+        )
+    return lines
+
+
+def _accuracy(row: Row) -> float:
+    """PSNR, or less than any other where it is not known."""
+    db = row.accuracy.psnr_db
+    return -math.inf if math.isnan(db) else db
+
+
+def _named(row: Row) -> str:
+    """Name of a strategy, and its PSNR where it is known."""
+    db = row.accuracy.psnr_db
+    return row.strategy.name if math.isnan(db) else f"{row.strategy.name} ({db:.1f} dB)"
+
+
+def aligned(columns: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int]) -> str:
+    """A table for a terminal; columns of the numbers `left` are aligned to the left. A heading may
+    have two lines.
+    """
+    heads = [column.partition("\n")[::2] for column in columns]
+    above, below = ([head[k] for head in heads] for k in (0, 1))
+    lines = [above, *([below] if any(below) else []), *map(list, rows)]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(columns))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if k in left else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
+
+
+def terminal(rows: Sequence[Row], design: Design) -> str:
+    """The table of a design, what breaks first and notes, for a terminal."""
+    parts = [
+        f"{design.size}, {design.pitch_m * 1e3:g} mm apart; ADC {design.adc.label}; "
+        f"{design.bus.label}; edge {design.edge.label}; host {design.cores} cores; asked "
+        f"{hertz(design.rate_hz)} Hz; noise {design.noise_n:g} N of {design.range_n:g} N",
+        aligned(COLUMNS, [cells(row) for row in rows], (0, 7)),
+        "\n".join(legend(rows)),
+        "\n".join(conclusions(rows, design)),
+        "What breaks first:",
+        "\n".join(f"{', '.join(names)}\n  {text}" for text, names in first_breaks(rows, design)),
+    ]
+    return "\n\n".join(parts)
+
+
+def legend(rows: Sequence[Row]) -> list[str]:
+    """What the marks of the table mean, and the notes of its figures of accuracy."""
+    lines = [
+        "!: fewer than asked for; limit in brackets: reached, and what would break first",
+        "band: of 90 % of scenes and seeds, interpolation error included; touch: least force a "
+        "taxel at which a light press of 3 x 3 taxels is found in 90 % of cases",
+    ]
+    if any(row.limit == "host" for row in rows):
+        lines.append(
+            "host: a frame needs the one before it, so that a patch cannot use more than one core; "
+            "reconstructor.budget_ms bounds its time, at some accuracy"
+        )
+    notes: dict[str, list[str]] = {}
+    for row in rows:
+        if row.accuracy.note:
+            notes.setdefault(row.accuracy.note, []).append(row.strategy.name)
+    for note, names in notes.items():
+        named = "all" if len(names) == len(rows) else ", ".join(names)
+        lines.append(f"*: {named}: {note}")
+    return lines
+
+
+def sources(rows: Sequence[Row], design: Design) -> list[str]:
+    """Where the figures of a design come from, a line each."""
+    of = "simulations of this skin (--simulate)"
+    if any(row.accuracy.interpolated for row in rows):
+        of = (
+            "a stored grid of simulations, interpolated; the band holds the error of the "
+            "interpolation (sparseskin design --simulate simulates the skin itself)"
+        )
+    return [
+        ADC_SOURCE,
+        design.edge.source,
+        f"bus: {design.bus.source}",
+        f"host: processor time of the reconstructor node, {stored()['conditions']} ({COMMAND}); a "
+        "skin of more than 4096 taxels is taken as several patches",
+        f"latency: the sum of the stages, and {HOP_S * 1e3:g} ms from process to process "
+        f"({LATENCY_COMMAND}); queues and other programs of the host are left out",
+        f"accuracy: {of}",
+        "wires: rows and columns of an array, or a wire a taxel to the amplifier of its block; see "
+        "Wires in the documentation",
+    ]
+
+
+def rig_rows() -> list[tuple[str, ...]]:
+    """Rows of the table of rigs: one text for each of `RIG_COLUMNS`."""
+    return [
+        (
+            rig.name,
+            rig.reads,
+            hertz(rig.predicted_hz),
+            rig.limit,
+            hertz(rig.published_hz),
+            f"{rig.ratio:.2f}{'' if rig.is_within else ' !'}",
+        )
+        for rig in RIGS
+    ]
+
+
+def rig_table() -> str:
+    """The table of rigs for a terminal, with facts and reasons."""
+    lines = [aligned(RIG_COLUMNS, rig_rows(), (0, 1, 3)), ""]
+    lines.append("ratio: predicted over published; !: beyond a factor 2")
+    for rig in RIGS:
+        lines += ["", f"{rig.name}: {rig.facts}."]
+        if rig.reason:
+            lines.append(f"  Remark: {rig.reason}.")
+    return "\n".join(lines)

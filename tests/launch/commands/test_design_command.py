@@ -1,0 +1,110 @@
+"""The command `sparseskin design`: what it prints and writes, and how it refuses."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.studies.design.strategies import STRATEGIES
+
+PAD = ["design", "--rows", "8", "--cols", "8"]
+
+
+def test_it_prints_a_line_for_each_strategy(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*PAD, "--bus", "serial:115200"]) == 0
+    out = capsys.readouterr().out
+    for name in STRATEGIES:
+        assert re.search(rf"^{name} +\d", out, re.MULTILINE)
+    # 64 readings of 10 bits and 14 bytes, 10 bits each, at 115200 baud
+    assert "bus: 94 bytes take 8.16 ms (UART at 115.2 kbaud): 123 Hz" in out
+
+
+def test_options_replace_what_a_file_states(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "design.toml"
+    path.write_text('rows = 8\ncols = 8\nbus = "can:1M"\nrate = 50\n')
+    assert main(["design", str(path), "--rate", "20", "--taxels", "40"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("40 points, 4 mm apart")
+    assert "CAN at 1 Mbit/s" in out
+    assert "asked 20 Hz" in out
+
+
+@pytest.mark.slow
+def test_it_writes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "new" / "palm"
+    assert main([*PAD, "--out", str(out)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == str(out / "design.html")
+    written = {path.name for path in out.iterdir()}
+    charts = {
+        f"{name}.{form}" for name in ("rates", "accuracy", "latency") for form in ("png", "svg")
+    }
+    assert written == {"design.html", "rows.csv", *charts}
+
+
+def test_it_prints_the_rigs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "--rigs"]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"^FlexiTac, bus alone +16 x 32, all +389 +bus +389 +1.00$", out, re.MULTILINE)
+    assert re.search(r"^3D-ViTac .* !$", out, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["design"], "--rows: is missing; state rows and cols, taxels, or points"),
+        ([*PAD, "--pitch", "4"], "--pitch: '4': has no unit; expected such as 4mm"),
+        (
+            [*PAD, "--bus", "sreial:2M"],
+            "--bus: 'sreial:2M': bus is not known (did you mean 'serial'",
+        ),
+        ([*PAD, "--adc", "10bit"], "--adc: '10bit': expected bits and conversions a second, as"),
+        ([*PAD, "--edge", "arm"], "--edge: 'arm': expected cortex-m4@168MHz or linux"),
+        ([*PAD, "--host", "no"], "--host: 'no': expected such as 4cores, 1..4096"),
+        ([*PAD, "--taxels", "9"], "--taxels: states the size once more; leave out rows"),
+        ([*PAD, "--seed", "3"], "--seed: goes with --simulate"),
+        ([*PAD, "--scene", "peg"], "--scene: goes with --simulate"),
+        ([*PAD, "--simulate", "--seed", "x"], "--seed: 'x': expected a whole number, 0 or more"),
+        (
+            [*PAD, "--only", "full,ful"],
+            "--only: strategy 'ful' is not known (did you mean 'full'?)",
+        ),
+        (["design", "--taxels", "99", "--only", "local"], "row_local, local need a grid: state"),
+        ([*PAD, "--rigs"], "--rigs: stands alone; leave out --rows"),
+        (
+            ["design", "--rigs", "--measure-costs"],
+            "--rigs: stands alone; leave out --measure-costs",
+        ),
+        (["design", "none.toml"], "none.toml: No such file or directory"),
+        (["design", "bad.toml"], "bad.toml: 'colls': unknown key (did you mean 'cols'?)"),
+        (["design", "noise.toml"], "noise.toml: noise: '1': has no unit; expected such as 0.01N"),
+        ([*PAD, "--out", "bad.toml"], "--out bad.toml: File exists"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(
+    words: list[str],
+    line: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bad.toml").write_text("rows = 8\ncolls = 8\n")
+    Path("noise.toml").write_text('rows = 8\ncols = 8\nnoise = "1"\n')
+    assert main(words) == 2
+    shown = capsys.readouterr().err
+    assert shown.startswith(line)
+    assert shown.count("\n") == 1
+
+
+def test_a_row_is_simulated_beside_the_stored_grid(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--only", "full", "--simulate", "--seed", "5", "--rate", "30", "--bus", "spi:1M"]
+    assert main([*PAD, *words]) == 0
+    (line,) = re.findall(r"^full +30 .*", capsys.readouterr().out, re.MULTILINE)
+    # Noise of 0.4 % of the range, of which clipping at 0 leaves less on untouched taxels
+    assert 48 < float(line.split()[6]) < 53
+    assert line.split()[7] == "yes"

@@ -1,0 +1,190 @@
+"""Closed forms of buses, converters, edges and units, against numbers worked by hand."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparseskin.nodes.edge.description import EdgeDescription
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.studies.design.models.adc import Adc, read_adc, settling_s_of
+from sparseskin.studies.design.models.buses import Can, CanFd, Serial, Spi, Udp, read_bus
+from sparseskin.studies.design.models.edge import CYCLES, Edge, instructions, read_edge
+from sparseskin.studies.design.models.units import FORCE, LENGTH, RATE, quantity
+
+
+def test_a_byte_on_a_serial_line_has_ten_bits() -> None:
+    assert Serial(2e6).seconds(514) == pytest.approx(5140 / 2e6)
+    assert 1 / Serial(2e6).seconds(514) == pytest.approx(389.105, abs=1e-3)
+
+
+def test_a_full_frame_of_classic_can_has_135_bits() -> None:
+    # 34 + 64 bits, floor(97 / 4) = 24 stuff bits, 13 bits of the end; none of 0 bytes: 34 + 8 + 13.
+    assert Can(1e6).frame_bits(8) == 98 + 24 + 13 == 135
+    assert Can(1e6).frame_bits(0) == 55
+    assert Can(1e6).seconds(8) == pytest.approx(135e-6)
+    # Nine bytes are a full frame and one of a byte: 42 + floor(41 / 4) + 13 = 65 bits.
+    assert Can(1e6).seconds(9) == pytest.approx((135 + 65) * 1e-6)
+
+
+def test_a_full_frame_of_can_fd_has_34_slow_and_678_fast_bits() -> None:
+    bus = CanFd(1e6, 5e6)
+    # 5 + 512 bits, floor(533 / 4) - 4 = 129 stuff bits, 32 of the CRC; slow: 17 + 4 + 13.
+    assert bus.frame_bits(64) == (34, 5 + 512 + 129 + 32)
+    assert bus.seconds(64) == pytest.approx(34e-6 + 678 / 5e6)
+    # To 16 bytes the CRC has 27 bits: 5 + 128 + (149 // 4 - 4) + 27.
+    assert bus.frame_bits(16) == (34, 5 + 128 + 33 + 27)
+
+
+def test_the_last_frame_of_can_fd_is_filled_to_the_next_length() -> None:
+    bus = CanFd(1e6, 5e6)
+    assert bus.seconds(64 + 33) == pytest.approx(bus.seconds(64) + bus.seconds(48))
+    assert bus.seconds(9) == bus.seconds(12)
+
+
+def test_spi_has_eight_clocks_a_byte() -> None:
+    assert Spi(20e6).seconds(1038) == pytest.approx(8304 / 20e6)
+
+
+def test_a_datagram_has_66_bytes_beside_its_data() -> None:
+    assert Udp(100e6).wire_bytes(1472) == 1538
+    assert Udp(100e6).wire_bytes(1) == 84  # the least Ethernet frame, with preamble and gap
+    assert Udp(100e6).seconds(1472) == pytest.approx(1538 * 8 / 100e6)
+    assert Udp(1e9).seconds(1473) == pytest.approx((1538 + 84) * 8 / 1e9)
+
+
+@given(st.sampled_from(["serial:2M", "can:1M", "can-fd:1M/5M", "spi:20M", "udp:1G"]), st.data())
+def test_more_bytes_never_take_less_time(form: str, data: st.DataObject) -> None:
+    bus = read_bus(form)
+    few = data.draw(st.integers(1, 20_000))
+    more = few + data.draw(st.integers(0, 200))
+    assert 0 < bus.seconds(few) <= bus.seconds(more)
+
+
+@pytest.mark.parametrize(
+    ("text", "made"),
+    [
+        ("serial:2M", Serial(2e6)),
+        ("serial:115200", Serial(115200.0)),
+        ("can", Can(1e6)),
+        ("can-fd", CanFd(1e6, 5e6)),
+        ("can-fd:500k/2M", CanFd(5e5, 2e6)),
+        ("spi:20M", Spi(20e6)),
+        ("udp", Udp(100e6)),
+        ("udp:1G", Udp(1e9)),
+    ],
+)
+def test_a_bus_is_read(text: str, made: object) -> None:
+    assert read_bus(text) == made
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("seral:2M", "'seral:2M': bus is not known (did you mean 'serial'?)"),
+        ("serial", "'serial': states no rate; expected such as serial:2M"),
+        ("serial:2Mbaud", "'2Mbaud': unit 'Mbaud' is not known"),
+        ("serial:0", "'0': is outside"),
+        ("can-fd:5M/1M", "'can-fd:5M/1M': data are slower than the arbitration"),
+        ("can-fd:5M", "expected can-fd:ARBITRATION/DATA"),
+        (2_000_000, "'2000000': bus is not known"),
+        ("serial:" + "9" * 500, "expected a number with its unit"),
+    ],
+)
+def test_a_bus_of_another_form_is_refused(text: object, fault: str) -> None:
+    with pytest.raises(SettingsError) as error:
+        read_bus(text)
+    assert fault in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_converters_share_the_conversions_and_each_waits_for_its_multiplexer() -> None:
+    assert Adc(10, 200e3).seconds(4096) == pytest.approx(20.48e-3)
+    # ceil(4096 / 3) = 1366 conversions of 5 + 2 us
+    assert Adc(10, 200e3, 3, 2e-6).seconds(4096) == pytest.approx(1366 * 7e-6)
+
+
+def test_a_signal_settles_to_half_a_step_in_its_time() -> None:
+    s = settling_s_of(10, 1e3, 1e-9)
+    assert s == pytest.approx(11 * 1e-6 * math.log(2))
+    assert math.exp(-s / 1e-6) == pytest.approx(2.0**-11)
+
+
+def test_converters_are_read() -> None:
+    assert read_adc("12bit@1MS/s", 2, 0.0) == Adc(12, 1e6, 2)
+    for text, fault in (
+        ("10bit", "expected bits and conversions a second, as 10bit@200kS/s"),
+        ("3bit@1kS/s", "3 bits; allowed: 4..24"),
+        ("10bit@200k", "unit 'k' is not known; allowed: S/s, kS/s, MS/s"),
+        ("10bit@200kSPS", "unit 'kSPS' is not known"),
+    ):
+        with pytest.raises(SettingsError) as error:
+            read_adc(text, 1, 0.0)
+        assert fault in str(error.value), text
+
+
+@pytest.mark.parametrize(
+    ("n_rows", "n_cols", "ratio", "bits", "rows", "counted"),
+    [
+        (12, 32, 3, 8, "rotating", 21149),
+        (16, 32, 3, 8, "rotating", 27660),
+        (32, 32, 4, 4, "rotating", 45553),
+        (32, 32, 16, 8, "rotating", 30296),
+        (40, 40, 4, 16, "rotating", 78607),
+        (64, 64, 3, 8, "fixed", 215698),
+        (64, 64, 8, 8, "rotating", 141593),
+    ],
+)
+def test_instructions_are_within_5_percent_of_those_counted(
+    n_rows: int, n_cols: int, ratio: float, bits: int, rows: str, counted: int
+) -> None:
+    """Counted by `sparseskin edge cost`, column "at most"."""
+    d = EdgeDescription.chosen(n_rows, n_cols, ratio=ratio, bits=bits, rows=rows)
+    assert instructions(d.n_taxels, d.m, d.frame_bytes) == pytest.approx(counted, rel=0.05)
+
+
+def test_the_time_of_a_microcontroller_is_that_of_its_instructions() -> None:
+    # 24 * 4096 + 72 * 1024 + 16 * 1038 + 550
+    assert instructions(4096, 1024, 1038) == 189_190
+    edge = Edge(168e6)
+    assert edge.seconds("sbhe_4_fixed", 4096, 4096, 1024, 1038) == pytest.approx(
+        CYCLES * 189_190 / 168e6
+    )
+
+
+def test_an_edge_is_read() -> None:
+    assert read_edge("cortex-m4@168MHz") == Edge(168e6)
+    assert read_edge("linux") == Edge(None)
+    for text, fault in (
+        ("cortex-m5@1MHz", "did you mean 'cortex-m4'?"),
+        ("cortex-m4", "expected cortex-m4@168MHz or linux"),
+        ("cortex-m4@168", "has no unit"),
+        ("linx", "did you mean 'linux'?"),
+    ):
+        with pytest.raises(SettingsError) as error:
+            read_edge(text)
+        assert fault in str(error.value), text
+
+
+@pytest.mark.parametrize(
+    ("text", "units", "value"),
+    [
+        ("4mm", LENGTH, 0.004),
+        ("0.4 cm", LENGTH, 0.004),
+        ("10mN", FORCE, 0.01),
+        ("1000", RATE, 1000.0),
+        ("1kHz", RATE, 1000.0),
+        ("1e3Hz", RATE, 1000.0),
+    ],
+)
+def test_a_quantity_is_read(text: str, units: dict[str, float], value: float) -> None:
+    assert quantity(text, units, "x", 0.0, 1e6) == pytest.approx(value)
+
+
+@pytest.mark.parametrize("text", ["4", "mm", "-4mm", "4,0mm", "4 m m", "nanmm", "٤mm", "4MM", 4])
+def test_a_length_of_another_form_is_refused(text: object) -> None:
+    with pytest.raises(SettingsError):
+        quantity(text, LENGTH, "4mm", 0.0, 1.0)

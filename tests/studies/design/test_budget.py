@@ -1,0 +1,220 @@
+"""Budgets: times of the stages against numbers worked by hand, limits, words and the page."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sparseskin.nodes.compressor.wiring import array_wiring
+from sparseskin.studies.design import text
+from sparseskin.studies.design.budget import NO_GRID, STAGES, Row, budget, frame_bytes, row_of
+from sparseskin.studies.design.models.costs import HOP_S, LARGEST, SIZES, cost, measure, stored
+from sparseskin.studies.design.models.wires import wires_of
+from sparseskin.studies.design.page import write_page
+from sparseskin.studies.design.simulate import grid_of
+from sparseskin.studies.design.spec import Design, make_design
+from sparseskin.studies.design.strategies import STRATEGIES
+
+PALM = {"rows": 64, "cols": 64}
+
+
+def row(name: str, **keys: Any) -> Row:
+    return row_of(STRATEGIES[name], make_design({**PALM, **keys}))
+
+
+def test_a_full_raster_of_a_palm_is_limited_by_its_line() -> None:
+    found = row("full")
+    # 4096 readings of 10 bits and 14 bytes; 4096 conversions at 200 kS/s; 10 bits a byte at 2 Mbaud
+    assert found.n_bytes == 5120 + 14
+    assert found.stage_s["ADC"] == pytest.approx(4096 / 200e3)
+    assert found.stage_s["bus"] == pytest.approx(51340 / 2e6)
+    assert found.limit == "bus"
+    assert found.possible_hz == pytest.approx(2e6 / 51340)
+    assert not found.is_met
+
+
+def test_digital_sums_need_every_conversion_and_analog_ones_m() -> None:
+    digital, analog = (
+        row("sbhe_4_rotating"),
+        row("sbhe_4_rotating", sums="analog", rows=16, cols=16),
+    )
+    assert (digital.m, digital.wires.conversions) == (1024, 4096)
+    assert (analog.m, analog.wires.conversions, analog.wires.lines) == (64, 64, 256)
+    # 24 * 4096 + 72 * 1024 + 16 * 1038 + 550 instructions of 2 cycles
+    assert digital.stage_s["edge"] == pytest.approx(2 * 189_190 / 168e6)
+
+
+def test_single_taxels_are_sent_with_the_bits_of_the_converter() -> None:
+    d = make_design(PALM)
+    sizes = {name: frame_bytes(STRATEGIES[name], d) - 14 for name in STRATEGIES}
+    assert (sizes["full"], sizes["one_hot_rotating"]) == (4096 * 10 // 8, 1024 * 10 // 8)
+    assert (sizes["sbhe_3_rotating"], sizes["row_local"]) == (1366, 1024)
+    assert sizes["adaptive"] == 1024 + math.ceil(2 * math.ceil(4096 / 3) / 8)
+
+
+def test_the_slowest_stage_limits_the_rate_and_the_latency_is_their_sum() -> None:
+    for found in budget(make_design({"rows": 12, "cols": 32, "bus": "spi:20M"})):
+        assert found.possible_hz == min(found.stage_hz.values())
+        assert found.stage_hz[found.limit] == found.possible_hz
+        assert found.reached_hz == min(1000.0, found.possible_hz)
+        assert found.latency_s == pytest.approx(sum(found.stage_s.values()) + HOP_S)
+        assert found.host_cores == pytest.approx(found.reached_hz * found.stage_s["host"])
+        assert set(found.stage_hz) == set(STAGES)
+
+
+def test_a_rate_that_is_asked_for_is_not_exceeded() -> None:
+    found = row("full", bus="udp:1G", adc="10bit@10MS/s", edge="linux", rate="100")
+    assert found.is_met
+    assert found.reached_hz == 100.0
+    assert found.possible_hz > 100.0
+
+
+def test_a_skin_of_several_patches_uses_several_cores() -> None:
+    one, four = row("sbhe_4_rotating", host="1cores"), row("sbhe_4_rotating", rows=128, cols=128)
+    assert (one.patches, four.patches) == (1, 4)
+    assert four.stage_s["host"] == pytest.approx(one.stage_s["host"])
+    assert four.host_rate_hz == pytest.approx(one.host_rate_hz)
+    alone = row("sbhe_4_rotating", rows=128, cols=128, host="1cores")
+    assert alone.host_rate_hz == pytest.approx(one.host_rate_hz / 4)
+
+
+def test_points_have_no_rows_and_no_neighbourhoods() -> None:
+    rows = budget(make_design({"taxels": 4000}))
+    assert [r.strategy.name for r in rows] == [n for n in STRATEGIES if n not in NO_GRID]
+    # The smallest near square: 64 x 63 lines for 4000 points.
+    assert (rows[0].wires.lines, rows[0].wires.crossings) == (64 + 63, 4000)
+    assert rows[0].wires.length_m is None
+
+
+def test_points_are_simulated_on_a_near_square() -> None:
+    mask = grid_of(make_design({"taxels": 4000}))
+    assert (mask.shape, np.count_nonzero(mask)) == ((63, 64), 4000)
+    assert grid_of(make_design({"rows": 12, "cols": 32})).all()
+
+
+def test_wires_of_an_array_are_its_rows_and_columns() -> None:
+    d = make_design({"rows": 12, "cols": 32, "pitch": "4mm"})
+    found = wires_of(STRATEGIES["full"], d)
+    assert (found.lines, found.crossings, found.conversions) == (44, 384, 384)
+    assert found.length_m == pytest.approx(0.004 * array_wiring(12, 32, 384).length)
+
+
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_stored_costs_are_of_all_sizes_and_lie_between_their_neighbours(name: str) -> None:
+    assert set(stored()["cost"]) == {str(rows * cols) for rows, cols in SIZES}
+    for of in (name_of[name] for name_of in stored()["cost"].values()):
+        assert of["edge_us"] > 0
+        assert of["host_us"] > 0
+    ends = sorted((cost(name, 1024).host_s, cost(name, 4096).host_s))
+    assert ends[0] <= cost(name, 2000).host_s <= ends[1]
+    assert cost(name, 2 * LARGEST).host_s == pytest.approx(2 * cost(name, LARGEST).host_s)
+    assert cost(name, 16).edge_s == pytest.approx(cost(name, 384).edge_s)
+
+
+@pytest.mark.slow
+def test_costs_are_measured_on_the_nodes_themselves() -> None:
+    found = measure(STRATEGIES["sbhe_4_rotating"], (8, 8))
+    assert set(found) == {"edge_us", "host_us"}
+    assert min(found.values()) > 0
+
+
+@pytest.fixture(scope="module")
+def palm() -> tuple[Design, list[Row]]:
+    design = make_design({"rows": 16, "cols": 32})
+    return design, budget(design)
+
+
+def test_what_breaks_first_is_said_with_its_numbers(palm: tuple[Design, list[Row]]) -> None:
+    design, rows = palm
+    full = rows[0]
+    # 512 readings of 10 bits: 654 bytes are 3.27 ms; 512 conversions 2.56 ms
+    assert text.breaks(full, design) == ("bus: 654 bytes take 3.27 ms (UART at 2 Mbaud): 306 Hz")
+    assert text.breaks(full, design, "ADC") == (
+        "ADC: 512 conversions take 2.56 ms (10 bit at 200 kS/s): 391 Hz"
+    )
+    assert text.breaks(full, design, "edge").startswith("edge: 23,302 instructions take 0.277 ms")
+    assert text.breaks(full, design, "host").endswith("Hz")
+    lines = text.conclusions(rows, design)
+    assert 2 <= len(lines) <= 3
+    assert any("bus: 654 bytes" in line for line in lines)
+
+
+def test_a_design_that_holds_names_its_most_accurate_strategy() -> None:
+    keys = {"rows": 8, "cols": 8, "bus": "udp", "adc": "10bit@1MS/s", "rate": "20"}
+    design = make_design(keys)
+    rows = budget(design)
+    assert all(r.is_met for r in rows)
+    assert text.conclusions(rows, design)[0].startswith(
+        "20 Hz are reached by 13 of 13 strategies: "
+    )
+
+
+def test_the_terminal_shows_each_strategy_once_in_the_table(
+    palm: tuple[Design, list[Row]],
+) -> None:
+    design, rows = palm
+    lines = text.terminal(rows, design).splitlines()
+    for name in STRATEGIES:
+        (line,) = [one for one in lines if re.match(rf"{name} +\d", one)]
+        assert len(re.split(r" {2,}", line)) == len(text.COLUMNS), line
+    assert max(map(len, lines[2 : 4 + len(rows)])) <= 120
+
+
+class _Cells(HTMLParser):
+    """Rows of the tables of a page, and what its images name."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rows: list[list[str]] = []
+        self.images: list[str] = []
+        self._open = False
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag == "tr":
+            self.rows.append([])
+        elif tag in ("td", "th"):
+            self.rows[-1].append("")
+            self._open = True
+        elif tag == "img":
+            self.images.append(str(dict(attrs)["src"]))
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in ("td", "th"):
+            self._open = False
+
+    def handle_data(self, data: str) -> None:
+        if self._open:
+            self.rows[-1][-1] += data
+
+
+def test_the_page_has_each_strategy_its_charts_and_the_rigs(
+    palm: tuple[Design, list[Row]], tmp_path: Path
+) -> None:
+    design, rows = palm
+    hostile = replace(design, words={**design.words, "points": "<script>x</script>"})
+    path = write_page(tmp_path, rows, hostile)
+    page = _Cells()
+    page.feed(path.read_text(encoding="utf-8"))
+    table = [cells for cells in page.rows if len(cells) == 1 + len(text.COLUMNS)]
+    assert table[0][1:3] == ["strategy", "M"]
+    assert "PSNR, dB" in table[0]
+    assert [cells[1] for cells in table[1:]] == list(STRATEGIES)
+    assert [tuple(cells[1:]) for cells in table[1:]] == [text.cells(one) for one in rows]
+    assert len(page.images) == 3
+    for name in page.images:
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+        assert (tmp_path / name).with_suffix(".svg").exists()
+    assert any(cells[:1] == ["FlexiTac"] for cells in page.rows)
+    assert "<script>" not in path.read_text(encoding="utf-8")
+    with (tmp_path / "rows.csv").open(encoding="utf-8") as file:
+        written = list(csv.DictReader(file))
+    assert [one["strategy"] for one in written] == list(STRATEGIES)
+    assert float(written[0]["bus_s"]) == pytest.approx(6540 / 2e6)

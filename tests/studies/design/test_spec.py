@@ -1,0 +1,126 @@
+"""Designs from options and files: what is allowed, and the line of what is not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.studies.design.models.buses import CanFd
+from sparseskin.studies.design.spec import make_design, read_file
+
+PAD = {"rows": 12, "cols": 32}
+
+
+def test_a_design_has_defaults_and_units() -> None:
+    d = make_design({**PAD, "pitch": "0.3cm", "noise": "20mN", "rate": "1kHz", "bus": "can-fd"})
+    assert (d.n_rows, d.n_cols, d.n_taxels, d.size) == (12, 32, 384, "12 x 32 taxels")
+    assert (d.pitch_m, d.noise_n, d.rate_hz) == pytest.approx((0.003, 0.02, 1000.0))
+    assert d.noise == pytest.approx(0.02 / 2.5)
+    assert d.bus == CanFd(1e6, 5e6)
+    assert (d.adc.bits, d.adc.rate_hz, d.bits, d.cores, d.sums) == (10, 200e3, 8, 4, "digital")
+
+
+def test_numbers_of_a_file_are_those_of_options() -> None:
+    of_file = make_design({**PAD, "rate": 500, "host": 2, "bits": 6})
+    of_options = make_design(
+        {"rows": "12", "cols": "32", "rate": "500", "host": "2cores", "bits": "6"}
+    )
+    assert (of_file.rate_hz, of_file.cores, of_file.bits) == (500.0, 2, 6)
+    assert of_file.n_taxels == of_options.n_taxels
+    assert (of_options.rate_hz, of_options.cores, of_options.bits) == (500.0, 2, 6)
+
+
+def test_a_skin_of_points_has_no_rows() -> None:
+    d = make_design({"taxels": 4000})
+    assert (d.n_rows, d.n_cols, d.n_taxels, d.size) == (None, None, 4000, "4000 points")
+
+
+@pytest.mark.parametrize(
+    ("keys", "line"),
+    [
+        ({}, "rows: is missing; state rows and cols, taxels, or points"),
+        ({"rows": 12}, "cols: is missing; state rows and cols"),
+        ({"cols": 12}, "rows: is missing; state rows and cols"),
+        ({**PAD, "taxels": 9}, "taxels: states the size once more; leave out rows"),
+        ({"rows": "x", "cols": 2}, "rows: 'x' is not allowed; allowed: 1..1024"),
+        ({"rows": 2000, "cols": 2}, "rows: '2000' is not allowed; allowed: 1..1024"),
+        ({"rows": 1, "cols": 2}, "rows: 1 x 2 are 2 taxels; allowed: 16..65536"),
+        ({**PAD, "pitch": "4"}, "pitch: '4': has no unit; expected such as 4mm"),
+        ({**PAD, "pitch": "4MM"}, "pitch: '4MM': unit 'MM' is not known; allowed: mm, cm, m, um"),
+        ({**PAD, "noise": "1"}, "noise: '1': has no unit; expected such as 0.01N"),
+        ({**PAD, "noise": "1N"}, "noise: 1 N is not allowed for a range of 2.5 N; allowed: 0.0001"),
+        ({**PAD, "rate": "0"}, "rate: '0': is outside 1 .. 10000"),
+        ({**PAD, "rate": True}, "rate: 'True': expected a number with its unit"),
+        ({**PAD, "host": "4 core s"}, "host: '4 core s': expected such as 4cores, 1..4096"),
+        ({**PAD, "sums": "analogue"}, "sums: 'analogue' is not allowed (did you mean 'analog'?)"),
+        ({**PAD, "bits": 3}, "bits: '3' is not allowed; allowed: 4..16"),
+        ({**PAD, "converters": 0}, "converters: '0' is not allowed; allowed: 1..1024"),
+        ({**PAD, "settling": "5"}, "settling: '5': has no unit; expected such as 5us"),
+        ({**PAD, "adc": 10}, "adc: '10': expected bits and conversions a second"),
+        ({"points": "none.csv"}, "points: none.csv: "),
+    ],
+)
+def test_a_wrong_key_is_refused_in_one_line(
+    keys: dict[str, object], line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SettingsError) as error:
+        make_design(keys)
+    assert str(error.value).startswith(line)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("row = 3", "'row': unknown key (did you mean 'rows'?)"),
+        ("rows = ", "no TOML: "),
+        ("a" * 70000, "no TOML: more than 65536 characters"),
+        ("[rows]\nx = 1\n[bus_]\n", "'bus_': unknown key"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_one_line(text: str, line: str, tmp_path: Path) -> None:
+    path = tmp_path / "design.toml"
+    path.write_text(text)
+    with pytest.raises(SettingsError) as error:
+        read_file(path)
+    assert str(error.value).startswith(f"{path}: {line}")
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "design.toml"
+    path.write_bytes(b"\xff\xfe\x00rows")
+    with pytest.raises(SettingsError, match="no TOML"):
+        read_file(path)
+
+
+def test_points_stand_beside_the_file_that_names_them(tmp_path: Path) -> None:
+    lines = [f"{x},{y},0,0,0,1" for x in range(0, 25, 5) for y in range(0, 25, 5)]
+    (tmp_path / "pad.csv").write_text("\n".join(["# unit: mm", "x,y,z,nx,ny,nz", *lines, ""]))
+    (tmp_path / "design.toml").write_text('points = "pad.csv"\n')
+    d = make_design(read_file(tmp_path / "design.toml"))
+    assert (d.n_taxels, d.n_rows) == (25, None)
+    assert d.pitch_m == pytest.approx(0.005)
+    assert d.mask is not None
+    assert int(d.mask.sum()) == 25
+
+
+@pytest.mark.parametrize(
+    ("points", "line"),
+    [
+        ("example:torsoo", "points: example:torsoo: no such example (did you mean 'torso'?)"),
+        ("few.csv", "points: few.csv: 2 points; allowed: 16..65536"),
+        (7, "points: '7': expected a file, or example:torso"),
+    ],
+)
+def test_a_layout_that_cannot_be_used_is_refused(
+    points: object, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("few.csv").write_text("# unit: mm\nx,y,z\n0,0,0\n5,0,0\n")
+    with pytest.raises(SettingsError) as error:
+        make_design({"points": points})
+    assert str(error.value) == line
