@@ -193,4 +193,9 @@ def _skin(name: str, patch: PatchFeed) -> Part:
     of_grid = ("n_rows", "n_cols", "f_max", "unit", "pitch_m")
     fields = (*of_grid, "source", "rate_hz", "has_truth", "has_taxels")
     header = {"kind": "skin", "patch": name, **{key: getattr(skin, key) for key in fields}}
-    return header, {} if skin.mask is None else {"mask": skin.mask.view(np.uint8)}
+    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    if skin.mask is not None:
+        arrays["mask"] = skin.mask.view(np.uint8)
+    if skin.points is not None:
+        arrays["points"] = skin.points
+    return header, arrays

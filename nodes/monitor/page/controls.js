@@ -139,14 +139,16 @@ export class Controls {
     }
     const tare = this.root.querySelector(`[data-tare="${node.name}"]`);
     if (tare) {
-      const left = node.state.tare_left;
+      const { tare_left: left, tared = "" } = node.state;
+      tare.dataset.tared ??= tared; // of a tare before this page
       tare.disabled = left > 0;
       setText(tare, left > 0 ? `Tare: ${left} frames` : "Tare");
-      // The answer said that it began; this is how it ended.
+      // The answer said that it began; this is how it ended. A short one is never seen running.
       if (left > 0) tare.dataset.running = "true";
-      else if (tare.dataset.running && node.state.tared) {
+      else if (tared && (tare.dataset.running || tared !== tare.dataset.tared)) {
         delete tare.dataset.running;
-        this.say("launch", "done", `✓ tared: ${node.state.tared}`);
+        tare.dataset.tared = tared;
+        this.say("launch", "done", `✓ tared: ${tared}`);
       }
     }
     const seek = this.root.querySelector(`[data-seek="${node.name}"]`);

@@ -1,7 +1,7 @@
 // Small helpers: elements, and numbers as text.
 
 export function element(tag, attributes = {}, ...children) {
-  const space = ["svg", "ellipse", "path"].includes(tag) ? "2000/svg" : "1999/xhtml";
+  const space = ["svg", "ellipse", "path", "text"].includes(tag) ? "2000/svg" : "1999/xhtml";
   const made = document.createElementNS(`http://www.w3.org/${space}`, tag);
   for (const [key, value] of Object.entries(attributes)) {
     if (key.startsWith("on")) made.addEventListener(key.slice(2), value);

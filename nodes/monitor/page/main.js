@@ -17,6 +17,7 @@ const model = {
 };
 let patch = null; // null: the overview
 let stream = null, maps = null, strips = null;
+const cards = {}; // panels of the overview by patch
 let clock = 0; // the monitor's clock less the browser's, in seconds
 const controls = new Controls(byId("controls"));
 
@@ -62,7 +63,17 @@ function onState(record) {
 
 function onSkin(record) {
   model.skins[record.patch] = record;
-  if (record.patch === patch) maps = new Maps(byId("maps"), record);
+  model.fresh[record.patch] = false; // the frame shown is of another skin
+  delete model.maps[record.patch];
+  if (record.patch === patch) newMaps();
+}
+
+// The maps of the skin in the view that is chosen, with the newest frame.
+function newMaps() {
+  maps?.close();
+  const skin = model.skins[patch];
+  maps = skin ? new Maps(byId("maps"), skin) : null;
+  if (maps && model.maps[patch]) maps.show(model.maps[patch], performance.now());
 }
 
 // Bytes a second, from the counts of two summaries some time apart.
@@ -95,7 +106,8 @@ function drawCard(name) {
   const canvas = document.querySelector(`#card-${name} canvas`);
   const { reconstruction } = model.maps[name].data;
   if (!canvas || !reconstruction) return;
-  setText(canvas.nextElementSibling, thumbnail(canvas, reconstruction, model.skins[name]));
+  if (cards[name]?.canvas !== canvas) cards[name] = { canvas };
+  setText(canvas.nextElementSibling, thumbnail(cards[name], reconstruction, model.skins[name]));
 }
 
 function tile(title, value, note, id) {
@@ -283,6 +295,7 @@ function open() {
   const name = decodeURIComponent(location.hash.replace(/^#\/?/, "")) || null;
   stream?.close();
   patch = name;
+  maps?.close();
   maps = null;
   strips = name === null ? null : new Strips(byId("strips"));
   model.skins = {};
@@ -300,6 +313,10 @@ window.addEventListener("hashchange", open);
 for (const id of ["range", "error-range"]) {
   byId(id).addEventListener("change", () => maps?.draw(performance.now()));
 }
+byId("view").addEventListener("change", newMaps);
+byId("shown-maps").addEventListener("change", () => maps?.choose());
+byId("reset-view").addEventListener("click", () => maps?.reset());
+byId("turn-to-contact").addEventListener("click", () => maps?.turnToContact());
 open();
 setInterval(drawText, TEXT_MS);
 setInterval(drawStrips, STRIPS_MS);

@@ -1,7 +1,10 @@
 // The maps of one patch: truth, taxels, reconstruction and error on canvases, with a colour bar.
+// A skin is drawn as its grid, or, where its taxels have places, in 3-D.
 
+import { Cloud } from "./cloud.js";
 import { GRADIENT, VIRIDIS, rounded } from "./colours.js";
 import { brief, byId, element, setText, tick, within } from "./dom.js";
+import { DARK, SpaceView } from "./space.js";
 
 const TITLES = {
   truth: "Truth",
@@ -13,6 +16,81 @@ const HOLD_MS = 4000; // the colour range stays wide this long after a peak
 const CONTACT = 0.004; // fraction of f_max below which no centre of pressure is shown
 const ELLIPSE = 2.146; // standard deviations that contain 90 % of a normal distribution in a plane
 
+// A map as the grid of its taxels.
+class GridView {
+  constructor(skin) {
+    this.skin = skin;
+  }
+
+  canvas(label, name) {
+    const { n_cols: nCols, n_rows: nRows } = this.skin;
+    const canvas = element("canvas", { width: nCols, height: nRows, role: "img",
+      "aria-label": label, "data-map": name });
+    canvas.style.aspectRatio = `${nCols} / ${nRows}`;
+    return canvas;
+  }
+
+  // An overlay in units of taxels, (0, 0) at the centre of the first.
+  overlay() {
+    return element("svg", { class: "over",
+      viewBox: `-0.5 -0.5 ${this.skin.n_cols} ${this.skin.n_rows}` });
+  }
+
+  attach() {}
+
+  prepare() {}
+
+  paint(panel, map, top) {
+    panel.image ??= new ImageData(this.skin.n_cols, this.skin.n_rows);
+    panel.pixels ??= new Uint32Array(panel.image.data.buffer);
+    const { mask } = this.skin.data, { pixels } = panel, scale = 255 / top;
+    for (let k = 0; k < map.length; k++) {
+      pixels[k] = mask && !mask[k] ? 0 : VIRIDIS[Math.max(0, Math.min(255, (map[k] * scale) | 0))];
+    }
+    panel.canvas.getContext("2d").putImageData(panel.image, 0, 0);
+  }
+
+  // Cell and name of the taxel at a place of the window.
+  at([x, y], canvas) {
+    const box = canvas.getBoundingClientRect(), { n_cols: nCols, n_rows: nRows } = this.skin;
+    const place = (at, start, size, n) =>
+      Math.min(n - 1, Math.max(0, Math.floor(((at - start) / size) * n)));
+    const [row, col] = [place(y, box.top, box.height, nRows), place(x, box.left, box.width, nCols)];
+    return { cell: row * nCols + col, name: `row ${row}, column ${col}` };
+  }
+
+  // The centre of pressure estimated from the measurements alone: a cross, and the ellipse that
+  // contains it in 90 % of the frames.
+  mark({ reconstruction }, resultant) {
+    const { row, col, row_sd: rowSd, col_sd: colSd } = resultant ?? {};
+    const arm = 0.04 * Math.max(this.skin.n_rows, this.skin.n_cols);
+    const cross = `M${col - arm} ${row}h${2 * arm}M${col} ${row - arm}v${2 * arm}`;
+    reconstruction.over.replaceChildren(...(Number.isFinite(row) ? [
+      element("ellipse", { cx: col, cy: row, rx: ELLIPSE * colSd, ry: ELLIPSE * rowSd }),
+      element("path", { d: cross })] : []));
+  }
+
+  // Centre of the forces of a map, in mm if the pitch is known.
+  centre(map, total) {
+    const { n_cols: nCols, pitch_m: pitch } = this.skin;
+    let rows = 0, cols = 0;
+    for (let k = 0; k < map.length; k++) {
+      rows += map[k] * Math.floor(k / nCols);
+      cols += map[k] * (k % nCols);
+    }
+    const scale = pitch ? 1000 * pitch : 1;
+    return `centre ${[rows, cols].map((sum) => ((scale * sum) / total).toFixed(1)).join(", ")} ${
+      pitch ? "mm" : ""}`;
+  }
+}
+
+// The maps that can be shown alone or together: the first choice is that of a view in 3-D.
+function choices(names) {
+  const pair = names.filter((name) => ["truth", "reconstruction"].includes(name)
+    || (name === "taxels" && !names.includes("truth")));
+  return { pair, all: names, ...Object.fromEntries(names.map((name) => [name, [name]])) };
+}
+
 export class Maps {
   constructor(root, skin) {
     this.skin = skin;
@@ -21,46 +99,95 @@ export class Maps {
     this.panels = {};
     this.maps = {};
     this.mask = skin.data.mask ?? null;
+    this.aborter = new AbortController();
+    const hasPlaces = Cloud.of(skin);
+    this.inSpace = hasPlaces && byId("view").value === "space";
+    this.view = this.inSpace ? new SpaceView(new Cloud(skin)) : new GridView(skin);
     root.replaceChildren();
+    root.classList.toggle("space", this.inSpace);
     const names = skin.has_truth ? Object.keys(TITLES)
       : skin.has_taxels ? ["taxels", "reconstruction", "error"] : ["reconstruction"];
     for (const name of names) root.append(this.panel(name));
-    root.style.setProperty("--n-maps", names.length);
-    root.addEventListener("pointermove", (event) => this.point(event));
-    root.addEventListener("pointerleave", () => this.unpoint());
+    this.choices = choices(names);
+    this.offer(hasPlaces);
+    this.choose();
+    const { signal } = this.aborter;
+    root.addEventListener("pointermove", (event) => this.point(event), { signal });
+    root.addEventListener("pointerdown", (event) => this.point(event), { signal });
+    root.addEventListener("pointerleave", () => this.unpoint(), { signal });
+    const again = () => this.drawSoon();
+    window.addEventListener("resize", again, { signal });
+    DARK.addEventListener("change", again, { signal });
+  }
+
+  close() {
+    this.aborter.abort();
+    this.unpoint();
   }
 
   panel(name) {
-    const canvas = element("canvas", {
-      width: this.skin.n_cols, height: this.skin.n_rows, role: "img",
-      "aria-label": TITLES[name], "data-map": name,
-    });
-    canvas.style.aspectRatio = `${this.skin.n_cols} / ${this.skin.n_rows}`;
-    const context = canvas.getContext("2d");
-    const image = context.createImageData(this.skin.n_cols, this.skin.n_rows);
+    const title = name === "error" && !this.skin.has_truth ? "Difference from the taxels"
+      : TITLES[name];
+    const canvas = this.view.canvas(title, name), over = this.view.overlay();
+    this.view.attach(canvas, () => this.drawSoon(), this.aborter.signal);
     const bar = element("div", { class: "bar" });
     bar.style.background = GRADIENT;
     const top = element("span", {}), figures = element("figcaption", {});
-    this.panels[name] = {
-      canvas, context, image, pixels: new Uint32Array(image.data.buffer), top, figures,
-    };
-    const title = name === "error" && !this.skin.has_truth ? "Difference from the taxels"
-      : TITLES[name];
-    // An overlay in units of taxels, (0, 0) at the centre of the first.
-    const { n_rows: nRows, n_cols: nCols } = this.skin;
-    const over = element("svg", { class: "over", viewBox: `-0.5 -0.5 ${nCols} ${nRows}` });
-    this.panels[name].over = over;
+    this.panels[name] = { canvas, over, top, figures };
     return element("figure", { "data-panel": name }, element("h2", {}, title),
       element("div", { class: "framed" }, element("div", { class: "map" }, canvas, over),
         element("div", { class: "scale" }, top, bar, element("span", {}, "0"))),
       figures);
   }
 
+  // Offer the options of a view in 3-D, where there is one.
+  offer(hasPlaces) {
+    for (const option of document.querySelectorAll("[data-of=places]")) option.hidden = !hasPlaces;
+    for (const option of document.querySelectorAll("[data-of=space]")) option.hidden = !this.inSpace;
+    for (const option of byId("shown-maps").options) {
+      const those = this.choices[option.value];
+      option.hidden = option.disabled = !those
+        || (option.value === "pair" && those.length === this.choices.all.length);
+    }
+    const select = byId("shown-maps");
+    if (select.selectedOptions[0]?.disabled ?? true) {
+      select.value = [...select.options].find((option) => !option.disabled).value;
+    }
+  }
+
+  // Show the maps that are chosen; of a grid all.
+  choose() {
+    const shown = this.inSpace ? this.choices[byId("shown-maps").value] : this.choices.all;
+    for (const [name, { canvas }] of Object.entries(this.panels)) {
+      canvas.closest("figure").hidden = !shown.includes(name);
+    }
+    this.root.style.setProperty("--n-maps", shown.length);
+    this.drawSoon();
+  }
+
+  // Draw the same maps again, once for all that has changed until then.
+  drawSoon() {
+    if (this.isDue) return;
+    this.isDue = true;
+    requestAnimationFrame((now) => {
+      this.isDue = false;
+      if (!this.aborter.signal.aborted) this.draw(now);
+    });
+  }
+
+  reset() {
+    this.view.reset?.();
+  }
+
+  turnToContact() {
+    const map = this.maps.reconstruction ?? this.maps.taxels;
+    if (map && highest(map) > CONTACT * this.skin.f_max) this.view.turnTo?.(map);
+  }
+
   // Show new maps, each float32 (n_rows * n_cols,), row after row, and the frame's resultant.
   show({ data: maps, resultant }, now) {
     this.maps = { ...maps };
     this.resultant = resultant;
-    this.mark();
     const reference = maps.truth ?? maps.taxels;
     if (maps.reconstruction && reference) {
       this.maps.error = maps.reconstruction.map((v, k) => Math.abs(v - reference[k]));
@@ -69,53 +196,38 @@ export class Maps {
   }
 
   draw(now) {
+    const shown = Object.entries(this.panels).filter(
+      ([name, { canvas }]) => this.maps[name] && !canvas.closest("figure").hidden);
+    if (!shown.length) return;
+    this.view.prepare(shown[0][1].canvas);
     const peak = Math.max(...["truth", "taxels", "reconstruction"].map((m) => highest(this.maps[m])));
     this.peaks = this.peaks.filter(([at]) => now - at < HOLD_MS);
     this.peaks.push([now, peak]);
     const held = Math.max(...this.peaks.map(([, value]) => value), 0.02 * this.skin.f_max);
     const range = byId("range").value === "full" ? this.skin.f_max
       : Math.min(rounded(held), this.skin.f_max);
-    for (const [name, panel] of Object.entries(this.panels)) {
+    for (const [name, panel] of shown) {
       const map = this.maps[name];
-      if (!map) continue;
       const own = name === "error" && byId("error-range").value === "own";
       const top = own ? Math.min(rounded(highest(map)), this.skin.f_max) : range;
-      paint(panel, map, this.mask, top);
+      this.view.paint(panel, map, top);
       setText(panel.top, `${tick(top)} ${this.skin.unit}`);
       const resultant = name === "reconstruction" && this.resultant;
       setText(panel.figures, name === "error" ? this.errorText(map) : this.forceText(map)
         + (resultant
           ? `\nresultant ${within(resultant.total, resultant.total_sd, this.skin.unit)}` : ""));
     }
+    this.view.mark(this.panels, this.resultant, this.pointed?.cell);
     this.read();
   }
 
-  // The centre of pressure estimated from the measurements alone: a cross, and the ellipse that
-  // contains it in 90 % of the frames.
-  mark() {
-    const { row, col, row_sd: rowSd, col_sd: colSd } = this.resultant ?? {};
-    const arm = 0.04 * Math.max(this.skin.n_rows, this.skin.n_cols);
-    const cross = `M${col - arm} ${row}h${2 * arm}M${col} ${row - arm}v${2 * arm}`;
-    this.panels.reconstruction.over.replaceChildren(...(Number.isFinite(row) ? [
-      element("ellipse", { cx: col, cy: row, rx: ELLIPSE * colSd, ry: ELLIPSE * rowSd }),
-      element("path", { d: cross })] : []));
-  }
-
   forceText(map) {
-    const { n_cols: nCols, unit, pitch_m: pitch, f_max: fMax } = this.skin;
-    let total = 0, rows = 0, cols = 0, peak = 0;
-    for (let k = 0; k < map.length; k++) {
-      const force = map[k];
-      total += force;
-      rows += force * Math.floor(k / nCols);
-      cols += force * (k % nCols);
-      if (force > peak) peak = force;
-    }
-    const place = (sum) => pitch ? (1000 * pitch * (sum / total)).toFixed(1)
-      : (sum / total).toFixed(1);
-    const centre = peak > CONTACT * fMax ? `${place(rows)}, ${place(cols)} ${pitch ? "mm" : ""}`
-      : "no contact";
-    return `peak ${brief(peak, unit)}\ntotal ${brief(total, unit)}\ncentre ${centre}`;
+    const { unit, f_max: fMax } = this.skin;
+    let total = 0;
+    for (const force of map) total += force;
+    const peak = highest(map);
+    const centre = peak > CONTACT * fMax ? this.view.centre(map, total, peak) : "centre no contact";
+    return `peak ${brief(peak, unit)}\ntotal ${brief(total, unit)}\n${centre}`;
   }
 
   errorText(map) {
@@ -128,34 +240,29 @@ export class Maps {
 
   point(event) {
     const canvas = event.target.closest("canvas");
-    if (!canvas) return this.unpoint();
-    const box = canvas.getBoundingClientRect();
-    const place = (at, start, size, n) =>
-      Math.min(n - 1, Math.max(0, Math.floor(((at - start) / size) * n)));
-    this.pointed = [
-      place(event.clientY, box.top, box.height, this.skin.n_rows),
-      place(event.clientX, box.left, box.width, this.skin.n_cols),
-    ];
+    this.pointed = canvas && this.view.at([event.clientX, event.clientY], canvas);
+    if (!this.pointed) return this.unpoint();
+    this.view.mark(this.panels, this.resultant, this.pointed.cell);
     this.read();
   }
 
   unpoint() {
     this.pointed = null;
+    this.view.mark(this.panels, this.resultant);
     setText(byId("under-pointer"), "Point at a taxel to see its values.");
   }
 
   // The values under the pointer, in all maps.
   read() {
     if (!this.pointed) return;
-    const [row, col] = this.pointed, k = row * this.skin.n_cols + col;
-    const place = `row ${row}, column ${col}: `;
-    if (this.mask && !this.mask[k]) {
-      setText(byId("under-pointer"), place + "no taxel here");
+    const { cell, name } = this.pointed;
+    if (this.mask && !this.mask[cell]) {
+      setText(byId("under-pointer"), `${name}: no taxel here`);
       return;
     }
-    const values = Object.keys(this.panels).filter((name) => this.maps[name])
-      .map((name) => `${TITLES[name].toLowerCase()} ${this.maps[name][k].toFixed(4)}`);
-    setText(byId("under-pointer"), `${place}${values.join(", ")} ${this.skin.unit}`);
+    const values = Object.keys(this.panels).filter((which) => this.maps[which])
+      .map((which) => `${TITLES[which].toLowerCase()} ${this.maps[which][cell].toFixed(4)}`);
+    setText(byId("under-pointer"), `${name}: ${values.join(", ")} ${this.skin.unit}`);
   }
 
   // Grey out stale maps, and show their age.
@@ -171,16 +278,19 @@ export class Maps {
   }
 }
 
-// One small map, for the overview; returns its range in words.
-export function thumbnail(canvas, map, skin) {
-  if (canvas.width !== skin.n_cols || canvas.height !== skin.n_rows) {
-    canvas.width = skin.n_cols;
-    canvas.height = skin.n_rows;
+// One small map, for the overview, drawn on a panel {canvas} that is kept; returns its range in
+// words.
+export function thumbnail(panel, map, skin) {
+  if (panel.skin !== skin) {
+    panel.skin = skin;
+    panel.image = panel.pixels = undefined;
+    panel.view = Cloud.of(skin) ? new SpaceView(new Cloud(skin)) : new GridView(skin);
+    panel.canvas.classList.toggle("smooth", Cloud.of(skin));
+    [panel.canvas.width, panel.canvas.height] = [skin.n_cols, skin.n_rows];
   }
-  const context = canvas.getContext("2d");
-  const image = context.createImageData(skin.n_cols, skin.n_rows);
   const top = Math.max(rounded(highest(map)), 0.1 * skin.f_max); // noise is no picture
-  paint({ context, image, pixels: new Uint32Array(image.data.buffer) }, map, skin.data.mask, top);
+  panel.view.prepare(panel.canvas);
+  panel.view.paint(panel, map, top);
   return `peak ${brief(highest(map), skin.unit)}, colours to ${tick(top)} ${skin.unit}`;
 }
 
@@ -188,12 +298,4 @@ function highest(map) {
   let high = 0;
   if (map) for (const value of map) if (value > high) high = value;
   return high;
-}
-
-function paint({ context, image, pixels }, map, mask, top) {
-  const scale = 255 / top;
-  for (let k = 0; k < map.length; k++) {
-    pixels[k] = mask && !mask[k] ? 0 : VIRIDIS[Math.max(0, Math.min(255, (map[k] * scale) | 0))];
-  }
-  context.putImageData(image, 0, 0);
 }

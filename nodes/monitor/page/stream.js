@@ -3,16 +3,16 @@
 const TYPES = { "<f4": Float32Array, "<f8": Float64Array, "|u1": Uint8Array };
 const RETRY_MS = 1000;
 
-function parsed(bytes, offset, nHead, nData) {
+function parsed(bytes, offset, nHead) {
   const header = JSON.parse(new TextDecoder().decode(bytes.subarray(offset, offset + nHead)));
-  // A copy, because a typed array must begin at a multiple of its element size.
-  const data = bytes.slice(offset + nHead, offset + nHead + nData).buffer;
-  let start = 0;
+  let start = offset + nHead;
   header.data = {};
   for (const [name, dtype, shape] of header.arrays) {
     const n = shape.reduce((a, b) => a * b, 1);
-    header.data[name] = new TYPES[dtype](data, start, n);
-    start += n * TYPES[dtype].BYTES_PER_ELEMENT;
+    const end = start + n * TYPES[dtype].BYTES_PER_ELEMENT;
+    // A copy, because a typed array must begin at a multiple of its element size.
+    header.data[name] = new TYPES[dtype](bytes.slice(start, end).buffer);
+    start = end;
   }
   return header;
 }
@@ -30,7 +30,7 @@ class Records {
     while (bytes.length - at >= 8) {
       const nHead = view.getUint32(at, true), nData = view.getUint32(at + 4, true);
       if (bytes.length - at < 8 + nHead + nData) break;
-      yield parsed(bytes, at + 8, nHead, nData);
+      yield parsed(bytes, at + 8, nHead);
       at += 8 + nHead + nData;
     }
     this.#bytes = bytes.slice(at);
@@ -69,6 +69,8 @@ export class Stream {
         }
       } catch (error) {
         why = "";
+        // A connection that fails is a TypeError; anything else is a fault of the page.
+        if (!signal.aborted && !(error instanceof TypeError)) console.error(error);
       }
       if (signal.aborted) return;
       onConnection(why || "closed");

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from browser import browser, lack
 from conftest import Program, StartProgram, wait_until
@@ -19,6 +22,8 @@ from sparseskin.messages import Resultant
 from sparseskin.nodes.monitor.live.notices import Notices
 from sparseskin.nodes.monitor.live.server import PageServer
 from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.sensor.calibration.description import SkinDescription
+from sparseskin.nodes.sensor.calibration.skin_writer import save_skin
 
 pytestmark = [
     pytest.mark.slow,
@@ -183,6 +188,47 @@ def test_a_frame_that_is_not_to_be_trusted_is_marked_and_moves_nothing(page: Any
         )
 
 
+def test_the_mark_of_a_frame_lies_beside_its_value_at_any_width(page: Any) -> None:
+    graph = Graph()
+    graph.skin()
+    measure = """
+        const tile = document.querySelector('[data-tile=gain]'), box = tile.getBoundingClientRect();
+        tile.dataset.mark = 'not trusted';
+        tile.querySelector('strong').textContent = '\\u221210.5 dB';
+        const range = document.createRange();
+        range.selectNodeContents(tile.querySelector('strong'));
+        const value = range.getBoundingClientRect(), mark = getComputedStyle(tile, '::after');
+        const wide = ['width', 'paddingLeft', 'paddingRight']
+          .reduce((sum, side) => sum + parseFloat(mark[side]), 0);
+        const right = box.right - 1 - parseFloat(mark.right);
+        const top = box.top + 1 + parseFloat(mark.top);
+        return {gap: right - wide - value.right, edge: box.right - right,
+          above: top - value.top, below: value.bottom - top - parseFloat(mark.height)};
+    """
+    with contextlib.closing(
+        PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
+    ) as server:
+        page.get("about:blank")
+        page.get(server.url)
+        graph.frame(error=0.1, trusted=False)
+        graph.summarise()
+        wait_until(lambda: "dB" in text(page, '[data-tile="gain"] strong'), "the value")
+        try:
+            for width in (320, 361, 390, 521, 661, 900, 1000, 1241, 1440):
+                resize(page, width)
+                found = page.execute_script(measure)
+                assert found["gap"] >= 2, (width, found)
+                assert found["edge"] >= 4, (width, found)
+                assert min(found["above"], found["below"]) >= 0, (width, found)
+        finally:
+            resize(page, 1280)
+
+
+def resize(page: Any, width: int) -> None:
+    size = {"width": width, "height": 720, "deviceScaleFactor": 1, "mobile": False}
+    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+
+
 def test_the_overview_has_a_card_of_each_patch_with_its_map(page: Any) -> None:
     graph = Graph("left", "right")
     with contextlib.closing(
@@ -280,6 +326,45 @@ def test_a_recording_is_begun_and_ended_from_the_page(
     wait_until(lambda: "messages recorded" in answer(page, "launch"), "the end of the recording")
     (file,) = tmp_path.glob("path_40-*.mcap")
     assert file.stat().st_size > 10_000
+
+
+OLD_SKIN = """
+import time, numpy as np
+
+def frames():
+    rng = np.random.default_rng(0)
+    while True:
+        time.sleep(0.01)
+        yield time.monotonic_ns(), 40 + rng.normal(0, 1, (4, 6))
+"""
+
+
+def test_a_skin_whose_baseline_is_old_is_tared_from_the_page(
+    start: StartProgram, page: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "old_skin.py").write_text(OLD_SKIN)
+    described = SkinDescription(
+        "old", 4, 6, 50.0, unit="N", baseline=np.full((4, 6), 35.0), noise=1.0
+    )
+    save_skin(tmp_path / "old.toml", described)
+    open_page(
+        start, page, "replay", "--set", "sensor.source=old_skin:frames",
+        "--set", "sensor.skin=old.toml", "--set", "sensor.rate_hz=50",
+    )  # fmt: skip
+    button, taxels = '[data-tare="sensor"]', '[data-panel="taxels"] figcaption'
+
+    def total_n() -> float:
+        found = re.search(r"total ([0-9.]+) N", text(page, taxels))
+        return float(found[1]) if found else math.nan
+
+    wait_until(lambda: total_n() > 80, "24 taxels of 5 N each")
+    wait_until(lambda: text(page, button) == "Tare", "the button")
+    page.find_element("css selector", button).click()
+    wait_until(lambda: answer(page, "launch").startswith("✓ tared: "), "the end of the tare")
+    assert "forces changed by at most" in answer(page, "launch")
+    assert text(page, button) == "Tare"
+    assert page.find_element("css selector", button).is_enabled()
+    wait_until(lambda: total_n() < 40, "noise alone")
 
 
 def test_a_replay_is_paused_stepped_and_sought(

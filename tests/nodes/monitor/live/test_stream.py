@@ -14,6 +14,7 @@ from bags import MASK, N_COLS, N_ROWS, frame
 from feeds import BEGIN_S, FakeTime, Graph, Record, graph_state, node_state, read_records
 
 from sparseskin.messages import Reconstruction, Resultant, Taxels, Truth
+from sparseskin.messages.errors import OversizedError
 from sparseskin.nodes.monitor.live.feed import MAX_ANSWERS
 from sparseskin.nodes.monitor.live.notices import Notices
 from sparseskin.nodes.monitor.live.stream import StreamReader
@@ -69,6 +70,34 @@ def test_the_skin_comes_first_and_once(clock: FakeTime) -> None:
     graph.frame()
     header, arrays = only(page.pull(), "skin")
     assert (header["rate_hz"], arrays) == (50.0, {})
+
+
+def test_the_points_of_a_skin_come_once_row_by_row_of_its_taxels(clock: FakeTime) -> None:
+    graph = Graph()
+    one, all_patches = Page(graph, clock), Page(graph, clock, None)
+    n = int(MASK.sum())
+    points = np.tile(np.float32([0, 0, 0, 0, 0.6, 0.8]), (n, 1))
+    points[:, 0] = np.arange(n)
+    graph.skin(points=points)
+    for page in (one, all_patches):
+        _, arrays = only(page.pull(), "skin")
+        assert arrays["points"].dtype == np.float32
+        np.testing.assert_array_equal(arrays["points"], points)
+        np.testing.assert_array_equal(arrays["mask"].astype(bool), MASK)
+        graph.frame()
+        assert "skin" not in page.kinds()
+
+
+def test_the_most_points_that_a_skin_may_have_are_one_record(clock: FakeTime) -> None:
+    graph = Graph()
+    page = Page(graph, clock)
+    sides = {"n_rows": 424, "n_cols": 412, "mask": None}
+    points = np.tile(np.float32([1000, -1000, 0, 0, 0, -1]), (424 * 412, 1))
+    with pytest.raises(OversizedError):
+        graph.skin(**sides | {"n_cols": 413}, points=points[:1].repeat(424 * 413, 0))
+    graph.skin(**sides, points=points)
+    _, arrays = only(page.pull(), "skin")
+    assert arrays["points"].nbytes == points.nbytes < 5e6
 
 
 def test_the_state_marks_frames_that_are_not_to_be_trusted(clock: FakeTime) -> None:

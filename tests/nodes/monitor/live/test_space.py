@@ -1,0 +1,268 @@
+"""Skins of points on the live page, in a real browser: turned, zoomed, pointed at."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import browser, lack
+from clouds import pressed, torso
+from conftest import wait_until
+from feeds import Graph
+
+from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth
+from sparseskin.nodes.monitor.live.notices import Notices
+from sparseskin.nodes.monitor.live.server import PageServer
+from sparseskin.nodes.numerics.arrays import Floats
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(bool(lack()), reason=lack() or "a browser is installed"),
+]
+
+N_ROWS, N_COLS = 50, 81
+MASK = np.ones((N_ROWS, N_COLS), np.bool_)
+"""Each row has a cell without a taxel. Its bytes are no multiple of 4, as those after it are."""
+MASK[:, 40] = False
+FRONT = (0.11, 0.0, 0.0)
+PEAK_N, RADIUS_M = 2.0, 0.06
+VIRIDIS_TOP, VIRIDIS_ZERO = (0xFD, 0xE7, 0x25), (0x44, 0x01, 0x54)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    with browser(tmp_path_factory.mktemp("browser") / "profile") as driver:
+        yield driver
+
+
+@pytest.fixture(scope="module")
+def points() -> Floats:
+    return torso(N_ROWS, N_COLS)[MASK.ravel()]
+
+
+@pytest.fixture
+def graph(page: Any, points: Floats) -> Iterator[Graph]:
+    """A torso that is pressed in front with the top of the colour range, on the open page."""
+    graph = Graph()
+    graph.skin(n_rows=N_ROWS, n_cols=N_COLS, mask=MASK, points=points, pitch_m=0.011)
+    with contextlib.closing(
+        PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
+    ) as server:
+        page.get("about:blank")  # an address that differs in its hash alone loads no page
+        page.get(server.url)
+        press(graph, points, FRONT)
+        wait_until(lambda: "peak 2.00 N" in figures(page), "the map of a frame")
+        yield graph
+        # That readings of pixels are slow is a remark, and no error.
+        errors = [each["message"] for each in page.get_log("browser") if each["level"] == "SEVERE"]
+        assert not [text for text in errors if "ERR_" not in text]
+
+
+def press(graph: Graph, points: Floats, at: tuple[float, float, float]) -> None:
+    """The next frame, without noise: the truth is pressed, and reconstructed exactly."""
+    n, graph.n["skin"] = graph.n["skin"], graph.n["skin"] + 1
+    of_frame: dict[str, Any] = {"stamp_ns": n * 10_000_000, "patch": "skin"}
+    forces = np.zeros((N_ROWS, N_COLS), np.float32)
+    forces[MASK] = pressed(points, at, PEAK_N, RADIUS_M)
+    made: dict[str, Any] = {"phi": "0" * 16, "iterations": 1, "residual": 0.0}
+    frame: list[Message] = [
+        Taxels(**of_frame, forces=forces),
+        Truth(**of_frame, forces=forces),
+        Measurements(**of_frame, y=np.zeros(12, np.float32), phi="0" * 16),
+        Reconstruction(**of_frame, **made, forces=forces, solve_ns=1, done_ns=1),
+    ]
+    for message in frame:
+        graph.take(message.published("0" * 16, n))
+
+
+def run(page: Any, script: str, *arguments: Any) -> Any:
+    return page.execute_script(script, *arguments)
+
+
+def figures(page: Any) -> str:
+    return str(run(page, "return document.querySelector('[data-panel=reconstruction] figcaption')"
+                         "?.innerText ?? ''"))  # fmt: skip
+
+
+def image(page: Any, which: str = "reconstruction") -> str:
+    canvas = f"document.querySelector('canvas[data-map={which}]')"
+    return str(run(page, f"return {canvas}.toDataURL()"))
+
+
+def pixels(page: Any, colour: tuple[int, int, int]) -> tuple[int, float, float]:
+    """Number of pixels of a colour in the reconstruction, and their middle, 0 to 1 of its sides."""
+    n, x, y = run(
+        page,
+        """
+        const { width, height } = arguments[0], [r, g, b] = arguments[1];
+        const { data } = arguments[0].getContext('2d').getImageData(0, 0, width, height);
+        let n = 0, x = 0, y = 0;
+        for (let k = 0; k < width * height; k++) {
+          const at = 4 * k;
+          if (data[at] !== r || data[at + 1] !== g || data[at + 2] !== b) continue;
+          n += 1;
+          x += (k % width) + 0.5;
+          y += Math.floor(k / width) + 0.5;
+        }
+        return [n, x / n / width, y / n / height];
+        """,
+        page.find_element("css selector", "canvas[data-map=reconstruction]"),
+        list(colour),
+    )
+    return int(n), float(x or 0), float(y or 0)
+
+
+def drag(page: Any, by_x: int, by_y: int = 0) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    canvas = page.find_element("css selector", "canvas[data-map=reconstruction]")
+    chain = ActionChains(page, duration=20).move_to_element(canvas).click_and_hold()
+    chain.move_by_offset(by_x, by_y).release().perform()
+
+
+def width(page: Any) -> int:
+    canvas = "document.querySelector('canvas[data-map=reconstruction]')"
+    return int(run(page, f"return {canvas}.clientWidth"))
+
+
+def settled(page: Any) -> None:
+    """Wait until the view that was turned is drawn in full again: two pixels for one."""
+    canvas = "document.querySelector('canvas[data-map=reconstruction]')"
+    fine = f"return {canvas}.width > 1.4 * {canvas}.clientWidth"
+    wait_until(lambda: bool(run(page, fine)), "the fine picture")
+
+
+def test_the_pressed_place_has_the_colour_of_its_force_and_a_drag_turns_it_away(
+    page: Any, graph: Graph
+) -> None:
+    settled(page)
+    before, (n, middle, _) = image(page), pixels(page, VIRIDIS_TOP)
+    assert n > 20
+    assert pixels(page, VIRIDIS_ZERO)[0] > 100 * n / 20
+    # The front is a little left of the middle at first; a drag to the right takes it along.
+    drag(page, width(page) // 12)
+    wait_until(lambda: image(page) != before, "another view")
+    settled(page)
+    m, moved, _ = pixels(page, VIRIDIS_TOP)
+    assert m > 20
+    assert moved > middle + 0.02
+    # Half a turn: the place is on the far side, and its caption says so.
+    for _ in range(2):
+        drag(page, width(page) // 2 - 10)
+    wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] == 0, "the other side")
+    wait_until(lambda: "100 % of the contact on the far side" in figures(page), "its share")
+    run(page, "document.getElementById('turn-to-contact').click()")
+    wait_until(lambda: "on the near side" in figures(page), "the side of the contact")
+    wait_until(lambda: abs(pixels(page, VIRIDIS_TOP)[1] - 0.5) < 0.05, "it in the middle")
+    run(page, "document.getElementById('reset-view').click()")
+    settled(page)
+    wait_until(lambda: image(page) == before, "the view of the beginning")
+
+
+def test_keys_and_wheel_turn_and_zoom_all_maps_alike(page: Any, graph: Graph) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    settled(page)
+    canvas = page.find_element("css selector", "canvas[data-map=truth]")
+    before = image(page)
+    for keys in (Keys.ARROW_LEFT, Keys.ARROW_UP, "+"):
+        seen = image(page)
+        canvas.send_keys(keys)
+        wait_until(lambda: image(page) != seen, "another view")  # noqa: B023
+        settled(page)
+        wait_until(lambda: image(page, "truth") == image(page), "the same on both")
+    canvas.send_keys(Keys.HOME)
+    settled(page)
+    wait_until(lambda: image(page) == before, "the view of the beginning")
+    n = pixels(page, VIRIDIS_TOP)[0]
+    run(
+        page,
+        "const box = arguments[0].getBoundingClientRect();"
+        "arguments[0].dispatchEvent(new WheelEvent('wheel', { deltaY: -600, cancelable: true,"
+        "  clientX: box.left + box.width / 2, clientY: box.top + box.height / 2 }));",
+        canvas,
+    )
+    wait_until(lambda: image(page) != before, "a closer view")
+    settled(page)
+    wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] > 3 * n, "a larger place")
+
+
+def test_the_taxel_under_the_pointer_is_named_with_its_place_and_forces(
+    page: Any, graph: Graph, points: Floats
+) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    k = int(np.argmax(pressed(points, FRONT, PEAK_N, RADIUS_M)))
+    run(page, "document.getElementById('turn-to-contact').click()")
+    settled(page)
+    wait_until(lambda: abs(pixels(page, VIRIDIS_TOP)[1] - 0.5) < 0.05, "it in the middle")
+    canvas = page.find_element("css selector", "canvas[data-map=reconstruction]")
+    _, x, y = pixels(page, VIRIDIS_TOP)
+    offset = [round((at - 0.5) * canvas.rect[side]) for at, side in ((x, "width"), (y, "height"))]
+    ActionChains(page).move_to_element_with_offset(canvas, *offset).perform()
+    shown = "return document.getElementById('under-pointer').innerText"
+    where = ", ".join(f"{1000 * v:.1f}" for v in points[k, :3])
+    wait_until(lambda: f"taxel {k} at {where} mm: truth 2.0000" in run(page, shown), "its values")
+    assert "reconstruction 2.0000" in run(page, shown)
+    rings = "return document.querySelectorAll('#maps ellipse').length"
+    assert run(page, rings) >= 2
+
+
+def test_the_grid_of_the_same_skin_and_single_maps_can_be_shown(page: Any, graph: Graph) -> None:
+    titles = (
+        "return [...document.querySelectorAll('#maps figure')].filter((f) => !f.hidden)"
+        "  .map((f) => f.querySelector('h2').innerText).join(', ')"
+    )
+    choose = (
+        "const select = document.getElementById(arguments[0]); select.value = arguments[1];"
+        "select.dispatchEvent(new Event('change'));"
+    )
+    assert run(page, titles) == "Truth, Reconstruction"
+    run(page, choose, "shown-maps", "reconstruction")
+    assert run(page, titles) == "Reconstruction"
+    run(page, choose, "view", "grid")
+    assert run(page, titles) == "Truth, Taxels (measured), Reconstruction, Absolute error"
+    size = "const c = document.querySelector('[data-map=truth]'); return [c.width, c.height]"
+    assert run(page, size) == [N_COLS, N_ROWS]
+    wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] > 0, "the frame on the grid")
+    run(page, choose, "view", "space")
+    run(page, choose, "shown-maps", "pair")
+    settled(page)
+    wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] > 20, "the frame in 3-D")
+
+
+def test_points_of_any_kind_are_drawn_in_bounded_time_and_wrong_ones_as_a_grid(
+    page: Any, graph: Graph
+) -> None:
+    """Points at one place, at two far apart, and one alone; then too few for the grid."""
+    drawn = page.execute_async_script(
+        """
+        const done = arguments[0];
+        (async () => {
+          const { Cloud, TAXELS, rasterise } = await import('./cloud.js');
+          const flat = (places) => Float32Array.from(places.flatMap((p) => [...p, 0, 0, 1]));
+          const skin = (side, places, pitch) =>
+            ({ n_rows: side, n_cols: side, pitch_m: pitch, data: { points: flat(places) } });
+          const one = [0.1, 0.2, 0.3], far = [999, -999, 0], n = 4096;
+          const skins = [
+            skin(64, Array(n).fill(one), 1e-9), skin(64, Array(n).fill(one), null),
+            skin(64, Array.from({ length: n }, (_, k) => (k % 2 ? one : far)), 1000),
+            skin(1, [[-1000, 0, 0]], null),
+          ];
+          const found = skins.map((each) => {
+            const size = 200, target = { width: size, height: size,
+              index: new Uint32Array(size * size), depth: new Float32Array(size * size) };
+            const cloud = new Cloud(each);
+            rasterise(cloud, { yaw: 0, pitch: Math.PI / 2, zoom: 1, x: 0, y: 0 }, target);
+            return Cloud.of(each) && target.index.some((value) => value >= TAXELS)
+              && cloud.spacing.every((value) => value > 0);
+          });
+          const none = { n_rows: 1, n_cols: 1, data: {} };
+          done([...found, Cloud.of(skin(64, [one], null)), Cloud.of(none)]);
+        })();
+        """
+    )
+    assert drawn == [True, True, True, True, False, False]
