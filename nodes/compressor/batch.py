@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
+from sparseskin.messages import Message
+from sparseskin.messages.batches import BatchMessage, MeasurementsBatch, TaxelsBatch
 from sparseskin.nodes.batch import BatchNode, check_patches
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.settings import setting
@@ -35,7 +39,23 @@ class CompressorBatchSettings(CompressorSettings):
 
 
 class CompressorBatch(BatchNode[CompressorBatchSettings]):
-    """Publishes /BATCH/phi once the skin is known, then /BATCH/measurements_batch."""
+    """Publishes /BATCH/phi once the skin is known, then /BATCH/measurements_batch.
+
+    The node of the first patch measures all of them: they have the same Phi.
+    """
 
     Settings = CompressorBatchSettings
-    one = Compressor
+    one: ClassVar[type[Compressor]] = Compressor
+
+    def _step_batch(self, message: BatchMessage) -> Iterator[Message]:
+        assert isinstance(message, TaxelsBatch)
+        first = self._first
+        assert isinstance(first, Compressor)
+        y, phi = first.measure(message.forces, message.topic)
+        yield MeasurementsBatch(
+            stamp_ns=message.stamp_ns,
+            patch=self.settings.patch,
+            names=self._names,
+            y=y,
+            phi=phi.fingerprint,
+        )

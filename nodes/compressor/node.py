@@ -37,6 +37,7 @@ from sparseskin.nodes.compressor.phi.rotation import (
 from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
 from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.compiled import ENVIRONMENT, use_compiled
 from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.settings import PatchSettings, naming, setting
@@ -224,19 +225,52 @@ class Compressor(Node[CompressorSettings]):
         for warning in compression_warnings(s.phi, phi.n, phi.m, phi.block, s.bits):
             self.context.log(warning)
 
-    def _compress(self, taxels: Taxels) -> Measurements:
+    def measure(self, forces: Floats, topic: str) -> tuple[Floats, Phi]:
+        """Measure frames of one time by the next row subset, for a Phi that is the same for all.
+
+        Parameters
+        ----------
+        forces : ndarray of float32, shape (k, n_rows, n_cols)
+            Readings, newtons.
+        topic : str
+            Topic that they came by, which a refusal names.
+
+        Returns
+        -------
+        y : ndarray of float32, shape (k, m)
+            Measurements, newtons; bit for bit those of each frame alone.
+        phi : Phi
+            The matrix.
+
+        Raises
+        ------
+        RefusedError
+            If the skin is not known yet or has another shape.
+        """
+        x = self._existing(forces, topic)
+        phi = self._next_phi()
+        return phi.forward(x), phi
+
+    def _existing(self, forces: Floats, topic: str) -> Floats:
+        """Readings of the taxels that exist, of one frame or several: float32, shape (..., n)."""
         if self._state is None:
-            raise RefusedError(f"{taxels.topic}: the skin is not known yet")
-        if taxels.forces.shape != self._state.skin.shape:
+            raise RefusedError(f"{topic}: the skin is not known yet")
+        if forces.shape[-2:] != self._state.skin.shape:
             raise RefusedError(
-                f"{taxels.topic}: forces of shape {taxels.forces.shape}, "
+                f"{topic}: forces of shape {forces.shape[-2:]}, "
                 f"but the skin has {self._state.skin.shape}"
             )
-        x = taxels.forces.reshape(-1)
-        if self._cells is not None:
-            x = x[self._cells]
+        x = forces.reshape(*forces.shape[:-2], -1)
+        return x if self._cells is None else x[..., self._cells]
+
+    def _next_phi(self) -> Phi:
         phi = self._subsets[self._subset]
         self._subset = (self._subset + 1) % len(self._subsets)
+        return phi
+
+    def _compress(self, taxels: Taxels) -> Measurements:
+        x = self._existing(taxels.forces, taxels.topic)
+        phi = self._next_phi()
         places = nodes = None
         if isinstance(phi, ActsPhi) and self._search is not None:
             found = self._search.places(x.take)

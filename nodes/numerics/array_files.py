@@ -6,8 +6,9 @@ import io
 import math
 import warnings
 import zipfile
-from collections.abc import Callable
-from typing import IO, Any
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import IO, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,7 @@ MAX_GROWN_BYTES = 1 << 30
 MAX_HEAD_BYTES = 1 << 17
 """Longest header of an .npy, bytes; that of NumPy is a hundred."""
 _NPY, _ZIP = b"\x93NUMPY", b"PK"
+_PART_BYTES = 1 << 23
 
 
 class ArrayFileError(ValueError):
@@ -34,18 +36,58 @@ def read_npy(raw: bytes) -> npt.NDArray[np.generic]:
     """The array of an .npy, a view of its bytes. Raises ArrayFileError if it is none of numbers."""
     head = io.BytesIO(raw[:MAX_HEAD_BYTES])
     shape, in_columns, dtype = _header(head)
-    if dtype.hasobject:
-        raise ArrayFileError("it holds Python objects; allowed are arrays of numbers")
     held = len(raw) - head.tell()
-    stated = math.prod(shape) * dtype.itemsize
-    if min(shape, default=0) < 0 or stated != held or not dtype.itemsize:
-        text = f"{_shape(shape)} of {str(dtype)[:40]}, but {held} bytes follow"
-        raise ArrayFileError(f"its header states {text}")
+    _check_size(shape, dtype, held)
     flat = np.frombuffer(raw, dtype, offset=head.tell()) if held else np.empty(0, dtype)
     try:
         return flat.reshape(shape, order="F" if in_columns else "C")
     except ValueError as error:  # no number, in sides that no index counts
         raise ArrayFileError(f"its header states {_shape(shape)}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayPart:
+    """Elements of an array of `shape` that follow each other in its file, in `order`: `values`, one
+    dimension, of which the first has the number `first`.
+    """
+
+    shape: tuple[int, ...]
+    order: Literal["C", "F"]
+    first: int
+    values: npt.NDArray[Any]
+
+
+def npy_parts(file: IO[bytes], n_bytes: int, most_bytes: int) -> Iterator[ArrayPart]:
+    """The elements of an .npy of `n_bytes`, of which no more than `most_bytes` are read, some MiB
+    at a time. Raises ArrayFileError as `read_npy` does.
+    """
+    head = io.BytesIO(file.read(MAX_HEAD_BYTES))
+    shape, in_columns, dtype = _header(head)
+    _check_size(shape, dtype, n_bytes - head.tell())
+    if dtype.itemsize > _PART_BYTES:
+        raise ArrayFileError(f"its elements have {dtype.itemsize} bytes; at most {_PART_BYTES}")
+    n_part, first = _PART_BYTES // dtype.itemsize * dtype.itemsize, 0
+    raw = head.read()
+    while first * dtype.itemsize < most_bytes:
+        raw += file.read(n_part - len(raw))
+        values = np.frombuffer(raw, dtype, len(raw) // dtype.itemsize)
+        if not values.size:
+            return
+        yield ArrayPart(shape, "F" if in_columns else "C", first, values)
+        first, raw = first + values.size, b""
+
+
+def npz_parts(file: IO[bytes], name: str, most_bytes: int) -> Iterator[ArrayPart]:
+    """As `npy_parts`, of one array of an .npz. Raises ArrayFileError as `read_npz` does."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            member = _members(archive)[name]
+            _check_compression(member)
+            with archive.open(member) as one:
+                yield from npy_parts(one, member.file_size, most_bytes)
+    except Exception as error:  # as in `read_npz`
+        why = str(error) if isinstance(error, ArrayFileError) else "not a readable NumPy file"
+        raise ArrayFileError(f"array {ascii(name)[:40]}: {why}") from error
 
 
 def npy_shape(file: IO[bytes]) -> tuple[int, ...]:
@@ -130,17 +172,31 @@ def _header(head: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
         raise ArrayFileError("not a readable NumPy file") from error
 
 
+def _check_size(shape: tuple[int, ...], dtype: np.dtype[Any], held: int) -> None:
+    """Raise ArrayFileError unless so many bytes hold an array of numbers of that shape."""
+    if dtype.hasobject:
+        raise ArrayFileError("it holds Python objects; allowed are arrays of numbers")
+    stated = math.prod(shape) * dtype.itemsize
+    if min(shape, default=0) < 0 or stated != held or not dtype.itemsize:
+        text = f"{_shape(shape)} of {str(dtype)[:40]}, but {held} bytes follow"
+        raise ArrayFileError(f"its header states {text}")
+
+
 def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     """The arrays of an .npz by name."""
     return {one.filename.removesuffix(".npy"): one for one in archive.infolist()}
+
+
+def _check_compression(member: zipfile.ZipInfo) -> None:
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ArrayFileError("compressed in a way that NumPy does not write")
 
 
 def _member(
     archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str
 ) -> npt.NDArray[np.generic]:
     try:
-        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise ArrayFileError("compressed in a way that NumPy does not write")
+        _check_compression(member)
         return read_npy(archive.read(member))
     except Exception as error:
         why = str(error) if isinstance(error, ArrayFileError) else "not a readable NumPy file"

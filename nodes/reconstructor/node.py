@@ -306,6 +306,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             trusted,
             n=self._solver.taxels.size,
             unit=self._skin.unit,
+            f_max=self._skin.f_max,
         )
 
     def _resultant_of(self, found: Estimate, stamp_ns: int) -> Resultant:

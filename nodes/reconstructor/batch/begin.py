@@ -255,7 +255,8 @@ def _plan(
     noise = frame["known_noise"]
     touch = frame["power_read"] - noise
     coarse = s["has_estimate"] & s["rotating"] & (touch > TUNING.untouched * noise) & t.tests
-    coarse = coarse & (s["error2"] + noise > TUNING.trusted**2 * touch)
+    coarse = coarse & (gain >= TUNING.coarse_gain)
+    coarse = coarse & (s["error2"] + gain * noise > TUNING.trusted**2 * touch)
     frame["coarse"] = coarse
     due = (s["wait"] <= 0) & (s["exceeds"] | coarse | s["is_smooth"])
     begins = (frame["nothing_known"] | (due & (s["left"] <= 0))) & t.tests

@@ -129,8 +129,9 @@ class ReferenceSolver:
 
         # While both models are compared, each starts from its own last estimate.
         touch = mean_square(read) - noise
-        last2 = 0.0 if self.error is None else self.error**2 + noise
-        self.coarse = self.rotating and touch > t.untouched * noise and last2 > t.trusted**2 * touch
+        last2 = 0.0 if self.error is None else self.error**2 + gain * noise
+        self.coarse = self.rotating and gain >= t.coarse_gain and touch > t.untouched * noise
+        self.coarse = self.coarse and last2 > t.trusted**2 * touch
         models = self.models_to_compute(cold)
         start = {model: x_p if cold else self.last.get(model, x_p) for model in models}
         start[self.model] = x_p

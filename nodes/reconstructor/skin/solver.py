@@ -525,14 +525,18 @@ class SkinSolver(Solver):
     def _coarse(self) -> bool:
         """True if the last error, and the noise, are large beside what touches the skin.
 
-        Not asked of fixed rows: the same measurements are held out of each frame, so that another
-        comparison would be no other evidence.
+        Noise counts as far as the Haar model does not average it out, K times; with a low gain K,
+        innovations are no larger than noise, and no other model would change that. Not asked of
+        fixed rows: the same measurements are held out of each frame, so that another comparison
+        would be no other evidence.
         """
-        noise = self.known_noise
-        touch = self._power_read - noise
-        if self.error is None or not self._rotating or touch <= self._t.untouched * noise:
+        gain, noise = self._gain.gain, self.known_noise
+        if self.error is None or not self._rotating or gain < self._t.coarse_gain:
             return False
-        return self.error**2 + noise > self._t.trusted**2 * touch
+        touch = self._power_read - noise
+        if touch <= self._t.untouched * noise:
+            return False
+        return self.error**2 + gain * noise > self._t.trusted**2 * touch
 
     @property
     def known_noise(self) -> float:

@@ -181,6 +181,9 @@ class SkinTuning:
     #: better. [Chosen]
     often: int = 4
     seldom: int = 64
+    #: Least gain at which a large error asks for comparisons. [Recordings: 0.3, 0.5 are as good.]
+    #: Below it, the Haar model averages most of the noise out.
+    coarse_gain: float = 0.4
     #: Growth of an error that asks for a comparison. [Chosen]
     worse: float = 2.0
     #: Mean squared error of an estimate whose held-out rows show noise alone, in K R and the root

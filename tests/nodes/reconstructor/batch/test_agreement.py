@@ -52,6 +52,16 @@ def test_forces_and_decisions_are_those_of_the_default_solver(body: str, rows: s
 
 
 @pytest.mark.parametrize("rows", ["fixed", "rotating"])
+def test_frames_that_were_read_twice_agree(rows: str) -> None:
+    known = stream("peg", 3, rows)
+    period = len(known.phis)
+    rounds = [range(k, k + period) for k in range(0, len(known.y) - period + 1, period)]
+    order = [k for frames in rounds for k in (*frames, *frames)]
+    twice = known._replace(y=[known.y[k] for k in order], truth=[known.truth[k] for k in order])
+    assert_agree(batched([twice])[0], one_by_one(twice))
+
+
+@pytest.mark.parametrize("rows", ["fixed", "rotating"])
 def test_both_models_and_their_trial_are_those_of_the_default_solver(rows: str) -> None:
     known = stream("gaussian", 3, rows, active=0.5, shape=(24, 20), n_frames=24)
     (mine,), other = batched([known]), one_by_one(known)
