@@ -10,9 +10,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.executors import FORMS
 from sparseskin.nodes.lookup import find_callable, nearest_of
 from sparseskin.nodes.numerics.compiled import ENVIRONMENT
+from sparseskin.nodes.tasks.executors import FORMS
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,13 @@ STUDIES = {
         "PSNR against the length of wires, from local to scrambled sums; circuits of row sums",
         numpy_only=True,
     ),
+    "layouts": Study(
+        "skins of points beside the grid, and beside other ways to put points on a grid"
+    ),
+    "design-grid": Study(
+        "accuracy by taxels, noise, bits and rate, from which `design` interpolates",
+        target="sparseskin.studies.design.grid_study:run",
+    ),
     "bases": Study(
         "in which basis forces are sparse: D2, D4 and others, learned ones; adaptive sampling",
         numpy_only=True,
@@ -93,6 +100,9 @@ STUDIES = {
     ),
     "scale": Study(
         "a body of 1 to 244 patches: time, memory, idle patches, and the rate that is held live"
+    ),
+    "slices": Study(
+        "how long the warm-up of a slice of a recording has to be", options=("recordings",)
     ),
     "soak": Study("a long run: memory, open files, lost frames", options=("minutes",)),
     "fuzz": Study("hostile messages on the sockets of nodes that run, and mutated launch files"),

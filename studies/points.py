@@ -5,25 +5,19 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import json
-import multiprocessing
-import os
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import cache
-from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
 
 from tqdm import tqdm
 
-from sparseskin import nodes
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.executors import make_executor
 from sparseskin.nodes.lookup import one_line
+from sparseskin.nodes.tasks.computed import computed
+from sparseskin.nodes.tasks.fingerprint import code_fingerprint
 
 #: Raised when the figures of a point change their meaning: records of other versions are not used.
 STUDY_VERSION = 2
@@ -56,7 +50,7 @@ def compute(
     out : Path
         Folder of the study, which exists.
     executor_name : str
-        As in `sparseskin.nodes.executors.make_executor`.
+        As in `sparseskin.nodes.tasks.executors.make_executor`.
     label : str
         Name of the points, unique in the study: shown by the progress bar, and part of the key
         of each point, as is the name of the function (but not the module it stands in).
@@ -112,15 +106,6 @@ def key_of(function: Function, label: str, point: Point) -> str:
     names = [label, function.__qualname__, STUDY_VERSION]
     text = json.dumps([*names, point], sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def code_fingerprint() -> str:
-    """16 hexadecimal characters that change with the code of the nodes, which studies run."""
-    digest = hashlib.sha256()
-    root = Path(nodes.__file__).parent
-    for path in sorted(root.rglob("*.py")):
-        digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
 
 
 def _log_known(label: str, keys: set[str], is_other_code: Sequence[bool]) -> None:
@@ -202,16 +187,8 @@ def _computed(
     function: Function, missing: Mapping[str, dict[str, Any]], executor_name: str
 ) -> Iterator[tuple[str, Figures]]:
     """Yield (key, figures) of points as they are finished."""
-    if not missing:
-        return
-    before = set(multiprocessing.active_children())
-    executor = make_executor(executor_name)
-    try:
-        # Ctrl-C reaches the workers too; they inherit that they ignore it.
-        with _interrupts_ignored():
-            futures = {executor.submit(_run, function, p): key for key, p in missing.items()}
-        for future in as_completed(futures):
-            key = futures[future]
+    with closing(computed(executor_name, function, missing)) as finished:
+        for key, future in finished:
             try:
                 figures = future.result()
                 json.dumps(figures, allow_nan=False)
@@ -220,46 +197,6 @@ def _computed(
             except Exception as error:
                 raise StudyError(f"{_named(missing[key])}: {one_line(error)}") from error
             yield key, figures
-    except BaseException:
-        executor.shutdown(wait=False, cancel_futures=True)
-        for worker in set(multiprocessing.active_children()) - before:
-            worker.terminate()
-        raise
-    executor.shutdown()
-
-
-def _run(function: Function, point: dict[str, Any]) -> Figures:
-    """Compute one point, in a worker or in this process."""
-    _end_with_parent()
-    return function(point)
-
-
-def _end_with_parent() -> None:
-    """In a worker: end this process when the process of the study is gone."""
-    parent = multiprocessing.parent_process()
-    if parent is None or any(thread.name == _WATCH for thread in threading.enumerate()):
-        return
-
-    def watch() -> None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, name=_WATCH, daemon=True).start()
-
-
-_WATCH = "parent-watch"
-
-
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _named(point: Mapping[str, Any]) -> str:

@@ -71,6 +71,7 @@ class Chart:
 
     Attributes
     ----------
+    name, caption : str
     figure : matplotlib.figure.Figure
     panels : list of matplotlib.axes.Axes
     markdown : str
@@ -94,7 +95,7 @@ class Chart:
         legend_columns: int = 4,
         **subplots: Any,
     ) -> None:
-        self._path, self._caption = out / name, caption
+        self._path, self.name, self.caption = out / name, name, caption
         self._n_columns, self._legend_columns = n_columns, legend_columns
         self.markdown = f"![{caption}]({name}.png)\n\n*{caption}* ([SVG]({name}.svg))"
         self._style = matplotlib.rc_context(_STYLE)

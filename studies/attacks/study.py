@@ -7,6 +7,7 @@ graphs start, end and are killed. Counted are lost frames, nodes that end, and w
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,7 @@ def run(out: Path, quick: bool, seed: int, executor: str, minutes: float | None 
     fill_page(
         out,
         "attacks",
+        conclusion=conclusion([*silent, pages], listed),
         quick=quick,
         minutes=minutes,
         rate_hz=RATE_HZ,
@@ -79,6 +81,20 @@ def run(out: Path, quick: bool, seed: int, executor: str, minutes: float | None 
         n_graphs=sum(listed["graphs"].values()),
         csv=write_csv(out, "attacks", rows),
     )
+
+
+def conclusion(found: Sequence[dict[str, Any]], listed: dict[str, Any]) -> list[str]:
+    """Lost frames, nodes that ended and what was left, over all attacks; faults of commands."""
+    lost, frames = (sum(one[key] for one in found) for key in ("lost", "frames"))
+    ended = sorted({name for one in found for name in one["stopped"]})
+    left = [name for one in found for name in one["left"]] + list(listed["left"])
+    return [
+        f"Half-open connections and open pages: {lost} of {frames} frames lost; nodes that ended: "
+        f"{', '.join(ended) or 'none'}.",
+        f"Commands beside {sum(listed['graphs'].values())} graphs that started and ended: "
+        f"{len(listed['faults'])} faults, {listed['frames']['lost']} frames lost.",
+        f"Left behind: {', '.join(left) or 'nothing'}.",
+    ]
 
 
 def half_open_row(point: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,8 +44,11 @@ BRIDGES = {
 
 _QUIET: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
 N_STEPS, WARM_UP = 3000, 500
-STEP_S = 0.001
+STEP_S, STAMP_NS = 0.001, 1_000_000
 """Time between two frames where single steps are timed: the client keeps up with them."""
+HISTORY = 1000
+"""Samples that DDS keeps, so that a reader which does not run for a second loses none."""
+ENDS_S = 60.0
 
 
 class _Beside(NamedTuple):
@@ -108,42 +111,90 @@ def steps(point: dict[str, Any]) -> dict[str, Any]:
 
     `point`: bridge, n_steps, seed. Returns step_us, the median over all frames but the first.
     """
+    used_us: list[float] = []
+    with _connected(point) as (send, _):
+        while len(used_us) < point["n_steps"]:
+            began_ns = time.thread_time_ns()
+            send(time.time_ns())
+            used_us.append((time.thread_time_ns() - began_ns) / 1e3)
+            time.sleep(STEP_S)
+    return {"step_us": round(float(np.median(used_us[WARM_UP:])), 1)}
+
+
+def counted(point: dict[str, Any]) -> dict[str, Any]:
+    """Frames of 64 x 64 taxels at 1 kHz to a client that counts them.
+
+    `point`: bridge, n_counted, seed.
+
+    Returns
+    -------
+    dict
+        counted_hz, the rate that was reached; received, the frames that the client has read;
+        dropped, those that the bridge has counted as dropped. The client sees all others by a gap
+        of their stamps.
+    """
+    n = point["n_counted"]
+    with _connected(point, str(n)) as (send, client):
+        begin_s = time.perf_counter()
+        for k in range(1, n + 1):
+            time.sleep(max(0.0, begin_s + k * STEP_S - time.perf_counter()))
+            dropped = send(k * STAMP_NS)
+        took_s = time.perf_counter() - begin_s
+        end_s = time.monotonic() + ENDS_S
+        # The last frame ends the client: it is sent again in case it was replaced.
+        while client.poll() is None and time.monotonic() < end_s:
+            send(n * STAMP_NS)
+            time.sleep(SETTLE_S / 10)
+        text = client.stdout.read() if client.stdout is not None else b""
+        if client.poll() is None or not text:
+            raise StudyError(f"{point['bridge']}: the client did not read the last frame")
+    return {"counted_hz": round(n / took_s, 1), "received": int(text), "dropped": dropped}
+
+
+@contextlib.contextmanager
+def _connected(
+    point: dict[str, Any], *arguments: str
+) -> Iterator[tuple[Callable[[int], int], subprocess.Popen[bytes]]]:
+    """A bridge in this process, and a client in another that has read its first frame.
+
+    Yields what sends a frame by its stamp in ns and returns the number of dropped ones, and the
+    client.
+    """
     token, options, _ = BRIDGES[point["bridge"]]
     kind = token.partition(":")[0]
     values: dict[str, Any] = {"maps": ("reconstruction",)}
-    values |= {"domain": DOMAIN} if kind == "ros2" else {"port": 0}
+    values |= {"domain": DOMAIN, "history": HISTORY} if kind == "ros2" else {"port": 0}
     values |= {"rate_hz": 0.0} if ALL_FRAMES in options else {}
     cls = node_class(kind)
     node: Any = cls(make_settings(cls, values), Context(kind, SystemClock(wall_offset_ns())))
-    used_us: list[float] = []
+    rng = np.random.default_rng(point["seed"])
+    forces = rng.uniform(0, 2.5, (64, 64)).astype(np.float32)
+
+    def send(stamp_ns: int) -> int:
+        list(node.step(_reconstruction(stamp_ns, forces)))
+        return int(node.n_dropped)
+
     client = None
     try:
         list(node.start())
         list(node.step(_skin()))
         where = str(DOMAIN) if kind == "ros2" else node.where()
-        command = [sys.executable, "-m", "sparseskin.studies.bridges.clients", kind, where]
-        client = subprocess.Popen(command, **_QUIET)
+        module = "sparseskin.studies.bridges.clients"
+        client = subprocess.Popen([sys.executable, "-m", module, kind, where, *arguments], **_QUIET)
         assert client.stdout is not None
         os.set_blocking(client.stdout.fileno(), False)
-        reads = b""
-        rng = np.random.default_rng(point["seed"])
-        forces = rng.uniform(0, 2.5, (64, 64)).astype(np.float32)
-        while len(used_us) < point["n_steps"]:
-            message = _reconstruction(time.time_ns(), forces)
-            began_ns = time.thread_time_ns()
-            list(node.step(message))
-            if reads:
-                used_us.append((time.thread_time_ns() - began_ns) / 1e3)
-            reads = reads or client.stdout.read() or b""
+        while not client.stdout.read():
+            send(0)
             if client.poll() is not None:
                 raise StudyError(f"the client of {kind} has ended")
             time.sleep(STEP_S)
+        os.set_blocking(client.stdout.fileno(), True)
+        yield send, client
     finally:
         if client is not None:
             client.kill()
             client.wait()
         node.close({})
-    return {"step_us": round(float(np.median(used_us[WARM_UP:])), 1)}
 
 
 def _skin() -> SkinState:
@@ -214,6 +265,14 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     found = compute(measure, made, out, "serial", "bridges")
     single = [{"bridge": p["bridge"], "n_steps": N_STEPS, "seed": seed} for p in made]
     timed = compute(steps, single, out, "serial", "steps of bridges")
+    n_counted = 500 if quick else 10_000
+    every = [name for name in BRIDGES if "Hz" not in name]
+    counts = [{"bridge": name, "n_counted": n_counted, "seed": seed} for name in every]
+    kept = pd.DataFrame([
+        {"bridge": p["bridge"], "sent": n_counted, **f}
+        for p, f in zip(counts, compute(counted, counts, out, "serial", "counts"), strict=True)
+    ])  # fmt: skip
+    kept["missing"] = kept["sent"] - kept["received"] - kept["dropped"]
     rows = pd.DataFrame([
         {"bridge": p["bridge"].partition(",")[0], "sends": BRIDGES[p["bridge"]][2], **f, **t}
         for p, f, t in zip(made, found, timed, strict=True)
@@ -250,5 +309,9 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         n_steps=N_STEPS - WARM_UP,
         cores=len(os.sched_getaffinity(0)),
         table=markdown(table, formats),
+        kept=markdown(
+            kept.rename(columns={"counted_hz": "Hz", "dropped": "counted as dropped"}),
+            {"Hz": ".0f"},
+        ),
         csv=write_csv(out, "bridges", rows),
     )

@@ -74,7 +74,8 @@ def strike(
 def measure(point: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Send a signal `point["repeats"]` times to each node of one graph.
 
-    `point`: signal: its name. repeats. stop_s: duration of SIGSTOP. rate_hz.
+    `point`: signal: its name. repeats. stop_s: duration of SIGSTOP. rate_hz. transport: of the
+        graph.
     folder : Path
         Empty folder in which the graph runs.
 
@@ -86,7 +87,8 @@ def measure(point: dict[str, Any], folder: Path) -> dict[str, Any]:
     """
     began_s = time.monotonic()
     number = signal.Signals[point["signal"]]
-    launch = graph_text(sensor={"rate_hz": point["rate_hz"]})
+    graph_table = {"transport": point["transport"]}
+    launch = graph_text(graph_table, sensor={"rate_hz": point["rate_hz"]})
     struck: dict[str, list[dict[str, Any]]] = {node: [] for node in NODES}
     with ObservedGraph(launch, "--record", "run.mcap", folder=folder) as graph:
         for _ in range(point["repeats"]):

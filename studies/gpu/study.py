@@ -74,7 +74,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         "why_not": why_not,
     }
     if why_not:
-        fill_page(out, "gpu", **given)
+        fill_page(out, "gpu", conclusion=[f"Nothing was run: {why_not}."], **given)
         print(f"no device: {why_not}; nothing was run", file=sys.stderr)
         return
     points = points_of(quick, seed)
@@ -85,6 +85,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     fill_page(
         out,
         "gpu",
+        conclusion=conclusion(rows, agreement, n),
         **given,
         goal=GOAL,
         goal_taxels=GOAL * n,
@@ -96,6 +97,19 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         csv=write_csv(out, "times", rows),
     )
     print(table_of(rows, n))
+
+
+def conclusion(rows: pd.DataFrame, agreement: pd.DataFrame, n: int) -> list[str]:
+    """The rate of as many patches as the goal has, the best of all, and the largest difference."""
+    busy = rows[(rows["device"] == "cuda") & rows["host"] & (rows["idle"] == 0)]
+    best = busy.loc[(busy["patches"] * busy["frames_hz"]).idxmax()]
+    return [
+        f"{GOAL} patches of {n} taxels, all touched: {reached_hz(rows):.0f} frames/s of "
+        f"{GOAL_HZ:g} wanted, forces on the host.",
+        f"Most patch frames a second: {best['patches'] * best['frames_hz']:.0f}, with "
+        f"{best['patches']} patches ({best['mode']}).",
+        f"Forces differ from numpy's by at most {agreement['largest_n'].max():.2g} N.",
+    ]
 
 
 def reached_hz(rows: pd.DataFrame) -> float:

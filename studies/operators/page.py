@@ -27,6 +27,7 @@ def write(
     fill_page(
         out,
         "operators",
+        conclusion=conclusion(operators, solvers),
         quick=quick,
         left_out=left_out,
         operators_chart=_draw_operators(out, operators),
@@ -35,6 +36,24 @@ def write(
         solvers=_solver_table(solvers),
         files=[write_csv(out, "operators", operators), write_csv(out, "iterations", solvers)],
     )
+
+
+def conclusion(operators: pd.DataFrame, solvers: pd.DataFrame) -> list[str]:
+    """Operators of numpy beside the least times, and frames of the default solver, at most N."""
+    n = operators["n"].max()
+    ours = operators[(operators["library"] == NUMPY) & (operators["n"] == n)]
+    times = ours[["alone_us", "batch_us"]].min(axis=1) / ours[["flop_us", "memory_us"]].max(axis=1)
+    lines = [
+        f"Operators in numpy take {times.min():.1f} to {times.max():.1f} times what sums, products "
+        f"and bytes cost at least, N = {n}."
+    ]
+    skin = solvers[(solvers["solver"] == "skin") & (solvers["n"] == solvers["n"].max())]
+    for row in skin[skin["frame_ms"].notna()].itertuples():
+        lines.append(
+            f"Solver skin, {row.way}, N = {row.n}: {row.frame_ms:.2f} ms a frame, "
+            f"{1000 / row.frame_ms:.0f} frames a second."
+        )
+    return lines
 
 
 def _operator_table(rows: pd.DataFrame) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from matplotlib.ticker import LogLocator
 
+from sparseskin.launch.attach.text import GAP, width, wrapped
 from sparseskin.studies.report import (
     MARKERS,
     PALETTE,
@@ -69,11 +70,16 @@ def show(frame: pd.DataFrame) -> list[str]:
             table = _table(compared[compared["key"].isin(some["key"])], f"{{{name}:.0f}}")
             lines += ["", what, *_aligned(table)]
     if marked(rows):
-        lines += ["", *marked(rows)]
+        lines += ["", *_flowing(marked(rows))]
     if len(codecs):
         lines += ["", "all taxels read: bytes a frame / median relative error in %"]
         lines += _aligned(_codecs(rows))
-    return [*lines, "", *beaten(rows), *packed(rows)]
+    return [*lines, "", *_flowing([*beaten(rows), *packed(rows)])]
+
+
+def _flowing(sentences: Sequence[str]) -> list[str]:
+    """Sentences as lines of the terminal."""
+    return [line for sentence in sentences for line in wrapped("", sentence, "  ")]
 
 
 def write(
@@ -105,6 +111,7 @@ def write(
     fill_page(
         out,
         "real",
+        conclusion=[*dict.fromkeys(beaten(rows)[:: len(RATIOS) - 1]), *packed(rows)],
         loaded=100 * LOADED,
         untouched=100 * UNTOUCHED,
         ghost=100 * GHOST,
@@ -220,19 +227,33 @@ def _table(rows: pd.DataFrame, text: str) -> pd.DataFrame:
 
 
 def _aligned(table: pd.DataFrame) -> list[str]:
-    """Lines of a table in columns; what repeats in the first column is left out."""
+    """Lines of a table in columns, which are continued below where the terminal is too narrow; what
+    repeats in the first column is left out.
+    """
     table = table.astype(str)
+    n_keys = 1
     if "M" in table:
+        n_keys = 2
         table["recording"] = table["recording"].where(~table["recording"].duplicated(), "")
-    widths = [max(len(name), *table[name].map(len)) for name in table]
-    lines = [list(table), *table.to_numpy().tolist()]
-    return [
-        "  ".join(
-            cell.ljust(width) if k < 1 else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
+    columns = [
+        [cell.ljust(size) if k < 1 else cell.rjust(size) for cell in (name, *table[name])]
+        for k, name in enumerate(table)
+        if (size := max(len(name), *table[name].map(len)))
     ]
+    keys, rest = columns[:n_keys], columns[n_keys:]
+    lines: list[str] = []
+    while rest:
+        room = width() - sum(len(column[0]) + len(GAP) for column in keys)
+        n = next((k for k in range(len(rest), 1, -1) if _span(rest[:k]) <= room), 1)
+        part, rest = rest[:n], rest[n:]
+        lines += [GAP.join(cells).rstrip() for cells in zip(*keys, *part, strict=True)]
+        lines += [""] if rest else []
+    return lines
+
+
+def _span(columns: Sequence[Sequence[str]]) -> int:
+    """Characters of a line of columns."""
+    return sum(len(column[0]) for column in columns) + len(GAP) * (len(columns) - 1)
 
 
 def _shown(rows: pd.DataFrame, text: str) -> str:

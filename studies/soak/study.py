@@ -141,6 +141,7 @@ def run(out: Path, quick: bool, seed: int, executor: str, minutes: float | None 
     fill_page(
         out,
         "soak",
+        conclusion=conclusion(found, verdicts, minutes),
         rate_hz=RATE_HZ,
         side=SIDE,
         minutes=minutes,
@@ -153,6 +154,25 @@ def run(out: Path, quick: bool, seed: int, executor: str, minutes: float | None 
         chart=_draw(out, samples, names),
         csv=write_csv(out, "soak", rows),
     )
+
+
+def conclusion(
+    found: dict[str, Any], verdicts: dict[str, dict[str, Any]], minutes: float
+) -> list[str]:
+    """Lost frames, and the processes whose memory and open files grew most."""
+    frames = found["frames"]
+    grown = max(verdicts, key=lambda name: verdicts[name]["growth"])
+    opened = {name: v["files_after"] - v["files_before"] for name, v in verdicts.items()}
+    most = max(opened, key=lambda name: opened[name])
+    return [
+        f"{minutes:g} minutes at {RATE_HZ:g} Hz: {frames['lost']} of {frames['sensed']} frames "
+        f"were lost, {found['restarts']} nodes started again.",
+        f"Memory grew most in the {grown}: by {100 * verdicts[grown]['growth']:.1f} % after the "
+        f"warm-up, {verdicts[grown]['mb_per_hour']:.1f} MB an hour.",
+        f"Open files grew most in the {most}, by {opened[most]}."
+        if opened[most] > 0
+        else "In no process did the number of open files grow.",
+    ]
 
 
 def _draw(out: Path, samples: dict[str, Any], names: list[str]) -> str:

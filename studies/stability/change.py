@@ -96,7 +96,8 @@ def section(out: Path, quick: bool, seed: int, executor: str) -> dict[str, Any]:
     frame = frame.assign(taxels=sides, M=ratios, cell=cells(frame, text))
     frame = frame.sort_values(["side", "ratio"], kind="stable")
     table = pivot(frame, ["taxels", "M", "solver"], "event", "cell")
-    return {"n_each": N_EACH, "chart": _chart(out, found), "table": table, "csv": csv}
+    shown = {"chart": _chart(out, found), "table": table, "csv": csv}
+    return {"n_each": N_EACH, "rows": frame, **shown}
 
 
 def _rows(one: dict[str, Any]) -> list[dict[str, Any]]:

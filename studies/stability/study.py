@@ -28,6 +28,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     fill_page(
         out,
         "stability",
+        conclusion=conclusion(made),
         quick=quick,
         lambdas_n=LAMBDAS_N,
         min_iterations=MIN_ITERATIONS,
@@ -35,3 +36,19 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         min_bits=MIN_BITS,
         **made,
     )
+
+
+def conclusion(made: dict[str, Any]) -> list[str]:
+    """Integrators that are unstable, and the slowest recovery from a sudden change."""
+    table = made["contact"]["table"]
+    parts = map(" ".join, zip(table["integrator"], table["unstable"], strict=True))
+    rows = made["change"]["rows"]
+    slowest = rows.loc[rows["frames_until_settled"].idxmax()]
+    behind = rows[rows["settled_db"] == rows["settled_db"].min()].iloc[0]
+    return [
+        f"Contact: share of the places where an integrator is unstable: {', '.join(parts)}.",
+        f"Sudden change: settled after {slowest['frames_until_settled']} frames at most, solver "
+        f"{slowest['solver']}, N/{slowest['ratio']}, {slowest['event']}.",
+        f"It settles lowest, at {behind['settled_db']:.1f} dB, with solver {behind['solver']}, "
+        f"N/{behind['ratio']}, {behind['event']}.",
+    ]

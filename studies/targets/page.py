@@ -60,11 +60,13 @@ def write(
     ablated = ablated.assign(without=ablated["without"].replace(RENAMED))
     names = list(ablated["without"].unique())
     changes = _changes(ablated, names[0])
+    reached = _reached(compared)
     fill_page(
         out,
         "targets",
+        conclusion=conclusion(reached),
         **{
-            "reached": _reached(compared),
+            "reached": reached,
             "wanted_db": WANTED_DB,
             "wanted_worst_db": WANTED_WORST_DB,
         },
@@ -84,6 +86,22 @@ def write(
         ablation={kind: changes.loc[kind] for kind in changes.index.unique("kind")},
         ingredients=names[1:],
     )
+
+
+def conclusion(reached: pd.DataFrame) -> list[str]:
+    """A line a method: gains over preset paper beside the wanted ones, in the paper's scenes."""
+    lines = []
+    for method in METHODS:
+        some = reached[(reached["method"] == method) & (reached["kind"] != "random")]
+        parts, n = [], 0
+        for row in some[some["n"].isin(WANTED_DB)].itertuples():
+            wanted = WANTED_DB[row.n][row.ratio]
+            parts.append(f"{row.gain:+.1f} dB at N/{row.ratio} of {row.n} (wanted {wanted})")
+            n += row.gain >= wanted
+        if parts:
+            text = f"{method} reaches {n} of {len(parts)} wanted gains over preset paper"
+            lines.append(f"{text}: {', '.join(parts)}.")
+    return lines
 
 
 def _best_zone(reconstructed: pd.DataFrame) -> pd.DataFrame:

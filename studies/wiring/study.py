@@ -71,6 +71,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     fill_page(
         out,
         "wiring",
+        conclusion=conclusion(frame),
         n_rows=SHAPE[0],
         n_cols=SHAPE[1],
         ratio=RATIO,
@@ -86,6 +87,24 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         csv=write_csv(out, "wiring", frame.drop(columns="method")),
         csv_readout=write_csv(out, "readout", circuits),
     )
+
+
+def conclusion(frame: pd.DataFrame) -> list[str]:
+    """Loss and length of wires of the shortest neighbourhood, of rows of an array, and of single
+    taxels, against rows over the whole skin, with the default solver.
+    """
+    some = frame[frame["preset"] == "skin"].groupby("kind")[["loss_db", "length"]].mean()
+    whole = some.loc[SCRAMBLED, "length"]
+    named = {
+        LOCAL[0]: f"Rows over neighbourhoods ({LOCAL[0]})",
+        ROW_LOCAL: "Rows within the rows of an array",
+        SINGLE: "Single taxels",
+    }
+    return [
+        f"{text}: {100 * some.loc[kind, 'length'] / whole:.0f} % of the length of the wires of "
+        f"rows over the whole skin, for {some.loc[kind, 'loss_db']:.1f} dB."
+        for kind, text in named.items()
+    ]
 
 
 def accuracy(point: Point) -> dict[str, Any]:

@@ -112,9 +112,12 @@ def test_what_is_not_installed_is_left_out_with_a_notice(
     monkeypatch.setattr(operators, "TIMED_ON", "serial")
     monkeypatch.setattr(operators, "missing_peers", lambda: list(PEERS))
     monkeypatch.setattr(operators, "c_compiler", lambda: None)
+    monkeypatch.setattr(operators, "has_numba", lambda: False)
+    monkeypatch.setattr(operators, "QUICK_WINDOWS", 3)
     pytest.importorskip("matplotlib")
     operators.run(tmp_path, True, 0, "serial")
     errors = capsys.readouterr().err
+    assert "left out: numba is not installed (pip install 'sparseskin[fast]')" in errors
     assert "left out: PyLops is not installed (pip install 'sparseskin[peers]')" in errors
     assert "left out: no C compiler is installed" in errors
     page = (tmp_path / "operators.md").read_text()

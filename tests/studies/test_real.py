@@ -34,7 +34,7 @@ from sparseskin.studies.real.methods import (
     make_methods,
     replayed,
 )
-from sparseskin.studies.real.page import _means, marked, show
+from sparseskin.studies.real.page import METHODS, _means, marked, show
 from sparseskin.studies.real.recordings import digest_of, files_in, part_of
 from sparseskin.studies.real.study import compared, figures_of, readable
 
@@ -319,8 +319,9 @@ def test_the_study_prints_its_table_and_writes_page_chart_and_figures(
     assert "relative error of loaded frames in %: median (mean)" in printed
     assert "\npress " in printed
     assert "\ntiny " in printed
-    assert "the best simple method beats" in printed
-    assert "all taxels in 8 bits, packed by zstd, are fewer bytes than" in printed
+    flowing = " ".join(printed.split())
+    assert "the best simple method beats" in flowing
+    assert "all taxels in 8 bits, packed by zstd, are fewer bytes than" in flowing
     page = (out / "real.md").read_text()
     assert "| press | 12 x 10 | 114 | kPa | 0..39 of 40 | 20 | 12 | - | 32 | 2.0 |" in page
     assert "Means over 2 seeds." in page
@@ -344,6 +345,28 @@ def test_tables_have_the_ratios_of_each_recording_in_order() -> None:
     (begin,) = (k for k, line in enumerate(lines) if line.startswith("loaded frames with"))
     shown = [line.split()[-2] for line in lines[begin + 2 : begin + 6]]
     assert shown == ["N/8", "N/3", "N/4", "N/8"]
+
+
+@pytest.mark.parametrize("columns", [60, 80, 120, 200])
+def test_tables_fit_the_terminal_and_lose_no_method(
+    columns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    figures = dict.fromkeys(("median", "mean", "vanished", "flagged", "ghosts"), 12.3)
+    figures |= dict.fromkeys(("n_values", "n_bytes", "cpu_ms"), 1.0)
+    methods = [*METHODS, *CODECS]
+    rows = [
+        {"recording": f"recording_of_{k}", "ratio": ratio, "method": name} | figures
+        for k in range(2)
+        for ratio in (1, 3, 8)
+        for name in methods
+        if (ratio == 1) == (name in CODECS)
+    ]
+    lines = show(pd.DataFrame(rows))
+    assert max(map(len, lines)) <= columns
+    words = "\n".join(lines)
+    assert all(name in words for name in methods)
+    assert words.count("12.3 (12.3)") == 4 * len(METHODS)
 
 
 def test_without_recordings_one_line_names_the_option(
