@@ -5,8 +5,8 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 WORKERS := $(shell echo $$((2 * $$(nproc))))
 PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder
 
-.PHONY: demo scenes replay-timing page-load introspection-load soak shots charts charts-quick
-.PHONY: test test-all test-kernels check mutants docs hooks clean
+.PHONY: demo scenes replay-timing page-load page-draw introspection-load soak shots charts charts-quick
+.PHONY: test test-all coverage test-kernels check mutants docs hooks clean
 .DELETE_ON_ERROR:
 
 # The main job: a wrench dragged over 64 x 64 taxels, streamed through four processes.
@@ -24,6 +24,10 @@ replay-timing: .venv/installed
 # What the live page costs, as a table (6 minutes).
 page-load: .venv/installed
 	$(BIN)/python -m sparseskin.studies.streaming.page_load
+
+# Time that the page takes to draw skins of points (needs chromium, chromium-driver; half a minute).
+page-draw: .venv/installed-dev
+	PYTHONPATH=tests $(BIN)/python tests/draw_times.py
 
 # What looking at a graph from another terminal costs it, as a table (5 minutes).
 introspection-load: .venv/installed
@@ -47,10 +51,13 @@ charts charts-quick: .venv/installed-charts
 test: .venv/installed-dev
 	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) -m "not slow"
 
-# All tests, those that are slow by nature too (kills, soak, browser, network namespaces), with the
-# coverage of what runs in the test processes.
+# All tests, those that are slow by nature too (kills, soak, browser, network namespaces).
 test-all: .venv/installed-dev
-	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) --durations=20 \
+	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) --durations=20
+
+# The same with the coverage of what runs in the test processes, which takes them half as long again.
+coverage: .venv/installed-dev
+	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) \
 	    --cov=messages --cov=nodes --cov=launch --cov=studies --cov=sparseskin --cov-report=term:skip-covered
 
 # Mutation testing: a sample of mutants of each core module, and the share that tests catch (an

@@ -129,7 +129,8 @@ class Text(FieldKind):
 
 @dataclass(frozen=True)
 class Array(FieldKind):
-    """An array of one dtype, `ndim` dimensions, no side empty; None where `optional`.
+    """An array of one dtype, `ndim` dimensions, no side empty; None where `optional`. A side of one
+    with several dimensions has at most `longest` elements.
 
     Its wire form is a map {dtype, shape, order, data}: `dtype` in numpy's array-interface form
     with the byte order ("<f4"), `order` always "C", `data` a msgpack bin field.
@@ -140,6 +141,7 @@ class Array(FieldKind):
     dtype: str
     ndim: int
     optional: bool = False
+    longest: int = MAX_SIDE
 
     def check(self, name: str, value: Any) -> npt.NDArray[Any] | None:
         if value is None and self.optional:
@@ -233,10 +235,10 @@ class Array(FieldKind):
             raise ShapeError(
                 f"{name}: expected {self.ndim} dimensions, none empty, got {list(shape)}"
             )
-        if math.prod(shape) > MAX_ELEMENTS or (self.ndim > 1 and max(shape) > MAX_SIDE):
+        if math.prod(shape) > MAX_ELEMENTS or (self.ndim > 1 and max(shape) > self.longest):
             raise OversizedError(
                 f"{name}: shape {list(shape)}, at most {MAX_ELEMENTS} elements "
-                f"and {MAX_SIDE} a side"
+                f"and {self.longest} a side"
             )
 
 

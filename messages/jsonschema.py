@@ -7,7 +7,7 @@ from typing import Any
 
 from .base import Message, omitted_fields, wire_fields
 from .batches import MAX_NAMES, Names
-from .fields import MAX_ELEMENTS, MAX_SIDE, Array, FieldKind, Flag, Integer, Real, Samples, Text
+from .fields import MAX_ELEMENTS, Array, FieldKind, Flag, Integer, Real, Samples, Text
 from .topics import NAME_PATTERN
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -70,7 +70,7 @@ def _property(kind: FieldKind) -> dict[str, Any]:
 def _array(
     kind: Array, dtype: dict[str, str] | None = None, data: str = "", **more: dict[str, Any]
 ) -> dict[str, Any]:
-    side = MAX_SIDE if kind.ndim > 1 else MAX_ELEMENTS
+    side = kind.longest if kind.ndim > 1 else MAX_ELEMENTS
     sides = {"type": "integer", "minimum": 1, "maximum": side}
     values = (
         "msgpack bin: the elements in C order, "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,11 @@ PAPER_F_MAX_N = 2.5
 CONTACT_FRACTION = 0.004
 """A taxel is touched where its true force is above this part of f_max: 0.01 N of 2.5 N. Chosen:
 below the noise of an untouched taxel (0.0141 N), far above the rounding of float32."""
+MAX_COORDINATE_M = 1000.0
+"""Largest coordinate of a taxel, metres; chosen: beyond any robot, within the precision of float32
+(0.06 mm)."""
+NORM_TOLERANCE = 1e-3
+"""Allowed difference of the length of a normal from 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +39,15 @@ class Skin:
         Distance between the centres of neighbouring taxels, in metres; None where not known.
     mask : ndarray of bool, shape (n_rows, n_cols), or None
         True where a taxel exists; None if all exist.
+    points : ndarray of float32, shape (n_taxels, 6), or None
+        Of a skin that is no flat grid: x, y, z in metres, then the outward unit normal, of each
+        cell that exists, in row-major order. Its grid is virtual: neighbours on it are neighbours
+        on the surface, `pitch_m` is their median distance. None: a flat grid.
 
     Raises
     ------
     MessageError
-        If a side, the range or the mask is not as stated.
+        If a side, the range, the mask or the points are not as stated.
     """
 
     n_rows: int
@@ -47,6 +56,7 @@ class Skin:
     unit: str = "N"
     pitch_m: float | None = None
     mask: npt.NDArray[np.bool_] | None = None
+    points: npt.NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         for name, side in (("n_rows", self.n_rows), ("n_cols", self.n_cols)):
@@ -62,6 +72,8 @@ class Skin:
                 )
             if not self.mask.any():
                 raise FieldError("skin: the mask leaves no taxel")
+        if self.points is not None:
+            _check_points(self.points, self.n_taxels)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -79,3 +91,28 @@ class Skin:
         if self.mask is None:
             return self.n_rows * self.n_cols
         return int(np.count_nonzero(self.mask))
+
+    def without(self, cells: npt.NDArray[np.bool_]) -> Skin:
+        """The skin without some of its cells: bool (n_rows, n_cols), True where none is left.
+        Raises MessageError if the shape differs, or no taxel is left.
+        """
+        exists = self.exists
+        points = None if self.points is None else self.points[~cells[exists]]
+        return replace(self, mask=exists & ~cells, points=points)
+
+
+def _check_points(points: npt.NDArray[np.float32], n: int) -> None:
+    """Raise MessageError unless points are n rows of x, y, z and a unit normal."""
+    if points.shape != (n, 6) or points.dtype != np.float32:
+        raise ShapeError(
+            f"skin: the points are {points.dtype} {list(points.shape)}, expected float32 {[n, 6]}"
+        )
+    places = np.abs(points[:, :3])
+    if not (places <= MAX_COORDINATE_M).all():
+        k = int(np.argmin((places <= MAX_COORDINATE_M).all(axis=1)))
+        raise FieldError(f"skin: point {k} is not within {MAX_COORDINATE_M:g} m")
+    lengths = np.linalg.norm(points[:, 3:].astype(np.float64), axis=1)
+    wrong = ~(np.abs(lengths - 1) <= NORM_TOLERANCE)
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise FieldError(f"skin: normal {k} has length {lengths[k]:.4g}, expected 1")

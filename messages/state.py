@@ -22,7 +22,7 @@ class SkinState(Message):
 
     Attributes
     ----------
-    n_rows, n_cols, f_max, unit, pitch_m, mask
+    n_rows, n_cols, f_max, unit, pitch_m, mask, points
         As in `Skin`.
     source : str
         Name of the scene, recording or driver.
@@ -57,14 +57,18 @@ class SkinState(Message):
     sigma_end: float = wire(Real(0.0))
     has_taxels: bool = wire(Flag(), default=True, omitted=True)
     f_min: float = wire(Real(high=0.0), default=0.0, omitted=True)
+    points: Floats | None = wire(
+        Array("<f4", 2, optional=True, longest=MAX_ELEMENTS // 6), default=None, omitted=True
+    )
 
     def validate(self) -> None:
-        _ = self.skin  # raises where the mask does not fit the grid
+        _ = self.skin  # raises where the mask or the points do not fit the grid
 
     @property
     def skin(self) -> Skin:
         """The skin itself."""
-        return Skin(self.n_rows, self.n_cols, self.f_max, self.unit, self.pitch_m, self.mask)
+        grid = (self.n_rows, self.n_cols, self.f_max, self.unit, self.pitch_m, self.mask)
+        return Skin(*grid, self.points)
 
     @property
     def clips_noise(self) -> bool:

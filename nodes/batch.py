@@ -104,7 +104,7 @@ class BatchNode(Node[S]):
         if isinstance(message, BatchMessage):
             if message.names != self._names:
                 raise RefusedError(f"{message.topic}: of other patches than this node serves")
-            yield from self._joined(self._step_all(message))
+            yield from self._step_batch(message)
         else:
             yield from self._set_up(
                 lambda name, node: node.step(dataclasses.replace(message, patch=name))
@@ -143,6 +143,10 @@ class BatchNode(Node[S]):
     def status(self) -> str:
         text = self._first.status()
         return f"{text}, {len(self._names)} patches" if text else ""
+
+    def _step_batch(self, message: BatchMessage) -> Iterator[Message]:
+        """Messages of the batch for one that it received."""
+        yield from self._joined(self._step_all(message))
 
     def _step_all(self, message: BatchMessage) -> Iterator[list[Message]]:
         """Messages of each patch's node for its part of a message."""

@@ -33,6 +33,7 @@ from sparseskin.nodes.recorder.bag.frames import (
     skin_of,
 )
 from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.recorder.bag.split import split_bag
 from sparseskin.nodes.sensor.files.recorded import open_file
 
 Floats = npt.NDArray[np.float32]
@@ -384,7 +385,8 @@ def read_recording(
 
 
 def _read_bag(path: str | os.PathLike[str], patch: str | None) -> dict[str, Any]:
-    with BagReader(path) as bag:
+    with BagReader(path) as whole:
+        bag = split_bag(whole)
         topics = frame_topics(bag, None)
         patches = sorted({patch_of(topic) for topic in topics})
         if patch is None and len(patches) > 1:

@@ -40,10 +40,19 @@ def forces(ndim: int) -> st.SearchStrategy[np.ndarray]:
     )
 
 
+def points(n: int) -> st.SearchStrategy[np.ndarray]:
+    """Places and unit normals of n taxels."""
+    places = hnp.arrays(np.float32, (n, 3), elements=st.floats(-1000, 1000, width=32))
+    axes = hnp.arrays(np.int8, n, elements=st.integers(0, 2))
+    unit = np.eye(3, dtype=np.float32)
+    return st.builds(lambda p, k: np.concatenate([p, unit[k]], axis=1), places, axes)
+
+
 @st.composite
 def skin_states(draw: st.DrawFn) -> SkinState:
     shape = draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
     mask = draw(st.none() | hnp.arrays(np.bool_, shape).filter(lambda m: m.any()))
+    n = shape[0] * shape[1] if mask is None else int(mask.sum())
     return SkinState(
         **{key: draw(value) for key, value in headers.items()},
         n_rows=shape[0],
@@ -59,6 +68,7 @@ def skin_states(draw: st.DrawFn) -> SkinState:
         sigma_mid=draw(positive),
         sigma_end=draw(positive),
         f_min=-draw(positive),
+        points=draw(st.none() | points(n)),
     )
 
 

@@ -160,6 +160,35 @@ def two_patches(page: Any, folder: Path) -> None:
         program.process.communicate()
 
 
+def torso(page: Any, folder: Path) -> None:
+    """A body is pressed all round: its taxels in 3-D, turned to the contact."""
+    program = Program(
+        "launch", "torso", "--set", "sensor.rate_hz=20", "--set", "monitor.port=0", cwd=folder
+    )
+    dark(page, False)
+    size = {"width": 1280, "height": 720, "deviceScaleFactor": 1, "mobile": False}
+    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    turn = "document.getElementById('turn-to-contact').click()"
+    try:
+        page.get(program.wait_for("live page: "))
+        wait_until(lambda: n_drawn(page) > 120, "frames of history")
+
+        def in_sight() -> bool:
+            page.execute_script(turn)
+            caption = text(page, '[data-panel="reconstruction"] figcaption')
+            found = re.search(r"centre [-0-9.]+, [-0-9.]+, ([0-9.]+) mm", caption)
+            chest = found is not None and 250 < float(found[1]) < 430
+            return "on the near side" in caption and chest and not text(page, "#notices")
+
+        wait_until(in_sight, "a contact on the near side, below the shoulders")
+        before = n_drawn(page)
+        wait_until(lambda: n_drawn(page) > before + 10, "the picture in full")
+        shoot(page, "torso")
+    finally:
+        program.kill_all()
+        program.process.communicate()
+
+
 def main() -> int:
     if lack():
         print(lack(), file=sys.stderr)
@@ -170,7 +199,13 @@ def main() -> int:
     return 0
 
 
-SHOTS = {"hero": hero, "contact": contact, "stale": one_patch, "patches": two_patches}
+SHOTS = {
+    "hero": hero,
+    "contact": contact,
+    "stale": one_patch,
+    "patches": two_patches,
+    "torso": torso,
+}
 
 
 if __name__ == "__main__":

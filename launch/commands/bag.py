@@ -58,7 +58,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `bag`."""
     add = add_commands(parser, "Work with bags, the recordings of a recorder node (.mcap).")
     info = add("info", _info, "print the contents of a bag")
-    info.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}")
+    info.add_argument("bag", metavar="BAG", help=f"NAME{FILE_SUFFIX}, or an address of one")
     info.add_argument("--json", action="store_true", help="print JSON in place of a table")
     recover = add("recover", _recover, "save the readable part of a broken bag")
     recover.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}[{PART_SUFFIX}]")
@@ -100,9 +100,10 @@ def _info(arguments: argparse.Namespace) -> int:
     seconds from the first to the last, and how many the recorder lost.
     """
     from sparseskin.nodes.recorder.bag.reader import BagReader
+    from sparseskin.nodes.remote import local_path
 
-    with BagReader(arguments.bag) as bag:
-        print(info_json(bag) if arguments.json else info_table(bag))
+    with BagReader(local_path(arguments.bag)) as bag:
+        print(info_json(bag, arguments.bag) if arguments.json else info_table(bag, arguments.bag))
     return 0
 
 
@@ -161,9 +162,11 @@ def _export(arguments: argparse.Namespace) -> int:
     """Convert the frames of a bag: npz (one file a patch, which a source file:PATH reads), csv (a
     folder, one file a topic, one frame a line), ros2 (a folder with CDR messages and
     metadata.yaml), foxglove (an .mcap with Foxglove's schemas), lerobot (a folder, a dataset of
-    codebase version v3.0), or skin (the file skin.toml of a calibrated skin).
+    codebase version v3.0), or skin (the file skin.toml of a calibrated skin). The patches of a
+    body that were recorded in batches are exported one by one.
     """
     from sparseskin.nodes.recorder.bag.reader import BagReader
+    from sparseskin.nodes.recorder.bag.split import split_bag
 
     ending, target = EXPORTS[arguments.to]
     export = find_callable(target, BagError)
@@ -175,7 +178,7 @@ def _export(arguments: argparse.Namespace) -> int:
         out = arguments.out or bag.path.with_name(_stem(bag.path) + ending)
         if bag.recovered:
             print(f"{bag.path}: {bag.recovered}", file=sys.stderr)
-        for path in export(bag, out, arguments.topics, **options):
+        for path in export(split_bag(bag), out, arguments.topics, **options):
             print(path)
     return 0
 
@@ -188,7 +191,7 @@ def _count(n: int, what: str) -> str:
     return f"{n} {what}" if n == 1 else f"{n} {what}s"
 
 
-def info_json(bag: BagReader) -> str:
+def info_json(bag: BagReader, name: str = "") -> str:
     """All facts of the table, and the metadata in full, as JSON."""
     topics = {
         topic: {key: getattr(info, key) for key in _OF_TOPIC} for topic, info in bag.topics.items()
@@ -198,7 +201,7 @@ def info_json(bag: BagReader) -> str:
         formatted(
             "bag-info",
             {
-                "bag": str(bag.path),
+                "bag": name or str(bag.path),
                 "size_bytes": bag.path.stat().st_size,
                 "recovered": bag.recovered,
                 "duration_s": (last_ns - first_ns) / 1e9,
@@ -211,11 +214,11 @@ def info_json(bag: BagReader) -> str:
     )
 
 
-def info_table(bag: BagReader) -> str:
-    """A table of at most 80 columns: the file, its topics, its metadata."""
+def info_table(bag: BagReader, name: str = "") -> str:
+    """A table of at most 80 columns: the file or its `name`, its topics, its metadata."""
     first_ns, last_ns = span_ns(bag.topics.values()) or (0, 0)
     n_messages = sum(info.n_messages for info in bag.topics.values())
-    lines = _entry("bag", str(bag.path))
+    lines = _entry("bag", name or str(bag.path))
     lines += _entry("size", f"{bag.path.stat().st_size / 1e6:.3f} MB, {n_messages} messages")
     lines += _entry("duration", f"{(last_ns - first_ns) / 1e9:.3f} s")
     lines += _entry("state", bag.recovered or "whole")

@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 from typing import Any
 
+from sparseskin.launch.attach.client import describe_node
 from sparseskin.launch.run.running import RunningGraph, choose_graph
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
@@ -58,8 +59,31 @@ def run_beside(
     return launcher.run(), launcher.summary()
 
 
+def batches_of(graph: RunningGraph) -> dict[str, list[str]]:
+    """Names of the patches of each batch that a running graph publishes, by the name of the batch.
+    Raises GraphError if the graph does not answer.
+    """
+    from sparseskin.messages.batches import BATCHES
+    from sparseskin.messages.topics import split_topic
+
+    schemas = {cls.schema for cls in BATCHES.values()}
+    writers = {
+        split_topic(topic)[0]: node
+        for topic, node in graph.writers().items()
+        if split_topic(topic)[1] in schemas
+    }
+    settings = {batch: describe_node(graph, node)["settings"] for batch, node in writers.items()}
+    return {
+        batch: list(entry["value"])
+        for batch, entries in settings.items()
+        for entry in entries
+        if entry["key"] == "patches"
+    }
+
+
 def _monitor(arguments: argparse.Namespace) -> int:
     from sparseskin.launch.attach.stream import EXIT_NOTHING
+    from sparseskin.messages.batches import BATCHES
     from sparseskin.messages.topics import split_topic
     from sparseskin.nodes.monitor.node import WATCHED
     from sparseskin.nodes.monitor.table import summary_table
@@ -68,12 +92,15 @@ def _monitor(arguments: argparse.Namespace) -> int:
         raise SettingsError("--text: goes with neither --open nor --port: it has no page")
     graph = choose_graph(arguments.graph)
     watched = {schema.schema for schema in WATCHED}
+    watched |= {BATCHES[schema].schema for schema in watched if schema in BATCHES}
     topics = [topic for topic in graph.writers() if split_topic(topic)[1] in watched]
     patches = list(dict.fromkeys(split_topic(topic)[0] for topic in topics))
     if not patches:
         raise SettingsError(f"{graph.label}: has no topic that a monitor reads")
+    batches = batches_of(graph)
     values = {
-        "patches": patches,
+        "patches": [patch for patch in patches if patch not in batches],
+        "batches": batches or None,
         "page": not arguments.text,
         "screen": arguments.text,
         "browser": arguments.open,

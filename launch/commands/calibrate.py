@@ -194,10 +194,13 @@ class _Steps:
 
     def _frames(self, where: str, request: str) -> Any:
         """Frames of a part of the source, or of a file."""
-        from sparseskin.nodes.sensor.calibration.frames import file_frames, read_part
+        from sparseskin.nodes.sensor.calibration.frames import PARTS, file_frames, read_part
+        from sparseskin.nodes.sensor.calibration.press import CalibrationError
 
         part = read_part(where)
         if part is None:
+            if not Path(where).exists():
+                raise CalibrationError(f"{where}: no such file; allowed: {PARTS}, or a file")
             return file_frames(where, self._arguments.n_rows, self._arguments.n_cols)
         if self._reader.is_live:
             seconds = part[1] - part[0]
@@ -213,11 +216,20 @@ class _Steps:
 
 
 def _line(question: str) -> str:
-    """A line of standard input, "" at its end."""
+    """A line of standard input.
+    Raises CalibrationError at its end: whoever closed it has not answered.
+    """
+    from sparseskin.nodes.sensor.calibration.press import CalibrationError
+
     print(question, end="", flush=True)
     text = sys.stdin.readline()
     if not (text and sys.stdin.isatty()):
         print()
+    if not text:
+        raise CalibrationError(
+            "the input ended before the questions; nothing is written (--press, --no-questions "
+            "and --wait ask none)"
+        )
     return text.strip()
 
 

@@ -6,7 +6,7 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
@@ -37,6 +37,10 @@ COMMANDS = {
     "calibrate": (".calibrate", "make the file of a skin: from counts to newtons"),
     "tare": (".tare", "take the readings of the untouched skin of a running graph for zero"),
     "scenes": (".scenes", "list the scenes, make short recordings of them"),
+    "design": (
+        "sparseskin.studies.design.command",
+        "compare ways to read a skin before it is built",
+    ),
     "study": ("sparseskin.studies.command", "compute tables and charts anew"),
     "completion": (".completion", "print the completion script of a shell"),
     "help": (".cli", "describe a command"),
@@ -110,7 +114,7 @@ class _Parser(argparse.ArgumentParser):
             options = [word for word in unknown if word.startswith("-")]
             if options:  # what else is unknown may be the value of one
                 known = set(_OPTION.findall(self.format_usage())) | {"--help"}
-                hint = did_you_mean(options[0].partition("=")[0], known)
+                hint = _hint_for(options[0].partition("=")[0], known)
                 self.error(f"unrecognized arguments: {options[0]}{hint}")
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return namespace, unknown
@@ -123,6 +127,21 @@ class _Parser(argparse.ArgumentParser):
         self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)} (see {self.prog} --help)\n")
 
 
+def _hint_for(option: str, known: Collection[str]) -> str:
+    """The option that is meant by an unknown one: what it is called here, or the nearest by its
+    letters; dashes make no options near.
+    """
+    meant = MEANT.get(option, "")
+    if meant in known:
+        return f" (did you mean '{meant}'?)"
+    names = {name.strip("-"): name for name in known if name.startswith("--")}
+    hint = did_you_mean(option.strip("-"), names)
+    near = hint.partition("'")[2].partition("'")[0]
+    return f" (did you mean '{names[near]}'?)" if near in names else ""
+
+
+MEANT = {"--count": "-n", "--number": "-n", "--messages": "-n", "--rate": "--max-hz"}
+"""Options of other programs, and those with their meaning here."""
 _OPTION = re.compile(r"(?<![\w-])--?[a-z][\w-]*")
 _CHOICE = re.compile(r"(argument .+): invalid choice: '(.*)' \(choose from (.*)\)", re.DOTALL)
 """The message of argparse for a word that is not among those allowed."""

@@ -131,11 +131,9 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
             if n := board["gone"]:
                 print(f"{name}: the device was gone {n} {'time' if n == 1 else 'times'}")
         if node["type"] == "sensor" and node.get("clipped"):
-            unit = printable(node["unit"])
-            print(
-                f"{name}: {node['clipped']} readings outside 0..{node['f_max']:g} {unit} were "
-                f"clipped; lowest {node['lowest']:g}, highest {node['highest']:g} {unit}"
-            )
+            from sparseskin.nodes.sensor.clipped import clipped_text
+
+            print(f"{name}: {clipped_text(node)}")
         elif node["type"] == "sensor" and (invalid := node.get("invalid")):
             print(
                 f"{name}: of the file's readings {invalid['not_finite']} were not finite and "
@@ -144,7 +142,9 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
         elif node["type"] == "recorder" and (recording := node.get("recording")):
             dropped = sum(node.get("lost", {}).values())
             if not recording["error"]:
-                count = f"{recording['n_messages']} messages recorded, {dropped} dropped"
+                n = recording["n_messages"]
+                count = f"{n} messages recorded" if n else "no message came, so there is no file"
+                count += f", {dropped} dropped" if n or dropped else ""
                 print(f"{printable(recording['out'])}: {count}")
         elif bridge := node.get("bridge"):
             dropped = bridge["dropped"] + sum(node.get("lost", {}).values())

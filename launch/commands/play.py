@@ -39,7 +39,8 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
         "Publish what was recorded, as it was recorded. Keys: space pauses, right plays one frame, "
         "up and down change the rate, q ends."
     )
-    parser.add_argument("file", metavar="F.mcap|NAME", help=f"recording; or {', '.join(SCENARIOS)}")
+    about = f"recording, or an address of one; or {', '.join(SCENARIOS)}"
+    parser.add_argument("file", metavar="F.mcap|NAME", help=about)
     about = "times the recorded speed; 0: as fast as it is read"
     parser.add_argument("--rate", type=real(False), default=1.0, metavar="R", help=about)
     parser.add_argument("--loop", action="store_true", help="start again at the end")

@@ -3,44 +3,35 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
-from collections.abc import Sequence
-from concurrent.futures import Future, as_completed
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from sparseskin.launch.offline.job import Job, Outcome, run_whole
 from sparseskin.nodes.errors import SettingsError, SparseskinError
-from sparseskin.nodes.executors import FORMS, make_executor
 from sparseskin.nodes.lookup import did_you_mean, one_line
+from sparseskin.nodes.remote import (
+    check_address,
+    check_free,
+    file_name,
+    is_remote,
+    local_path,
+    store,
+)
+from sparseskin.nodes.tasks.executors import FORMS
 
-from .options import add_set, add_summary, check_summary, write_summary
-
-if TYPE_CHECKING:
-    from sparseskin.launch.launchfile.spec import LaunchFile
+from .options import add_set, add_summary, check_summary, whole, write_summary
 
 START_POINTS = ("auto", "taxels", "measurements")
 STATIONS = ("compressor", "reconstructor")
-
-
-@dataclass(frozen=True)
-class Job:
-    """One recording to reprocess."""
-
-    source: str
-    out: str
-    overrides: tuple[str, ...]
-    start_from: str
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Result of a job: the monitor's summary by patch, or a line with the reason of its failure."""
-
-    job: Job
-    patches: dict[str, Any]
-    error: str = ""
+FIELD_MINUTES = 5.0
+"""Minutes a GB of recording: the figure of the field, printed beside the own one."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "Compress and reconstruct recorded frames with other settings, faster than they were "
         "recorded; the result is a recording with the same stamps."
     )
-    parser.add_argument("files", metavar="F.mcap", nargs="+", help="recordings")
+    parser.add_argument("files", metavar="F.mcap", nargs="+", help="recordings, or addresses")
     add_set(parser, "a setting of the compressor or the reconstructor")
     about = "file to write; a folder for several, made if it does not exist"
     parser.add_argument("--out", metavar="G.mcap", required=True, help=about)
@@ -58,8 +49,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--from", dest="start_from", choices=START_POINTS, default=START_POINTS[0], help=about
     )
     parser.add_argument("--executor", metavar="WHERE", help=FORMS)
+    about = "cut recordings into slices of this many seconds, or auto, which --executor shares"
+    parser.add_argument("--slices", type=_slice_s, metavar="SECONDS|auto", help=about)
+    about = "frames before a slice that are computed with it and left out (default: 256)"
+    parser.add_argument("--warm-up", type=whole(0), metavar="FRAMES", help=about)
+    about = "folder of finished slices, on a disk that all workers share (default: OUT.slices)"
+    parser.add_argument("--parts", metavar="DIR", help=about)
     add_summary(parser)
     parser.set_defaults(run=_reprocess)
+
+
+def _slice_s(text: str) -> float:
+    """Seconds of a slice; 0 for auto."""
+    if text == "auto":
+        return 0.0
+    with contextlib.suppress(ValueError):
+        if 1e-6 <= (value := float(text)) <= 1e9:
+            return value
+    raise argparse.ArgumentTypeError(f"{text!r}: expected seconds above 0, or auto")
 
 
 def _reprocess(arguments: argparse.Namespace) -> int:
@@ -67,8 +74,9 @@ def _reprocess(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.monitor.table import summary_table
 
     check_summary(arguments.summary)
+    _check_slices(arguments)
     jobs = _jobs(arguments)
-    outcomes = _run(jobs, arguments.executor)
+    outcomes = _run(jobs, arguments)
     for outcome in outcomes:
         if outcome.error:
             source = outcome.job.source
@@ -78,17 +86,65 @@ def _reprocess(arguments: argparse.Namespace) -> int:
         else:
             print(f"{outcome.job.out}:")
             print(summary_table(outcome.patches))
+            for line in (*outcome.notes, _rate(outcome)):
+                print(line)
     found = {o.job.out: {"patches": o.patches} for o in outcomes if not o.error}
     write_summary(arguments.summary, "reprocess-summary", {"recordings": found})
     return 2 if any(outcome.error for outcome in outcomes) else 0
 
 
-def run_job(job: Job, progress: bool = False) -> Outcome:
-    """Reprocess one recording; a task that any executor can run."""
+def _rate(outcome: Outcome) -> str:
+    """Bytes and time of a recording, beside those of the field."""
+    gigabytes, minutes = outcome.n_bytes / 1e9, max(outcome.seconds, 1e-9) / 60
+    return (
+        f"{gigabytes:.3g} GB in {outcome.seconds:.1f} s: {gigabytes / minutes:.3g} GB a minute, "
+        f"{minutes / max(gigabytes, 1e-9):.3g} minutes a GB (the field: {FIELD_MINUTES:g})"
+    )
+
+
+def run_job(job: Job, progress: bool = False, how_cut: Any = None) -> Outcome:
+    """Reprocess one recording; without slices a task that any executor can run."""
+    begin_s = time.monotonic()
     try:
-        return Outcome(job, _run_job(job, progress))
+        source = local_path(job.source)
+        with _output(job) as local:
+            notes: Sequence[str] = ()
+            if how_cut is None:
+                patches = run_whole(local, source, progress)
+            else:
+                from sparseskin.launch.offline.sliced import run_sliced
+
+                patches, notes = run_sliced(local, source, how_cut, progress)
+        n_bytes = source.stat().st_size
     except SparseskinError as error:
         return Outcome(job, {}, str(error))
+    seconds = time.monotonic() - begin_s
+    return Outcome(job, patches, "", tuple(notes), n_bytes, seconds)
+
+
+@contextlib.contextmanager
+def _output(job: Job) -> Iterator[Job]:
+    """A job that writes to a path: for an address one in a new folder, which is stored there."""
+    if not is_remote(job.out):
+        yield job
+        return
+    check_free(job.out)
+    with tempfile.TemporaryDirectory(prefix="sparseskin-") as folder:
+        path = Path(folder) / file_name(job.out)
+        yield replace(job, out=str(path))
+        store(path, job.out)
+
+
+def _check_slices(arguments: argparse.Namespace) -> None:
+    for option in ("warm_up", "parts"):
+        if arguments.slices is None and getattr(arguments, option) is not None:
+            raise SettingsError(f"--{option.replace('_', '-')}: goes with --slices")
+    if arguments.slices is not None and is_remote(arguments.out) and arguments.parts is None:
+        raise SettingsError(
+            "--slices: the result is at an address; state --parts, a folder that workers share"
+        )
+    if arguments.parts is not None and len(arguments.files) > 1:
+        raise SettingsError("--parts: goes with one recording; each has a folder of its own")
 
 
 def _jobs(arguments: argparse.Namespace) -> list[Job]:
@@ -96,9 +152,11 @@ def _jobs(arguments: argparse.Namespace) -> list[Job]:
     from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
 
     for file in arguments.files:
-        if not file.removesuffix(PART_SUFFIX).endswith(FILE_SUFFIX):
+        if not file_name(file).removesuffix(PART_SUFFIX).endswith(FILE_SUFFIX):
             raise SettingsError(f"{file}: no recording ({FILE_SUFFIX})")
-        if not Path(file).is_file():
+        if is_remote(file):
+            check_address(file)
+        elif not Path(file).is_file():
             raise SettingsError(f"{file}: no such file")
     for text in arguments.set:
         node = text.partition(".")[0]
@@ -107,121 +165,53 @@ def _jobs(arguments: argparse.Namespace) -> list[Job]:
         if node not in STATIONS:
             hint = did_you_mean(node, STATIONS)
             raise SettingsError(f"--set {text}: unknown node '{node}'{hint}")
-    out = Path(arguments.out)
     several = len(arguments.files) > 1
-    names = [Path(file).name for file in arguments.files]
+    names = [file_name(file) for file in arguments.files]
     if len(set(names)) < len(names):
         raise SettingsError("two recordings have the same name")
-    if several and not out.is_dir():
-        if out.suffix == FILE_SUFFIX:
-            raise SettingsError(f"--out {out}: expected a folder, for several recordings")
-        make_folder(out)
-    return [
-        Job(
-            file,
-            str(out / name if several or out.is_dir() else out),
-            tuple(arguments.set),
-            arguments.start_from,
-        )
-        for file, name in zip(arguments.files, names, strict=True)
-    ]
+    changes, start_from = tuple(arguments.set), arguments.start_from
+    if is_remote(arguments.out):
+        check_address(arguments.out)
+        folder = arguments.out.rstrip("/")
+        if not several and not folder.endswith(FILE_SUFFIX):
+            raise SettingsError(f"--out {folder}: expected a name that ends in {FILE_SUFFIX}")
+        outs = [f"{folder}/{name}" if several else folder for name in names]
+    else:
+        out = Path(arguments.out)
+        if several and not out.is_dir():
+            if out.suffix == FILE_SUFFIX:
+                raise SettingsError(f"--out {out}: expected a folder, for several recordings")
+            make_folder(out)
+        outs = [str(out / name if several or out.is_dir() else out) for name in names]
+    pairs = zip(arguments.files, outs, strict=True)
+    return [Job(file, one, changes, start_from) for file, one in pairs]
 
 
-def _run(jobs: Sequence[Job], executor: str | None) -> list[Outcome]:
-    quiet = not sys.stderr.isatty()
+def _run(jobs: Sequence[Job], arguments: argparse.Namespace) -> list[Outcome]:
+    quiet, executor = not sys.stderr.isatty(), arguments.executor
+    if arguments.slices is not None:
+        from sparseskin.launch.offline.plan import WARM_UP
+        from sparseskin.launch.offline.sliced import Sliced
+
+        warm_up = WARM_UP if arguments.warm_up is None else arguments.warm_up
+        parts = arguments.parts or ""
+        how_cut = Sliced(arguments.slices or None, warm_up, executor or "serial", parts)
+        return [run_job(job, not quiet, how_cut) for job in jobs]
     if executor is None:
         return [run_job(job, progress=not quiet) for job in jobs]
     from tqdm import tqdm
 
-    with make_executor(executor) as pool:
-        futures = {pool.submit(run_job, job): k for k, job in enumerate(jobs)}
-        done = tqdm(as_completed(futures), total=len(jobs), disable=quiet, unit="recording")
-        outcomes = {futures[future]: _settled(jobs[futures[future]], future) for future in done}
-    return [outcomes[k] for k in range(len(jobs))]
+    from sparseskin.nodes.tasks.computed import computed
 
-
-def _settled(job: Job, future: Future[Outcome]) -> Outcome:
-    """The outcome of a job, also where its worker died."""
-    try:
-        return future.result()
-    except Exception as error:
-        return Outcome(job, {}, one_line(error))
-
-
-def _run_job(job: Job, progress: bool) -> dict[str, Any]:
-    """Run one job; its result appears under its name when it is complete, or not at all."""
-    from sparseskin.nodes.files import whole_file
-    from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
-    from sparseskin.nodes.recorder.bag.writer import removing
-
-    if Path(job.out).suffix != FILE_SUFFIX:
-        raise SettingsError(f"--out {job.out}: expected a name that ends in {FILE_SUFFIX}")
-    with whole_file(Path(job.out)) as draft, removing(draft, Path(job.out)):
-        return _stream(job, _graph(job, draft), progress)
-
-
-def _stream(job: Job, launch: LaunchFile, progress: bool) -> dict[str, Any]:
-    from tqdm import tqdm
-
-    from sparseskin.nodes.bus import Bus
-    from sparseskin.nodes.clock import ManualClock
-    from sparseskin.nodes.recorder.bag.reader import BagReader
-
-    clock = ManualClock()
-    bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, clock)
-    with BagReader(job.source) as bag:
-        total = max((info.n_messages for info in bag.topics.values()), default=0)
-    bar = tqdm(total=total, disable=not progress, unit="frame", desc=Path(job.source).name)
-    with bar, closing(bus):
-        for messages in bus.frames():
-            # Offline a frame is done when it was acquired: no latency is invented.
-            newest_ns = max((message.stamp_ns for message in messages), default=0)
-            clock.advance(max(0, newest_ns - clock.now_ns()))
+    outcomes: dict[int, Outcome] = {}
+    with (
+        closing(computed(executor, run_job, dict(enumerate(jobs)))) as finished,
+        tqdm(total=len(jobs), disable=quiet, unit="recording") as bar,
+    ):
+        for k, future in finished:
+            try:
+                outcomes[k] = future.result()
+            except Exception as error:  # its worker died
+                outcomes[k] = Outcome(jobs[k], {}, one_line(error))
             bar.update()
-    bus.check()
-    patches: dict[str, Any] = bus.reports()["monitor"]["patches"]
-    return {name: patch | {"latency_ms": None} for name, patch in patches.items()}
-
-
-def _how(job: Job, made_by: str) -> str:
-    """Provenance of a result, for its metadata: the command, then the text in the recording."""
-    changes = " ".join(f"--set {text}" for text in job.overrides)
-    command = f"# sparseskin reprocess {Path(job.source).name} {changes}".rstrip()
-    return f"{command} --from {job.start_from}\n{made_by}"
-
-
-def _graph(job: Job, out: Path) -> LaunchFile:
-    """The graph that reprocesses a recording: a launch file that is never written."""
-    from sparseskin.launch.launchfile.load import load_tables
-    from sparseskin.messages import Calibration, Measurements, PhiState, SkinState, Taxels, Truth
-    from sparseskin.messages.topics import split_topic
-    from sparseskin.nodes.recorder.bag.reader import BagReader
-
-    with BagReader(job.source) as bag:
-        topics = [split_topic(topic) for topic in bag.topics]
-        made_by = bag.metadata.get("launch", "")
-    patches = sorted({patch for patch, _ in topics})
-    if len(patches) != 1:
-        raise SparseskinError(f"holds {len(patches)} patches; reprocess takes recordings of one")
-    present = {schema for _, schema in topics}
-    changes_edge = any(text.startswith("compressor.") for text in job.overrides)
-    start_from = job.start_from
-    if start_from == "auto":
-        start_from = "measurements" if "measurements" in present and not changes_edge else "taxels"
-    if start_from == "measurements" and changes_edge:
-        raise SettingsError("--from measurements: the compressor cannot be changed then")
-    schemas = [SkinState.schema, Taxels.schema, Truth.schema]
-    schemas += [Calibration.schema] if Calibration.schema in present else []
-    tables: dict[str, dict[str, Any]] = {}
-    if start_from == "measurements":
-        schemas += [PhiState.schema, Measurements.schema]
-    else:
-        tables["compressor"] = {"type": "compressor", "patch": patches[0]}
-    tables = {
-        "player": {"type": "player", "file": job.source, "schemas": schemas, "keep_stamps": True},
-        **tables,
-        "reconstructor": {"type": "reconstructor", "patch": patches[0]},
-        "monitor": {"type": "monitor", "patches": patches},
-        "recorder": {"type": "recorder", "out": str(out), "launch": _how(job, made_by)},
-    }
-    return load_tables(f"reprocess {Path(job.source).name}", tables, job.overrides)
+    return [outcomes[k] for k in range(len(jobs))]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.remote import is_remote, local_path
 
 from .options import add_commands
 
@@ -80,10 +81,12 @@ def data_folder() -> Path:
 
 
 def resolve_recording(name_or_path: str) -> Path:
-    """The recording that a person means: a file, or a scenario, made if it is not there yet.
-    Raises SparseskinError if it is neither a path that exists or has a suffix nor a scenario, or
-    the scenario cannot be written.
+    """The recording that a person means: a file, a copy of that at an address, or a scenario, made
+    if it is not there yet. Raises SparseskinError if it is none of these, has no suffix, or cannot
+    be read or written.
     """
+    if is_remote(name_or_path):
+        return local_path(name_or_path)
     path = Path(name_or_path)
     if name_or_path in SCENARIOS and not path.is_file():
         path = data_folder() / f"{name_or_path}{FILE_SUFFIX}"

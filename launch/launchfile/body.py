@@ -35,8 +35,8 @@ PITCH_MM = 5.0
 """Distance of taxels where none is stated, in mm: that of the paper's skin."""
 _SKIN_KEYS = ("body", "patches", "rows", "cols", "pitch_mm", "f_max", "batch")
 _POSE_KEYS = ("position_mm", "orientation")
-_OWN_KEYS = ("name", "skin", "points", "host", "compressor", *_POSE_KEYS)
-_OF_SKIN = ("rows", "cols", "pitch_mm", "f_max", "unit", "mask", "noise", "noise_mid")
+_OWN_KEYS = ("name", "skin", "host", "compressor", *_POSE_KEYS)
+_OF_SKIN = ("rows", "cols", "points", "pitch_mm", "f_max", "unit", "mask", "noise", "noise_mid")
 _UNIT_NORM = 1e-3
 """Allowed difference of the norm of an orientation from 1."""
 
@@ -76,7 +76,9 @@ class Patch:
         s = self.skin
         mask = None if s.mask is None or s.mask.all() else s.mask.tobytes()
         settings = repr(sorted(self.compressor.items()))
-        return (*s.shape, s.pitch_mm, s.f_max, mask, s.noise, s.noise_mid, self.host, settings)
+        layout = None if s.placement is None else s.placement.points.layout
+        of_skin = (*s.shape, s.pitch_mm, s.f_max, mask, s.noise, s.noise_mid, layout)
+        return (*of_skin, self.host, settings)
 
     def sensor_values(self) -> dict[str, Any]:
         """Settings of a sensor node of a batch for such patches."""
@@ -87,10 +89,15 @@ class Patch:
             "pitch_mm": s.pitch_mm or PITCH_MM,
             "f_max": s.f_max,
         }
+        if s.placement is not None:
+            return {"points": s.placement.points.layout, "f_max": s.f_max, **self._noise_values()}
         if s.mask is not None and not s.mask.all():
             values["mask"] = ["".join("01"[cell] for cell in row) for row in s.mask.astype(int)]
-        values |= {"sigma_end": s.noise} if s.noise is not None else {}
-        return values | ({"sigma_mid": s.noise_mid} if s.noise_mid is not None else {})
+        return values | self._noise_values()
+
+    def _noise_values(self) -> dict[str, float]:
+        stated = {"sigma_end": self.skin.noise, "sigma_mid": self.skin.noise_mid}
+        return {key: value for key, value in stated.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -220,11 +227,6 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
     except MessageError as error:
         raise SparseskinError(f"{where}.{error}") from error
     where = f"{where} ({name})"
-    if "points" in table:
-        raise SparseskinError(
-            f"{where}.points: taxels at free points are not available; allowed: rows and cols, "
-            "with a mask for cells that do not exist"
-        )
     own = {key: table[key] for key in _OF_SKIN if key in table}
     if "skin" in table:
         if own:
@@ -233,7 +235,9 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
             raise SparseskinError(f"{where}.skin: expected the name of a file")
         skin = load_skin(folder / table["skin"])
     else:
-        stated = {"name": name, "f_max": PAPER_F_MAX_N, "pitch_mm": PITCH_MM, **own}
+        stated = {"name": name, "f_max": PAPER_F_MAX_N, **own}
+        if "points" not in own:
+            stated.setdefault("pitch_mm", PITCH_MM)
         skin = parse_skin(stated, where, folder)
     if skin.unit != "N":
         raise SparseskinError(f"{where}.unit: '{skin.unit}'; allowed for a simulated body: N")

@@ -21,9 +21,9 @@ from sparseskin.nodes.settings import Settings
 from sparseskin.nodes.toml import parse_toml
 
 from .hosts import check_exposure, give_ports, read_hosts, read_place, read_security
-from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
+from .spec import DIRECT, LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
 
-TRANSPORTS = ("ipc", "tcp")
+TRANSPORTS = ("auto", DIRECT, "ipc", "tcp")
 RECORDER = "recorder"
 SKIN = "skin"
 """Table of the patches of a body."""
@@ -110,12 +110,15 @@ class Checker:
             for node_name, (host, _) in places.items():
                 public = endpoints.get(node_name, "")
                 nodes[node_name] = replace(nodes[node_name], host=host, public=public)
+        if graph.get("transport") == DIRECT and security is not None:
+            text = "links of a graph with keys are ZeroMQ (allowed: auto, ipc, tcp)"
+            self.fault(("graph", "transport"), f"'{DIRECT}': {text}")
         if self.errors:
             raise LaunchError(self.errors[:MAX_ERRORS])
         return LaunchFile(
             self.name,
             graph.get("description", ""),
-            graph.get("transport", "ipc"),
+            graph.get("transport", "auto"),
             nodes,
             links,
             self.launched,

@@ -21,7 +21,7 @@ _MAX_VALUE = 40
 
 def graph_text(launch: LaunchFile) -> str:
     """Nodes with their settings, then hosts, then links."""
-    lines = [f"{launch.name}: {launch.description}", f"transport {launch.transport}", "", "nodes"]
+    lines = [f"{launch.name}: {launch.description}", f"transport {launch.transports}", "", "nodes"]
     name_width = max(len(node.name) for node in launch.nodes.values())
     type_width = max(len(node.type_name) for node in launch.nodes.values())
     for node in launch.nodes.values():

@@ -18,6 +18,8 @@ from .hosts import Credentials, Host, Security, read_credentials
 
 LAUNCHER = "launch"
 """Name of the launcher itself, as the receiver of requests and in the log."""
+DIRECT = "unix"
+"""Transport of links between nodes of one host, beside that of ZeroMQ for observers."""
 LIVE_RECORDER = "live_recorder_"
 """Begin of the names of recorders that are started while a graph runs."""
 
@@ -83,6 +85,18 @@ class LaunchFile:
     credentials: Credentials | None = None
     log_dir: str = ""
     folder: str = ""
+
+    @property
+    def has_direct_links(self) -> bool:
+        """True if nodes of one host are connected by direct links; with keys all is ZeroMQ."""
+        return self.transport in ("auto", DIRECT) and self.security is None
+
+    @property
+    def transports(self) -> str:
+        """The transports of the graph within a host, for a person."""
+        if self.has_direct_links:
+            return "unix between nodes of a host, ipc for observers"
+        return self.transport if self.transport == "tcp" else "ipc"
 
     def part(self, host: str | None) -> LaunchFile:
         """The part of a graph that runs on one host, with the keys that it needs there; `host` is

@@ -57,7 +57,9 @@ class LiveRecording:
             self.out = None
             recording = node.report.get("recording", {})
             fault = recording.get("error")
-            text = fault or f"{out}: {recording.get('n_messages', 0)} messages recorded"
+            n = recording.get("n_messages", 0)
+            came = f"{n} messages recorded" if n else "no message came, so there is no file"
+            text = fault or f"{out}: {came}"
             self._done(not fault, text)
 
     def _begin(self) -> None:

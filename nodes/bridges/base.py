@@ -131,7 +131,8 @@ class Bridge(Node[S]):
     """A node that sends the forces of patches out of the graph.
 
     No writer waits for it. Where it is behind, the oldest messages are dropped: by itself beyond
-    `depth` (skipped), by a writer beyond its queue (lost); both are counted.
+    `depth` (skipped), by a writer beyond its queue (lost); both are counted, as are frames that
+    come before their skin.
     """
 
     required = False
@@ -162,7 +163,9 @@ class Bridge(Node[S]):
         elif isinstance(message, Taxels | Truth | Reconstruction):
             skin = self.skins.get(message.patch)
             if skin is None or skin.skin.shape != message.forces.shape:
-                return ()  # the skin arrives on another connection than its frames
+                # The skin may arrive on another connection than its frames.
+                self.n_dropped += 1
+                return ()
             self.send(message, skin)
             self.n_sent += 1
         elif isinstance(message, Resultant):

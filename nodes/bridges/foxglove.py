@@ -14,7 +14,7 @@ from sparseskin.messages.topics import topic_of
 from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.node import Context
-from sparseskin.nodes.recorder.convert.foxglove import grid, raw_image
+from sparseskin.nodes.recorder.convert.foxglove import grid, point_cloud, raw_image
 from sparseskin.nodes.settings import setting
 
 from .base import LOOPBACK, Bridge, BridgeSettings, Figures, Map, check_installed
@@ -41,7 +41,8 @@ class FoxgloveSettings(BridgeSettings):
 
 
 class FoxgloveBridge(Bridge[FoxgloveSettings]):
-    """Sends each map as `foxglove.RawImage` (32FC1) and `foxglove.Grid`, its figures as JSON.
+    """Sends each map as `foxglove.RawImage` (32FC1) and `foxglove.Grid`, its figures as JSON; of a
+    skin of points as `foxglove.PointCloud`, too.
 
     Topics: /PATCH/SCHEMA, /PATCH/SCHEMA/grid, /PATCH/SCHEMA/figures, /PATCH/resultant. A topic
     that no client has subscribed to costs nothing. Parameters are the live settings of the graph.
@@ -104,6 +105,14 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
         if cells.has_sinks():
             layers = {"force": message.forces}
             cells.log(grid(message, layers, skin), log_time=message.stamp_ns)
+        if skin.points is not None:
+            name = f"{topic}/points"
+            if name not in self._channels:
+                made = self._fox.channels.PointCloudChannel(name, context=self._own)
+                self._channels[name] = made
+            if self._channels[name].has_sinks():
+                cloud = point_cloud(message, {"force": message.forces}, skin)
+                self._channels[name].log(cloud, log_time=message.stamp_ns)
         if figures.has_sinks():
             latency_ns = self.context.clock.now_ns() - message.stamp_ns
             figures.log(

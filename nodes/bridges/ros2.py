@@ -125,14 +125,19 @@ class Ros2Bridge(Bridge[Ros2Settings]):
         self._writers.clear()
 
     def _cloud(self, message: Map, skin: SkinState) -> npt.NDArray[np.float32]:
-        """The taxels that exist as points: x along the columns, y along the rows, and the force."""
+        """Place in metres and force of the taxels that exist; on a flat grid x runs along the
+        columns and y along the rows.
+        """
         exists = skin.mask if skin.mask is not None else np.ones(skin.skin.shape, bool)
         points = self._points.get(message.patch)
         if points is None:
             rows, cols = np.nonzero(exists)
-            pitch_m = skin.pitch_m or UNKNOWN_PITCH_M
             points = np.zeros((len(rows), 4), np.float32)
-            points[:, 0], points[:, 1] = pitch_m * cols, pitch_m * rows
+            if skin.points is not None:
+                points[:, :3] = skin.points[:, :3]
+            else:
+                pitch_m = skin.pitch_m or UNKNOWN_PITCH_M
+                points[:, 0], points[:, 1] = pitch_m * cols, pitch_m * rows
             self._points[message.patch] = points
         points[:, 3] = message.forces.ravel() if skin.mask is None else message.forces[exists]
         return points

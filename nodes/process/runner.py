@@ -12,14 +12,13 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-import zmq
-
 from sparseskin.messages import Message
 from sparseskin.nodes.clock import ClockEstimate, SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.host import NodeHost
 from sparseskin.nodes.lookup import one_line, search_in, trace_of
 from sparseskin.nodes.network.network import Network
+from sparseskin.nodes.network.poll import Poll
 from sparseskin.nodes.network.sockets import FAREWELL_MS, Peer, Reader, make_context
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.registry import make_settings, node_class
@@ -77,13 +76,12 @@ class Runner:
         self.expected = set(config["readers"])
         self.max_frames: int | None = config.get("max_frames")
         self.context = make_context()
-        self.network = Network(self.context, config, self.clock.now_ns, self.log)
+        self.poll = Poll()
+        self.network = Network(self.context, config, self.clock.now_ns, self.log, self.poll)
         self.writer = self.network.writer
         self.reader: Reader | None = None
         self.backlog: Backlog | None = None
-        self.poller = zmq.Poller()
-        self.poller.register(control.fd, zmq.POLLIN)
-        self._poll_all()
+        self.poll.add(control.fd)
         self.connected = self.ready = self.started = self.stopping = self.end_reported = False
         self.draining = self.failed = self.terminated = False
         self.asks: deque[int] = deque()
@@ -116,11 +114,13 @@ class Runner:
         gc.enable()
         while not (self.stopping or self.control.closed):
             self._wait()
+            if self.poll.signalled:  # the states for a new reader come before frames
+                self.writer.serve_subscriptions()
+            self._receive()
+            self._answer()
             self._execute_commands()
             self.network.serve()
             self.writer.serve_subscriptions()
-            self._receive()
-            self._answer()
             for _ in _batch():
                 if not self._tick_due():
                     break
@@ -135,6 +135,7 @@ class Runner:
             assert self.reader is not None
             self.reader.answer(note)
         # Pending messages are still sent, for a bounded time.
+        self.network.close(FAREWELL_MS)
         self.context.destroy(linger=FAREWELL_MS)
 
     def _on_interrupt(self, *_: object) -> None:
@@ -174,11 +175,11 @@ class Runner:
             if 0 < left_ns < SPIN_NS:
                 time.sleep(left_ns / 1e9)
             timeout_ms = max(0, min(timeout_ms, (left_ns - SPIN_NS) // 1_000_000))
-        ready = self.poller.poll(timeout_ms)
+        ready = self.poll.wait(timeout_ms)
         patience_s = self.host.node.patience_s
         # Not while messages wait, and not if a source waits for answers.
-        urgent = self.asked or self.network.awaits_time
-        if patience_s and self.caught_up and not urgent and ready:
+        waits = patience_s and self.caught_up and ready
+        if waits and not (self.asked or self.network.awaits_time):
             time.sleep(patience_s)
 
     def _execute_commands(self) -> None:
@@ -223,16 +224,12 @@ class Runner:
     def _connect(self, peers: list[Peer]) -> None:
         """Connect to writers; those on other hosts are named once this node is ready."""
         if peers and self.reader is None:
-            self.reader = self.network.make_reader(self.host.inputs, self.host.node.observes)
-            self.backlog = Backlog(self.reader, frozenset(t.encode() for t in self.host.streams))
-            self._poll_all()
+            host = self.host
+            self.reader = self.network.make_reader(host.inputs, host.node.observes, host.refuse)
+            self.backlog = Backlog(self.reader, frozenset(t.encode() for t in host.streams))
         if self.reader is not None:
             self.network.connect(self.reader, peers)
         self.connected = True
-
-    def _poll_all(self) -> None:
-        for socket in self.network.sockets:
-            self.poller.register(socket, zmq.POLLIN)
 
     def _clock_of(self, topic: str) -> ClockEstimate | None:
         return self.network.clock_of(topic)

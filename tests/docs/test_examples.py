@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import runpy
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +14,8 @@ import pytest
 EXAMPLES = Path(__file__).parents[2] / "examples"
 #: Drivers of hardware: test_drivers.py runs them against simulated skins.
 DRIVERS = {"serial_skin", "udp_skin"}
+#: Run below, as a job of several processes.
+JOBS = {"mpi_pool"}
 WITH_PICTURE = {"first_contact", "your_own_skin", "choosing_m", "calibrate"}
 ARGUMENTS = {"board_emulator": ["--frames", "3"]}
 #: A word of what an example prints last, so that one that prints nothing is noticed.
@@ -40,7 +45,7 @@ NEEDS = {"mujoco_skin": "mujoco"}
 
 def names() -> list[object]:
     slow = [pytest.mark.slow]
-    found = sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem not in DRIVERS)
+    found = sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem not in DRIVERS | JOBS)
     return [pytest.param(name, marks=slow if name in WITH_PICTURE else []) for name in found]
 
 
@@ -70,3 +75,16 @@ def test_examples_of_the_documentation_are_those_there_are() -> None:
     page = (EXAMPLES.parent / "docs" / "examples.md").read_text(encoding="utf-8")
     for path in EXAMPLES.glob("*.py"):
         assert f"[{path.name}](../examples/{path.name})" in page
+
+
+@pytest.mark.slow
+def test_tasks_are_shared_by_the_processes_of_an_mpi_job(tmp_path: Path) -> None:
+    pytest.importorskip("mpi4py")
+    mpiexec = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    if mpiexec is None or subprocess.run([sys.executable, "-c", "import mpi4py.MPI"]).returncode:
+        pytest.skip("needs an MPI library and its mpiexec")
+    job = [mpiexec, "-n", "3", sys.executable, "-m", "mpi4py.futures"]
+    shutil.copy(EXAMPLES / "mpi_pool.py", tmp_path)
+    done = subprocess.run([*job, "mpi_pool.py"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout.startswith("8 tasks on processes [1"), done.stderr
+    assert "0" not in done.stdout.partition("[")[2].partition("]")[0]

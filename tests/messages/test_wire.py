@@ -321,6 +321,40 @@ def test_a_mask_must_fit_the_grid_and_hold_booleans() -> None:
             decode_body(body | change, b"/skin/skin")
 
 
+def on_points(points: np.ndarray | None, mask: np.ndarray | None = None) -> SkinState:
+    numbers = dict.fromkeys(("stamp_ns", "seed", "rate_hz", "sigma_mid", "sigma_end"), 0)
+    grid: dict[str, Any] = {"n_rows": 2, "n_cols": 2, "f_max": 2.5, "unit": "N", "pitch_m": 0.01}
+    texts = {"patch": "skin", "source": "test"}
+    return SkinState(**numbers, **grid, **texts, has_truth=False, mask=mask, points=points)
+
+
+def test_points_are_those_of_the_cells_that_exist() -> None:
+    points = np.zeros((3, 6), np.float32)
+    points[:, 0], points[:, 5] = (-1, 0, 1000), 1
+    mask = np.array([[True, False], [True, True]])
+    state = on_points(points, mask)
+    assert state.skin.points is not None
+    assert decode(*encode(state)) == state
+    with pytest.raises(ShapeError, match=r"expected float32 \[4, 6\]"):
+        on_points(points)
+    with pytest.raises(ShapeError):
+        on_points(points.astype(np.float64), mask)
+    for place, value, what in (
+        ((1, 1), 1001.0, "point 1 is not within 1000 m"),
+        ((2, 0), np.nan, "not a finite number"),
+        ((2, 5), 0.0, "normal 2 has length 0, expected 1"),
+        ((0, 3), 0.1, "normal 0 has length 1.005"),
+    ):
+        wrong = points.copy()
+        wrong[place] = value
+        with pytest.raises(MessageError, match=what):
+            on_points(wrong, mask)
+
+
+def test_a_flat_skin_has_the_bytes_that_it_had_without_points() -> None:
+    assert "points" not in body_of(on_points(None))
+
+
 @pytest.mark.parametrize(
     ("changes", "what"),
     [

@@ -142,7 +142,7 @@ def test_rows_rotate_in_every_launch_file_that_has_a_compressor() -> None:
         for node in tomllib.loads(path.read_text())["nodes"].values()
         if node["type"] == "compressor"
     ]
-    assert len(found) == 10
+    assert len(found) == 11
     for values in found:
         assert CompressorSettings.from_mapping(values).rows_and_m(1600)[0] == "rotating"
 

@@ -75,6 +75,21 @@ def test_a_person_is_asked_and_wrong_answers_are_asked_again(
     assert_calibrated("palm.toml")
 
 
+@pytest.mark.parametrize("answers", ["", "24N\n", "24N\nall\n", "24N\nall\n5.2-6.8s\n"])
+def test_the_end_of_the_input_is_no_answer(
+    folder: Path,
+    answers: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    before = sorted(folder.iterdir())
+    monkeypatch.setattr("sys.stdin", io.StringIO(answers))
+    assert main(["calibrate", "file:all.npy", "--out", "palm.toml"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("the input ended before the questions; nothing is written (--press, ")
+    assert sorted(folder.iterdir()) == before
+
+
 def test_without_presses_readings_keep_their_unit(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -95,6 +110,9 @@ def test_without_presses_readings_keep_their_unit(
         (("--press", "5N:30-40s"), "no frame of the recording, which lasts 6.99 s"),
         (("--press", "5N:none.npy"), "none.npy: no such file"),
         (("--untouched", "none.npy", "--no-questions"), "none.npy: no such file"),
+        (("--untouched", "3", "--no-questions"), "3: expected seconds, as 3s, or a file; frames"),
+        (("--untouched", "3f", "--no-questions"), "3f: no such file; allowed: seconds as 3s, or"),
+        (("--press", "5N:3-4"), "--press 5N:3-4: 3-4: expected seconds, as 3-4s, or a file"),
         (("--out", "palm.txt"), "--out palm.txt: expected a name that ends in .toml"),
         (("--out", "old.toml"), "--out old.toml: exists already"),
     ],

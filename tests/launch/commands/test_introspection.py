@@ -134,7 +134,9 @@ def test_node_info_reports_topics_counts_settings_and_what_it_costs(
     assert {one["key"]: one["live"] for one in node["settings"]}["ratio"] is True
     assert node["cpu_s"] > 0
     assert node["memory_mb"] > 5
+    assert node["transport"] == "unix"
     text = run("node", "info", "compressor")
+    assert "  transport  unix (direct links to nodes of this host); observers: ipc" in text
     assert "/skin/measurements" in text
     assert max(map(len, text.splitlines())) <= 80
 
@@ -315,6 +317,8 @@ def test_echo_of_so_many_shows_them_one_after_the_other(run: Run) -> None:
         (("tropic",), "argument COMMAND: invalid choice: 'tropic' (did you mean 'topic'?)"),
         (("topic", "ecko"), "sparseskin topic: argument COMMAND: invalid choice: 'ecko' (did you"),
         (("launch", "path_40", "--frame", "4"), "--frame (did you mean '--frames'?)"),
+        (("topic", "echo", "/skin/taxels", "--count", "4"), "--count (did you mean '-n'?)"),
+        (("topic", "hz", "/skin/taxels", "--zzz"), "unrecognized arguments: --zzz (see"),
         (("bag", "info", "x.mcap", "--jsn"), "(see sparseskin bag info --help)"),
         (("scenes", "list", "all"), "sparseskin scenes list: unrecognized arguments: all (see"),
     ],

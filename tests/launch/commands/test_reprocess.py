@@ -11,8 +11,8 @@ from sparseskin.launch.commands.cli import main
 from sparseskin.launch.commands.scenes import make_scenario
 from sparseskin.messages import Reconstruction, Taxels, decode
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.executors import make_executor
 from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.tasks.executors import make_executor
 
 
 @pytest.fixture(scope="module")

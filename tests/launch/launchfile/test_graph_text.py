@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -153,3 +154,10 @@ def test_a_picture_that_cannot_be_written_is_one_line(
     nowhere = str(tmp_path / "no" / "g.dot")
     assert main(["launch", "path_40", "--dry-run", "--dot", nowhere]) == 2
     assert capsys.readouterr().err == f"--dot {nowhere}: No such file or directory\n"
+
+
+def test_a_graph_states_its_transports() -> None:
+    launch = load("path_40")
+    assert "\ntransport unix between nodes of a host, ipc for observers\n" in graph_text(launch)
+    for transport in ("ipc", "tcp"):
+        assert f"\ntransport {transport}\n" in graph_text(replace(launch, transport=transport))

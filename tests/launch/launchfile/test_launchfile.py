@@ -63,7 +63,16 @@ def test_every_scene_has_a_launch_file_that_checks(name: str) -> None:
 
 def test_all_bundled_files_are_known() -> None:
     assert bundled_names() == sorted(
-        [*SCENES, "body", "edge", "replay", "replay_measurements", "replay_taxels", "two_patches"]
+        [
+            *SCENES,
+            "body",
+            "edge",
+            "replay",
+            "replay_measurements",
+            "replay_taxels",
+            "torso",
+            "two_patches",
+        ]
     )
 
 
@@ -117,7 +126,7 @@ def test_all_bundled_files_are_known() -> None:
         (
             'description = "a test"',
             'transport = "udp"',
-            "f.toml:2: graph.transport: 'udp' is not allowed (known: ipc, tcp)",
+            "f.toml:2: graph.transport: 'udp' is not allowed (known: auto, ipc, tcp, unix)",
         ),
         (
             "scene:path_40",

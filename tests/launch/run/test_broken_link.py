@@ -5,24 +5,21 @@ SPARSESKIN_LINK_CUT_S states for how many seconds the wire is cut (5 by default)
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import shutil
 import signal
-import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from conftest import Program, StartProgram, wait_until
-from slow_wire import SlowWire
+from namespaces import ADDRESSES, TwoHosts, two_hosts
 
 from sparseskin.nodes.network.keys import make_key_files
 
 CUT_S = float(os.environ.get("SPARSESKIN_LINK_CUT_S", "5"))
-ADDRESSES = {"edge": "10.203.7.1", "desk": "10.203.7.2"}
 STATIONS = Path(__file__).parent / "stations.py"
 GRAPH = """\
 [hosts.edge]
@@ -42,69 +39,14 @@ host = "desk"
 """
 
 
-def ip(*arguments: str) -> None:
-    done = subprocess.run(["ip", *arguments], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise OSError(f"ip {' '.join(arguments)}: {done.stderr.strip()}")
-
-
-class TwoHosts:
-    """Namespaces "edge" and "desk", joined by one wire; a slow one delays packets by 20 ms and
-    loses one of a hundred.
-    """
-
-    def __init__(self) -> None:
-        self.names = {host: f"skin{os.getpid()}{host}" for host in ADDRESSES}
-        self.slow_wire: SlowWire | None = None
-
-    def build(self, slow: bool) -> None:
-        edge, desk = self.names.values()
-        for name in (edge, desk):
-            ip("netns", "add", name)
-        if slow:
-            self.slow_wire = SlowWire(self._place, delay_s=0.02, loss=0.01)
-        else:
-            ip(*f"-n {edge} link add wire type veth peer name wire netns {desk}".split())
-        for host, name in self.names.items():
-            ip("-n", name, "addr", "add", f"{ADDRESSES[host]}/24", "dev", "wire")
-            for device in ("lo", "wire"):
-                ip("-n", name, "link", "set", device, "up")
-
-    def _place(self, end: int, device: str) -> None:
-        name = list(self.names.values())[end]
-        ip("link", "set", device, "netns", name)
-        ip("-n", name, "link", "set", device, "name", "wire")
-
-    def set_wire(self, state: str) -> None:
-        ip("-n", self.names["edge"], "link", "set", "wire", state)
-
-    def remove(self) -> None:
-        if self.slow_wire is not None:
-            self.slow_wire.close()
-        for name in self.names.values():
-            with contextlib.suppress(OSError):
-                ip("netns", "del", name)
-
-    def prefix(self, host: str) -> list[str]:
-        return ["ip", "netns", "exec", self.names[host]]
-
-
 @pytest.fixture
 def hosts(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[TwoHosts]:
-    if shutil.which("ip") is None:
-        pytest.skip("needs the command ip (iproute2)")
-    made = TwoHosts()
-    try:
-        made.build(slow=getattr(request, "param", False))
-    except OSError as error:
-        made.remove()
-        pytest.skip(f"network namespaces are not permitted here: {error}")
-    for name in ADDRESSES:
-        make_key_files(name, tmp_path / "keys")
-    shutil.copy(STATIONS, tmp_path / "stations.py")
-    (tmp_path / "two.toml").write_text(GRAPH)
-    yield made
-    made.remove()
+    with two_hosts(slow=getattr(request, "param", False)) as made:
+        for name in ADDRESSES:
+            make_key_files(name, tmp_path / "keys")
+        shutil.copy(STATIONS, tmp_path / "stations.py")
+        (tmp_path / "two.toml").write_text(GRAPH)
+        yield made
 
 
 def part(start: StartProgram, hosts: TwoHosts, host: str) -> Program:

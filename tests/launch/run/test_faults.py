@@ -23,11 +23,13 @@ def made(fault: str, tmp_path: Path, **more: Any) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", faults.SIGNALS)
+@pytest.mark.parametrize(
+    ("name", "transport"), [*((name, "unix") for name in faults.SIGNALS), ("SIGKILL", "ipc")]
+)
 def test_a_node_that_is_killed_crashes_or_stops_takes_no_other_with_it(
-    name: str, tmp_path: Path
+    name: str, transport: str, tmp_path: Path
 ) -> None:
-    point = {"signal": name, "repeats": 1, "stop_s": 1.0, "rate_hz": 20.0}
+    point = {"signal": name, "repeats": 1, "stop_s": 1.0, "rate_hz": 20.0, "transport": transport}
     measured = faults_signals.measure(point, tmp_path / "graph")
     rows = {row["node"]: row for row in faults_signals.rows_of(name, [measured])}
     assert list(rows) == list(faults_signals.NODES)

@@ -142,8 +142,8 @@ def test_the_summary_holds_what_it_promises(start: StartProgram, tmp_path: Path)
     assert patch["solve_ms"]["p50"] <= patch["latency_ms"]["p50"]
 
 
-@pytest.mark.parametrize("transport", ["ipc", slow("tcp")])
-def test_over_zeromq_and_in_one_process_the_forces_are_the_same_bits(
+@pytest.mark.parametrize("transport", ["unix", "ipc", slow("tcp")])
+def test_over_any_transport_and_in_one_process_the_forces_are_the_same_bits(
     start: StartProgram, tmp_path: Path, transport: str
 ) -> None:
     (tmp_path / "tap.py").write_text(TAP)
@@ -152,7 +152,7 @@ def test_over_zeromq_and_in_one_process_the_forces_are_the_same_bits(
     (tmp_path / "tapped.toml").write_text(text + '\n[nodes.tap]\ntype = "tap:Tap"\n')
     code, _, stderr = start("launch", "tapped.toml", "--frames", "150").finish()
     assert code == 0, stderr
-    over_zeromq = np.load(tmp_path / "tap.npy")
+    between_processes = np.load(tmp_path / "tap.npy")
 
     nodes = load("lift_wrench_40").nodes.values()
     bus = Bus({node.name: (node.cls, node.settings) for node in nodes})
@@ -162,8 +162,8 @@ def test_over_zeromq_and_in_one_process_the_forces_are_the_same_bits(
         for message in messages
         if isinstance(message, Reconstruction)
     ]
-    assert over_zeromq.shape == (150, 40, 40)
-    assert over_zeromq.tobytes() == np.array(in_process).tobytes()
+    assert between_processes.shape == (150, 40, 40)
+    assert between_processes.tobytes() == np.array(in_process).tobytes()
 
 
 @pytest.mark.parametrize(
@@ -365,11 +365,11 @@ def test_readings_outside_the_range_are_clipped_but_not_silently(
         *("launch", "replay", "--set", "sensor.source=upside:frames", "--summary", "out.json")
     ).finish()
     assert code == 0
-    assert "readings outside 0..2.5 N were clipped" in stderr
+    assert "readings clipped to the range: 20 below 0 N (lowest -1)" in stderr
     summary = json.loads((tmp_path / "out.json").read_text())
     assert summary["nodes"]["sensor"]["clipped"] == 200
-    line = "sensor: 200 readings outside 0..2.5 N were clipped; lowest -10, highest 3.5 N"
-    assert stdout.splitlines()[-1] == line
+    line = "20 above 2.5 N (highest 3.5), 180 below 0 N (lowest -10)"
+    assert stdout.splitlines()[-1] == f"sensor: readings clipped to the range: {line}"
 
 
 @pytest.mark.slow

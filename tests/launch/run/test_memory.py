@@ -12,6 +12,9 @@ from conftest import StartProgram, wait_until
 
 KB_A_QUEUE = 12 * 1024
 GRAPH = """
+[graph]
+transport = "{}"
+
 [nodes.sensor]
 type = "sensor"
 source = "held:frames"
@@ -55,16 +58,22 @@ def resident_kb(pid: int) -> int:
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc keeps it otherwise")
 @pytest.mark.slow
-def test_memory_of_a_queue_that_was_long_is_freed(start: StartProgram, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("transport", "queues"), [("ipc", ("reader", "sensor")), ("unix", ("sensor",))]
+)
+def test_memory_of_a_queue_that_was_long_is_freed(
+    start: StartProgram, tmp_path: Path, transport: str, queues: tuple[str, ...]
+) -> None:
     (tmp_path / "held.py").write_text(HELD)
-    (tmp_path / "graph.toml").write_text(GRAPH)
+    (tmp_path / "graph.toml").write_text(GRAPH.format(transport))
     graph = start("launch", "graph.toml")
     graph.wait_for("[launch] ready")
-    pids = {node: graph.pid_of(node) for node in ("reader", "sensor")}
+    pids = {node: graph.pid_of(node) for node in queues}
     before = {node: resident_kb(pid) for node, pid in pids.items()}
     hold = tmp_path / "hold"
     hold.touch()
-    # The queue of the reader fills first, then that of the writer.
+    # With ZeroMQ the queue of the reader fills first, then that of the writer; a direct link has
+    # that of the writer alone.
     for node, pid in pids.items():
         wait_until(lambda: resident_kb(pid) > before[node] + KB_A_QUEUE, f"a queue at the {node}")  # noqa: B023
     hold.unlink()

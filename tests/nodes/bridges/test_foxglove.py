@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Iterator
 from typing import Any
@@ -192,3 +193,26 @@ def test_a_client_reads_and_sets_parameters_of_a_running_graph(start: StartProgr
         while not isinstance(got, Data):
             got = client.receive()
         assert pixels(got.payload).shape == (40, 40)
+
+
+def test_a_skin_of_points_is_a_point_cloud(bridge: FoxgloveBridge) -> None:
+    exists = np.ones((ROWS, COLS), dtype=np.bool_)
+    exists[2, 3] = False
+    points = np.random.default_rng(1).random((exists.sum(), 6)).astype(np.float32)
+    points[:, 3:] = (0, 0, 1)
+    state = dataclasses.replace(skin(), mask=exists, points=points)
+    topic = f"{TOPIC}/points"
+    for message in (state, taxels(0)):
+        list(bridge.step(message))
+    with subscribed(bridge, topic) as client:
+        list(bridge.step(taxels(1)))
+        got = client.receive()
+        while not isinstance(got, Data):
+            got = client.receive()
+    # foxglove.PointCloud: point_stride 4, fields 5, data 6.
+    cloud = fields_of(got.payload)
+    assert int.from_bytes(cloud[4][0], "little") == 16
+    assert [fields_of(field)[1][0].decode() for field in cloud[5]] == ["x", "y", "z", "force"]
+    found = np.frombuffer(cloud[6][0], "<f4").reshape(-1, 4)
+    assert np.array_equal(found[:, :3], points[:, :3])
+    assert np.array_equal(found[:, 3], taxels(1).forces[exists])

@@ -1,0 +1,33 @@
+"""The commands `monitor` and `record` beside a running graph."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from sparseskin.launch.commands import beside
+
+
+def test_patches_of_a_batch_are_those_of_the_settings_of_its_writer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    writers = {
+        "/body/skin": "sensor",
+        "/body/taxels_batch": "sensor",
+        "/body/reconstruction_batch": "reconstructor",
+        "/hand/taxels": "other",
+    }
+    graph: Any = SimpleNamespace(writers=lambda: writers)
+    asked = []
+
+    def describe(_: Any, node: str) -> dict[str, Any]:
+        asked.append(node)
+        return {"settings": [{"key": "seed", "value": 0}, {"key": "patches", "value": ("a", "b")}]}
+
+    monkeypatch.setattr(beside, "describe_node", describe)
+    assert beside.batches_of(graph) == {"body": ["a", "b"]}
+    assert asked == ["reconstructor"]
+    del writers["/body/taxels_batch"], writers["/body/reconstruction_batch"]
+    assert beside.batches_of(graph) == {}
