@@ -1,6 +1,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+# Tests start a thousand processes: each would compile the package anew if none kept its bytecode.
+export PYTHONDONTWRITEBYTECODE =
 # Many tests wait for other processes: two test processes a core.
 WORKERS := $(shell echo $$((2 * $$(nproc))))
 PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder

@@ -13,7 +13,7 @@ from sparseskin.launch.attach import client
 from sparseskin.launch.commands import entry, topic
 from sparseskin.launch.run import controls, fleet, launcher
 
-LONG_S = 600.0
+LONG_S = 240.0
 
 if __name__ == "__main__":
     sys.path[0] = os.getcwd()  # as for `python -m`
