@@ -11,10 +11,11 @@ import struct
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from threading import Thread
 
 import pytest
 import zmq
-from conftest import wait_until
+from conftest import PATIENCE_S, wait_until
 from hypothesis import given
 from hypothesis import strategies as st
 from other_user import become_nobody
@@ -335,18 +336,18 @@ def test_what_waits_is_still_sent_for_a_while_when_a_writer_ends(path: Path) -> 
     wait_until(lambda: sender.has(FRAMES), "the subscription")
     for k in range(5):
         sender.outlet.send((FRAMES, b"%d" % k, bytes(300_000)), frame=True)
-    pid = os.fork()
-    if not pid:  # the reader goes on while its writer ends
-        try:
-            sender.poll.remove(sender.outlet._listener.fileno())
-            n = 0
-            while n < 5:
-                n += len(receiver.received())
-            os._exit(0)
-        finally:
-            os._exit(1)
-    sender.outlet.close(linger_ms=10_000)
-    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+    found: list[Sequence[bytes]] = []
+
+    def whole() -> bool:
+        found.extend(receiver.received())
+        return len(found) >= 5
+
+    ends = Thread(target=sender.outlet.close, args=(1000 * int(PATIENCE_S),))
+    ends.start()
+    wait_until(whole, "what waited")  # the reader goes on while its writer ends
+    ends.join()
+    assert [bytes(parts[1]) for parts in found] == [b"%d" % k for k in range(5)]
+    receiver.inlet.close()
 
 
 def test_a_path_in_use_is_refused_and_one_that_was_left_is_taken_over(path: Path) -> None:
