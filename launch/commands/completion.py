@@ -27,6 +27,8 @@ PROFILES = LAUNCH_FILES.parent / "nodes" / "sensor" / "boards" / "profiles"
 FILES = ("FILE", "BAG", "NEW", "PATH", "OUT.json", "F.mcap", "G.mcap", "REC.mcap", "B.npz")
 FOLDERS = ("DIR", "D")
 """Metavars of arguments that are files, and folders."""
+GRAPH = "graph"
+"""Table of a launch file whose keys `launch --set` changes as it does those of a node."""
 REPROCESSED = {"compressor": "compressor", "reconstructor": "reconstructor"}
 """Nodes, and their types, that `reprocess` runs."""
 
@@ -92,6 +94,8 @@ def _values(prefix: str, metavar: str, typed: argparse.Namespace) -> Words:
             return _bare(wire_fields(cls) if cls is not None else ())
         case "NODE.KEY=VALUE":
             types = node_types(typed.name or "") if "name" in typed else REPROCESSED
+            if types and "name" in typed:
+                types = {GRAPH: f"[{GRAPH}]"} | types
             return _overrides(prefix, types)
         case "SOURCE":
             return sources(prefix)
@@ -196,11 +200,24 @@ def _can_types() -> list[str]:
 
 
 def declared_settings(type_name: str) -> list[dict[str, Any]]:
-    """Key, type, doc, choices and known values of the settings of a type of node, read from its
-    source: importing it takes longer than a person waits for a word. None of a user's own type.
+    """Key, type, doc, choices and known values of the settings of a type of node, or of the table
+    "[graph]", read from their source: importing it takes longer than a person waits for a word.
+    None of a user's own type.
     """
     from sparseskin.nodes.registry import NODE_TYPES
 
+    if type_name == f"[{GRAPH}]":
+        source = _source("sparseskin.launch.launchfile.check")
+        choices = {
+            "transport": source["TRANSPORTS"],
+            "insecure": ("true", "false"),
+            "restart": _source("sparseskin.launch.run.restarts")["POLICIES"],
+        }
+        entry = {"type": "", "doc": "", "known": []}
+        return [
+            {**entry, "key": key, "choices": list(choices.get(key, ()))}
+            for key in source["GRAPH_KEYS"]
+        ]
     if type_name not in NODE_TYPES:
         return []
     module, _, name = NODE_TYPES[type_name].partition(":")
@@ -268,7 +285,11 @@ class _Source(dict[str, Any]):
             case ast.Name():
                 return self[node.id]
             case ast.Tuple():
-                return [self.value(one) for one in node.elts]
+                parts = [
+                    self.value(one.value) if isinstance(one, ast.Starred) else [self.value(one)]
+                    for one in node.elts
+                ]
+                return [one for part in parts for one in part]
             case ast.Dict():
                 return [self.value(key) for key in node.keys if key is not None]
             case ast.JoinedStr():

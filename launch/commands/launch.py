@@ -44,7 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = "Start a graph of nodes, watch it, and print what the monitor measured."
     parser.epilog = f"Bundled launch files: {', '.join(bundled)}. {STATUS_LINE}"
     parser.add_argument("name", metavar="NAME|FILE.toml", help="launch file")
-    add_set(parser, "one setting of one node")
+    add_set(parser, "one setting of one node, or with graph.KEY=VALUE of the graph")
     parser.add_argument(
         "--frames",
         metavar="K",

@@ -27,17 +27,19 @@ TRANSPORTS = ("auto", DIRECT, "ipc", "tcp")
 RECORDER = "recorder"
 SKIN = "skin"
 """Table of the patches of a body."""
+GRAPH = "graph"
+"""Table of what holds for all nodes."""
 INSECURE = "insecure"
 TO_NAME = "RECORDING"
 """Placeholder in a launch file for a recording that the user has to name."""
-TABLES = ("graph", "nodes", "hosts", "security", SKIN)
+TABLES = (GRAPH, "nodes", "hosts", "security", SKIN)
 MAX_NODES = 256
 """Nodes of a graph."""
 MAX_ERRORS = 50
 """Errors of one file that are reported."""
 MAX_ERROR = 1000
 """Characters of one error that are reported."""
-_GRAPH_KEYS = ("description", "transport", "log_dir", INSECURE, *RESTART_KEYS)
+GRAPH_KEYS = ("description", "transport", "log_dir", INSECURE, *RESTART_KEYS)
 
 
 class Checker:
@@ -62,15 +64,15 @@ class Checker:
         for key in self.tree:
             if key not in TABLES:
                 self.fault((key,), f"unknown table{did_you_mean(key, TABLES)}")
+        tables = self.node_tables()
+        for override in overrides:
+            self.override(override, tables)
         graph = self.graph_table()
         hosts = read_hosts(self.tree, self.fault)
         security = read_security(self.tree, hosts, self.folder, self.fault)
         insecure = graph.get(INSECURE) is True
         check_exposure(hosts.values(), security, insecure, self.fault)
-        self.restart = self.restart_policy(("graph",), graph, RestartPolicy())
-        tables = self.node_tables()
-        for override in overrides:
-            self.override(override, tables)
+        self.restart = self.restart_policy((GRAPH,), graph, RestartPolicy())
         changes = "".join(f"# --set {override}\n" for override in overrides)
         self.launched = changes + self.text
         tables = self.expanded(tables)
@@ -112,7 +114,7 @@ class Checker:
                 nodes[node_name] = replace(nodes[node_name], host=host, public=public)
         if graph.get("transport") == DIRECT and security is not None:
             text = "links of a graph with keys are ZeroMQ (allowed: auto, ipc, tcp)"
-            self.fault(("graph", "transport"), f"'{DIRECT}': {text}")
+            self.fault((GRAPH, "transport"), f"'{DIRECT}': {text}")
         if self.errors:
             raise LaunchError(self.errors[:MAX_ERRORS])
         return LaunchFile(
@@ -129,23 +131,23 @@ class Checker:
         )
 
     def graph_table(self) -> dict[str, Any]:
-        graph = self.tree.get("graph", {})
+        graph = self.tree.get(GRAPH, {})
         if not isinstance(graph, dict):
-            self.fault(("graph",), "expected a table [graph]")
+            self.fault((GRAPH,), "expected a table [graph]")
             return {}
         for key, value in graph.items():
-            if key not in _GRAPH_KEYS:
-                self.fault(("graph", key), f"unknown key{did_you_mean(key, _GRAPH_KEYS)}")
+            if key not in GRAPH_KEYS:
+                self.fault((GRAPH, key), f"unknown key{did_you_mean(key, GRAPH_KEYS)}")
             elif key in RESTART_KEYS:
                 continue
             elif key == INSECURE:
                 if not isinstance(value, bool):
-                    self.fault(("graph", key), f"expected true or false, got {value!r}")
+                    self.fault((GRAPH, key), f"expected true or false, got {value!r}")
             elif not isinstance(value, str):
-                self.fault(("graph", key), f"expected a text, got {value!r}")
+                self.fault((GRAPH, key), f"expected a text, got {value!r}")
             elif key == "transport" and value not in TRANSPORTS:
                 hint = did_you_mean(value, TRANSPORTS)
-                self.fault(("graph", key), f"{value!r} is not allowed{hint}")
+                self.fault((GRAPH, key), f"{value!r} is not allowed{hint}")
         return graph
 
     def restart_policy(
@@ -222,8 +224,14 @@ class Checker:
         node, key, part, raw = match.groups()
         if node == SKIN and isinstance(self.tree.get(SKIN), dict):
             tables = {SKIN: self.tree[SKIN]}
+        elif node == GRAPH and node not in tables:
+            graph = self.tree.setdefault(GRAPH, {})
+            if not isinstance(graph, dict):
+                return  # reported with the table
+            tables = {GRAPH: graph}
         if node not in tables:
-            self.errors.append(f"--set {text}: unknown node '{node}'{did_you_mean(node, tables)}")
+            known = did_you_mean(node, [*tables, GRAPH])
+            self.errors.append(f"--set {text}: unknown node '{node}'{known}")
             return
         try:
             value = parse_toml(f"value = {raw}")["value"]
@@ -233,7 +241,8 @@ class Checker:
             table = tables[node].get(key)
             value = {**(table if isinstance(table, dict) else {}), part: value}
         tables[node][key] = value
-        self.overridden[(node, key) if part is None else (node, key, part)] = text
+        place = (node, key, part) if part is not None and node != GRAPH else (node, key)
+        self.overridden[place] = text
 
     def node(self, name: str, table: dict[str, Any]) -> NodeSpec | None:
         values = dict(table)
@@ -306,7 +315,7 @@ class Checker:
         """Note an error at a place, with the line of the file or the --set it comes from."""
         if place[0] == "nodes" and len(place) > 1:
             place = ("nodes", self.templates.get(place[1], place[1]), *place[2:])
-        stated = place if place[0] == SKIN else place[1:]
+        stated = place if place[0] in (SKIN, GRAPH) else place[1:]
         if stated in self.overridden:
             self.errors.append(f"--set {self.overridden[stated]}: {what}")
             return

@@ -71,7 +71,8 @@ def load(name: str, overrides: Sequence[str] = (), record: str | None = None) ->
     name : str
         Name of a bundled launch file, or a path that ends in .toml.
     overrides : sequence of str
-        "NODE.KEY=VALUE" each; VALUE is TOML, or else a text as it stands.
+        "NODE.KEY=VALUE", or "graph.KEY=VALUE" for a key of the table [graph], each; VALUE is TOML,
+        or else a text as it stands.
     record : str, optional
         File into which a recorder, added to the nodes, writes all topics.
 

@@ -13,6 +13,7 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.studies.command import EXTRA
 
+from .models.units import shown
 from .spec import KEYS, SIZE_KEYS, Design, make_design, read_file
 
 
@@ -77,14 +78,16 @@ def _design(arguments: argparse.Namespace) -> int:
 
 
 def design_of(arguments: argparse.Namespace) -> Design:
-    """The design that options and file state; SettingsError names the one that is wrong."""
+    """The design that options and file state; SettingsError has a line for each that is wrong."""
     options = {key: value for key in KEYS if (value := getattr(arguments, key)) is not None}
     stated = {} if arguments.file is None else read_file(arguments.file)
     if any(key in options for key in SIZE_KEYS):
         stated = {key: value for key, value in stated.items() if key not in SIZE_KEYS}
 
     def place(key: str) -> str:
-        return f"--{key}: " if key in options or key not in stated else f"{arguments.file}: {key}: "
+        if key in options or key not in stated:
+            return f"--{key}: "
+        return f"{arguments.file}: {key if key in KEYS else shown(key)}: "
 
     return make_design({**stated, **options}, place)
 

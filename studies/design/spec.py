@@ -70,7 +70,7 @@ KEYS = {
 """Keys of `design.toml`, and options."""
 SIZE_KEYS = ("rows", "cols", "taxels", "points")
 """Keys that state the size: options that do replace all of them."""
-_CORES = re.compile(r"(\d{1,4}) ?cores?", re.ASCII)
+_CORES = re.compile(r"(\d{1,4})\s*cores?", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -129,12 +129,12 @@ class Design:
 
 
 def read_file(path: Path) -> dict[str, Any]:
-    """Return the keys of a design file, each known; their values are checked by `make_design`.
+    """Return the keys of a design file; `make_design` checks them.
 
     Raises
     ------
     SettingsError
-        If it cannot be read, is no TOML, or has a key that is unknown.
+        If it cannot be read or is no TOML.
     """
     try:
         with path.open(encoding="utf-8") as file:
@@ -143,9 +143,6 @@ def read_file(path: Path) -> dict[str, Any]:
         raise SettingsError(f"{path}: {error.strerror}") from error
     except ValueError as error:  # of its text encoding, too
         raise SettingsError(f"{path}: no TOML: {error}") from error
-    for key in tree:
-        if key not in KEYS:
-            raise SettingsError(f"{path}: {shown(key)}: unknown key{did_you_mean(key, KEYS)}")
     found: dict[str, Any] = dict(tree)
     points = found.get("points")
     if isinstance(points, str) and not points.startswith(EXAMPLE):
@@ -166,82 +163,102 @@ def make_design(stated: Mapping[str, Any], place: Place = lambda key: f"{key}: "
     Raises
     ------
     SettingsError
-        In one line that names the key, its value, and what is allowed.
+        With a line for each key that is not known or not allowed: key, value, and what is allowed.
     """
     values = {key: one.default for key, one in KEYS.items()} | dict(stated)
-
-    def read(key: str, how: Any, *given: Any) -> Any:
-        try:
-            return how(values[key], *given)
-        except SettingsError as error:
-            raise SettingsError(f"{place(key)}{error}") from error
-
-    n_rows, n_cols, n_taxels, placement = _size(values, place)
+    values = {key: v.strip() if isinstance(v, str) else v for key, v in values.items()}
+    keys = _Keys(values, place)
+    for key in stated:
+        if key not in KEYS:
+            keys.fault(key, f"unknown key{did_you_mean(key, KEYS)}")
+    n_rows, n_cols, n_taxels, placement = _size(keys)
     if placement is not None and "pitch" not in stated:
         values["pitch"] = f"{1e3 * placement.pitch_m:.3g}mm"
-    range_n = read("range", quantity, FORCE, "2.5N", 1e-6, 1e6)
-    noise_n = read("noise", quantity, FORCE, "0.01N", 1e-9, 1e6)
-    if not 1e-6 * range_n <= noise_n <= 0.3 * range_n:
-        raise SettingsError(
-            f"{place('noise')}{noise_n:g} N is not allowed for a range of {range_n:g} N; allowed: "
-            "0.0001 to 30 % of it"
+    range_n = keys.read("range", quantity, FORCE, "2.5N", 1e-6, 1e6)
+    noise_n = keys.read("noise", quantity, FORCE, "0.01N", 1e-9, 1e6)
+    if range_n and noise_n and not 1e-6 * range_n <= noise_n <= 0.3 * range_n:
+        keys.fault(
+            "noise",
+            f"{noise_n:g} N is not allowed for a range of {range_n:g} N; allowed: "
+            "0.0001 to 30 % of it",
         )
-    if values["sums"] not in SUMS:
-        text = str(values["sums"])[:40]
-        raise SettingsError(f"{place('sums')}{text!r} is not allowed{nearest_of(text, SUMS)}")
-    settling_s = read("settling", quantity, TIME, "5us", 0.0, 1.0)
-    converters = read("converters", _whole, 1, MOST_CONVERTERS)
+    sums = keys.read("sums", _sums)
+    settling_s = keys.read("settling", quantity, TIME, "5us", 0.0, 1.0)
+    converters = keys.read("converters", _whole, 1, MOST_CONVERTERS)
+    pitch_m = keys.read("pitch", quantity, LENGTH, "4mm", 1e-5, 1.0)
+    rate_hz = keys.read("rate", _rate)
+    adc = keys.read("adc", read_adc, converters or 1, settling_s or 0.0)
+    bits = keys.read("bits", _whole, 4, 16)
+    bus = keys.read("bus", read_bus)
+    edge = keys.read("edge", read_edge)
+    cores = keys.read("host", _cores)
+    if keys.faults:
+        raise SettingsError("\n".join(keys.faults))
     return Design(
         n_rows=n_rows,
         n_cols=n_cols,
         n_taxels=n_taxels,
-        pitch_m=read("pitch", quantity, LENGTH, "4mm", 1e-5, 1.0),
-        rate_hz=read("rate", _rate),
+        pitch_m=pitch_m,
+        rate_hz=rate_hz,
         noise_n=noise_n,
         range_n=range_n,
-        adc=read("adc", read_adc, converters, settling_s),
-        sums=values["sums"],
-        bits=read("bits", _whole, 4, 16),
-        bus=read("bus", read_bus),
-        edge=read("edge", read_edge),
-        cores=read("host", _cores),
+        adc=adc,
+        sums=sums,
+        bits=bits,
+        bus=bus,
+        edge=edge,
+        cores=cores,
         mask=None if placement is None else placement.skin(range_n, "N").exists,
         words={key: str(value) for key, value in values.items() if value is not None},
     )
 
 
-def _size(
-    values: Mapping[str, Any], place: Place
-) -> tuple[int | None, int | None, int, Placement | None]:
-    """Rows and columns, or None, the number of taxels, and the placement of points."""
+class _Keys:
+    """Values of a design by their keys, and the faults that were found in them."""
+
+    def __init__(self, values: Mapping[str, Any], place: Place) -> None:
+        self.values, self.faults = values, list[str]()
+        self._place = place
+
+    def fault(self, key: str, what: object) -> None:
+        self.faults.append(f"{self._place(key)}{what}")
+
+    def read(self, key: str, how: Callable[..., Any], *given: Any) -> Any:
+        """The value of a key as `how` reads it; None, and a fault more, if it refuses."""
+        try:
+            return how(self.values[key], *given)
+        except SparseskinError as error:
+            self.fault(key, error)
+            return None
+
+
+def _size(keys: _Keys) -> tuple[int | None, int | None, int, Placement | None]:
+    """Rows and columns, or None, the number of taxels, and the placement of points; after a fault
+    a number of taxels of 0.
+    """
+    values = keys.values
     ways = [key for key in ("rows", "taxels", "points") if values[key] is not None]
-    if not ways and values["cols"] is None:
-        raise SettingsError(f"{place('rows')}is missing; state rows and cols, taxels, or points")
-    if (values["rows"] is None) != (values["cols"] is None):
-        missing = "rows" if values["rows"] is None else "cols"
-        raise SettingsError(f"{place(missing)}is missing; state rows and cols")
-    if len(ways) > 1:
-        raise SettingsError(f"{place(ways[1])}states the size once more; leave out {ways[0]}")
-    try:
-        if ways == ["rows"]:
-            key = "rows"
-            n_rows = _whole(values["rows"], 1, MAX_SIDE)
-            key = "cols"
-            n_cols = _whole(values["cols"], 1, MAX_SIDE)
-            key = "rows"
-            if not 16 <= n_rows * n_cols <= MAX_TAXELS:
-                raise SettingsError(
-                    f"{n_rows} x {n_cols} are {n_rows * n_cols} taxels; allowed: 16..{MAX_TAXELS}"
-                )
-            return n_rows, n_cols, n_rows * n_cols, None
-        if ways == ["taxels"]:
-            key = "taxels"
-            return None, None, _whole(values["taxels"], 16, MAX_TAXELS), None
-        key = "points"
-        placement = _placement(values["points"])
-        return None, None, placement.points.n, placement
-    except SparseskinError as error:
-        raise SettingsError(f"{place(key)}{error}") from error
+    missing = [key for key in ("rows", "cols") if values[key] is None]
+    if missing and (ways in ([], ["rows"]) or "cols" not in missing):
+        if not keys.faults:  # it may be the key that is not known
+            more = ", taxels, or points" if len(missing) == 2 else ""
+            keys.fault(missing[0], f"is missing; state rows and cols{more}")
+    elif len(ways) > 1:
+        keys.fault(ways[1], f"states the size once more; leave out {ways[0]}")
+    elif ways == ["taxels"]:
+        return None, None, keys.read("taxels", _whole, 16, MAX_TAXELS) or 0, None
+    elif ways == ["points"]:
+        placement = keys.read("points", _placement)
+        return None, None, placement.points.n if placement else 0, placement
+    else:
+        n_rows, n_cols = (keys.read(key, _whole, 1, MAX_SIDE) for key in ("rows", "cols"))
+        if not (n_rows and n_cols):
+            return None, None, 0, None
+        n = n_rows * n_cols
+        if 16 <= n <= MAX_TAXELS:
+            return n_rows, n_cols, n, None
+        keys.fault("rows", f"{n_rows} x {n_cols} are {n} taxels; allowed: 16..{MAX_TAXELS}")
+    return None, None, 0, None
 
 
 def _placement(layout: object) -> Placement:
@@ -260,6 +277,13 @@ def _whole(value: object, low: int, high: int) -> int:
     if not is_whole(value, low, high):
         raise SettingsError(f"{shown(value)} is not allowed; allowed: {low}..{high}")
     return int(value)
+
+
+def _sums(value: object) -> str:
+    if value not in SUMS:
+        text = str(value)[:40]
+        raise SettingsError(f"{text!r} is not allowed{nearest_of(text, SUMS)}")
+    return str(value)
 
 
 def _rate(value: object) -> float:

@@ -204,6 +204,7 @@ def read_bus(text: object) -> Bus:
         If the text has another form.
     """
     kind, _, rate = text.partition(":") if isinstance(text, str) else ("", "", "")
+    kind, rate = kind.strip(), rate.strip()
     if kind not in _DEFAULTS:
         hint = nearest_of(kind, _DEFAULTS)
         raise SettingsError(f"{shown(text)}: bus is not known{hint}; expected {FORMS}")
@@ -214,7 +215,7 @@ def read_bus(text: object) -> Bus:
         slow, slash, fast = rate.partition("/")
         if not slash:
             raise SettingsError(f"{shown(text)}: expected can-fd:ARBITRATION/DATA, as can-fd:1M/5M")
-        rates = _bit_s(slow, "1M"), _bit_s(fast, "5M")
+        rates = _bit_s(slow.strip(), "1M"), _bit_s(fast.strip(), "5M")
         if rates[1] < rates[0]:
             raise SettingsError(f"{shown(text)}: data are slower than the arbitration")
         return CanFd(*rates)

@@ -22,7 +22,7 @@ CYCLES = 2.0
 """Cycles an instruction: the upper end of 1 to 2. Most instructions of a Cortex-M4 take 1 cycle,
 loads and taken branches 2 or more. Source: Arm, Cortex-M4 Technical Reference Manual r0p1, table of
 the instruction set; waiting for flash is not counted."""
-_M4 = re.compile(r"cortex-m4@(.+)", re.ASCII)
+_M4 = re.compile(r"cortex-m4\s*@\s*(.+)", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def read_edge(text: object) -> Edge:
         return Edge(None)
     found = _M4.fullmatch(text) if isinstance(text, str) and len(text) <= 40 else None
     if found is None:
-        name = text.partition("@")[0] if isinstance(text, str) else ""
+        name = text.partition("@")[0].strip() if isinstance(text, str) else ""
         hint = "" if name == CORTEX_M4 else nearest_of(name, (CORTEX_M4, LINUX))
         raise SettingsError(f"{shown(text)}: expected cortex-m4@168MHz or linux{hint}")
     return Edge(quantity(found[1], CLOCK, "168MHz", 1e6, 2e9))

@@ -13,6 +13,7 @@ from shells import COMMAND, words
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.commands.completion import candidates, declared_settings
+from sparseskin.launch.launchfile.check import GRAPH_KEYS, TRANSPORTS
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.registry import NODE_TYPES, node_class
 
@@ -73,7 +74,10 @@ def overrides(launch: str | None, begun: str) -> list[str]:
 @pytest.mark.parametrize(
     ("launch", "begun", "found"),
     [
-        ("path_40", "", ["sensor.", "compressor.", "reconstructor.", "monitor."]),
+        ("path_40", "", ["graph.", "sensor.", "compressor.", "reconstructor.", "monitor."]),
+        ("path_40", "graph.tr", ["graph.transport="]),
+        ("path_40", "graph.transport=", [f"graph.transport={one}" for one in TRANSPORTS]),
+        ("path_40", "graph.restart=n", ["graph.restart=never"]),
         ("path_40", "compressor.b", ["compressor.bits=", "compressor.block="]),
         ("path_40", "reconstructor.preset=", [f"reconstructor.preset={p}" for p in PRESETS]),
         ("path_40", "reconstructor.uncertainty=t", ["reconstructor.uncertainty=true"]),
@@ -85,7 +89,7 @@ def overrides(launch: str | None, begun: str) -> list[str]:
         ("path_40", "nothing.", []),
         ("path_40", "sensor.nothing=", []),
         ("no_such_file", "", []),
-        ("own.toml", "", ["camera.", "mine."]),
+        ("own.toml", "", ["graph.", "camera.", "mine."]),
         ("own.toml", "camera.n", ["camera.noise=", *CELLS, "camera.nan=", "camera.negative="]),
         ("own.toml", "mine.", []),
         ("", "", []),
@@ -99,6 +103,10 @@ def test_after_set_come_nodes_of_the_launch_file_their_settings_and_values(
     own = '[nodes.camera]\ntype = "sensor"\n[nodes.mine]\ntype = "no_module:Node"\n'
     (tmp_path / "own.toml").write_text(own)
     assert overrides(launch, begun) == found
+
+
+def test_every_key_of_the_graph_is_offered() -> None:
+    assert overrides("path_40", "graph.") == [f"graph.{key}=" for key in GRAPH_KEYS]
 
 
 def test_a_node_that_is_the_only_one_to_fit_is_completed_with_its_settings() -> None:
@@ -120,7 +128,7 @@ def test_settings_read_from_the_source_are_those_of_the_class(type_name: str) ->
     ["to", "launch path", "launch --fr", "topic ", "topic echo --f"]
     + [
         f"launch two_patches --set {node}."
-        for node in ("monitor", "palm_reconstructor", "palm_sensor")
+        for node in ("graph", "monitor", "palm_reconstructor", "palm_sensor")
     ],
 )
 def test_a_key_press_imports_no_numpy(

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.graph_text import graph_text
 from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, bundled_names, load
+from sparseskin.launch.run.restarts import RestartPolicy
 from sparseskin.nodes.sensor.files.arrays import npy_file_shape
 
 SCENES = [
@@ -493,6 +494,31 @@ def test_names_of_the_launchers_own_are_refused(tmp_path: Path, name: str) -> No
     path.write_text(f'[nodes.{name}]\ntype = "sensor"\n')
     with pytest.raises(LaunchError, match=rf"g.toml:1: nodes.{name}: 'launch' and 'live_recorder_"):
         load(str(path))
+
+
+def test_set_states_the_keys_of_the_graph(tmp_path: Path) -> None:
+    changes = ["transport=tcp", "insecure=true", "log_dir=logs", "restart=on-failure"]
+    changes += ["max_restarts=2", "hang_s=3", "restart_delay_s=1", "description=two words"]
+    (tmp_path / "f.toml").write_text(GOOD.partition("\n\n")[2])
+    launch = load(str(tmp_path / "f.toml"), [f"graph.{change}" for change in changes])
+    assert (launch.transport, launch.insecure, launch.log_dir) == ("tcp", True, "logs")
+    assert launch.description == "two words"
+    for node in launch.nodes.values():
+        assert node.restart == RestartPolicy("on-failure", 2, delay_s=1, hang_s=3)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ("transport=zmq", "'zmq' is not allowed (known: auto, ipc, tcp, unix)"),
+        ("transprt=tcp", "unknown key (did you mean 'transport'?)"),
+        ("transport.x=tcp", "expected a text, got {'x': 'tcp'}"),
+        ("insecure=1", "expected true or false, got 1"),
+        ("max_restarts=0", "0 is not allowed (allowed: a whole number, 1..1000)"),
+    ],
+)
+def test_a_wrong_set_of_the_graph_is_refused(check, change: str, what: str) -> None:
+    assert check(GOOD, f"graph.{change}") == [f"--set graph.{change}: {what}"]
 
 
 def _graph_of(source: str, **compressor: object) -> str:

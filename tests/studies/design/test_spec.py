@@ -25,11 +25,18 @@ def test_a_design_has_defaults_and_units() -> None:
 def test_numbers_of_a_file_are_those_of_options() -> None:
     of_file = make_design({**PAD, "rate": 500, "host": 2, "bits": 6})
     of_options = make_design(
-        {"rows": "12", "cols": "32", "rate": "500", "host": "2cores", "bits": "6"}
+        {"rows": "12", "cols": " 32", "rate": "500 Hz", "host": "2 cores", "bits": "6 "}
     )
     assert (of_file.rate_hz, of_file.cores, of_file.bits) == (500.0, 2, 6)
     assert of_file.n_taxels == of_options.n_taxels
     assert (of_options.rate_hz, of_options.cores, of_options.bits) == (500.0, 2, 6)
+
+
+def test_every_wrong_key_has_a_line() -> None:
+    stated = {"colls": 8, "rows": "x", "cols": 5000, "noise": "1", "adc": "12b", "bus": "usb"}
+    with pytest.raises(SettingsError) as error:
+        make_design(stated)
+    assert [line.partition(": ")[0] for line in str(error.value).splitlines()] == list(stated)
 
 
 def test_a_skin_of_points_has_no_rows() -> None:
@@ -75,10 +82,8 @@ def test_a_wrong_key_is_refused_in_one_line(
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("row = 3", "'row': unknown key (did you mean 'rows'?)"),
         ("rows = ", "no TOML: "),
         ("a" * 70000, "no TOML: more than 65536 characters"),
-        ("[rows]\nx = 1\n[bus_]\n", "'bus_': unknown key"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_line(text: str, line: str, tmp_path: Path) -> None:

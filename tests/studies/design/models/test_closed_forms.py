@@ -75,6 +75,8 @@ def test_more_bytes_never_take_less_time(form: str, data: st.DataObject) -> None
         ("spi:20M", Spi(20e6)),
         ("udp", Udp(100e6)),
         ("udp:1G", Udp(1e9)),
+        ("serial: 2M", Serial(2e6)),
+        (" can-fd : 500 k / 2 M ", CanFd(5e5, 2e6)),
     ],
 )
 def test_a_bus_is_read(text: str, made: object) -> None:
@@ -115,11 +117,13 @@ def test_a_signal_settles_to_half_a_step_in_its_time() -> None:
 
 def test_converters_are_read() -> None:
     assert read_adc("12bit@1MS/s", 2, 0.0) == Adc(12, 1e6, 2)
+    assert read_adc("12 bit @ 77 kS/s", 1, 0.0) == Adc(12, 77e3)
     for text, fault in (
         ("10bit", "expected bits and conversions a second, as 10bit@200kS/s"),
         ("3bit@1kS/s", "3 bits; allowed: 4..24"),
         ("10bit@200k", "unit 'k' is not known; allowed: S/s, kS/s, MS/s"),
         ("10bit@200kSPS", "unit 'kSPS' is not known"),
+        ("1 2 bit @ 77 kS/s", "expected bits and conversions a second, as 10bit@200kS/s"),
     ):
         with pytest.raises(SettingsError) as error:
             read_adc(text, 1, 0.0)
@@ -156,7 +160,7 @@ def test_the_time_of_a_microcontroller_is_that_of_its_instructions() -> None:
 
 
 def test_an_edge_is_read() -> None:
-    assert read_edge("cortex-m4@168MHz") == Edge(168e6)
+    assert read_edge("cortex-m4@168MHz") == read_edge("cortex-m4 @ 168 MHz") == Edge(168e6)
     assert read_edge("linux") == Edge(None)
     for text, fault in (
         ("cortex-m5@1MHz", "did you mean 'cortex-m4'?"),
