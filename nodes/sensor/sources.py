@@ -24,7 +24,7 @@ from sparseskin.nodes.sensor.files.parsed import (
     Policy,
     check_stated_shape,
 )
-from sparseskin.nodes.sensor.files.recorded import SUFFIXES, open_file
+from sparseskin.nodes.sensor.files.recorded import SUFFIXES, open_file, unknown_suffix
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, check_scene, open_scene
 from sparseskin.nodes.sensor.simulators.model import MUJOCO, check_model
 
@@ -86,9 +86,7 @@ def check_source(
             what = "is a folder" if path.is_dir() else "no such file"
             raise SourceError(f"{rest}: {what}")
         if path.suffix.lower() not in SUFFIXES:
-            raise SourceError(
-                f"{rest}: suffix '{path.suffix}' is not known; allowed are {', '.join(SUFFIXES)}"
-            )
+            raise SourceError(f"{rest}: {unknown_suffix(path.suffix)}")
         n_taxels(rest, n_rows, n_cols, unit, policy)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import mcap.records as mcap
@@ -25,6 +26,7 @@ from .format import (
     GRAPH_RECORD,
     JSON_KEY,
     LIBRARY_PREFIX,
+    ROS2_HINT,
     SCHEMA_PREFIX,
     TOPICS_RECORD,
     VERSION_KEY,
@@ -122,6 +124,7 @@ class BagIndex:
             found = (
                 f"topic {topic!r} holds {channel.message_encoding[:40]!r} messages of schema "
                 f"{schema_name[:80]!r}; expected {ENCODING!r} and {SCHEMA_PREFIX}..."
+                f"{self._readers(channel.message_encoding, schema_name)}"
             )
             if GRAPH_RECORD not in self.metadata and not self.library.startswith(LIBRARY_PREFIX):
                 raise BagError(f"{self.name}: {self.of_another_program}: {found}")
@@ -143,6 +146,14 @@ class BagIndex:
                 f"{version[:20] or 'unknown'}; this program reads {SCHEMAS[kind].version}"
             )
         return BagChannel(channel.topic, kind, SCHEMAS[kind].version)
+
+    def _readers(self, encoding: str, schema_name: str) -> str:
+        """Hint at the programs that read an MCAP file of such a channel; "" where none is known."""
+        if encoding == "cdr":
+            return ROS2_HINT
+        if self.library.startswith("foxglove") or schema_name.startswith("foxglove."):
+            return "; it is for viewers: Foxglove and Lichtblick open it"
+        return ""
 
     def add_chunk(self, record: Record, plain: bytes) -> None:
         """Add the channels and count the messages of a decompressed chunk.
@@ -209,9 +220,21 @@ def load_index(file: BinaryIO, name: str) -> tuple[BagIndex, str]:
     if first != MAGIC:
         if MAGIC.startswith(first):
             raise BagError(f"{name}: ends after {len(first)} bytes, before anything was recorded")
-        raise BagError(f"{name}: not an MCAP file (it begins with {first!r})")
+        raise BagError(f"{name}: not an MCAP file (it begins with {first!r}){_source_hint(name)}")
     index, damage = _read_summary(file, name)
     return (index, "") if index is not None else _scan(file, name, damage)
+
+
+def _source_hint(name: str) -> str:
+    """Hint at what reads a file that a sensor can play; "" by its suffix for others."""
+    from sparseskin.nodes.sensor.files.recorded import SUFFIXES
+
+    if Path(name).suffix.lower() not in SUFFIXES:
+        return ""
+    return (
+        "; sparseskin launch replay --set sensor.source=file:FILE reads such a file, "
+        "sparseskin bag import makes a bag of it"
+    )
 
 
 def _read_summary(file: BinaryIO, name: str) -> tuple[BagIndex | None, str]:

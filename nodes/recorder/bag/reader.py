@@ -19,6 +19,7 @@ from .format import (
     GRAPH_RECORD,
     JSON_KEY,
     PART_SUFFIX,
+    ROS2_HINT,
     BagError,
     BagMessage,
     Closing,
@@ -151,7 +152,8 @@ def _open(path: Path) -> BinaryIO:
         # Opening a pipe would wait for its writer.
         if not stat.S_ISREG(mode):
             what = "is a folder" if stat.S_ISDIR(mode) else "is no regular file"
-            raise BagError(f"{path}: {what}; expected a bag, NAME.mcap")
+            hint = ROS2_HINT if (path / "metadata.yaml").is_file() else ""
+            raise BagError(f"{path}: {what}; expected a bag, NAME.mcap{hint}")
         return open(path, "rb")
     except FileNotFoundError as error:
         part = f"{path}{PART_SUFFIX}"

@@ -200,12 +200,16 @@ def open_file(
     )
 
 
+def unknown_suffix(suffix: str) -> str:
+    """Error text for a file of a suffix that is none of `SUFFIXES`."""
+    hint = "; sparseskin play FILE publishes a bag" if suffix.lower() == ".mcap" else ""
+    return f"suffix {shown(suffix)} is not known; allowed are {', '.join(SUFFIXES)}{hint}"
+
+
 def _parse(name: str, n_rows: int | None, n_cols: int | None, policy: Policy) -> Parsed:
     suffix = Path(name).suffix.lower()
     if suffix not in SUFFIXES:
-        raise SourceError(
-            f"{name}: suffix {shown(suffix)} is not known; allowed are {', '.join(SUFFIXES)}"
-        )
+        raise SourceError(f"{name}: {unknown_suffix(suffix)}")
     raw = read_bytes(name)
     if suffix == ".csv" and not is_tekscan(raw):
         if is_xsensor(raw):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import lz4.frame
 import mcap.writer
+import numpy as np
 import pytest
 from bags import LAG_NS, PERIOD_NS, frames, make_bag
 from hypothesis import HealthCheck, given, settings
@@ -343,6 +344,11 @@ def no_channels(path: Path) -> None:
         writer.finish()
 
 
+def ros2_folder(path: Path) -> None:
+    path.mkdir()
+    (path / "metadata.yaml").touch()
+
+
 BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     "missing": (lambda path: None, "no such file"),
     "not complete": (
@@ -352,6 +358,12 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     "empty": (lambda path: path.touch(), "is empty"),
     "folder": (lambda path: path.mkdir(), "is a folder"),
     "pipe": (os.mkfifo, "is no regular file"),
+    "ROS 2": (lambda path: foreign(path, "cdr", "std_msgs/msg/String"), "ros2 bag play read"),
+    "folder of ROS 2": (ros2_folder, "is a folder; expected a bag, NAME.mcap; it is for ROS 2"),
+    "Foxglove": (
+        lambda path: foreign(path, "protobuf", "foxglove.Grid"),
+        "Foxglove and Lichtblick open it",
+    ),
     "text": (lambda path: path.write_text("stamp,force\n" * 9), "not an MCAP file"),
     "magic alone": (
         lambda path: path.write_bytes(mcap.writer.MCAP0_MAGIC),
@@ -387,6 +399,12 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path, name: str) -> Non
     assert text in str(caught.value)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
+
+
+def test_of_a_file_that_a_sensor_reads_the_commands_are_named(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros((2, 3, 4)))
+    with pytest.raises(BagError, match=r"sensor.source=file:FILE .* sparseskin bag import"):
+        BagReader(tmp_path / "a.npy")
 
 
 def test_messages_that_no_checksum_protects_are_not_delivered(tmp_path: Path) -> None:
