@@ -34,6 +34,8 @@ DEFAULT_RATE_HZ = 100.0
 """Frame rate of scenes and of recordings without a rate of their own."""
 WAIT_S = 0.05
 """Longest wait for a frame of a board, seconds; chosen: commands and signals wait no longer."""
+LOG_S = 10
+"""Least time between two lines of clipped readings, seconds; chosen: a log stays readable."""
 _Frame = tuple[Floats, Floats | None]  # taxels, and truth where it is known
 
 
@@ -79,7 +81,7 @@ class Sensor(SourceNode[SensorSettings]):
         watched = source.delivers == "taxels" and self._stage is None and settings.f_min is None
         if isinstance(source, DriverSource | BoardSource) and watched:
             source.watch = ZeroWatch(self.skin.f_max)
-        self._n_frames = self._n_logged = 0
+        self._n_frames = self._n_logged = self._logged_ns = 0
         if not self._live:
             self._prepare()
 
@@ -245,10 +247,15 @@ class Sensor(SourceNode[SensorSettings]):
         return source.clipped if isinstance(source, DriverSource | BoardSource) else Clipped()
 
     def _watch_range(self) -> None:
-        """Log clipped readings, each time their number has doubled: a wrong sign, unit or range."""
+        """Log clipped readings at first, then when their number has doubled, `LOG_S` apart at
+        least: a wrong sign, unit or range.
+        """
         clipped = self._clipped
-        if clipped.n > 2 * self._n_logged:
-            self._n_logged = clipped.n
+        if clipped.n <= 2 * self._n_logged:
+            return
+        now_ns = self.context.clock.now_ns()
+        if not self._n_logged or now_ns - self._logged_ns >= LOG_S * 1_000_000_000:
+            self._n_logged, self._logged_ns = clipped.n, now_ns
             skin = self.skin
             self.context.log(clipped_text(clipped.report(self._f_min, skin.f_max, skin.unit)))
 

@@ -51,7 +51,8 @@ class Run:
 
     def __init__(self, **settings: Any) -> None:
         self.log: list[str] = []
-        context = Context("s", ManualClock(), log=self.log.append)
+        self.clock = ManualClock()
+        context = Context("s", self.clock, log=self.log.append)
         self.settings = Sensor.Settings(**{"source": "file:counts.npy", **settings})
         self.settings.check()
         self.sensor = Sensor(self.settings, context)
@@ -179,6 +180,26 @@ def test_negative_counts_of_a_driver_are_not_clipped_before_the_baseline(folder:
     np.testing.assert_allclose(frames[-1], expected, atol=1e-6)
     (calibration,) = run.of(Calibration)
     assert calibration.response_reading.shape == (2, 1, 1)
+    run.sensor.close({})
+
+
+def test_clipped_readings_are_logged_once_and_then_at_most_every_10_s(folder: Path) -> None:
+    (folder / "wrong_range.py").write_text(
+        "import numpy as np\n\n\ndef frames():\n"
+        "    for k in range(100):\n"
+        "        yield k, np.array([[-1.0, 0.5], [5.0, 6.0]] if k else [[0.0, 0.0], [0.0, 3.0]])\n"
+    )
+    run = Run(source="wrong_range:frames", f_max=2.5)
+    clipped = "readings clipped to the range: {} above 2.5 N (highest {:g})"
+    run.frames(40)
+    assert [line for line in run.log if "clipped" in line] == [clipped.format(1, 3.0)]
+    run.clock.advance(9_999_999_999)
+    run.frames(1)
+    assert len([line for line in run.log if "clipped" in line]) == 1
+    run.clock.advance(1)
+    run.frames(10)
+    second = f"{clipped.format(83, 6.0)}, 41 below 0 N (lowest -1)"
+    assert [line for line in run.log if "clipped" in line][1:] == [second]
     run.sensor.close({})
 
 
