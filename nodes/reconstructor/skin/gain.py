@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from sparseskin.nodes.numerics.arrays import TINY, Floats
+from sparseskin.nodes.numerics.arrays import TINY
 
 from .tuning import TUNING, SkinTuning
 
@@ -56,15 +54,16 @@ class AdaptiveGain:
         self._subset = subset
         self._gains.setdefault(subset, 1.0)
 
-    def update(
-        self, innovation: Floats, correction: Floats, m: int, s2: float, jumped: bool
+    def follow(
+        self, energy: float, along: float, correction2: float, m: int, s2: float, jumped: bool
     ) -> None:
-        """Process the innovation of a frame of m measurements.
+        """Process a frame.
 
         Parameters
         ----------
-        innovation, correction : ndarray of float32, shape (n_rows,)
-            Innovation, and Phi (x - x_p) of the frame before, newtons.
+        energy, along, correction2 : float
+            Squared length of the innovation, its product with the correction Phi (x - x_p) of the
+            frame before, and the squared length of that correction, squared newtons.
         m : int
             Number of measurements.
         s2 : float
@@ -72,14 +71,6 @@ class AdaptiveGain:
         jumped : bool
             True if the prediction is worth nothing.
         """
-        energy = float(np.dot(innovation, innovation))
-        along = float(np.dot(innovation, correction))
-        self.follow(energy, along, float(np.dot(correction, correction)), m, s2, jumped)
-
-    def follow(
-        self, energy: float, along: float, correction2: float, m: int, s2: float, jumped: bool
-    ) -> None:
-        """As `update`, by the squares of innovation and correction, and their product, `along`."""
         both = energy * correction2
         if both > 0 and not jumped:
             alike = along / math.sqrt(both)

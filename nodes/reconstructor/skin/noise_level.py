@@ -66,10 +66,6 @@ class NoiseLevel:
         """The last measurements of the row subset in use."""
         return self._past
 
-    def update(self, y: Floats, e2: float, jumped: bool = False) -> None:
-        """Process the measurements of a frame, float32 (m,), newtons; as `changes`, `follow`."""
-        self.follow(e2, *self.changes(y), jumped)
-
     def changes(self, y: Floats) -> tuple[float, float]:
         """Compare measurements, float32 (m,), with the last of their subset, and keep them.
 

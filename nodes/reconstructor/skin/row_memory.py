@@ -29,7 +29,7 @@ class RowMemory:
     projection, m
         One that has `whole`; number of measurements.
     whole : ndarray of float32, shape (n_rows,)
-        W x of the last estimate when `recall` is called; becomes that of the prediction.
+        W x of the last estimate when `compare` is called; becomes that of the prediction.
     tuning : SkinTuning
         The constants.
 
@@ -70,40 +70,20 @@ class RowMemory:
         self._n_frames = 0
         self._drift = 0.0
 
-    def recall(
-        self,
-        subset: int,
-        x: Floats | None,
-        y: Floats,
-        target: Floats,
-        gain: float,
-        s2: float,
-        e2: float,
-        settling: bool,
-    ) -> None:
-        """Set the weights of the projection, and the target of the iterations.
+    def counted(self, subset: int, change2: float, s2: float, e2: float, settling: bool) -> float:
+        """Return the weight of rows of earlier frames.
 
         Parameters
         ----------
         subset : int
-            Number of the row subset of y.
-        x : ndarray of float32, shape (n,), or None
-            Prediction of the frame; None where it is the last estimate.
-        y, target : ndarray of float32, shape (n_rows,)
-            Measurements as a vector of rows; becomes w (W x + K (measured - W x)).
-        gain, s2, e2 : float
-            K, noise variance, and mean squared innovation: the change of a row subset that is read
+            Number of the row subset of this frame.
+        change2 : float
+            Squared change of its rows since they were read last, as `compare` returned it.
+        s2, e2 : float
+            Noise variance, and mean squared innovation: the change of a row subset that is read
             for the first time.
         settling : bool
             True if only the rows of this frame are to have a weight.
-        """
-        change2 = self.compare(x, y)
-        self.follow(gain, self.counted(subset, change2, s2, e2, settling), target)
-
-    def counted(self, subset: int, change2: float, s2: float, e2: float, settling: bool) -> float:
-        """Return the weight of rows of earlier frames; parameters as of `recall`.
-
-        change2 is the squared change of the rows of this frame since they were read last.
         """
         self._read_by[subset] = self._projection.read
         self._n_frames += 1
@@ -136,7 +116,8 @@ class RowMemory:
     def compare(self, x: Floats | None, y: Floats) -> float:
         """Move the known rows along, replace those of y; return their squared change.
 
-        x and y are as of `recall`.
+        x is the prediction of the frame, float32 (n,), None where it is the last estimate; y are
+        its measurements as a vector of rows, float32 (n_rows,).
         """
         self.read = self._projection.read
         whole, rows, values = self._whole, self._rows, self.values
@@ -153,7 +134,7 @@ class RowMemory:
     def follow(self, gain: float, counted: float, target: Floats) -> None:
         """Set the target and the weights of rows, `counted` for those of earlier frames.
 
-        gain and target are as of `recall`.
+        The target, float32 (n_rows,), becomes w (W x + K (measured - W x)) with the gain K.
         """
         self._factors[:] = gain, counted, 1 - counted
         k, w, rest = self._factors[:, None]

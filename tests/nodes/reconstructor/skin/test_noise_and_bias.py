@@ -25,11 +25,29 @@ def drifting(n_frames: int, per_frame_n: float, m: int = 500) -> np.ndarray:
     return (noise + per_frame_n * np.arange(n_frames)[:, None]).astype(np.float32)
 
 
+def follow_level(level: NoiseLevel, y: np.ndarray, e2: float) -> None:
+    """Process the measurements of a frame, as the solver does."""
+    level.follow(e2, *level.changes(y), jumped=False)
+
+
+def follow_gain(
+    gain: AdaptiveGain,
+    innovation: np.ndarray,
+    correction: np.ndarray,
+    m: int,
+    s2: float,
+    jumped: bool,
+) -> None:
+    """Process innovation and last correction of a frame, as the solver does."""
+    products = ((innovation, innovation), (innovation, correction), (correction, correction))
+    gain.follow(*(float(np.dot(a, b)) for a, b in products), m, s2, jumped)
+
+
 @pytest.mark.parametrize("per_frame_n", [0.0, 0.01, 0.5])
 def test_the_level_is_the_noises_however_fast_the_forces_change(per_frame_n: float) -> None:
     level = NoiseLevel(500)
     for y in drifting(30, per_frame_n):
-        level.update(y, e2=1.5 * SIGMA_N**2)
+        follow_level(level, y, e2=1.5 * SIGMA_N**2)
     assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.15)
 
 
@@ -37,28 +55,28 @@ def test_the_level_is_the_noises_however_fast_the_forces_change(per_frame_n: flo
 def test_many_measurements_give_the_level_to_within_2_percent(per_frame_n: float) -> None:
     level = NoiseLevel(40_000)
     for y in drifting(12, per_frame_n, m=40_000):
-        level.update(y, e2=1.5 * SIGMA_N**2)
+        follow_level(level, y, e2=1.5 * SIGMA_N**2)
     assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.02)
 
 
 def test_the_level_is_never_above_the_innovation() -> None:
     level = NoiseLevel(500)
     for y in np.random.default_rng(0).normal(0, 1, (30, 500)).astype(np.float32):
-        level.update(y, e2=SIGMA_N**2)
+        follow_level(level, y, e2=SIGMA_N**2)
     assert level.s2 <= SIGMA_N**2
 
 
 def test_a_jump_is_reported_and_does_not_raise_the_level() -> None:
     level = NoiseLevel(500)
     for k, y in enumerate(drifting(30, 0.0)):
-        level.update(y, e2=SIGMA_N**2)
+        follow_level(level, y, e2=SIGMA_N**2)
         assert level.jumped == (k == 0)
     before = level.s2
     jumped = drifting(1, 0.0)[0] + 1
-    level.update(jumped, e2=1.1 * TUNING.jump * before)
+    follow_level(level, jumped, e2=1.1 * TUNING.jump * before)
     assert level.jumped
     assert level.s2 < 1.5 * before
-    level.update(jumped, e2=SIGMA_N**2)
+    follow_level(level, jumped, e2=SIGMA_N**2)
     assert not level.jumped
 
 
@@ -143,7 +161,7 @@ def test_the_noise_of_a_touched_skin_is_found_in_its_measurements() -> None:
     clean = phi.forward(truth.reshape(-1, 1600))
     level = NoiseLevel(533)
     for one in y:
-        level.update(one, e2=1.0)
+        follow_level(level, one, e2=1.0)
     assert level.s2 == pytest.approx(float((y - clean)[40:].var()), rel=0.25)
 
 
@@ -160,7 +178,7 @@ def test_noise_alone_is_averaged_over_all_frames_since_the_last_jump() -> None:
     gain = AdaptiveGain()
     gains = []
     for k, innovation in enumerate(innovations(12)):
-        gain.update(innovation, NONE, 500, 1.2 * SIGMA_N**2, jumped=k == 0)
+        follow_gain(gain, innovation, NONE, 500, 1.2 * SIGMA_N**2, jumped=k == 0)
         gains.append(gain.gain)
     np.testing.assert_allclose(gains, 1 / np.arange(1, 13), rtol=1e-6)
 
@@ -170,11 +188,11 @@ def test_the_gain_is_that_of_the_kalman_filter(scale: float) -> None:
     """K = P / (P + R), P + R the mean square of the innovation, to within 0.9 R."""
     gain = AdaptiveGain()
     for innovation in innovations(40):
-        gain.update(innovation, NONE, 500, SIGMA_N**2, jumped=False)
+        follow_gain(gain, innovation, NONE, 500, SIGMA_N**2, jumped=False)
     assert gain.gain < 0.25
-    gain.update(innovations(1, scale)[0], NONE, 500, SIGMA_N**2, jumped=False)
+    follow_gain(gain, innovations(1, scale)[0], NONE, 500, SIGMA_N**2, jumped=False)
     assert gain.gain == pytest.approx(1 - 1 / scale**2, abs=0.05)
-    gain.update(innovations(1)[0], NONE, 500, SIGMA_N**2, jumped=True)
+    follow_gain(gain, innovations(1)[0], NONE, 500, SIGMA_N**2, jumped=True)
     assert gain.gain == 1
 
 
@@ -186,7 +204,7 @@ def followed(truth: np.ndarray, sigma_n: float, s2: float) -> AdaptiveGain:
     noise = np.random.default_rng(0).normal(0, sigma_n, truth.shape)
     for k, y in enumerate(truth + noise):
         innovation = (y - x).astype(np.float32)
-        gain.update(innovation, correction, x.size, s2, jumped=k == 0)
+        follow_gain(gain, innovation, correction, x.size, s2, jumped=k == 0)
         correction = np.float32(gain.gain) * innovation
         x += correction
     return gain
@@ -220,7 +238,7 @@ def test_a_lag_is_noticed_also_where_every_frame_measures_other_rows() -> None:
         phi = subsets[k % 3]
         gain.use(k % 3)
         innovation = phi.forward(k * step - x)
-        gain.update(innovation, phi.forward(correction), phi.m, SIGMA_N**2, jumped=k == 0)
+        follow_gain(gain, innovation, phi.forward(correction), phi.m, SIGMA_N**2, jumped=k == 0)
         correction = np.float32(gain.gain) * (k * step - x)
         x += correction
     assert gain.noise < 0.2 * SIGMA_N**2
@@ -231,10 +249,10 @@ def test_innovations_along_the_last_correction_raise_the_gain_at_any_noise_level
     lagging = np.full(500, SIGMA_N, dtype=np.float32)
     gain = AdaptiveGain()
     for innovation in innovations(30):
-        gain.update(innovation, NONE, 500, SIGMA_N**2, jumped=False)
+        follow_gain(gain, innovation, NONE, 500, SIGMA_N**2, jumped=False)
     assert TUNING.gain_least <= gain.gain < 0.25
     for _ in range(15):
-        gain.update(lagging, np.float32(gain.gain) * lagging, 500, SIGMA_N**2, jumped=False)
+        follow_gain(gain, lagging, np.float32(gain.gain) * lagging, 500, SIGMA_N**2, jumped=False)
     assert gain.gain > 0.8
 
 
@@ -249,14 +267,14 @@ def test_the_noise_is_trusted_less_where_an_innovation_points_along_the_last_cor
     correction = 0.1 * SIGMA_N * np.array([np.cos(angle), np.sin(angle)], dtype=np.float32)
     trusts = []
     for _ in range(40):
-        gain.update(innovation, correction, 2, SIGMA_N**2, jumped=False)
+        follow_gain(gain, innovation, correction, 2, SIGMA_N**2, jumped=False)
         trusts.append(gain.noise / SIGMA_N**2)
         assert gain.nis == pytest.approx(0.5 / trusts[-1], rel=1e-4)
     factor = np.exp(0.5 * (0.1 - correlation)) if correlation > 0.1 else 1.0
     np.testing.assert_allclose(trusts, np.maximum(factor ** np.arange(1, 41), 0.05), rtol=1e-3)
     # An orthogonal innovation restores the trust, by 5 % a frame.
     before = gain.noise
-    gain.update(innovation, correction[::-1] * [0, 1], 2, SIGMA_N**2, jumped=False)
+    follow_gain(gain, innovation, correction[::-1] * [0, 1], 2, SIGMA_N**2, jumped=False)
     assert gain.noise == pytest.approx(min(1.05 * before, SIGMA_N**2), rel=1e-4)
 
 
@@ -265,9 +283,9 @@ def test_a_jump_does_not_change_the_trust_in_the_noise() -> None:
     gain = AdaptiveGain()
     lagging = np.full(500, SIGMA_N, dtype=np.float32)
     for _ in range(5):
-        gain.update(lagging, lagging, 500, SIGMA_N**2, jumped=False)
+        follow_gain(gain, lagging, lagging, 500, SIGMA_N**2, jumped=False)
     trusted = gain.noise
-    gain.update(10 * lagging, lagging, 500, SIGMA_N**2, jumped=True)
+    follow_gain(gain, 10 * lagging, lagging, 500, SIGMA_N**2, jumped=True)
     assert gain.noise == trusted < SIGMA_N**2
 
 
@@ -279,7 +297,7 @@ def test_where_rows_rotate_frames_of_one_row_subset_are_compared() -> None:
     for k in range(60):
         level.use(k % 3)
         y = offsets[k % 3] + rng.normal(0, SIGMA_N, 500)
-        level.update(y.astype(np.float32), e2=2 * SIGMA_N**2)
+        follow_level(level, y.astype(np.float32), e2=2 * SIGMA_N**2)
     assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.15)
 
 
@@ -291,7 +309,7 @@ def test_the_level_grows_by_40_percent_a_frame_at_most(n_subsets: int, growth: f
     for k, y in enumerate(frames):
         level.use(k % n_subsets)
         before = level.s2
-        level.update(y, e2=SIGMA_N**2 if k < 30 else 4 * before)
+        follow_level(level, y, e2=SIGMA_N**2 if k < 30 else 4 * before)
     assert not level.jumped
     assert level.s2 == pytest.approx(growth * before)
 
@@ -301,7 +319,7 @@ def test_where_rows_rotate_each_row_subset_is_averaged_over_its_own_frames() -> 
     gains = []
     for k, innovation in enumerate(innovations(12)):
         gain.use(k % 3)
-        gain.update(innovation, NONE, 500, 1.2 * SIGMA_N**2, jumped=k < 3)
+        follow_gain(gain, innovation, NONE, 500, 1.2 * SIGMA_N**2, jumped=k < 3)
         gains.append(gain.gain)
     expected = np.repeat([1, 1 / 2, 1 / 3, 1 / 4], 3)
     np.testing.assert_allclose(gains, expected, rtol=1e-6)

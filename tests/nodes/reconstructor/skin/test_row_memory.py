@@ -28,15 +28,29 @@ class Setting:
         self.memory = RowMemory(self.projection, M, self.whole)
         self.target = np.zeros(N, dtype=np.float32)
 
+    def remember(
+        self,
+        subset: int,
+        x: Floats | None,
+        y: Floats,
+        weight: float = 0.5,
+        nis: float = 1.0,
+        settling: bool = False,
+    ) -> None:
+        """Compare the rows of a frame and set target and weights, as the solver does."""
+        change2 = self.memory.compare(x, y)
+        counted = self.memory.counted(subset, change2, S2, nis * S2, settling)
+        self.memory.follow(weight, counted, self.target)
+
     def frame(
         self, k: int, taxels: Floats, nis: float = 1.0, weight: float = 0.5, settling: bool = False
     ) -> Floats:
-        """Recall the k-th frame, nothing predicted; what each row counts by."""
+        """Remember the k-th frame, nothing predicted; what each row counts by."""
         phi = self.phases[k % RATIO]
         self.projection.use(phi)
         y = np.zeros(N, dtype=np.float32)
         self.projection.rows_of(phi.forward(taxels), y)
-        self.memory.recall(k % RATIO, None, y, self.target, weight, S2, nis * S2, settling)
+        self.remember(k % RATIO, None, y, weight, nis, settling)
         rows = np.zeros((1, N), dtype=np.float32)
         self.projection.forward(taxels[self.projection.order][None], rows)
         self.projection.weigh(None)
@@ -135,7 +149,7 @@ def test_a_prediction_that_moves_moves_what_is_known_along() -> None:
     setting.projection.use(phi)
     y = np.zeros(N, dtype=np.float32)
     setting.projection.rows_of(phi.forward(after), y)
-    setting.memory.recall(0, after[order], y, setting.target, 0.5, S2, S2, False)
+    setting.remember(0, after[order], y)
     assert setting.memory.m_counted == pytest.approx(
         M * (1 + TUNING.memory_weight**2 * (RATIO - 1)), rel=1e-4
     )
