@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import argparse
 import os
-from typing import Any
 
-from sparseskin.launch.attach.text import typed_value
 from sparseskin.launch.run.running import choose_graph
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 
 from .beside import run_beside
-from .options import add_commands, add_graph, naming_options, print_ends, whole
+from .options import (
+    add_commands,
+    add_graph,
+    add_stated,
+    naming_options,
+    print_ends,
+    stated_values,
+    whole,
+)
 
 BRIDGES = {
     "foxglove": "serve a running graph to Foxglove and Lichtblick",
@@ -40,8 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         if name == "foxglove":
             stated = "let clients set parameters; pages in your browser are clients, too"
             one.add_argument("--allow-set", action="store_true", help=stated)
-        stated = "another setting of the bridge, see docs/bridges.md (may be repeated)"
-        one.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=stated)
+        add_stated(one, "another setting of the bridge, see docs/bridges.md")
         add_graph(one)
 
 
@@ -51,7 +56,7 @@ def _bridge(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.registry import node_class
 
     cls = node_class(arguments.bridge)
-    values = _stated(arguments.set, cls.Settings.described())
+    values = stated_values(arguments.set, cls.Settings.described())
     for key in ("port", "allow_set"):
         if stated := getattr(arguments, key, None):
             values[key] = stated
@@ -76,17 +81,3 @@ def _bridge(arguments: argparse.Namespace) -> int:
     print_ends(summary["nodes"])
     sent = summary["nodes"][name].get("bridge", {}).get("sent", 0)
     return code if sent else code or EXIT_NOTHING
-
-
-def _stated(pairs: list[str], entries: list[dict[str, Any]]) -> dict[str, Any]:
-    """Settings that `--set` states, typed as those of a launch file."""
-    known = {entry["key"]: entry for entry in entries}
-    values: dict[str, Any] = {}
-    for pair in pairs:
-        key, equals, text = pair.partition("=")
-        if not equals:
-            raise SettingsError(f"--set {pair}: expected KEY=VALUE")
-        if key not in known:
-            raise SettingsError(f"--set {key}: unknown key{did_you_mean(key, known)}")
-        values[key] = typed_value(text, known[key])
-    return values

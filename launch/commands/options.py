@@ -56,6 +56,34 @@ def add_set(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument("--set", metavar="NODE.KEY=VALUE", action="append", default=[], help=about)
 
 
+def add_stated(parser: argparse.ArgumentParser, about: str) -> None:
+    """Add --set of a command with one kind of settings, which `stated_values` reads."""
+    about = f"{about} (may be repeated)"
+    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=about)
+
+
+def stated_values(words: Iterable[str], entries: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Settings that --set KEY=VALUE states, typed as those of a launch file.
+
+    `entries` describe the settings that are allowed, as `Settings.described`. Raises SettingsError
+    if a text has no `=`, or the key is none of them.
+    """
+    from sparseskin.launch.attach.text import typed_value
+    from sparseskin.nodes.errors import SettingsError
+    from sparseskin.nodes.lookup import did_you_mean
+
+    known = {entry["key"]: entry for entry in entries}
+    values: dict[str, Any] = {}
+    for word in words:
+        key, equals, text = word.partition("=")
+        if not equals:
+            raise SettingsError(f"--set {word}: expected KEY=VALUE")
+        if key not in known:
+            raise SettingsError(f"--set {word}: unknown key{did_you_mean(key, known)}")
+        values[key] = typed_value(text, known[key])
+    return values
+
+
 def add_summary(parser: argparse.ArgumentParser) -> None:
     """Add --summary."""
     about = "write the summary as JSON"

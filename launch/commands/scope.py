@@ -17,15 +17,14 @@ import numpy as np
 from sparseskin.launch.attach.heat_map import heat_map
 from sparseskin.launch.run.terminal import Terminal
 from sparseskin.messages.text import printable
-from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.boards.source import BoardSource, dropped_text
 from sparseskin.nodes.sensor.node import DEFAULT_RATE_HZ
+from sparseskin.nodes.sensor.settings import SensorSettings
 from sparseskin.nodes.sensor.source import Source
 from sparseskin.nodes.sensor.sources import open_source
 
-from .options import real, whole
+from .options import add_stated, naming_options, real, stated_values, whole
 
 WAIT_S = 0.05
 DRAW_S = 1 / 15
@@ -51,8 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SOURCE", help="one of sparseskin sources")
     parser.add_argument("--frames", type=whole(1), metavar="N", help="end after so many frames")
     parser.add_argument("--seconds", type=real(True), metavar="S", help="end after so long")
-    about = f"state what the source does not: {', '.join(KEYS)} (may be repeated)"
-    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=about)
+    add_stated(parser, f"state what the source does not: {', '.join(KEYS)}")
     parser.set_defaults(run=_scope)
 
 
@@ -104,18 +102,11 @@ def _scope(arguments: argparse.Namespace) -> int:
 
 def _stated(words: list[str]) -> dict[str, Any]:
     """Properties of a source from KEY=VALUE."""
-    found: dict[str, Any] = {}
-    for word in words:
-        key, equals, text = word.partition("=")
-        if not equals:
-            raise SettingsError(f"--set {word}: expected KEY=VALUE")
-        if key not in KEYS:
-            raise SettingsError(f"--set {word}: unknown key{did_you_mean(key, KEYS)}")
-        try:
-            found[key] = text if key == "unit" else float(text) if key == "f_max" else int(text)
-        except ValueError:
-            raise SettingsError(f"--set {word}: {text[:40]!r} is no number") from None
-    return found
+    entries = [entry for entry in SensorSettings.described() if entry["key"] in KEYS]
+    values = stated_values(words, entries)
+    with naming_options({key: f"--set {key}" for key in KEYS}):
+        SensorSettings.from_mapping(values)  # checks types and ranges
+    return values
 
 
 def _frames(source: Source) -> Iterator[Floats | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def _sources(arguments: argparse.Namespace) -> int:
     document = {
         "scenes": scenes(),
+        "points": scenes_on_points(),
+        "layouts": layouts(),
         "files": recordings(Path()),
         "drivers": drivers(),
         "serial": serial_ports(),
@@ -40,6 +42,8 @@ def _sources(arguments: argparse.Namespace) -> int:
 
 TITLES = {
     "scenes": "scenes",
+    "points": "scenes that press a skin of points: add --set sensor.points=LAYOUT",
+    "layouts": "layouts: for sensor.points; or a file of places, .csv or an iCub's .txt",
     "files": "recordings in this folder",
     "drivers": "drivers of installed packages",
     "serial": "serial ports: add ?profile=NAME",
@@ -65,11 +69,28 @@ def scenes() -> list[dict[str, str]]:
     """Scenes, and one line on each."""
     from sparseskin.nodes.sensor.scenes.scenes import SCENES
 
-    found = []
-    for name, make in SCENES.items():
-        about = (make.__doc__ or "").partition("\n")[0].rstrip(".").partition(":")[0]
-        found.append({"source": f"scene:{name}", "about": about.removeprefix("Return ")})
-    return found
+    return [{"source": f"scene:{name}", "about": _about(make)} for name, make in SCENES.items()]
+
+
+def _about(make: Callable[[], object]) -> str:
+    """The first line of a docstring, without its end."""
+    about = (make.__doc__ or "").partition("\n")[0].rstrip(".").partition(":")[0]
+    return about.removeprefix("Return ")
+
+
+def scenes_on_points() -> list[dict[str, str]]:
+    """Scenes on skins of points, and one line on each."""
+    from sparseskin.nodes.sensor.layouts.scenes import SCENES
+
+    return [{"source": f"scene:{name}", "about": scene.about()} for name, scene in SCENES.items()]
+
+
+def layouts() -> list[dict[str, str]]:
+    """Layouts that are computed, and one line on each."""
+    from sparseskin.nodes.sensor.layouts.examples import EXAMPLES
+    from sparseskin.nodes.sensor.layouts.files import EXAMPLE
+
+    return [{"name": f"{EXAMPLE}{name}", "about": _about(make)} for name, make in EXAMPLES.items()]
 
 
 def recordings(folder: Path) -> list[dict[str, str]]:

@@ -69,6 +69,7 @@ class SensorSettings(PatchSettings):
         "",
         "file with the places of the taxels of a skin that is no flat grid, .csv or an iCub's "
         ".txt, or example:NAME (torso, grip, triangles); a source delivers readings in its order",
+        decides=True,
     )
     tare: int = setting(
         0,

@@ -34,7 +34,7 @@ TRIANGLE_RADIUS_M = 0.06
 
 
 def torso(n: int = TORSO_POINTS) -> Layout:
-    """A torso of n taxels, rings of taxels from waist to neck, open at both ends.
+    """A torso, rings of taxels from waist to neck, open at both ends: n taxels.
 
     All taxels are about equally far apart, so that rings have different numbers of them, as many
     as their length holds: where it changes, the lattice has dislocations.

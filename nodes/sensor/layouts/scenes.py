@@ -69,6 +69,12 @@ class Scene:
     length_m: float = 0.0
     presses: bool = False
 
+    def about(self) -> str:
+        """Body, push and course in a line."""
+        bead = f", {1000 * self.length_m:g} mm long" if self.length_m else ""
+        course = "presses at place by place" if self.presses else "moves over the skin"
+        return f"a body of {1000 * self.radius_m:g} mm radius{bead}, {self.push_n:g} N, {course}"
+
 
 SCENES: dict[str, Scene] = {
     "finger_path": Scene(0.010, 0.05, 1.0),

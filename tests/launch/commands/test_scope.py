@@ -36,11 +36,19 @@ def test_sources_lists_what_there_is(
     assert [one["source"] for one in found["files"]] == ["file:step.npy"]
     assert {"source": "my_glove:frames", "about": "glove"} in found["drivers"]
     assert "scene:path_40" in [one["source"] for one in found["scenes"]]
+    assert "scene:limb_path" in [one["source"] for one in found["points"]]
+    assert "example:torso" in [one["name"] for one in found["layouts"]]
     assert "flexitac_16x32" in [one["name"] for one in found["profiles"]]
     assert all(one["about"] for one in found["profiles"])
     assert main(["sources"]) == 0
     text = capsys.readouterr().out
-    for word in ("file:step.npy", "my_glove:frames", "scene:path_40", "flexitac_16x32"):
+    for word in (
+        "file:step.npy",
+        "my_glove:frames",
+        "scene:path_40",
+        "flexitac_16x32",
+        "example:grip",
+    ):
         assert word in text
 
 
@@ -59,7 +67,9 @@ def test_scope_prints_figures_where_the_output_is_no_terminal(
         (["scene:path_41"], "did you mean 'path_40'?"),
         (["serial:/dev/no-board?profile=flexitac_16x32"], "there is no device"),
         (["scene:path_40", "--set", "n_row=3"], "did you mean 'n_rows'?"),
-        (["scene:path_40", "--set", "n_rows=x"], "is no number"),
+        (["scene:path_40", "--set", "n_rows"], "--set n_rows: expected KEY=VALUE"),
+        (["scene:path_40", "--set", "n_rows=x"], "--set n_rows: expected a whole number"),
+        (["scene:path_40", "--set", "f_max=-1"], "--set f_max: -1.0 is outside"),
     ],
 )
 def test_scope_refuses_in_one_line(

@@ -247,6 +247,18 @@ def test_what_nodes_can_use_is_not_refused(tmp_path, monkeypatch, overrides) -> 
     assert load("f.toml", overrides).links
 
 
+def test_of_an_invalid_points_file_no_fault_of_its_scene_follows(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("x_mm,y_mm,z_mm\n1,2\n")
+    stated = f"sensor.points={path}"
+    with pytest.raises(LaunchError) as caught:
+        load("torso", [stated, "sensor.noise=-1"])
+    assert str(caught.value).splitlines() == [
+        "--set sensor.noise=-1: -1.0 is outside 0.0..100.0",
+        f"--set {stated}: {path}, line 2: 2 numbers; expected 3",
+    ]
+
+
 def test_all_faults_of_a_node_are_reported_but_none_that_follows_from_another(check) -> None:
     text = GOOD.replace("iterations = 20", 'depth = -1\nlambda_n = 1\npreset = "papr"\nfast = "no"')
     assert check(text, "compressor.ratio=2000", "compressor.block=33", "sensor.noise=-1") == [
