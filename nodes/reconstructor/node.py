@@ -144,7 +144,12 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     def state(self) -> dict[str, Any]:
         chosen, preset = self.settings.chosen(), self.settings.preset
-        state: dict[str, Any] = {"left_out": self._watch.text, "swamped": self._watch.swamped}
+        watch = self._watch
+        state: dict[str, Any] = {
+            "left_out": watch.text,
+            "swamped": watch.swamped,
+            "faulty_taxels": watch.taxels,
+        }
         if chosen["solver"] in OWN_BASIS:
             state["basis"] = None
         return {**chosen, "preset": preset if chosen == PRESETS[preset] else "", **state}

@@ -12,6 +12,10 @@ export function element(tag, attributes = {}, ...children) {
   return made;
 }
 
+// Path of a cross, as of a place that is struck out.
+export const cross = (x, y, arm) =>
+  `M${x - arm} ${y - arm}l${2 * arm} ${2 * arm}M${x - arm} ${y + arm}l${2 * arm} ${-2 * arm}`;
+
 export const byId = (id) => document.getElementById(id);
 
 export function setText(target, text) {

@@ -283,6 +283,9 @@ function drawText() {
   const behind = Math.max(0, seconds() - model.heard);
   const ages = Object.fromEntries(
     Object.entries(state?.age_s ?? {}).map(([name, age]) => [name, age + behind]));
+  const solver = model.graph?.nodes.find(
+    (node) => node.patch === patch && "faulty_taxels" in node.state);
+  maps?.markFaulty(solver?.state.faulty_taxels ?? []);
   maps?.markStale(ages, state?.stale_s ?? 0.2, reachable && (model.quiet || state?.ended));
 }
 

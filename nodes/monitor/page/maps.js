@@ -3,7 +3,7 @@
 
 import { Cloud } from "./cloud.js";
 import { GRADIENT, VIRIDIS, rounded } from "./colours.js";
-import { brief, byId, element, setText, tick, within } from "./dom.js";
+import { brief, byId, cross, element, setText, tick, within } from "./dom.js";
 import { DARK, SpaceView } from "./space.js";
 
 const TITLES = {
@@ -14,6 +14,7 @@ const TITLES = {
 };
 const HOLD_MS = 4000; // the colour range stays wide this long after a peak
 const CONTACT = 0.004; // fraction of f_max below which no centre of pressure is shown
+const FIRST = 0.04; // fraction of f_max beyond which a force turns the first view: noise is below
 const ELLIPSE = 2.146; // standard deviations that contain 90 % of a normal distribution in a plane
 
 // A map as the grid of its taxels.
@@ -60,14 +61,19 @@ class GridView {
   }
 
   // The centre of pressure estimated from the measurements alone: a cross, and the ellipse that
-  // contains it in 90 % of the frames.
-  mark({ reconstruction }, resultant) {
+  // contains it in 90 % of the frames. Faulty taxels are struck out on all panels.
+  mark(panels, { resultant, faulty }) {
     const { row, col, row_sd: rowSd, col_sd: colSd } = resultant ?? {};
     const arm = 0.04 * Math.max(this.skin.n_rows, this.skin.n_cols);
-    const cross = `M${col - arm} ${row}h${2 * arm}M${col} ${row - arm}v${2 * arm}`;
-    reconstruction.over.replaceChildren(...(Number.isFinite(row) ? [
-      element("ellipse", { cx: col, cy: row, rx: ELLIPSE * colSd, ry: ELLIPSE * rowSd }),
-      element("path", { d: cross })] : []));
+    const plus = `M${col - arm} ${row}h${2 * arm}M${col} ${row - arm}v${2 * arm}`;
+    for (const [name, { over }] of Object.entries(panels)) {
+      over.replaceChildren(...faulty.map((cell) => element("path", { class: "faulty",
+        d: cross(cell % this.skin.n_cols, Math.floor(cell / this.skin.n_cols), 0.35) })));
+      if (name !== "reconstruction" || !Number.isFinite(row)) continue;
+      over.append(
+        element("ellipse", { cx: col, cy: row, rx: ELLIPSE * colSd, ry: ELLIPSE * rowSd }),
+        element("path", { d: plus }));
+    }
   }
 
   // Centre of the forces of a map, in mm if the pitch is known.
@@ -98,6 +104,7 @@ export class Maps {
     this.peaks = []; // [time, peak] of the last seconds
     this.panels = {};
     this.maps = {};
+    this.faulty = []; // cells of the taxels that the reconstructor leaves out
     this.mask = skin.data.mask ?? null;
     this.aborter = new AbortController();
     const hasPlaces = Cloud.of(skin);
@@ -188,7 +195,8 @@ export class Maps {
   show({ data: maps, resultant }, now) {
     this.maps = { ...maps };
     this.resultant = resultant;
-    const reference = maps.truth ?? maps.taxels;
+    const reference = maps.truth ?? maps.taxels, felt = maps.reconstruction ?? maps.taxels;
+    if (highest(felt) > FIRST * this.skin.f_max) this.view.turnAtFirst?.(felt);
     if (maps.reconstruction && reference) {
       this.maps.error = maps.reconstruction.map((v, k) => Math.abs(v - reference[k]));
     }
@@ -217,8 +225,21 @@ export class Maps {
         + (resultant
           ? `\nresultant ${within(resultant.total, resultant.total_sd, this.skin.unit)}` : ""));
     }
-    this.view.mark(this.panels, this.resultant, this.pointed?.cell);
+    this.mark();
     this.read();
+  }
+
+  // What is drawn over the maps.
+  mark() {
+    const { resultant, faulty, pointed } = this;
+    this.view.mark(this.panels, { resultant, faulty, cell: pointed?.cell });
+  }
+
+  // Mark the taxels of these cells as faulty.
+  markFaulty(cells) {
+    if (String(cells) === String(this.faulty)) return;
+    this.faulty = cells;
+    this.mark();
   }
 
   forceText(map) {
@@ -242,13 +263,13 @@ export class Maps {
     const canvas = event.target.closest("canvas");
     this.pointed = canvas && this.view.at([event.clientX, event.clientY], canvas);
     if (!this.pointed) return this.unpoint();
-    this.view.mark(this.panels, this.resultant, this.pointed.cell);
+    this.mark();
     this.read();
   }
 
   unpoint() {
     this.pointed = null;
-    this.view.mark(this.panels, this.resultant);
+    this.mark();
     setText(byId("under-pointer"), "Point at a taxel to see its values.");
   }
 
@@ -289,6 +310,7 @@ export function thumbnail(panel, map, skin) {
     [panel.canvas.width, panel.canvas.height] = [skin.n_cols, skin.n_rows];
   }
   const top = Math.max(rounded(highest(map)), 0.1 * skin.f_max); // noise is no picture
+  if (highest(map) > FIRST * skin.f_max) panel.view.turnAtFirst?.(map);
   panel.view.prepare(panel.canvas);
   panel.view.paint(panel, map, top);
   return `peak ${brief(highest(map), skin.unit)}, colours to ${tick(top)} ${skin.unit}`;

@@ -3,7 +3,7 @@
 
 import { OUTSIDE, INSIDE, SHADES, TAXELS, axes, dot, projected, rasterise, scaleOf } from "./cloud.js";
 import { VIRIDIS } from "./colours.js";
-import { element } from "./dom.js";
+import { cross, element } from "./dom.js";
 
 const FINENESS = 2; // pixels drawn for one of the page: their mean has smooth edges
 const COARSE = 1, TURNING_MS = 200; // while the view is turned, and this long afterwards
@@ -34,12 +34,14 @@ export class SpaceView {
     this.cloud = cloud;
     this.target = { width: 0, height: 0 };
     this.pointers = new Map(); // id of a finger or mouse that is down -> its place
-    this.view = this.#opening();
+    this.first = this.#opening();
+    this.view = { ...this.first };
+    this.isTurned = false; // by the user, or to the first contact
     this.isNew = true;
   }
 
   reset() {
-    this.view = this.#opening();
+    this.view = { ...this.first };
     this.#turned();
   }
 
@@ -53,16 +55,31 @@ export class SpaceView {
 
   // Turn the most loaded side to the eye; a map without forces turns nothing.
   turnTo(map) {
+    const facing = this.#facing(map);
+    if (!facing) return;
+    Object.assign(this.view, facing);
+    this.#turned();
+  }
+
+  // Turn to the first contact, once, unless the view is turned already. The frame is drawn
+  // afterwards anyway: a drawing asked for here would turn again, and never be done.
+  turnAtFirst(map) {
+    const facing = this.isTurned ? null : this.#facing(map);
+    if (!facing) return;
+    this.isTurned = this.isNew = true;
+    Object.assign(this.view, facing);
+    this.first = { ...this.view };
+  }
+
+  #facing(map) {
     const { cloud } = this, sum = [0, 0, 0];
     for (let k = 0; k < cloud.n; k++) {
       const force = map[cloud.cells[k]];
       cloud.normal(k).forEach((v, axis) => (sum[axis] += force * force * v));
     }
-    if (!(Math.hypot(...sum) > 0)) return;
+    if (!(Math.hypot(...sum) > 0)) return null;
     const { yaw, pitch } = towards(sum);
-    const upright = Math.max(-STEEPEST, Math.min(STEEPEST, pitch));
-    Object.assign(this.view, { yaw, pitch: upright, x: 0, y: 0 });
-    this.#turned();
+    return { yaw, pitch: Math.max(-STEEPEST, Math.min(STEEPEST, pitch)), x: 0, y: 0 };
   }
 
   canvas(label, name) {
@@ -138,7 +155,7 @@ export class SpaceView {
     view.pitch = Math.max(-Math.PI / 2, Math.min(Math.PI / 2, view.pitch));
     view.x = Math.max(-most, Math.min(most, view.x));
     view.y = Math.max(-most, Math.min(most, view.y));
-    this.isNew = true;
+    this.isTurned = this.isNew = true;
     clearTimeout(this.timer);
     this.timer = setTimeout(() => {
       this.timer = undefined;
@@ -215,16 +232,31 @@ export class SpaceView {
     return element("svg", { class: "over" });
   }
 
-  // A ring around the taxel of a cell on all panels, and the skin's axes in a corner.
-  mark(panels, resultant, cell) {
-    if (!this.size || this.marked === String([this.size, cell])) return;
-    this.marked = String([this.size, cell]);
+  // A ring around the taxel of a cell on all panels, crosses on faulty ones, and the skin's axes in
+  // a corner.
+  mark(panels, { faulty, cell }) {
+    if (!this.size || this.marked === String([this.size, cell, faulty])) return;
+    this.marked = String([this.size, cell, faulty]);
     const [w, h] = this.size;
     for (const { over } of Object.values(panels)) {
       over.setAttribute("viewBox", `0 0 ${w} ${h}`);
       const marks = cell === undefined ? [] : [this.#ring(this.cloud.taxels[cell], w, h)];
-      over.replaceChildren(...this.#triad(h), ...marks);
+      over.replaceChildren(...this.#triad(h), ...this.#crosses(faulty, w, h), ...marks);
     }
+  }
+
+  // Crosses on those cells whose taxel is seen.
+  #crosses(cells, w, h) {
+    const { cloud, view } = this, { width, height, index } = this.target;
+    const scale = scaleOf(cloud, view, w, h);
+    return cells.filter((cell) => cloud.taxels[cell] >= 0).flatMap((cell) => {
+      const k = cloud.taxels[cell], [x, y] = projected(cloud, view, w, h, cloud.place(k));
+      const col = Math.floor((x / w) * width), row = Math.floor((y / h) * height);
+      const isOver = col >= 0 && row >= 0 && col < width && row < height;
+      if (!isOver || index[row * width + col] !== TAXELS + k) return [];
+      const arm = Math.max(4, 0.5 * cloud.spacing[k] * scale);
+      return [element("path", { class: "faulty", d: cross(x, y, arm) })];
+    });
   }
 
   #ring(k, w, h) {

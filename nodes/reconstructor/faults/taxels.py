@@ -44,6 +44,8 @@ BELIEVED = 10
 #: A saturated taxel: least force, force below which it is none, most force of neighbours, all in
 #: f_max; number of searches.
 FULL, BELOW_FULL, BESIDE_FULL, FULL_LOOKS = 0.97, 0.9, 0.25, 200
+#: Most faulty taxels whose cells are published; chosen: more are no single faults.
+MAX_CELLS = 256
 
 #: Number of pressed taxels before and behind one in its column, or row.
 Reach: TypeAlias = tuple[int, int]
@@ -238,6 +240,11 @@ class TaxelWatch:
         stuck = [place for place, value in self.stuck.items() if value]
         named = (("stuck", stuck), ("dead", self.stuck.keys() - stuck))
         return "; ".join(f"{kind} taxels left out: {self._names(of)}" for kind, of in named if of)
+
+    @property
+    def cells(self) -> list[int]:
+        """Flat cells of the taxels excluded now, in order; of many the first `MAX_CELLS`."""
+        return [int(cell) for cell in sorted(self.stuck)[:MAX_CELLS]]
 
     def cleaned(self, phi: Phi, y: Floats) -> Floats:
         """Return y, float32 (m,), without the readings of stuck taxels; y is not modified."""

@@ -42,6 +42,11 @@ class FaultWatch:
         return "; ".join(filter(None, (self._rows_text, taxels)))
 
     @property
+    def taxels(self) -> list[int]:
+        """Flat cells of the taxels excluded now, as in `TaxelWatch`."""
+        return [] if self._taxels is None else self._taxels.cells
+
+    @property
     def swamped(self) -> bool:
         """True if so many measurements disagree that excluding them would be no remedy."""
         return any(watch.swamped for watch in self._rows.values())

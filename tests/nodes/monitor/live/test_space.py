@@ -11,7 +11,7 @@ import pytest
 from browser import browser, lack
 from clouds import pressed, torso
 from conftest import wait_until
-from feeds import Graph
+from feeds import Graph, graph_state, node_state
 
 from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth
 from sparseskin.nodes.monitor.live.notices import Notices
@@ -27,8 +27,13 @@ N_ROWS, N_COLS = 50, 81
 MASK = np.ones((N_ROWS, N_COLS), np.bool_)
 """Each row has a cell without a taxel. Its bytes are no multiple of 4, as those after it are."""
 MASK[:, 40] = False
-FRONT = (0.11, 0.0, 0.0)
+FRONT, BACK = (0.11, 0.0, 0.0), (-0.11, 0.0, 0.0)
 PEAK_N, RADIUS_M = 2.0, 0.06
+NODE: dict[str, Any] = {"type": "reconstructor", "patches": [], "controls": [], "settings": {}}
+CHOOSE = (
+    "const select = document.getElementById(arguments[0]); select.value = arguments[1];"
+    "select.dispatchEvent(new Event('change'));"
+)
 VIRIDIS_TOP, VIRIDIS_ZERO = (0xFD, 0xE7, 0x25), (0x44, 0x01, 0x54)
 
 
@@ -46,6 +51,15 @@ def points() -> Floats:
 @pytest.fixture
 def graph(page: Any, points: Floats) -> Iterator[Graph]:
     """A torso that is pressed in front with the top of the colour range, on the open page."""
+    with opened(page, points) as graph:
+        press(graph, points, FRONT)
+        wait_until(lambda: "peak 2.00 N" in figures(page), "the map of a frame")
+        yield graph
+
+
+@contextlib.contextmanager
+def opened(page: Any, points: Floats) -> Iterator[Graph]:
+    """A torso without a frame, on the open page."""
     graph = Graph()
     graph.skin(n_rows=N_ROWS, n_cols=N_COLS, mask=MASK, points=points, pitch_m=0.011)
     with contextlib.closing(
@@ -53,20 +67,20 @@ def graph(page: Any, points: Floats) -> Iterator[Graph]:
     ) as server:
         page.get("about:blank")  # an address that differs in its hash alone loads no page
         page.get(server.url)
-        press(graph, points, FRONT)
-        wait_until(lambda: "peak 2.00 N" in figures(page), "the map of a frame")
         yield graph
         # That readings of pixels are slow is a remark, and no error.
         errors = [each["message"] for each in page.get_log("browser") if each["level"] == "SEVERE"]
         assert not [text for text in errors if "ERR_" not in text]
 
 
-def press(graph: Graph, points: Floats, at: tuple[float, float, float]) -> None:
+def press(
+    graph: Graph, points: Floats, at: tuple[float, float, float], peak_n: float = PEAK_N
+) -> None:
     """The next frame, without noise: the truth is pressed, and reconstructed exactly."""
     n, graph.n["skin"] = graph.n["skin"], graph.n["skin"] + 1
     of_frame: dict[str, Any] = {"stamp_ns": n * 10_000_000, "patch": "skin"}
     forces = np.zeros((N_ROWS, N_COLS), np.float32)
-    forces[MASK] = pressed(points, at, PEAK_N, RADIUS_M)
+    forces[MASK] = pressed(points, at, peak_n, RADIUS_M)
     made: dict[str, Any] = {"phi": "0" * 16, "iterations": 1, "residual": 0.0}
     frame: list[Message] = [
         Taxels(**of_frame, forces=forces),
@@ -142,7 +156,8 @@ def test_the_pressed_place_has_the_colour_of_its_force_and_a_drag_turns_it_away(
     before, (n, middle, _) = image(page), pixels(page, VIRIDIS_TOP)
     assert n > 20
     assert pixels(page, VIRIDIS_ZERO)[0] > 100 * n / 20
-    # The front is a little left of the middle at first; a drag to the right takes it along.
+    # The first contact faces the viewer; a drag to the right takes it along.
+    assert middle == pytest.approx(0.5, abs=0.05)
     drag(page, width(page) // 12)
     wait_until(lambda: image(page) != before, "another view")
     settled(page)
@@ -160,6 +175,45 @@ def test_the_pressed_place_has_the_colour_of_its_force_and_a_drag_turns_it_away(
     run(page, "document.getElementById('reset-view').click()")
     settled(page)
     wait_until(lambda: image(page) == before, "the view of the beginning")
+
+
+def test_the_first_view_faces_the_first_contact_and_stays(page: Any, points: Floats) -> None:
+    with opened(page, points) as graph:
+        press(graph, points, BACK, peak_n=0.0)
+        wait_until(lambda: "no contact" in figures(page), "an untouched skin")
+        press(graph, points, BACK)
+        wait_until(lambda: "contact on the near side" in figures(page), "the side of the contact")
+        settled(page)
+        assert pixels(page, VIRIDIS_TOP)[1] == pytest.approx(0.5, abs=0.05)
+        press(graph, points, FRONT)
+        wait_until(lambda: "100 % of the contact on the far side" in figures(page), "the front")
+
+
+def test_a_view_that_the_user_has_turned_is_left_alone(page: Any, points: Floats) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    with opened(page, points) as graph:
+        press(graph, points, BACK, peak_n=0.0)
+        wait_until(lambda: "no contact" in figures(page), "an untouched skin")
+        page.find_element("css selector", "canvas[data-map=truth]").send_keys(Keys.ARROW_LEFT)
+        press(graph, points, BACK)
+        wait_until(lambda: "100 % of the contact on the far side" in figures(page), "the back")
+
+
+def test_faulty_taxels_are_struck_out_in_3d_where_they_are_seen_and_on_the_grid(
+    page: Any, graph: Graph, points: Floats
+) -> None:
+    cells = np.flatnonzero(MASK)
+    faulty = [
+        int(cells[np.argmin(np.linalg.norm(points[:, :3] - at, axis=1))]) for at in (FRONT, BACK)
+    ]
+    node = {**NODE, "patch": "skin", "state": {"faulty_taxels": faulty}}
+    graph.feed.update(graph=graph_state(node_state("reconstructor", **node)))
+    crosses = "return document.querySelectorAll('[data-panel=reconstruction] .faulty').length"
+    wait_until(lambda: run(page, crosses) == 1, "the one on the near side")
+    run(page, CHOOSE, "view", "grid")
+    wait_until(lambda: run(page, crosses) == 2, "both on the grid")
+    run(page, CHOOSE, "view", "space")
 
 
 def test_keys_and_wheel_turn_and_zoom_all_maps_alike(page: Any, graph: Graph) -> None:
@@ -216,20 +270,16 @@ def test_the_grid_of_the_same_skin_and_single_maps_can_be_shown(page: Any, graph
         "return [...document.querySelectorAll('#maps figure')].filter((f) => !f.hidden)"
         "  .map((f) => f.querySelector('h2').innerText).join(', ')"
     )
-    choose = (
-        "const select = document.getElementById(arguments[0]); select.value = arguments[1];"
-        "select.dispatchEvent(new Event('change'));"
-    )
     assert run(page, titles) == "Truth, Reconstruction"
-    run(page, choose, "shown-maps", "reconstruction")
+    run(page, CHOOSE, "shown-maps", "reconstruction")
     assert run(page, titles) == "Reconstruction"
-    run(page, choose, "view", "grid")
+    run(page, CHOOSE, "view", "grid")
     assert run(page, titles) == "Truth, Taxels (measured), Reconstruction, Absolute error"
     size = "const c = document.querySelector('[data-map=truth]'); return [c.width, c.height]"
     assert run(page, size) == [N_COLS, N_ROWS]
     wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] > 0, "the frame on the grid")
-    run(page, choose, "view", "space")
-    run(page, choose, "shown-maps", "pair")
+    run(page, CHOOSE, "view", "space")
+    run(page, CHOOSE, "shown-maps", "pair")
     settled(page)
     wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] > 20, "the frame in 3-D")
 

@@ -26,11 +26,13 @@ def test_a_stuck_taxel_is_found_left_out_and_used_when_it_works_again(phi: Phi) 
         forces = skin.read(nothing, {(9, 12): 1.3})
     assert list(skin.watch.stuck) == [9 * 28 + 12]
     assert skin.watch.text == "stuck taxels left out: (9, 12)"
+    assert skin.watch.cells == [9 * 28 + 12]
     assert forces[9, 12] < 0.05
     assert len(skin.lines) == 1
     for _ in range(100):
         skin.read(nothing)
     assert not skin.watch.stuck
+    assert skin.watch.cells == []
     assert skin.lines[-1] == "taxel (9, 12) works again: used"
 
 
