@@ -26,7 +26,7 @@ SOLVERS = ("skin", "fista", "phi")
 MAX_PLACES = 2**16
 """Cells up to which tables hold places in 16 bits, half the room in the cache."""
 
-COMPILING = "compiled loops: compiling, once on this machine; some 10 s"
+COMPILING = "compiled loops: compiling, once on this machine; some 15 s"
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -621,6 +621,157 @@ def skin_end(work: A, fitted: A, place_of_cell: A, bias: float, forces: A) -> No
     add_bias(work[X, : n + 1], place_of_cell, bias, forces)
 
 
+RUN = 1024
+"""Elements of a vector that are summed at a time, all of whose terms the cache holds (timed)."""
+
+
+@compiled()
+def taps(source: A, target: A, at: int, n: int, step: int, weights: A, adds: bool) -> None:
+    """Filter n elements from place `at` on, by symmetric weights of terms `step` apart.
+
+    target[k] = w[0] source[k] + sum over d of w[d] (source[k - d step] + source[k + d step]); with
+    `adds` that is added to it. The number of weights is odd.
+    """
+    for base in range(at, at + n, RUN):
+        size = min(RUN, at + n - base)
+        out, here = target[base : base + size], source[base : base + size]
+        first = weights[0]
+        if adds:
+            for k in range(size):
+                out[k] += first * here[k]
+        else:
+            for k in range(size):
+                out[k] = first * here[k]
+        for d in range(1, weights.size - 1, 2):
+            near, far = d * step, (d + 1) * step
+            a, b = source[base - near : base - near + size], source[base + near :]
+            c, e = source[base - far : base - far + size], source[base + far :]
+            v, w = weights[d], weights[d + 1]
+            for k in range(size):
+                out[k] += v * (a[k] + b[k]) + w * (c[k] + e[k])
+
+
+@compiled(f"void({V}, {V}, {V}, {L}, {M}, {L})")
+def filter_image(image: A, half: A, total: A, layout: A, weights: A, reach: A) -> None:
+    """total = sum over lengths of K_down image K_right.
+
+    `weights` are those of the filters down and right of each length, `reach` how many terms follow
+    the first. An image is padded: `layout` is its first cell, its size, and that of a row, zeros
+    behind each included.
+    """
+    at, n, stride = layout[0], layout[1], layout[2]
+    for k in range(0, reach.size, 2):
+        taps(image, half, at, n, stride, weights[k, : reach[k] + 1], False)
+        taps(half, total, at, n, 1, weights[k + 1, : reach[k + 1] + 1], k > 0)
+
+
+# Rows of the work of the smooth model, float32: what it is given, and its conjugate gradients.
+(
+    DEVIATION, ROWS_KNOWN, ROWS_USED, VARIANCE, FIELD, NEIGHBOURS, SOLUTION, LEFT, SCALED,
+    DIRECTION, PRODUCT, INVERSE, ADDED, N_SMOOTH,
+) = range(14)  # fmt: skip
+
+
+@compiled()
+def correlate(
+    rows: A, v: A, work: A, images: A, place: A, scale: A, groups: A, layout: A, weights: A,
+    reach: A,
+) -> None:  # fmt: skip
+    """v = C W^T rows."""
+    deviation = work[DEVIATION, : v.size]
+    image, half, total = images[0], images[1], images[2]
+    for p in range(v.size):
+        v[p] = scale[p] * rows[p]
+    hadamard(v, groups)
+    for p in range(v.size):
+        image[place[p]] = v[p] * deviation[p]
+    filter_image(image, half, total, layout, weights, reach)
+    for p in range(v.size):
+        v[p] = total[place[p]] * deviation[p]
+
+
+@compiled(sums_in_any_order=True)
+def descend(step: A, work: A, n: int) -> Any:
+    """A step of conjugate gradients; return the squares of what is left, plain and scaled."""
+    solution, left, scaled = work[SOLUTION], work[LEFT], work[SCALED]
+    direction, product, inverse = work[DIRECTION], work[PRODUCT], work[INVERSE]
+    square, slope = np.float32(0), np.float32(0)
+    for p in range(n):
+        solution[p] += step * direction[p]
+        rest = left[p] - step * product[p]
+        left[p] = rest
+        scaled[p] = inverse[p] * rest
+        square += rest * rest
+        slope += rest * scaled[p]
+    return np.float64(square), np.float64(slope)
+
+
+@compiled(f"void({M}, {M}, {P}, {V}, {G}, {L}, {M}, {L}, int64, float64, float64, float64)")
+def smooth_descend(
+    work: A, images: A, place: A, scale: A, groups: A, layout: A, weights: A, reach: A, most: int,
+    mean: float, added: float, precise: float,
+) -> None:  # fmt: skip
+    """Field C W^T (W C W^T + V)^-1 of the known rows, by at most `most` conjugate gradients.
+
+    V is the variance of a row, and `added`; `mean` that of the diagonal of C.
+    """
+    n = place.size
+    known, used, variance = work[ROWS_KNOWN, :n], work[ROWS_USED, :n], work[VARIANCE, :n]
+    left, scaled, direction = work[LEFT, :n], work[SCALED, :n], work[DIRECTION, :n]
+    product, inverse, field = work[PRODUCT, :n], work[INVERSE, :n], work[FIELD, :n]
+    added_to, solution = work[ADDED, :n], work[SOLUTION, :n]
+    more, diagonal = np.float32(added), np.float32(mean)
+    for p in range(n):
+        # Of a row that is not used, 1: it stays 0.
+        added_to[p] = variance[p] + more if used[p] > 0 else np.float32(1)
+        inverse[p] = np.float32(1) / (added_to[p] + diagonal)
+        left[p] = known[p]
+        scaled[p] = inverse[p] * left[p]
+        direction[p] = scaled[p]
+    fill(solution)
+    square, slope = np.float64(dot(left, left)), np.float64(dot(left, scaled))
+    enough = precise * square
+    for _ in range(most):
+        if not square > enough:
+            break
+        correlate(direction, product, work, images, place, scale, groups, layout, weights, reach)
+        hadamard(product, groups)
+        for p in range(n):
+            product[p] = scale[p] * product[p] * used[p] + added_to[p] * direction[p]
+        curvature = np.float64(dot(direction, product))
+        if not (curvature > 0 and slope > 0):
+            break
+        last = slope
+        square, slope = descend(np.float32(slope / curvature), work, n)
+        again = np.float32(slope / last)
+        for p in range(n):
+            direction[p] = again * direction[p] + scaled[p]
+    correlate(solution, field, work, images, place, scale, groups, layout, weights, reach)
+
+
+@compiled(f"void({M}, {M}, {P}, {L}, {M}, {L}, {V}, float64)")
+def smooth_deviation(
+    work: A, images: A, place: A, layout: A, weights: A, reach: A, x: A, floor: float
+) -> None:  # fmt: skip
+    """Deviation of each taxel that follows from an estimate x: blurred, its largest 1."""
+    deviation, neighbours = work[DEVIATION], work[NEIGHBOURS]
+    image, half, total = images[0], images[1], images[2]
+    for p in range(x.size):
+        image[place[p]] = max(x[p], np.float32(0))
+    filter_image(image, half, total, layout, weights, reach)
+    largest = np.float32(0)
+    for p in range(x.size):
+        deviation[p] = total[place[p]] / neighbours[p]
+        largest = max(largest, deviation[p])
+    if not largest > 0:
+        for p in range(x.size):
+            deviation[p] = 1
+        return
+    least = np.float32(floor)
+    for p in range(x.size):
+        deviation[p] = deviation[p] / largest + least
+
+
 @compiled(f"void({V}, {P}, {L}, {V}, {V}, {V})")
 def tiled_image(w: A, order: A, grid: A, v: A, scratch: A, image: A) -> None:
     """Image of Haar coefficients w of a tiled vector; element p of it is pixel order[p]."""
@@ -642,6 +793,9 @@ LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
             skin_iterate,
             skin_test,
             skin_end,
+            filter_image,
+            smooth_descend,
+            smooth_deviation,
         ),
     ),
     "fista": (fista, tiled_image),

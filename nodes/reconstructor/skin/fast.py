@@ -1,4 +1,4 @@
-"""The solver `skin` in compiled loops: the work of a frame, in five calls."""
+"""The solver `skin` in compiled loops: a frame in five calls, a smooth round in two."""
 
 from __future__ import annotations
 
@@ -7,19 +7,23 @@ import math
 import numpy as np
 
 from sparseskin.nodes.numerics import kernels
-from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
 from sparseskin.nodes.numerics.compiled import MAX_PLACES, ready
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, ShiftedHaar
 from sparseskin.nodes.reconstructor.solvers.fast import CompiledProjection
 
 from .noise_level import NoiseLevel
 from .prediction import Prediction
+from .smooth import SmoothModel
 from .sums import Read, Tested
-from .tuning import SkinTuning
+from .tuning import TUNING, SkinTuning
 
 LINE = 16
 """Vectors are a line of the cache, 64 bytes, more than a power of two apart: else their elements
 compete for the same places of the cache."""
+
+REACH = math.sqrt(-2 * math.log(2**-24))
+"""Distance, in lengths, from which on a Gaussian is below the rounding of float32; derived."""
 
 
 class CompiledFrame:
@@ -58,9 +62,7 @@ class CompiledFrame:
     ) -> None:
         n = projection.n_rows
         self._t, self._n, self._projection = tuning, n, projection
-        padded = -(-(n + 1) // LINE) * LINE
-        padded += LINE if padded // LINE % 2 == 0 else 0
-        self._work = np.zeros((kernels.N_WORK, padded), dtype=np.float32)
+        self._work = np.zeros((kernels.N_WORK, spread(n + 1)), dtype=np.float32)
         self.x_and_zero = self._work[kernels.X, : n + 1]
         vectors = self._work[:, :n]
         self.x, self.z, self.total = (vectors[k] for k in (kernels.X, kernels.Z, kernels.TOTAL))
@@ -162,3 +164,80 @@ class CompiledFrame:
         forces = np.empty(self._cells.size, dtype=np.float32)
         kernels.skin_end(self._work, fitted, self._cells, bias, forces)
         return forces
+
+
+class CompiledSmoothModel(SmoothModel):
+    """As `SmoothModel` by conjugate gradients, for "sbhe".
+
+    Gaussians are filters of the image, as far as they are not below the rounding of float32. Zeros
+    surround the image, and follow each row, as many as a filter reaches.
+    """
+
+    def __init__(
+        self,
+        projection: CompiledProjection,
+        taxels: Indices,
+        mask: Mask,
+        tuning: SkinTuning = TUNING,
+    ) -> None:
+        ready(kernels.filter_image, kernels.smooth_descend, kernels.smooth_deviation)
+        self._dealt = projection
+        super().__init__(projection, taxels, mask, tuning=tuning)
+
+    def _make_filters(self, mask: Mask) -> None:
+        lengths, n = self._t.lengths, self._taxels.size
+        self._filters = filters(mask.shape, lengths)
+        self._blur_filters = filters(mask.shape, (self._t.blur,))
+        reach = np.concatenate((self._filters[1], self._blur_filters[1]))
+        stride = mask.shape[1] + int(reach[1::2].max())
+        first, size = int(reach[::2].max()) * stride + int(reach.max()), mask.shape[0] * stride
+        self._layout = np.array((first, size, stride), dtype=np.int64)
+        self._images = np.zeros((3, 2 * first + size), dtype=np.float32)
+        rows, cols = np.divmod(self._taxels, mask.shape[1])
+        places = first + rows * stride + cols
+        self._places = places.astype(np.uint32)
+        self._work = np.zeros((kernels.N_SMOOTH, spread(n)), dtype=np.float32)
+        image, half, total = self._images
+        image[places] = 1
+        kernels.filter_image(image, half, total, self._layout, *self._blur_filters)
+        self._work[kernels.NEIGHBOURS, :n] = total[places] + np.float32(TINY)
+
+    def _deviation_of(self, x: Floats) -> Floats:
+        kernels.smooth_deviation(
+            *(self._work, self._images, self._places, self._layout, *self._blur_filters),
+            *(x, self._t.deviation_floor),
+        )
+        return self._work[kernels.DEVIATION, : x.size]
+
+    def _descend(self, mean: float, variance: Floats) -> Floats:
+        n, t = self._taxels.size, self._t
+        self._work[kernels.DEVIATION, :n] = self._deviation
+        self._work[kernels.ROWS_KNOWN, :n] = self._known
+        self._work[kernels.ROWS_USED, :n] = self._used
+        self._work[kernels.VARIANCE, :n] = variance
+        kernels.smooth_descend(
+            *(self._work, self._images, self._places, self._dealt.scale, self._dealt.groups),
+            *(self._layout, *self._filters, self._gradients),
+            *(mean, t.model_error * mean, t.precise),
+        )
+        return self._work[kernels.FIELD, :n]
+
+
+def filters(shape: tuple[int, ...], lengths: tuple[float, ...]) -> tuple[Floats, Indices]:
+    """Return the weights of Gaussians of each length, down and right, and their reach.
+
+    Weights are float32 (2 k, r + 1), those right divided by k, the number of lengths. The reach,
+    int64 (2 k,), is even: how many weights follow the first.
+    """
+    reach = np.array([min(int(REACH * one), side - 1) for one in lengths for side in shape])
+    reach += reach % 2
+    distance = np.arange(reach.max() + 1) / np.repeat(lengths, 2)[:, None]
+    weights = np.exp(-0.5 * distance**2)
+    weights[1::2] /= len(lengths)
+    return weights.astype(np.float32), reach.astype(np.int64)
+
+
+def spread(n: int) -> int:
+    """Return the distance of vectors of n elements: a line more than a power of two, as `LINE`."""
+    padded = -(-n // LINE) * LINE
+    return padded + (LINE if padded // LINE % 2 == 0 else 0)

@@ -74,25 +74,37 @@ class SmoothModel:
         self._t = tuning
         self._projection = projection
         self._taxels = taxels
-        self._exists = mask.astype(np.float32)
-        n_rows, n_cols = mask.shape
-        self._kernels = [
-            (
-                _gaussian(n_rows, length),
-                _gaussian(n_cols, length) / np.float32(len(self._t.lengths)),
-            )
-            for length in self._t.lengths
-        ]
-        self._blur = _gaussian(n_rows, self._t.blur), _gaussian(n_cols, self._t.blur)
-        self._neighbours: Floats = self._blurred(self._exists) + np.float32(TINY)
-        self._image = np.zeros(mask.shape, dtype=np.float32)
+        n = taxels.size
+        self._ones: Floats = np.ones(n, dtype=np.float32)
+        #: Vectors of conjugate gradients.
+        self._vectors = np.zeros((5, projection.n_rows), dtype=np.float32)
+        self._make_filters(mask)
         self.rounds_left = 0
         self.left_out: Floats | None = None
         self._direct = direct
         if direct:
             self._correlation = self._correlation_of(mask.shape)
             #: W, float32 (n_rows, n).
-            self._dense: Floats = np.zeros((0, taxels.size), dtype=np.float32)
+            self._dense: Floats = np.zeros((0, n), dtype=np.float32)
+
+    def _make_filters(self, mask: Mask) -> None:
+        """Prepare the correlation K and the blur of the deviation."""
+        (n_rows, n_cols), n = mask.shape, self._taxels.size
+        lengths = self._t.lengths
+        down, right = ([_gaussian(side, length) for length in lengths] for side in mask.shape)
+        # K of an image X is the sum of L_k X R_k: X (R_1 R_2 ...), read as rows of all lengths in
+        # turn, is multiplied by the columns of all L_k in turn.
+        turns = np.arange(len(lengths) * n_rows).reshape(len(lengths), n_rows).T.ravel()
+        self._down = _side_by_side(down).T[turns].T
+        self._right = _side_by_side(right) / np.float32(len(lengths))
+        self._is_dense = max(mask.shape) <= MOST_DENSE
+        self._blur = _gaussian(n_rows, self._t.blur), _gaussian(n_cols, self._t.blur)
+        self._x_and_zero, self._back = np.zeros((2, n + 1), dtype=np.float32)
+        self._place_of_cell = np.full(mask.size, n, dtype=np.intp)
+        self._place_of_cell[self._taxels] = np.arange(n)
+        self._image, self._total = np.zeros((2, n_rows, n_cols), dtype=np.float32)
+        self._half = np.zeros((n_rows, len(lengths) * n_cols), dtype=np.float32)
+        self._neighbours: Floats = self._blurred(self._ones) + np.float32(TINY)
 
     def setup(
         self,
@@ -125,7 +137,7 @@ class SmoothModel:
         self._known = used * (values - self._rows(self._start)) if not cold else used * values
         self._gradients = self._t.cold_gradients if cold else self._t.gradients
         self.rounds_left = self._t.cold_rounds if cold else self._t.rounds
-        self._deviation = self._exists if cold else self._deviation_of(x)
+        self._deviation = self._ones if cold else self._deviation_of(x)
         self.x = x
         self._power = power
         if self._direct and (self._dense.size == 0 or not self._projection.has_whole):
@@ -157,8 +169,7 @@ class SmoothModel:
         """As `_descend`, by Cholesky's factors of the system."""
         from scipy import linalg  # here: most skins do not need it
 
-        used = np.flatnonzero(self._used)
-        deviation = self._deviation.reshape(-1)[self._taxels]
+        used, deviation = np.flatnonzero(self._used), self._deviation
         scaled = self._dense[used] * deviation
         correlated = scaled @ self._correlation
         system = (correlated @ scaled.T).astype(np.float64)
@@ -189,26 +200,29 @@ class SmoothModel:
     def _descend(self, mean: float, variance: Floats) -> Floats:
         """Return C W^T (W C W^T + V)^-1 of the known rows, by conjugate gradients."""
         used, known = self._used, self._known
+        found, residual, direction, product, scaled = self._vectors
         added = np.where(used > 0, variance + np.float32(self._t.model_error * mean), np.float32(1))
         inverse = np.reciprocal(added + np.float32(mean), dtype=np.float32)
-        found = np.zeros_like(known)
-        residual = known.copy()
-        scaled = np.multiply(inverse, residual, dtype=np.float32)
-        direction = scaled.copy()
-        slope = float(np.dot(residual, scaled))
+        found.fill(0)
+        np.copyto(residual, known)
+        np.multiply(inverse, residual, direction)
+        slope = float(np.dot(residual, direction))
         enough = self._t.precise * float(np.dot(known, known))
         for _ in range(self._gradients):
             if not float(np.dot(residual, residual)) > enough:
                 break
-            image = self._rows(self._correlated(direction))
-            image *= used
-            image += added * direction
-            curvature = float(np.dot(direction, image))
+            self._projection.whole(self._correlated(direction), product)
+            product *= used
+            np.multiply(added, direction, scaled)
+            product += scaled
+            curvature = float(np.dot(direction, product))
             if not (curvature > 0 and slope > 0):
                 break
             step = np.float32(slope / curvature)
-            found += step * direction
-            residual -= step * image
+            np.multiply(direction, step, scaled)
+            found += scaled
+            product *= step
+            residual -= product
             np.multiply(inverse, residual, scaled)
             last, slope = slope, float(np.dot(residual, scaled))
             direction *= np.float32(slope / last)
@@ -216,32 +230,37 @@ class SmoothModel:
         return self._correlated(found)
 
     def _correlated(self, rows: Floats) -> Floats:
-        """Return C W^T rows."""
-        image = self._image
-        image.reshape(-1)[self._taxels] = self._adjoint(rows)
-        image *= self._deviation
-        total = np.zeros_like(image)
-        for left, right in self._kernels:
-            total += left @ image @ right
-        total *= self._deviation
-        result: Floats = total.reshape(-1)[self._taxels]
-        return result
+        """Return C W^T rows, float32 (n,), until the next call."""
+        image = self._image_of(self._adjoint(rows) * self._deviation)
+        total = self._total
+        if self._is_dense:
+            np.dot(image, self._right, self._half)
+            np.dot(self._down, self._half.reshape(-1, image.shape[1]), total)
+        else:
+            total = self._down @ (image @ self._right).reshape(-1, image.shape[1])
+        back = self._back[:-1]
+        total.reshape(-1).take(self._taxels, None, back, "clip")
+        back *= self._deviation
+        return back
+
+    def _image_of(self, x: Floats) -> Floats:
+        """Return the image of x, float32 (n,), until the next call."""
+        self._x_and_zero[:-1] = x
+        self._x_and_zero.take(self._place_of_cell, None, self._image.reshape(-1), "clip")
+        return self._image
 
     def _deviation_of(self, x: Floats) -> Floats:
-        image = np.zeros_like(self._exists)
-        image.reshape(-1)[self._taxels] = np.maximum(x, 0)
-        blurred: Floats = self._exists * self._blurred(image) / self._neighbours
+        """Return the deviation of each taxel that follows from an estimate, float32 (n,)."""
+        blurred = self._blurred(np.maximum(x, 0)) / self._neighbours
         largest = float(blurred.max())
         if not largest > 0:
-            return self._exists
-        deviation: Floats = (
-            blurred / np.float32(largest) + np.float32(self._t.deviation_floor) * self._exists
-        )
+            return self._ones
+        deviation: Floats = blurred / np.float32(largest) + np.float32(self._t.deviation_floor)
         return deviation
 
-    def _blurred(self, image: Floats) -> Floats:
-        blurred: Floats = self._blur[0] @ image @ self._blur[1]
-        return blurred
+    def _blurred(self, x: Floats) -> Floats:
+        blurred: Floats = self._blur[0] @ self._image_of(x) @ self._blur[1]
+        return blurred.reshape(-1)[self._taxels]
 
     def _rows(self, x: Floats) -> Floats:
         rows = np.empty(self._projection.n_rows, dtype=np.float32)
@@ -263,8 +282,17 @@ def _gaussian(n: int, length: float) -> Any:
         places = np.arange(n)
         distance = (places[:, None] - places) / length
         return np.exp(-0.5 * distance**2).astype(np.float32)
-    from scipy import sparse
+    from scipy import sparse  # here: most skins do not need it
 
     steps = range(-math.ceil(NEGLIGIBLE * length), math.ceil(NEGLIGIBLE * length) + 1)
     values = [np.full(n, math.exp(-0.5 * (step / length) ** 2), np.float32) for step in steps]
     return sparse.dia_array((np.array(values), list(steps)), shape=(n, n)).tocsr()
+
+
+def _side_by_side(matrices: list[Any]) -> Any:
+    """Return matrices of `_gaussian` beside each other."""
+    if isinstance(matrices[0], np.ndarray):
+        return np.hstack(matrices)
+    from scipy import sparse  # here: most skins do not need it
+
+    return sparse.hstack(matrices, format="csr")

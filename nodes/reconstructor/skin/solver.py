@@ -137,8 +137,7 @@ class SkinSolver(Solver):
         self._bias = ClipBias(self._projection, n, tuning)
         few = phi.m < tuning.comparable and n <= tuning.most_direct
         self._held_out = HeldOut(self._projection, n, phi.m, few, tuning)
-        cells = self.taxels[self._projection.order]
-        self._smooth = SmoothModel(self._projection, cells, self.mask, few, tuning)
+        self._smooth = self._smooth_model(compiled, few)
         self._gain = AdaptiveGain(tuning)
         self._memory: RowMemory | None = None
         if self._projection.has_whole:
@@ -190,6 +189,18 @@ class SkinSolver(Solver):
         self._memory = RowMemory(projection, self.phi.m, frame.whole, self._t)
         self._memory.known, self._memory.values = frame.known, frame.values
         frame.use(0, self._held_out.kept, self._bias.ones)
+
+    def _smooth_model(self, compiled: bool, direct: bool) -> SmoothModel:
+        cells = self.taxels[self._projection.order]
+        if direct or not compiled:
+            return SmoothModel(self._projection, cells, self.mask, direct, self._t)
+        # Imported here: they need numba.
+        from sparseskin.nodes.reconstructor.solvers.fast import CompiledProjection
+
+        from .fast import CompiledSmoothModel
+
+        assert isinstance(self._projection, CompiledProjection)
+        return CompiledSmoothModel(self._projection, cells, self.mask, self._t)
 
     def reset(self) -> None:
         self._x.fill(0)

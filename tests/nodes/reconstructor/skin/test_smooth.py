@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import math
 import tracemalloc
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.skin import smooth
 from sparseskin.nodes.reconstructor.skin.smooth import MOST_DENSE, NEGLIGIBLE, SmoothModel
 from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 from sparseskin.nodes.reconstructor.solvers.backends import make_projection
+from sparseskin.nodes.reconstructor.solvers.projection import PlainProjection, SbheProjection
 
 KINDS = ["sbhe", "gaussian", "subsample", "full"]
 #: Relative deviations from the closed form: of the inverse, and of conjugate gradients.
 CLOSE = {True: 1e-4, False: 1e-3}
+needs_numba = pytest.mark.skipif(find_spec("numba") is None, reason="numba is not installed")
 
 
 WHOLE = np.ones((8, 8), dtype=np.bool_)
@@ -33,13 +36,15 @@ def holes() -> Mask:
 class Setting:
     """A skin and measurements of a smooth press, with W, places and K in float64."""
 
-    def __init__(self, kind: str, mask: Mask, direct: bool, ratio: int = 3) -> None:
+    def __init__(
+        self, kind: str, mask: Mask, direct: bool, ratio: int = 3, compiled: bool = False
+    ) -> None:
         n = int(mask.sum())
         self.phi = make_phi(kind, n, n if kind == "full" else n // ratio, seed=0)
-        self.projection = make_projection(self.phi)
+        self.projection = make_projection(self.phi, compiled)
         order = self.projection.order
         cells = np.flatnonzero(mask)[order]
-        self.model = SmoothModel(self.projection, cells, mask, direct=direct)
+        self.model = self.made(cells, mask, direct)
         self.w = np.array([self.rows(column) for column in self.phi.dense()[:, order].T]).T
         self.places = np.stack(np.unravel_index(cells, mask.shape), axis=1)
         middle = 0.45 * np.array(mask.shape)
@@ -54,6 +59,13 @@ class Setting:
         # Well-conditioned, and different for each row.
         power = float(np.mean(np.square(self.w @ self.x)))
         self.variance = (power * rng.uniform(0.1, 0.4, self.used.size)).astype(np.float32)
+
+    def made(self, cells: Indices, mask: Mask, direct: bool) -> SmoothModel:
+        if isinstance(self.projection, SbheProjection | PlainProjection):
+            return SmoothModel(self.projection, cells, mask, direct=direct)
+        from sparseskin.nodes.reconstructor.skin.fast import CompiledSmoothModel
+
+        return CompiledSmoothModel(self.projection, cells, mask)  # type: ignore[arg-type]
 
     def rows(self, y: Doubles) -> Doubles:
         """Measurements as a vector of rows."""
@@ -186,6 +198,45 @@ def test_conjugate_gradients_leave_no_measurement_out() -> None:
     setting.begin()
     setting.model.round()
     assert setting.model.left_out is None
+
+
+@needs_numba
+@pytest.mark.parametrize("mask", [WHOLE, np.ones((1, 40), np.bool_), holes()])
+def test_compiled_loops_find_the_closed_form_too(mask: Mask) -> None:
+    setting = Setting("sbhe", mask, direct=False, compiled=True)
+    n = setting.phi.n
+    setting.begin()
+    setting.model.round()
+    x = setting.model.x.astype(np.float64)
+    assert relative(setting.model.x, setting.closed(np.ones(n), np.zeros(n))) < CLOSE[False]
+    setting.model.round()
+    wanted = setting.closed(setting.deviation(x), np.zeros(n))
+    assert relative(setting.model.x, wanted) < CLOSE[False]
+    last = np.roll(setting.x, 1) * 0.8
+    setting.begin(last, kept=0.5)
+    setting.model.round()
+    wanted = setting.closed(setting.deviation(last), 0.5 * last)
+    assert relative(setting.model.x, wanted) < CLOSE[False]
+
+
+@needs_numba
+@pytest.mark.parametrize("shape", [(64, 64), (1, 40), (70, 3), (21, 1)])
+def test_the_filters_of_compiled_loops_are_gaussians_to_rounding(shape: tuple[int, int]) -> None:
+    from sparseskin.nodes.numerics.kernels import filter_image
+    from sparseskin.nodes.reconstructor.skin.fast import CompiledSmoothModel
+
+    model = Setting("sbhe", np.ones(shape, np.bool_), direct=False, compiled=True).model
+    assert isinstance(model, CompiledSmoothModel)
+    given = np.random.default_rng(0).normal(size=shape).astype(np.float32)
+    image, half, total = model._images
+    image[model._places] = given.reshape(-1)[model._taxels]
+    filter_image(image, half, total, model._layout, *model._filters)
+    found, wanted = np.zeros(shape), np.zeros(shape)
+    found.reshape(-1)[model._taxels] = total[model._places]
+    for length in TUNING.lengths:
+        down, right = (smooth._gaussian(side, length).astype(np.float64) for side in shape)
+        wanted += down @ given @ right / len(TUNING.lengths)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=5e-7 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("length", TUNING.lengths)
