@@ -53,7 +53,7 @@ def test_open_pages_cost_a_graph_nothing_and_are_refused_in_order(tmp_path: Path
 
 @pytest.mark.slow
 def test_commands_beside_graphs_that_start_and_end_remove_nothing_that_is_used() -> None:
-    found = commands.measure({"seconds": 10.0, "seed": 1})
+    found = commands.measure({"seconds": 5.0, "seed": 1})
     assert found["faults"] == []
     assert found["left"] == []
     assert found["frames"]["lost"] == 0

@@ -108,10 +108,17 @@ def test_not_one_of_the_first_thousand_frames_is_lost(start: StartProgram, tmp_p
 def test_as_fast_as_it_is_read_nothing_is_lost_beyond_any_queue(
     start: StartProgram, tmp_path: Path
 ) -> None:
+    (tmp_path / "small.py").write_text(
+        "import itertools, numpy as np\n"
+        "def frames():\n"
+        "    forces = np.zeros((16, 16), np.float32)\n"
+        "    forces[4:8, 4:8] = 1.0\n"
+        "    for k in itertools.count(): yield k, forces\n"
+    )
     # Three times what the queues hold: only a sensor that waits for its readers loses nothing.
     code, _, stderr = start(
         *("launch", "path_40", "--frames", "6000", "--summary", "out.json"),
-        *("--set", "sensor.source=sparseskin.studies.looped:truth_40", "--set", "sensor.rate_hz=0"),
+        *("--set", "sensor.source=small:frames", "--set", "sensor.rate_hz=0"),
         *("--set", "reconstructor.iterations=1", "--set", "reconstructor.depth=1"),
     ).finish()
     assert code == 0, stderr

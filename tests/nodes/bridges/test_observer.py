@@ -65,7 +65,7 @@ type = "foxglove"
 port = 0
 """
     )
-    graph = start("launch", "observed.toml", "--frames", "2000", "--summary", "out.json")
+    graph = start("launch", "observed.toml", "--frames", "1200", "--summary", "out.json")
     graph.wait_for("ready")
     os.kill(graph.pid_of("fox"), signal.SIGSTOP)
     while "sensor ended" not in (line := _line(start)):
@@ -73,11 +73,11 @@ port = 0
     os.kill(graph.pid_of("fox"), signal.SIGCONT)
     assert graph.finish()[0] == 0
     summary = json.loads((tmp_path / "out.json").read_text())
-    assert summary["patches"]["skin"]["frames"]["reconstructed"] == 2000
+    assert summary["patches"]["skin"]["frames"]["reconstructed"] == 1200
     fox = summary["nodes"]["fox"]
     # Of each topic: what was sent, or dropped by the bridge, or by the queue of its writer.
     for topic in ("/skin/taxels", "/skin/truth", "/skin/reconstruction"):
-        assert fox["received"][topic] + fox["lost"][topic] == 2000
+        assert fox["received"][topic] + fox["lost"][topic] == 1200
     streams = sum(fox["received"][topic] for topic in fox["received"] if topic != "/skin/skin")
     assert fox["bridge"]["sent"] + fox["bridge"]["dropped"] == streams
 

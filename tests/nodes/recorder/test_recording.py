@@ -19,7 +19,7 @@ SCENES = ["path_40", "drag_wrench_64"]
 """One of each size of skin: what is recorded of the others is of the same kind."""
 N_FRAMES = 400
 """Of path_40, which is touched from frame 320 on."""
-N_KILLS = int(os.environ.get("SPARSESKIN_KILLS", "5"))
+N_KILLS = int(os.environ.get("SPARSESKIN_KILLS", "3"))
 
 
 def contents(path: Path) -> dict[str, list[tuple[int, bytes]]]:
