@@ -5,6 +5,8 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 export PYTHONDONTWRITEBYTECODE =
 # Many tests wait for other processes: two test processes a core.
 WORKERS := $(shell echo $$((2 * $$(nproc))))
+# Modules are compiled when they are first imported: most of these packages' are never.
+INSTALL_SOME := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder
 
 .PHONY: demo scenes replay-timing page-load page-draw introspection-load soak shots charts charts-quick
@@ -99,11 +101,11 @@ check: .venv/installed-dev
 	touch $@ .venv/installed
 
 .venv/installed-dev: pyproject.toml .venv/python
-	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[dev]'
+	$(INSTALL_SOME) -e '.[dev]'
 	touch $@ .venv/installed
 
 .venv/installed-docs: pyproject.toml .venv/python
-	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[docs]'
+	$(INSTALL_SOME) -e '.[docs]'
 	touch $@ .venv/installed
 
 clean:

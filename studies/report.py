@@ -25,7 +25,6 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 LINES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
 PNG_DPI = 150
 _STYLE: Any = {
-    "figure.constrained_layout.use": True,
     "figure.facecolor": "white",
     "font.size": 10,
     "axes.titlesize": 10,
@@ -145,6 +144,11 @@ class Chart:
                 loc="outside lower center",
                 ncols=self._legend_columns,
             )
+        # The layout takes longer than the drawing, and each file would have one of its own.
+        engine = self.figure.get_layout_engine()
+        assert engine is not None
+        engine.execute(self.figure)
+        self.figure.set_layout_engine(None)
         try:
             self.figure.savefig(f"{self._path}.png", dpi=PNG_DPI)
             self.figure.savefig(f"{self._path}.svg", metadata={"Date": None})
