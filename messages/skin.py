@@ -43,6 +43,9 @@ class Skin:
         Of a skin that is no flat grid: x, y, z in metres, then the outward unit normal, of each
         cell that exists, in row-major order. Its grid is virtual: neighbours on it are neighbours
         on the surface, `pitch_m` is their median distance. None: a flat grid.
+    point_rows : ndarray of int32, shape (n_taxels,), or None
+        Where the points are of a file: the row of each among the file's, from 0, which is the
+        place of its reading in a frame of the source.
 
     Raises
     ------
@@ -57,6 +60,7 @@ class Skin:
     pitch_m: float | None = None
     mask: npt.NDArray[np.bool_] | None = None
     points: npt.NDArray[np.float32] | None = None
+    point_rows: npt.NDArray[np.int32] | None = None
 
     def __post_init__(self) -> None:
         for name, side in (("n_rows", self.n_rows), ("n_cols", self.n_cols)):
@@ -74,6 +78,8 @@ class Skin:
                 raise FieldError("skin: the mask leaves no taxel")
         if self.points is not None:
             _check_points(self.points, self.n_taxels)
+        if self.point_rows is not None:
+            self._check_point_rows(self.point_rows)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -97,8 +103,22 @@ class Skin:
         Raises MessageError if the shape differs, or no taxel is left.
         """
         exists = self.exists
-        points = None if self.points is None else self.points[~cells[exists]]
-        return replace(self, mask=exists & ~cells, points=points)
+        left = ~cells[exists]
+        points = None if self.points is None else self.points[left]
+        rows = None if self.point_rows is None else self.point_rows[left]
+        return replace(self, mask=exists & ~cells, points=points, point_rows=rows)
+
+    def _check_point_rows(self, rows: npt.NDArray[np.int32]) -> None:
+        """Raise MessageError unless each point has a row."""
+        if self.points is None:
+            raise FieldError("skin: point_rows without points")
+        if rows.shape != (len(self.points),) or rows.dtype != np.int32:
+            raise ShapeError(
+                f"skin: point_rows are {rows.dtype} {list(rows.shape)}, expected int32 "
+                f"{[len(self.points)]}"
+            )
+        if (rows < 0).any():
+            raise FieldError(f"skin: point_rows, {int(rows.min())} is below 0")
 
 
 def _check_points(points: npt.NDArray[np.float32], n: int) -> None:

@@ -22,7 +22,7 @@ class SkinState(Message):
 
     Attributes
     ----------
-    n_rows, n_cols, f_max, unit, pitch_m, mask, points
+    n_rows, n_cols, f_max, unit, pitch_m, mask, points, point_rows
         As in `Skin`.
     source : str
         Name of the scene, recording or driver.
@@ -60,6 +60,9 @@ class SkinState(Message):
     points: Floats | None = wire(
         Array("<f4", 2, optional=True, longest=MAX_ELEMENTS // 6), default=None, omitted=True
     )
+    point_rows: npt.NDArray[np.int32] | None = wire(
+        Array("<i4", 1, optional=True), default=None, omitted=True
+    )
 
     def validate(self) -> None:
         _ = self.skin  # raises where the mask or the points do not fit the grid
@@ -68,7 +71,7 @@ class SkinState(Message):
     def skin(self) -> Skin:
         """The skin itself."""
         grid = (self.n_rows, self.n_cols, self.f_max, self.unit, self.pitch_m, self.mask)
-        return Skin(*grid, self.points)
+        return Skin(*grid, self.points, self.point_rows)
 
     @property
     def clips_noise(self) -> bool:

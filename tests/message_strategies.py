@@ -53,6 +53,8 @@ def skin_states(draw: st.DrawFn) -> SkinState:
     shape = draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
     mask = draw(st.none() | hnp.arrays(np.bool_, shape).filter(lambda m: m.any()))
     n = shape[0] * shape[1] if mask is None else int(mask.sum())
+    placed = draw(st.none() | points(n))
+    rows = st.none() | hnp.arrays(np.int32, n, elements=st.integers(0, 2**31 - 1))
     return SkinState(
         **{key: draw(value) for key, value in headers.items()},
         n_rows=shape[0],
@@ -68,7 +70,8 @@ def skin_states(draw: st.DrawFn) -> SkinState:
         sigma_mid=draw(positive),
         sigma_end=draw(positive),
         f_min=-draw(positive),
-        points=draw(st.none() | points(n)),
+        points=placed,
+        point_rows=None if placed is None else draw(rows),
     )
 
 

@@ -138,12 +138,16 @@ def shown(sample: object) -> dict[str, object]:
             "shape": [sample.height, sample.width], "values": values.tolist(),
         }  # fmt: skip
     if isinstance(sample, Points):
-        assert [(f.name, f.offset, f.datatype, f.count) for f in sample.fields] == [
-            ("x", 0, 7, 1), ("y", 4, 7, 1), ("z", 8, 7, 1), ("force", 12, 7, 1),
+        fields = [
+            ("x", 0, 7, 1), ("y", 4, 7, 1), ("z", 8, 7, 1), ("force", 12, 7, 1), ("row", 16, 6, 1),
         ]  # fmt: skip
-        values = np.frombuffer(bytes(sample.data), "<f4").reshape(-1, 4)
-        assert (sample.width, sample.point_step, sample.is_dense) == (len(values), 16, True)
-        return {"points": values.tolist()}
+        n = len(sample.fields)
+        found = [(f.name, f.offset, f.datatype, f.count) for f in sample.fields]
+        assert found == fields[: max(4, n)]
+        values = np.frombuffer(bytes(sample.data), "<f4").reshape(-1, n)
+        assert (sample.width, sample.point_step, sample.is_dense) == (len(values), 4 * n, True)
+        rows = values[:, 4:].copy().view("<u4").ravel().tolist()
+        return {"points": values[:, :4].tolist(), "rows": rows}
     assert isinstance(sample, Array)
     return {"shape": [d.size for d in sample.layout.dim], "values": list(sample.data)}
 

@@ -22,9 +22,8 @@ HEAD = b"\x00\x01\x00\x00"
 MAX_STRING = 1 << 16
 MAX_SIDE = 4096
 MAX_DIMENSIONS = 8
-FLOAT32 = 7
-"""Number of the type of a field in sensor_msgs/PointField."""
-POINT_STEP = 16
+UINT32, FLOAT32 = 6, 7
+"""Numbers of the types of a field in sensor_msgs/PointField."""
 FORMATS = {
     "32FC1": "f4",
     "64FC1": "f8",
@@ -76,27 +75,31 @@ def image(stamp: tuple[int, int], frame_id: str, forces: Floats) -> bytes:
 
 
 @lru_cache(maxsize=64)
-def _cloud_middle(frame_id: str, n_points: int) -> bytes:
+def _cloud_middle(frame_id: str, n_points: int, has_rows: bool) -> bytes:
     body = _Body()
     body.put("iI", 0, 0)
     body.text(frame_id)
     body.put("II", 1, n_points)
-    names = ("x", "y", "z", "force")
-    body.put("I", len(names))
-    for k, name in enumerate(names):
+    fields = [(name, FLOAT32) for name in ("x", "y", "z", "force")]
+    fields += [("row", UINT32)] * has_rows
+    body.put("I", len(fields))
+    for k, (name, kind) in enumerate(fields):
         body.text(name)
         body.put("I", 4 * k)
-        body.put("B", FLOAT32)
+        body.put("B", kind)
         body.put("I", 1)
+    step = 4 * len(fields)
     body.put("B", 0)
-    body.put("II", POINT_STEP, POINT_STEP * n_points)
-    body.put("I", POINT_STEP * n_points)
+    body.put("II", step, step * n_points)
+    body.put("I", step * n_points)
     return bytes(body.data[8:])
 
 
 def cloud(stamp: tuple[int, int], frame_id: str, points: npt.NDArray[np.float32]) -> bytes:
-    """A sensor_msgs/PointCloud2 of points (n, 4): x, y, z in metres, and the force."""
-    middle = _cloud_middle(frame_id, len(points))
+    """A sensor_msgs/PointCloud2 of points (n, 4): x, y, z in metres, and the force; or (n, 5), the
+    last being the bits of uint32, the row of a file of points.
+    """
+    middle = _cloud_middle(frame_id, len(points), points.shape[1] == 5)
     data = np.ascontiguousarray(points, "<f4").tobytes()
     return b"".join((HEAD, struct.pack("<iI", *stamp), middle, data, b"\x01"))
 

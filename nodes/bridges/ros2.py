@@ -126,15 +126,17 @@ class Ros2Bridge(Bridge[Ros2Settings]):
 
     def _cloud(self, message: Map, skin: SkinState) -> npt.NDArray[np.float32]:
         """Place in metres and force of the taxels that exist; on a flat grid x runs along the
-        columns and y along the rows.
+        columns and y along the rows. Of points from a file their rows, too, as bits of uint32.
         """
         exists = skin.mask if skin.mask is not None else np.ones(skin.skin.shape, bool)
         points = self._points.get(message.patch)
         if points is None:
             rows, cols = np.nonzero(exists)
-            points = np.zeros((len(rows), 4), np.float32)
+            points = np.zeros((len(rows), 4 + (skin.point_rows is not None)), np.float32)
             if skin.points is not None:
                 points[:, :3] = skin.points[:, :3]
+                if skin.point_rows is not None:
+                    points[:, 4] = skin.point_rows.astype("<u4").view("<f4")
             else:
                 pitch_m = skin.pitch_m or UNKNOWN_PITCH_M
                 points[:, 0], points[:, 1] = pitch_m * cols, pitch_m * rows

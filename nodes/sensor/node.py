@@ -70,6 +70,9 @@ class Sensor(SourceNode[SensorSettings]):
             self.close({})
             raise
         self.skin = self._stage.chain.skin if self._stage else self._source_skin
+        if self._placement is not None:  # a calibration does not know them
+            rows = self._placement.point_rows(self.skin.exists)
+            self.skin = replace(self.skin, point_rows=rows)
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
         self._live = isinstance(self._source, DriverSource | BoardSource)

@@ -351,8 +351,25 @@ def test_points_are_those_of_the_cells_that_exist() -> None:
             on_points(wrong, mask)
 
 
+@pytest.mark.parametrize(
+    ("rows", "fault"),
+    [
+        (np.zeros(2, np.int32), r"expected int32 \[3\]"),
+        (np.zeros(3, np.int32) - 1, "-1 is below 0"),
+    ],
+)
+def test_rows_of_points_are_one_a_point(rows: np.ndarray, fault: str) -> None:
+    points = np.zeros((3, 6), np.float32)
+    points[:, 5] = 1
+    state = on_points(points, np.array([[True, False], [True, True]]))
+    with pytest.raises(MessageError, match=fault):
+        dataclasses.replace(state, point_rows=rows)
+    with pytest.raises(MessageError, match="without points"):
+        dataclasses.replace(state, points=None, point_rows=np.zeros(3, np.int32))
+
+
 def test_a_flat_skin_has_the_bytes_that_it_had_without_points() -> None:
-    assert "points" not in body_of(on_points(None))
+    assert not {"points", "point_rows"} & body_of(on_points(None)).keys()
 
 
 @pytest.mark.parametrize(

@@ -43,10 +43,13 @@ def array_names(schema: str) -> tuple[str, str]:
 
 
 def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
-    """`f_max` and `unit` of a skin; `mask`, `points`, `pitch_m` and `rate_hz` where known."""
+    """`f_max` and `unit` of a skin; `mask`, `points`, `point_rows`, `pitch_m` and `rate_hz` where
+    known.
+    """
     optional = {
         "mask": skin.mask,
         "points": skin.points,
+        "point_rows": skin.point_rows,
         "pitch_m": skin.pitch_m or None,
         "rate_hz": rate_hz or None,
     }

@@ -11,7 +11,7 @@ from typing import Any, TextIO
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import Measurements, Message, Reconstruction
+from sparseskin.messages import Measurements, Message, Reconstruction, SkinState
 from sparseskin.messages.fields import Array
 from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.nodes.files import whole_folder
@@ -23,7 +23,7 @@ from sparseskin.nodes.recorder.bag.frames import (
     streams,
 )
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.sensor.files.own_csv import FIRST_LINE
+from sparseskin.nodes.sensor.files.own_csv import FIRST_LINE, POINT_ROWS
 
 from .columns import fields_of
 
@@ -37,9 +37,10 @@ def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     Each PATCH_SCHEMA.csv has, below lines that begin with `#`, a header line with the names of
     its columns, and then a frame a line: `stamp_ns`, the figures of the message, and the taxels
     r0c0, r0c1, ... row after row (or the measurements y0, y1, ...), in the shortest decimals that
-    give the same float32 again. The second line is a comment with the states of the patch as
-    JSON: shape, range, unit, pitch, mask, calibration, Phi, solver; so the sensor's `file:` source
-    reads it as it is. Standard deviations are in PATCH_reconstruction_sd.csv. stamps.csv lists
+    give the same float32 again. The second line is a comment with the states of the patch as JSON:
+    shape, range, unit, pitch, mask, calibration, Phi, solver; so the sensor's `file:` source reads
+    it as it is. Of a skin of points, a third one has the row of the points file that each column
+    is of. Standard deviations are in PATCH_reconstruction_sd.csv. stamps.csv lists
     topic, frame (from 0) and stamp_ns, below a line with these names.
 
     Raises BagError if the bag has no such frames, OutputError if the folder exists or cannot be
@@ -91,7 +92,22 @@ def _head(
         for schema in (cls.schema for cls in STATES)
         if topic_of(patch, schema) in states
     }
-    return f"{FIRST_LINE}{topic}{suffix}\n# {json.dumps(described)}\n{','.join(names)}\n"
+    columns = list(names)
+    rows = _point_rows(described.get(SkinState.schema, {}), columns)
+    return f"{FIRST_LINE}{topic}{suffix}\n# {json.dumps(described)}\n{rows}{','.join(columns)}\n"
+
+
+def _point_rows(skin: Mapping[str, Any], columns: list[str]) -> str:
+    """Comment with the row of the file of points in each column of a taxel; "" without one."""
+    rows = skin.get("point_rows")
+    if rows is None or "r0c0" not in columns:
+        return ""
+    cells = columns[columns.index("r0c0") :]
+    exists = "".join(skin["mask"] or ["1" * len(cells)])
+    left = iter(rows)
+    found = [str(next(left)) if one == "1" else "" for one in exists]
+    before = [""] * (len(columns) - len(cells) - 1)
+    return ",".join([POINT_ROWS, *before, *found]) + "\n"
 
 
 def _figures(message: Message) -> dict[str, Any]:

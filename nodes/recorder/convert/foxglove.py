@@ -30,6 +30,8 @@ INSTALL = "writing for Foxglove needs foxglove-sdk; pip install 'sparseskin[foxg
 UNKNOWN_CELL_M = 1.0
 """Side of a cell of a grid where the pitch is not known, metres: places then count taxels."""
 FLOAT32_BYTES = 4
+ROW = "row"
+"""Field of a point cloud: the row of each point in its file."""
 
 
 def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
@@ -40,7 +42,8 @@ def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = No
     - the frames as foxglove.RawImage, 32FC1, on the same topic; measurements are 1 x M;
     - taxels, truth and reconstruction as foxglove.Grid on /PATCH/SCHEMA/grid, field `force`, in
       metres: x along a row, y along a column, from the middle of the skin, which is the origin of
-      the frame PATCH; of a skin of points also as foxglove.PointCloud on /PATCH/SCHEMA/points;
+      the frame PATCH; of a skin of points also as foxglove.PointCloud on /PATCH/SCHEMA/points, with
+      normals and, where known, the row of each point in its file;
     - the standard deviations as a RawImage on /PATCH/reconstruction/sd, and as field `sd` of that
       grid;
     - all numbers of the message, and the sum of the frame, as protobuf on /PATCH/SCHEMA/figures
@@ -126,7 +129,7 @@ def _messages(message: Message, skin: SkinState | None) -> Iterable[tuple[str, A
             layers["sd"] = message.sd
         yield f"{topic}/grid", "Grid", grid(message, layers, skin)
         if skin is not None and skin.points is not None:
-            yield f"{topic}/points", "PointCloud", point_cloud(message, layers, skin)
+            yield f"{topic}/points", "PointCloud", point_cloud(message, layers, skin, True)
     if has_figures(cls):
         yield f"{topic}/figures", cls, encoded(cls, figure_values(message))
 
@@ -185,10 +188,14 @@ def grid(
 
 
 def point_cloud(
-    message: Message, layers: dict[str, npt.NDArray[np.float32]], skin: SkinState
+    message: Message,
+    layers: dict[str, npt.NDArray[np.float32]],
+    skin: SkinState,
+    normals: bool = False,
 ) -> Any:
-    """foxglove.PointCloud of the layers of a frame on a skin of points: x, y, z in metres, and each
-    layer, float32 (n_rows, n_cols), at the taxels that exist.
+    """foxglove.PointCloud of the layers of a frame on a skin of points: x, y, z in metres, each
+    layer, float32 (n_rows, n_cols), at the taxels that exist, where they are wanted the `normals`,
+    and where it is known `row`, uint32, the row of the file of points.
     """
     from foxglove.messages import (
         PackedElementField,
@@ -201,8 +208,17 @@ def point_cloud(
 
     assert skin.points is not None
     exists = skin.skin.exists
-    names = ("x", "y", "z", *layers)
-    columns = [*skin.points[:, :3].T, *(layer[exists] for layer in layers.values())]
+    columns = dict(zip(("x", "y", "z"), skin.points[:, :3].T, strict=True))
+    columns |= {name: layer[exists] for name, layer in layers.items()}
+    if normals:
+        columns |= dict(zip(("nx", "ny", "nz"), skin.points[:, 3:].T, strict=True))
+    table = np.empty((len(skin.points), len(columns) + (skin.point_rows is not None)), "<f4")
+    for k, column in enumerate(columns.values()):
+        table[:, k] = column
+    names = [*columns]
+    if skin.point_rows is not None:
+        table[:, -1] = skin.point_rows.astype("<u4").view("<f4")
+        names.append(ROW)
     return PointCloud(
         timestamp=_timestamp(message.stamp_ns),
         frame_id=message.patch,
@@ -213,11 +229,15 @@ def point_cloud(
         point_stride=FLOAT32_BYTES * len(names),
         fields=[
             PackedElementField(
-                name=name, offset=FLOAT32_BYTES * k, type=PackedElementFieldNumericType.Float32
+                name=name,
+                offset=FLOAT32_BYTES * k,
+                type=PackedElementFieldNumericType.Uint32
+                if name == ROW
+                else PackedElementFieldNumericType.Float32,
             )
             for k, name in enumerate(names)
         ],
-        data=np.stack(columns, axis=-1).astype("<f4").tobytes(),
+        data=table.tobytes(),
     )
 
 

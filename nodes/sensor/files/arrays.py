@@ -48,7 +48,17 @@ MAX_CHECKED_BYTES = 1 << 30
 sensor checks all."""
 _MOST = 64
 """Arrays of an .npz without `forces` whose shapes are looked at."""
-NPZ_NAMES = ("forces", "stamp_ns", "rate_hz", "mask", "f_max", "unit", "pitch_m", "points")
+NPZ_NAMES = (
+    "forces",
+    "stamp_ns",
+    "rate_hz",
+    "mask",
+    "f_max",
+    "unit",
+    "pitch_m",
+    "points",
+    "point_rows",
+)
 """Names of the arrays that are read from an .npz; all others are ignored."""
 
 
@@ -73,7 +83,8 @@ def parse_npz(raw: bytes, name: str) -> Parsed:
     optionally `stamp_ns`, shape (n_frames,), rising integers; `rate_hz`, `f_max` and `pitch_m`,
     one number each; `unit`, a text; `mask`, shape (n_rows, n_cols), True or 1 where a taxel
     exists; `points`, float32 of shape (n_taxels, 6): place in metres and unit normal of each taxel
-    of a skin that is no flat grid. Values of cells without a taxel are ignored, and become 0.
+    of a skin that is no flat grid; `point_rows`, whole numbers of shape (n_taxels,): their rows in
+    a file of points. Values of cells without a taxel are ignored, and become 0.
 
     Raises
     ------
@@ -97,9 +108,12 @@ def parsed_arrays(arrays: Mapping[str, npt.NDArray[Any]], name: str) -> Parsed:
     mask = _mask(arrays["mask"], forces.shape[1:], name) if "mask" in arrays else None
     if mask is not None:
         forces = np.where(mask, forces, forces.dtype.type(0))
-    points = None
+    points = point_rows = None
     if "points" in arrays:
-        points = _points(arrays["points"], mask, forces.shape[1:], f"{name}, array 'points'")
+        exists = np.ones(forces.shape[1:], dtype=np.bool_) if mask is None else mask
+        points = _points(arrays["points"], exists, f"{name}, array 'points'")
+        if "point_rows" in arrays:
+            point_rows = _point_rows(arrays["point_rows"], exists, f"{name}, array 'point_rows'")
     unit = None
     if "unit" in arrays:
         if arrays["unit"].shape != () or arrays["unit"].dtype.kind != "U":
@@ -117,20 +131,32 @@ def parsed_arrays(arrays: Mapping[str, npt.NDArray[Any]], name: str) -> Parsed:
         mask=mask,
         f_max=_scalar(arrays, "f_max", name),
         points=points,
+        point_rows=point_rows,
     )
 
 
-def _points(
-    array: npt.NDArray[Any], mask: Mask | None, shape: tuple[int, ...], where: str
-) -> Floats:
+def _points(array: npt.NDArray[Any], exists: Mask, where: str) -> Floats:
     """Places and normals on the grid, float32 (n_rows, n_cols, 6)."""
-    exists = np.ones(shape, dtype=np.bool_) if mask is None else mask
     expected = (int(np.count_nonzero(exists)), 6)
     if array.shape != expected or array.dtype != np.float32:
         raise SourceError(
             f"{where}: {array.dtype} of shape {array.shape}; expected float32 of {expected}"
         )
-    found = np.zeros((*shape, 6), dtype=np.float32)
+    found = np.zeros((*exists.shape, 6), dtype=np.float32)
+    found[exists] = array
+    return found
+
+
+def _point_rows(array: npt.NDArray[Any], exists: Mask, where: str) -> npt.NDArray[np.int32]:
+    """Rows of the points on the grid, int32 (n_rows, n_cols)."""
+    n = int(np.count_nonzero(exists))
+    if array.dtype.kind not in "iu" or array.shape != (n,):
+        raise SourceError(
+            f"{where}: {array.dtype} of shape {array.shape}; expected whole numbers of ({n},)"
+        )
+    if not ((array >= 0) & (array <= np.iinfo(np.int32).max)).all():
+        raise SourceError(f"{where}: numbers outside 0..{np.iinfo(np.int32).max}")
+    found = np.full(exists.shape, -1, dtype=np.int32)
     found[exists] = array
     return found
 

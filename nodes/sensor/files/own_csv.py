@@ -27,6 +27,8 @@ from .parsed import (
 
 FIRST_LINE = "# sparseskin frames of "
 """Begin of the first line; the topic follows."""
+POINT_ROWS = "# point_rows"
+"""Begin of the line above the header that states rows of a file of points, where there is one."""
 _CELL = re.compile(r"r(\d{1,4})c(\d{1,4})")
 _MAX_DEPTH_LINE = 1 << 21
 """Longest description, characters: a mask of 2**20 cells and the rest."""
@@ -47,11 +49,11 @@ def parse_own_csv(raw: bytes, name: str, policy: Policy) -> Parsed:
         reading is not allowed.
     """
     lines = text_lines(raw)
-    skin, columns, shape = _head(lines, name)
+    skin, columns, shape, header = _head(lines, name)
     first = columns.index("r0c0")
     at = columns.index("stamp_ns") if "stamp_ns" in columns else None
     frames, stamps = [], []
-    for index, line in enumerate(lines[3:], start=4):
+    for index, line in enumerate(lines[header:], start=header + 1):
         if not line.strip():
             continue
         where = f"{name}, line {index}"
@@ -89,13 +91,16 @@ def own_csv_shape(raw: bytes, name: str) -> tuple[int, int, int | None]:
     SourceError
         If the topic has no taxels, or description or header are malformed.
     """
-    skin, _, shape = _head(text_lines(raw), name)
+    skin, _, shape, _ = _head(text_lines(raw), name)
     mask = _mask(skin, shape, name)
     return *shape, None if mask is None else int(mask.sum())
 
 
-def _head(lines: list[str], name: str) -> tuple[dict[str, Any], list[str], tuple[int, int]]:
-    """What the file states of the skin, the names of its columns, and the shape of a frame."""
+def _head(lines: list[str], name: str) -> tuple[dict[str, Any], list[str], tuple[int, int], int]:
+    """What the file states of the skin, the names of its columns, the shape of a frame, and the
+    number of the line with these names, from 1.
+    """
+    header = 4 if len(lines) > 3 and lines[2].startswith(POINT_ROWS) else 3
     if len(lines) < 3 or not lines[1].startswith("# {") or len(lines[1]) > _MAX_DEPTH_LINE:
         raise SourceError(f"{name}, line 2: expected the description of the skin, '# {{...}}'")
     try:
@@ -103,24 +108,25 @@ def _head(lines: list[str], name: str) -> tuple[dict[str, Any], list[str], tuple
     except (ValueError, RecursionError) as error:
         raise SourceError(f"{name}, line 2: {shown(error, 80)}") from error
     skin = described.get("skin", {})
-    columns = [column.strip() for column in lines[2].split(",")]
+    columns = [column.strip() for column in lines[header - 1].split(",")]
     cells = [match for column in columns if (match := _CELL.fullmatch(column))]
     if not cells or not isinstance(skin, dict):
         topic = lines[0].removeprefix(FIRST_LINE)
         raise SourceError(
-            f"{name}, line 3: {shown(topic)} holds no taxels; allowed are taxels, truth and "
+            f"{name}, line {header}: {shown(topic)} holds no taxels; allowed are taxels, truth and "
             "reconstruction"
         )
     last = cells[-1]
     n_rows, n_cols = (
-        parse_whole(side, f"{name}, line 3", 0, MAX_SIDE) + 1 for side in last.groups()
+        parse_whole(side, f"{name}, line {header}", 0, MAX_SIDE) + 1 for side in last.groups()
     )
     check_grid(n_rows, n_cols, name)
     expected = [f"r{k // n_cols}c{k % n_cols}" for k in range(n_rows * n_cols)]
     first = columns.index(cells[0][0])
     if columns[first : first + len(expected)] != expected:
-        raise SourceError(f"{name}, line 3: the columns are not r0c0..{last[0]}, row after row")
-    return skin, columns, (n_rows, n_cols)
+        fault = f"the columns are not r0c0..{last[0]}, row after row"
+        raise SourceError(f"{name}, line {header}: {fault}")
+    return skin, columns, (n_rows, n_cols), header
 
 
 def _stamp(token: str, where: str) -> int:

@@ -97,6 +97,8 @@ class Parsed:
         Upper end of the range, in `unit`.
     points : ndarray of float32, shape (n_rows, n_cols, 6), or None
         Place in metres and unit normal of each taxel; of cells without one, anything.
+    point_rows : ndarray of int32, shape (n_rows, n_cols), or None
+        Row of each taxel in a file of points; of cells without one, anything.
     """
 
     forces: npt.NDArray[Any]
@@ -107,6 +109,7 @@ class Parsed:
     mask: Mask | None = None
     f_max: float | None = None
     points: Floats | None = None
+    point_rows: npt.NDArray[np.int32] | None = None
 
 
 def shown(text: object, limit: int = 40) -> str:

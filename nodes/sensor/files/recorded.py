@@ -164,12 +164,13 @@ def open_file(
     check_stated_shape(rows, cols, n_rows, n_cols, name)
     keeps = policy.negative == KEEP
     check_readings(parsed.forces, name, -MAX_READING if keeps else 0.0)
-    forces, mask, points = parsed.forces, parsed.mask, parsed.points
+    forces, mask, points, rows_of = parsed.forces, parsed.mask, parsed.points, parsed.point_rows
     if crop is not None:
         window = _window(crop, rows, cols, name)
         forces = forces[:, *window]
         mask = None if mask is None else mask[window].copy()
         points = None if points is None else points[window]
+        rows_of = None if rows_of is None else rows_of[window]
     if mask is not None and not mask.any():
         raise SourceError(f"{name}: no cell of the skin is a taxel, all are masked")
     frames = forces.astype(np.float32)
@@ -185,7 +186,8 @@ def open_file(
     )
     if points is not None:
         try:
-            skin = replace(skin, points=points[skin.exists])
+            point_rows = None if rows_of is None else rows_of[skin.exists]
+            skin = replace(skin, points=points[skin.exists], point_rows=point_rows)
         except MessageError as error:
             raise SourceError(f"{name}, array 'points': {error}") from error
     return RecordedSource(

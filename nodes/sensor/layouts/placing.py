@@ -31,7 +31,7 @@ from scipy.spatial import cKDTree
 from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.arrays import Doubles, Indices
+from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
 
 from .files import load_points
 from .points import Points
@@ -91,7 +91,14 @@ class Placement:
         order = np.argsort(self.cells)
         rows = np.concatenate([self.points.places, self.points.normals], axis=1)[order]
         points = np.ascontiguousarray(rows, dtype=np.float32)
-        return Skin(*self.shape, f_max, unit, self.pitch_m, None if mask.all() else mask, points)
+        found = None if mask.all() else mask
+        return Skin(*self.shape, f_max, unit, self.pitch_m, found, points, self.point_rows(mask))
+
+    def point_rows(self, exists: Mask) -> npt.NDArray[np.int32]:
+        """Row of each taxel of a mask of the grid among those of the file, int32 (n_taxels,)."""
+        rows = np.full(self.shape, -1, dtype=np.int32)
+        rows.reshape(-1)[self.cells] = self.points.slots
+        return rows[exists]
 
     def summary(self) -> str:
         """Number of taxels, grid and distance, for a log."""

@@ -200,7 +200,8 @@ def test_a_skin_of_points_is_a_point_cloud(bridge: FoxgloveBridge) -> None:
     exists[2, 3] = False
     points = np.random.default_rng(1).random((exists.sum(), 6)).astype(np.float32)
     points[:, 3:] = (0, 0, 1)
-    state = dataclasses.replace(skin(), mask=exists, points=points)
+    rows = np.random.default_rng(2).permutation(len(points)).astype(np.int32)
+    state = dataclasses.replace(skin(), mask=exists, points=points, point_rows=rows)
     topic = f"{TOPIC}/points"
     for message in (state, taxels(0)):
         list(bridge.step(message))
@@ -211,8 +212,10 @@ def test_a_skin_of_points_is_a_point_cloud(bridge: FoxgloveBridge) -> None:
             got = client.receive()
     # foxglove.PointCloud: point_stride 4, fields 5, data 6.
     cloud = fields_of(got.payload)
-    assert int.from_bytes(cloud[4][0], "little") == 16
-    assert [fields_of(field)[1][0].decode() for field in cloud[5]] == ["x", "y", "z", "force"]
-    found = np.frombuffer(cloud[6][0], "<f4").reshape(-1, 4)
+    assert int.from_bytes(cloud[4][0], "little") == 20
+    names = [fields_of(field)[1][0].decode() for field in cloud[5]]
+    assert names == ["x", "y", "z", "force", "row"]
+    found = np.frombuffer(cloud[6][0], "<f4").reshape(-1, 5)
+    assert np.array_equal(found[:, 4].copy().view("<u4"), rows)
     assert np.array_equal(found[:, :3], points[:, :3])
     assert np.array_equal(found[:, 3], taxels(1).forces[exists])

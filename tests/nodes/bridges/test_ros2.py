@@ -62,8 +62,10 @@ def frame(k: int) -> Taxels:
     return Taxels(stamp_ns=stamp_ns, patch="skin", forces=made)
 
 
-def sent(messages: list[Message], kind: str, topic: str) -> Iterator[dict[str, Any]]:
-    """What the other process received of these messages."""
+def sent(
+    messages: list[Message], kind: str, topic: str, **of_skin: Any
+) -> Iterator[dict[str, Any]]:
+    """What the other process received of these messages, of a skin with these properties, too."""
     bridge = Ros2Bridge(
         Ros2Settings(domain=DOMAIN, messages=(kind,), history=1000), Context("ros2", ManualClock(0))
     )
@@ -71,6 +73,7 @@ def sent(messages: list[Message], kind: str, topic: str) -> Iterator[dict[str, A
     skin = SkinState(
         stamp_ns=0, patch="skin", n_rows=6, n_cols=9, f_max=2.5, unit="N", pitch_m=0.25, mask=MASK,
         source="test", seed=0, rate_hz=0.0, has_truth=False, sigma_mid=0.0, sigma_end=0.0,
+        **of_skin,
     )  # fmt: skip
     writer = bridge._writers[f"{kind} /skin/taxels"]
     with Peer("read", topic, kind, len(messages)) as peer:
@@ -99,6 +102,20 @@ def test_points_are_the_taxels_that_exist_at_the_pitch_of_the_skin() -> None:
         [0.25 * cols, 0.25 * rows, 0 * rows, frame(3).forces[MASK]], axis=1
     ).tolist()
     assert got["points"] == expected
+    assert got["rows"] == []
+
+
+def test_points_of_a_file_have_their_place_and_row() -> None:
+    n = int(MASK.sum())
+    points = np.zeros((n, 6), np.float32)
+    points[:, :3], points[:, 5] = np.random.default_rng(0).normal(size=(n, 3)), 1
+    rows = np.random.default_rng(1).permutation(n).astype(np.int32)
+    rows[0] = 2**31 - 1
+    of_skin = {"points": points, "point_rows": rows}
+    (got,) = sent([frame(3)], "points", "/skin/taxels/points", **of_skin)
+    expected = np.column_stack([points[:, :3], frame(3).forces[MASK]])
+    assert got["points"] == expected.tolist()
+    assert got["rows"] == rows.tolist()
 
 
 def test_arrays_have_rows_and_columns() -> None:

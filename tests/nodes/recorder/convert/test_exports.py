@@ -22,6 +22,7 @@ from sparseskin.messages import (
     PhiState,
     Reconstruction,
     Resultant,
+    SkinState,
     SolverState,
     Taxels,
     decode,
@@ -113,6 +114,84 @@ def refusal(read: Callable[[], object]) -> str:
     except SparseskinError as error:
         return str(error)
     return ""
+
+
+# --- points ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def on_points(tmp_path: Path) -> tuple[Path, SkinState]:
+    """A bag of a skin of points from a file, whose order is not that of the grid."""
+    rng, n = np.random.default_rng(5), int(MASK.sum())
+    points = np.zeros((n, 6), np.float32)
+    points[:, :3], points[:, 5] = rng.normal(size=(n, 3)), 1
+    rows = rng.permutation(n).astype(np.int32)
+    state = replace(skin_state(), points=points, point_rows=rows)
+    make_bag(tmp_path / "a.mcap", [state, *frame(0), *frame(1)])
+    return tmp_path / "a.mcap", state
+
+
+def test_an_npz_has_the_row_of_the_points_file_of_each_taxel(
+    on_points: tuple[Path, SkinState],
+) -> None:
+    path, state = on_points
+    with BagReader(path) as bag:
+        (npz,) = export_npz(bag, path.with_name("a.npz"))
+    assert import_file(npz, path.with_name("b.mcap")) == 2
+    assert by_topic(path.with_name("b.mcap")) == by_topic(path)
+    skin = open_file(npz).skin
+    assert skin.point_rows is not None
+    assert state.point_rows is not None
+    assert np.array_equal(skin.point_rows, state.point_rows)
+    with np.load(npz) as arrays:
+        assert np.array_equal(arrays["point_rows"], state.point_rows)
+        assert np.array_equal(arrays["points"], state.points)
+        changed = {**arrays, "point_rows": arrays["point_rows"][:-1]}
+    np.savez(path.with_name("c.npz"), **changed)
+    n = len(state.point_rows)
+    line = f"array 'point_rows': int32 of shape ({n - 1},); expected whole numbers of ({n},)"
+    assert line in refusal(lambda: open_file(path.with_name("c.npz")))
+
+
+def test_a_csv_has_the_row_of_the_points_file_above_each_column(
+    on_points: tuple[Path, SkinState],
+) -> None:
+    path, state = on_points
+    assert state.point_rows is not None
+    with BagReader(path) as bag:
+        export_csv(bag, path.with_name("a_csv"))
+    sent = [m for m in frame(0) if isinstance(m, Reconstruction)]
+    for name in ("skin_taxels", "skin_reconstruction"):
+        file = path.with_name("a_csv") / f"{name}.csv"
+        lines = file.read_text().splitlines()
+        above = dict(zip(lines[3].split(","), lines[2].split(","), strict=True))
+        assert above["stamp_ns"] == "# point_rows"
+        left = iter(state.point_rows.tolist())
+        for (row, col), exists in np.ndenumerate(MASK):
+            assert above[f"r{row}c{col}"] == (str(next(left)) if exists else "")
+        source = open_file(file)
+    assert np.array_equal(next(iter(source))[1], sent[0].forces)
+    measured = (path.with_name("a_csv") / "skin_measurements.csv").read_text()
+    assert "# point_rows" not in measured
+
+
+def test_a_point_cloud_of_foxglove_has_normals_and_the_rows_of_the_points_file(
+    on_points: tuple[Path, SkinState],
+) -> None:
+    pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
+    from sparseskin.nodes.recorder.convert.foxglove import export_foxglove
+
+    path, state = on_points
+    with BagReader(path) as bag:
+        (made,) = export_foxglove(bag, path.with_name("a_foxglove.mcap"))
+    _, _, cloud = decoded_protobuf(made)["/skin/taxels/points"][0]
+    names = [field.name for field in cloud.fields]
+    assert names == ["x", "y", "z", "force", "nx", "ny", "nz", "row"]
+    table = np.frombuffer(cloud.data, "<f4").reshape(-1, cloud.point_stride // 4)
+    (sent,) = (m for m in frame(0) if isinstance(m, Taxels))
+    assert np.array_equal(table[:, 3], sent.forces[MASK])
+    assert np.array_equal(table[:, [0, 1, 2, 4, 5, 6]], state.points)
+    assert np.array_equal(table[:, 7].copy().view("<u4"), state.point_rows)
 
 
 # --- npz -------------------------------------------------------------------------------------

@@ -54,6 +54,8 @@ def test_each_point_has_a_cell_of_its_own(n: int, seed: int, form: str) -> None:
     # The state's rows are those of the cells, in their order.
     assert skin.points is not None
     assert np.array_equal(skin.points[:, :3], places[np.argsort(found.cells)].astype(np.float32))
+    assert skin.point_rows is not None
+    assert np.array_equal(skin.points[:, :3], places[skin.point_rows].astype(np.float32))
     values = np.arange(1.0, n + 1)
     assert np.array_equal(found.on_grid(values).reshape(-1)[found.cells], values)
     assert np.count_nonzero(found.on_grid(values)) == n

@@ -102,12 +102,14 @@ def test_readings_in_the_order_of_the_file_stand_on_the_grid(folder: Path) -> No
     assert taxels.forces.tolist() == [[2, 6, 5], [4, 1, 3]]
     assert run.state.points is not None
     assert np.allclose(run.state.points[0, :3], [0, 0.004, 0])
+    assert run.state.point_rows.tolist() == [1, 5, 4, 3, 0, 2]
 
 
 def test_a_skin_file_with_points_is_calibrated_in_their_order(folder: Path) -> None:
     run = Run(source="file:six.npy", skin="six.toml", drift=0.0)
     (taxels,) = run.frame()
     assert taxels.forces.tolist() == [[4, 6, 5], [4, 1, 3]]
+    assert run.state.point_rows.tolist() == [1, 5, 4, 3, 0, 2]
     again = folder / "again.toml"
     save_skin(again, load_skin("six.toml"))
     loaded = load_skin(again)
