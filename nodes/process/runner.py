@@ -266,20 +266,30 @@ class Runner:
     def _tick(self) -> None:
         stamp_ns = max(self.clock.now_ns(), self.last_stamp_ns + 1)
         self.last_stamp_ns = stamp_ns
-        self._publish(self.host.tick(Tick(stamp_ns, self.n_ticks)))
+        n_sent = self._publish(self.host.tick(Tick(stamp_ns, self.n_ticks)))
         node = self.host.node
         if isinstance(node, SourceNode) and not node.acquired:
             return
-        self.n_ticks += 1
+        exhausted = isinstance(node, SourceNode) and node.exhausted
+        # A driver may end at a tick that has no frame any more.
+        self.n_ticks += not exhausted or n_sent > len(self.host.ends)
         source = self._source
         if source is not None and source.follows_readers:
             self.asks.append(self.writer.ask())
-        if self.max_frames is not None and self.n_ticks >= self.max_frames:
+        if self.max_frames is None:
+            return
+        if self.n_ticks >= self.max_frames:
             self._publish(self.host.finish_frames(stamp_ns))
+        elif exhausted:
+            self.log(f"the source ended after {self.n_ticks} of the {self.max_frames} frames")
 
-    def _publish(self, messages: Iterable[Message]) -> None:
+    def _publish(self, messages: Iterable[Message]) -> int:
+        """Send messages; return their number."""
+        n_sent = 0
         for message in messages:
             self.writer.send(message)
+            n_sent += 1
+        return n_sent
 
     def _report(self) -> None:
         """Send events to the launcher: ready, heartbeat, failure, end."""

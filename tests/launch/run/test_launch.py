@@ -369,9 +369,11 @@ def test_readings_outside_the_range_are_clipped_but_not_silently(
         "    for k in range(10): yield k, np.full((5, 4), 3.5 if k == 7 else -1.0 - k)\n"
     )
     code, stdout, stderr = start(
-        *("launch", "replay", "--set", "sensor.source=upside:frames", "--summary", "out.json")
+        *("launch", "replay", "--set", "sensor.source=upside:frames", "--summary", "out.json"),
+        *("--frames", "12"),
     ).finish()
     assert code == 0
+    assert "the source ended after 10 of the 12 frames" in stderr
     assert "readings clipped to the range: 20 below 0 N (lowest -1)" in stderr
     summary = json.loads((tmp_path / "out.json").read_text())
     assert summary["nodes"]["sensor"]["clipped"] == 200
