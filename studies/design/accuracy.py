@@ -60,7 +60,9 @@ class Accuracy:
     note: str = ""
 
 
-def accuracy(strategy: str, n_taxels: int, noise: float, bits: int, rate_hz: float) -> Accuracy:
+def accuracy(
+    strategy: str, n_taxels: int, noise: float, bits: int, rate_hz: float, aspect: float = 1.0
+) -> Accuracy:
     """Interpolate the accuracy of a strategy in the stored grid; scenes as in `simulation`.
 
     Parameters
@@ -75,13 +77,16 @@ def accuracy(strategy: str, n_taxels: int, noise: float, bits: int, rate_hz: flo
         Of a value that is read or sent, 2..24.
     rate_hz : float
         Frame rate, above 0.
+    aspect : float
+        Columns a row of the skin, above 0.
 
     Returns
     -------
     Accuracy
         Its note states what lies outside the grid: up to 4 times outside it is extrapolated along
         the outermost points, and the band reaches back to the figure at the edge of the grid;
-        farther it is NaN. Rates above the grid's have the figures of its highest rate.
+        farther it is NaN. Rates above the grid's have the figures of its highest rate, and skins
+        that are more than 4 times narrower than its narrowest those of 4 times.
 
     Raises
     ------
@@ -93,6 +98,8 @@ def accuracy(strategy: str, n_taxels: int, noise: float, bits: int, rate_hz: flo
         raise SettingsError(f"taxels: {n_taxels!r} is not allowed; allowed: a whole number from 1")
     if not (is_real(rate_hz, 0) and rate_hz > 0):
         raise SettingsError(f"rate: {rate_hz!r} Hz is not allowed; allowed: a number above 0")
+    if not (is_real(aspect, 0) and aspect > 0):
+        raise SettingsError(f"aspect: {aspect!r} is not allowed; allowed: a number above 0")
     check_conditions(noise, bits, 1.0)
     grid = stored_grid()
     axes, table = grid.axes, grid.tables[strategy]
@@ -100,8 +107,9 @@ def accuracy(strategy: str, n_taxels: int, noise: float, bits: int, rate_hz: flo
         "taxels": f"{axes.n_taxels[0]}..{axes.n_taxels[-1]} taxels",
         "noise": f"noise and rounding of {axes.noise[0]:.1%}..{axes.noise[-1]:.0%} of the range",
         "rate": f"{axes.all_rates_hz[0]:g}..{axes.all_rates_hz[-1]:g} Hz",
+        "shape": f"{axes.narrow} : 1..1 : {axes.narrow} rows : columns",
     }
-    found = grid.at(strategy, n_taxels, noise, bits, rate_hz)
+    found = grid.at(strategy, n_taxels, noise, bits, rate_hz, aspect)
     if found is None:
         outside = f"more than {BEYOND:g} times outside {', '.join(limits.values())}"
         nan = math.nan
@@ -115,6 +123,7 @@ def accuracy(strategy: str, n_taxels: int, noise: float, bits: int, rate_hz: flo
             float(np.clip(noise, axes.noise[0], axes.noise[-1])),
             max(bits, axes.bits) if "noise" in found.beyond else bits,
             float(np.clip(rate_hz, axes.all_rates_hz[0], axes.all_rates_hz[-1])),
+            float(np.clip(aspect, axes.aspects[0], axes.aspects[-1])),
         )
         if edge is not None:
             low, high = min(low, edge.low_db), max(high, edge.high_db)

@@ -34,9 +34,11 @@ class Row:
     n_bytes : int
         Bytes of a frame on the bus, with header and checksum of the project's edge (14 bytes).
     stage_s : dict of str to float
-        Time of a frame in each of `STAGES`, seconds; of the host, of one core.
+        Time of a frame in each of `STAGES`, seconds; of the host, of one core under a dense press.
+    host_calm_s : float
+        Time of the host for a frame that nothing presses, of one core, seconds.
     host_rate_hz : float
-        Frames a second that the host's cores can reconstruct.
+        Frames a second that the host's cores can reconstruct under a dense press.
     asked_hz : float
         Rate that the design asks for.
     accuracy : Accuracy
@@ -52,6 +54,7 @@ class Row:
     wires: Wires
     n_bytes: int
     stage_s: dict[str, float]
+    host_calm_s: float
     host_rate_hz: float
     asked_hz: float
     accuracy: Accuracy
@@ -92,12 +95,14 @@ class Row:
 
     @property
     def latency_s(self) -> float:
-        """Time from the first conversion of a frame to its reconstruction, queues left out."""
+        """Time from the first conversion of a frame to its reconstruction under a dense press,
+        queues left out.
+        """
         return sum(self.stage_s.values()) + HOP_S
 
     @property
     def host_cores(self) -> float:
-        """Cores of the host that are busy at the rate that is reached."""
+        """Cores of the host that are busy at the rate that is reached, under a dense press."""
         return self.reached_hz * self.stage_s["host"] * self.patches
 
 
@@ -131,14 +136,14 @@ def row_of(strategy: Strategy, design: Design) -> Row:
     sent = frame_bytes(strategy, design)
     sums = 0 if reads_single(strategy) else m
     patches = -(-n // LARGEST)
-    host_s = cost(strategy.name, -(-n // patches)).host_s
+    host = cost(strategy.name, -(-n // patches))
     stage_s = {
         "ADC": design.adc.seconds(wires.conversions),
         "edge": design.edge.seconds(strategy.name, n, wires.conversions, sums, sent),
         "bus": design.bus.seconds(sent),
-        "host": host_s,
+        "host": host.dense_s,
     }
-    host_rate_hz = min(design.cores, patches) / (host_s * patches)
+    host_rate_hz = min(design.cores, patches) / (host.dense_s * patches)
     possible_hz = min(host_rate_hz, *(1 / stage_s[name] for name in STAGES[:-1]))
     return Row(
         strategy=strategy,
@@ -146,6 +151,7 @@ def row_of(strategy: Strategy, design: Design) -> Row:
         wires=wires,
         n_bytes=sent,
         stage_s=stage_s,
+        host_calm_s=host.calm_s,
         host_rate_hz=host_rate_hz,
         asked_hz=design.rate_hz,
         accuracy=accuracy(
@@ -154,6 +160,7 @@ def row_of(strategy: Strategy, design: Design) -> Row:
             design.noise,
             design.adc.bits if reads_single(strategy) else design.bits,
             min(design.rate_hz, possible_hz),
+            design.n_cols / design.n_rows if design.n_rows and design.n_cols else 1.0,
         ),
         range_n=design.range_n,
         patches=patches,

@@ -1,10 +1,16 @@
-"""Charts of a design: rates of each stage, accuracy against rate, latency."""
+"""Charts of a design: rates of each stage, accuracy against rate, latency.
+
+An open mark is a rate below the one asked for, in all of them. Each is drawn twice: for a page, and
+for one as narrow as a phone (`NARROW`).
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from pathlib import Path
+
+from matplotlib.axes import Axes
 
 from sparseskin.studies.report import PALETTE, Chart
 
@@ -13,67 +19,61 @@ from .models.costs import HOP_S
 from .spec import Design
 from .text import hertz
 
+NARROW = "_narrow"
+"""Ending of the name of a chart that is as wide as a phone."""
 _COLOURS = dict(zip(STAGES, PALETTE, strict=False))
 _MARKS = dict(zip(STAGES, "osD^", strict=True))
 _HOP = "process to process"
+_OPEN = "open: below the rate asked for"
+_PALE = 0.35
+"""Opacity of what the host takes longer under a dense press."""
 
 
-def draw_rates(out: Path, rows: Sequence[Row], design: Design) -> Chart:
-    """Frames a second that each stage allows, a line a strategy; the slowest is filled."""
-    caption = "Frames a second that each stage allows (log); filled: the slowest, which is the rate"
-    chart = Chart(out, "rates", caption, size_in=(8.5, 0.34 * len(rows) + 1.8), legend_columns=5)
-    with chart:
+def draw_rates(out: Path, rows: Sequence[Row], design: Design, narrow: bool = False) -> Chart:
+    """Frames a second that each stage allows, a line a strategy; the slowest is large."""
+    caption = (
+        "Frames a second that each stage allows (log); the large mark is the slowest stage, which "
+        "limits the rate; open: below the rate asked for. Host: from a dense press (mark) to a "
+        "calm frame (end of the bar)"
+    )
+    with _StrategyChart(out, "rates", caption, rows, narrow) as chart:
         (axes,) = chart.panels
         for k, row in enumerate(rows):
-            ends = row.stage_hz.values()
-            axes.plot([min(ends), max(ends)], [k, k], color="0.8", lw=1.2, zorder=1)
+            rates = row.stage_hz
+            axes.plot([min(rates.values()), max(rates.values())], [k, k], color="0.8", lw=1.2)
+            calm_hz = rates["host"] * row.stage_s["host"] / row.host_calm_s
+            axes.plot([rates["host"], calm_hz], [k, k], color=_COLOURS["host"], lw=4, alpha=_PALE)
             for stage in STAGES:
-                slowest = stage == row.limit
-                axes.plot(
-                    row.stage_hz[stage],
-                    k,
-                    _MARKS[stage],
-                    ms=9 if slowest else 6,
-                    color=_COLOURS[stage],
-                    markerfacecolor=_COLOURS[stage] if slowest else "white",
-                    label=stage,
-                    zorder=3 if slowest else 2,
-                )
+                size = 10 if stage == row.limit else 6
+                _mark(axes, rates[stage], k, stage, rates[stage] >= design.rate_hz, size)
         axes.axvline(design.rate_hz, color="black", lw=1, ls="--", label="asked for")
+        for stage in STAGES:
+            axes.plot([], [], _MARKS[stage], ms=7, color=_COLOURS[stage], label=stage)
+        axes.plot([], [], color=_COLOURS["host"], lw=4, alpha=_PALE, label="host, to a calm frame")
+        _open_entry(axes)
         axes.set_xscale("log")
-        axes.set_yticks(range(len(rows)), [row.strategy.name for row in rows])
-        axes.invert_yaxis()
         axes.set_xlabel("frames a second")
-        _merge_legend(chart)
     return chart
 
 
-def draw_accuracy(out: Path, rows: Sequence[Row]) -> Chart:
+def draw_accuracy(out: Path, rows: Sequence[Row], design: Design, narrow: bool = False) -> Chart:
     """PSNR with its band, a line a strategy, and the rate at which it is reached."""
     caption = (
         "PSNR of contact frames and its band (90 % of scenes and seeds) at the rate that is "
-        "reached; open: a lower rate than asked for; mark and colour: the slowest stage"
+        f"reached, which stands at the right; open: below the {hertz(design.rate_hz)} Hz asked "
+        "for; mark and colour: the slowest stage"
     )
-    chart = Chart(out, "accuracy", caption, size_in=(8.5, 0.34 * len(rows) + 1.8))
-    with chart:
+    with _StrategyChart(out, "accuracy", caption, rows, narrow) as chart:
         (axes,) = chart.panels
         for k, row in enumerate(rows):
             a = row.accuracy
             if math.isnan(a.psnr_db):
                 axes.text(0.02, k, "not known", transform=axes.get_yaxis_transform(), va="center")
                 continue
-            axes.errorbar(
-                a.psnr_db,
-                k,
-                xerr=[[max(0.0, a.psnr_db - a.low_db)], [max(0.0, a.high_db - a.psnr_db)]],
-                fmt=_MARKS[row.limit],
-                color=_COLOURS[row.limit],
-                markerfacecolor=_COLOURS[row.limit] if row.is_met else "white",
-                ms=7,
-                lw=1.2,
-                capsize=3,
-                label=f"slowest: {row.limit}",
-            )
+            ends = [[max(0.0, a.psnr_db - a.low_db)], [max(0.0, a.high_db - a.psnr_db)]]
+            colour = _COLOURS[row.limit]
+            axes.errorbar(a.psnr_db, k, xerr=ends, color=colour, lw=1.2, capsize=3)
+            _mark(axes, a.psnr_db, k, row.limit, row.is_met, 7)
             axes.annotate(
                 f"{hertz(row.reached_hz)} Hz",
                 (1.01, k),
@@ -81,40 +81,63 @@ def draw_accuracy(out: Path, rows: Sequence[Row]) -> Chart:
                 va="center",
                 fontsize=9,
             )
-        axes.set_yticks(range(len(rows)), [row.strategy.name for row in rows])
-        axes.set_ylim(len(rows) - 0.5, -0.5)
+        for stage in STAGES:
+            if any(row.limit == stage for row in rows):
+                label = f"slowest: {stage}"
+                axes.plot([], [], _MARKS[stage], ms=7, color=_COLOURS[stage], label=label)
+        _open_entry(axes)
         axes.set_xlabel("PSNR, dB")
-        _merge_legend(chart)
     return chart
 
 
-def draw_latency(out: Path, rows: Sequence[Row]) -> Chart:
+def draw_latency(out: Path, rows: Sequence[Row], design: Design, narrow: bool = False) -> Chart:
     """Latency of a frame by its stages."""
-    caption = "Time from the first conversion to the reconstruction, without queues"
-    chart = Chart(out, "latency", caption, size_in=(8.5, 0.34 * len(rows) + 1.8), legend_columns=5)
-    with chart:
+    caption = (
+        "Time from the first conversion to the reconstruction, without queues; pale: what the host "
+        "takes longer under a dense press than for a calm frame. The figures are of the dense press"
+    )
+    with _StrategyChart(out, "latency", caption, rows, narrow) as chart:
         (axes,) = chart.panels
         for k, row in enumerate(rows):
+            dense_s = row.stage_s["host"] - row.host_calm_s
+            parts = [(stage, row.stage_s[stage], 1.0) for stage in STAGES[:-1]]
+            parts += [(_HOP, HOP_S, 1.0), ("host", row.host_calm_s, 1.0), ("host", dense_s, _PALE)]
             left = 0.0
-            for stage, width in (*row.stage_s.items(), (_HOP, HOP_S)):
+            for stage, width_s, alpha in parts:
+                label = "host, dense press" if alpha < 1 else stage
                 colour = _COLOURS.get(stage, "0.5")
-                axes.barh(k, 1e3 * width, left=left, color=colour, height=0.7, label=stage)
-                left += 1e3 * width
+                axes.barh(
+                    k, 1e3 * width_s, left=left, color=colour, height=0.7, alpha=alpha, label=label
+                )
+                left += 1e3 * width_s
             axes.text(left, k, f" {left:.2g}" if left < 10 else f" {left:.0f}", va="center")
-        axes.set_yticks(range(len(rows)), [row.strategy.name for row in rows])
-        axes.invert_yaxis()
-        axes.margins(x=0.08)
+        axes.margins(x=0.1)
         axes.set_axisbelow(True)
         axes.set_xlabel("ms")
-        _merge_legend(chart)
     return chart
 
 
-def _merge_legend(chart: Chart) -> None:
-    """Keep one entry of each label, with a filled mark."""
-    seen: set[str] = set()
-    for axes in chart.panels:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            if label in seen:
-                handle.set_label("_" + label)
-            seen.add(label)
+class _StrategyChart(Chart):
+    """A chart with a line a strategy, the first at the top."""
+
+    def __init__(
+        self, out: Path, name: str, caption: str, rows: Sequence[Row], narrow: bool
+    ) -> None:
+        size_in = (4.3, 0.34 * len(rows) + 2.4) if narrow else (8.5, 0.34 * len(rows) + 1.8)
+        columns = 2 if narrow else 4
+        name += NARROW if narrow else ""
+        super().__init__(out, name, caption, size_in=size_in, legend_columns=columns)
+        self.panels[0].set_yticks(range(len(rows)), [row.strategy.name for row in rows])
+        self.panels[0].set_ylim(len(rows) - 0.5, -0.5)
+
+
+def _mark(axes: Axes, x: float, y: float, stage: str, filled: bool, size: float) -> None:
+    """Draw the mark of a stage."""
+    colour = _COLOURS[stage]
+    inside = colour if filled else "white"
+    axes.plot(x, y, _MARKS[stage], ms=size, color=colour, markerfacecolor=inside, zorder=3)
+
+
+def _open_entry(axes: Axes) -> None:
+    """Add to the legend what an open mark is."""
+    axes.plot([], [], "o", ms=7, color="0.4", markerfacecolor="white", label=_OPEN)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import platform
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -130,7 +131,8 @@ def _measure_costs() -> int:
 
     found = measure_all(progress)
     fast = "numba" if find_spec("numba") else "numpy alone"
-    conditions = f"{fast}, {os.cpu_count()} cores, load average {os.getloadavg()[0]:.1f} at the end"
+    load = f"load average {os.getloadavg()[0]:.1f} at the end"
+    conditions = f"one core of {os.cpu_count()}, {platform.machine()}, {fast}, {load}"
     print(as_toml(found, conditions), end="")
     return 0
 
@@ -141,7 +143,7 @@ def _names(text: str | None) -> list[str] | None:
 
     if text is None:
         return None
-    names = text.split(",")
+    names = [name.strip() for name in text.split(",")]
     for name in names:
         if name not in STRATEGIES:
             hint = nearest_of(name, STRATEGIES)

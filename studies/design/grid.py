@@ -1,16 +1,17 @@
 """The stored grid of simulated accuracy, and interpolation in it.
 
 A base grid of taxels x noise at one frame rate and many bits holds PSNR and its spread over scenes;
-beside it stand the effect of the rate on the mean, the rounding of the converter, and the light
-touch in units of the noise. Between the points all are linear in the logarithms of taxels, noise
-and rate. Few bits count as noise: variances of noise and rounding add up.
+beside it stand the effects of the rate and of a narrow shape on the mean, the rounding of the
+converter, and the light touch in units of the noise. Between the points all are linear in the
+logarithms of taxels, noise, rate and columns a row. Few bits count as noise: variances of noise and
+rounding add up.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -24,7 +25,7 @@ from sparseskin.nodes.numerics.arrays import Doubles
 from .strategies import SINGLE, STRATEGIES
 
 GRID_FILE = Path(__file__).with_name("grid.json")
-GRID_VERSION = 1
+GRID_VERSION = 2
 WITHIN = 0.9
 """Part of the scenes that lie within the band."""
 BEYOND = 4.0
@@ -49,6 +50,9 @@ class Axes:
         The same, where the effect of the rate is measured against the base's.
     touch_sides, touch_noise
         Where the light touch is measured.
+    narrow_sides, narrow_noise, narrow
+        Where the effect of the shape is measured, against squares of as many taxels: skins
+        `narrow` times as wide as high, and as high as wide; a square number. `rate_scenes` a point.
     """
 
     sides: tuple[int, ...]
@@ -62,6 +66,14 @@ class Axes:
     rate_scenes: int
     touch_sides: tuple[int, ...]
     touch_noise: tuple[float, ...]
+    narrow_sides: tuple[int, ...]
+    narrow_noise: tuple[float, ...]
+    narrow: int
+
+    @property
+    def aspects(self) -> list[float]:
+        """Columns a row of all shapes, ascending."""
+        return [1 / self.narrow, 1.0, float(self.narrow)]
 
     @property
     def n_taxels(self) -> list[int]:
@@ -86,6 +98,8 @@ class Table:
         Standard deviation of the rounding at `Axes.bits`, as a part of the range.
     rate_db : ndarray of float64, shape (rate_sides, rate_noise, all_rates_hz)
         PSNR above that at the base rate, in the mean of the scenes.
+    narrow_db : ndarray of float64, shape (narrow_sides, narrow_noise, aspects)
+        PSNR above that of a square, in the mean of the scenes.
     touch : ndarray of float64, shape (touch_sides, touch_noise)
         Light touch in standard deviations of the noise; NaN where none is found.
     error_db : float
@@ -99,6 +113,7 @@ class Table:
     high_db: Doubles
     rounding: Doubles
     rate_db: Doubles
+    narrow_db: Doubles
     touch: Doubles
     error_db: float = 0.0
     touch_error: float = 1.0
@@ -133,11 +148,18 @@ class Grid:
     tables: Mapping[str, Table]
 
     def at(
-        self, strategy: str, n_taxels: int, noise: float, bits: int, rate_hz: float
+        self,
+        strategy: str,
+        n_taxels: int,
+        noise: float,
+        bits: int,
+        rate_hz: float,
+        aspect: float = 1.0,
     ) -> Figure | None:
         """Interpolate; None where a quantity is more than `BEYOND` times outside the grid.
 
-        Rates above the grid's have the figures of its highest.
+        Rates above the grid's have the figures of its highest; narrower skins than are allowed
+        those of the narrowest. `aspect`: columns a row.
         """
         axes, table = self.axes, self.tables[strategy]
         sides = _log(axes.n_taxels)
@@ -151,6 +173,10 @@ class Grid:
             "taxels": (float(n_taxels), [float(k) for k in axes.n_taxels]),
             "noise": (effective, list(axes.noise)),
             "rate": (min(rate_hz, axes.all_rates_hz[-1]), axes.all_rates_hz),
+            "shape": (
+                min(max(aspect, axes.aspects[0] / BEYOND), axes.aspects[-1] * BEYOND),
+                axes.aspects,
+            ),
         }
         beyond = tuple(
             name for name, (value, known) in stated.items() if _outside(value, known) > 1 + 1e-9
@@ -164,19 +190,13 @@ class Grid:
             _linear(sides, np.array([_linear(_log(axes.noise), row, x) for row in of]), n)
             for of in (table.db, table.low_db, table.high_db)
         )
-        change = self._change(table, n, x, math.log(stated["rate"][0]))
+        change = _effect(table.rate_db, axes.rate_sides, axes.rate_noise, axes.all_rates_hz)(
+            n, x, stated["rate"][0]
+        ) + _effect(table.narrow_db, axes.narrow_sides, axes.narrow_noise, axes.aspects)(
+            n, x, stated["shape"][0]
+        )
         touch = self._touch(table, n, effective if _rounds_touch(strategy) else noise)
         return Figure(mean + change, low + change, high + change, touch, beyond)
-
-    def _change(self, table: Table, n: float, noise: float, rate: float) -> float:
-        """Effect of the rate in dB; taxels and noise outside those measured count as the ends."""
-        axes = self.axes
-        sides, levels = _log([side * side for side in axes.rate_sides]), _log(axes.rate_noise)
-        rates = _log(axes.all_rates_hz)
-        along = np.array([[_linear(rates, of, rate) for of in row] for row in table.rate_db])
-        noise = float(np.clip(noise, levels[0], levels[-1]))
-        of_sides = np.array([_linear(levels, row, noise) for row in along])
-        return _linear(sides, of_sides, float(np.clip(n, sides[0], sides[-1])))
 
     def _touch(self, table: Table, n: float, noise: float) -> float:
         """Light touch as a part of the range; in units of the noise it is constant outside."""
@@ -190,6 +210,23 @@ class Grid:
         return touch if touch <= 1 else math.nan
 
 
+def _effect(
+    db: Doubles, sides: Sequence[int], noise: Sequence[float], places: Sequence[float]
+) -> Callable[[float, float, float], float]:
+    """Effect in dB by log(taxels), log(noise) and a place; taxels and noise outside those measured
+    count as the ends.
+    """
+    sizes, levels = _log([side * side for side in sides]), _log(noise)
+
+    def at(n: float, x: float, place: float) -> float:
+        along = [[_linear(_log(places), of, math.log(place)) for of in row] for row in db]
+        x = float(np.clip(x, levels[0], levels[-1]))
+        of_sizes = np.array([_linear(levels, np.array(row), x) for row in along])
+        return _linear(sizes, of_sizes, float(np.clip(n, sizes[0], sizes[-1])))
+
+    return at
+
+
 def steps(strategy: str, bits: int) -> float:
     """Rounding of a strategy's values in few bits, up to a factor."""
     return 1 / (2.0 ** (bits - (STRATEGIES[strategy].sums != SINGLE)) - 1)
@@ -199,6 +236,7 @@ def made_grid(
     axes: Axes,
     base: Sequence[Sequence[Mapping[str, Sequence[float]]]],
     rates: Sequence[Sequence[Mapping[str, Sequence[float]]]],
+    narrow: Sequence[Sequence[Mapping[str, Sequence[float]]]],
     touches: Sequence[Mapping[str, float | None]],
 ) -> Grid:
     """Make the grid from simulated figures, its errors not yet known.
@@ -206,8 +244,8 @@ def made_grid(
     Parameters
     ----------
     axes : Axes
-    base, rates : sequence of sequence of mapping
-        Of each cell of `base_cells` and `rate_cells` the figures of its scenes, as
+    base, rates, narrow : sequence of sequence of mapping
+        Of each cell of `base_cells`, `rate_cells` and `narrow_cells` the figures of its scenes, as
         `simulation.scene_accuracy` returns them.
     touches : sequence of mapping
         Of each cell of `touch_cells`, as `simulation.touch_accuracy` returns them.
@@ -225,6 +263,9 @@ def made_grid(
             high_db=high_db,
             rounding=found[..., 1].reshape(n_sides, -1).mean(axis=-1),
             rate_db=_rate_effect(axes, db, changed),
+            narrow_db=_narrow_effect(
+                axes, db, np.array([[scene[name][0] for scene in cell] for cell in narrow])
+            ),
             touch=np.array(
                 [math.nan if cell[name] is None else cell[name] for cell in touches],
                 dtype=np.float64,
@@ -265,6 +306,15 @@ def _rate_effect(axes: Axes, base: Doubles, changed: Doubles) -> Doubles:
     return effect
 
 
+def _narrow_effect(axes: Axes, base: Doubles, changed: Doubles) -> Doubles:
+    """PSNR above that of the same scenes on a square; shape as `Table.narrow_db`."""
+    sides = [axes.sides.index(side) for side in axes.narrow_sides]
+    levels = [axes.noise.index(level) for level in axes.narrow_noise]
+    of_squares = base[np.ix_(sides, levels)][..., : axes.rate_scenes].mean(axis=-1)
+    found = changed.mean(axis=-1).reshape(*of_squares.shape, 2) - of_squares[..., None]
+    return np.insert(found, 1, 0.0, axis=-1)
+
+
 def base_cells(axes: Axes) -> list[dict[str, Any]]:
     """Cells of the base grid, noise changing first."""
     common = {"bits": axes.bits, "rate_hz": axes.rate_hz}
@@ -282,6 +332,18 @@ def rate_cells(axes: Axes) -> list[dict[str, Any]]:
         for side in axes.rate_sides
         for noise in axes.rate_noise
         for rate_hz in axes.rates_hz
+    ]
+
+
+def narrow_cells(axes: Axes) -> list[dict[str, Any]]:
+    """Cells of narrow skins, high ones before wide ones, the shape changing first."""
+    root = math.isqrt(axes.narrow)
+    common = {"bits": axes.bits, "rate_hz": axes.rate_hz}
+    return [
+        {"shape": list(shape), "noise": noise, **common}
+        for side in axes.narrow_sides
+        for noise in axes.narrow_noise
+        for shape in ((side * root, side // root), (side // root, side * root))
     ]
 
 

@@ -14,22 +14,34 @@ import pandas as pd
 from sparseskin.studies.points import Figures, StudyError, compute
 from sparseskin.studies.report import Chart, fill_page, markdown, series_style, write_csv
 
-from .grid import Axes, Grid, base_cells, made_grid, rate_cells, touch_cells, write_grid
+from .grid import (
+    Axes,
+    Grid,
+    base_cells,
+    made_grid,
+    narrow_cells,
+    rate_cells,
+    touch_cells,
+    write_grid,
+)
 from .simulation import SPEED, scene_accuracy, touch_accuracy
 from .strategies import STRATEGIES
 
 AXES = Axes(
-    sides=(8, 16, 32, 64),
+    sides=(8, 16, 20, 32, 64),
     noise=(0.001, 0.003, 0.01, 0.03),
     rate_hz=100.0,
     bits=16,
     n_scenes=6,
     rate_sides=(16, 64),
     rate_noise=(0.003, 0.03),
-    rates_hz=(30.0, 300.0),
+    rates_hz=(30.0, 300.0, 1000.0),
     rate_scenes=3,
     touch_sides=(8, 16, 32, 64),
     touch_noise=(0.01,),
+    narrow_sides=(16, 32),
+    narrow_noise=(0.003, 0.03),
+    narrow=4,
 )
 QUICK_AXES = Axes(
     sides=(8, 16),
@@ -43,6 +55,9 @@ QUICK_AXES = Axes(
     rate_scenes=1,
     touch_sides=(8, 16),
     touch_noise=(0.03,),
+    narrow_sides=(8,),
+    narrow_noise=(0.03,),
+    narrow=4,
 )
 #: Shape, noise, bits and rate of points between those of the grid.
 HELD_OUT = (
@@ -52,6 +67,11 @@ HELD_OUT = (
     ((24, 24), 0.0017, 8, 100.0),
     ((48, 48), 0.017, 10, 50.0),
     ((48, 48), 0.0055, 8, 170.0),
+    ((12, 32), 0.004, 10, 200.0),
+    ((8, 48), 0.0055, 12, 100.0),
+    ((48, 12), 0.0055, 12, 100.0),
+    ((10, 20), 0.005, 12, 80.0),
+    ((20, 28), 0.0055, 10, 600.0),
 )
 #: How many of them are searched for the light touch, too.
 HELD_OUT_TOUCHES = 3
@@ -63,7 +83,7 @@ Point = dict[str, Any]
 def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     """Compute the grid, measure its interpolation error, and write both; see `command.Study`."""
     axes, held = (QUICK_AXES, QUICK_HELD_OUT) if quick else (AXES, HELD_OUT)
-    held_cells = [
+    held_cells: list[Point] = [
         {"shape": list(shape), "noise": noise, "bits": bits, "rate_hz": rate_hz}
         for shape, noise, bits, rate_hz in held
     ]
@@ -82,11 +102,12 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     base = scenes("scenes", base_cells(axes), axes.n_scenes)
     touched = touches("touches", touch_cells(axes))
     rates = scenes("rates", rate_cells(axes), axes.rate_scenes)
+    narrow = scenes("shapes", narrow_cells(axes), axes.rate_scenes)
     held_scenes = scenes("held out", held_cells, axes.n_scenes)
     held_touched = touches("touches held out", held_cells[:HELD_OUT_TOUCHES])
     held_touched += [{}] * (len(held_cells) - len(held_touched))
 
-    grid = made_grid(axes, base, rates, touched)
+    grid = made_grid(axes, base, rates, narrow, touched)
     errors = held_out_errors(grid, held_cells, held_scenes, held_touched)
     worst = errors.groupby("strategy")[["error_db", "touch_factor"]].agg(_largest)
     tables = {
@@ -112,6 +133,15 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
         f"{100 * inside:.0f} % of their scenes within the band; "
         f"light touch within a factor of {worst['touch_factor'].max():.2f}"
     )
+    oblong = [cell["shape"][0] != cell["shape"][1] for cell in held_cells for _ in STRATEGIES]
+    if any(oblong):
+        plain = {name: replace(t, narrow_db=0 * t.narrow_db) for name, t in grid.tables.items()}
+        as_squares = held_out_errors(Grid(axes, plain), held_cells, held_scenes, held_touched)
+        with_shape, without = (one["error_db"][oblong].abs().mean() for one in (errors, as_squares))
+        print(
+            f"on skins that are not square: {with_shape:.1f} dB in the mean; {without:.1f} dB "
+            "without the effect of the shape"
+        )
 
 
 def held_out_errors(
@@ -131,7 +161,8 @@ def held_out_errors(
     rows = []
     for cell, of_scenes, of_touch in zip(cells, scenes, touches, strict=True):
         n_taxels = math.prod(cell["shape"])
-        conditions = (n_taxels, cell["noise"], cell["bits"], cell["rate_hz"])
+        aspect = cell["shape"][1] / cell["shape"][0]
+        conditions = (n_taxels, cell["noise"], cell["bits"], cell["rate_hz"], aspect)
         for name in STRATEGIES:
             dbs = np.array([scene[name][0] for scene in of_scenes])
             found = grid.at(name, *conditions)
@@ -182,6 +213,7 @@ def write_page(out: Path, grid: Grid, errors: pd.DataFrame) -> None:
         accuracy=_at_noise(grid, middle),
         middle=100 * middle,
         rates=_rates(grid),
+        shapes=_shapes(grid),
         touches=_touches(grid),
         held_out=markdown(
             errors.pivot_table(
@@ -228,6 +260,25 @@ def _rates(grid: Grid) -> str:
                 )
                 for i, side in enumerate(axes.rate_sides)
                 for rate in axes.rates_hz
+            },
+        }
+        for name, table in grid.tables.items()
+    ]
+    return markdown(pd.DataFrame(rows))
+
+
+def _shapes(grid: Grid) -> str:
+    """Effect of a narrow shape by its taxels, noise in turn."""
+    axes = grid.axes
+    rows = [
+        {
+            "strategy": name,
+            **{
+                f"{side * side} taxels, {shape}": " / ".join(
+                    f"{one:+.1f}" for one in table.narrow_db[i, :, j]
+                )
+                for i, side in enumerate(axes.narrow_sides)
+                for j, shape in ((0, f"{axes.narrow} : 1"), (2, f"1 : {axes.narrow}"))
             },
         }
         for name, table in grid.tables.items()

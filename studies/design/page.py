@@ -12,7 +12,7 @@ from sparseskin.studies.report import write_csv
 
 from . import text
 from .budget import STAGES, Row
-from .charts import draw_accuracy, draw_latency, draw_rates
+from .charts import NARROW, draw_accuracy, draw_latency, draw_rates
 from .models.costs import HOP_S
 from .models.rigs import RIGS
 from .spec import KEYS, Design
@@ -26,11 +26,11 @@ def write_page(out: Path, rows: Sequence[Row], design: Design) -> Path:
     StudyError
         If a file cannot be written.
     """
-    charts = (
-        draw_rates(out, rows, design),
-        draw_accuracy(out, rows),
-        draw_latency(out, rows),
-    )
+    charts = [
+        draw(out, rows, design, narrow)
+        for draw in (draw_rates, draw_accuracy, draw_latency)
+        for narrow in (False, True)
+    ]
     write_csv(out, "rows", [record(row, design) for row in rows])
     environment = jinja2.Environment(
         undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=True
@@ -53,15 +53,10 @@ def write_page(out: Path, rows: Sequence[Row], design: Design) -> Path:
         ],
         legend=text.legend(rows),
         breaks=text.first_breaks(rows, design),
-        charts=[{"name": chart.name, "caption": chart.caption} for chart in charts],
+        charts=[{"name": chart.name, "caption": chart.caption} for chart in charts[::2]],
+        narrow=NARROW,
         stages=stages,
-        latencies=[
-            (
-                row.strategy.name,
-                [f"{1e3 * s:.3g}" for s in (*row.stage_s.values(), HOP_S, row.latency_s)],
-            )
-            for row in rows
-        ],
+        latencies=[(row.strategy.name, _latencies(row)) for row in rows],
         sources=text.sources(rows, design),
         rig_columns=text.RIG_COLUMNS,
         rig_left=(0, 1, 3),
@@ -73,6 +68,14 @@ def write_page(out: Path, rows: Sequence[Row], design: Design) -> Path:
     except OSError as error:
         raise StudyError(f"{path}: {error.strerror}") from error
     return path
+
+
+def _latencies(row: Row) -> list[str]:
+    """Time of each stage, and their sum, milliseconds; of the host calm frame..dense press."""
+    before = [f"{1e3 * row.stage_s[stage]:.3g}" for stage in STAGES[:-1]]
+    calm_s = row.latency_s - row.stage_s["host"] + row.host_calm_s
+    total = f"{1e3 * calm_s:.3g}..{1e3 * row.latency_s:.3g}"
+    return [*before, text.host_ms(row), f"{1e3 * HOP_S:.3g}", total]
 
 
 def record(row: Row, design: Design) -> dict[str, object]:
@@ -91,6 +94,7 @@ def record(row: Row, design: Design) -> dict[str, object]:
         "limit": row.limit,
         **{f"{stage.lower()}_hz": hz for stage, hz in row.stage_hz.items()},
         **{f"{stage.lower()}_s": s for stage, s in row.stage_s.items()},
+        "host_calm_s": row.host_calm_s,
         "latency_s": row.latency_s,
         "host_cores": row.host_cores,
         "psnr_db": a.psnr_db,

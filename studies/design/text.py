@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from .budget import STAGES, Row
 from .models.adc import SOURCE as ADC_SOURCE
-from .models.costs import COMMAND, HOP_S, LATENCY_COMMAND, stored
+from .models.costs import COMMAND, DENSE, HOP_S, LATENCY_COMMAND, stored
 from .models.edge import instructions
 from .models.rigs import RIGS
 from .models.wires import reads_single
@@ -15,7 +15,7 @@ from .spec import Design
 
 COLUMNS = (
     *("strategy", "M", "wires", "cross-\nings", "conver-\nsions", "bytes", "Hz", "limit"),
-    *("PSNR\ndB", "band\ndB", "touch\nmN", "latency\nms", "host\ncores"),
+    *("PSNR\ndB", "band\ndB", "touch\nmN", "latency\nms", "host\nms", "host\ncores"),
 )
 """Columns of the table of a design, in a terminal in two lines."""
 RIG_COLUMNS = ("rig", "reads", "predicted, Hz", "limit", "published, Hz", "ratio")
@@ -40,7 +40,8 @@ def cells(row: Row) -> tuple[str, ...]:
         f"{a.psnr_db:.1f}{'*' if a.note else ''}" if has_figure else "-",
         f"{a.low_db:.1f}..{a.high_db:.1f}" if has_figure else "-",
         touch,
-        f"{row.latency_s * 1e3:.2f}",
+        f"{row.latency_s * 1e3:.1f}",
+        host_ms(row),
         f"{row.host_cores:.2f}",
     )
 
@@ -48,6 +49,14 @@ def cells(row: Row) -> tuple[str, ...]:
 def hertz(rate: float) -> str:
     """A rate in whole Hz, below 10 Hz with three digits."""
     return f"{rate:.0f}" if rate >= 10 else f"{rate:.3g}"
+
+
+def host_ms(row: Row) -> str:
+    """Time of the host for a frame, milliseconds: calm frame..dense press."""
+    return "..".join(
+        f"{ms:.{2 if ms < 1 else 1 if ms < 10 else 0}f}"
+        for ms in (1e3 * row.host_calm_s, 1e3 * row.stage_s["host"])
+    )
 
 
 def breaks(row: Row, design: Design, stage: str | None = None) -> str:
@@ -67,8 +76,8 @@ def breaks(row: Row, design: Design, stage: str | None = None) -> str:
         return f"edge: {work} ({design.edge.label}): {rate}"
     if row.patches > 1:
         cores = f"{row.patches} patches on {design.cores} cores"
-        return f"host: {ms} a frame and patch, {cores}: {rate}"
-    return f"host: {ms} a frame on one core: {rate}"
+        return f"host: {ms} a frame and patch under a dense press, {cores}: {rate}"
+    return f"host: {ms} a frame under a dense press, on one core: {rate}"
 
 
 def first_breaks(rows: Sequence[Row], design: Design) -> list[tuple[str, list[str]]]:
@@ -80,7 +89,8 @@ def first_breaks(rows: Sequence[Row], design: Design) -> list[tuple[str, list[st
 
 
 def conclusions(rows: Sequence[Row], design: Design) -> list[str]:
-    """At most three sentences: which strategies reach the rate, what breaks first, what would help.
+    """At most four sentences: which strategies reach the rate, the best of them, what breaks first
+    of the full reading, what would help.
 
     `rows` are those of `budget`.
     """
@@ -90,17 +100,8 @@ def conclusions(rows: Sequence[Row], design: Design) -> list[str]:
     best = max(rows, key=_accuracy)
     lines = []
     if met:
-        good, small = max(met, key=_accuracy), min(met, key=lambda row: row.n_bytes)
-        accurately = (
-            ""
-            if math.isnan(good.accuracy.psnr_db)
-            else f"most accurately by {_named(good)}, whose {good.limit} would break first, at "
-            f"{hertz(good.possible_hz)} Hz; "
-        )
-        lines.append(
-            f"{asked} are reached by {len(met)} of {len(rows)} strategies: {accurately}with the "
-            f"fewest bytes, {small.n_bytes} a frame, by {_named(small)}."
-        )
+        lines.append(f"{len(met)} of {len(rows)} strategies reach {asked}{_most_accurate(met)}.")
+        lines.append(_fewest_bytes(met, full))
     else:
         fast = max(rows, key=lambda row: row.possible_hz)
         lines.append(
@@ -108,7 +109,9 @@ def conclusions(rows: Sequence[Row], design: Design) -> list[str]:
             f"{hertz(fast.possible_hz)} Hz ({breaks(fast, design)})."
         )
     if full is not None:
-        lines.append(f"Reading every taxel breaks first at the {breaks(full, design)}.")
+        possible = "reaches" if full.is_met else "falls short of"
+        slowest = breaks(full, design)
+        lines.append(f"Reading every taxel {possible} {asked}; its slowest stage is {slowest}.")
     if not best.is_met and not math.isnan(best.accuracy.psnr_db):
         factors = [
             f"{name} {design.rate_hz / best.stage_hz[name]:.1f} times"
@@ -117,10 +120,39 @@ def conclusions(rows: Sequence[Row], design: Design) -> list[str]:
         ]
         listed = " and ".join(filter(None, [", ".join(factors[:-1]), factors[-1]]))
         lines.append(
-            f"The most accurate at the rate it reaches is {_named(best)}: for {asked} it needs "
-            f"{listed} as fast."
+            f"The most accurate at a rate below {asked} is {_named(best)} at "
+            f"{hertz(best.possible_hz)} Hz: for {asked} it needs {listed} as fast."
         )
     return lines
+
+
+def _most_accurate(met: Sequence[Row]) -> str:
+    """The most accurate of the rows that reach the rate; "" where that is not known."""
+    good = max(met, key=_accuracy)
+    if math.isnan(good.accuracy.psnr_db):
+        return ""
+    return (
+        f"; the most accurate is {_named(good)}, whose slowest stage, the {good.limit}, allows "
+        f"{hertz(good.possible_hz)} Hz"
+    )
+
+
+def _fewest_bytes(met: Sequence[Row], full: Row | None) -> str:
+    """The row of the fewest bytes, and that of those as accurate as the full reading."""
+    small = min(met, key=lambda row: row.n_bytes)
+    line = f"Fewest bytes a frame: {small.n_bytes}, {_named(small)}"
+    if full is None or math.isnan(full.accuracy.psnr_db):
+        return f"{line}."
+    as_good = [row for row in met if _accuracy(row) >= full.accuracy.psnr_db and row is not full]
+    if not as_good:
+        return f"{line}; none is as accurate as the full reading ({full.accuracy.psnr_db:.1f} dB)."
+    least = min(as_good, key=lambda row: row.n_bytes)
+    if least is small:
+        return f"{line}, no less accurate than the full reading ({full.accuracy.psnr_db:.1f} dB)."
+    return (
+        f"{line}; of those no less accurate than the full reading "
+        f"({full.accuracy.psnr_db:.1f} dB): {least.n_bytes}, {_named(least)}."
+    )
 
 
 def _accuracy(row: Row) -> float:
@@ -173,6 +205,8 @@ def legend(rows: Sequence[Row]) -> list[str]:
         "!: fewer than asked for; limit in brackets: reached, and what would break first",
         "band: of 90 % of scenes and seeds, interpolation error included; touch: least force a "
         "taxel at which a light press of 3 x 3 taxels is found in 90 % of cases",
+        "host ms: calm frame..dense press; rate, limit, latency and cores are those of the dense "
+        "press",
     ]
     if any(row.limit == "host" for row in rows):
         lines.append(
@@ -201,8 +235,10 @@ def sources(rows: Sequence[Row], design: Design) -> list[str]:
         ADC_SOURCE,
         design.edge.source,
         f"bus: {design.bus.source}",
-        f"host: processor time of the reconstructor node, {stored()['conditions']} ({COMMAND}); a "
-        "skin of more than 4096 taxels is taken as several patches",
+        "host: processor time of the reconstructor node, from a frame that nothing presses to one "
+        f"of a body on {DENSE:.0%} of the taxels, the body that takes longest; "
+        f"{stored()['conditions']} ({COMMAND}); a skin of more than 4096 taxels is taken as "
+        "several patches",
         f"latency: the sum of the stages, and {HOP_S * 1e3:g} ms from process to process "
         f"({LATENCY_COMMAND}); queues and other programs of the host are left out",
         f"accuracy: {of}",

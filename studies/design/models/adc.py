@@ -10,7 +10,7 @@ from sparseskin.nodes.errors import SettingsError
 from .units import SAMPLES, quantity, shown
 
 FORM = "10bit@200kS/s"
-_ADC = re.compile(r"(\d{1,2})\s*bit\s*@\s*(.+)", re.ASCII)
+_ADC = re.compile(r"(\d{1,2})\s*bits?\s*@\s*(.+)", re.ASCII)
 
 
 @dataclass(frozen=True)

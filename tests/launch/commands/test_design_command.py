@@ -27,7 +27,8 @@ def test_options_replace_what_a_file_states(
 ) -> None:
     path = tmp_path / "design.toml"
     path.write_text('rows = 8\ncols = 8\nbus = "can:1M"\nrate = 50\n')
-    assert main(["design", str(path), "--rate", "20", "--taxels", "40"]) == 0
+    words = ["--rate", "20 Hz", "--taxels", "40", "--only", "full, adaptive"]
+    assert main(["design", str(path), *words]) == 0
     out = capsys.readouterr().out
     assert out.startswith("40 points, 4 mm apart")
     assert "CAN at 1 Mbit/s" in out
@@ -41,7 +42,10 @@ def test_it_writes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert capsys.readouterr().out.splitlines()[-1] == str(out / "design.html")
     written = {path.name for path in out.iterdir()}
     charts = {
-        f"{name}.{form}" for name in ("rates", "accuracy", "latency") for form in ("png", "svg")
+        f"{name}{width}.{form}"
+        for name in ("rates", "accuracy", "latency")
+        for width in ("", "_narrow")
+        for form in ("png", "svg")
     }
     assert written == {"design.html", "rows.csv", *charts}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -200,11 +201,10 @@ def test_far_outside_the_grid_no_figure_is_stated(n: int, noise: float, rate_hz:
         (("full", 1024, 0.5, 16, 100.0), "noise"),
         (("full", 1024, 0.01, 1, 100.0), "bits"),
         (("full", 1024, 0.01, 16, 0.0), "rate"),
+        (("full", 1024, 0.01, 16, 100.0, 0.0), "aspect"),
     ],
 )
-def test_an_argument_that_is_not_allowed_is_named(
-    arguments: tuple[str, int, float, int, float], named: str
-) -> None:
+def test_an_argument_that_is_not_allowed_is_named(arguments: tuple[Any, ...], named: str) -> None:
     with pytest.raises(SettingsError, match=f"^{named}: .*(allowed|did you mean)") as caught:
         accuracy(*arguments)
     assert "\n" not in str(caught.value)
@@ -227,7 +227,7 @@ def test_scenes_on_a_skin_that_is_not_square_lie_in_the_band_of_each_strategy(
     strategy: str,
 ) -> None:
     mask = np.ones((10, 20), dtype=np.bool_)
-    stated = accuracy(strategy, mask.size, 0.005, 12, 80.0)
+    stated = accuracy(strategy, mask.size, 0.005, 12, 80.0, aspect=2.0)
     for scene in (0, 1, 2):
         reader = make_reader(STRATEGIES[strategy], mask, 0.005, 12, seed=scene)
         dbs, _ = contact_db(reader, presses(scene, mask, 0.005, 80.0, seed=7))
