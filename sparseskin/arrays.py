@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, row_subsets
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
+from sparseskin.nodes.numerics.compiled import check_fast
 from sparseskin.nodes.reconstructor.solvers.base import Solver
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
 from sparseskin.nodes.recorder.bag.frames import (
@@ -124,6 +127,8 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     >>> bool(sparseskin.psnr_db(forces, truth).min() > 30)
     True
     """
+    if getattr(solver, "name", "") == "skin":
+        _warn_of_threads()
     y = np.asarray(measurements, dtype=np.float32)
     if y.ndim not in (1, 2):
         raise SolverError(f"measurements have shape {y.shape}; expected (m,) or (k, m)")
@@ -136,6 +141,21 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     if y.ndim == 1:
         return made[0]
     return np.stack(made) if made else np.zeros((0, *solver.mask.shape), dtype=np.float32)
+
+
+@cache
+def _warn_of_threads() -> None:
+    """Warn, once, where threads of OpenBLAS slow down the small products of the solver."""
+    config: Any = np.show_config(mode="dicts")
+    is_openblas = "openblas" in config["Build Dependencies"]["blas"]["name"]
+    stated = any(name in os.environ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"))
+    if is_openblas and not stated and (os.cpu_count() or 1) > 1 and check_fast("auto") == "off":
+        warnings.warn(
+            "solver skin without numba: threads of OpenBLAS wait for each other; set "
+            "OPENBLAS_NUM_THREADS=1 before Python starts, or pip install 'sparseskin[fast]'",
+            RuntimeWarning,
+            stacklevel=3,
+        )
 
 
 def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import bags
@@ -12,6 +13,7 @@ import pytest
 from doubting import DOUBTING, ERROR
 
 import sparseskin
+from sparseskin import arrays
 from sparseskin.messages import Reconstruction
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
@@ -45,6 +47,35 @@ def test_compress_measures_existing_taxels_alone() -> None:
     frames = np.arange(32, dtype=np.float32).reshape(2, 4, 4)
     y = sparseskin.compress(frames, phi, mask)
     np.testing.assert_array_equal(y, frames[:, mask])
+
+
+def test_reconstruct_warns_once_of_threads_that_slow_it_down(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    config = {"Build Dependencies": {"blas": {"name": "scipy-openblas"}}}
+    monkeypatch.setattr(np, "show_config", lambda mode: config)
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    monkeypatch.setenv("SPARSESKIN_FAST", "off")
+    threads = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+    phi = sparseskin.make_phi("sbhe", n=64, m=32, seed=0)
+    basis = sparseskin.make_basis("haar", 8, 8)
+    y = np.zeros(32, np.float32)
+    for solver_name, stated, expected in (
+        ("skin", False, 1),
+        ("skin", True, 0),
+        ("fista", False, 0),
+    ):
+        for name in threads:
+            monkeypatch.delenv(name, raising=False)
+        if stated:
+            monkeypatch.setenv(threads[0], "1")
+        arrays._warn_of_threads.cache_clear()
+        solver = sparseskin.make_solver(solver_name, phi, basis)
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            for _ in range(2):
+                sparseskin.reconstruct(y, solver)
+        assert ["OPENBLAS_NUM_THREADS=1" in str(one.message) for one in found] == [True] * expected
 
 
 def test_reconstruct_is_the_solver_frame_by_frame() -> None:
