@@ -25,8 +25,8 @@ IGNORED = (
     *("*/phi/test_a*.py", "*/phi/test_quadtree.py", "*/phi/test_rotation.py"),
     *("*/phi/test_stored.py", "*/phi/test_wired.py", "*/skin/test_adaptive_skin.py"),
 )
-"""Tests of compiled loops and of the choice of rows, which call no BLAS, and of the reference, which
-rounds otherwise than the solver under every kernel.
+"""Tests of compiled loops and of the choice of rows, which call no BLAS, and of the reference,
+which rounds otherwise than the solver under every kernel.
 """
 
 
