@@ -198,4 +198,6 @@ def _skin(name: str, patch: PatchFeed) -> Part:
         arrays["mask"] = skin.mask.view(np.uint8)
     if skin.points is not None:
         arrays["points"] = skin.points
+    if skin.point_rows is not None:
+        arrays["point_rows"] = skin.point_rows
     return header, arrays

@@ -19,8 +19,10 @@ const LIGHT = [-0.37, 0.46, 0.81], AMBIENT = 0.3; // from above, left, and the e
 
 export class Cloud {
   // A record of a skin with points, n x (x, y, z, normal), of the cells that exist, row by row.
-  constructor({ n_rows: nRows, n_cols: nCols, pitch_m: pitch, data: { points, mask } }) {
+  constructor({ n_rows: nRows, n_cols: nCols, pitch_m: pitch, data }) {
+    const { points, mask, point_rows: rows } = data;
     this.points = points;
+    this.rows = rows ?? null; // of taxel k its row in the file of points, where there is one
     this.n = points.length / 6;
     this.cells = new Int32Array(this.n); // of taxel k its cell on the grid
     this.taxels = new Int32Array(nRows * nCols).fill(-1); // and the reverse

@@ -225,7 +225,8 @@ export class SpaceView {
     const k = isOver ? index[row * width + col] - TAXELS : -1;
     if (k < 0) return null;
     const place = Array.from(this.cloud.place(k), (v) => (1000 * v).toFixed(1)).join(", ");
-    return { cell: this.cloud.cells[k], name: `taxel ${k} at ${place} mm` };
+    const { cells, rows } = this.cloud;
+    return { cell: cells[k], name: `taxel ${rows ? rows[k] : k} at ${place} mm` };
   }
 
   overlay() {

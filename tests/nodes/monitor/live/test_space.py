@@ -59,9 +59,12 @@ def graph(page: Any, points: Floats) -> Iterator[Graph]:
 
 @contextlib.contextmanager
 def opened(page: Any, points: Floats) -> Iterator[Graph]:
-    """A torso without a frame, on the open page."""
+    """A torso without a frame, on the open page; its file has the taxels in reverse order."""
     graph = Graph()
-    graph.skin(n_rows=N_ROWS, n_cols=N_COLS, mask=MASK, points=points, pitch_m=0.011)
+    rows = np.arange(len(points), dtype=np.int32)[::-1].copy()
+    graph.skin(
+        n_rows=N_ROWS, n_cols=N_COLS, mask=MASK, points=points, point_rows=rows, pitch_m=0.011
+    )
     with contextlib.closing(
         PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
     ) as server:
@@ -250,6 +253,7 @@ def test_the_taxel_under_the_pointer_is_named_with_its_place_and_forces(
     from selenium.webdriver.common.action_chains import ActionChains
 
     k = int(np.argmax(pressed(points, FRONT, PEAK_N, RADIUS_M)))
+    row = len(points) - 1 - k
     run(page, "document.getElementById('turn-to-contact').click()")
     settled(page)
     wait_until(lambda: abs(pixels(page, VIRIDIS_TOP)[1] - 0.5) < 0.05, "it in the middle")
@@ -259,7 +263,7 @@ def test_the_taxel_under_the_pointer_is_named_with_its_place_and_forces(
     ActionChains(page).move_to_element_with_offset(canvas, *offset).perform()
     shown = "return document.getElementById('under-pointer').innerText"
     where = ", ".join(f"{1000 * v:.1f}" for v in points[k, :3])
-    wait_until(lambda: f"taxel {k} at {where} mm: truth 2.0000" in run(page, shown), "its values")
+    wait_until(lambda: f"taxel {row} at {where} mm: truth 2.0000" in run(page, shown), "its values")
     assert "reconstruction 2.0000" in run(page, shown)
     rings = "return document.querySelectorAll('#maps ellipse').length"
     assert run(page, rings) >= 2
