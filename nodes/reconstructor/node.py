@@ -184,12 +184,13 @@ class Reconstructor(Node[ReconstructorSettings]):
         for warning in dict.fromkeys(warnings):
             self.context.log(warning)
         self._solver = solver
-        if chosen["solver"] in SOLVERS and use_compiled(self.settings.fast):
+        compiled = chosen["solver"] in SOLVERS and use_compiled(self.settings.fast)
+        if compiled:
             for one in subsets:
                 if is_sbhe(one):
                     one.compile()
         self._subsets = {one.fingerprint: one for one in subsets}
-        self._watch.set_up(self._subsets, state, solver.mask)
+        self._watch.set_up(self._subsets, state, solver.mask, compiled)
         self._trust_log.begin(len(self._subsets), can_rotate(phi))
         self._uncertainty = self._make_uncertainty(solver, phi.ratio, announced.rows)
         if self.settings.resultant:

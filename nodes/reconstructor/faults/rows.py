@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
+from sparseskin.nodes.numerics.compiled import ready
 
 #: Least participation ratio of rows that can be compared, and rows that are probed for it.
 LEAST_MIXED, N_PROBED = 8.0, 8
@@ -38,6 +40,8 @@ FINE = 0.25
 ENOUGH_PEERS = 6
 #: Median of the square of a standard normal number.
 MEDIAN_SQUARE = 0.455
+_LIMITS = np.array([MEDIAN_SQUARE, LARGEST, ODD, UNPREDICTED, UNPREDICTED_PEERS, ALLOWED, ENOUGH])
+_NOTHING = np.zeros(0, np.intp)
 
 
 class RowWatch:
@@ -61,6 +65,12 @@ class RowWatch:
     nothing touches the skin and a row that reads 0 does not show. An error of all rows along Phi 1,
     the bias of readings clipped at 0, is no fault.
 
+    Parameters
+    ----------
+    phi : Phi
+    compiled : bool
+        Compare rows in compiled loops, which need numba.
+
     Attributes
     ----------
     watches : bool
@@ -75,8 +85,14 @@ class RowWatch:
     Source: Page, "Continuous inspection schemes", Biometrika 41, 1954, for the CUSUM.
     """
 
-    def __init__(self, phi: Phi) -> None:
+    def __init__(self, phi: Phi, compiled: bool = False) -> None:
         m = phi.m
+        self._loops: Any = None
+        if compiled:
+            from sparseskin.nodes.numerics import kernels  # needs numba
+
+            ready(kernels.glance_at_rows, kernels.compare_rows)
+            self._loops = kernels
         self._phi = phi
         self.watches = mixed_taxels(phi) >= LEAST_MIXED
         ones = phi.forward(np.ones(phi.n, dtype=np.float32))
@@ -97,7 +113,7 @@ class RowWatch:
         self._coarse = self._suspects = False
         self._to_heal = np.full(m, HEALED, dtype=np.int32)
         self._unfitted: Indices | None = None
-        self._n_frames = 0
+        self._n_frames = self._n_constant = self._n_out = 0
         self._lively = 0.0
         self.left_out: Mask = np.zeros(m, dtype=np.bool_)
         self.swamped = False
@@ -125,16 +141,43 @@ class RowWatch:
             return False
         self._n_frames += 1
         self._residual, self._before = self._before, self._residual
+        self._last, self._last_but_one = self._last_but_one, self._last
+        look = self._glance(y, fitted)
+        if self._n_frames == 1:
+            return False  # no change from frame to frame is known yet
+        due = self._n_frames % EVERY == 0 or self._suspects or look
+        return due and self._look(y)
+
+    def _glance(self, y: Floats, fitted: Floats) -> bool:
+        """Note residuals, innovations and changes; True if a row asks for a full comparison."""
+        if self._loops is not None:
+            n_changed, n_loud, n_constant = self._loops.glance_at_rows(
+                *(np.asarray(y), fitted, self._last_but_one, self._last, self._fitted),
+                *(self._residual, self._innovation, self._bound, self._changed_at),
+                *(self._n_frames, CONSTANT, self._coarse),
+            )
+            self._note_lively(n_changed)
+            self._n_constant = n_constant if self._lively >= LIVELY else 0
+            return bool(n_loud or self._n_constant)
         np.subtract(y, fitted, out=self._residual)
         np.subtract(y, self._fitted, out=self._innovation)
         np.copyto(self._fitted, fitted)
         np.square(self._residual, out=self._squared)
         np.greater(self._squared, self._bound, out=self._loud)
-        self._note_changes(y)
-        if self._n_frames == 1:
-            return False  # no change from frame to frame is known yet
-        due = self._n_frames % EVERY == 0 or self._suspects or self._loud.any()
-        return bool(due or self._constant().any()) and self._look(y)
+        changed = y != self._last_but_one
+        np.copyto(self._last, y)
+        if self._coarse:
+            self._changed_at.fill(self._n_frames)
+        else:
+            np.copyto(self._changed_at, self._n_frames, where=changed)
+        self._note_lively(int(np.count_nonzero(changed)))
+        self._n_constant = int(np.count_nonzero(self._constant()))
+        return bool(self._loud.any() or self._n_constant)
+
+    def _note_lively(self, n_changed: int) -> None:
+        """Update the part of the rows that change from frame to frame."""
+        rate = max(LIVELY_RATE, 1 / self._n_frames)
+        self._lively += rate * (n_changed / self.left_out.size - self._lively)
 
     def _look(self, y: Floats) -> bool:
         """Compare all rows with their peers; return True if `left_out` has changed."""
@@ -144,18 +187,36 @@ class RowWatch:
         self._coarse = step > FINE * math.sqrt(noise2)
         # A force below a step is read as 0 or as a step, in turn.
         noise2 += step * step / 4
+        odd, accused = self._compared(noise2)
+        if not accused and not self._n_constant and not self._n_out:
+            self._suspects = self.swamped = False
+            return False
+        faulty = (self._evidence >= ENOUGH) | self._constant()
+        changed = self._leave_out(faulty) | self._heal(odd, faulty)
+        self._suspects = bool(self._evidence.any() or self._n_out)
+        return changed
+
+    def _compared(self, noise2: float) -> tuple[Floats, bool]:
+        """Return the oddness of the rows, at most 36, and True if there is evidence against one."""
+        evidence = self._evidence
+        if self._loops is not None:
+            odd = np.empty_like(evidence)
+            apart = _NOTHING if self._unfitted is None else self._unfitted
+            accused = self._loops.compare_rows(
+                *(self._residual, self._before, self._innovation, self._last, self._last_but_one),
+                *(self._ones, self._kept, self._per_peer),
+                *(self._block, self._heavy, self._few, apart),
+                *(_LIMITS, noise2, self._left, odd, self._bound, evidence),
+            )
+            return odd, accused
         odd = self._oddness(noise2)
         np.maximum(odd, self._unpredicted(noise2), out=odd)
-        evidence = self._evidence
         odd_enough = (evidence > 0) | (odd > ODD)
         evidence += odd
         evidence -= ALLOWED
         evidence *= odd_enough
         np.clip(evidence, 0, 2 * ENOUGH, out=evidence)
-        faulty = (evidence >= ENOUGH) | self._constant()
-        changed = self._leave_out(faulty) | self._heal(odd, faulty)
-        self._suspects = bool(evidence.any() or self.left_out.any())
-        return changed
+        return odd, bool(evidence.any())
 
     def _oddness(self, noise2: float) -> Floats:
         """Return squared residuals in units of the peers, or of the noise; at most 36."""
@@ -212,18 +273,6 @@ class RowWatch:
         odd[n_peers < UNPREDICTED_PEERS] = 0
         return np.minimum(odd, LARGEST, out=odd)
 
-    def _note_changes(self, y: Floats) -> None:
-        """Note the rows that read another value than in the last frame."""
-        changed = y != self._last
-        self._last, self._last_but_one = self._last_but_one, self._last
-        np.copyto(self._last, y)
-        rate = max(LIVELY_RATE, 1 / self._n_frames)
-        self._lively += rate * (np.count_nonzero(changed) / changed.size - self._lively)
-        if self._coarse:
-            self._changed_at.fill(self._n_frames)
-        else:
-            np.copyto(self._changed_at, self._n_frames, where=changed)
-
     def _constant(self) -> Mask:
         """Return the rows that are constant, on a skin whose rows are not."""
         return (self._changed_at <= self._n_frames - CONSTANT) & (self._lively >= LIVELY)
@@ -249,6 +298,7 @@ class RowWatch:
         return True
 
     def _count_peers(self) -> None:
+        self._n_out = int(np.count_nonzero(self.left_out))
         self._kept = (~self.left_out).astype(np.float32)
         n_peers = np.add.reduceat(self._kept, self._starts)[self._block] - self._kept
         self._per_peer = 1 / np.maximum(n_peers, 1)

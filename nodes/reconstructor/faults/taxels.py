@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.compiled import ready
 
 #: Frames between two searches for taxels that stand alone: with at least this part of the range,
 #: next to neighbours of at most this part of their own force.
@@ -72,10 +73,12 @@ class EndWatch:
     either.
     """
 
-    def __init__(self, mask: Mask, f_max: float) -> None:
-        self._mask = mask
+    def __init__(self, mask: Mask, f_max: float, loops: Any = None) -> None:
+        self._mask, self._loops = mask, loops
         self._n_cols = mask.shape[1]
-        self._pressed = PRESSED * f_max
+        self._pressed = float(np.float32(PRESSED * f_max))
+        self._inside = np.zeros(mask.shape, np.bool_)
+        self._places = np.zeros(mask.size, np.int64)
         self._f_max = f_max
         self._low: dict[int, _Low] = {}
         self._full: dict[int, int] = {}
@@ -92,13 +95,21 @@ class EndWatch:
 
     def _look_for_holes(self, forces: Floats, dead: Container[int]) -> tuple[list[int], list[int]]:
         pressed = forces > np.float32(self._pressed)
-        if np.count_nonzero(pressed) < INSIDE:
-            return [], []
-        inside = self._mask & (_around(pressed.astype(np.int8)) >= INSIDE)
+        if self._loops is not None:
+            n = self._loops.holes(
+                *(forces, self._mask, self._pressed, INSIDE, self._inside, self._places)
+            )
+            inside, holes = self._inside, self._places[: max(n, 0)].tolist()
+            if n < 0:
+                return [], []
+        else:
+            if np.count_nonzero(pressed) < INSIDE:
+                return [], []
+            inside = self._mask & (_around(pressed.astype(np.int8)) >= INSIDE)
+            holes = np.flatnonzero(inside & ~pressed).tolist()
         # Most frames have neither holes nor watched taxels.
         watched = [place for place in self._low if inside.flat[place]]
         watched += [place for place in self._alive if inside.flat[place]]
-        holes = np.flatnonzero(inside & ~pressed).tolist()
         found, believed = [], []
         for place in dict.fromkeys([*holes, *watched]):
             force, beside = float(forces.flat[place]), self._beside(forces, pressed, place)
@@ -204,6 +215,8 @@ class TaxelWatch:
         As in `SkinState`.
     log : callable
         Receives one line of text.
+    compiled : bool
+        Search in compiled loops, which need numba; the results are the same.
 
     Attributes
     ----------
@@ -218,13 +231,21 @@ class TaxelWatch:
         sigma_mid: float,
         sigma_end: float,
         log: Callable[[str], None],
+        compiled: bool = False,
     ) -> None:
         self._mask, self._log = mask, log
+        self._loops: Any = None
+        if compiled:
+            from sparseskin.nodes.numerics import kernels  # needs numba
+
+            ready(kernels.lone_taxels, kernels.holes)
+            self._loops = kernels
+        self._places = np.zeros(mask.size, np.int64)
         self._middle = f_max / 2
         self._sigma_mid, self._sigma_end = sigma_mid, sigma_end
         self._taxels = np.flatnonzero(mask)
         self._number = np.cumsum(mask.reshape(-1)) - 1
-        self._least = LEAST_FORCE * f_max
+        self._least = float(np.float32(LEAST_FORCE * f_max))
         self._suspects: dict[int, _Suspect] = {}
         self._last: dict[str, Floats] = {}
         self._columns: dict[tuple[str, int], Floats] = {}
@@ -232,7 +253,7 @@ class TaxelWatch:
         self.stuck: dict[int, float] = {}
         self._off: dict[int, float] = {}
         self._subtracted: dict[str, Floats] = {}
-        self._ends = EndWatch(mask, f_max)
+        self._ends = EndWatch(mask, f_max, self._loops)
 
     @property
     def text(self) -> str:
@@ -345,12 +366,7 @@ class TaxelWatch:
 
     def _look(self, forces: Floats) -> None:
         """Suspect the taxels that stand alone; drop those that do not any more, or have changed."""
-        edged = np.pad(forces, 1)
-        beside = np.maximum(edged[:-2], edged[2:])
-        three = np.maximum(beside, edged[1:-1])
-        most = np.maximum(np.maximum(three[:, :-2], three[:, 2:]), beside[:, 1:-1])
-        alone = self._mask & (forces > self._least) & (most < ALONE * forces)
-        places = set(np.flatnonzero(alone).tolist()) - self.stuck.keys()
+        places = self._alone(forces) - self.stuck.keys()
         flat = forces.reshape(-1)
         if not places and not self._suspects and not self.stuck:
             self._columns.clear()
@@ -359,6 +375,18 @@ class TaxelWatch:
                 del self._suspects[place]
         for place in sorted(places - self._suspects.keys())[: MOST - len(self._suspects)]:
             self._suspects[place] = _Suspect(float(flat[place]))
+
+    def _alone(self, forces: Floats) -> set[int]:
+        """Return the taxels that stand alone."""
+        if self._loops is not None:
+            n = self._loops.lone_taxels(forces, self._mask, self._least, ALONE, self._places)
+            return set(self._places[:n].tolist())
+        edged = np.pad(forces, 1)
+        beside = np.maximum(edged[:-2], edged[2:])
+        three = np.maximum(beside, edged[1:-1])
+        most = np.maximum(np.maximum(three[:, :-2], three[:, 2:]), beside[:, 1:-1])
+        alone = self._mask & (forces > self._least) & (most < ALONE * forces)
+        return set(np.flatnonzero(alone).tolist())
 
     def _column(self, phi: Phi, place: int) -> Floats:
         key = phi.fingerprint, place
