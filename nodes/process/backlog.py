@@ -31,16 +31,30 @@ class Backlog:
 
     def take(self, depth: int) -> Waiting | None:
         """Next message, or None; `depth` newer ones of its stream overtake it, 0: none does."""
-        while depth and len(self._queue) < QUEUE_FRAMES:
-            parts = self._reader.receive()
-            if parts is None:
-                break
-            self._queue.append(parts)
+        if depth:
+            self._fill()
         first = self._queue.popleft() if self._queue else self._reader.receive()
         if first is None:
             return None
         topic, payload = first
         return Waiting(topic, payload, bool(depth) and self._is_overtaken(topic, depth))
+
+    def is_behind(self) -> bool:
+        """True if a message of a stream waits, and none of its writers waits for an answer."""
+        self._fill()
+        for topic, payload in self._queue:
+            if self._reader.is_ask(topic):
+                return False
+            if topic in self._streams and not is_end(payload):
+                return True
+        return False
+
+    def _fill(self) -> None:
+        while len(self._queue) < QUEUE_FRAMES:
+            parts = self._reader.receive()
+            if parts is None:
+                break
+            self._queue.append(parts)
 
     def _is_overtaken(self, topic: bytes, depth: int) -> bool:
         if topic not in self._streams:

@@ -62,10 +62,12 @@ class Runner:
         cls = node_class(config["type"])
         settings = make_settings(cls, config["settings"])
         late = bool(config.get("late"))
+        self.backlog: Backlog | None = None
         context = Context(
             *(self.name, self.clock, self.log, self._ask, late, self._clock_of),
             page_token=config.get("page_token", ""),
             page_file=config.get("page_file", ""),
+            is_behind=self._is_behind,
         )
         node = cls(settings, context)
         run_id = secrets.token_hex(8)
@@ -80,7 +82,6 @@ class Runner:
         self.network = Network(self.context, config, self.clock.now_ns, self.log, self.poll)
         self.writer = self.network.writer
         self.reader: Reader | None = None
-        self.backlog: Backlog | None = None
         self.poll.add(control.fd)
         self.connected = self.ready = self.started = self.stopping = self.end_reported = False
         self.draining = self.failed = self.terminated = False
@@ -233,6 +234,10 @@ class Runner:
 
     def _clock_of(self, topic: str) -> ClockEstimate | None:
         return self.network.clock_of(topic)
+
+    def _is_behind(self) -> bool:
+        backlog = self.backlog
+        return backlog is not None and bool(self.host.node.depth) and backlog.is_behind()
 
     def _start(self) -> None:
         if isinstance(self.host.node, SourceNode):

@@ -1,4 +1,12 @@
-"""The reconstructor node of a batch of equal patches: a solver for each, one message each way."""
+"""The reconstructor node of a batch of equal patches: a solver for each, one message each way.
+
+A patch of which the past says nothing is estimated by both models of the solver `skin`, and
+compared for some frames: tens of times the work of others. Where many patches begin at once, the
+node falls behind. As soon as a newer frame waits, one comparison a frame is computed, of the patch
+that has waited longest. All others have their Haar estimate, with its error and trust by
+measurements held out, and are compared in a later frame. Nothing is put off while no frame waits,
+where every frame is to be reconstructed (`depth` 0), and where a source waits for its readers.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +24,7 @@ from sparseskin.messages import (
     Reconstruction,
     ReconstructionBatch,
     SkinState,
+    SolverState,
 )
 from sparseskin.messages.batches import BatchMessage, unchecked
 from sparseskin.nodes.batch import BatchNode, check_patches
@@ -64,15 +73,22 @@ class ReconstructorBatch(BatchNode[ReconstructorBatchSettings]):
         self._watch: IdleWatch | None = None
         self._last: dict[str, Reconstruction] = {}
         self._skipped = 0
+        #: Frame since which the comparison of a patch is put off, and the number of the frame.
+        self._waiting: dict[str, int] = {}
+        self._n_frames = self._n_put_off = 0
+        self._spared = True
+        for name in self._names:
+            self._node(name).may_compare = self._may_compare
 
     def step(self, message: Message) -> Iterable[Message]:
         if isinstance(message, SkinState):
             self._skin = message
         elif isinstance(message, PhiState):
             self._phi = message
-        yield from super().step(message)
-        if isinstance(message, SkinState | PhiState):
-            self._watch_again()
+        for answer in super().step(message):
+            if isinstance(answer, SolverState):
+                self._watch_again()
+            yield answer
 
     def overtaken(self, message: Message) -> None:
         self._skipped += isinstance(message, MeasurementsBatch)
@@ -84,11 +100,16 @@ class ReconstructorBatch(BatchNode[ReconstructorBatchSettings]):
 
     def state(self) -> dict[str, Any]:
         idle = 0 if self._watch is None else int(np.count_nonzero(self._watch.idle))
-        return {**super().state(), "idle": idle}
+        return {**super().state(), "idle": idle, "put_off": self._n_put_off}
 
     def status(self) -> str:
         idle = 0 if self._watch is None else int(np.count_nonzero(self._watch.idle))
-        return "; ".join(filter(None, (super().status(), f"{idle} idle" if idle else "")))
+        parts = (
+            super().status(),
+            f"{idle} idle" if idle else "",
+            f"{self._n_put_off} comparisons put off" if self._n_put_off else "",
+        )
+        return "; ".join(filter(None, parts))
 
     def _watch_again(self) -> None:
         """Begin to watch for idle patches, where it is wanted and the skin states its noise."""
@@ -104,17 +125,45 @@ class ReconstructorBatch(BatchNode[ReconstructorBatchSettings]):
         solve = np.ones(len(self._names), np.bool_)
         if self._watch is not None:
             solve = self._watch.to_solve(message.phi, message.y)
-        for k, part in enumerate(message.split(self._held)):
-            last = self._last.get(part.patch)
-            if last is not None and not solve[k]:
-                yield [self._unchanged(last, part)]
+        parts, answers = message.split(self._held), {}
+        self._n_frames, self._spared = self._n_frames + 1, True
+        for k in sorted(range(len(parts)), key=self._turn_of):
+            name = parts[k].patch
+            last = self._last.get(name)
+            # What is put off is not idle: it would be estimated by the wrong model for long.
+            if last is not None and not solve[k] and name not in self._waiting:
+                answers[k] = self._unchanged(last, parts[k])
                 continue
-            (found,) = self.nodes[part.patch].step(part)
+            (found,) = self.nodes[name].step(parts[k])
             assert isinstance(found, Reconstruction)
-            self._last[part.patch] = found
+            answers[k] = self._last[name] = found
+            self._note(name)
             if self._watch is not None:
                 self._watch.solved(k, found.forces)
-            yield [found]
+        for k in range(len(parts)):
+            yield [answers[k]]
+
+    def _node(self, name: str) -> Reconstructor:
+        node = self.nodes[name]
+        assert isinstance(node, Reconstructor)
+        return node
+
+    def _turn_of(self, k: int) -> int:
+        """Key of a patch in the order of a frame: first those that wait longest."""
+        return self._waiting.get(self._names[k], self._n_frames)
+
+    def _may_compare(self) -> bool:
+        """True while no newer frame waits, and once a frame in any case."""
+        spared, self._spared = self._spared, False
+        return spared or not self.context.is_behind()
+
+    def _note(self, name: str) -> None:
+        """Note whether the comparison of a patch was put off in its frame."""
+        if self._node(name).put_off:
+            self._waiting.setdefault(name, self._n_frames)
+            self._n_put_off += 1
+        else:
+            self._waiting.pop(name, None)
 
     def _joined(self, answers: Iterable[list[Message]]) -> Iterator[Message]:
         for message in super()._joined(answers):

@@ -217,6 +217,7 @@ class SkinSolver(Solver):
         self._prediction.knows_whole = False
         self._last_phi = self.phi
         self._rotating = self._begun = self._has_estimate = False
+        self.put_off = self._is_owed = False
         subset = self._subsets[self.phi.fingerprint]
         self._noise.use(subset)
         self._gain.use(subset)
@@ -276,7 +277,9 @@ class SkinSolver(Solver):
         self._threshold = threshold * self._projection.step_size
         more = self._t.iterations_per_nis * max(0.0, self._gain.nis - self._t.expected_nis)
         more = self.max_iterations if settling else min(more, self.max_iterations)
-        models = self._held_out.models(self._nothing_known, self._coarse)
+        # A comparison that was put off is made from nothing, and decides at once.
+        self._is_owed, self.put_off = self.put_off, False
+        models = self._held_out.models(self._nothing_known or self._is_owed, self._coarse)
         self._n_haar = (
             min(self.max_iterations, self.iterations + int(more)) if HAAR in models else 0
         )
@@ -359,7 +362,7 @@ class SkinSolver(Solver):
         """Hand the rows that are known to the smooth model."""
         y = self._y
         y2 = float(np.dot(y, y)) / self.phi.m
-        cold = self._nothing_known
+        cold = self._nothing_known or self._is_owed
         least = self.known_noise + self._t.least_noise * y2
         power = (y2 if cold else e2) - least
         known, values, variance = self._projection.measured, y, np.full_like(y, least)
@@ -396,6 +399,10 @@ class SkinSolver(Solver):
             self._needs_smooth = not self._held_out.suffices(
                 self._residuals[HAAR], self.known_noise
             )
+            # A model in use is computed in any case, unless the past says nothing.
+            deferrable = self.model == HAAR or self._nothing_known or self._is_owed
+            if self._needs_smooth and deferrable and not self.may_compare():
+                self._needs_smooth, self.put_off = False, True
         if self._needs_smooth:
             self._smooth.round()
 
@@ -481,7 +488,10 @@ class SkinSolver(Solver):
         before = self.model
         # Only rotating rows hold out others in the next frame: with fixed ones, all noise counts.
         gain = self._gain.gain if self._rotating else 0.0
-        chosen = self._held_out.choose(self._residuals, self.known_noise, self._nothing_known, gain)
+        owed = self._is_owed and len(self._residuals) > 1
+        chosen = self._held_out.choose(
+            self._residuals, self.known_noise, self._nothing_known or owed, gain
+        )
         if (before, chosen) == (SMOOTH, HAAR):
             # The gain has fallen meanwhile, without the noise of the smooth model.
             self._noise.since_jump = 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -91,6 +91,10 @@ class Solver(ABC):
     trusted: bool = True
     #: Numbers of the measurements that the last frame was not made from, intp; None for none.
     unfitted: Indices | None = None
+    #: Asked when a frame needs a comparison of two models; where it returns False, that is put off.
+    may_compare: Callable[[], bool] = staticmethod(lambda: True)
+    #: True if that of the last frame was put off.
+    put_off: bool = False
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:
         shape = (basis.n_rows, basis.n_cols)

@@ -1,0 +1,175 @@
+"""A batch that falls behind puts comparisons of models off, and spreads them over frames."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from patch_streams import Stream, stream
+
+from sparseskin.messages import (
+    Measurements,
+    MeasurementsBatch,
+    PhiState,
+    Reconstruction,
+    ReconstructionBatch,
+    SkinState,
+)
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.reconstructor.batch.node import ReconstructorBatch
+from sparseskin.nodes.reconstructor.node import Reconstructor
+
+NAMES = ("left", "right", "back", "hand")
+SHAPE = (16, 20)
+FIRST = 18
+"""First frame that is solved, with its contact: the past says nothing of any patch."""
+
+
+def behind() -> bool:
+    return True
+
+
+def on_time() -> bool:
+    return False
+
+
+@pytest.fixture(scope="module")
+def presses() -> list[Stream]:
+    """Smooth presses that begin at once on all patches: they need both models."""
+    options: dict[str, Any] = {"active": 0.5, "shape": SHAPE, "n_frames": 24}
+    found = [stream("gaussian", 3, "fixed", seed=seed, **options) for seed in range(len(NAMES))]
+    return [one._replace(y=one.y[FIRST:], truth=one.truth[FIRST:]) for one in found]
+
+
+def states(patch: str, known: Stream) -> tuple[SkinState, PhiState]:
+    skin = SkinState(
+        stamp_ns=0, patch=patch, n_rows=SHAPE[0], n_cols=SHAPE[1], f_max=2.5, unit="N",
+        pitch_m=None, mask=None, source="", seed=0, rate_hz=0.0, has_truth=False, sigma_mid=0.0,
+        sigma_end=0.0,
+    )  # fmt: skip
+    phi = known.phis[0]
+    return skin, PhiState(
+        stamp_ns=0, patch=patch, fingerprint=phi.fingerprint, **phi.describe(), rows="fixed"
+    )
+
+
+class Body:
+    """A node of four patches, and whether it is behind."""
+
+    def __init__(self, presses: list[Stream], is_behind: Callable[[], bool]) -> None:
+        self.presses, self.is_behind = presses, is_behind
+        context = Context("node", ManualClock(1), is_behind=lambda: self.is_behind())
+        settings = ReconstructorBatch.Settings(patch="body", patches=NAMES)
+        self.node = ReconstructorBatch(settings, context)
+        for state in states("body", presses[0]):
+            list(self.node.step(state))
+
+    def frame(self, k: int) -> list[Reconstruction]:
+        y = np.stack([one.y[k] for one in self.presses])
+        phi = self.presses[0].phis[0].fingerprint
+        message = MeasurementsBatch(stamp_ns=k + 1, patch="body", names=NAMES, y=y, phi=phi)
+        (found,) = self.node.step(message)
+        assert isinstance(found, ReconstructionBatch)
+        return found.split({})
+
+    def put_off(self) -> list[str]:
+        return [name for name in NAMES if self.node._node(name).put_off]
+
+
+def alone(known: Stream, compares: bool, n_frames: int) -> list[Reconstruction]:
+    """Frames of one patch, by a node of its own that compares models, or never does."""
+    node = Reconstructor(Reconstructor.Settings(patch="alone"), Context("node", ManualClock(1)))
+    node.may_compare = lambda: compares
+    for state in states("alone", known):
+        list(node.step(state))
+    made = []
+    for k, y in enumerate(known.y[:n_frames]):
+        measured = Measurements(stamp_ns=k + 1, patch="alone", y=y, phi=known.phis[0].fingerprint)
+        made += [m for m in node.step(measured) if isinstance(m, Reconstruction)]
+    return made
+
+
+def assert_same(mine: Reconstruction, other: Reconstruction) -> None:
+    assert mine.forces.tobytes() == other.forces.tobytes()
+    assert mine.trusted == other.trusted
+    assert mine.error == pytest.approx(other.error, rel=1e-6)  # float32 in a batch
+
+
+def test_on_time_all_patches_are_compared_at_once_as_alone(presses: list[Stream]) -> None:
+    body = Body(presses, on_time)
+    found = [body.frame(k) for k in range(3)]
+    assert body.node.state()["put_off"] == 0
+    assert body.node.status() == "solver skin, 4 patches"
+    for place, known in enumerate(presses):
+        for mine, other in zip(found, alone(known, True, 3), strict=True):
+            assert_same(mine[place], other)
+
+
+def test_behind_one_patch_a_frame_is_compared_those_that_wait_longest_first(
+    presses: list[Stream],
+) -> None:
+    body = Body(presses, behind)
+    waiting = []
+    for k in range(4):
+        body.frame(k)
+        waiting.append(body.put_off())
+    # Those compared are then estimated by the smooth model, which is not put off.
+    assert waiting == [["right", "back", "hand"], ["back", "hand"], ["hand"], []]
+    assert body.node.state()["put_off"] == 6
+    assert "6 comparisons put off" in body.node.status()
+
+
+def test_a_patch_that_is_put_off_has_its_haar_estimate_with_its_own_error_and_trust(
+    presses: list[Stream],
+) -> None:
+    found = Body(presses, behind).frame(0)
+    for place, known in enumerate(presses):
+        assert_same(found[place], alone(known, place == 0, 1)[0])
+    # The press on the last patch is beyond what Haar can do.
+    assert [one.trusted for one in found] == [True, True, True, False]
+
+
+def test_spread_over_frames_the_forces_are_soon_as_good_as_on_time(presses: list[Stream]) -> None:
+    found = []
+    for is_behind in (behind, on_time):
+        body = Body(presses, is_behind)
+        frames = [body.frame(k) for k in range(6)][-1]
+        wrong = [one.forces - known.truth[5] for one, known in zip(frames, presses, strict=True)]
+        found.append(np.sqrt(np.mean(np.square(wrong), axis=(1, 2))))
+    np.testing.assert_allclose(found[0], found[1], rtol=0.1)
+
+
+def test_what_was_put_off_is_computed_as_soon_as_no_frame_waits(presses: list[Stream]) -> None:
+    body = Body(presses, behind)
+    body.frame(0)
+    assert len(body.put_off()) == 3
+    body.is_behind = on_time
+    body.frame(1)
+    assert body.put_off() == []
+    assert body.node.state()["put_off"] == 3
+
+
+def test_a_frame_that_comes_in_the_middle_of_another_puts_off_the_rest_of_it(
+    presses: list[Stream],
+) -> None:
+    asked = iter([False, True, True])
+    body = Body(presses, lambda: next(asked))
+    body.frame(0)
+    # The first is compared in any case.
+    assert body.put_off() == ["back", "hand"]
+
+
+def test_another_rate_of_the_sensor_sets_no_solver_up_anew(presses: list[Stream]) -> None:
+    body = Body(presses, on_time)
+    body.frame(0)
+    skin, phi = states("body", presses[0])
+    assert list(body.node.step(dataclasses.replace(skin, stamp_ns=2, seq=1, rate_hz=50.0))) == []
+    assert list(body.node.step(dataclasses.replace(phi, stamp_ns=2, seq=1))) == []
+    found = body.frame(1)
+    for place, known in enumerate(presses):
+        assert_same(found[place], alone(known, True, 2)[1])
+    assert list(body.node.step(dataclasses.replace(skin, f_max=2.0)))
