@@ -12,9 +12,9 @@ from urllib.parse import urlsplit
 
 from sparseskin.studies.graph_run import GraphRun
 
-WARM_UP_S = 6.0
+WARM_UP_S = 10.0
 """Time at a low rate before that in question, for solvers to be set up; chosen."""
-SLOW_HZ = 1.0
+SLOW_HZ = 0.5
 STEP = 0.75
 """Factor from one rate that is tried to the next; chosen."""
 MAX_TRIALS = 5
