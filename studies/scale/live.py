@@ -12,9 +12,10 @@ from urllib.parse import urlsplit
 
 from sparseskin.studies.graph_run import GraphRun
 
-WARM_UP_S = 10.0
-"""Time at a low rate before that in question, for solvers to be set up; chosen."""
-SLOW_HZ = 0.5
+WARM_UP_S, WARM_UP_PATCH_S = 10.0, 0.1
+"""Time at a low rate before that in question, and more of it a patch, for solvers to be set up, of
+which no more than `DEPTH` frames wait; chosen."""
+SLOW_HZ = 0.25
 STEP = 0.75
 """Factor from one rate that is tried to the next; chosen."""
 MAX_TRIALS = 5
@@ -72,7 +73,8 @@ def run_at(rate_hz: float, patches: int, active: float, seconds: float) -> dict[
         found = re.search(r"http://\S+", run.wait_for("live page: "))
         assert found is not None
         with OpenPage(found[0]) as page:
-            time.sleep(WARM_UP_S)
+            warm_up_s = WARM_UP_S + WARM_UP_PATCH_S * patches
+            time.sleep(warm_up_s)
             run.ask("sensor", "set", {"rate_hz": rate_hz})
             n_bytes, begin_s = page.n_bytes, time.monotonic()
             time.sleep(seconds)
@@ -87,7 +89,7 @@ def run_at(rate_hz: float, patches: int, active: float, seconds: float) -> dict[
         "patches": patches,
         "active": active,
         "rate_hz": rate_hz,
-        "held_hz": max(0.0, least - SLOW_HZ * WARM_UP_S) / passed_s,
+        "held_hz": max(0.0, least - SLOW_HZ * warm_up_s) / passed_s,
         "skipped": max(patch["frames"]["skipped"] for patch in every),
         "lost": max(patch["frames"]["lost"] for patch in every),
         "unchanged": sum(patch["unchanged"] for patch in every) / max(1, n_frames),
