@@ -166,7 +166,7 @@ def _solve(t: Tables, gram: Array, ridge: Array, fits: Array) -> list[Array]:
 def _update_noise(
     t: Tables, state: State, s: Numbers, frame: State, changed2: Array, number: int
 ) -> Array:
-    """Update the noise level as `NoiseLevel.update`; return `jumped`, bool (B,)."""
+    """Update the noise level as `NoiseLevel.follow`; return `jumped`, bool (B,)."""
     be, xp, m, e2 = t.be, t.be.xp, t.m, frame["e2"]
     differences = s["differences"]
     second = frame["step"] - state[f"step{number}"]
@@ -206,7 +206,7 @@ def _update_gain(
     subset: Subset,
     number: int,
 ) -> State:
-    """Update gain and trust as `AdaptiveGain.update`; return gain, noise, nis."""
+    """Update gain and trust as `AdaptiveGain.follow`; return gain, noise, nis."""
     be, xp = t.be, t.be.xp
     innovation = frame["innovation"]
     last = t.transform(correction) * subset.measured

@@ -11,7 +11,7 @@ from .tables import Tables
 
 
 def recall(t: Tables, state: State, s: Numbers, frame: State, number: int) -> State:
-    """Process the rows of a frame as `RowMemory.recall`; patches without rotation are as before.
+    """Process the rows of a frame as `RowMemory` does; patches without rotation are as before.
 
     Returns
     -------
