@@ -119,7 +119,7 @@ def test_as_fast_as_it_is_read_nothing_is_lost_beyond_any_queue(
     code, _, stderr = start(
         *("launch", "path_40", "--frames", "6000", "--summary", "out.json"),
         *("--set", "sensor.source=small:frames", "--set", "sensor.rate_hz=0"),
-        *("--set", "reconstructor.iterations=1", "--set", "reconstructor.depth=1"),
+        *("--set", "reconstructor.preset=paper", "--set", "reconstructor.depth=1"),
     ).finish()
     assert code == 0, stderr
     frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
