@@ -91,7 +91,7 @@ def main(kind: str, address: str, last_ms: int | None = None) -> None:
     for stamp_ns in stamps:
         found.add(stamp_ns // 1_000_000)
         if stamp_ns // 1_000_000 == last_ms:
-            print(len(found - {0}), flush=True)
+            print(sum(1 <= ms <= last_ms for ms in found), flush=True)
             return
         if last_ms is None:
             found.clear()

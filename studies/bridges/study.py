@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import re
 import signal
@@ -46,6 +47,10 @@ _QUIET: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNUL
 N_STEPS, WARM_UP = 3000, 500
 STEP_S, STAMP_NS = 0.001, 1_000_000
 """Time between two frames where single steps are timed: the client keeps up with them."""
+BEFORE_NS, BETWEEN_NS = 10**15, 10**8
+"""Stamp of the first frame that is sent until the client reads, beyond all that it counts, and time
+between two: a bridge that sends 30 frames a second sends each.
+"""
 HISTORY = 1000
 """Samples that DDS keeps, so that a reader which does not run for a second loses none."""
 ENDS_S = 60.0
@@ -183,8 +188,10 @@ def _connected(
         client = subprocess.Popen([sys.executable, "-m", module, kind, where, *arguments], **_QUIET)
         assert client.stdout is not None
         os.set_blocking(client.stdout.fileno(), False)
-        while not client.stdout.read():
-            send(0)
+        for k in itertools.count():
+            if client.stdout.read():
+                break
+            send(BEFORE_NS + k * BETWEEN_NS)
             if client.poll() is not None:
                 raise StudyError(f"the client of {kind} has ended")
             time.sleep(STEP_S)
