@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sparseskin.studies.bridges.study import counted
+from sparseskin.studies.bridges.study import WARM_UP, counted, steps
 
 #: Fewer than the client of each bridge may be behind.
 N_FRAMES = 300
@@ -21,3 +21,7 @@ def test_a_reader_of_the_newest_frame_alone_reads_the_last_one() -> None:
     found = counted({"bridge": "lerobot", "n_counted": N_FRAMES, "seed": 0})
     assert 1 <= found["received"] <= N_FRAMES
     assert found["dropped"] == 0
+
+
+def test_the_client_of_a_bridge_that_sends_30_frames_a_second_reads_one() -> None:
+    assert steps({"bridge": "lerobot, 30 Hz", "n_steps": WARM_UP + 50, "seed": 0})["step_us"] > 0
