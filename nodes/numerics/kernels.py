@@ -957,8 +957,6 @@ def holes(forces: A, mask: A, least: float, inside: int, surrounded: A, found: A
     return n
 
 
-_WATCH = (glance_at_rows, compare_rows, lone_taxels, holes)
-
 LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
     "phi": (measure,),
     "skin": (
@@ -974,11 +972,11 @@ LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
             smooth_descend,
             smooth_deviation,
         ),
-        *_WATCH,
     ),
-    "fista": (fista, tiled_image, *_WATCH),
+    "fista": (fista, tiled_image),
+    "watch": (glance_at_rows, compare_rows, lone_taxels, holes),
 }
-"""Loops of each solver, by its name, and of "phi".
+"""Loops of each solver, by its name, of "phi", and of "watch", the search for faults.
 
 Beyond `MAX_PLACES` cells solvers have others, with larger tables.
 """

@@ -66,7 +66,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         settings.check()
         compile_loops(settings.chosen()["solver"], settings.fast, context.log)
         if settings.chosen()["solver"] in SOLVERS:
-            compile_loops("phi", settings.fast, context.log)
+            for part in ("phi", "watch"):
+                compile_loops(part, settings.fast, context.log)
         _rehearse(settings)
         self._skin: SkinState | None = None
         self._announced: PhiState | None = None
