@@ -90,11 +90,13 @@ class Probe:
         return self._clock.now_ns()
 
     def lost(self, since_ns: int) -> tuple[int, int]:
-        """Frames acquired since a time and not reconstructed, and frames acquired; up to the newest
+        """Frames acquired since a time and not reconstructed, and frames acquired; from the first
+        whose reconstruction came, as that subscription may begin after the other, up to the newest
         that was reconstructed, for later ones may still be on their way.
         """
         done = {seen.stamp_ns for seen in list(self.reconstructed)}
         until_ns = max(done, default=0)
+        since_ns = max(since_ns, min(done, default=0) - 1)
         sensed = {seen.stamp_ns for seen in list(self.sensed)}
         sensed = {stamp_ns for stamp_ns in sensed if since_ns < stamp_ns <= until_ns}
         return len(sensed - done), len(sensed)
