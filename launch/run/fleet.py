@@ -18,8 +18,8 @@ from .process import NodeProcess, exit_text
 from .restarts import Restarts
 from .running import RunningGraph
 
-START_S = 30.0
-"""Longest start of all nodes together, seconds."""
+START_S = 90.0
+"""Longest start of all nodes together, seconds: three times what compiling all loops takes."""
 GRACE_S = 2.0
 """Time from one request to end to the next, more forceful one, seconds."""
 POLL_S = 0.1
