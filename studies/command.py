@@ -95,9 +95,6 @@ STUDIES = {
     ),
     "bridges": Study("what bridges to other tools cost, and cost the graph beside them"),
     "latency": Study("time from acquisition to reconstruction at 1 kHz, by stage"),
-    "gpu": Study(
-        "the default solver for 1 to 1024 patches at once, on a GPU; without one, nothing is run"
-    ),
     "scale": Study(
         "a body of 1 to 244 patches: time, memory, idle patches, and the rate that is held live"
     ),

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import pytest
-from patch_streams import Stream, stream
 
 from sparseskin.messages import (
     Measurements,
@@ -19,14 +18,27 @@ from sparseskin.messages import (
     SkinState,
 )
 from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.rotation import m_of
 from sparseskin.nodes.node import Context
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.batch.node import ReconstructorBatch
 from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.scenes.presses import press_frames
 
 NAMES = ("left", "right", "back", "hand")
 SHAPE = (16, 20)
 FIRST = 18
 """First frame that is solved, with its contact: the past says nothing of any patch."""
+
+
+class Stream(NamedTuple):
+    """Measurements of one patch and its true forces, newtons, frame by frame."""
+
+    phi: Phi
+    y: list[Floats]
+    truth: list[Floats]
 
 
 def behind() -> bool:
@@ -40,9 +52,14 @@ def on_time() -> bool:
 @pytest.fixture(scope="module")
 def presses() -> list[Stream]:
     """Smooth presses that begin at once on all patches: they need both models."""
-    options: dict[str, Any] = {"active": 0.5, "shape": SHAPE, "n_frames": 24}
-    found = [stream("gaussian", 3, "fixed", seed=seed, **options) for seed in range(len(NAMES))]
-    return [one._replace(y=one.y[FIRST:], truth=one.truth[FIRST:]) for one in found]
+    n, noise = SHAPE[0] * SHAPE[1], NoiseModel.for_range(2.5)
+    phi = make_phi("sbhe", n, m_of(n, 3), 0)
+    found = []
+    for seed in range(len(NAMES)):
+        frames = list(press_frames("gaussian", SHAPE, 24, seed, active=0.5, noise=noise))[FIRST:]
+        y = [phi.forward(readings.reshape(-1).astype(np.float32)).copy() for _, readings in frames]
+        found.append(Stream(phi, y, [truth.reshape(SHAPE) for truth, _ in frames]))
+    return found
 
 
 def states(patch: str, known: Stream) -> tuple[SkinState, PhiState]:
@@ -51,7 +68,7 @@ def states(patch: str, known: Stream) -> tuple[SkinState, PhiState]:
         pitch_m=None, mask=None, source="", seed=0, rate_hz=0.0, has_truth=False, sigma_mid=0.0,
         sigma_end=0.0,
     )  # fmt: skip
-    phi = known.phis[0]
+    phi = known.phi
     return skin, PhiState(
         stamp_ns=0, patch=patch, fingerprint=phi.fingerprint, **phi.describe(), rows="fixed"
     )
@@ -70,7 +87,7 @@ class Body:
 
     def frame(self, k: int) -> list[Reconstruction]:
         y = np.stack([one.y[k] for one in self.presses])
-        phi = self.presses[0].phis[0].fingerprint
+        phi = self.presses[0].phi.fingerprint
         message = MeasurementsBatch(stamp_ns=k + 1, patch="body", names=NAMES, y=y, phi=phi)
         (found,) = self.node.step(message)
         assert isinstance(found, ReconstructionBatch)
@@ -88,7 +105,7 @@ def alone(known: Stream, compares: bool, n_frames: int) -> list[Reconstruction]:
         list(node.step(state))
     made = []
     for k, y in enumerate(known.y[:n_frames]):
-        measured = Measurements(stamp_ns=k + 1, patch="alone", y=y, phi=known.phis[0].fingerprint)
+        measured = Measurements(stamp_ns=k + 1, patch="alone", y=y, phi=known.phi.fingerprint)
         made += [m for m in node.step(measured) if isinstance(m, Reconstruction)]
     return made
 
