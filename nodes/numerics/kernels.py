@@ -17,7 +17,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from .arrays import TINY
 from .compiled import compiled
 
 A: TypeAlias = Any
@@ -30,11 +29,8 @@ _ROOT_2 = np.sqrt(2.0)
 V, M, P, S = "float32[::1]", "float32[:,::1]", "uint32[::1]", "uint16[::1]"
 P2, S2 = "uint32[:,::1]", "uint16[:,::1]"
 G, L, D = "int64[:,::1]", "int64[::1]", "float64[::1]"
-#: A vector that may be read-only, an image, masks that may be read-only and that are written.
-R, F = "Array(float32, 1, 'C', True)", "Array(float32, 2, 'C', True)"
-B, B2 = "Array(boolean, 2, 'C', True)", "boolean[:,::1]"
-#: Numbers of frames.
-I = "int32[::1]"  # noqa: E741
+#: A vector that may be read-only.
+R = "Array(float32, 1, 'C', True)"
 
 
 @compiled()
@@ -786,177 +782,6 @@ def tiled_image(w: A, order: A, grid: A, v: A, scratch: A, image: A) -> None:
         image[order[p]] = v[p]
 
 
-@compiled(f"UniTuple(int64, 3)({R}, {R}, {V}, {V}, {V}, {V}, {V}, {V}, {I}, int64, int64, boolean)")
-def glance_at_rows(
-    y: A, fitted: A, last: A, new: A, last_fitted: A, residual: A, innovation: A, bound: A,
-    changed_at: A, number: int, constant: int, coarse: bool,
-) -> tuple[int, int, int]:  # fmt: skip
-    """Residuals, innovations and changes of the rows of a frame, with its number.
-
-    Returns the number of rows that have changed, and of those that are beyond their bound or have
-    not changed in the last `constant` frames.
-    """
-    n_changed, n_beyond, n_constant = 0, 0, 0
-    for i in range(y.size):
-        off = y[i] - fitted[i]
-        residual[i] = off
-        innovation[i] = y[i] - last_fitted[i]
-        last_fitted[i] = fitted[i]
-        if off * off > bound[i]:
-            n_beyond += 1
-        changed = y[i] != last[i]
-        n_changed += changed
-        new[i] = y[i]
-        if changed or coarse:
-            changed_at[i] = number
-        elif changed_at[i] <= number - constant:
-            n_constant += 1
-    return n_changed, n_beyond, n_constant
-
-
-@compiled()
-def middle_of(x: A) -> float:
-    """The median, or the upper one of an even number."""
-    k = x.size // 2
-    return np.partition(x, k)[k]  # type: ignore[no-any-return]
-
-
-@compiled(
-    f"boolean({V}, {V}, {V}, {V}, {V}, {V}, {V}, {V}, {L}, {L}, {L}, {L}, {D}, float64, {V}, {V}, "
-    f"{V}, {V})"
-)
-def compare_rows(
-    residual: A, before: A, innovation: A, last: A, last_but_one: A, ones: A, kept: A, per_peer: A,
-    block: A, heavy: A, few: A, apart: A, limits: A, noise2: float, left: A, odd: A, bound: A,
-    evidence: A,
-) -> bool:  # fmt: skip
-    """Squared residuals and innovations of rows in units of their peers, as `RowWatch` states it.
-
-    limits: median of a square, largest ratio, ratio of a bound, factor for innovations, and peers
-    that these need; noise2: variance of the noise. left: the residuals less their bias; odd: the
-    ratios; bound: that of the next squared residuals; evidence: the CUSUM of the ratios. Returns
-    True if there is evidence against a row.
-    """
-    median, largest, beyond = limits[0], limits[1], limits[2]
-    unpredicted, least_peers, allowed, enough = limits[3], limits[4], limits[5], limits[6]
-    m, n_blocks = residual.size, block[-1] + 1
-    # Residuals beside those of the peers, the rows of the same block.
-    bias: Any = np.float32(0)
-    if heavy.size:
-        bias = middle_of(residual[heavy] / ones[heavy])
-    for i in range(m):
-        left[i] = residual[i] - bias * ones[i]
-    squared = np.square(left)
-    typical = np.float32(max(middle_of(squared) / median, noise2) + TINY)
-    sums = np.zeros(n_blocks, np.float32)
-    for i in range(m):
-        sums[block[i]] += min(squared[i], np.float32(largest) * typical) * kept[i]
-    peers = bound
-    for i in range(m):
-        own = min(squared[i], np.float32(largest) * typical) * kept[i]
-        peers[i] = max((sums[block[i]] - own) * per_peer[i], typical)
-    if heavy.size:
-        among = np.float32(middle_of(squared[heavy]) / median)
-        for i in heavy:
-            peers[i] = max(peers[i], among)
-    for i in few:
-        change = residual[i] - before[i]
-        squared[i] = min(squared[i], change * change)
-    for i in apart:
-        squared[i] = 0
-    for i in range(m):
-        odd[i] = min(squared[i] / peers[i], np.float32(largest))
-        bound[i] = peers[i] * np.float32(beyond)
-    for i in heavy:
-        shown = np.sqrt(bound[i]) + abs(bias * ones[i])
-        bound[i] = shown * shown
-    # Innovations, beside the mean of the peers but the largest one.
-    for i in apart:
-        innovation[i] = last[i] - last_but_one[i]
-    judged = kept.copy()
-    for i in heavy:
-        judged[i] = 0
-    for i in range(m):
-        squared[i] = innovation[i] * innovation[i] * judged[i]
-    typical = np.float32(max(middle_of(squared) / median, noise2) + TINY)
-    first, second = np.zeros(n_blocks, np.float32), np.zeros(n_blocks, np.float32)
-    n_judged = np.zeros(n_blocks, np.float32)
-    sums[:] = 0
-    for i in range(m):
-        b = block[i]
-        sums[b] += squared[i]
-        n_judged[b] += judged[i]
-        if squared[i] > first[b]:
-            first[b], second[b] = squared[i], first[b]
-        elif second[b] < squared[i] < first[b]:
-            second[b] = squared[i]
-    for i in range(m):
-        b = block[i]
-        n_peers = n_judged[b] - 1
-        if n_peers >= least_peers:
-            excluded = second[b] if squared[i] == first[b] else first[b]
-            mean = (sums[b] - squared[i] - excluded) / max(n_peers - 1, np.float32(1))
-            ratio = squared[i] / (np.float32(unpredicted) * max(mean, typical))
-            odd[i] = max(odd[i], min(ratio, np.float32(largest)))
-    suspects = False
-    for i in range(m):
-        if evidence[i] > 0 or odd[i] > beyond:
-            more = evidence[i] + odd[i] - np.float32(allowed)
-            evidence[i] = min(max(more, np.float32(0)), np.float32(2 * enough))
-            suspects |= evidence[i] > 0
-    return suspects
-
-
-@compiled(f"int64({F}, {B}, float64, float64, {L})")
-def lone_taxels(forces: A, mask: A, least: float, ratio: float, found: A) -> int:
-    """Places of the taxels above a force whose neighbours are below a part of it; their number."""
-    n, (n_rows, n_cols) = 0, forces.shape
-    for row in range(n_rows):
-        for col in range(n_cols):
-            force = forces[row, col]
-            if not (force > least and mask[row, col]):
-                continue
-            most = np.float32(0)
-            for i in range(max(0, row - 1), min(n_rows, row + 2)):
-                for j in range(max(0, col - 1), min(n_cols, col + 2)):
-                    if (i != row or j != col) and forces[i, j] > most:
-                        most = forces[i, j]
-            if most < ratio * force:
-                found[n] = row * n_cols + col
-                n += 1
-    return n
-
-
-@compiled(f"int64({F}, {B}, float64, int64, {B2}, {L})")
-def holes(forces: A, mask: A, least: float, inside: int, surrounded: A, found: A) -> int:
-    """Places below a force among at least `inside` neighbours above it; their number.
-
-    `surrounded` is True at each place among so many. -1 if fewer are above it at all.
-    """
-    n, n_above, (n_rows, n_cols) = 0, 0, forces.shape
-    above = np.zeros((n_rows + 2, n_cols + 2), np.int32)
-    for row in range(n_rows):
-        line, force = above[row + 1], forces[row]
-        for col in range(n_cols):
-            line[col + 1] = force[col] > least
-            n_above += line[col + 1]
-    if n_above < inside:
-        return -1
-    three = np.zeros(n_cols + 2, np.int32)
-    for row in range(n_rows):
-        high, here, low = above[row], above[row + 1], above[row + 2]
-        for col in range(n_cols + 2):
-            three[col] = high[col] + here[col] + low[col]
-        for col in range(n_cols):
-            beside = three[col] + three[col + 1] + three[col + 2] - here[col + 1]
-            is_inside = beside >= inside and mask[row, col]
-            surrounded[row, col] = is_inside
-            if is_inside and not here[col + 1]:
-                found[n] = row * n_cols + col
-                n += 1
-    return n
-
-
 LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
     "phi": (measure,),
     "skin": (
@@ -974,9 +799,8 @@ LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
         ),
     ),
     "fista": (fista, tiled_image),
-    "watch": (glance_at_rows, compare_rows, lone_taxels, holes),
 }
-"""Loops of each solver, by its name, of "phi", and of "watch", the search for faults.
+"""Loops of each solver, by its name, and of "phi".
 
 Beyond `MAX_PLACES` cells solvers have others, with larger tables.
 """

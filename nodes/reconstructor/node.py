@@ -66,8 +66,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         settings.check()
         compile_loops(settings.chosen()["solver"], settings.fast, context.log)
         if settings.chosen()["solver"] in SOLVERS:
-            for part in ("phi", "watch"):
-                compile_loops(part, settings.fast, context.log)
+            compile_loops("phi", settings.fast, context.log)
         _rehearse(settings)
         self._skin: SkinState | None = None
         self._announced: PhiState | None = None
@@ -197,13 +196,12 @@ class Reconstructor(Node[ReconstructorSettings]):
         if isinstance(solver, Solver):
             solver.may_compare = lambda: self.may_compare()
         self._solver = solver
-        compiled = chosen["solver"] in SOLVERS and use_compiled(self.settings.fast)
-        if compiled:
+        if chosen["solver"] in SOLVERS and use_compiled(self.settings.fast):
             for one in subsets:
                 if is_sbhe(one):
                     one.compile()
         self._subsets = {one.fingerprint: one for one in subsets}
-        self._watch.set_up(self._subsets, state, solver.mask, compiled)
+        self._watch.set_up(self._subsets, state, solver.mask)
         self._trust_log.begin(len(self._subsets), can_rotate(phi))
         self._uncertainty = self._make_uncertainty(solver, phi.ratio, announced.rows)
         if self.settings.resultant:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
-from sparseskin.nodes.numerics.compiled import ready
 
 #: Least participation ratio of rows that can be compared, and rows that are probed for it.
 LEAST_MIXED, N_PROBED = 8.0, 8
@@ -40,8 +38,6 @@ FINE = 0.25
 ENOUGH_PEERS = 6
 #: Median of the square of a standard normal number.
 MEDIAN_SQUARE = 0.455
-_LIMITS = np.array([MEDIAN_SQUARE, LARGEST, ODD, UNPREDICTED, UNPREDICTED_PEERS, ALLOWED, ENOUGH])
-_NOTHING = np.zeros(0, np.intp)
 
 
 class RowWatch:
@@ -68,8 +64,6 @@ class RowWatch:
     Parameters
     ----------
     phi : Phi
-    compiled : bool
-        Compare rows in compiled loops, which need numba.
 
     Attributes
     ----------
@@ -85,14 +79,8 @@ class RowWatch:
     Source: Page, "Continuous inspection schemes", Biometrika 41, 1954, for the CUSUM.
     """
 
-    def __init__(self, phi: Phi, compiled: bool = False) -> None:
+    def __init__(self, phi: Phi) -> None:
         m = phi.m
-        self._loops: Any = None
-        if compiled:
-            from sparseskin.nodes.numerics import kernels  # needs numba
-
-            ready(kernels.glance_at_rows, kernels.compare_rows)
-            self._loops = kernels
         self._phi = phi
         self.watches = mixed_taxels(phi) >= LEAST_MIXED
         ones = phi.forward(np.ones(phi.n, dtype=np.float32))
@@ -150,15 +138,6 @@ class RowWatch:
 
     def _glance(self, y: Floats, fitted: Floats) -> bool:
         """Note residuals, innovations and changes; True if a row asks for a full comparison."""
-        if self._loops is not None:
-            n_changed, n_loud, n_constant = self._loops.glance_at_rows(
-                *(np.asarray(y), fitted, self._last_but_one, self._last, self._fitted),
-                *(self._residual, self._innovation, self._bound, self._changed_at),
-                *(self._n_frames, CONSTANT, self._coarse),
-            )
-            self._note_lively(n_changed)
-            self._n_constant = n_constant if self._lively >= LIVELY else 0
-            return bool(n_loud or self._n_constant)
         np.subtract(y, fitted, out=self._residual)
         np.subtract(y, self._fitted, out=self._innovation)
         np.copyto(self._fitted, fitted)
@@ -170,14 +149,10 @@ class RowWatch:
             self._changed_at.fill(self._n_frames)
         else:
             np.copyto(self._changed_at, self._n_frames, where=changed)
-        self._note_lively(int(np.count_nonzero(changed)))
+        rate = max(LIVELY_RATE, 1 / self._n_frames)
+        self._lively += rate * (np.count_nonzero(changed) / changed.size - self._lively)
         self._n_constant = int(np.count_nonzero(self._constant()))
         return bool(self._loud.any() or self._n_constant)
-
-    def _note_lively(self, n_changed: int) -> None:
-        """Update the part of the rows that change from frame to frame."""
-        rate = max(LIVELY_RATE, 1 / self._n_frames)
-        self._lively += rate * (n_changed / self.left_out.size - self._lively)
 
     def _look(self, y: Floats) -> bool:
         """Compare all rows with their peers; return True if `left_out` has changed."""
@@ -199,16 +174,6 @@ class RowWatch:
     def _compared(self, noise2: float) -> tuple[Floats, bool]:
         """Return the oddness of the rows, at most 36, and True if there is evidence against one."""
         evidence = self._evidence
-        if self._loops is not None:
-            odd = np.empty_like(evidence)
-            apart = _NOTHING if self._unfitted is None else self._unfitted
-            accused = self._loops.compare_rows(
-                *(self._residual, self._before, self._innovation, self._last, self._last_but_one),
-                *(self._ones, self._kept, self._per_peer),
-                *(self._block, self._heavy, self._few, apart),
-                *(_LIMITS, noise2, self._left, odd, self._bound, evidence),
-            )
-            return odd, accused
         odd = self._oddness(noise2)
         np.maximum(odd, self._unpredicted(noise2), out=odd)
         odd_enough = (evidence > 0) | (odd > ODD)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Mask
-from sparseskin.nodes.numerics.compiled import ready
 
 #: Frames between two searches for taxels that stand alone: with at least this part of the range,
 #: next to neighbours of at most this part of their own force.
@@ -73,12 +72,9 @@ class EndWatch:
     either.
     """
 
-    def __init__(self, mask: Mask, f_max: float, loops: Any = None) -> None:
-        self._mask, self._loops = mask, loops
+    def __init__(self, mask: Mask, f_max: float) -> None:
+        self._mask = mask
         self._n_cols = mask.shape[1]
-        self._pressed = float(np.float32(PRESSED * f_max))
-        self._inside = np.zeros(mask.shape, np.bool_)
-        self._places = np.zeros(mask.size, np.int64)
         self._f_max = f_max
         self._low: dict[int, _Low] = {}
         self._full: dict[int, int] = {}
@@ -94,19 +90,11 @@ class EndWatch:
         return found, self._look_for_full(forces), believed
 
     def _look_for_holes(self, forces: Floats, dead: Container[int]) -> tuple[list[int], list[int]]:
-        pressed = forces > np.float32(self._pressed)
-        if self._loops is not None:
-            n = self._loops.holes(
-                *(forces, self._mask, self._pressed, INSIDE, self._inside, self._places)
-            )
-            inside, holes = self._inside, self._places[: max(n, 0)].tolist()
-            if n < 0:
-                return [], []
-        else:
-            if np.count_nonzero(pressed) < INSIDE:
-                return [], []
-            inside = self._mask & (_around(pressed.astype(np.int8)) >= INSIDE)
-            holes = np.flatnonzero(inside & ~pressed).tolist()
+        pressed = forces > np.float32(PRESSED * self._f_max)
+        if np.count_nonzero(pressed) < INSIDE:
+            return [], []
+        inside = self._mask & (_around(pressed.astype(np.int8)) >= INSIDE)
+        holes = np.flatnonzero(inside & ~pressed).tolist()
         # Most frames have neither holes nor watched taxels.
         watched = [place for place in self._low if inside.flat[place]]
         watched += [place for place in self._alive if inside.flat[place]]
@@ -215,8 +203,6 @@ class TaxelWatch:
         As in `SkinState`.
     log : callable
         Receives one line of text.
-    compiled : bool
-        Search in compiled loops, which need numba; the results are the same.
 
     Attributes
     ----------
@@ -231,21 +217,13 @@ class TaxelWatch:
         sigma_mid: float,
         sigma_end: float,
         log: Callable[[str], None],
-        compiled: bool = False,
     ) -> None:
         self._mask, self._log = mask, log
-        self._loops: Any = None
-        if compiled:
-            from sparseskin.nodes.numerics import kernels  # needs numba
-
-            ready(kernels.lone_taxels, kernels.holes)
-            self._loops = kernels
-        self._places = np.zeros(mask.size, np.int64)
         self._middle = f_max / 2
         self._sigma_mid, self._sigma_end = sigma_mid, sigma_end
         self._taxels = np.flatnonzero(mask)
         self._number = np.cumsum(mask.reshape(-1)) - 1
-        self._least = float(np.float32(LEAST_FORCE * f_max))
+        self._least = np.float32(LEAST_FORCE * f_max)
         self._suspects: dict[int, _Suspect] = {}
         self._last: dict[str, Floats] = {}
         self._columns: dict[tuple[str, int], Floats] = {}
@@ -253,7 +231,7 @@ class TaxelWatch:
         self.stuck: dict[int, float] = {}
         self._off: dict[int, float] = {}
         self._subtracted: dict[str, Floats] = {}
-        self._ends = EndWatch(mask, f_max, self._loops)
+        self._ends = EndWatch(mask, f_max)
 
     @property
     def text(self) -> str:
@@ -378,9 +356,6 @@ class TaxelWatch:
 
     def _alone(self, forces: Floats) -> set[int]:
         """Return the taxels that stand alone."""
-        if self._loops is not None:
-            n = self._loops.lone_taxels(forces, self._mask, self._least, ALONE, self._places)
-            return set(self._places[:n].tolist())
         edged = np.pad(forces, 1)
         beside = np.maximum(edged[:-2], edged[2:])
         three = np.maximum(beside, edged[1:-1])

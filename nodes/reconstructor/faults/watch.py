@@ -51,25 +51,20 @@ class FaultWatch:
         """True if so many measurements disagree that excluding them would be no remedy."""
         return any(watch.swamped for watch in self._rows.values())
 
-    def set_up(
-        self, subsets: dict[str, Phi], state: SkinState, mask: Mask, compiled: bool = False
-    ) -> None:
-        """Watch these row subsets, by fingerprint, and the skin with existing taxels `mask`.
-
-        With `compiled` in compiled loops, which need numba.
-        """
+    def set_up(self, subsets: dict[str, Phi], state: SkinState, mask: Mask) -> None:
+        """Watch these row subsets, by fingerprint, and the skin with existing taxels `mask`."""
         # On a skin that does not state its noise, constant readings may be right.
         self._noisy = state.sigma_mid > 0
         self._mask = mask
         self._rows = {
-            fingerprint: self._rows.get(fingerprint) or RowWatch(phi, compiled)
+            fingerprint: self._rows.get(fingerprint) or RowWatch(phi)
             for fingerprint, phi in subsets.items()
         }
         self._describe_rows()
         self._taxels = None
         if self._watch_taxels and self._noisy:
             sigmas = state.sigma_mid, state.sigma_end
-            self._taxels = TaxelWatch(mask, state.f_max, *sigmas, self._log, compiled)
+            self._taxels = TaxelWatch(mask, state.f_max, *sigmas, self._log)
 
     def cleaned(self, phi: Phi, y: Floats, last: Floats | None) -> tuple[Floats, Floats]:
         """Return y without the readings of stuck taxels; and with Phi `last` for faulty rows, too.
