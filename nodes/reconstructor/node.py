@@ -64,10 +64,7 @@ class Reconstructor(Node[ReconstructorSettings]):
     def __init__(self, settings: ReconstructorSettings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
-        compile_loops(settings.chosen()["solver"], settings.fast, context.log)
-        if settings.chosen()["solver"] in SOLVERS:
-            for part in ("phi", "watch"):
-                compile_loops(part, settings.fast, context.log)
+        compile_loops(settings.chosen()["solver"], settings.fast, context.log, "phi", "watch")
         _rehearse(settings)
         self._skin: SkinState | None = None
         self._announced: PhiState | None = None
@@ -129,6 +126,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         elif isinstance(message, PhiState):
             known, self._announced = self._announced, message
         if self._solver is not None and known is not None and _is_alike(message, known):
+            self._state_period()
             return
         if self._skin is not None and self._announced is not None:
             self._subsets, self._solver = {}, None
@@ -197,6 +195,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         if isinstance(solver, Solver):
             solver.may_compare = lambda: self.may_compare()
         self._solver = solver
+        self._state_period()
         compiled = chosen["solver"] in SOLVERS and use_compiled(self.settings.fast)
         if compiled:
             for one in subsets:
@@ -222,6 +221,11 @@ class Reconstructor(Node[ReconstructorSettings]):
             lambda_n=options.get("lambda_n", 0.0),
             max_iterations=getattr(solver, "max_iterations", 0),
         )
+
+    def _state_period(self) -> None:
+        """Hand the time between frames that the skin states to the solver."""
+        if isinstance(self._solver, Solver) and self._skin is not None:
+            self._solver.period_s = 1 / self._skin.rate_hz if self._skin.rate_hz else math.inf
 
     def _make_uncertainty(self, solver: Solver, ratio: float, rows: str) -> Uncertainty | None:
         if not self.settings.uncertainty:
