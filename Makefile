@@ -93,11 +93,11 @@ check: .venv/installed-dev
 	touch $@
 
 .venv/installed: pyproject.toml .venv/python
-	$(BIN)/pip install --quiet --disable-pip-version-check -e .
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[fast]'
 	touch $@
 
 .venv/installed-charts: pyproject.toml .venv/python
-	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[charts,peers]'
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[charts,fast,peers]'
 	touch $@ .venv/installed
 
 .venv/installed-dev: pyproject.toml .venv/python
@@ -106,7 +106,7 @@ check: .venv/installed-dev
 
 .venv/installed-docs: pyproject.toml .venv/python
 	$(INSTALL_SOME) -e '.[docs]'
-	touch $@ .venv/installed
+	touch $@
 
 clean:
 	rm -rf .venv build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -26,6 +26,8 @@ SOLVERS = ("skin", "fista", "phi")
 MAX_PLACES = 2**16
 """Cells up to which tables hold places in 16 bits, half the room in the cache."""
 
+REMEDY = "pip install 'sparseskin[fast]'"
+NOT_INSTALLED = f"compiled loops: none without numba, several times slower; {REMEDY}"
 COMPILING = "compiled loops: compiling, once on this machine; some 15 s"
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -50,8 +52,17 @@ def check_fast(fast: str) -> str:
         )
     installed = fast == "off" or find_spec("numba") is not None
     if fast == "on" and not installed:
-        raise SettingsError(f"{name}: 'on' needs numba: pip install 'sparseskin[fast]'")
+        raise SettingsError(f"{name}: 'on' needs numba: {REMEDY}")
     return fast if installed else "off"
+
+
+def lacks_numba(fast: str) -> bool:
+    """Return True if plain numpy is used only because numba is not installed.
+
+    Parameters and Raises as in `check_fast`.
+    """
+    stated = os.environ.get(ENVIRONMENT, fast) if fast == "auto" else fast
+    return check_fast(fast) == "off" != stated
 
 
 def use_compiled(fast: str) -> bool:

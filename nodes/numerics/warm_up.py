@@ -8,17 +8,28 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from .compiled import COMPILING, SOLVERS, check_fast, ready, use_compiled
+from .compiled import (
+    COMPILING,
+    NOT_INSTALLED,
+    SOLVERS,
+    check_fast,
+    lacks_numba,
+    ready,
+    use_compiled,
+)
 
 
-def compile_loops(solver: str, fast: str, log: Callable[[str], None]) -> None:
-    """Compile a solver's loops now, or read them from disk, so that no frame waits for it.
+def compile_loops(solver: str, fast: str, log: Callable[[str], None], *more: str) -> None:
+    """Compile the loops of a solver, and of `more` parts of its node, now, or read them from disk,
+    so that no frame waits for it.
 
     Nothing is done for a solver without any, or where `use_compiled` is False, with Raises as
     there. `log` receives a line of text before anything is compiled (where nothing is on disk,
-    before numba is imported), and one after it.
+    before numba is imported), and one after it; where numba is not installed, one with the remedy.
     """
     if solver not in SOLVERS or check_fast(fast) == "off":
+        if solver in SOLVERS and lacks_numba(fast):
+            log(NOT_INSTALLED)
         return
     begin_s = time.perf_counter()
     logged = not _cached()
@@ -27,7 +38,8 @@ def compile_loops(solver: str, fast: str, log: Callable[[str], None]) -> None:
     if use_compiled(fast):
         from .kernels import LOOPS  # needs numba
 
-        ready(*LOOPS[solver], log=log, begin_s=begin_s if logged else None)
+        loops = [loop for name in (solver, *more) for loop in LOOPS[name]]
+        ready(*loops, log=log, begin_s=begin_s if logged else None)
     elif logged:
         log("compiled loops: numba cannot be imported; numpy is used")
 

@@ -64,9 +64,7 @@ class Reconstructor(Node[ReconstructorSettings]):
     def __init__(self, settings: ReconstructorSettings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
-        compile_loops(settings.chosen()["solver"], settings.fast, context.log)
-        if settings.chosen()["solver"] in SOLVERS:
-            compile_loops("phi", settings.fast, context.log)
+        compile_loops(settings.chosen()["solver"], settings.fast, context.log, "phi")
         _rehearse(settings)
         self._skin: SkinState | None = None
         self._announced: PhiState | None = None
@@ -128,6 +126,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         elif isinstance(message, PhiState):
             known, self._announced = self._announced, message
         if self._solver is not None and known is not None and _is_alike(message, known):
+            self._state_period()
             return
         if self._skin is not None and self._announced is not None:
             self._subsets, self._solver = {}, None
@@ -196,6 +195,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         if isinstance(solver, Solver):
             solver.may_compare = lambda: self.may_compare()
         self._solver = solver
+        self._state_period()
         if chosen["solver"] in SOLVERS and use_compiled(self.settings.fast):
             for one in subsets:
                 if is_sbhe(one):
@@ -220,6 +220,11 @@ class Reconstructor(Node[ReconstructorSettings]):
             lambda_n=options.get("lambda_n", 0.0),
             max_iterations=getattr(solver, "max_iterations", 0),
         )
+
+    def _state_period(self) -> None:
+        """Hand the time between frames that the skin states to the solver."""
+        if isinstance(self._solver, Solver) and self._skin is not None:
+            self._solver.period_s = 1 / self._skin.rate_hz if self._skin.rate_hz else math.inf
 
     def _make_uncertainty(self, solver: Solver, ratio: float, rows: str) -> Uncertainty | None:
         if not self.settings.uncertainty:
@@ -267,6 +272,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             given = y = measurements.y
             # If each frame chooses its taxels or rows anew, there are no rows to watch.
             watched = measurements.places is None and measurements.nodes is None
+            self._watch.watch_repeats(phi, y)
             if watched:
                 given, y = self._watch.cleaned(phi, given, self._last)
         except (PhiError, SolverError) as error:
@@ -277,6 +283,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         try:
             forces, n_steps = self._solve(self._solver, y)
             estimated, trusted = estimated_error(self._solver)
+            trusted = trusted and not self._watch.frozen
         except SolverError as error:
             raise RefusedError(f"{measurements.topic}: {error}") from error
         solve_ns = time.perf_counter_ns() - begin_ns

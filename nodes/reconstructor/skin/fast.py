@@ -14,16 +14,13 @@ from sparseskin.nodes.reconstructor.solvers.fast import CompiledProjection
 
 from .noise_level import NoiseLevel
 from .prediction import Prediction
-from .smooth import SmoothModel
+from .smooth import REACH, SmoothModel
 from .sums import Read, Tested
 from .tuning import TUNING, SkinTuning
 
 LINE = 16
 """Vectors are a line of the cache, 64 bytes, more than a power of two apart: else their elements
 compete for the same places of the cache."""
-
-REACH = math.sqrt(-2 * math.log(2**-24))
-"""Distance, in lengths, from which on a Gaussian is below the rounding of float32; derived."""
 
 
 class CompiledFrame:
@@ -172,6 +169,8 @@ class CompiledSmoothModel(SmoothModel):
     Gaussians are filters of the image, as far as they are not below the rounding of float32. Zeros
     surround the image, and follow each row, as many as a filter reaches.
     """
+
+    gradient_s = 0.0
 
     def __init__(
         self,

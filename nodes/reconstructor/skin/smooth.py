@@ -15,6 +15,8 @@ from .tuning import TUNING, SkinTuning
 #: Side of a grid up to which its correlation is a full matrix, and distance beyond which it is 0
 #: in a sparse one, in its lengths.
 MOST_DENSE, NEGLIGIBLE = 256, 4.0
+#: Distance beyond which a Gaussian is below the rounding of float32, in its lengths; derived.
+REACH = math.sqrt(-2 * math.log(2**-24))
 
 
 class SmoothModel:
@@ -62,6 +64,10 @@ class SmoothModel:
     signal reconstruction from limited data using FOCUSS", IEEE Trans. Signal Processing 45(3),
     1997, for a variance that follows the estimate.
     """
+
+    #: Stated time of a conjugate gradient, seconds a taxel. [Measured: 15e-9 to 35e-9 of 40 x 40 to
+    #: 256 x 256 taxels.] 0 where it need not be counted.
+    gradient_s = 25e-9
 
     def __init__(
         self,
@@ -144,6 +150,16 @@ class SmoothModel:
             self._dense = np.array(
                 [self._adjoint(one) for one in np.eye(used.size, dtype=np.float32)]
             )
+
+    @property
+    def least_s(self) -> float:
+        """Stated time of a frame that has a prediction, seconds."""
+        return self._t.rounds * self._t.gradients * self._taxels.size * self.gradient_s
+
+    @property
+    def left_s(self) -> float:
+        """Stated time of the rounds that are left of the frame, seconds."""
+        return self.rounds_left * self._gradients * self._taxels.size * self.gradient_s
 
     def round(self) -> None:
         """Do one round, of `rounds_left`; x, float32 (n,), is the estimate after it."""
@@ -281,7 +297,8 @@ def _gaussian(n: int, length: float) -> Any:
     if n <= MOST_DENSE:
         places = np.arange(n)
         distance = (places[:, None] - places) / length
-        return np.exp(-0.5 * distance**2).astype(np.float32)
+        # Products with subnormal numbers take the processor forty times as long.
+        return np.where(np.abs(distance) > REACH, 0, np.exp(-0.5 * distance**2)).astype(np.float32)
     from scipy import sparse  # here: most skins do not need it
 
     steps = range(-math.ceil(NEGLIGIBLE * length), math.ceil(NEGLIGIBLE * length) + 1)

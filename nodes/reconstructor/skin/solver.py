@@ -34,6 +34,10 @@ if TYPE_CHECKING:
 N_DRAWN = 4093
 """Number of shifts drawn in advance; a prime, so that their sequence is in step with nothing."""
 
+MOST_LATE = 5.0
+"""Periods of the frames that stated work may take before comparisons wait; chosen: a first frame,
+3.75 times one that has a prediction, is compared wherever the latter fits into a period."""
+
 
 class SkinSolver(Solver):
     """Reconstructs frames from measurements, the last frame, and noise statistics of its own.
@@ -218,6 +222,7 @@ class SkinSolver(Solver):
         self._last_phi = self.phi
         self._rotating = self._begun = self._has_estimate = False
         self.put_off = self._is_owed = False
+        self._busy_s = 0.0
         subset = self._subsets[self.phi.fingerprint]
         self._noise.use(subset)
         self._gain.use(subset)
@@ -280,6 +285,10 @@ class SkinSolver(Solver):
         # A comparison that was put off is made from nothing, and decides at once.
         self._is_owed, self.put_off = self.put_off, False
         models = self._held_out.models(self._nothing_known or self._is_owed, self._coarse)
+        # By stated times, not by the clock: the same frames have the same forces, live or not.
+        if self._smooth.least_s > self.period_s and self.phi.m >= self._t.comparable:
+            models = (HAAR,)
+        self._busy_s = max(0.0, self._busy_s - self.period_s)
         self._n_haar = (
             min(self.max_iterations, self.iterations + int(more)) if HAAR in models else 0
         )
@@ -401,8 +410,12 @@ class SkinSolver(Solver):
             )
             # A model in use is computed in any case, unless the past says nothing.
             deferrable = self.model == HAAR or self._nothing_known or self._is_owed
-            if self._needs_smooth and deferrable and not self.may_compare():
+            busy_s = self._busy_s + self._smooth.left_s
+            may_compare = busy_s <= MOST_LATE * self.period_s and self.may_compare()
+            if self._needs_smooth and deferrable and not may_compare:
                 self._needs_smooth, self.put_off = False, True
+            if self._needs_smooth:
+                self._busy_s = busy_s
         if self._needs_smooth:
             self._smooth.round()
 

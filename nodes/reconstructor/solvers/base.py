@@ -95,6 +95,8 @@ class Solver(ABC):
     may_compare: Callable[[], bool] = staticmethod(lambda: True)
     #: True if that of the last frame was put off.
     put_off: bool = False
+    #: Stated time between frames, seconds, for work that may wait; infinite where none is stated.
+    period_s: float = math.inf
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:
         shape = (basis.n_rows, basis.n_cols)

@@ -40,6 +40,20 @@ def test_without_numba_auto_is_numpy_and_on_is_refused_with_what_to_install() ->
         use_compiled("on")
 
 
+@pytest.mark.usefixtures("no_numba")
+def test_without_numba_a_solver_with_compiled_loops_logs_once_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lines: list[str] = []
+    compile_loops("skin", "auto", lines.append, "phi", "watch")
+    (line,) = lines
+    assert line.endswith("pip install 'sparseskin[fast]'")
+    compile_loops("tv", "auto", pytest.fail)
+    compile_loops("skin", "off", pytest.fail)
+    monkeypatch.setenv(fast.ENVIRONMENT, "off")
+    compile_loops("skin", "auto", pytest.fail)
+
+
 @needs_numba
 def test_with_numba_auto_and_on_are_compiled_and_off_is_not() -> None:
     assert use_compiled("auto")

@@ -48,6 +48,14 @@ class SlowSolver(Solver):
         pass
 
 
+def skin_state(side: int, rate_hz: float) -> SkinState:
+    return SkinState(
+        stamp_ns=0, patch="skin", n_rows=side, n_cols=side, f_max=2.5, unit="N", pitch_m=None,
+        mask=None, source="", seed=0, rate_hz=rate_hz, has_truth=False, sigma_mid=0.0,
+        sigma_end=0.0,
+    )  # fmt: skip
+
+
 def restored(budget_ms: float | None, monkeypatch: pytest.MonkeyPatch) -> Reconstruction:
     clockwork = Clockwork()
     SlowSolver.clockwork = clockwork
@@ -59,13 +67,10 @@ def restored(budget_ms: float | None, monkeypatch: pytest.MonkeyPatch) -> Recons
     settings = ReconstructorSettings(budget_ms=budget_ms)
     node = Reconstructor(settings, Context("reconstructor", ManualClock(0)))
     phi = make_phi("sbhe", N, M, 0)
-    skin = SkinState(
-        stamp_ns=0, patch="skin", n_rows=8, n_cols=8, f_max=2.5, unit="N", pitch_m=None, mask=None,
-        source="", seed=0, rate_hz=0.0, has_truth=False, sigma_mid=0.0, sigma_end=0.0,
-    )  # fmt: skip
-    told = PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe())
-    list(node.step(skin))
-    list(node.step(told))
+    list(node.step(skin_state(8, 0.0)))
+    list(
+        node.step(PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe()))
+    )
     y = Measurements(stamp_ns=1, patch="skin", y=np.ones(M, np.float32), phi=phi.fingerprint)
     (found,) = node.step(y)
     assert isinstance(found, Reconstruction)
@@ -80,3 +85,21 @@ def test_no_step_is_begun_that_would_end_beyond_the_budget(
     assert found.iterations == steps
     assert found.forces[0, 0] == steps
     assert found.solve_ns == steps * 1_000_000
+
+
+def test_the_rate_that_the_skin_states_bounds_the_smooth_model_of_plain_numpy() -> None:
+    phi = make_phi("sbhe", 1024, 342, 0)
+    y = phi.forward(np.linspace(0, 1, 1024, dtype=np.float32))
+    node = Reconstructor(ReconstructorSettings(fast="off"), Context("", ManualClock(0)))
+    list(
+        node.step(PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe()))
+    )
+    steps = []
+    for k, rate_hz in enumerate((0.0, 1e6, 0.0)):
+        list(node.step(skin_state(32, rate_hz)))
+        sign = (-1) ** k  # each frame is a jump: it has all iterations
+        measured = Measurements(stamp_ns=k, patch="skin", y=sign * y, phi=phi.fingerprint)
+        (found,) = node.step(measured)
+        assert isinstance(found, Reconstruction)
+        steps.append(found.iterations)
+    assert steps == [35, 30, 32]

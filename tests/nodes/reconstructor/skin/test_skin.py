@@ -15,6 +15,7 @@ from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.skin.evidence import HAAR, SMOOTH
+from sparseskin.nodes.reconstructor.skin.smooth import SmoothModel
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
 from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
@@ -301,11 +302,12 @@ class Stream:
         rows: str = "fixed",
         mask: Mask | None = None,
         seed: int = 0,
+        fast: str = "auto",
     ) -> None:
         self.mask = np.ones(shape, dtype=np.bool_) if mask is None else mask
         n = int(self.mask.sum())
         self.subsets = row_subsets(make_phi("sbhe", n, n // ratio, seed=seed), rows)
-        self.solver = SkinSolver(self.subsets[0], make_basis("haar", *shape), mask)
+        self.solver = SkinSolver(self.subsets[0], make_basis("haar", *shape), mask, fast=fast)
         self.n_frames = 0
 
     def frame(self, taxels: Floats) -> Floats:
@@ -398,6 +400,45 @@ def test_a_dense_smooth_press_is_estimated_by_the_smooth_model() -> None:
         estimate = stream.frame(press)
     assert stream.solver.model == SMOOTH
     assert np.linalg.norm(estimate - press) < 0.05 * np.linalg.norm(press)
+
+
+def rounds_of(period_s: float) -> list[int]:
+    """Rounds of the smooth model, in plain numpy, in each frame of a box that begins anew."""
+    phi = make_phi("sbhe", 1600, 534, 0)
+    solver = SkinSolver(phi, make_basis("haar", 40, 40), iterations=30, fast="off")
+    solver.period_s = period_s
+    found = []
+    for k in range(20):
+        taxels = np.zeros((40, 40), np.float32)
+        row, col = ((0, 0), (28, 2), (2, 28), (28, 28))[k % 4]
+        taxels[row : row + 10, col : col + 10] = 1
+        solver.setup(phi.forward(taxels.ravel()), np.zeros((40, 40), np.float32))
+        for _ in range(solver.n_steps):
+            solver.step()
+        solver.finish()
+        assert solver.error is not None
+        found.append(0 if solver.put_off else solver.n_steps - 30)
+    return found
+
+
+def test_rounds_of_the_smooth_model_that_do_not_fit_between_two_frames_wait() -> None:
+    gradient_s = 1600 * SmoothModel.gradient_s
+    costs_s = {
+        0: 0.0,
+        TUNING.rounds: TUNING.rounds * TUNING.gradients * gradient_s,
+        TUNING.cold_rounds: TUNING.cold_rounds * TUNING.cold_gradients * gradient_s,
+    }
+    frame_s = costs_s[TUNING.rounds]
+    at_leisure = rounds_of(np.inf)
+    assert at_leisure == 20 * [TUNING.cold_rounds]
+    for period_s in (frame_s, 2 * frame_s):
+        found, busy_s = rounds_of(period_s), 0.0
+        assert found[0] == TUNING.cold_rounds
+        for rounds in found:
+            busy_s = max(0.0, busy_s - period_s) + costs_s[rounds]
+            assert busy_s <= 5 * period_s
+        assert 0 < sum(found[1:]) < sum(at_leisure[1:])
+    assert not any(rounds_of(0.99 * frame_s))
 
 
 @pytest.mark.parametrize(("ratio", "rows"), [(3, "rotating"), (3, "fixed"), (8, "fixed")])

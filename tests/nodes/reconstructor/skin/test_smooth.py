@@ -240,6 +240,12 @@ def test_the_filters_of_compiled_loops_are_gaussians_to_rounding(shape: tuple[in
 
 
 @pytest.mark.parametrize("length", TUNING.lengths)
+def test_no_correlation_is_subnormal_which_would_take_forty_times_as_long(length: float) -> None:
+    weights = smooth._gaussian(MOST_DENSE, length)
+    assert (weights[weights > 0] > 2**-25).all()
+
+
+@pytest.mark.parametrize("length", TUNING.lengths)
 def test_the_correlation_of_a_long_line_is_the_dense_one_up_to_its_cut(
     length: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
