@@ -10,8 +10,13 @@ from sparseskin.messages import SkinState
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
+from .frozen import FRAMES, FrozenWatch
 from .rows import RowWatch
 from .taxels import TaxelWatch, listed
+
+UNTOUCHED = 0.58
+"""Standard deviation of the noise of an untouched taxel that is clipped at 0, in that of its noise.
+Derived: sqrt((1 - 1 / pi) / 2)."""
 
 
 class FaultWatch:
@@ -34,12 +39,19 @@ class FaultWatch:
         self._rows_text = ""
         self._taxels: TaxelWatch | None = None
         self._noisy = False
+        self._frozen = FrozenWatch(0.0)
+
+    @property
+    def frozen(self) -> bool:
+        """True while all measurements repeat exactly, as those of a board that hangs."""
+        return self._frozen.frozen
 
     @property
     def text(self) -> str:
-        """The measurements and taxels excluded now; "" if there are none."""
+        """The measurements and taxels excluded now, and whether all repeat; "" if none do."""
+        frozen = "all measurements repeat exactly" if self.frozen else ""
         taxels = "" if self._taxels is None else self._taxels.text
-        return "; ".join(filter(None, (self._rows_text, taxels)))
+        return "; ".join(filter(None, (frozen, self._rows_text, taxels)))
 
     @property
     def taxels(self) -> list[int]:
@@ -55,6 +67,8 @@ class FaultWatch:
         """Watch these row subsets, by fingerprint, and the skin with existing taxels `mask`."""
         # On a skin that does not state its noise, constant readings may be right.
         self._noisy = state.sigma_mid > 0
+        sigma = min(state.sigma_mid, state.sigma_end) * (UNTOUCHED if state.clips_noise else 1.0)
+        self._frozen = FrozenWatch(sigma)
         self._mask = mask
         self._rows = {
             fingerprint: self._rows.get(fingerprint) or RowWatch(phi)
@@ -65,6 +79,18 @@ class FaultWatch:
         if self._watch_taxels and self._noisy:
             sigmas = state.sigma_mid, state.sigma_end
             self._taxels = TaxelWatch(mask, state.f_max, *sigmas, self._log)
+
+    def watch_repeats(self, phi: Phi, y: Floats) -> None:
+        """Process measurements as they were received, float32 (m,), by Phi."""
+        if not self._frozen.update(phi.fingerprint, y):
+            return
+        if self.frozen:
+            self._log(
+                f"all measurements repeat exactly for {FRAMES} frames, on a skin with noise: not "
+                "trusted until they change; does the board hang?"
+            )
+        else:
+            self._log("measurements change again")
 
     def cleaned(self, phi: Phi, y: Floats, last: Floats | None) -> tuple[Floats, Floats]:
         """Return y without the readings of stuck taxels; and with Phi `last` for faulty rows, too.

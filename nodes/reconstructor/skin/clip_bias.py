@@ -15,6 +15,9 @@ from .tuning import TUNING, SkinTuning
 #: a bias. Derived: float32 leaves 1e-12, one row of +1 has 32 / N, above 1e-6 up to 3e7 taxels.
 DUST = 1e-6
 
+#: Least bias, newtons; a smaller one is 0: its reciprocal would overflow float32.
+LEAST = 1e-30
+
 
 class ClipBias:
     """The mean reading of an untouched taxel, whose noise is clipped at 0.
@@ -68,12 +71,16 @@ class ClipBias:
             np.multiply(self.ones, self._b, self._scaled)
             np.subtract(y_rows, self._scaled, y_rows)
 
-    def update(self, left: float, x: Floats, s2: float, most: float = math.inf) -> None:
+    def update(
+        self, left: float, x: Floats, s2: float, most: float = math.inf, again: bool = False
+    ) -> None:
         """Process a reconstructed frame x without the bias, float32 (n,), newtons.
 
         `left` is the product of Phi 1 with the residual, s2 the variance of a measurement's noise,
-        and `most` another bound of it.
+        and `most` another bound of it; `again` as in `NoiseLevel`: the least noise is forgotten.
         """
+        if again:
+            self._n_frames, self._least_s2 = 0, math.inf
         self._n_frames += 1
         more = left / self.energy if self.energy else 0.0
         first = max(self._t.median_first, self._t.median_rounds * len(self._known))
@@ -84,6 +91,8 @@ class ClipBias:
         more = min(max(more, -noise / 2), noise / 2)
         rate = max(self._t.bias_slowest, 1 / (self._n_frames + 1))
         self.b = min(max(self.b + rate * more, 0.0), self._t.bias_largest * noise)
+        if self.b < LEAST:
+            self.b = 0.0
 
     def add_back(self, forces: Floats) -> None:
         """Convert means above b to forces, in place, float32 of any shape."""

@@ -10,6 +10,12 @@ from sparseskin.nodes.numerics.arrays import Floats
 
 from .tuning import TUNING, SkinTuning
 
+RESOLUTION = float(np.finfo(np.float32).eps)
+"""Relative resolution of measurements: a noise below it does not show in them."""
+VISIBLE = 1e4
+"""Variance of the noise of a sensor, in that of the resolution. Derived: its steps are of 2^-16 of
+the range or more, 100 times the resolution."""
+
 
 class NoiseLevel:
     """Variance of the noise on a measurement, from differences between frames.
@@ -33,11 +39,16 @@ class NoiseLevel:
     ----------
     s2 : float
         The estimate, squared newtons; 0 before the first frame.
+    floor : float
+        The least it can be, at the resolution of the measurements, squared newtons.
     jumped : bool
         True if the last frame was the first one, or its mean squared innovation was more than 5
         times the level. Its differences to other frames are not used.
     known : bool
         True once the level is of second differences; before, it is an upper bound.
+    again : bool
+        True in the frame that ends a run of exactly equal ones, other than 0: a board hung, and
+        works again.
     since_jump : int
         Frames since the last jump; 0 for a frame that jumped.
     """
@@ -50,10 +61,10 @@ class NoiseLevel:
 
     def reset(self) -> None:
         """Forget all frames."""
-        self.s2 = 0.0
+        self.s2 = self.floor = 0.0
         self.jumped = True
         self.since_jump = 0
-        self.known = self._settled = self._begun = False
+        self.known = self._settled = self._begun = self._hangs = self.again = False
         self._subsets: dict[int, Past] = {}
         self.use(0)
 
@@ -84,12 +95,24 @@ class NoiseLevel:
         np.copyto(past.y, y)
         return changed2, second2
 
-    def follow(self, e2: float, changed2: float, second2: float, jumped: bool) -> None:
+    def follow(
+        self, e2: float, changed2: float, second2: float, jumped: bool, power: float = 0.0
+    ) -> None:
         """Update the level.
 
         e2 is the mean squared innovation; changed2 and second2 are as `changes` returned them;
-        `jumped` if the scene is known to have jumped.
+        `jumped` if the scene is known to have jumped. `power` is the mean square of y, whose
+        resolution in float32 bounds the level from below: exactly equal frames would halve it
+        without end, and no later frame would be believed.
         """
+        self.floor = max(self.floor, RESOLUTION**2 * power)
+        was_hung, self._hangs = self._hangs and power > 0, changed2 == 0 < power
+        self._follow(e2, changed2, second2, jumped, was_hung)
+        self.s2 = max(self.s2, self.floor)
+
+    def _follow(
+        self, e2: float, changed2: float, second2: float, jumped: bool, was_hung: bool
+    ) -> None:
         past = self._past
         changed = changed2 / (2 * self._m)
         seen = min(e2, changed)
@@ -98,6 +121,13 @@ class NoiseLevel:
         self.jumped = jumped or not self._begun or min(e2, changed) > self._t.jump * self.s2
         self.since_jump = 0 if self.jumped else self.since_jump + 1
         self._begun = True
+        self.again = was_hung and self.jumped and self.s2 <= VISIBLE * self.floor
+        if self.again:
+            # Its noise is learnt as that of a first frame.
+            self._settled = self.known = False
+            for other in self._subsets.values():
+                other.n_differences = -1
+            seen = min(e2, changed)
         past.begun = True
         past.n_differences += 1
         self.known = self.known or past.n_differences > 1

@@ -13,7 +13,8 @@ from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mas
 from sparseskin.nodes.reconstructor.bases.haar import haar_matrix
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, TILE
 
-from .clip_bias import DUST
+from .clip_bias import DUST, LEAST
+from .noise_level import RESOLUTION, VISIBLE
 from .tuning import TUNING, SkinTuning
 
 N_SHIFTS = 4093
@@ -86,6 +87,7 @@ class ReferenceSolver:
         # of differences since a jump; gain.
         self.b, self.least_s2, self.n_biases = 0.0, math.inf, 0
         self.s2, self.since_jump, self.settled, self.known = 0.0, 0, False, False
+        self.floor, self.hangs, self.again = 0.0, False, False
         self.last_read: dict[int, Doubles] = {}
         self.last_step: dict[int, Doubles] = {}
         self.n_steps = dict.fromkeys(range(len(subsets)), -1)
@@ -116,7 +118,9 @@ class ReferenceSolver:
         x_p, failed = self.predict(phi, y, changed2)
         e = y - phi @ x_p
         e2 = mean_square(e)
+        self.floor = max(self.floor, RESOLUTION**2 * mean_square(read))
         jumped = self.follow_noise(read, subset, e2, changed2, failed)
+        self.s2 = max(self.s2, self.floor)
         settling = self.since_jump <= t.settling
         gain, nis, r2 = self.follow_gain(e, phi @ self.correction, subset, settling)
         noise = r2 if self.known else 0.0
@@ -209,6 +213,11 @@ class ReferenceSolver:
         t, seen = self.t, min(e2, changed2 / 2)
         jumped = failed or self.frame == 0 or seen > t.jump * self.s2
         self.since_jump = 0 if jumped else self.since_jump + 1
+        was_hung, self.hangs = self.hangs and y.any(), changed2 == 0 and bool(y.any())
+        self.again = was_hung and jumped and self.s2 <= VISIBLE * self.floor
+        if self.again:  # a board hung, and works again
+            self.settled = self.known = False
+            self.n_steps = dict.fromkeys(self.n_steps, -1)
         if subset in self.last_read:
             step = y - self.last_read[subset]
             if self.n_steps[subset] > 0:
@@ -408,6 +417,8 @@ class ReferenceSolver:
         It is bounded by the noise; before that is known, by the residual of held-out rows, too.
         """
         t, energy = self.t, float(ones @ ones)
+        if self.again:
+            self.n_biases, self.least_s2 = 0, math.inf
         # No row of the frame may see a bias: Phi 1 is 0 then, but for rounding.
         more = float(ones @ residual) / energy if energy > DUST * self.n else 0.0
         self.n_biases += 1
@@ -421,7 +432,8 @@ class ReferenceSolver:
         noise = math.sqrt(bound)
         rate = max(t.bias_slowest, 1 / (self.n_biases + 1))
         b = self.b + rate * min(max(more, -noise / 2), noise / 2)
-        self.b = min(max(b, 0.0), t.bias_largest * noise)
+        b = min(max(b, 0.0), t.bias_largest * noise)
+        self.b = b if b >= LEAST else 0.0
 
     def judge(self, x: Doubles, beyond: float, noise: float, gain: float, read2: float) -> None:
         """Set the error of the estimate x, and whether it is trusted."""

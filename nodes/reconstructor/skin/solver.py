@@ -237,6 +237,7 @@ class SkinSolver(Solver):
                 f"skin: phi {phi.fingerprint} is {phi.m} x {phi.n}; "
                 f"allowed: {self.phi.m} x {self.phi.n}"
             )
+        super().use(phi)
         subset = self._subsets.setdefault(phi.fingerprint, len(self._subsets))
         if not self._projection.has_whole and phi is not self.phi:
             self._correction.fill(0)  # it is known for the rows of the last frame alone
@@ -266,7 +267,8 @@ class SkinSolver(Solver):
         self._begun, self._rotating, self._last_phi = True, rotating, self.phi
         self._power_read = found.power / self.phi.m
         e2 = found.e2 / self.phi.m
-        self._noise.follow(e2, found.changed2, found.second2, self._prediction.failed)
+        failed = self._prediction.failed
+        self._noise.follow(e2, found.changed2, found.second2, failed, self._power_read)
         jumped, settling = self._noise.jumped, self._noise.since_jump <= self._t.settling
         self._gain.follow(
             *(found.e2, found.along, found.correction2, self.phi.m, self._noise.s2, settling)
@@ -390,6 +392,7 @@ class SkinSolver(Solver):
         return self._last.get(model, self._x) if other else self._x
 
     def solve(self, y: Floats, warm: Floats | None = None) -> Floats:
+        self._check_subset()
         self.setup(y, warm)
         self._iterate(0, self._n_haar)
         self._steps_left -= self._n_haar
@@ -462,7 +465,7 @@ class SkinSolver(Solver):
         else:
             fitted = self._prediction.whole
             sums = self._sums_of(self._x, fitted)
-        if not math.isfinite(sums.x2):
+        if not math.isfinite(sums.x2) or not math.isfinite(self._bias.b):
             self.reset()
             raise SolverError("skin: the iteration diverged: is phi.lipschitz too small?")
         self._steps_left = 0
@@ -474,7 +477,7 @@ class SkinSolver(Solver):
             np.copyto(self._prediction.whole, fitted)
             forces = self._x_and_zero.take(self._place_of_cell, None, None, "clip")
             self._bias.add_back(forces)
-        return forces.reshape(self.mask.shape)
+        return self._finite(forces).reshape(self.mask.shape)
 
     @property
     def model(self) -> str:
@@ -518,7 +521,7 @@ class SkinSolver(Solver):
         if self._noise.known or self.phi.m >= self._t.comparable:
             # The bias is that of this frame's rows alone.
             most = self._most_noise(self._residuals[chosen])
-            self._bias.update(sums.left, self._x, self._noise.s2, most)
+            self._bias.update(sums.left, self._x, self._noise.s2, most, self._noise.again)
         self._prediction.knows_whole = True
         self._has_estimate = True
         self._judge(sums)

@@ -113,6 +113,8 @@ class Solver(ABC):
         self.mask: Mask = mask.copy()
         self.taxels: Indices = np.flatnonzero(mask)
         self._inside: Floats = mask.astype(np.float32)
+        #: True between `use` and the frame that it is for.
+        self._subset_stated = False
         #: Steps left in the current frame; `setup` sets it, `finish` clears it.
         self._steps_left = 0
         if phi.n != self.taxels.size:
@@ -139,13 +141,24 @@ class Solver(ABC):
         Raises
         ------
         SolverError
-            If y or warm is of another shape or not finite, or y so large that float32 does
-            not hold the result.
+            If y or warm is of another shape or not finite, y is so large that float32 does not
+            hold the result, or the rows rotate and `use` has not stated the row subset of y.
         """
+        self._check_subset()
         self.setup(y, warm)
         for _ in range(self.n_steps):
             self.step()
         return self.finish()
+
+    def _check_subset(self) -> None:
+        """Raise SolverError if rows rotate and `use` has not stated the row subset of the frame."""
+        if len(self.subsets) > 1 and not self._subset_stated:
+            raise SolverError(
+                f"{self.name}: its {len(self.subsets)} row subsets measure frames in turn; that "
+                "of y is not stated: call solver.use(solver.subsets[k % len(solver.subsets)]) "
+                "before frame k, or sparseskin.reconstruct(frames, solver)"
+            )
+        self._subset_stated = False
 
     @abstractmethod
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
@@ -170,15 +183,16 @@ class Solver(ABC):
         """Forget all earlier frames."""
 
     def use(self, phi: Phi) -> None:
-        """Expect measurements of this row subset of rotating rows from the next frame on.
+        """Expect measurements of this row subset of rotating rows in the next frame.
 
         Raises
         ------
         SolverError
             If the solver was made for another matrix, and can use no other.
         """
-        if phi.fingerprint != self.phi.fingerprint:
+        if not self.rotates and phi.fingerprint != self.phi.fingerprint:
             raise SolverError(f"solver: was not made for phi {phi.fingerprint}")
+        self._subset_stated = True
 
     def _count_step(self) -> None:
         """Count a step of the current frame; Raises as in `step`."""
@@ -191,10 +205,18 @@ class Solver(ABC):
         self._steps_left = 0
         np.maximum(image, 0, out=image)
         np.multiply(image, self._inside, out=image)
-        if not np.isfinite(image).all():
+        return self._finite(image)
+
+    def _finite(self, forces: Floats) -> Floats:
+        """Return forces that are finite; or forget all frames, and raise SolverError."""
+        # Forces are 0 or more: their sum is finite if all of them are, unless it overflows.
+        if not (math.isfinite(float(forces.sum())) or np.isfinite(forces).all()):
             self.reset()
-            raise SolverError(f"{self.name}: the iteration diverged: is phi.lipschitz too small?")
-        return image
+            raise SolverError(
+                f"{self.name}: the iteration diverged, and starts anew with the next frame: is "
+                "phi.lipschitz too small?"
+            )
+        return forces
 
     def _checked_y(self, y: Floats) -> Floats:
         """Return y as contiguous float32, or raise SolverError."""
@@ -259,6 +281,7 @@ class RotatingSolver(Solver):
     def use(self, phi: Phi) -> None:
         if phi.fingerprint not in self._solvers:
             raise SolverError(f"solver: was not made for phi {phi.fingerprint}")
+        super().use(phi)
         self.phi, self._chosen = phi, self._solvers[phi.fingerprint]
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
@@ -400,6 +423,8 @@ def make_rotating_solver(
             solvers[phi.fingerprint] = make_solver(name, phi, basis, mask, **settings)
         solver = RotatingSolver(solvers, subsets[0], basis, mask)
     solver.subsets = tuple(subsets)
+    if isinstance(solver, Solver):
+        solver._subset_stated = False  # its construction may have used one
     return solver
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import msgpack
@@ -15,6 +14,7 @@ from sparseskin.messages import Measurements, Reconstruction, decode, encode
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import RefusedError
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.trust import EVERY_NS, LASTING, RUN, TrustLog
 from sparseskin.nodes.reconstructor.solvers.base import (
@@ -29,8 +29,14 @@ PHI = make_phi("sbhe", N, N // 3, seed=0)
 S = 1_000_000_000
 
 
+def untouched(n_frames: int) -> Floats:
+    """Measurements of the noise of a skin that nothing touches, float32 (n_frames, m)."""
+    found = np.random.default_rng(0).normal(scale=0.01, size=(n_frames, PHI.m))
+    return found.astype(np.float32)
+
+
 def reconstructions(desk: Desk, n_frames: int) -> list[Reconstruction]:
-    found = desk.messages(np.zeros((n_frames, PHI.m), np.float32))
+    found = desk.messages(untouched(n_frames))
     return [message for message in found if isinstance(message, Reconstruction)]
 
 
@@ -187,11 +193,9 @@ def test_doubts_about_every_third_frame_are_a_run() -> None:
 
 def test_the_times_of_the_lines_are_those_of_the_stamps() -> None:
     desk = Desk(PHI, solver=DOUBTING, options={"n_doubted": 1, "period": 1})
-    frame = Measurements(
-        stamp_ns=0, patch="skin", y=np.zeros(PHI.m, np.float32), phi=PHI.fingerprint
-    )
-    for stamp_s in range(25):
-        list(desk.node.step(replace(frame, stamp_ns=stamp_s * S)))
+    for stamp_s, y in enumerate(untouched(25)):
+        frame = Measurements(stamp_ns=stamp_s * S, patch="skin", y=y, phi=PHI.fingerprint)
+        list(desk.node.step(frame))
     assert len(desk.lines) == 3  # at 2, 12 and 22 s
 
 
