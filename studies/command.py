@@ -82,10 +82,6 @@ STUDIES = {
     "layouts": Study(
         "skins of points beside the grid, and beside other ways to put points on a grid"
     ),
-    "design-grid": Study(
-        "accuracy by taxels, noise, bits and rate, from which `design` interpolates",
-        target="sparseskin.studies.design.grid_study:run",
-    ),
     "bases": Study(
         "in which basis forces are sparse: D2, D4 and others, learned ones; adaptive sampling",
         numpy_only=True,

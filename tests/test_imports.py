@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-LAYERS = ("messages", "nodes", "launch", "studies")
+LAYERS = ("messages", "nodes", "launch", "studies", "plugins")
 
 
 def modules(root: Path, layers: tuple[str, ...] = LAYERS) -> dict[str, Path]:

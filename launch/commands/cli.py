@@ -7,7 +7,9 @@ import os
 import re
 import sys
 from collections.abc import Collection, Sequence
+from functools import cache
 from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NoReturn
 
 from sparseskin.messages.text import printable
@@ -37,10 +39,6 @@ COMMANDS = {
     "calibrate": (".calibrate", "make the file of a skin: from counts to newtons"),
     "tare": (".tare", "take the readings of the untouched skin of a running graph for zero"),
     "scenes": (".scenes", "list the scenes, make short recordings of them"),
-    "design": (
-        "sparseskin.studies.design.command",
-        "compare ways to read a skin before it is built",
-    ),
     "study": ("sparseskin.studies.command", "compute tables and charts anew"),
     "completion": (".completion", "print the completion script of a shell"),
     "help": (".cli", "describe a command"),
@@ -49,12 +47,35 @@ COMMANDS = {
 `configure`, and one line of help.
 """
 
+PLUGINS = "sparseskin.commands"
+"""Group of the entry points of commands that plug-ins bring, of this package or of others: each
+names a module with `HELP`, one line, and `configure(parser)`, which sets `run` as those here do. It
+is imported for every list of commands, so that its own imports belong into `configure`.
+"""
+
+
+@cache
+def plugins() -> dict[str, EntryPoint]:
+    """Commands of plug-ins by name; no plug-in replaces a command of `COMMANDS`."""
+    found = {one.name: one for one in entry_points(group=PLUGINS)}
+    return {name: found[name] for name in sorted(found.keys() - COMMANDS.keys())}
+
+
+def about(name: str) -> str:
+    """One line of help of a command; of a plug-in that cannot be imported, the reason."""
+    if name in COMMANDS:
+        return COMMANDS[name][1]
+    try:
+        return str(plugins()[name].load().HELP)
+    except Exception as error:  # a plug-in may raise anything
+        return printable(f"cannot be used: {type(error).__name__}: {error}")
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
     words = sys.argv[1:] if argv is None else argv
-    arguments = make_parser(words).parse_args(words)
     try:
+        arguments = make_parser(words).parse_args(words)
         return int(arguments.run(arguments))
     except SparseskinError as error:
         print(error, file=sys.stderr)
@@ -67,13 +88,29 @@ def make_parser(words: Sequence[str]) -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     named = next((word for word in words if not word.startswith("-")), None)
-    for name, (home, about) in COMMANDS.items():
-        command = commands.add_parser(name, help=about)
+    for name in (*COMMANDS, *plugins()):
+        # argparse takes a percent sign of the help for a format.
+        command = commands.add_parser(name, help=about(name).replace("%", "%%"))
         if name == named:
-            module = import_module(home, __package__)
-            configure = getattr(module, f"configure_{name}", None) or module.configure
-            configure(command)
+            _configure(name, command)
     return parser
+
+
+def _configure(name: str, parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of a command to its parser."""
+    if name in COMMANDS:
+        module = import_module(COMMANDS[name][0], __package__)
+        (getattr(module, f"configure_{name}", None) or module.configure)(parser)
+        return
+    try:
+        plugins()[name].load().configure(parser)
+    except SparseskinError:
+        raise
+    except Exception as error:  # a plug-in may raise anything
+        where = plugins()[name].value
+        raise SparseskinError(
+            f"{name}: plug-in {where}: {type(error).__name__}: {error}"
+        ) from error
 
 
 def configure_help(parser: argparse.ArgumentParser) -> None:
@@ -90,7 +127,7 @@ def _commands(*, prefix: str, parsed_args: argparse.Namespace, **_: Any) -> dict
     """Commands that begin with what has been typed, and their lines of help."""
     if parsed_args.words:
         return {}
-    return {name: about for name, (_, about) in COMMANDS.items() if name.startswith(prefix)}
+    return {name: about(name) for name in (*COMMANDS, *plugins()) if name.startswith(prefix)}
 
 
 def _help(arguments: argparse.Namespace) -> NoReturn:

@@ -16,7 +16,7 @@ def main() -> int:
     try:
         open_standard_files()
         keep_bytecode()
-        if sys.argv[1:2] in (["study"], ["design"]):
+        if sys.argv[1:2] == ["study"]:
             # Read as numpy is imported: the times that a study reports are those of one core.
             os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         # Imported here, so that a Ctrl-C during the import is handled like any other.

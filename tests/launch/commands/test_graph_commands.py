@@ -9,7 +9,7 @@ import pytest
 from conftest import PATIENCE_S, Program, wait_until
 from shells import words
 
-from sparseskin.launch.commands.cli import COMMANDS, main
+from sparseskin.launch.commands.cli import COMMANDS, main, plugins
 from sparseskin.launch.run.running import RunningGraph, RunningNode, announced
 
 NODES = {"sensor": RunningNode("sensor", "ipc://none", ["/skin/skin"])}
@@ -84,7 +84,7 @@ def test_help_describes_a_command_as_its_option_does(
 
 
 def test_help_completes_commands_and_refuses_others(capsys: pytest.CaptureFixture[str]) -> None:
-    assert sorted(words("help ")) == sorted(COMMANDS)
+    assert sorted(words("help ")) == sorted((*COMMANDS, *plugins()))
     assert words("help st") == ["stop", "study"]
     with pytest.raises(SystemExit) as refusal:
         main(["help", "lanch"])

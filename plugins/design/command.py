@@ -15,6 +15,7 @@ from sparseskin.nodes.lookup import nearest_of
 from sparseskin.studies.command import EXTRA
 
 from .models.units import shown
+from .simulation import FEW_SCENES, N_SCENES
 from .spec import KEYS, SIZE_KEYS, Design, make_design, read_file
 
 
@@ -35,11 +36,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", type=Path, help=about)
     about = "strategies of the table, with commas between them (default: all)"
     parser.add_argument("--only", metavar="NAMES", help=about)
-    about = "simulate the skin itself for the figures of accuracy, in place of the stored grid"
-    parser.add_argument("--simulate", action="store_true", help=about)
-    about = "scene of --simulate: its name, or a recording of a truth"
+    about = "what presses the simulated skin: a body, or a recording of true forces (default: all)"
     parser.add_argument("--scene", metavar="SCENE", help=about)
-    parser.add_argument("--seed", metavar="K", default="0", help="seed of --simulate (default: 0)")
+    about = f"simulated scenes, 2..{N_SCENES}: more take longer (default: {FEW_SCENES})"
+    parser.add_argument("--scenes", metavar="K", default=str(FEW_SCENES), help=about)
+    about = "seed of scenes, noise and Phi (default: 0)"
+    parser.add_argument("--seed", metavar="K", default="0", help=about)
+    about = "no figures of accuracy: nothing is simulated"
+    parser.add_argument("--no-accuracy", action="store_true", help=about)
     about = "print what the models predict for rigs that were built, and exit"
     parser.add_argument("--rigs", action="store_true", help=about)
     about = "measure the processor time of edge and host on this computer, print it, and exit"
@@ -52,24 +56,22 @@ def _design(arguments: argparse.Namespace) -> int:
     if alone:
         _refuse_others(arguments, alone)
         return _rigs() if alone == ["rigs"] else _measure_costs()
-    if (arguments.scene or arguments.seed != "0") and not arguments.simulate:
-        option = "--scene" if arguments.scene else "--seed"
-        raise SettingsError(f"{option}: goes with --simulate")
     design = design_of(arguments)
     from . import text
     from .budget import budget
 
     if arguments.out is not None:
         check_out(arguments.out)
-    seed = _seed(arguments.seed)
-    rows = stored = budget(design, _names(arguments.only))
-    if arguments.simulate:
-        from .simulate import comparison, simulated
+    seed = _number("--seed", arguments.seed)
+    n_scenes = _number("--scenes", arguments.scenes)
+    if not 2 <= n_scenes <= N_SCENES:
+        raise SettingsError(f"--scenes: {n_scenes}: allowed: 2..{N_SCENES}")
+    rows = budget(design, _names(arguments.only))
+    if not arguments.no_accuracy:
+        from .accuracy import simulated
 
-        rows = simulated(stored, design, arguments.scene, seed)
+        rows = simulated(rows, design, seed, scene=arguments.scene, n_scenes=n_scenes)
     print(text.terminal(rows, design))
-    if arguments.simulate:
-        print(f"\nThe stored grid beside these simulations:\n{comparison(stored, rows)}")
     if arguments.out is not None:
         from .page import write_page
 
@@ -109,7 +111,7 @@ def _refuse_others(arguments: argparse.Namespace, alone: list[str]) -> None:
     option = f"--{alone[0].replace('_', '-')}"
     given: list[str] = [f"--{key}" for key in KEYS if getattr(arguments, key) is not None]
     given += ["--measure-costs"] if len(alone) > 1 else []
-    given += [f"--{key}" for key in ("out", "scene", "simulate", "only") if getattr(arguments, key)]
+    given += [f"--{key}" for key in ("out", "scene", "only") if getattr(arguments, key)]
     given += [str(arguments.file)] if arguments.file else []
     if given:
         raise SettingsError(f"{option}: stands alone; leave out {given[0]}")
@@ -151,7 +153,7 @@ def _names(text: str | None) -> list[str] | None:
     return names
 
 
-def _seed(text: str) -> int:
+def _number(option: str, text: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) < 10):
-        raise SettingsError(f"--seed: {text[:20]!r}: expected a whole number, 0 or more")
+        raise SettingsError(f"{option}: {text[:20]!r}: expected a whole number, 0 or more")
     return int(text)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sparseskin.studies.design.models.rigs import RIGS, Rig
+from sparseskin.plugins.design.models.rigs import RIGS, Rig
 
 
 @pytest.mark.parametrize("rig", RIGS, ids=lambda rig: rig.name)

@@ -16,7 +16,7 @@ from sparseskin.messages import Message, SkinState, Taxels, encode
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, Timing, press_frames
-from sparseskin.studies.design.strategies import SINGLE, STRATEGIES, Strategy
+from sparseskin.plugins.design.strategies import SINGLE, STRATEGIES, Strategy
 from sparseskin.studies.scale.nodes import WARM_UP, made_node, timed_step
 
 SIZES = ((12, 32), (32, 32), (64, 64))

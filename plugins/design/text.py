@@ -203,8 +203,8 @@ def legend(rows: Sequence[Row]) -> list[str]:
     """What the marks of the table mean, and the notes of its figures of accuracy."""
     lines = [
         "!: fewer than asked for; limit in brackets: reached, and what would break first",
-        "band: of 90 % of scenes and seeds, interpolation error included; touch: least force a "
-        "taxel at which a light press of 3 x 3 taxels is found in 90 % of cases",
+        "band: of 90 % of further scenes and seeds; touch: least force a taxel at which a light "
+        "press of 3 x 3 taxels is found in 90 % of cases",
         "host ms: calm frame..dense press; rate, limit, latency and cores are those of the dense "
         "press",
     ]
@@ -225,12 +225,6 @@ def legend(rows: Sequence[Row]) -> list[str]:
 
 def sources(rows: Sequence[Row], design: Design) -> list[str]:
     """Where the figures of a design come from, a line each."""
-    of = "simulations of this skin (--simulate)"
-    if any(row.accuracy.interpolated for row in rows):
-        of = (
-            "a stored grid of simulations, interpolated; the band holds the error of the "
-            "interpolation (sparseskin design --simulate simulates the skin itself)"
-        )
     return [
         ADC_SOURCE,
         design.edge.source,
@@ -241,7 +235,8 @@ def sources(rows: Sequence[Row], design: Design) -> list[str]:
         "several patches",
         f"latency: the sum of the stages, and {HOP_S * 1e3:g} ms from process to process "
         f"({LATENCY_COMMAND}); queues and other programs of the host are left out",
-        f"accuracy: {of}",
+        "accuracy: simulations of this skin under several bodies; see What is simulated in the "
+        "documentation",
         "wires: rows and columns of an array, or a wire a taxel to the amplifier of its block; see "
         "Wires in the documentation",
     ]

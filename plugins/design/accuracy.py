@@ -1,23 +1,32 @@
-"""Accuracy of a strategy on a skin: from the stored grid, or by a simulation of its own."""
+"""Accuracy of each strategy on the skin of a design, by simulations that the command runs."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.stats import t as student
+from tqdm import tqdm
 
 from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES
 from sparseskin.nodes.sensor.sources import FORMS, open_source
+from sparseskin.nodes.tasks.executors import make_executor
 
-from .grid import BEYOND, band, stored_grid
+from .budget import Accuracy, Row
+from .models.wires import reads_single
 from .simulation import (
     F_MAX_N,
+    FEW_SCENES,
     MOST_TAXELS,
     N_SCENES,
     check_conditions,
@@ -28,107 +37,87 @@ from .simulation import (
     presses,
     strategy_of,
 )
+from .spec import Design
 
 MOST_FRAMES = 2000
 """Most frames of a stated scene that are simulated. Chosen: some seconds for each strategy."""
+WITHIN = 0.9
+"""Part of the scenes that lie within the band."""
 
 
-@dataclass(frozen=True)
-class Accuracy:
-    """Accuracy of a strategy.
+def grid_of(design: Design) -> Mask:
+    """Cells on which a skin is simulated, True where a taxel exists: bool (n_rows, n_cols).
 
-    Attributes
-    ----------
-    psnr_db : float
-        Mean PSNR of contact frames, peak f_max; NaN where it is not available.
-    low_db, high_db : float
-        Band of 90 % of the scenes, widened by the error of the interpolation.
-    light_touch : float
-        Least force a taxel, as a part of the range, at which a touch of 3 x 3 taxels is found
-        within 8 frames in 90 % of cases; NaN where none is found, or it is not available.
-    interpolated : bool
-        True if the figures are of the grid, False if they were simulated.
-    note : str
-        "", or why figures are extrapolated or not available.
+    Points are on their virtual grid; of those that are only counted, on the smallest near square
+    that holds them, row by row.
     """
+    if design.mask is not None:
+        return design.mask
+    if design.n_rows is not None and design.n_cols is not None:
+        return np.ones((design.n_rows, design.n_cols), dtype=np.bool_)
+    side = math.isqrt(design.n_taxels - 1) + 1
+    cells = np.arange(-(-design.n_taxels // side) * side) < design.n_taxels
+    return cells.reshape(-1, side)
 
-    psnr_db: float
-    low_db: float
-    high_db: float
-    light_touch: float
-    interpolated: bool
-    note: str = ""
 
+def simulated(
+    rows: Sequence[Row],
+    design: Design,
+    seed: int,
+    *,
+    scene: str | None = None,
+    n_scenes: int = FEW_SCENES,
+) -> list[Row]:
+    """Return rows with the accuracy of their strategies, each at the rate that it reaches.
 
-def accuracy(
-    strategy: str, n_taxels: int, noise: float, bits: int, rate_hz: float, aspect: float = 1.0
-) -> Accuracy:
-    """Interpolate the accuracy of a strategy in the stored grid; scenes as in `simulation`.
-
-    Parameters
-    ----------
-    strategy : str
-        A name of `STRATEGIES`.
-    n_taxels : int
-        Taxels of a patch, 1 or more.
-    noise : float
-        Standard deviation of a taxel's noise, as a part of the range, 1e-6..0.3.
-    bits : int
-        Of a value that is read or sent, 2..24.
-    rate_hz : float
-        Frame rate, above 0.
-    aspect : float
-        Columns a row of the skin, above 0.
-
-    Returns
-    -------
-    Accuracy
-        Its note states what lies outside the grid: up to 4 times outside it is extrapolated along
-        the outermost points, and the band reaches back to the figure at the edge of the grid;
-        farther it is NaN. Rates above the grid's have the figures of its highest rate, and skins
-        that are more than 4 times narrower than its narrowest those of 4 times.
+    The strategies are simulated side by side, in a process each core. Progress is written to stderr
+    where that is a terminal. Parameters as those of `simulate`.
 
     Raises
     ------
-    SettingsError
-        If an argument is not allowed.
+    SparseskinError
+        As `simulate` does.
     """
-    strategy_of(strategy)
-    if not is_whole(n_taxels, 1):
-        raise SettingsError(f"taxels: {n_taxels!r} is not allowed; allowed: a whole number from 1")
-    if not (is_real(rate_hz, 0) and rate_hz > 0):
-        raise SettingsError(f"rate: {rate_hz!r} Hz is not allowed; allowed: a number above 0")
-    if not (is_real(aspect, 0) and aspect > 0):
-        raise SettingsError(f"aspect: {aspect!r} is not allowed; allowed: a number above 0")
-    check_conditions(noise, bits, 1.0)
-    grid = stored_grid()
-    axes, table = grid.axes, grid.tables[strategy]
-    limits = {
-        "taxels": f"{axes.n_taxels[0]}..{axes.n_taxels[-1]} taxels",
-        "noise": f"noise and rounding of {axes.noise[0]:.1%}..{axes.noise[-1]:.0%} of the range",
-        "rate": f"{axes.all_rates_hz[0]:g}..{axes.all_rates_hz[-1]:g} Hz",
-        "shape": f"{axes.narrow} : 1..1 : {axes.narrow} rows : columns",
-    }
-    found = grid.at(strategy, n_taxels, noise, bits, rate_hz, aspect)
-    if found is None:
-        outside = f"more than {BEYOND:g} times outside {', '.join(limits.values())}"
-        nan = math.nan
-        return Accuracy(nan, nan, nan, nan, True, f"not available: {outside}; simulate it")
-    low, high, note = found.low_db, found.high_db, ""
-    if found.beyond:
-        note = f"extrapolated beyond {', '.join(limits[name] for name in found.beyond)}"
-        edge = grid.at(
-            strategy,
-            int(np.clip(n_taxels, axes.n_taxels[0], axes.n_taxels[-1])),
-            float(np.clip(noise, axes.noise[0], axes.noise[-1])),
-            max(bits, axes.bits) if "noise" in found.beyond else bits,
-            float(np.clip(rate_hz, axes.all_rates_hz[0], axes.all_rates_hz[-1])),
-            float(np.clip(aspect, axes.aspects[0], axes.aspects[-1])),
+    mask = grid_of(design)
+    tasks = [
+        {
+            "strategy": row.strategy.name,
+            "n_rows": mask.shape[0],
+            "n_cols": mask.shape[1],
+            "noise": design.noise,
+            "bits": design.adc.bits if reads_single(row.strategy) else design.bits,
+            "rate_hz": row.reached_hz,
+            "seed": seed,
+            "scene": scene,
+            "mask": mask,
+            "n_scenes": n_scenes,
+        }
+        for row in rows
+    ]
+    # A scene that a module of the user's own makes is imported here, and its faults are shown here.
+    n_workers = 1 if scene and ":" in scene else min(len(os.sched_getaffinity(0)), len(tasks))
+    found: dict[int, Accuracy] = {}
+    with make_executor(f"process:{n_workers}" if n_workers > 1 else "serial") as executor:
+        futures = {executor.submit(_simulate, task): k for k, task in enumerate(tasks)}
+        progress = tqdm(
+            as_completed(futures),
+            "simulated",
+            len(tasks),
+            file=sys.stderr,
+            disable=None,
+            leave=False,
         )
-        if edge is not None:
-            low, high = min(low, edge.low_db), max(high, edge.high_db)
-    error = table.error_db
-    return Accuracy(found.db, low - error, high + error, found.touch, True, note)
+        try:
+            for future in progress:
+                found[futures[future]] = future.result()
+        finally:
+            executor.shutdown(wait=False, cancel_futures=True)
+    return [replace(row, accuracy=found[k]) for k, row in enumerate(rows)]
+
+
+def _simulate(task: Mapping[str, Any]) -> Accuracy:
+    """Simulate in another process: arguments of `simulate` by name."""
+    return simulate(**task)
 
 
 def simulate(
@@ -142,30 +131,38 @@ def simulate(
     scene: str | None = None,
     *,
     mask: Mask | None = None,
+    n_scenes: int = FEW_SCENES,
 ) -> Accuracy:
     """Simulate a strategy on a skin.
 
     Parameters
     ----------
-    strategy, noise, bits, rate_hz
-        As in `accuracy`; rates 1..10000 Hz.
+    strategy : str
+        A name of `STRATEGIES`.
     n_rows, n_cols : int
         Grid of the taxels, at most 65536 cells.
+    noise : float
+        Standard deviation of a taxel's noise, as a part of the range, 1e-6..0.3.
+    bits : int
+        Of a value that is read or sent, 2..24.
+    rate_hz : float
+        Frame rate, 1..10000 Hz.
     seed : int
         Of scenes, noise and Phi.
     scene : str, optional
         A body of `presses.BODIES`, pressed in each course; or a source of frames as a sensor node
         takes it (scene:NAME, file:PATH, module:callable), whose frames are the true forces. Of
-        its frames those next to the ticks of the rate are read, 2000 at most. None: all scenes
-        of the grid.
+        its frames those next to the ticks of the rate are read, 2000 at most. None: the first
+        scenes of `simulation`.
     mask : ndarray of bool, shape (n_rows, n_cols), optional
         True where a taxel exists. None: everywhere.
+    n_scenes : int
+        Number of scenes, 2..15.
 
     Returns
     -------
     Accuracy
-        Band: as that of the grid, of the scenes; of one source, percentiles 5 and 95 of its contact
-        frames.
+        Band: `band` of the scenes; of one source, percentiles 5 and 95 of its contact frames.
 
     Raises
     ------
@@ -180,6 +177,8 @@ def simulate(
         raise SettingsError(
             f"taxels: {n_rows!r} x {n_cols!r} is not allowed; allowed: 1..{MOST_TAXELS} taxels"
         )
+    if not is_whole(n_scenes, 2, N_SCENES):
+        raise SettingsError(f"scenes: {n_scenes!r} is not allowed; allowed: 2..{N_SCENES}")
     if not is_whole(seed, 0, 2**31):
         raise SettingsError(f"seed: {seed!r} is not allowed; allowed: a whole number from 0")
     exists = np.ones((n_rows, n_cols), dtype=np.bool_) if mask is None else mask
@@ -188,11 +187,11 @@ def simulate(
 
     def score(frames: Iterator[tuple[Floats, Floats]], k: int) -> list[float]:
         reader = make_reader(one, exists, noise, bits, seed * N_SCENES + k)
-        return contact_db(reader, frames)[0]
+        return contact_db(reader, frames)
 
     note = ""
     if scene is None or scene in BODIES:
-        numbers = range(N_SCENES) if scene is None else range(len(COURSES))
+        numbers = range(n_scenes if scene is None else len(COURSES))
         dbs = [
             float(np.mean(score(presses(k, exists, noise, rate_hz, seed, scene), k)))
             for k in numbers
@@ -204,7 +203,24 @@ def simulate(
         low, high = np.percentile(dbs, [5, 95])
     touch = light_touch(make_reader(one, exists, noise, bits, seed), exists, noise, seed)
     light = math.nan if touch is None else touch
-    return Accuracy(float(np.mean(dbs)), float(low), float(high), light, False, note)
+    return Accuracy(float(np.mean(dbs)), float(low), float(high), light, note)
+
+
+def band(db: Doubles) -> tuple[float, float]:
+    """Ends of the interval in which the PSNR of a further scene lies in 90 % of cases.
+
+    Mean -/+ t s sqrt(1 + 1 / n) of n scenes, 2 or more; t is of Student's distribution with n - 1
+    degrees of freedom.
+
+    Notes
+    -----
+    Source: prediction interval of a normal distribution; Hahn, Meeker, "Statistical Intervals",
+    Wiley, 1991, section 4.7.
+    """
+    n = len(db)
+    factor = float(student.ppf((1 + WITHIN) / 2, n - 1)) * math.sqrt(1 + 1 / n)
+    mean, half = float(db.mean()), factor * float(db.std(ddof=1))
+    return mean - half, mean + half
 
 
 def _of_source(

@@ -13,8 +13,8 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.local import LocalSbhePhi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.compressor.wiring import Wiring, array_wiring, sbhe_wiring
-from sparseskin.studies.design.spec import Design
-from sparseskin.studies.design.strategies import ANALOG, DIGITAL, SINGLE, Strategy
+from sparseskin.plugins.design.spec import Design
+from sparseskin.plugins.design.strategies import ANALOG, DIGITAL, SINGLE, Strategy
 
 MOST_STAR = 4096
 """Most taxels for which crossings of single wires are counted: the time grows with the square."""

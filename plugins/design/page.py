@@ -101,6 +101,5 @@ def record(row: Row, design: Design) -> dict[str, object]:
         "low_db": a.low_db,
         "high_db": a.high_db,
         "light_touch_n": row.light_touch_n,
-        "interpolated": a.interpolated,
         "note": a.note,
     }

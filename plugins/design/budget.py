@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -9,7 +10,6 @@ from sparseskin.messages.quantised import n_bytes
 from sparseskin.nodes.edge.description import CRC_BYTES, HEADER_BYTES
 from sparseskin.nodes.errors import SettingsError
 
-from .accuracy import Accuracy, accuracy
 from .models.costs import HOP_S, LARGEST, cost
 from .models.wires import Wires, reads_single, wires_of
 from .spec import Design
@@ -19,6 +19,33 @@ STAGES = ("ADC", "edge", "bus", "host")
 """Stages that a frame passes; each works on a frame while the one before it has the next."""
 NO_GRID = ("row_local", "local")
 """Strategies that need a grid: rows of columns, or neighbourhoods of cells."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Accuracy of a strategy.
+
+    Attributes
+    ----------
+    psnr_db : float
+        Mean PSNR of contact frames, peak f_max; NaN where it was not simulated.
+    low_db, high_db : float
+        Band of 90 % of the scenes.
+    light_touch : float
+        Least force a taxel, as a part of the range, at which a touch of 3 x 3 taxels is found
+        within 8 frames in 90 % of cases; NaN where none is found.
+    note : str
+        "", or what the figures do not hold for.
+    """
+
+    psnr_db: float
+    low_db: float
+    high_db: float
+    light_touch: float
+    note: str = ""
+
+
+UNKNOWN = Accuracy(math.nan, math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -41,10 +68,10 @@ class Row:
         Frames a second that the host's cores can reconstruct under a dense press.
     asked_hz : float
         Rate that the design asks for.
-    accuracy : Accuracy
-        At the rate that is reached.
     range_n : float
         Full scale, newtons.
+    accuracy : Accuracy
+        At the rate that is reached; `UNKNOWN` until `accuracy.simulated`.
     patches : int
         Parts of the skin that the host reconstructs by themselves.
     """
@@ -57,8 +84,8 @@ class Row:
     host_calm_s: float
     host_rate_hz: float
     asked_hz: float
-    accuracy: Accuracy
     range_n: float
+    accuracy: Accuracy = UNKNOWN
     patches: int = 1
 
     @property
@@ -144,7 +171,6 @@ def row_of(strategy: Strategy, design: Design) -> Row:
         "host": host.dense_s,
     }
     host_rate_hz = min(design.cores, patches) / (host.dense_s * patches)
-    possible_hz = min(host_rate_hz, *(1 / stage_s[name] for name in STAGES[:-1]))
     return Row(
         strategy=strategy,
         m=m,
@@ -154,14 +180,6 @@ def row_of(strategy: Strategy, design: Design) -> Row:
         host_calm_s=host.calm_s,
         host_rate_hz=host_rate_hz,
         asked_hz=design.rate_hz,
-        accuracy=accuracy(
-            strategy.name,
-            n,
-            design.noise,
-            design.adc.bits if reads_single(strategy) else design.bits,
-            min(design.rate_hz, possible_hz),
-            design.n_cols / design.n_rows if design.n_rows and design.n_cols else 1.0,
-        ),
         range_n=design.range_n,
         patches=patches,
     )

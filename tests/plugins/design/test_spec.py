@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.studies.design.models.buses import CanFd
-from sparseskin.studies.design.spec import make_design, read_file
+from sparseskin.plugins.design.models.buses import CanFd
+from sparseskin.plugins.design.spec import make_design, read_file
 
 PAD = {"rows": 12, "cols": 32}
 

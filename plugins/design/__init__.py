@@ -1,0 +1,17 @@
+"""Plug-in `design`: speed, bytes, wires and accuracy of a skin that is not built yet."""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+HELP = "compare ways to read a skin before it is built"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `sparseskin design`."""
+    # Read as numpy is imported: processor times are those of one core.
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    from .command import configure
+
+    configure(parser)

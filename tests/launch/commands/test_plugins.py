@@ -1,0 +1,65 @@
+"""Commands of plug-ins: found by their entry points, in this package or another."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from sparseskin.launch.commands import cli
+
+
+@pytest.fixture
+def plugged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
+    """A folder of modules that are plug-ins `greet`, `broken` and, by another name, `launch`."""
+
+    def found(*, group: str) -> list[EntryPoint]:
+        return [
+            EntryPoint("greet", "greeting_plugin", group),
+            EntryPoint("broken", "no_such_plugin", group),
+            EntryPoint("launch", "greeting_plugin", group),
+        ]
+
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(cli, "entry_points", found)
+    cli.plugins.cache_clear()
+    (tmp_path / "greeting_plugin.py").write_text(
+        'HELP = "greet 100 %"\n'
+        "def configure(parser):\n"
+        '    parser.add_argument("--name", required=True)\n'
+        "    parser.set_defaults(run=lambda a: print('hello', a.name) or 0)\n"
+    )
+    yield tmp_path
+    cli.plugins.cache_clear()
+    sys.modules.pop("greeting_plugin", None)
+
+
+@pytest.mark.usefixtures("plugged")
+def test_a_command_of_another_package_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["greet", "--name", "you"]) == 0
+    assert capsys.readouterr().out == "hello you\n"
+
+
+@pytest.mark.usefixtures("plugged")
+def test_a_plugin_that_cannot_be_imported_is_named_and_stops_no_other_command(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["broken"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("broken: plug-in no_such_plugin: ModuleNotFoundError")
+    assert error.count("\n") == 1
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["--help"])
+    assert ended.value.code == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "greet greet 100 %" in shown
+    assert "broken cannot be used: ModuleNotFoundError" in shown
+
+
+@pytest.mark.usefixtures("plugged")
+def test_a_plugin_does_not_replace_a_command_of_the_core() -> None:
+    assert sorted(cli.plugins()) == ["broken", "greet"]
+    assert cli.about("launch") == cli.COMMANDS["launch"][1]

@@ -1,0 +1,202 @@
+"""Accuracy of a design: scenes, readers, the light touch, and bands."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.plugins.design.accuracy import band, simulate, simulated
+from sparseskin.plugins.design.budget import budget
+from sparseskin.plugins.design.simulation import (
+    ACTIVE,
+    F_MAX_N,
+    MOST_FRAMES,
+    N_SCENES,
+    N_UNTOUCHED,
+    SCENE_S,
+    contact_db,
+    light_touch,
+    make_reader,
+    presses,
+)
+from sparseskin.plugins.design.spec import make_design
+from sparseskin.plugins.design.strategies import STRATEGIES
+
+ALL = np.ones((12, 12), dtype=np.bool_)
+
+
+@pytest.mark.parametrize("rate_hz", [30.0, 300.0])
+def test_a_body_touches_the_skin_in_every_scene_at_any_rate(rate_hz: float) -> None:
+    for scene in range(N_SCENES):
+        frames = [truth for truth, _ in presses(scene, ALL, 0.01, rate_hz, seed=0)]
+        assert len(frames) == N_UNTOUCHED + min(MOST_FRAMES, round(SCENE_S * rate_hz))
+        assert not np.any(frames[:N_UNTOUCHED])
+        touched = [np.count_nonzero(truth) for truth in frames]
+        assert 1 <= max(touched) <= 2.5 * ACTIVE[1] * ALL.size
+
+
+def test_a_scene_takes_the_same_time_at_all_rates() -> None:
+    slow, fast = (
+        [truth.sum() for truth, _ in presses(1, ALL, 0.01, rate, seed=0)][N_UNTOUCHED:]
+        for rate in (100.0, 900.0)
+    )
+    # Ramped: the force rises within 50 ms, and is 0 again after 100.
+    assert np.argmax(slow) == pytest.approx(4, abs=1)
+    assert np.argmax(fast) == pytest.approx(44, abs=2)
+    assert slow[10] == fast[91] == 0
+
+
+def test_readings_held_in_turn_are_those_of_a_raster_once_all_taxels_were_read() -> None:
+    taxels = np.random.default_rng(0).uniform(0, F_MAX_N, ALL.shape).astype(np.float32)
+    raster = make_reader(STRATEGIES["full"], ALL, 0.01, 8, seed=0)
+    held = make_reader(STRATEGIES["one_hot_rotating"], ALL, 0.01, 8, seed=0)
+    whole = raster.read(taxels)
+    parts = [held.read(taxels) for _ in range(4)]
+    assert [np.count_nonzero(part) for part in parts] == [36, 72, 108, 144]
+    np.testing.assert_array_equal(parts[-1], whole)
+    # Steps of 1/255 of the range.
+    assert np.abs(whole - taxels).max() <= 0.5 * F_MAX_N / 255 * 1.001
+
+
+@pytest.mark.parametrize("strategy", ["full", "sbhe_3_rotating", "adaptive"])
+def test_many_bits_and_no_noise_leave_what_the_strategy_loses(strategy: str) -> None:
+    frames = list(presses(1, ALL, 1e-4, 100.0, seed=0))
+    db = contact_db(make_reader(STRATEGIES[strategy], ALL, 1e-4, 16, 0), iter(frames))
+    coarse = contact_db(make_reader(STRATEGIES[strategy], ALL, 1e-4, 5, 0), iter(frames))
+    assert np.mean(db) > np.mean(coarse)
+    if strategy == "full":
+        assert np.mean(db) > 75
+
+
+def test_frames_without_contact_are_refused() -> None:
+    reader = make_reader(STRATEGIES["full"], ALL, 0.01, 8, seed=0)
+    frames = list(presses(0, ALL, 0.01, 100.0, seed=0))[:N_UNTOUCHED]
+    with pytest.raises(SettingsError, match="nothing touches the skin"):
+        contact_db(reader, frames)
+
+
+def test_the_light_touch_of_a_raster_grows_with_the_noise() -> None:
+    def found(noise: float) -> float:
+        reader = make_reader(STRATEGIES["full"], ALL, noise, 24, seed=0)
+        touch = light_touch(reader, ALL, noise, seed=0)
+        assert touch is not None
+        return touch
+
+    # The same draws, and no rounding: in units of the noise it is the same.
+    assert found(0.01) == pytest.approx(10 * found(0.001))
+    # The mean of 9 readings has a third of their noise, and 3 x 3 untouched taxels reach some
+    # standard deviations of it.
+    assert 0.5 < found(0.01) / 0.01 < 3
+
+
+def test_no_light_touch_is_found_by_a_reader_that_sees_nothing() -> None:
+    class Blind:
+        def read(self, taxels: Floats) -> Floats:
+            return np.zeros_like(taxels)
+
+    assert light_touch(Blind(), ALL, 0.01, seed=0) is None
+
+
+def test_the_full_raster_has_the_error_of_clipped_noise() -> None:
+    # Noise s clipped at 0 has a mean square of s^2 / 2 on untouched taxels, and s^2 on touched
+    # ones: PSNR lies 0 to 3 dB above -20 log10(s).
+    for noise in (0.003, 0.03):
+        found = simulate("full", 10, 12, noise, 16, 100.0, seed=0)
+        assert 0 < found.psnr_db + 20 * math.log10(noise) < 3.1
+        assert found.low_db < found.psnr_db < found.high_db
+
+
+def test_accuracy_falls_with_noise_and_with_fewer_measurements() -> None:
+    quiet, noisy, few = (
+        simulate(name, 12, 12, noise, 12, 100.0, seed=0, scene="gaussian")
+        for name, noise in (
+            ("sbhe_3_rotating", 0.002),
+            ("sbhe_3_rotating", 0.03),
+            ("sbhe_16_rotating", 0.002),
+        )
+    )
+    assert quiet.psnr_db > noisy.psnr_db
+    assert quiet.psnr_db > few.psnr_db
+    assert quiet.light_touch < noisy.light_touch
+
+
+def test_the_band_is_the_prediction_interval_of_a_normal_distribution() -> None:
+    low, high = band(np.array([10.0, 12.0, 14.0]))
+    # Student's t of 2 degrees of freedom at 95 % is 2.920; deviation 2, root of 4 / 3.
+    half = 2.920 * 2 * math.sqrt(4 / 3)
+    assert (low, high) == pytest.approx((12 - half, 12 + half), abs=0.01)
+
+
+@pytest.mark.parametrize("strategy", ["full", "sbhe_4_rotating"])
+def test_other_scenes_lie_in_the_band(strategy: str) -> None:
+    found = simulate(strategy, 12, 12, 0.005, 12, 80.0, seed=1)
+    for scene in (6, 10):
+        reader = make_reader(STRATEGIES[strategy], ALL, 0.005, 12, seed=scene)
+        db = np.mean(contact_db(reader, presses(scene, ALL, 0.005, 80.0, seed=7)))
+        assert found.low_db < db < found.high_db
+
+
+def test_rows_are_simulated_in_processes_as_in_this_one() -> None:
+    design = make_design({"rows": 6, "cols": 6, "rate": 50})
+    rows = simulated(budget(design, ["full", "sbhe_3_rotating"]), design, seed=3, n_scenes=2)
+    assert [row.strategy.name for row in rows] == ["full", "sbhe_3_rotating"]
+    for row in rows:
+        bits = 10 if row.strategy.name == "full" else 8
+        assert row.accuracy == simulate(
+            row.strategy.name, 6, 6, design.noise, bits, row.reached_hz, 3, n_scenes=2
+        )
+
+
+def test_a_recording_is_simulated_as_the_scene(tmp_path: Path) -> None:
+    frames = np.zeros((40, 6, 6), dtype=np.float32)
+    frames[10:, 2:4, 2:5] = 3.0
+    np.savez(tmp_path / "press.npz", forces=frames, rate_hz=200.0, f_max=5.0)
+    scene = f"file:{tmp_path / 'press.npz'}"
+    found = simulate("full", 6, 6, 0.01, 16, 100.0, 0, scene)
+    # Noise alone, clipped at 0 on 30 of 36 taxels.
+    assert found.psnr_db == pytest.approx(40 - 10 * math.log10(1 - 0.5 * 30 / 36), abs=0.7)
+    assert simulate("full", 6, 6, 0.01, 16, 500.0, 0, scene).note.startswith("the scene has 200 Hz")
+    with pytest.raises(
+        SettingsError, match="its skin has 36 taxels on 6 x 6; expected 42 on 6 x 7"
+    ):
+        simulate("full", 6, 7, 0.01, 16, 100.0, 0, scene)
+
+
+@pytest.mark.parametrize(
+    ("shape", "seed", "scene", "named"),
+    [
+        ((0, 5), 0, None, "taxels"),
+        ((500, 500), 0, None, "taxels"),
+        ((5, 5), -1, None, "seed"),
+        ((5, 5), 0, "cube", "scene"),
+    ],
+)
+def test_a_simulation_that_is_not_possible_is_refused(
+    shape: tuple[int, int], seed: int, scene: str | None, named: str
+) -> None:
+    with pytest.raises(SettingsError, match=f"^{named}: "):
+        simulate("full", *shape, 0.01, 16, 100.0, seed, scene)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "named"),
+    [
+        (("sbhe_5_fixed", 0.01, 16, 100.0), "strategy"),
+        (("full", math.nan, 16, 100.0), "noise"),
+        (("full", 0.5, 16, 100.0), "noise"),
+        (("full", 0.01, 1, 100.0), "bits"),
+        (("full", 0.01, 16, 0.0), "rate"),
+    ],
+)
+def test_a_condition_that_is_not_allowed_is_named(
+    conditions: tuple[str, float, int, float], named: str
+) -> None:
+    strategy, noise, bits, rate_hz = conditions
+    with pytest.raises(SettingsError, match=f"^{named}: .*(allowed|did you mean)") as caught:
+        simulate(strategy, 8, 8, noise, bits, rate_hz, 0)
+    assert "\n" not in str(caught.value)
