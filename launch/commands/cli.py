@@ -47,7 +47,7 @@ COMMANDS = {
 `configure`, and one line of help.
 """
 
-PLUGINS = "sparseskin.commands"
+PLUGINS = "sparseskin_commands"
 """Group of the entry points of commands that plug-ins bring, of this package or of others: each
 names a module with `HELP`, one line, and `configure(parser)`, which sets `run` as those here do. It
 is imported for every list of commands, so that its own imports belong into `configure`.

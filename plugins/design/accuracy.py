@@ -7,14 +7,14 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
 from tqdm import tqdm
 
-from sparseskin.messages.ranges import is_real, is_whole
+from sparseskin.messages.ranges import is_whole
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask

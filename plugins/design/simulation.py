@@ -48,7 +48,7 @@ which the paper drags."""
 RAMP_S, HELD_S, PAUSE_S, SCENE_S = 0.05, 0.1, 0.05, 0.5
 """Chosen: those of a quick tap with a finger or a tool."""
 MOST_FRAMES = 100
-"""Most frames of a scene, untouched ones not counted. Chosen: at 1 kHz, the ramp and as long a slide."""
+"""Most frames of a scene, untouched ones not counted. Chosen: at 1 kHz the ramp, and some slide."""
 N_UNTOUCHED = 16
 """Untouched frames at the begin: in as many, rotating rows of N/16 have read all rows."""
 ACTIVE = (0.03, 0.2)
