@@ -213,7 +213,7 @@ class ReferenceSolver:
         t, seen = self.t, min(e2, changed2 / 2)
         jumped = failed or self.frame == 0 or seen > t.jump * self.s2
         self.since_jump = 0 if jumped else self.since_jump + 1
-        was_hung, self.hangs = self.hangs and y.any(), changed2 == 0 and bool(y.any())
+        was_hung, self.hangs = self.hangs and bool(y.any()), changed2 == 0 and bool(y.any())
         self.again = was_hung and jumped and self.s2 <= VISIBLE * self.floor
         if self.again:  # a board hung, and works again
             self.settled = self.known = False
