@@ -414,8 +414,8 @@ class SkinSolver(Solver):
             # A model in use is computed in any case, unless the past says nothing.
             deferrable = self.model == HAAR or self._nothing_known or self._is_owed
             busy_s = self._busy_s + self._smooth.left_s
-            may_compare = busy_s <= MOST_LATE * self.period_s and self.may_compare()
-            if self._needs_smooth and deferrable and not may_compare:
+            in_time = busy_s <= MOST_LATE * self.period_s
+            if self._needs_smooth and deferrable and not (in_time and self.may_compare()):
                 self._needs_smooth, self.put_off = False, True
             if self._needs_smooth:
                 self._busy_s = busy_s
@@ -465,7 +465,7 @@ class SkinSolver(Solver):
         else:
             fitted = self._prediction.whole
             sums = self._sums_of(self._x, fitted)
-        if not math.isfinite(sums.x2) or not math.isfinite(self._bias.b):
+        if not math.isfinite(sums.x2):
             self.reset()
             raise SolverError("skin: the iteration diverged: is phi.lipschitz too small?")
         self._steps_left = 0
