@@ -62,7 +62,7 @@ test-all: .venv/installed-dev
 # The same with the coverage of what runs in the test processes, which takes them half as long again.
 coverage: .venv/installed-dev
 	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) \
-	    --cov=messages --cov=nodes --cov=launch --cov=studies --cov=sparseskin --cov-report=term:skip-covered
+	    --cov=messages --cov=nodes --cov=launch --cov=studies --cov=plugins --cov=sparseskin --cov-report=term:skip-covered
 
 # Mutation testing: a sample of mutants of each core module, and the share that tests catch (an
 # hour); some modules: make mutants MODULES="nodes/clock.py nodes/host.py".

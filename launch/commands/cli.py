@@ -9,12 +9,14 @@ import sys
 from collections.abc import Collection, Sequence
 from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import did_you_mean, nearest_of
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 EXIT_USAGE = 2
 
@@ -57,6 +59,9 @@ is imported for every list of commands, so that its own imports belong into `con
 @cache
 def plugins() -> dict[str, EntryPoint]:
     """Commands of plug-ins by name; no plug-in replaces a command of `COMMANDS`."""
+    # Imported here: it takes longer than all that a command of the core needs to begin.
+    from importlib.metadata import entry_points
+
     found = {one.name: one for one in entry_points(group=PLUGINS)}
     return {name: found[name] for name in sorted(found.keys() - COMMANDS.keys())}
 
@@ -88,7 +93,8 @@ def make_parser(words: Sequence[str]) -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     named = next((word for word in words if not word.startswith("-")), None)
-    for name in (*COMMANDS, *plugins()):
+    # Where one of the core is named, no other is listed.
+    for name in COMMANDS if named in COMMANDS else (*COMMANDS, *plugins()):
         # argparse takes a percent sign of the help for a format.
         command = commands.add_parser(name, help=about(name).replace("%", "%%"))
         if name == named:

@@ -6,7 +6,7 @@ import math
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +20,7 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES
 from sparseskin.nodes.sensor.sources import FORMS, open_source
-from sparseskin.nodes.tasks.executors import make_executor
+from sparseskin.nodes.tasks.computed import computed
 
 from .budget import Accuracy, Row
 from .models.wires import reads_single
@@ -39,7 +39,7 @@ from .simulation import (
 )
 from .spec import Design
 
-MOST_FRAMES = 2000
+MOST_SOURCE_FRAMES = 2000
 """Most frames of a stated scene that are simulated. Chosen: some seconds for each strategy."""
 WITHIN = 0.9
 """Part of the scenes that lie within the band."""
@@ -79,8 +79,8 @@ def simulated(
         As `simulate` does.
     """
     mask = grid_of(design)
-    tasks = [
-        {
+    tasks = {
+        k: {
             "strategy": row.strategy.name,
             "n_rows": mask.shape[0],
             "n_cols": mask.shape[1],
@@ -92,26 +92,17 @@ def simulated(
             "mask": mask,
             "n_scenes": n_scenes,
         }
-        for row in rows
-    ]
+        for k, row in enumerate(rows)
+    }
     # A scene that a module of the user's own makes is imported here, and its faults are shown here.
     n_workers = 1 if scene and ":" in scene else min(len(os.sched_getaffinity(0)), len(tasks))
-    found: dict[int, Accuracy] = {}
-    with make_executor(f"process:{n_workers}" if n_workers > 1 else "serial") as executor:
-        futures = {executor.submit(_simulate, task): k for k, task in enumerate(tasks)}
+    executor = f"process:{n_workers}" if n_workers > 1 else "serial"
+    finished = computed(executor, _simulate, tasks)
+    with closing(finished):  # it ends the workers if one of them fails
         progress = tqdm(
-            as_completed(futures),
-            "simulated",
-            len(tasks),
-            file=sys.stderr,
-            disable=None,
-            leave=False,
+            finished, "simulated", len(tasks), file=sys.stderr, disable=None, leave=False
         )
-        try:
-            for future in progress:
-                found[futures[future]] = future.result()
-        finally:
-            executor.shutdown(wait=False, cancel_futures=True)
+        found = {k: future.result() for k, future in progress}
     return [replace(row, accuracy=found[k]) for k, row in enumerate(rows)]
 
 
@@ -255,7 +246,7 @@ def _of_source(
             taxels = model.apply(truth, rng)
             taxels[~exists] = 0
             yield truth, taxels
-            if n_read >= MOST_FRAMES:
+            if n_read >= MOST_SOURCE_FRAMES:
                 return
 
     return frames(), note

@@ -24,8 +24,8 @@ import numpy as np
 
 from sparseskin.messages.quantised import MAX_BITS, MIN_BITS
 from sparseskin.messages.ranges import is_real, is_whole
-from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.compressor.quantiser import quantised
@@ -35,9 +35,10 @@ from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.nodes.reconstructor.solvers.base import Solver, make_rotating_solver
+from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES, Timing, press_frames
+from sparseskin.studies.evaluate import Method, in_contact
 
 from .strategies import SINGLE, STRATEGIES, Strategy
 
@@ -93,33 +94,15 @@ class Raster:
 
 
 class Sums:
-    """Reader of measurements in few bits, reconstructed by the default solver.
+    """Reader of measurements in few bits, reconstructed by the default solver."""
 
-    Parameters
-    ----------
-    phis : list of Phi
-        The Phi of all frames, or row subsets that measure them in turn.
-    solver : Solver
-        Of all of these.
-    """
-
-    def __init__(self, phis: list[Phi], solver: Solver, bits: int) -> None:
-        self._phis, self._solver, self._bits = phis, solver, bits
-        self._choice = AdaptiveChoice(phis[0]) if isinstance(phis[0], AdaptivePhi) else None
-        self._frame = 0
+    def __init__(self, method: Method, bits: int) -> None:
+        self._method, self._bits = method, bits
 
     def read(self, taxels: Floats) -> Floats:
         """See `Reader`."""
-        phi = self._phis[self._frame % len(self._phis)]
-        self._frame += 1
-        x = taxels.reshape(-1)[self._solver.taxels]
-        if self._choice is not None and isinstance(phi, AdaptivePhi):
-            y = self._choice.measure(phi.tree.analysis(x).take)
-        else:
-            y = phi.forward(x)
-        if len(self._phis) > 1:
-            self._solver.use(phi)
-        return self._solver.solve(np.asarray(quantised(y, self._bits)))
+        y = quantised(self._method.measure(taxels), self._bits)
+        return self._method.solve(np.asarray(y)).forces
 
 
 def strategy_of(name: str) -> Strategy:
@@ -174,7 +157,7 @@ def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: i
     chosen = PRESETS["skin"]
     basis = make_basis(chosen["basis"], *mask.shape)
     solver = make_rotating_solver(chosen["solver"], phis, basis, mask)
-    return Sums(phis, solver, bits)
+    return Sums(Method(solver, phis, F_MAX_N), bits)
 
 
 def noise_model(noise: float) -> NoiseModel:
@@ -225,7 +208,7 @@ def contact_db(reader: Reader, frames: Iterable[tuple[Floats, Floats]]) -> list[
     dbs = [
         psnr_db(forces - truth, F_MAX_N)
         for truth, forces in ((truth, reader.read(taxels)) for truth, taxels in frames)
-        if truth.max() > CONTACT_FRACTION * F_MAX_N
+        if in_contact(truth, F_MAX_N)
     ]
     if not dbs:
         raise SettingsError("scene: nothing touches the skin in any of its frames")

@@ -7,16 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from sparseskin.messages import SkinState
+from sparseskin.nodes.compressor.phi.adaptive import CLIP_SD
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
 from .frozen import FRAMES, FrozenWatch
 from .rows import RowWatch
 from .taxels import TaxelWatch, listed
-
-UNTOUCHED = 0.58
-"""Standard deviation of the noise of an untouched taxel that is clipped at 0, in that of its noise.
-Derived: sqrt((1 - 1 / pi) / 2)."""
 
 
 class FaultWatch:
@@ -67,7 +64,7 @@ class FaultWatch:
         """Watch these row subsets, by fingerprint, and the skin with existing taxels `mask`."""
         # On a skin that does not state its noise, constant readings may be right.
         self._noisy = state.sigma_mid > 0
-        sigma = min(state.sigma_mid, state.sigma_end) * (UNTOUCHED if state.clips_noise else 1.0)
+        sigma = min(state.sigma_mid, state.sigma_end) * (CLIP_SD if state.clips_noise else 1.0)
         self._frozen = FrozenWatch(sigma)
         self._mask = mask
         self._rows = {

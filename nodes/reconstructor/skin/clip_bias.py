@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import TINY, Floats
 from sparseskin.nodes.reconstructor.solvers.projection import Projection
 
 from .tuning import TUNING, SkinTuning
@@ -14,9 +14,6 @@ from .tuning import TUNING, SkinTuning
 #: Squared length of Phi 1 a taxel up to which it is 0 but for rounding: no row of the subset sees
 #: a bias. Derived: float32 leaves 1e-12, one row of +1 has 32 / N, above 1e-6 up to 3e7 taxels.
 DUST = 1e-6
-
-#: Least bias, newtons; a smaller one is 0: its reciprocal would overflow float32.
-LEAST = 1e-30
 
 
 class ClipBias:
@@ -91,7 +88,7 @@ class ClipBias:
         more = min(max(more, -noise / 2), noise / 2)
         rate = max(self._t.bias_slowest, 1 / (self._n_frames + 1))
         self.b = min(max(self.b + rate * more, 0.0), self._t.bias_largest * noise)
-        if self.b < LEAST:
+        if self.b < TINY:  # its reciprocal could overflow float32
             self.b = 0.0
 
     def add_back(self, forces: Floats) -> None:

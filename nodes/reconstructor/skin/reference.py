@@ -13,7 +13,7 @@ from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mas
 from sparseskin.nodes.reconstructor.bases.haar import haar_matrix
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, TILE
 
-from .clip_bias import DUST, LEAST
+from .clip_bias import DUST
 from .noise_level import RESOLUTION, VISIBLE
 from .tuning import TUNING, SkinTuning
 
@@ -433,7 +433,7 @@ class ReferenceSolver:
         rate = max(t.bias_slowest, 1 / (self.n_biases + 1))
         b = self.b + rate * min(max(more, -noise / 2), noise / 2)
         b = min(max(b, 0.0), t.bias_largest * noise)
-        self.b = b if b >= LEAST else 0.0
+        self.b = b if b >= TINY else 0.0
 
     def judge(self, x: Doubles, beyond: float, noise: float, gain: float, read2: float) -> None:
         """Set the error of the estimate x, and whether it is trusted."""

@@ -423,8 +423,6 @@ def make_rotating_solver(
             solvers[phi.fingerprint] = make_solver(name, phi, basis, mask, **settings)
         solver = RotatingSolver(solvers, subsets[0], basis, mask)
     solver.subsets = tuple(subsets)
-    if isinstance(solver, Solver):
-        solver._subset_stated = False  # its construction may have used one
     return solver
 
 

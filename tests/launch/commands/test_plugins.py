@@ -24,7 +24,7 @@ def plugged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
         ]
 
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(cli, "entry_points", found)
+    monkeypatch.setattr("importlib.metadata.entry_points", found)
     cli.plugins.cache_clear()
     (tmp_path / "greeting_plugin.py").write_text(
         'HELP = "greet 100 %"\n'
