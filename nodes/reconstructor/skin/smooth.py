@@ -15,9 +15,8 @@ from .tuning import TUNING, SkinTuning
 #: Side of a grid up to which its correlation is a full matrix, and distance beyond which it is 0
 #: in a sparse one, in its lengths.
 MOST_DENSE, NEGLIGIBLE = 256, 4.0
-#: Distance beyond which a Gaussian is 0, in its lengths. Derived: it is so far below the rounding
-#: of float32 (2^-24) there that sums keep their bits, and products of two are no subnormal numbers.
-REACH = math.sqrt(-2 * math.log(2**-48))
+#: Distance beyond which a Gaussian is below the rounding of float32, in its lengths; derived.
+REACH = math.sqrt(-2 * math.log(2**-24))
 
 
 class SmoothModel:
