@@ -15,8 +15,9 @@ from .tuning import TUNING, SkinTuning
 #: Side of a grid up to which its correlation is a full matrix, and distance beyond which it is 0
 #: in a sparse one, in its lengths.
 MOST_DENSE, NEGLIGIBLE = 256, 4.0
-#: Distance beyond which a Gaussian is below the rounding of float32, in its lengths; derived.
-REACH = math.sqrt(-2 * math.log(2**-24))
+#: Distance beyond which a Gaussian is 0, in its lengths; derived: below the square of float32's
+#: rounding it changes no bit of a sum, and far above 2^-63 the product of two is not subnormal.
+REACH = math.sqrt(-2 * math.log(2**-48))
 
 
 class SmoothModel:

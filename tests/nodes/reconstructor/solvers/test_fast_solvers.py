@@ -92,30 +92,29 @@ def test_skin_finds_the_forces_of_numpy_where_rows_rotate(
 ) -> None:
     """Rows of earlier frames count in either way, blocks of the last taxels included.
 
-    Frames of nearly 30 iterations amplify rounding: there, compiled loops are as near to numpy as
-    numpy is to itself with measurements that differ by 1e-7 N, and within the documented 1e-5 N
-    times some units. Conjugate gradients amplify it by far more: frames from the first on that the
-    smooth model estimates are not compared.
+    Frames of nearly 30 iterations amplify rounding, by how much the kernel of BLAS decides: in each
+    frame, compiled loops are as near to numpy as numpy is to itself with measurements that differ
+    by 1e-7 N. Conjugate gradients amplify it by far more: frames from the first on that the smooth
+    model estimates are not compared.
     """
     mask = mask_of(shape, n_missing)
     n = int(mask.sum())
     phases = row_subsets(SbhePhi(n, -(-n // 3), 0), "rotating")
-    solvers = [made("skin", phases[0], mask, how) for how in ("on", "off", "off")]
+    solvers = [made("skin", phases[0], mask, how) for how in ("on", *["off"] * 4)]
     rng = np.random.default_rng(0)
     errors, by_rounding = [], []
     for k, frame in enumerate(noisy(sliding_disc(shape, 25)) * mask):
         phi = phases[k % 3]
         y = phi.forward(frame[mask])
-        nudged = y + rng.normal(scale=1e-7, size=y.shape).astype(np.float32)
-        on, off, other = map(_solved, solvers, [phi] * 3, [y, y, nudged])
+        nudges = rng.normal(scale=1e-7, size=(3, y.size)).astype(np.float32)
+        on, off, *others = map(_solved, solvers, [phi] * 5, [y, y, *(y + nudges)])
         if any(getattr(solver, "model") == "smooth" for solver in solvers):  # noqa: B009
             break
         errors.append(float(np.abs(on - off).max()))
-        by_rounding.append(float(np.abs(other - off).max()))
+        by_rounding.append(float(np.abs(others - off).max()))
     assert len(errors) > 8  # three frames of the contact at least
     assert max(errors[:5]) < 1e-5  # before the contact
-    assert max(errors) < 10 * max(by_rounding)
-    assert max(errors) < 1e-4
+    assert (np.array(errors) < 5 * np.array(by_rounding)).all()
 
 
 def _solved(solver: Solver, phi: Phi, y: Floats) -> Floats:
