@@ -33,6 +33,12 @@ def contents(path: Path) -> dict[str, list[tuple[int, bytes]]]:
         }
 
 
+def topics(path: Path) -> set[str]:
+    """Topics that have a message in a recording, which may still be written."""
+    with BagReader(path) as bag:
+        return {message.topic for message in bag.messages()}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES)
 def test_played_in_lockstep_and_recorded_again_it_is_the_same_to_the_bit(
@@ -65,6 +71,11 @@ def test_a_recorder_joins_a_running_graph_by_topic_and_ends_with_it(
     graph.wait_for("[launch] ready")
     recorder = start("record", "/skin/skin", "/skin/rec*", "--out", "some.mcap")
     recorder.wait_for("[launch] ready")
+    part = tmp_path / "some.mcap.part"
+    wait_until(
+        lambda: part.exists() and "/skin/reconstruction" in topics(part),
+        "a reconstruction in the file",
+    )
     graph.process.send_signal(signal.SIGINT)
     code, stdout, stderr = recorder.finish()
     assert code == 0, stderr
