@@ -125,7 +125,8 @@ class PhiState(Message):
     """The measurement matrix Phi in use: its parameters, and its fingerprint to check them.
 
     `rows` "rotating": frames cycle through several row subsets of the same W, `m` rows each. The
-    fingerprint is that of the first; each frame's measurements carry that of their own.
+    fingerprint is that of the first; each frame's measurements carry that of their own. `rule` is
+    that by which the rows were chosen, see `SbhePhi`; messages without it are of rule 1.
     """
 
     schema: ClassVar[str] = "phi"
@@ -138,6 +139,7 @@ class PhiState(Message):
     seed: int = wire(Integer())
     fingerprint: str = wire(Text(16, FINGERPRINT_PATTERN))
     rows: str = wire(Text(8, "fixed|rotating"), default="fixed", omitted=True)
+    rule: int = wire(Integer(1, 2), default=1, omitted=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

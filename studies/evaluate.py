@@ -13,7 +13,7 @@ from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.acts import ActsPhi, ActsSearch, force_threshold
 from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
-from sparseskin.nodes.compressor.phi.rotation import m_of, row_subsets
+from sparseskin.nodes.compressor.phi.rotation import block_and_rule, row_subsets, rows_and_m
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.monitor.metrics import psnr_db
@@ -172,9 +172,11 @@ def phis_at(n: int, ratio: float, rows: str, seed: int, kind: str = "sbhe") -> l
     """Matrices that frames take in turn at a ratio N / M.
 
     M is rounded down where rows are fixed, and up where they rotate, so that all row subsets
-    together hold every row.
+    together hold every row. `rows` "paper" are the paper's, fixed.
     """
-    return row_subsets(make_phi(kind, n=n, m=m_of(n, ratio, rows), seed=seed), rows)
+    kept, m = rows_and_m(kind, n, rows=rows, ratio=ratio)
+    phi = make_phi(kind, n=n, m=m, seed=seed, **block_and_rule(rows, None))
+    return row_subsets(phi, kept)
 
 
 def make_method(

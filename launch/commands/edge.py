@@ -41,6 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_matrix(parser: argparse.ArgumentParser) -> None:
+    from sparseskin.nodes.compressor.phi.base import BLOCK
     from sparseskin.nodes.compressor.phi.rotation import RATIO, ROWS
 
     parser.add_argument("--rows", metavar="R", type=int, help="rows of taxels")
@@ -54,8 +55,8 @@ def _add_matrix(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rows-mode", choices=ROWS, help=about)
     about = "bits of a reading, 1..16: counts are 0 .. 2^bits - 1 (default: 12)"
     parser.add_argument("--adc-bits", metavar="BITS", type=int, default=12, help=about)
-    about = "size of the Hadamard blocks (default: 32)"
-    parser.add_argument("--block", metavar="B", type=int, default=32, help=about)
+    about = f"size of the Hadamard blocks (default: {BLOCK})"
+    parser.add_argument("--block", metavar="B", type=int, default=BLOCK, help=about)
     parser.add_argument("--seed", type=int, default=0, help="seed of the matrix (default: 0)")
 
 

@@ -21,14 +21,17 @@ from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import (
     KINDS,
     Phi,
+    block_of,
     check_parameters,
     make_phi,
     phi_class,
 )
 from sparseskin.nodes.compressor.phi.rotation import (
+    PAPER,
     RATIO,
     ROTATING,
     ROWS,
+    block_and_rule,
     check_rotates,
     check_subsets,
     row_subsets,
@@ -75,17 +78,24 @@ class CompressorSettings(PatchSettings):
     )
     rows: str | None = setting(
         None,
-        "rows of the measurement matrix: fixed, the same M in every frame; or rotating, another "
-        "subset of M in each of N / M frames, rounded up, which together read all rows; by default "
-        "rotating where they can (phi sbhe or subsample, M in N / 64 .. N - 1), else fixed",
-        choices=ROWS,
+        "rows of the measurement matrix: fixed, the same M in every frame; rotating, another "
+        "subset of M in each of N / M frames, rounded up, which together read all rows; or paper, "
+        "fixed and drawn at random from blocks of 32; by default rotating where they can (phi sbhe "
+        "or subsample, M in N / 64 .. N - 1), else fixed",
+        choices=(*ROWS, PAPER),
         live=True,
     )
-    block: int = setting(32, "size of the Hadamard blocks, a power of two", low=1, high=2**20)
+    block: int | None = setting(
+        None,
+        "size of the Hadamard blocks, a power of two; by default 256, for phi local:SIDE and rows "
+        "paper 32",
+        low=1,
+        high=2**20,
+    )
     seed: int = setting(0, "seed of the measurement matrix", low=0, high=2**32 - 1)
 
     def check(self) -> None:
-        if self.block & (self.block - 1):
+        if self.block is not None and self.block & (self.block - 1):
             raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
         with naming("phi"):
             made_by = phi_class(self.phi)
@@ -154,9 +164,10 @@ class Compressor(Node[CompressorSettings]):
         rows, m = s.rows_and_m(n)
         made_by = phi_class(s.phi)
         with naming("ratio" if s.m is None else "m"):
-            check_parameters(n, m, s.seed, s.block)
+            block = block_of(s.phi, block_and_rule(s.rows, s.block)["block"])
+            check_parameters(n, m, s.seed, block)
             if isinstance(made_by, type) and issubclass(made_by, Phi):
-                made_by.check_size(n, m, s.seed, s.block)
+                made_by.check_size(n, m, s.seed, block)
         if rows == ROTATING:
             check_subsets(n, m)
 
@@ -195,7 +206,8 @@ class Compressor(Node[CompressorSettings]):
         n = state.skin.n_taxels
         s = self.settings
         rows, m = s.rows_and_m(n)
-        phi = make_phi(s.phi, n=n, m=m, seed=s.seed, block=s.block)
+        chosen = block_and_rule(s.rows, s.block)
+        phi = make_phi(s.phi, n=n, m=m, seed=s.seed, **chosen)
         exists = state.skin.exists
         layout(phi, exists, state.sigma_end, state.f_max, state.clips_noise)
         subsets = row_subsets(phi, rows)
@@ -214,10 +226,11 @@ class Compressor(Node[CompressorSettings]):
             kind=phi.kind if s.phi == phi.kind else s.phi,
             n=phi.n,
             m=phi.m,
-            block=s.block,
+            block=block_of(s.phi, chosen["block"]),
             seed=s.seed,
-            fingerprint=phi.fingerprint,
+            fingerprint=subsets[0].fingerprint,
             rows=rows,
+            rule=chosen["rule"],
         )
 
     def _warn(self, phi: Phi) -> None:

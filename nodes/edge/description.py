@@ -16,6 +16,7 @@ from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.quantised import n_bytes
 from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.compressor.node import CompressorSettings
+from sparseskin.nodes.compressor.phi.base import BLOCK, RANDOM, SPREAD
 from sparseskin.nodes.compressor.phi.rotation import ROTATING, ROWS, check_subsets, row_subsets
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import PhiError, SettingsError, SparseskinError
@@ -54,6 +55,8 @@ class EdgeDescription:
         Size of the Hadamard blocks, a power of two, 1..256.
     seed : int
         Seed of the matrix.
+    rule : int
+        Rule by which its rows are chosen, as in `SbhePhi`.
     adc_bits : int
         Bits of a reading, 1..16: counts are 0 .. 2^adc_bits - 1.
     mask : ndarray of bool, shape (n_rows, n_cols), or None
@@ -70,8 +73,9 @@ class EdgeDescription:
     m: int
     bits: int = 8
     rows: str = "fixed"
-    block: int = 32
+    block: int = BLOCK
     seed: int = 0
+    rule: int = SPREAD
     adc_bits: int = 12
     mask: npt.NDArray[np.bool_] | None = None
 
@@ -82,6 +86,7 @@ class EdgeDescription:
             ("bits", 4, 16),
             ("block", 1, MAX_BLOCK),
             ("seed", 0, 2**32 - 1),
+            ("rule", RANDOM, SPREAD),
             ("adc_bits", 1, 16),
         ):
             value = getattr(self, name)
@@ -177,12 +182,13 @@ class EdgeDescription:
     @cached_property
     def phi(self) -> SbhePhi:
         """The measurement matrix; the first one where rows rotate."""
-        return SbhePhi(self.n_taxels, self.m, self.seed, self.block)
+        return self.subsets[0]
 
     @cached_property
     def subsets(self) -> list[SbhePhi]:
         """The matrix of each row subset."""
-        found = row_subsets(self.phi, self.rows)
+        phi = SbhePhi(self.n_taxels, self.m, self.seed, self.block, self.rule)
+        found = row_subsets(phi, self.rows)
         return [one for one in found if isinstance(one, SbhePhi)]
 
     @cached_property
@@ -248,6 +254,7 @@ class EdgeDescription:
         for key in tree:
             if key not in known:
                 raise EdgeError(f"{key}: unknown key{did_you_mean(key, known)}")
+        tree = {"rule": RANDOM, **tree}  # files of version 0.1 state none
         missing = [name for name in known if name not in tree and name != "mask"]
         if missing:
             raise EdgeError(f"{missing[0]}: is missing")

@@ -112,6 +112,7 @@ class Edge(SourceNode[EdgeSettings]):
             seed=d.seed,
             fingerprint=d.phi.fingerprint,
             rows=d.rows,
+            rule=d.rule,
         )
 
     def tick(self, tick: Tick) -> Iterable[Message]:

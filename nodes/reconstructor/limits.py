@@ -6,12 +6,14 @@ The numbers come from the study `stability`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.base import RANDOM, Phi
+from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK
+from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import TINY, Mask
 
@@ -38,10 +40,10 @@ MAX_STEP = 4.0 / 3.0
 N_POWER_STEPS = 30
 PAD_SIDE, N_PADS = 8, 256
 OTHER_ROWS = (
-    "preset = paper: the rows rotate, and those of the paper are fixed; advised for its exact "
-    "method: compressor.rows = fixed"
+    "preset = paper: the rows of Phi are not those of the paper; advised for its exact method: "
+    "compressor.rows = paper"
 )
-"""Warning where preset `paper` reconstructs rotating rows."""
+"""Warning where preset `paper` reconstructs other rows of "sbhe"."""
 MAX_PAD_SPREAD = 1.75
 
 
@@ -80,6 +82,14 @@ def reconstruction_warnings(
             "taxels or so; advised: haar"
         )
     return warnings
+
+
+def has_rows_of_paper(subsets: Sequence[Phi]) -> bool:
+    """False for rows of "sbhe" that rotate, are spread over the blocks or are of other blocks."""
+    if len(subsets) > 1:
+        return False
+    (phi,) = subsets
+    return not is_sbhe(phi) or (phi.block, phi.rule) == (PAPER_BLOCK, RANDOM)
 
 
 def check_lambda(solver: str, lambda_n: float, f_max: float, phi: Phi) -> None:

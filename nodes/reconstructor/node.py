@@ -24,7 +24,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.acts import follow
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, layout
 from sparseskin.nodes.compressor.phi.base import Phi, is_built_in, make_phi
-from sparseskin.nodes.compressor.phi.rotation import can_rotate, row_subsets
+from sparseskin.nodes.compressor.phi.rotation import block_and_rule, can_rotate, row_subsets
 from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import (
     PhiError,
@@ -49,7 +49,14 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     make_solver,
 )
 
-from .limits import OTHER_ROWS, OWN_BASIS, check_lambda, check_phi, reconstruction_warnings
+from .limits import (
+    OTHER_ROWS,
+    OWN_BASIS,
+    check_lambda,
+    check_phi,
+    has_rows_of_paper,
+    reconstruction_warnings,
+)
 from .settings import PRESETS, ReconstructorSettings
 
 
@@ -185,7 +192,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         solver = make_rotating_solver(
             chosen["solver"], subsets, basis, skin.mask, fast=self.settings.fast, **options
         )
-        if chosen == PRESETS["paper"] and len(subsets) > 1:
+        if chosen == PRESETS["paper"] and not has_rows_of_paper(subsets):
             warnings.append(OTHER_ROWS)
         if ":" in self.settings.phi:
             for one in subsets:
@@ -410,7 +417,8 @@ def phis_to_invert(
     stated = s.stated_rows_and_m(n)
     if stated is not None:
         rows, m = stated
-        phi = make_phi(s.phi, n=n, m=m, seed=s.phi_seed, block=s.phi_block)
+        chosen = block_and_rule(s.phi_rows, s.phi_block)
+        phi = make_phi(s.phi, n=n, m=m, seed=s.phi_seed, **chosen)
         layout(phi, exists, state.sigma_end, state.f_max, state.clips_noise)
         return row_subsets(phi, rows)
     # Nothing named over the wire is ever imported: a Phi of the user's own has to be stated.
@@ -423,15 +431,15 @@ def phis_to_invert(
         raise RefusedError(f"{announced.topic}: for {announced.n} taxels; the skin has {n}")
     try:
         phi = make_phi(
-            announced.kind, n=n, m=announced.m, seed=announced.seed, block=announced.block
+            *(announced.kind, n, announced.m, announced.seed, announced.block, announced.rule)
         )
         layout(phi, exists, state.sigma_end, state.f_max, state.clips_noise)
         subsets = row_subsets(phi, announced.rows)
     except PhiError as error:
         raise RefusedError(f"{announced.topic}: {error}") from error
-    if phi.fingerprint != announced.fingerprint:
+    if subsets[0].fingerprint != announced.fingerprint:
         raise RefusedError(
-            f"{announced.topic}: seed {announced.seed} gives Phi {phi.fingerprint} here, "
+            f"{announced.topic}: seed {announced.seed} gives Phi {subsets[0].fingerprint} here, "
             f"not {announced.fingerprint}: the random generators differ"
         )
     return subsets

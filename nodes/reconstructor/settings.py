@@ -10,7 +10,7 @@ from typing import Any
 from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import is_built_in, make_phi, phi_class
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROWS, rows_and_m
+from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, ROWS, rows_and_m
 from sparseskin.nodes.errors import SettingsError, SolverError
 from sparseskin.nodes.lookup import did_you_mean, find_class, nearest_of
 from sparseskin.nodes.numerics.compiled import FAST, check_fast
@@ -27,7 +27,7 @@ _NO_OPTIONS = (
     *("solver", "iterations", "lambda_n"),
 )
 #: Named sets of settings. "paper": exactly the method of the paper, sections IV and V-A, for a
-#: "sbhe" phi with orthonormal rows of block 32; lambda_n is its 0.1 on rows of +1 and -1. "skin":
+#: "sbhe" phi with orthonormal rows "paper"; lambda_n is its 0.1 on rows of +1 and -1. "skin":
 #: the most accurate one; it estimates noise and threshold from the measurements.
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {"solver": "fista", "basis": "haar", "iterations": 30, "lambda_n": 0.003125},
@@ -119,12 +119,14 @@ class ReconstructorSettings(PatchSettings):
     phi_m: int | None = setting(
         None, "M of a stated phi; by default as the compressor's", low=1, high=2**20
     )
-    phi_block: int = setting(32, "block size of a stated phi", low=1, high=2**20)
+    phi_block: int | None = setting(
+        None, "block size of a stated phi; by default as the compressor's", low=1, high=2**20
+    )
     phi_seed: int = setting(0, "seed of a stated phi", low=0, high=2**32 - 1)
     phi_rows: str | None = setting(
         None,
-        "rows of a stated phi: fixed or rotating; by default as the compressor's",
-        choices=ROWS,
+        "rows of a stated phi: fixed, rotating or paper; by default as the compressor's",
+        choices=(*ROWS, PAPER),
     )
 
     def check(self) -> None:

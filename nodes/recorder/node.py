@@ -152,7 +152,7 @@ def metadata_of(states: Iterable[Message], launch: str, graph: str) -> dict[str,
     """Metadata of a recording, from the state messages of its patches."""
     states = list(states)
     skins = [state for state in states if isinstance(state, SkinState)]
-    fields = ("kind", "n", "m", "block", "seed", "fingerprint", "rows")
+    fields = ("kind", "n", "m", "block", "seed", "fingerprint", "rows", "rule")
     phis = {
         state.patch: {name: getattr(state, name) for name in fields}
         for state in states

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.nodes.compressor.phi.acts import force_threshold
-from sparseskin.nodes.compressor.phi.rotation import FIXED
+from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import LEARNED, make_basis
 from sparseskin.nodes.reconstructor.bases.haar import haar_matrix
@@ -213,7 +213,7 @@ def reconstructed(point: Point) -> dict[str, Any]:
         chosen = {"solver": "fista", "basis": basis, "iterations": ITERATIONS}
         methods = {
             str(lambda_n): make_method(
-                {**chosen, "lambda_n": lambda_n}, scene_of(scene).shape, ratio, seed, rows=FIXED
+                {**chosen, "lambda_n": lambda_n}, scene_of(scene).shape, ratio, seed, rows=PAPER
             )
             for lambda_n in LAMBDAS_N
         }
@@ -241,7 +241,10 @@ def sampled(point: Point) -> dict[str, Any]:
     chosen = {"interpolation": {"solver": "interpolation", "basis": "identity"}, **PRESETS}
     methods = {
         name: make_method(
-            chosen[solver], scene_of(scene).shape, ratio, seed, rows=FIXED, phi=phi, f_max_n=f_max
+            *(chosen[solver], scene_of(scene).shape, ratio, seed),
+            rows=PAPER if solver == "paper" else FIXED,
+            phi=phi,
+            f_max_n=f_max,
         )
         for name, (phi, solver) in SAMPLINGS.items()
     }

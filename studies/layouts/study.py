@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.rotation import FIXED
+from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.layouts.files import EXAMPLE, load_points
@@ -180,9 +180,9 @@ def _scores(
     estimators: dict[str, Estimator] = {"raw": Reading()}
     for way, placement in placements.items():
         mask = placement.skin(PAPER_F_MAX_N, "N").exists
-        for preset in ("paper", "skin"):
+        for preset, rows in (("paper", PAPER), ("skin", FIXED)):
             method = make_method(
-                PRESETS[preset], mask.shape, point["ratio"], point["seed"], rows=FIXED, mask=mask
+                PRESETS[preset], mask.shape, point["ratio"], point["seed"], rows=rows, mask=mask
             )
             estimators[f"{way} {preset}"] = OnGrid(method, placement)
     scores = evaluate(estimators, frames)

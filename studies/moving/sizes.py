@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
+from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, ROTATING
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, SKINS, press_frames, scattered_mask
@@ -52,7 +52,7 @@ def sized(point: Point) -> dict[str, Any]:
 
         return {
             "raw reading": Reading(),
-            "paper": method("paper", FIXED),
+            "paper": method("paper", PAPER),
             "skin": method("skin", FIXED),
             f"skin, {ROTATING}": method("skin", ROTATING),
             "lattice": Lattice(mask, ratio),

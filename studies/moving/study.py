@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, m_of
+from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, ROTATING, m_of
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES, press_frames
@@ -46,7 +46,7 @@ N_FRAMES = 160
 QUICK_BODIES = ("wrench", "peg")
 QUICK_SIZES = ("4 x 4", "10 x 10")
 
-RAW, PAPER, SKIN, ROTATED = "raw reading", "paper", "skin", f"skin, {ROTATING}"
+RAW, SKIN, ROTATED = "raw reading", "skin", f"skin, {ROTATING}"
 METHODS = (PAPER, SKIN, ROTATED)
 #: Methods on bodies that move: smaller skins may have too few measurements for the last one.
 MOVED = (*METHODS, ADAPTIVE)
@@ -127,7 +127,7 @@ def pressed(point: Point) -> dict[str, Any]:
     shape = (side, side)
     estimators: dict[str, Estimator] = {
         RAW: Reading(),
-        PAPER: make_method(PRESETS["paper"], shape, ratio, seed, rows=FIXED),
+        PAPER: make_method(PRESETS["paper"], shape, ratio, seed, rows=PAPER),
         SKIN: make_method(PRESETS["skin"], shape, ratio, seed, rows=FIXED),
         ROTATED: make_method(PRESETS["skin"], shape, ratio, seed, rows=ROTATING),
         ADAPTIVE: _adaptive(shape, ratio, seed),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pywt
 
-from sparseskin.nodes.compressor.phi.rotation import FIXED
+from sparseskin.nodes.compressor.phi.rotation import PAPER as PAPER_ROWS
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -173,8 +173,7 @@ def method_of(point: Point) -> Method:
     few = point["few_levels"] and any(side & (side - 1) for side in shape)
     settings = {key: point[key] for key in ("iterations", "lambda_n")}
     chosen = PRESETS["paper"] | settings | ({"basis": FEW_LEVELS} if few else {})
-    # The rows of the paper are fixed.
-    return make_method(chosen, shape, point["ratio"], point["seed"], rows=FIXED)
+    return make_method(chosen, shape, point["ratio"], point["seed"], rows=PAPER_ROWS)
 
 
 def solve_times(point: Point) -> dict[str, Any]:

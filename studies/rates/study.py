@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
+from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, ROTATING
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -46,7 +46,6 @@ NEWEST, DEAD_ZONE_N = 0.3, 0.03
 #: Standard deviations of its noise by which a reading differs from its mean at a jump.
 JUMP_SIGMAS = 4.0
 
-PAPER = "paper"
 SKIN, ROTATED, ALONE = "skin, N/3", "skin, N/3, rotating", "skin, N/3, each frame alone"
 ALL, FILTERED, RAW = "skin, all taxels", "all taxels, filtered", "all taxels, raw"
 METHODS = (SKIN, ROTATED, ALL, FILTERED, RAW, ALONE)
@@ -148,7 +147,7 @@ def at_rate(point: Point) -> dict[str, Any]:
         return make_method(PRESETS[preset], scene.shape, ratio, seed, rows=rows)
 
     estimators: dict[str, Estimator] = {
-        PAPER: method("paper", RATIO),
+        PAPER: method("paper", RATIO, PAPER),
         SKIN: method("skin", RATIO),
         ROTATED: method("skin", RATIO, ROTATING),
         ALL: method("skin", 1),

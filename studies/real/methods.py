@@ -15,7 +15,7 @@ from sparseskin.launch.launchfile.load import load
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.acts import ActsSearch, force_threshold
 from sparseskin.nodes.compressor.phi.quadtree import Quadtree
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, m_of
+from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, ROTATING, m_of
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.solvers.base import estimated_error
@@ -31,7 +31,7 @@ VALUE_BYTES = 2
 N_CODES = 255
 """Largest code of a reading in 8 bits."""
 
-SKIN, ROTATED, ALONE, PAPER, REPLAY = "skin", "skin, rotating", "skin, alone", "paper", "replay"
+SKIN, ROTATED, ALONE, REPLAY = "skin", "skin, rotating", "skin, alone", "replay"
 ADAPTIVE = "skin, adaptive"
 LATTICE, HOLD, SUBSAMPLE, ACTS = "lattice", "hold", "subsample", "acts"
 SIMPLE = (LATTICE, HOLD, SUBSAMPLE, ACTS)
@@ -238,7 +238,7 @@ def make_methods(skin: Skin, ratio: int, seed: int) -> dict[str, Callable[[], Co
         ROTATED: lambda: solver(PRESETS["skin"], ROTATING),
         ADAPTIVE: adaptive,
         ALONE: alone,
-        PAPER: lambda: solver(PRESETS["paper"], FIXED),
+        PAPER: lambda: solver(PRESETS["paper"], PAPER),
         LATTICE: lambda: simple(Lattice(skin.mask, ratio)),
         HOLD: lambda: simple(Hold(skin.mask, ratio)),
         SUBSAMPLE: lambda: solver({"solver": "interpolation"}, FIXED, "subsample"),

@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.ticker import LogLocator
 
 from sparseskin.launch.attach.text import GAP, width, wrapped
+from sparseskin.nodes.compressor.phi.rotation import PAPER
 from sparseskin.studies.report import (
     MARKERS,
     PALETTE,
@@ -25,7 +26,6 @@ from .methods import (
     ADAPTIVE,
     ALONE,
     CODECS,
-    PAPER,
     REPLAY,
     ROTATED,
     SIMPLE,

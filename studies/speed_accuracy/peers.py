@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.rotation import PAPER, block_and_rule
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.reconstructor.bases.base import Basis, make_basis
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS
@@ -48,7 +49,7 @@ class Bpdn:
         self.n = shape[0] * shape[1]
         self.m = self.n // ratio
         self.lambda_n = lambda_n
-        self.phi: Phi = make_phi("sbhe", n=self.n, m=self.m, seed=seed)
+        self.phi: Phi = make_phi("sbhe", self.n, self.m, seed, **block_and_rule(PAPER, None))
         self.basis: Basis = make_basis("haar", *shape)
 
     def forward(self, theta: Any) -> Floats:

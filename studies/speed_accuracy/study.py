@@ -23,7 +23,7 @@ import numpy as np
 from sparseskin.messages import Measurements, Taxels
 from sparseskin.messages.wire import size_bytes
 from sparseskin.nodes.compressor.phi.base import KINDS
-from sparseskin.nodes.compressor.phi.rotation import FIXED
+from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Floats
@@ -160,8 +160,8 @@ def sequences(scene: str, seed: int, short: bool) -> tuple[tuple[Floats, Floats]
 def timed(point: Point) -> dict[str, Any]:
     """Reconstruct a scene's frames, each timed by itself.
 
-    `point`: scene, seed, short, phi, rows ("fixed" where absent), ratio, solver, basis, and the
-    solver's settings.
+    `point`: scene, seed, short, phi, rows ("fixed" where absent, of fista "paper"), ratio, solver,
+    basis, and the solver's settings.
 
     Returns
     -------
@@ -174,7 +174,8 @@ def timed(point: Point) -> dict[str, Any]:
     seed, scene = point["seed"], scene_of(point["scene"])
     parts = sequences(point["scene"], seed, point["short"])
     chosen = {key: value for key, value in point.items() if key not in _OF_THE_POINT}
-    how = {"phi": point["phi"], "rows": point.get("rows", FIXED), "f_max_n": scene.f_max_n}
+    rows = point.get("rows", PAPER if point["solver"] == "fista" else FIXED)
+    how = {"phi": point["phi"], "rows": rows, "f_max_n": scene.f_max_n}
 
     def frames(method: Method) -> Iterator[tuple[Floats, Floats]]:
         for truths, taxels in parts:

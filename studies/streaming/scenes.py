@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-from sparseskin.nodes.compressor.phi.rotation import FIXED
+from sparseskin.nodes.compressor.phi.rotation import PAPER as PAPER_ROWS
 from sparseskin.studies.graph_run import GraphRun
 from sparseskin.studies.paper_tables.numbers import PAPER
 from sparseskin.studies.points import StudyError
@@ -29,7 +29,7 @@ def stream(scene: str) -> dict[str, Any]:
     StudyError
         If the graph does not become ready, or ends with an error.
     """
-    paper = ("reconstructor.preset=paper", f"compressor.rows={FIXED}")
+    paper = ("reconstructor.preset=paper", f"compressor.rows={PAPER_ROWS}")
     settings = (f"sensor.rate_hz={RATE_HZ}", *paper)
     with GraphRun(scene, *(word for one in settings for word in ("--set", one))) as graph:
         code = graph.wait(None)

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
+from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, ROTATING
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
 from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
@@ -176,7 +176,7 @@ def method_of(
     chosen = dict(SOLVERS[name])
     if "lambda_n" in chosen:
         chosen["lambda_n"] *= f_max_n / PAPER_F_MAX_N
-    rows = ROTATING if name.endswith(ROTATING) else FIXED
+    rows = ROTATING if name.endswith(ROTATING) else FIXED if name == "skin" else PAPER
     return make_method(chosen, shape, ratio, seed, rows=rows, mask=mask, f_max_n=f_max_n)
 
 

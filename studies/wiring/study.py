@@ -13,6 +13,7 @@ import pandas as pd
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.local import WIRED_BLOCK
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, m_of, row_subsets
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.compressor.wiring import Wiring, array_wiring, sbhe_wiring
@@ -148,7 +149,7 @@ def wiring(point: Point) -> dict[str, Any]:
     m = m_of(n, RATIO, ROTATING)
     found: dict[str, Wiring] = {kind: array_wiring(*SHAPE, m) for kind in (ROW_LOCAL, SINGLE)}
     for kind in (*LOCAL, SCRAMBLED):
-        phi = make_phi(kind, n, m, point["seed"])
+        phi = make_phi(kind, n, m, point["seed"], WIRED_BLOCK)
         layout(phi, exists)
         assert isinstance(phi, SbhePhi)
         found[kind] = sbhe_wiring(phi, exists)
@@ -158,7 +159,7 @@ def wiring(point: Point) -> dict[str, Any]:
 def method(kind: str, preset: str, seed: int) -> Method:
     """A matrix of the study's size with the solver of a preset."""
     rows, n = PRESET_ROWS[preset], SHAPE[0] * SHAPE[1]
-    phi = make_phi(kind, n, m_of(n, RATIO, rows), seed)
+    phi = make_phi(kind, n, m_of(n, RATIO, rows), seed, WIRED_BLOCK)
     layout(phi, np.ones(SHAPE, dtype=np.bool_))
     phis = row_subsets(phi, rows)
     chosen = PRESETS[preset]

@@ -20,7 +20,7 @@ from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices
 
-from .base import Phi, fingerprint_of
+from .base import BLOCK, Phi, fingerprint_of
 from .identity import SubsamplePhi
 
 SIGMAS = 4.0
@@ -49,7 +49,7 @@ class ActsPhi(SubsamplePhi):
     kind = "acts"
     can_rotate = False  # the rows are chosen anew in each frame
 
-    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+    def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         self.fingerprint = fingerprint_of(self.kind, n, m, 1)
 

@@ -17,7 +17,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask
 
-from .base import Phi, fingerprint_of
+from .base import BLOCK, Phi, fingerprint_of
 from .local import LocalSbhePhi
 from .quadtree import N_DETAILS, Quadtree
 from .row_local import RowLocalPhi
@@ -78,7 +78,7 @@ class AdaptivePhi(Phi):
 
     kind = "adaptive"
 
-    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+    def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         self.exists: Mask | None = None
         self._lay_out(np.ones((1, n), dtype=np.bool_))

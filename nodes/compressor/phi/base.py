@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,11 @@ _WITH_PARAMETER = {
     LOCAL: "sparseskin.nodes.compressor.phi.local:local_class",
     STORED: "sparseskin.nodes.compressor.phi.stored:stored_class",
 }
+BLOCK = 256
+"""Size of the Hadamard blocks where none is stated: of sums in software, which need no wires.
+Fitted on five recordings (`sparseskin study real`); 1024 is no better."""
+RANDOM, SPREAD = 1, 2
+"""Rules by which the rows of "sbhe" are chosen, see `SbhePhi`; a message states which."""
 _INTERFACE = (
     *("kind", "n", "m", "ratio", "lipschitz", "fingerprint"),
     *("forward", "adjoint", "dense", "describe"),
@@ -56,6 +62,10 @@ class Phi(ABC):
     ----------
     kind : str
         The name that `make_phi` knows it by.
+    default_block : int
+        `block` where none is stated, of a kind.
+    rule : int
+        Rule by which the rows were chosen; the last one for a kind that has only one.
     fingerprint : str
         16 hexadecimal characters that identify the matrix: a hash of its entries, not of the
         seed, so that two machines with different generators notice.
@@ -69,8 +79,10 @@ class Phi(ABC):
     """
 
     kind: str
+    default_block: ClassVar[int] = BLOCK
+    rule: int = SPREAD
 
-    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+    def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         self.check_size(n, m, seed, block)
         self.n = int(n)
         self.m = int(m)
@@ -124,8 +136,8 @@ class Phi(ABC):
         """Return the explicit matrix, float64, shape (m, n), built from its definition."""
 
     def describe(self) -> dict[str, Any]:
-        """Return the arguments of `make_phi` that make it again: kind, n, m, seed, block."""
-        return {name: getattr(self, name) for name in ("kind", "n", "m", "seed", "block")}
+        """Return the arguments of `make_phi` that make it again."""
+        return {name: getattr(self, name) for name in ("kind", "n", "m", "seed", "block", "rule")}
 
     @abstractmethod
     def _forward(self, x: Floats, out: Floats) -> None:
@@ -208,7 +220,20 @@ def fingerprint_of(kind: str, n: int, m: int, block: int, *arrays: npt.NDArray[n
     return digest.hexdigest()[:16]
 
 
-def make_phi(kind: str, n: int, m: int, seed: int, block: int = 32) -> Phi:
+def block_of(kind: str, block: int | None) -> int:
+    """Return the size of the Hadamard blocks: the stated one, or that of the kind.
+
+    Raises
+    ------
+    PhiError
+        If the kind is not known.
+    """
+    return getattr(phi_class(kind), "default_block", BLOCK) if block is None else block
+
+
+def make_phi(
+    kind: str, n: int, m: int, seed: int, block: int | None = None, rule: int = SPREAD
+) -> Phi:
     """Make a measurement matrix by name.
 
     Parameters
@@ -220,18 +245,26 @@ def make_phi(kind: str, n: int, m: int, seed: int, block: int = 32) -> Phi:
         summed), "local:SIDE" (sbhe within neighbourhoods of SIDE x SIDE taxels), "file:PHI.npz" (a
         sparse matrix), or "module:Class" for your own, with the constructor and the interface of
         `Phi`.
-    n, m, seed, block : int
+    n, m, seed : int
         As in `Phi`.
+    block : int, optional
+        As in `Phi`; by default 256, and 32 of "local:SIDE", whose sums are those of wires.
+    rule : int
+        Rule by which the rows are chosen, as in `SbhePhi`: 2, or 1 for the paper's and those of
+        recordings of version 0.1. Kinds that have no choice of rules take no notice.
 
     Raises
     ------
     PhiError
         If the kind is unknown, a parameter is not allowed, or a class of your own is not a Phi.
     """
-    cls = phi_class(kind)
+    cls, block = phi_class(kind), block_of(kind, block)
     check_parameters(n, m, seed, block)
+    if rule not in (RANDOM, SPREAD):
+        raise PhiError(f"phi: rule = {rule!r} is not allowed; allowed: {RANDOM}, {SPREAD}")
+    chosen = {"rule": rule} if "rule" in inspect.signature(cls).parameters else {}
     try:
-        made = cls(n=n, m=m, seed=seed, block=block)
+        made = cls(n=n, m=m, seed=seed, block=block, **chosen)
     except TypeError as cause:
         raise PhiError(f'phi "{kind}" does not take n, m, seed, block: {cause}') from cause
     missing = [name for name in _INTERFACE if not hasattr(made, name)]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats
 
-from .base import Phi, fingerprint_of
+from .base import BLOCK, Phi, fingerprint_of
 
 N_MAX = 4096
 """Largest number of taxels: the matrix then takes 64 MiB at most."""
@@ -44,7 +44,7 @@ class GaussianPhi(Phi):
                 f'phi "gaussian": n = {n} is not allowed; allowed: 1..{N_MAX} (dense matrix)'
             )
 
-    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+    def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         normal = np.random.default_rng(seed).standard_normal((m, n))
         self.matrix: Floats = (normal / math.sqrt(n)).astype(np.float32)

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices
 
-from .base import Phi, fingerprint_of
+from .base import BLOCK, Phi, fingerprint_of
 from .rotation import RotatingPhi
 
 
@@ -23,7 +23,7 @@ class FullPhi(Phi):
 
     kind = "full"
 
-    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+    def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         if m != n:
             raise PhiError(f'phi "full": m = {m} is not allowed; allowed: {n} (every taxel)')
@@ -56,7 +56,7 @@ class SubsamplePhi(RotatingPhi):
 
     kind = "subsample"
 
-    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+    def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         self._order: Indices = np.random.default_rng(seed).permutation(n).astype(np.intp)
         self._keep(np.sort(self._order[:m]))

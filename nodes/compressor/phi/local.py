@@ -11,9 +11,13 @@ import numpy as np
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Indices, Mask
 
+from .base import SPREAD
 from .sbhe import SbhePhi
 
 MAX_SIDE = 4096
+WIRED_BLOCK = 32
+"""Size of the blocks of sums by wires: each block has an amplifier, where its wires meet. Chosen:
+that of the paper."""
 
 
 class LocalSbhePhi(SbhePhi):
@@ -33,10 +37,13 @@ class LocalSbhePhi(SbhePhi):
     """
 
     by_blocks = True
+    default_block = WIRED_BLOCK
     side: ClassVar[int] = MAX_SIDE
 
-    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
-        super().__init__(n, m, seed, block)
+    def __init__(
+        self, n: int, m: int, seed: int, block: int = WIRED_BLOCK, rule: int = SPREAD
+    ) -> None:
+        super().__init__(n, m, seed, block, rule)
         root = math.isqrt(n)
         self.lay_out(np.ones((root, root) if root * root == n else (1, n), dtype=np.bool_))
 

@@ -5,17 +5,20 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from copy import copy
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Indices
 
-from .base import STORED, Phi, phi_class
+from .base import RANDOM, SPREAD, STORED, Phi, phi_class
 
 FIXED, ROTATING = "fixed", "rotating"
 ROWS = (FIXED, ROTATING)
+PAPER = "paper"
+PAPER_BLOCK = 32
+"""Size of the Hadamard blocks. Source: paper, section IV-B."""
 MAX_SUBSETS = 64
 """Largest number of row subsets. Chosen: a row that is measured less often than every 64 frames
 adds as good as nothing."""
@@ -44,8 +47,8 @@ def rows_and_m(
     n : int
         Number of taxels.
     rows : str, optional
-        "fixed" or "rotating". By default rotating where the rows of that kind can rotate and M is
-        in N / 64 .. N - 1; else fixed.
+        "fixed" or "rotating"; "paper" is fixed. By default rotating where the rows of that kind
+        can rotate and M is in N / 64 .. N - 1; else fixed.
     m : int, optional
         M, in place of `ratio`.
     ratio : float
@@ -56,6 +59,8 @@ def rows_and_m(
     PhiError
         If the kind is not known.
     """
+    if rows == PAPER:
+        rows = FIXED
     if kind == "full":
         return rows or FIXED, n
     if kind.startswith(STORED) and m is None:
@@ -70,6 +75,16 @@ def rows_and_m(
     return rows, m_of(n, ratio, rows) if m is None else m
 
 
+def block_and_rule(rows: str | None, block: int | None) -> dict[str, Any]:
+    """Return block and rule, as `make_phi` takes them, by the settings rows and block.
+
+    Rows "paper" are drawn at random, from blocks of 32 where no size is stated.
+    """
+    if rows == PAPER:
+        return {"block": block or PAPER_BLOCK, "rule": RANDOM}
+    return {"block": block, "rule": SPREAD}
+
+
 def split_rows(order: Indices, m: int) -> list[Indices]:
     """Split n rows into P = ceil(n / m) subsets of m rows each, ascending.
 
@@ -81,6 +96,20 @@ def split_rows(order: Indices, m: int) -> list[Indices]:
     n_subsets = -(-n // m)
     starts = [subset * n // n_subsets for subset in range(n_subsets)]
     return [np.sort(np.roll(order, -start)[:m]) for start in starts]
+
+
+def split_evenly(order: Indices, m: int) -> list[Indices]:
+    """Split n rows into P = ceil(n / m) systematic samples of m rows each, ascending.
+
+    `order`, intp, shape (n,), are all rows. Of any k that follow one another, each sample holds
+    k m / n, to less than one; together they hold every row, and where m does not divide n some rows
+    twice.
+    """
+    n = order.size
+    n_subsets = -(-n // m)
+    steps = np.arange(n + 1, dtype=np.int64) * m * n_subsets
+    passed = [(steps + subset * n) // (n * n_subsets) for subset in range(n_subsets)]
+    return [np.sort(order[np.diff(one) > 0]) for one in passed]
 
 
 class RotatingPhi(Phi):
@@ -102,8 +131,12 @@ class RotatingPhi(Phi):
 
         P = ceil(n / m) matrices of m rows, which together hold every row.
         """
+        return self._twins(split_rows(self._order, self.m))
+
+    def _twins(self, subsets: list[Indices]) -> list[Phi]:
+        """Return a matrix of each row subset."""
         twins: list[Phi] = []
-        for rows in split_rows(self._order, self.m):
+        for rows in subsets:
             twin = self._twin()
             twin._keep(rows)
             twins.append(twin)
@@ -115,7 +148,7 @@ class RotatingPhi(Phi):
 
 
 def row_subsets(phi: Phi, rows: str) -> list[Phi]:
-    """Return the matrices that successive frames are measured by, `phi` or its like first.
+    """Return the matrices that successive frames are measured by.
 
     `rows` is "fixed": phi alone; or "rotating": P = ceil(n / m) matrices of m rows each. They
     share their work arrays: use all of them in one thread.

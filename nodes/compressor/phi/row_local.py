@@ -10,7 +10,7 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
-from .base import Phi, fingerprint_of
+from .base import BLOCK, Phi, fingerprint_of
 from .hadamard import hadamard_matrix
 from .rotation import RotatingPhi, split_rows
 
@@ -47,7 +47,7 @@ class RowLocalPhi(RotatingPhi):
 
     kind = "row_local"
 
-    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+    def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         root = math.isqrt(n)
         self._arrange(*((root, root) if root * root == n else (n, 1)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
@@ -10,9 +11,9 @@ import numpy.typing as npt
 from sparseskin.nodes.numerics.arrays import Floats, Indices
 from sparseskin.nodes.numerics.programs import run
 
-from .base import fingerprint_of
+from .base import BLOCK, RANDOM, SPREAD, Phi, fingerprint_of
 from .hadamard import BlockHadamard, hadamard_matrix
-from .rotation import RotatingPhi
+from .rotation import RotatingPhi, split_evenly
 
 if TYPE_CHECKING:
     from .fast import CompiledForward
@@ -22,12 +23,26 @@ class SbhePhi(RotatingPhi):
     """Phi = Q_M W P_N with orthonormal rows.
 
     P_N is a random permutation of the taxels, W is block-diagonal with Hadamard blocks of size B
-    divided by sqrt(B), Q_M keeps m of its rows, chosen at random. Where B does not divide n, the
-    remainder gets smaller blocks (16 + 8 + 4 + 2 + 1). With one seed, a smaller m keeps a subset
-    of the rows of a larger one.
+    divided by sqrt(B), Q_M keeps m of its rows. Where B does not divide n, the remainder gets
+    smaller blocks (16 + 8 + 4 + 2 + 1).
+
+    By rule 2, Q_M keeps the sum of each block, the largest blocks first where m is too small for
+    all, and other rows, in number proportional to those of the blocks. A row subset of rotating
+    rows (`row_subsets`) holds as many rows of each block, whether sums or not, to less than one. By
+    rule 1, the paper's, rows and row subsets are drawn at random from all. With one seed and rule,
+    a smaller m keeps a subset of the rows of a larger one.
+
+    Parameters
+    ----------
+    n, m, seed, block
+        As in `Phi`.
+    rule : int
+        1 or 2.
 
     Attributes
     ----------
+    rule : int
+        As stated.
     permutation : ndarray of intp, shape (n,)
         P_N: column j of W sees taxel permutation[j].
     rows : ndarray of intp, shape (m,)
@@ -42,19 +57,24 @@ class SbhePhi(RotatingPhi):
     -----
     Source: the paper, section IV-B; Gan, Do, Tran, "Fast compressive imaging using scrambled
     block Hadamard ensemble", EUSIPCO 2008. The paper's rows hold plain +1 and -1: they are
-    sqrt(B) times as long.
+    sqrt(B) times as long. Rows are divided among blocks as seats among parties, by Webster's
+    method: Balinski, Young, "Fair Representation", 1982; row subsets are systematic samples:
+    Cochran, "Sampling Techniques", 1977, chapter 8.
     """
 
     kind = "sbhe"
     by_blocks = True  # of this class itself; a subclass has to state it anew
 
-    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+    def __init__(self, n: int, m: int, seed: int, block: int = BLOCK, rule: int = SPREAD) -> None:
         super().__init__(n, m, seed, block)
         rng = np.random.default_rng(seed)
         permutation = rng.permutation(n).astype(np.intp)
-        self._order: Indices = rng.permutation(n).astype(np.intp)
-
+        self.rule = rule
         self.hadamard = BlockHadamard(n, block)
+        if rule == RANDOM:
+            self._order: Indices = rng.permutation(n).astype(np.intp)
+        else:
+            self._order, self._by_block = spread_order(self.hadamard.sizes, rng)
         self._arrange(permutation)
         self._y_and_zero = np.zeros(m + 1, dtype=np.float32)
         self._keep(np.sort(self._order[:m]))
@@ -87,6 +107,12 @@ class SbhePhi(RotatingPhi):
         # Places of rows that are not kept take the zero behind the last measurement.
         self._spread: Indices = np.full(self.n, self.m, dtype=np.intp)
         self._spread[self.row_places] = np.arange(self.m)
+
+    def row_subsets(self) -> list[Phi]:
+        """As in `RotatingPhi`; by rule 2, the first one is not this matrix."""
+        if self.rule == RANDOM:
+            return super().row_subsets()
+        return self._twins(split_evenly(self._by_block, self.m))
 
     def dense(self) -> npt.NDArray[np.float64]:
         """Return the explicit matrix, float64, shape (m, n), built from its definition."""
@@ -122,6 +148,36 @@ class SbhePhi(RotatingPhi):
         self._y_and_zero.take(self._spread, None, self._result, "clip")
         run(self._transposed)
         self._a.take(self._unscramble, None, out, "clip")
+
+
+def spread_order(sizes: Sequence[int], rng: np.random.Generator) -> tuple[Indices, Indices]:
+    """Return all rows of W in two orders: spread over the blocks, and block by block.
+
+    Parameters
+    ----------
+    sizes : sequence of int
+        Sizes of the blocks, in order.
+    rng : Generator
+
+    Returns
+    -------
+    spread : ndarray of intp, shape (n,)
+        First the sums of the blocks, those of the largest first; then the other rows: the first k
+        of them are divided among the blocks in proportion to their rows.
+    by_block : ndarray of intp, shape (n,)
+        Block by block, shuffled within each.
+    """
+    block = np.repeat(np.arange(len(sizes)), sizes)
+    size = np.array(sizes)[block]
+    place = np.arange(block.size) - (np.cumsum(sizes) - sizes)[block]
+    by_block = np.lexsort((rng.random(block.size), block))
+    is_sum = place[by_block] == 0
+    # Number of a row among those of its block, the sum left out.
+    rank = place - (place > place[is_sum][block])
+    turn = np.where(is_sum, -size, (rank + 0.5) / np.maximum(size - 1, 1))
+    among_equals = rng.permutation(len(sizes))[block]
+    spread = by_block[np.lexsort((among_equals, turn))]
+    return spread.astype(np.intp), by_block.astype(np.intp)
 
 
 def is_sbhe(phi: object) -> TypeGuard[SbhePhi]:

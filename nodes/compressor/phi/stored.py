@@ -15,7 +15,7 @@ from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
 from sparseskin.nodes.numerics.arrays import Floats
 
-from .base import Phi, fingerprint_of
+from .base import BLOCK, Phi, fingerprint_of
 
 MAX_FILE_BYTES = 1 << 28
 """Largest file that is read."""
@@ -54,7 +54,7 @@ class StoredPhi(Phi):
         if shape != (m, n):
             raise PhiError(f"{cls.path}: is {shape[0]} x {shape[1]}; expected m x n = {m} x {n}")
 
-    def __init__(self, n: int, m: int, seed: int, block: int = 32) -> None:
+    def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         self._columns, starts, self._data, _ = load_matrix(self.path)
         self._rows = np.repeat(np.arange(m), np.diff(starts))

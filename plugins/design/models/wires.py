@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.compressor.phi.local import LocalSbhePhi
+from sparseskin.nodes.compressor.phi.local import WIRED_BLOCK, LocalSbhePhi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.compressor.wiring import Wiring, array_wiring, sbhe_wiring
 from sparseskin.plugins.design.spec import Design
@@ -75,7 +75,7 @@ def wires_of(strategy: Strategy, design: Design) -> Wires:
 def _star(kind: str, n_rows: int, n_cols: int) -> Wiring:
     """Wires of a kind of SBHE; they do not depend on M."""
     n = n_rows * n_cols
-    phi = cast(SbhePhi, make_phi(kind, n, n, 0))
+    phi = cast(SbhePhi, make_phi(kind, n, n, 0, WIRED_BLOCK))
     exists = np.ones((n_rows, n_cols), dtype=np.bool_)
     if isinstance(phi, LocalSbhePhi):
         phi.lay_out(exists)

@@ -96,7 +96,7 @@ def test_gaussian_rows_have_length_one_in_the_mean() -> None:
 
 
 def test_sbhe_rows_are_signs_on_one_block_of_32_taxels() -> None:
-    phi = SbhePhi(n=784, m=200, seed=1)
+    phi = SbhePhi(n=784, m=200, seed=1, block=32)
     for row in phi.dense():
         values = np.abs(row[row != 0])
         size = values.size
