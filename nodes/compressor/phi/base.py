@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -65,7 +64,9 @@ class Phi(ABC):
     default_block : int
         `block` where none is stated, of a kind.
     rule : int
-        Rule by which the rows were chosen; the last one for a kind that has only one.
+        Rule by which the rows were chosen; 2 for a kind that has only one.
+    has_rules : bool
+        True if the constructor takes `rule`.
     fingerprint : str
         16 hexadecimal characters that identify the matrix: a hash of its entries, not of the
         seed, so that two machines with different generators notice.
@@ -81,6 +82,7 @@ class Phi(ABC):
     kind: str
     default_block: ClassVar[int] = BLOCK
     rule: int = SPREAD
+    has_rules: ClassVar[bool] = False
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         self.check_size(n, m, seed, block)
@@ -262,7 +264,8 @@ def make_phi(
     check_parameters(n, m, seed, block)
     if rule not in (RANDOM, SPREAD):
         raise PhiError(f"phi: rule = {rule!r} is not allowed; allowed: {RANDOM}, {SPREAD}")
-    chosen = {"rule": rule} if "rule" in inspect.signature(cls).parameters else {}
+    # The rule of a class is the last one, unless another is stated.
+    chosen = {"rule": rule} if rule != SPREAD and getattr(cls, "has_rules", False) else {}
     try:
         made = cls(n=n, m=m, seed=seed, block=block, **chosen)
     except TypeError as cause:

@@ -63,6 +63,7 @@ class SbhePhi(RotatingPhi):
     """
 
     kind = "sbhe"
+    has_rules = True
     by_blocks = True  # of this class itself; a subclass has to state it anew
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK, rule: int = SPREAD) -> None:

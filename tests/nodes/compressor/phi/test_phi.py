@@ -198,7 +198,8 @@ def test_fingerprint_is_of_the_matrix_not_of_the_seed() -> None:
 @pytest.mark.parametrize("kind", ["sbhe", "full", "subsample", "gaussian"])
 def test_describe_is_enough_to_make_it_again(kind: str) -> None:
     phi = make_phi(kind, 100, 100 if kind == "full" else 30, seed=11, block=16)
-    assert phi.describe() == {"kind": kind, "n": 100, "m": phi.m, "seed": 11, "block": 16}
+    described = {"kind": kind, "n": 100, "m": phi.m, "seed": 11, "block": 16, "rule": 2}
+    assert phi.describe() == described
     assert make_phi(**phi.describe()).fingerprint == phi.fingerprint
     assert phi.ratio == 100 / phi.m
 
