@@ -42,7 +42,11 @@ class Desk:
             sigma_mid=sigmas[0], sigma_end=sigmas[1],
         )  # fmt: skip
         told = PhiState(
-            stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, rows=rows, **phi.describe()
+            stamp_ns=0,
+            patch="skin",
+            fingerprint=self.subsets[0].fingerprint,
+            rows=rows,
+            **phi.describe(),
         )
         for message in (skin, told):
             list(self.node.step(message))

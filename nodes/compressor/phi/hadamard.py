@@ -10,6 +10,10 @@ import numpy.typing as npt
 from sparseskin.nodes.numerics.arrays import Floats, Indices
 from sparseskin.nodes.numerics.programs import Call
 
+MOST_AT_ONCE = 64
+"""Size of the largest Hadamard matrix that is one product: two smaller ones are faster than a
+larger one (timed)."""
+
 
 def block_sizes(n: int, block: int) -> list[int]:
     """Return the sizes of the Hadamard blocks of n taxels, in descending order; their sum is n.
@@ -161,36 +165,71 @@ class BlockHadamard:
 
 
 class HadamardProducts:
-    """The transform of `BlockHadamard` as a product with the matrix of each size of block.
+    """The transform of `BlockHadamard` as products with small matrices.
 
-    Quicker for small blocks; its bits depend on the BLAS, which adds in an order of its own.
+    A matrix of up to 64 rows is one product. A larger one is two, by its factors: the Kronecker
+    product of the Hadamard matrices of sizes a and b is that of size a b. Quicker than butterflies
+    in numpy; its bits depend on the BLAS, which adds in an order of its own.
+
+    Parameters
+    ----------
+    sizes : list of int
+        Sizes of the blocks, in their order.
+    orthonormal : bool
+        True: divide each block by the root of its size, so that W^T is the inverse.
 
     Attributes
     ----------
     order_in, order_out, size_at
-        As in `BlockHadamard`; input and output have the same order here.
+        As in `BlockHadamard`.
     """
 
-    def __init__(self, sizes: list[int]) -> None:
-        self.order_in, self._groups = side_by_side(sizes)
-        self.order_out = self.order_in
+    def __init__(self, sizes: list[int], orthonormal: bool = False) -> None:
+        self.order_in, groups = side_by_side(sizes)
+        self.order_out: Indices = self.order_in.copy()
         self.size_at: Floats = np.array(sizes, dtype=np.float32).repeat(sizes)
+        #: First place, number of blocks, and the factors of their matrix.
+        self._groups: list[tuple[int, int, Floats, Floats]] = []
+        for start, size, count in groups.tolist():
+            b = 1 if size <= MOST_AT_ONCE else 1 << size.bit_length() // 2
+            scaled = np.sqrt(size) if orthonormal else 1.0
+            first = (hadamard_matrix(size // b) / scaled).astype(np.float32)
+            self._groups.append((start, count, first, hadamard_matrix(b).astype(np.float32)))
+            if b > 1:
+                part = slice(start, start + size * count)
+                by_row = self.order_in[part].reshape(size // b, b, count)
+                self.order_out[part] = by_row.transpose(1, 2, 0).ravel()
+        self._scratch: Floats = np.empty(sum(sizes), dtype=np.float32)
 
     def program(self, a: Floats, b: Floats) -> tuple[list[Call], Floats]:
         """As `BlockHadamard.program`; the input is left in a."""
-        return self._calls(a, b), b
+        return self._calls(a, b, back=False), b
 
     def transposed(self, a: Floats, b: Floats) -> list[Call]:
-        """As `BlockHadamard.transposed`; W is symmetric."""
-        return self._calls(b, a)
+        """As `BlockHadamard.transposed`."""
+        return self._calls(b, a, back=True)
 
-    def _calls(self, source: Floats, target: Floats) -> list[Call]:
+    def _calls(self, source: Floats, target: Floats, back: bool) -> list[Call]:
         calls: list[Call] = []
-        for start, size, count in self._groups:
-            part = slice(start, start + size * count)
-            given, result = (buffer[part].reshape(size, count) for buffer in (source, target))
-            calls.append((np.dot, (hadamard_matrix(size).astype(np.float32), given, result)))
+        for start, count, a, b in self._groups:
+            part = slice(start, start + count * len(a) * len(b))
+            given, result, between = source[part], target[part], self._scratch[part]
+            steps: list[tuple[Floats, Floats, Floats]]
+            if len(b) == 1:
+                steps = [(a, _rows(given, a), _rows(result, a))]
+            elif back:
+                half = between.reshape(-1, len(a)).T
+                steps = [(b, _rows(given, b), _rows(between, b)), (a, half, _rows(result, a))]
+            else:
+                half = between.reshape(-1, len(a))
+                steps = [(_rows(given, a).T, a, half), (b, _rows(between, b), _rows(result, b))]
+            calls += [(np.dot, step) for step in steps]
         return calls
+
+
+def _rows(vector: Floats, matrix: Floats) -> Floats:
+    """Return a vector as the columns that a matrix multiplies."""
+    return vector.reshape(len(matrix), -1)
 
 
 _ONE_PLUS_I = np.array(1 + 1j, dtype=np.complex64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeGuard
 
@@ -57,9 +58,8 @@ class SbhePhi(RotatingPhi):
     -----
     Source: the paper, section IV-B; Gan, Do, Tran, "Fast compressive imaging using scrambled
     block Hadamard ensemble", EUSIPCO 2008. The paper's rows hold plain +1 and -1: they are
-    sqrt(B) times as long. Rows are divided among blocks as seats among parties, by Webster's
-    method: Balinski, Young, "Fair Representation", 1982; row subsets are systematic samples:
-    Cochran, "Sampling Techniques", 1977, chapter 8.
+    sqrt(B) times as long. Row subsets are systematic samples: Cochran, "Sampling Techniques",
+    Wiley, 1977, chapter 8.
     """
 
     kind = "sbhe"
@@ -169,16 +169,41 @@ def spread_order(sizes: Sequence[int], rng: np.random.Generator) -> tuple[Indice
         Block by block, shuffled within each.
     """
     block = np.repeat(np.arange(len(sizes)), sizes)
-    size = np.array(sizes)[block]
-    place = np.arange(block.size) - (np.cumsum(sizes) - sizes)[block]
-    by_block = np.lexsort((rng.random(block.size), block))
-    is_sum = place[by_block] == 0
-    # Number of a row among those of its block, the sum left out.
-    rank = place - (place > place[is_sum][block])
-    turn = np.where(is_sum, -size, (rank + 0.5) / np.maximum(size - 1, 1))
-    among_equals = rng.permutation(len(sizes))[block]
-    spread = by_block[np.lexsort((among_equals, turn))]
-    return spread.astype(np.intp), by_block.astype(np.intp)
+    by_block = np.lexsort((rng.random(block.size), block)).astype(np.intp)
+    shuffled = rng.permutation(len(sizes))
+    blocks = shuffled[np.argsort(-np.array(sizes)[shuffled], kind="stable")]
+    sums = (np.cumsum(sizes) - sizes)[blocks].astype(np.intp)
+    others = by_block[~np.isin(by_block, sums)]
+    spread = np.empty_like(others)
+    turns = blocks[in_proportion((np.array(sizes)[blocks] - 1).tolist())]
+    spread[np.argsort(turns, kind="stable")] = others
+    return np.concatenate([sums, spread]), by_block
+
+
+def in_proportion(numbers: Sequence[int]) -> Indices:
+    """Return numbers[b] times each b, so that any first ones hold each b in proportion.
+
+    Of the first k of n, numbers[b] k / n are b, to less than one: each has an earliest and a latest
+    place, and of those that may come next the one that has to come first does.
+
+    Notes
+    -----
+    Source: such places exist: Baruah, Cohen, Plaxton, Varvel, "Proportionate progress: a notion of
+    fairness in resource allocation", Algorithmica 15, 1996.
+    """
+    n = sum(numbers)
+    waiting = sorted(
+        (k * n // number, -((k + 1) * n // -number), b)
+        for b, number in enumerate(numbers)
+        for k in range(number)
+    )
+    found, ready, at = np.empty(n, dtype=np.intp), list[tuple[int, int]](), 0
+    for place in range(n):
+        while at < n and waiting[at][0] <= place:
+            heapq.heappush(ready, waiting[at][1:])
+            at += 1
+        found[place] = heapq.heappop(ready)[1]
+    return found
 
 
 def is_sbhe(phi: object) -> TypeGuard[SbhePhi]:

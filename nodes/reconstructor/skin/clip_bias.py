@@ -86,7 +86,8 @@ class ClipBias:
         self._least_s2 = min(self._t.bias_forgotten * self._least_s2, s2)
         noise = math.sqrt(min(self._least_s2, most))
         more = min(max(more, -noise / 2), noise / 2)
-        rate = max(self._t.bias_slowest, 1 / (self._n_frames + 1))
+        begins = self._t.bias_begins
+        rate = max(self._t.bias_slowest, begins / (self._n_frames + begins))
         self.b = min(max(self.b + rate * more, 0.0), self._t.bias_largest * noise)
         if self.b < TINY:  # its reciprocal could overflow float32
             self.b = 0.0

@@ -430,7 +430,7 @@ class ReferenceSolver:
         if len(held_residual) and not self.known:
             bound = min(bound, t.bias_bound * mean_square(held_residual))
         noise = math.sqrt(bound)
-        rate = max(t.bias_slowest, 1 / (self.n_biases + 1))
+        rate = max(t.bias_slowest, t.bias_begins / (self.n_biases + t.bias_begins))
         b = self.b + rate * min(max(more, -noise / 2), noise / 2)
         b = min(max(b, 0.0), t.bias_largest * noise)
         self.b = b if b >= TINY else 0.0

@@ -27,7 +27,10 @@ class SkinTuning:
     #: untouched skin. With the noise of a contact, a badly reconstructed scene could pass for bias.
     #: [Chosen]
     bias_forgotten: float = 1.002
-    #: Least rate of the bias, a frame. [Chosen]
+    #: Rate of the bias in frame k, a frame: this / (k + this), and the least rate. More than 1:
+    #: the first frames, whose estimate takes a part of the bias for forces, count less than later
+    #: ones. [Chosen: after 8 untouched frames a hundredth of the bias is left]
+    bias_begins: float = 3.0
     bias_slowest: float = 0.05
     #: Largest noise variance before it is known, in mean squared residuals of held-out rows.
     #: [Chosen]

@@ -9,7 +9,7 @@ from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 
 from .descent import Descent, PlainDescent, SbheHaarDescent
-from .projection import MAX_BLOCK, PlainProjection, Projection, SbheProjection
+from .projection import PlainProjection, Projection, SbheProjection
 
 # A subclass may have changed what the operators do: it is then applied by them. Compiled loops are
 # imported where they are chosen: they need numba.
@@ -21,7 +21,7 @@ def make_projection(phi: Phi, compiled: bool = False) -> Projection:
         from .fast import CompiledProjection
 
         return CompiledProjection(phi)
-    if is_sbhe(phi) and phi.block <= MAX_BLOCK:
+    if is_sbhe(phi):
         return SbheProjection(phi)
     return PlainProjection(phi)
 

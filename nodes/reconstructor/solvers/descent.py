@@ -15,8 +15,6 @@ from sparseskin.nodes.numerics.programs import Call, gather, run
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 
-from .projection import MAX_BLOCK
-
 
 class Descent(ABC):
     """Gradient steps of length 1/L, with momentum and shrinkage.
@@ -157,7 +155,7 @@ class SbheHaarDescent(NumpyDescent):
 
         a = np.zeros(n_cells, dtype=np.float32)
         b = np.zeros(n_cells, dtype=np.float32)
-        hadamard = HadamardProducts(phi.hadamard.sizes) if phi.block <= MAX_BLOCK else phi.hadamard
+        hadamard = HadamardProducts(phi.hadamard.sizes)
         transform, middle = hadamard.program(a, b)
         self._row_places = np.argsort(hadamard.order_out)[phi.rows]
 

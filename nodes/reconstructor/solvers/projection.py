@@ -7,12 +7,10 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.hadamard import hadamard_matrix
+from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Floats, Indices
-
-MAX_BLOCK = 64
-"""Larger Hadamard blocks are slower as a matrix than as butterflies (timed)."""
+from sparseskin.nodes.numerics.programs import run
 
 
 class Projection(ABC):
@@ -119,43 +117,45 @@ class PlainProjection(Projection):
 
 
 class SbheProjection(Projection):
-    """The scrambled block Hadamard ensemble: taxels in permuted order, one product a block.
+    """The scrambled block Hadamard ensemble, taxels and rows in the orders of its products.
 
-    Blocks are of `MAX_BLOCK` at most. A vector of rows has a place for every row of W; those that
-    are not measured are 0. So neither direction needs a permutation.
+    A vector of rows has a place for every row of W; those that are not measured are 0. So neither
+    direction needs a permutation.
+
+    Attributes
+    ----------
+    places : ndarray of intp, shape (m,)
+        Place of each measurement in a vector of rows.
+    place_of_row : ndarray of intp, shape (n,)
+        Place of each row of W.
     """
 
     has_whole = True
 
     def __init__(self, phi: SbhePhi) -> None:
-        self.order = phi.permutation
+        hadamard = HadamardProducts(phi.hadamard.sizes, orthonormal=True)
+        self._x, self._rows, self._left = np.zeros((3, phi.n), dtype=np.float32)
+        self._to_rows, _ = hadamard.program(self._x, self._rows)
+        self._to_x = hadamard.transposed(self._x, self._rows)
+        self.order = phi.permutation[hadamard.order_in]
+        self.place_of_row = np.argsort(hadamard.order_out)
         self.n_rows = phi.n
-        self._weighted, self._left = np.zeros((2, phi.n), dtype=np.float32)
         self.step_size = 1.0
-        self._tables: dict[str, tuple[Indices, Floats]] = {}
+        self._tables: dict[str, tuple[Indices, Indices, Floats]] = {}
         self.use(phi)
         self._y_and_zero = np.zeros(phi.m + 1, dtype=np.float32)
-        block = phi.block
-        self._hadamard = (hadamard_matrix(block) / np.sqrt(block)).astype(np.float32)
-        self._whole = phi.n - phi.n % block
-        # Taxels that fill no whole block form smaller ones.
-        self._rest = np.zeros((phi.n - self._whole,) * 2, dtype=np.float32)
-        start = 0
-        for size in phi.hadamard.sizes[self._whole // block :]:
-            part = slice(start, start + size)
-            self._rest[part, part] = hadamard_matrix(size) / np.sqrt(size)
-            start += size
 
     def use(self, phi: Phi) -> None:
         if phi.fingerprint not in self._tables:
             assert isinstance(phi, SbhePhi)
+            places = self.place_of_row[phi.rows]
             # Rows that are not measured read the 0 behind the last measurement.
             spread = np.full(phi.n, phi.m, dtype=np.intp)
-            spread[phi.rows] = np.arange(phi.m)
+            spread[places] = np.arange(phi.m)
             measured = np.zeros(phi.n, dtype=np.float32)
-            measured[phi.rows] = 1
-            self._tables[phi.fingerprint] = spread, measured
-        self._spread, self.measured = self._tables[phi.fingerprint]
+            measured[places] = 1
+            self._tables[phi.fingerprint] = places, spread, measured
+        self.places, self._spread, self.measured = self._tables[phi.fingerprint]
         self._weights = self.read = self.measured
 
     def rows_of(self, y: Floats, out: Floats) -> None:
@@ -163,34 +163,28 @@ class SbheProjection(Projection):
         self._y_and_zero.take(self._spread, None, out, "clip")
 
     def forward(self, x: Floats, out: Floats) -> None:
-        self._transform(x, out)
-        np.multiply(out, self._weights, out)
+        for one, result in zip(x, out, strict=True):
+            np.copyto(self._x, one)
+            run(self._to_rows)
+            np.multiply(self._rows, self._weights, result)
 
     def adjoint(self, rows: Floats, out: Floats) -> None:
-        if self._weights is not self.measured:
-            rows = np.multiply(rows, self._weights, self._weighted)
-        self._transform(rows, out)
+        np.multiply(rows, self._weights, self._rows)
+        run(self._to_x)
+        np.copyto(out, self._x)
 
     def whole(self, x: Floats, out: Floats) -> None:
-        self._transform(x, out)
+        np.copyto(self._x, x)
+        run(self._to_rows)
+        np.copyto(out, self._rows)
 
     def whole_adjoint(self, rows: Floats, out: Floats) -> None:
-        self._transform(rows, out)
+        np.copyto(self._rows, rows)
+        run(self._to_x)
+        np.copyto(out, self._x)
 
     def weigh(self, weights: Floats | None) -> None:
         self._weights = self.measured if weights is None else weights
 
     def leave_out(self, kept: Floats) -> None:
         self._weights = np.multiply(self._weights, kept, self._left)
-
-    def _transform(self, given: Floats, out: Floats) -> None:
-        """Write W given to out; W is symmetric, as its blocks are."""
-        block = len(self._hadamard)
-        if not len(self._rest):
-            np.dot(given.reshape(-1, block), self._hadamard, out.reshape(-1, block))
-            return
-        given, out = np.atleast_2d(given, out)
-        for one, result in zip(given, out, strict=True):
-            whole = one[: self._whole].reshape(-1, block)
-            np.dot(whole, self._hadamard, result[: self._whole].reshape(-1, block))
-            np.dot(self._rest, one[self._whole :], result[self._whole :])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from itertools import islice
 from typing import Any, NamedTuple
@@ -110,7 +111,7 @@ def stated(name: str, rows: str) -> list[Stated]:
 
 class Distances(NamedTuple):
     """Models of the frames; distance of their forces, in the norm of the largest frame of the
-    stream, and of their estimated errors, relative.
+    stream, and of their estimated errors, relative: 0 / 0 is 0, and others / 0 are infinite.
     """
 
     models: list[str]
@@ -140,7 +141,10 @@ def distances(name: str, rows: str, fast: str) -> Distances:
         assert solver.error is not None
         found.models.append(frame.model)
         found.forces.append(float(np.linalg.norm(forces - frame.forces)) / largest)
-        found.errors.append(abs(solver.error / frame.error - 1))
+        if frame.error:
+            found.errors.append(abs(solver.error / frame.error - 1))
+        else:  # no residual beyond the noise
+            found.errors.append(math.inf if solver.error else 0.0)
     return found
 
 

@@ -52,9 +52,9 @@ class OwnPhi(SbhePhi):
     """Options that a user may have changed."""
 
 
-def test_the_fast_way_is_for_the_built_in_phi_with_small_blocks() -> None:
+def test_the_fast_way_is_for_the_built_in_phi() -> None:
     assert isinstance(make_projection(SbhePhi(300, 100, 0)), SbheProjection)
-    assert isinstance(make_projection(SbhePhi(300, 100, 0, 128)), PlainProjection)
+    assert isinstance(make_projection(SbhePhi(300, 100, 0, 32)), SbheProjection)
     assert isinstance(make_projection(OwnPhi(300, 100, 0)), PlainProjection)
 
 

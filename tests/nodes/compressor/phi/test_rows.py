@@ -1,0 +1,147 @@
+"""Rows of the scrambled block Hadamard ensemble: spread over the blocks, or drawn at random."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sparseskin.nodes.compressor.node import CompressorSettings
+from sparseskin.nodes.compressor.phi.base import KINDS, RANDOM, SPREAD, block_of, make_phi
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, in_proportion
+from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.numerics.arrays import Indices
+
+SIZES = st.integers(1, 700)
+BLOCKS = st.sampled_from([1, 2, 4, 8, 32, 64, 256, 1024])
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def sbhe(n: int, m: int, seed: int = 0, block: int = 256, rule: int = SPREAD) -> SbhePhi:
+    phi = make_phi("sbhe", n, m, seed, block, rule)
+    assert isinstance(phi, SbhePhi)
+    return phi
+
+
+def starts(phi: SbhePhi) -> Indices:
+    """The sum of each block is its first row."""
+    ends: Indices = np.cumsum(phi.hadamard.sizes)
+    return ends - phi.hadamard.sizes
+
+
+def numbers_of(phi: SbhePhi, rows: Indices) -> Indices:
+    """Number of rows of each block."""
+    blocks = np.searchsorted(np.cumsum(phi.hadamard.sizes), rows, side="right")
+    return np.bincount(blocks, minlength=len(phi.hadamard.sizes))
+
+
+def assert_dot_test(phi: SbhePhi) -> None:
+    rng = np.random.default_rng(0)
+    x, y = (rng.standard_normal(k).astype(np.float32) for k in (phi.n, phi.m))
+    forth, back = float(phi.forward(x) @ y), float(x @ phi.adjoint(y))
+    assert abs(forth - back) <= 4e-6 * float(np.linalg.norm(x) * np.linalg.norm(y)) + 1e-6
+
+
+@given(n=SIZES, data=st.data(), block=BLOCKS, seed=SEEDS)
+@settings(max_examples=150, deadline=None)
+def test_fixed_rows_are_the_sums_and_others_in_proportion(
+    n: int, data: st.DataObject, block: int, seed: int
+) -> None:
+    m = data.draw(st.integers(1, n))
+    phi = sbhe(n, m, seed, block)
+    assert phi.rows.size == m
+    assert (np.diff(phi.rows) > 0).all()
+    assert phi.rows[0] >= 0
+    assert phi.rows[-1] < n
+    held = np.isin(starts(phi), phi.rows)
+    sizes = np.array(phi.hadamard.sizes)
+    if m < len(sizes):
+        # Nothing but sums, those of the largest blocks.
+        assert held.sum() == m
+        assert sizes[held].min() >= sizes[~held].max()
+        return
+    assert held.all()
+    others = numbers_of(phi, phi.rows) - 1
+    proportional = (m - len(sizes)) * (sizes - 1) / max(1, n - len(sizes))
+    assert (np.abs(others - proportional) < 1).all()
+    assert_dot_test(phi)
+
+
+@given(n=SIZES, data=st.data(), block=BLOCKS, seed=SEEDS)
+@settings(max_examples=150, deadline=None)
+def test_each_row_subset_has_rows_of_each_block_in_proportion_and_together_they_have_all(
+    n: int, data: st.DataObject, block: int, seed: int
+) -> None:
+    m = data.draw(st.integers(-(-n // 64), n))
+    subsets = row_subsets(sbhe(n, m, seed, block), "rotating")
+    assert len(subsets) == -(-n // m)
+    times = np.zeros(n, dtype=np.intp)
+    for phi in subsets:
+        assert isinstance(phi, SbhePhi)
+        assert phi.rows.size == m
+        assert (np.diff(phi.rows) > 0).all()
+        numbers = numbers_of(phi, phi.rows)
+        assert (np.abs(numbers - m * np.array(phi.hadamard.sizes) / n) < 1).all()
+        times[phi.rows] += 1
+    assert times.min() >= 1
+    assert times.max() <= 2
+    assert_dot_test(phi)
+
+
+@given(n=SIZES, data=st.data(), block=BLOCKS, rule=st.sampled_from([RANDOM, SPREAD]))
+@settings(max_examples=60, deadline=None)
+def test_fewer_rows_of_one_seed_are_among_the_more(
+    n: int, data: st.DataObject, block: int, rule: int
+) -> None:
+    few, many = sorted(data.draw(st.tuples(st.integers(1, n), st.integers(1, n))))
+    phis = [sbhe(n, m, 3, block, rule) for m in (few, many)]
+    np.testing.assert_array_equal(phis[0].permutation, phis[1].permutation)
+    assert set(phis[0].rows) <= set(phis[1].rows)
+
+
+@given(numbers=st.lists(st.integers(0, 40), min_size=1, max_size=12))
+@settings(max_examples=200, deadline=None)
+def test_a_sequence_is_in_proportion_wherever_it_ends(numbers: list[int]) -> None:
+    found = in_proportion(numbers)
+    n = sum(numbers)
+    assert np.bincount(found, minlength=len(numbers)).tolist() == numbers
+    so_far = np.cumsum(found[:, None] == np.arange(len(numbers)), axis=0)
+    shares = np.arange(1, n + 1)[:, None] * np.array(numbers) / max(1, n)
+    assert (np.abs(so_far - shares) < 1).all()
+
+
+def test_other_seeds_have_other_rows() -> None:
+    drawn = [sbhe(1600, 533, seed) for seed in range(3)]
+    assert len({phi.rows.tobytes() for phi in drawn}) == 3
+    subsets = [row_subsets(phi, "rotating")[0] for phi in drawn]
+    assert len({phi.fingerprint for phi in subsets}) == 3
+
+
+@pytest.mark.parametrize(
+    ("block", "rows", "expected"),
+    [
+        # By the code of version 0.1.
+        (32, "fixed", ["443e07fb12311131"]),
+        (32, "rotating", ["443e07fb12311131"]),
+    ],
+)
+def test_rule_1_is_that_of_version_0_1(block: int, rows: str, expected: list[str]) -> None:
+    subsets = row_subsets(sbhe(96, 30, 7, block, RANDOM), rows)
+    assert [phi.fingerprint for phi in subsets[:1]] == expected
+
+
+def test_a_rule_that_there_is_not_is_refused() -> None:
+    for rule in (0, 3):
+        with pytest.raises(PhiError, match=f"phi: rule = {rule} is not allowed; allowed: 1, 2"):
+            make_phi("sbhe", 64, 20, 0, rule=rule)
+
+
+def test_blocks_are_of_256_but_of_32_where_sums_are_wires_or_the_papers() -> None:
+    assert {block_of(kind, None) for kind in KINDS} == {256}
+    assert block_of("local:8", None) == 32
+    assert block_of("local:8", 64) == 64
+    phi = make_phi("sbhe", 1600, 533, 0)
+    assert (phi.block, phi.rule) == (256, SPREAD)
+    assert CompressorSettings(rows="paper").rows_and_m(1600) == ("fixed", 533)
