@@ -1,6 +1,6 @@
 """Run the nodes of a launch file in one program, frame by frame, with no process and no socket.
 
-The paper's method (preset `paper`, fixed rows) at three ratios, beside the noisy reading of all
+The paper's method (preset `paper`, its rows) at three ratios, beside the noisy reading of all
 taxels.
 
 python examples/run_graph.py
@@ -11,7 +11,7 @@ import sparseskin
 
 def main() -> None:
     for ratio in (2, 4, 8):
-        paper = ["reconstructor.preset=paper", "compressor.rows=fixed"]
+        paper = ["reconstructor.preset=paper", "compressor.rows=paper"]
         settings = [f"compressor.ratio={ratio}", *paper]
         frames = [
             frame

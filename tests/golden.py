@@ -28,8 +28,8 @@ WINDOWS = {
     "lift_box_64": (3230, 80),
     "drag_wrench_64": (4000, 80),
 }
-PRESETS = ("paper", "skin")
-ROWS = ("fixed", "rotating")
+#: Rows of each preset.
+ROWS = {"paper": ("paper", "rotating"), "skin": ("fixed", "rotating")}
 
 
 def golden(kernel: str | None = "Haswell") -> dict[str, Any]:
@@ -83,8 +83,8 @@ def main() -> None:
         truth = np.stack(
             [m.forces for messages in frames for m in messages if isinstance(m, Truth)]
         )
-        for preset in PRESETS:
-            for rows in ROWS:
+        for preset, kinds in ROWS.items():
+            for rows in kinds:
                 settings = [f"reconstructor.preset={preset}", f"compressor.rows={rows}"]
                 nodes = load(scene, settings).nodes
                 bus = Bus({n: (nodes[n].cls, nodes[n].settings) for n in nodes if n != "monitor"})

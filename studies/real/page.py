@@ -74,7 +74,7 @@ def show(frame: pd.DataFrame) -> list[str]:
     if len(codecs):
         lines += ["", "all taxels read: bytes a frame / median relative error in %"]
         lines += _aligned(_codecs(rows))
-    return [*lines, "", *_flowing([*beaten(rows), *packed(rows)])]
+    return [*lines, "", *_flowing([*geometric(rows), *beaten(rows), *packed(rows)])]
 
 
 def _flowing(sentences: Sequence[str]) -> list[str]:
@@ -124,6 +124,7 @@ def write(
         recordings=_recordings(frame, parts),
         chart=_draw(out, compared),
         beaten=[*beaten(rows), *packed(rows)],
+        geometric=geometric(rows),
         errors=_shown(compared, "{median:.1f} / {mean:.1f}"),
         lost=_shown(compared, "{vanished:.0f} / {ghosts:.0f}"),
         flags=_shown(compared, "{flagged:.0f} / {flagged_wrong:.0f} / {flagged_right:.0f}")
@@ -139,6 +140,16 @@ def write(
         failed=[f"{row.recording}, {row.method}: {row.failed}" for row in failed.itertuples()],
         csv=write_csv(out, "methods", frame.drop(columns=["path"])),
     )
+
+
+def geometric(rows: pd.DataFrame) -> list[str]:
+    """Return a line a kind of rows of the default solver: geometric mean over the recordings."""
+    lines = []
+    for name, some in rows[rows["method"].isin([SKIN, ROTATED])].groupby("method", sort=False):
+        logs = np.log(some["median"]).groupby(some["M"], sort=False).mean()
+        means = ", ".join(f"{mean:.2f} % at {M}" for M, mean in np.exp(logs).items())
+        lines.append(f"{name}: geometric mean of the median errors {means}")
+    return lines
 
 
 def beaten(rows: pd.DataFrame) -> list[str]:

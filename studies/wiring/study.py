@@ -14,7 +14,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.local import WIRED_BLOCK
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, m_of, row_subsets
+from sparseskin.nodes.compressor.phi.rotation import PAPER, ROTATING, block_and_rule, m_of, row_subsets, rows_and_m
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.compressor.wiring import Wiring, array_wiring, sbhe_wiring
 from sparseskin.nodes.numerics.arrays import Floats
@@ -42,7 +42,7 @@ SCENES = (*BODIES, DRAG)
 N_FRAMES, QUICK_FRAMES = 120, 15
 #: First frame of the scene, when the wrench has landed, and the steps of 0.1 ms between frames.
 DRAG_FIRST, DRAG_EVERY = 2400, 20
-PRESET_ROWS = {"skin": ROTATING, "paper": FIXED}
+PRESET_ROWS = {"skin": ROTATING, "paper": PAPER}
 CROSSTALK = (0.01, 0.03, 0.1)
 
 Point = dict[str, Any]
@@ -159,9 +159,10 @@ def wiring(point: Point) -> dict[str, Any]:
 def method(kind: str, preset: str, seed: int) -> Method:
     """A matrix of the study's size with the solver of a preset."""
     rows, n = PRESET_ROWS[preset], SHAPE[0] * SHAPE[1]
-    phi = make_phi(kind, n, m_of(n, RATIO, rows), seed, WIRED_BLOCK)
+    kept, m = rows_and_m(kind, n, rows=rows, ratio=RATIO)
+    phi = make_phi(kind, n, m, seed, **block_and_rule(rows, WIRED_BLOCK))
     layout(phi, np.ones(SHAPE, dtype=np.bool_))
-    phis = row_subsets(phi, rows)
+    phis = row_subsets(phi, kept)
     chosen = PRESETS[preset]
     settings = {key: value for key, value in chosen.items() if key not in ("solver", "basis")}
     basis = make_basis(chosen["basis"], *SHAPE)

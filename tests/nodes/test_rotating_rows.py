@@ -206,12 +206,14 @@ def test_the_refusal_of_a_frame_names_rows_and_m_that_differ_from_those_announce
     ("settings", "warned"),
     [
         (["reconstructor.preset=paper"], True),
-        (["reconstructor.preset=paper", FIXED], False),
+        (["reconstructor.preset=paper", FIXED], True),
+        (["reconstructor.preset=paper", "compressor.rows=paper"], False),
+        (["reconstructor.preset=paper", "compressor.rows=paper", "compressor.block=64"], True),
         (["reconstructor.preset=paper", "reconstructor.iterations=20"], False),
         (["reconstructor.preset=skin"], False),
     ],
 )
-def test_the_papers_method_with_rows_that_rotate_is_warned_of(
+def test_the_papers_method_with_other_rows_than_its_own_is_warned_of(
     settings: list[str], warned: bool
 ) -> None:
     bus = graph(*settings)
