@@ -210,7 +210,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._subsets = {one.fingerprint: one for one in subsets}
         self._watch.set_up(self._subsets, state, solver.mask)
         self._trust_log.begin(len(self._subsets), can_rotate(phi))
-        self._uncertainty = self._make_uncertainty(solver, phi.ratio, announced.rows)
+        self._uncertainty = self._make_uncertainty(solver, phi, announced.rows)
         if self.settings.resultant:
             self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
         # Another Phi or solver in the middle of a stream starts from the last estimate.
@@ -233,13 +233,13 @@ class Reconstructor(Node[ReconstructorSettings]):
         if isinstance(self._solver, Solver) and self._skin is not None:
             self._solver.period_s = 1 / self._skin.rate_hz if self._skin.rate_hz else math.inf
 
-    def _make_uncertainty(self, solver: Solver, ratio: float, rows: str) -> Uncertainty | None:
+    def _make_uncertainty(self, solver: Solver, phi: Phi, rows: str) -> Uncertainty | None:
         if not self.settings.uncertainty:
             return None
         name = self.settings.chosen()["solver"]
-        adaptive = isinstance(solver.phi, AdaptivePhi)
+        adaptive = isinstance(phi, AdaptivePhi)
         if name in CALIBRATED and not adaptive:
-            return Uncertainty(solver.mask, ratio, name, rows)
+            return Uncertainty(solver.mask, phi.ratio, name, rows, phi.rule)
         what = f"{name} with phi adaptive" if adaptive else name
         self.context.log(
             f"uncertainty: the error of solver {what} is not known, and none is published; "

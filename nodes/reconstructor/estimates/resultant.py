@@ -161,10 +161,13 @@ class ResultantEstimator:
         ones = self._ones_of(phi)
         left = y - fitted
         rate = max(T.bias_rate, 1 / self._n_frames)
-        bias = float(np.dot(ones, left)) / (float(np.dot(ones, ones)) + TINY)
-        noise2 = float(np.dot(left, left)) / self._m
-        # The residual of a frame that lags behind its contact is no bias.
-        if self._n_frames == 1 or noise2 < T.settled * self._noise2:
+        energy = float(np.dot(ones, ones))
+        along = float(np.dot(ones, left))
+        bias = along / (energy + TINY)
+        # The residual of a frame that lags behind its contact is no bias. Its part along Phi 1 is
+        # not asked: that is the bias.
+        apart2 = (float(np.dot(left, left)) - along * bias) / self._m
+        if self._n_frames == 1 or apart2 < T.settled * self._noise2:
             self._bias += rate * (max(0.0, bias) - self._bias)
         left -= np.float32(self._bias) * ones
         noise2 = float(np.dot(left, left)) / self._m
@@ -179,7 +182,8 @@ class ResultantEstimator:
         total = float(self._sums[0, 0])
         if self._last is not None:
             self._total_error2 += T.rate * ((total - self._prior) ** 2 - self._total_error2)
-            if self._last.centre is not None and total > 0:
+            # The centre of a skin that turns out to be untouched is no error of a centre.
+            if self._last.centre is not None and total > 2 * self._last.total_sd:
                 off = self._sums[1:, 0] / total - np.array(self._last.centre)
                 if self._jumped_by is None:
                     self._centre_error2 += T.rate * (off**2 - self._centre_error2)

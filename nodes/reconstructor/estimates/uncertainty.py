@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from sparseskin.nodes.compressor.phi.base import RANDOM, SPREAD
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 
@@ -15,12 +16,19 @@ MEAN_RATE, RATE = 0.25, 0.2
 #: Part of the RMS residual added to the change, squared, and to the force: taxels that stand still
 #: or are untouched are not certain.
 CHANGE_FLOOR, FORCE_FLOOR = 0.03, 0.3
-#: By solver, with fixed rows and with rotating ones: factor a, and power b of N / M. Fitted on the
-#: six scenes and random ones at N/3 and N/8, so that bands of 1.645 deviations hold 90 % of the
-#: touched taxels.
+#: By solver, rule of the rows of Phi, and fixed rows or rotating ones: factor a, and power b of
+#: N / M. Fitted on random scenes at N/3, N/4 and N/8, so that bands of 1.645 deviations hold 90 % of
+#: the touched taxels, by the geometric mean over the scenes; those of `RANDOM` on the six scenes,
+#: too.
 CALIBRATED = {
-    "skin": {FIXED: (0.82, 0.65), ROTATING: (1.13, 0.35)},
-    "fista": {FIXED: (1.55, 0.8), ROTATING: (1.55, 0.8)},
+    "skin": {
+        SPREAD: {FIXED: (1.3, 0.11), ROTATING: (1.31, 0.2)},
+        RANDOM: {FIXED: (0.82, 0.65), ROTATING: (1.13, 0.35)},
+    },
+    "fista": {
+        SPREAD: {FIXED: (1.58, 0.72), ROTATING: (1.87, 0.5)},
+        RANDOM: {FIXED: (1.55, 0.8), ROTATING: (1.55, 0.8)},
+    },
 }
 LEAST_RESIDUAL = 1e-12
 """Least residual a taxel, in the unit of the forces: none is zero."""
@@ -49,10 +57,14 @@ class Uncertainty:
         One of `CALIBRATED`.
     rows : str
         "fixed" or "rotating": with fixed rows, errors that none of them measures persist.
+    rule : int
+        Rule of the rows, as in `Phi`.
     """
 
-    def __init__(self, mask: Mask, ratio: float, solver: str, rows: str = FIXED) -> None:
-        factor, power = CALIBRATED[solver][rows]
+    def __init__(
+        self, mask: Mask, ratio: float, solver: str, rows: str = FIXED, rule: int = SPREAD
+    ) -> None:
+        factor, power = CALIBRATED[solver][rule][rows]
         self._factor = factor * ratio**power
         self._nowhere = None if mask.all() else ~mask
         n_rows, n_cols = mask.shape

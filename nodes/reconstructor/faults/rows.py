@@ -36,6 +36,9 @@ UNPREDICTED, UNPREDICTED_PEERS = 4.0, 5
 FINE = 0.25
 #: Peers that a block needs for a judgement by a single frame.
 ENOUGH_PEERS = 6
+#: Share of the largest |Phi 1| beyond which a bias shows in a row. The sum of a block of 32 beside
+#: blocks of 256 has 0.35, and a bias of clipped noise is 3 deviations of its own noise. Derived.
+HEAVY = 0.25
 #: Median of the square of a standard normal number.
 MEDIAN_SQUARE = 0.455
 
@@ -59,7 +62,8 @@ class RowWatch:
 
     On a skin with noise a row whose value stays the same for 20 frames is faulty, too, also where
     nothing touches the skin and a row that reads 0 does not show. An error of all rows along Phi 1,
-    the bias of readings clipped at 0, is no fault.
+    the bias of readings clipped at 0, is no fault. So sums of blocks are compared with each other,
+    and that of an only block, which nothing contradicts, is judged by being constant alone.
 
     Parameters
     ----------
@@ -86,8 +90,9 @@ class RowWatch:
         ones = phi.forward(np.ones(phi.n, dtype=np.float32))
         self._ones = ones
         # The rows that a bias shows in.
-        self._heavy: Indices = np.flatnonzero(np.abs(ones) > 0.5 * np.abs(ones).max())
+        self._heavy: Indices = np.flatnonzero(np.abs(ones) > HEAVY * np.abs(ones).max())
         self._heavy_ones = ones[self._heavy]
+        self._heavy_ones2 = np.square(self._heavy_ones)
         _, self._starts, self._block = np.unique(
             _blocks(phi), return_index=True, return_inverse=True
         )
@@ -197,9 +202,10 @@ class RowWatch:
         peers = np.add.reduceat(peers, self._starts)[self._block] - peers
         peers *= self._per_peer
         np.maximum(peers, typical, out=peers)
-        # The bias differs from block to block.
+        # The bias differs from block to block, and adds up in sums.
         if heavy.size:
-            peers[heavy] = np.maximum(peers[heavy], _middle(squared[heavy]) / MEDIAN_SQUARE)
+            per_one = _middle(squared[heavy] / self._heavy_ones2) / MEDIAN_SQUARE
+            peers[heavy] = np.maximum(peers[heavy], np.float32(per_one) * self._heavy_ones2)
         np.multiply(peers, ODD, out=self._bound)
         # The quick check of `update` does not subtract the bias of its frame.
         shown = abs(bias) * np.abs(self._heavy_ones)

@@ -183,7 +183,7 @@ def test_a_matrix_that_measures_contacts_unevenly_is_warned_of() -> None:
     assert "some contacts are measured far better than others" in warning
 
 
-def test_pads_are_measured_as_evenly_by_scrambled_blocks_as_by_random_numbers() -> None:
+def test_pads_are_measured_more_evenly_by_scrambled_blocks_than_by_random_numbers() -> None:
     def spread(phi: Phi) -> float:
         return pad_spread(phi, EVERYWHERE, np.random.default_rng(1))
 
@@ -192,7 +192,8 @@ def test_pads_are_measured_as_evenly_by_scrambled_blocks_as_by_random_numbers() 
         for kind in ("gaussian", "sbhe")
     )
     assert gaussian == pytest.approx(1.0, abs=0.15)
-    assert scrambled == pytest.approx(1.0, abs=0.25)
+    # Rows are spread over the blocks, and these sum as many taxels of a pad, but for chance.
+    assert scrambled < 0.85 * gaussian
 
 
 def lines_of(phi: str = "", **reconstructor: Any) -> list[str]:

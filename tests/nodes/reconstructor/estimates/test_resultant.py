@@ -12,6 +12,7 @@ from sparseskin.messages import FieldError, Reconstruction, Resultant
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.estimates.resultant import T
 from sparseskin.nodes.reconstructor.node import ReconstructorSettings
 from sparseskin.studies.targets.study import banded
 
@@ -93,7 +94,7 @@ def test_a_contact_that_jumps_has_its_new_centre_at_once_and_bounded_bands() -> 
         assert abs(one.col - col) < min(largest, 4 * one.col_sd)
         # The frame of a jump knows its centre from its own image, the next ones from the first
         # frame after it: the mean over frames before the jump, 25 taxels off, is no part of them.
-        assert 0.05 < max(one.row_sd, one.col_sd) < (3 if since == 0 else 1)
+        assert T.centre_floor < max(one.row_sd, one.col_sd) < (3 if since == 0 else 1)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ from watched import DESK_SHAPE as SHAPE
 from watched import Desk, N
 
 from sparseskin.messages import Reconstruction, ShapeError, decode, encode
-from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.base import BLOCK, RANDOM, SPREAD, make_phi
+from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED, Uncertainty
@@ -28,9 +29,11 @@ def held(preset: str, scene: int) -> tuple[float, float]:
     name = chosen.pop("solver")
     truth = np.array(list(random_scene(scene, 150)[1]))
     shape, n = truth.shape[1:], truth[0].size
-    phi = make_phi("sbhe", n, n // 3, seed=0)
+    # The rows that belong to the preset.
+    block, rule = (PAPER_BLOCK, RANDOM) if preset == "paper" else (BLOCK, SPREAD)
+    phi = make_phi("sbhe", n, n // 3, 0, block, rule)
     solver = make_solver(name, phi, make_basis(chosen["basis"], *shape))
-    uncertainty = Uncertainty(solver.mask, phi.ratio, name)
+    uncertainty = Uncertainty(solver.mask, phi.ratio, name, rule=rule)
     within = np.zeros(truth.shape, np.bool_)
     for k, y in enumerate(phi.forward(noisy(truth).reshape(-1, n))):
         forces = solver.solve(y)
@@ -81,7 +84,7 @@ def test_the_first_frame_is_the_definition_on_all_edges_of_the_skin(
 ) -> None:
     frame = np.random.default_rng(0).uniform(0, 0.01, (9, 7)).astype(np.float32)
     frame[rows, cols] += 0.5
-    factor, power = CALIBRATED["skin"]["fixed"]
+    factor, power = CALIBRATED["skin"][SPREAD]["fixed"]
     sd = Uncertainty(np.ones((9, 7), np.bool_), 3.0, "skin").update(frame, 0.02)
     expected = deviations_by_definition(frame, 0.02, factor * 3.0**power)
     np.testing.assert_allclose(sd, expected, rtol=1e-4)
