@@ -99,7 +99,7 @@ def test_skin_finds_the_forces_of_numpy_where_rows_rotate(
     """
     mask = mask_of(shape, n_missing)
     n = int(mask.sum())
-    phases = row_subsets(SbhePhi(n, -(-n // 3), 0), "rotating")
+    phases = row_subsets(SbhePhi(n, -(-n // 3), 3), "rotating")
     solvers = [made("skin", phases[0], mask, how) for how in ("on", *["off"] * 4)]
     rng = np.random.default_rng(0)
     errors, by_rounding = [], []
