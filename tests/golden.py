@@ -23,7 +23,7 @@ ENVIRONMENT = {
 WINDOWS = {
     "lift_box_40": (315, 80),
     "lift_wrench_40": (315, 80),
-    "drag_wrench_40": (1500, 80),
+    "drag_wrench_40": (1550, 80),
     "path_40": (315, 80),
     "lift_box_64": (3230, 80),
     "drag_wrench_64": (4000, 80),

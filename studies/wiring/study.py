@@ -14,7 +14,14 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.local import WIRED_BLOCK
-from sparseskin.nodes.compressor.phi.rotation import PAPER, ROTATING, block_and_rule, m_of, row_subsets, rows_and_m
+from sparseskin.nodes.compressor.phi.rotation import (
+    PAPER,
+    ROTATING,
+    block_and_rule,
+    m_of,
+    row_subsets,
+    rows_and_m,
+)
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.compressor.wiring import Wiring, array_wiring, sbhe_wiring
 from sparseskin.nodes.numerics.arrays import Floats

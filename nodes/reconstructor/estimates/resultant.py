@@ -113,7 +113,7 @@ class ResultantEstimator:
         self._sums = np.zeros((3, 3))
         self._rows: Floats | None = None
         self._rows_of = ""
-        self._bias = self._noise2 = 0.0
+        self._bias = self._along = self._energy = self._noise2 = 0.0
         self._n_frames = 0
         self._last: Estimate | None = None
         self._prior = self._total_error2 = self._slow_total = 0.0
@@ -168,7 +168,10 @@ class ResultantEstimator:
         # not asked: that is the bias.
         apart2 = (float(np.dot(left, left)) - along * bias) / self._m
         if self._n_frames == 1 or apart2 < T.settled * self._noise2:
-            self._bias += rate * (max(0.0, bias) - self._bias)
+            # By regression over the frames: a row subset may hold no sum, in which a bias shows.
+            self._along += rate * (along - self._along)
+            self._energy += rate * (energy - self._energy)
+            self._bias = max(0.0, self._along / (self._energy + TINY))
         left -= np.float32(self._bias) * ones
         noise2 = float(np.dot(left, left)) / self._m
         self._noise2 += rate * (noise2 - self._noise2)

@@ -17,9 +17,8 @@ MEAN_RATE, RATE = 0.25, 0.2
 #: or are untouched are not certain.
 CHANGE_FLOOR, FORCE_FLOOR = 0.03, 0.3
 #: By solver, rule of the rows of Phi, and fixed rows or rotating ones: factor a, and power b of
-#: N / M. Fitted on random scenes at N/3, N/4 and N/8, so that bands of 1.645 deviations hold 90 % of
-#: the touched taxels, by the geometric mean over the scenes; those of `RANDOM` on the six scenes,
-#: too.
+#: N / M. Fitted on random scenes at N/3, N/4 and N/8, so that bands of 1.645 deviations hold 90 %
+#: of the touched taxels, by the geometric mean over the scenes.
 CALIBRATED = {
     "skin": {
         SPREAD: {FIXED: (1.3, 0.11), ROTATING: (1.31, 0.2)},

@@ -204,7 +204,8 @@ class RowWatch:
         np.maximum(peers, typical, out=peers)
         # The bias differs from block to block, and adds up in sums.
         if heavy.size:
-            per_one = _middle(squared[heavy] / self._heavy_ones2) / MEDIAN_SQUARE
+            shares: Floats = squared[heavy] / self._heavy_ones2
+            per_one = _middle(shares) / MEDIAN_SQUARE
             peers[heavy] = np.maximum(peers[heavy], np.float32(per_one) * self._heavy_ones2)
         np.multiply(peers, ODD, out=self._bound)
         # The quick check of `update` does not subtract the bias of its frame.
