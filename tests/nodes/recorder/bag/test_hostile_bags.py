@@ -5,17 +5,19 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from bags import N_COLS, N_ROWS, PHI, frames, make_bag, record, skin_state
+from mcap.records import ChunkIndex, MetadataIndex
+from mcap.writer import Writer
 
 from sparseskin.launch.commands.bag import info_json, info_table
 from sparseskin.messages import Measurements
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.recorder.bag import mcap_writer
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter
@@ -30,11 +32,11 @@ def forged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Forge],
     """A bag whose metadata records are forged; the rest, and all checksums, are right."""
 
     def make(forge: Forge) -> Path:
-        add = mcap_writer.McapWriter.add_metadata
+        add = Writer.add_metadata
         path = tmp_path / "a.mcap"
         with monkeypatch.context() as patch:
             patch.setattr(
-                mcap_writer.McapWriter,
+                Writer,
                 "add_metadata",
                 lambda self, name, values: add(self, name, forge(name, values)),
             )
@@ -138,13 +140,10 @@ def test_one_long_frame_among_short_ones_is_not_padded_without_limit(tmp_path: P
 def test_metadata_beyond_the_end_are_read_past(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    finish = mcap_writer.McapWriter.finish
-
-    def elsewhere(self: Any) -> None:
-        self._metadata[-1].offset = 2**60
-        finish(self)
-
-    monkeypatch.setattr(mcap_writer.McapWriter, "finish", elsewhere)
+    write = MetadataIndex.write
+    monkeypatch.setattr(
+        MetadataIndex, "write", lambda self, out: write(replace(self, offset=2**60), out)
+    )
     payloads = make_bag(tmp_path / "a.mcap", frames(N_FRAMES))
     with BagReader(tmp_path / "a.mcap") as bag:
         assert [message.payload for message in bag.messages()] == payloads
@@ -153,8 +152,10 @@ def test_metadata_beyond_the_end_are_read_past(
 def test_a_chunk_that_is_listed_again_and_again_is_read_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    append = mcap_writer._Spool.append
-    monkeypatch.setattr(mcap_writer._Spool, "append", lambda self, data: append(self, 50 * data))
+    write = ChunkIndex.write
+    monkeypatch.setattr(
+        ChunkIndex, "write", lambda self, out: [write(self, out) for _ in range(50)]
+    )
     payloads = make_bag(tmp_path / "a.mcap", frames(N_FRAMES))
     with BagReader(tmp_path / "a.mcap") as bag:
         assert [message.payload for message in bag.messages()] == payloads
