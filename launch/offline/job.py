@@ -87,7 +87,7 @@ def _stream(job: Job, source: Path, launch: LaunchFile, progress: bool) -> dict[
 
     clock = ManualClock()
     bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, clock)
-    with BagReader(source) as bag:
+    with BagReader(source, whole=False) as bag:
         total = max((info.n_messages for info in bag.topics.values()), default=0)
     bar = tqdm(total=total, disable=not progress, unit="frame", desc=Path(job.source).name)
     with bar, closing(bus):
@@ -156,7 +156,7 @@ def make_graph(
     from sparseskin.messages.topics import split_topic
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
-    with BagReader(source) as bag:
+    with BagReader(source, whole=False) as bag:
         start_from, patch = start_of(job, bag)
         present = {split_topic(topic)[1] for topic in bag.topics}
         made_by = bag.metadata.get("launch", "")

@@ -6,9 +6,8 @@ import io
 import math
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import IO, Any, Literal
+from collections.abc import Callable
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +19,6 @@ MAX_GROWN_BYTES = 1 << 30
 MAX_HEAD_BYTES = 1 << 17
 """Longest header of an .npy, bytes; that of NumPy is a hundred."""
 _NPY, _ZIP = b"\x93NUMPY", b"PK"
-_PART_BYTES = 1 << 23
 
 
 class ArrayFileError(ValueError):
@@ -43,51 +41,6 @@ def read_npy(raw: bytes) -> npt.NDArray[np.generic]:
         return flat.reshape(shape, order="F" if in_columns else "C")
     except ValueError as error:  # no number, in sides that no index counts
         raise ArrayFileError(f"its header states {_shape(shape)}") from error
-
-
-@dataclass(frozen=True, eq=False)
-class ArrayPart:
-    """Elements of an array of `shape` that follow each other in its file, in `order`: `values`, one
-    dimension, of which the first has the number `first`.
-    """
-
-    shape: tuple[int, ...]
-    order: Literal["C", "F"]
-    first: int
-    values: npt.NDArray[Any]
-
-
-def npy_parts(file: IO[bytes], n_bytes: int, most_bytes: int) -> Iterator[ArrayPart]:
-    """The elements of an .npy of `n_bytes`, of which no more than `most_bytes` are read, some MiB
-    at a time. Raises ArrayFileError as `read_npy` does.
-    """
-    head = io.BytesIO(file.read(MAX_HEAD_BYTES))
-    shape, in_columns, dtype = _header(head)
-    _check_size(shape, dtype, n_bytes - head.tell())
-    if dtype.itemsize > _PART_BYTES:
-        raise ArrayFileError(f"its elements have {dtype.itemsize} bytes; at most {_PART_BYTES}")
-    n_part, first = _PART_BYTES // dtype.itemsize * dtype.itemsize, 0
-    raw = head.read()
-    while first * dtype.itemsize < most_bytes:
-        raw += file.read(n_part - len(raw))
-        values = np.frombuffer(raw, dtype, len(raw) // dtype.itemsize)
-        if not values.size:
-            return
-        yield ArrayPart(shape, "F" if in_columns else "C", first, values)
-        first, raw = first + values.size, b""
-
-
-def npz_parts(file: IO[bytes], name: str, most_bytes: int) -> Iterator[ArrayPart]:
-    """As `npy_parts`, of one array of an .npz. Raises ArrayFileError as `read_npz` does."""
-    try:
-        with zipfile.ZipFile(file) as archive:
-            member = _members(archive)[name]
-            _check_compression(member)
-            with archive.open(member) as one:
-                yield from npy_parts(one, member.file_size, most_bytes)
-    except Exception as error:  # as in `read_npz`
-        why = str(error) if isinstance(error, ArrayFileError) else "not a readable NumPy file"
-        raise ArrayFileError(f"array {ascii(name)[:40]}: {why}") from error
 
 
 def npy_shape(file: IO[bytes]) -> tuple[int, ...]:

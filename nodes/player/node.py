@@ -86,7 +86,10 @@ class Player(SourceNode[PlayerSettings]):
     def facts(cls, settings: PlayerSettings) -> Mapping[str, Any]:
         facts: dict[str, Any] = {}
         # What cannot be read is reported as it is played.
-        with BagReader(settings.file) as bag, contextlib.suppress(SparseskinError, MessageError):
+        with (
+            BagReader(settings.file, whole=False) as bag,
+            contextlib.suppress(SparseskinError, MessageError),
+        ):
             names = {old: new for old, new in renamed_topics(settings).items() if old in bag.topics}
             for recorded in bag.messages(filter(is_latched, names)):
                 state = decode(recorded.topic.encode(), recorded.payload)

@@ -66,7 +66,7 @@ class PlayerSettings(Settings):
 
 @lru_cache(maxsize=8)
 def _topics_of(file: str) -> dict[str, TopicInfo]:
-    with BagReader(file) as bag:
+    with BagReader(file, whole=False) as bag:
         return dict(bag.topics)
 
 

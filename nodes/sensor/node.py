@@ -19,8 +19,7 @@ from .calibration.stage import Stage, described, fitted
 from .calibration.zero import ZeroWatch
 from .clipped import Clipped, clipped_text
 from .driver import DriverSource
-from .files.head import n_taxels
-from .files.recorded import RecordedSource
+from .files.recorded import RecordedSource, n_taxels
 from .noise import NoiseModel
 from .settings import SensorSettings
 from .simulators.model import MUJOCO, check_model

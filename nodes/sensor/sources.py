@@ -16,7 +16,6 @@ from sparseskin.nodes.lookup import (
     one_line,
     search_here,
 )
-from sparseskin.nodes.sensor.files.head import n_taxels
 from sparseskin.nodes.sensor.files.parsed import (
     DEFAULT_POLICY,
     KEEP,
@@ -24,7 +23,7 @@ from sparseskin.nodes.sensor.files.parsed import (
     Policy,
     check_stated_shape,
 )
-from sparseskin.nodes.sensor.files.recorded import SUFFIXES, open_file, unknown_suffix
+from sparseskin.nodes.sensor.files.recorded import n_taxels, open_file
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, check_scene, open_scene
 from sparseskin.nodes.sensor.simulators.model import MUJOCO, check_model
 
@@ -81,12 +80,6 @@ def check_source(
     elif not source.startswith(FILE):
         check_module(source)
     else:
-        path = Path(rest)
-        if not path.is_file():
-            what = "is a folder" if path.is_dir() else "no such file"
-            raise SourceError(f"{rest}: {what}")
-        if path.suffix.lower() not in SUFFIXES:
-            raise SourceError(f"{rest}: {unknown_suffix(path.suffix)}")
         n_taxels(rest, n_rows, n_cols, unit, policy)
 
 
@@ -198,16 +191,16 @@ def open_source(
     if is_board(source):
         board = describe_board(source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
         return BoardSource(board, raw)
-    check_source(source, n_rows, n_cols, "raw" if raw and unit is None else unit, policy)
+    if source.startswith(FILE):
+        path = source.removeprefix(FILE)
+        return open_file(path, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max, policy=policy)
+    check_source(source, n_rows, n_cols, unit, policy)
     if source.startswith(SCENE):
         stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": unit, "f_max": f_max}
         for name, value in stated.items():
             if value is not None:
                 raise SourceError(f"{source}: {name} = {value} is stated, but a scene has its own")
         return open_scene(source.removeprefix(SCENE), seed=seed)
-    if source.startswith(FILE):
-        path = source.removeprefix(FILE)
-        return open_file(path, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max, policy=policy)
     if source.startswith(MUJOCO):
         from sparseskin.nodes.sensor.simulators.source import open_mujoco
 

@@ -199,8 +199,8 @@ class BagIndex:
         ]
 
 
-def load_index(file: BinaryIO, name: str) -> tuple[BagIndex, str]:
-    """Read the index of a bag, or scan the file.
+def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex, str]:
+    """Read the index of a bag, or scan the file; `whole` as in `BagReader`.
 
     Returns
     -------
@@ -221,7 +221,7 @@ def load_index(file: BinaryIO, name: str) -> tuple[BagIndex, str]:
         if MAGIC.startswith(first):
             raise BagError(f"{name}: ends after {len(first)} bytes, before anything was recorded")
         raise BagError(f"{name}: not an MCAP file (it begins with {first!r}){_source_hint(name)}")
-    index, damage = _read_summary(file, name)
+    index, damage = _read_summary(file, name, whole)
     return (index, "") if index is not None else _scan(file, name, damage)
 
 
@@ -237,7 +237,7 @@ def _source_hint(name: str) -> str:
     )
 
 
-def _read_summary(file: BinaryIO, name: str) -> tuple[BagIndex | None, str]:
+def _read_summary(file: BinaryIO, name: str, whole: bool) -> tuple[BagIndex | None, str]:
     """The index at the end of the file, None if it must be scanned; and the damage found by
     the checksums, "" for none.
     """
@@ -262,9 +262,10 @@ def _read_summary(file: BinaryIO, name: str) -> tuple[BagIndex | None, str]:
         stated = parse(mcap.DataEnd.read, content(file, data_end), data_end_at).data_section_crc
     except Break:
         return None, _NO_INDEX
-    if stated and not is_checked(file) and crc_of(file, 0, data_end_at) != stated:
-        return None, "a record outside the messages is damaged"
-    note_checked(file)
+    if stated and whole and not is_checked(file):
+        if crc_of(file, 0, data_end_at) != stated:
+            return None, "a record outside the messages is damaged"
+        note_checked(file)
     if not (stated and footer.summary_crc):
         return None, ""
     try:

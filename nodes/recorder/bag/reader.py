@@ -44,6 +44,14 @@ class BagReader(Closing):
     Opening it checks the whole file: by its one checksum, at the speed of the disk, or chunk by
     chunk where the file has no index. Memory holds one chunk at a time.
 
+    Parameters
+    ----------
+    path : path
+        The bag, NAME.mcap or NAME.mcap.part.
+    whole : bool
+        False: where the checksum of the index matches, the rest of the file is not read; a chunk
+        that is damaged is then found when it is read.
+
     Attributes
     ----------
     path : Path
@@ -64,11 +72,11 @@ class BagReader(Closing):
         If the file is missing, no bag, of a newer version, or broken before the first record.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], whole: bool = True) -> None:
         self.path = Path(path)
         self._file = _open(self.path)
         try:
-            self._index, self.recovered = load_index(self._file, str(self.path))
+            self._index, self.recovered = load_index(self._file, str(self.path), whole)
         except OSError as error:
             self._file.close()
             raise BagError(f"{self.path}: {error.strerror}") from error
@@ -140,7 +148,8 @@ class BagReader(Closing):
             return open_chunk(content(self._file, chunk.record), offset)
         except Break as broken:
             raise BagError(
-                f"{self.path}: was changed while it was read, at byte {offset}: {broken.why}"
+                f"{self.path}: is damaged, or was changed while it was read, at byte {offset}: "
+                f"{broken.why}"
             ) from broken
         except OSError as error:
             raise BagError(f"{self.path}: {error.strerror}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import pairwise
@@ -15,37 +16,30 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.array_files import (
     MAX_HEAD_BYTES,
     ArrayFileError,
-    ArrayPart,
     is_npz,
-    npy_parts,
     npy_shape,
     npz_member,
-    npz_parts,
     npz_shapes,
     read_npy,
     read_npz,
 )
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 
 from .parsed import (
-    DEFAULT_POLICY,
-    REFUSE,
+    Head,
+    Lines,
     Parsed,
     Policy,
+    Recording,
     check_grid,
-    check_part,
     is_missing,
     is_number,
     parse_number,
     parse_reading,
     shown,
     stack_frames,
-    text_lines,
 )
 
-MAX_CHECKED_BYTES = 1 << 30
-"""Readings of an .npy or .npz that are checked before a graph starts, bytes; chosen: seconds. The
-sensor checks all."""
 _MOST = 64
 """Arrays of an .npz without `forces` whose shapes are looked at."""
 NPZ_NAMES = (
@@ -62,22 +56,33 @@ NPZ_NAMES = (
 """Names of the arrays that are read from an .npz; all others are ignored."""
 
 
-def parse_npy(raw: bytes, name: str) -> Parsed:
-    """Read one array of shape (n_frames, n_rows, n_cols), any integer or float dtype.
+class NpyRecording(Recording):
+    """One array of shape (n_frames, n_rows, n_cols), any integer or float dtype.
 
     Raises
     ------
     SourceError
-        If the bytes are no .npy file or hold anything else.
+        If the file is no .npy or holds anything else.
     """
-    if is_npz(raw):
-        raise SourceError(f"{name}: holds an archive of arrays; name it .npz")
-    with _refusing(name):
-        return Parsed(forces=_as_frames(read_npy(raw), name))
+
+    def __init__(self, file: IO[bytes], name: str) -> None:
+        self._file, self._name = file, name
+
+    def head(self) -> Head:
+        with _refusing(self._name):
+            _, n_rows, n_cols = checked_shape(npy_shape(self._file), self._name)
+        return Head(n_rows, n_cols, n_rows * n_cols)
+
+    def read(self) -> Parsed:
+        raw = _whole(self._file)
+        if is_npz(raw):
+            raise SourceError(f"{self._name}: holds an archive of arrays; name it .npz")
+        with _refusing(self._name):
+            return Parsed(forces=_as_frames(read_npy(raw), self._name))
 
 
-def parse_npz(raw: bytes, name: str) -> Parsed:
-    """Read an archive of arrays.
+class NpzRecording(Recording):
+    """An archive of arrays.
 
     It holds `forces`, shape (n_frames, n_rows, n_cols), or one 3-D array of any name, and
     optionally `stamp_ns`, shape (n_frames,), rising integers; `rate_hz`, `f_max` and `pitch_m`,
@@ -89,20 +94,37 @@ def parse_npz(raw: bytes, name: str) -> Parsed:
     Raises
     ------
     SourceError
-        If the bytes are no .npz file, or one of these arrays is not as described.
+        If the file is no .npz, or one of these arrays is not as described.
     """
-    with _refusing(name):
-        if not is_npz(raw):
-            read_npy(raw)
-            raise SourceError(f"{name}: holds a single array; name it .npy")
-        arrays = read_npz(
-            raw, lambda held: [key for key in held if "forces" not in held or key in NPZ_NAMES]
-        )
-    return parsed_arrays(arrays, name)
+
+    def __init__(self, file: IO[bytes], name: str) -> None:
+        self._file, self._name = file, name
+
+    def head(self) -> Head:
+        file, name = self._file, self._name
+        with _refusing(name):
+            shapes = npz_shapes(file, lambda held: ["forces"] if "forces" in held else held[:_MOST])
+            found = forces_name({key: len(one) for key, one in shapes.items()}, name)
+            _, n_rows, n_cols = checked_shape(shapes[found], f"{name}, array {shown(found)}")
+            if not npz_shapes(file, lambda held: ["mask"] if "mask" in held else []):
+                return Head(n_rows, n_cols, n_rows * n_cols)
+            mask = npz_member(file, "mask", 8 * MAX_ELEMENTS + MAX_HEAD_BYTES)
+        return Head(n_rows, n_cols, int(_mask(mask, (n_rows, n_cols), name).sum()))
+
+    def read(self) -> Parsed:
+        raw = _whole(self._file)
+        with _refusing(self._name):
+            if not is_npz(raw):
+                read_npy(raw)
+                raise SourceError(f"{self._name}: holds a single array; name it .npy")
+            arrays = read_npz(
+                raw, lambda held: [key for key in held if "forces" not in held or key in NPZ_NAMES]
+            )
+        return parsed_arrays(arrays, self._name)
 
 
 def parsed_arrays(arrays: Mapping[str, npt.NDArray[Any]], name: str) -> Parsed:
-    """A recording of arrays as in `parse_npz`, of a container of any format; raises as it does."""
+    """A recording of arrays as in `NpzRecording`, of any container; raises as it does."""
     found = forces_name({key: array.ndim for key, array in arrays.items()}, name)
     forces = _as_frames(arrays[found], f"{name}, array {shown(found)}")
     mask = _mask(arrays["mask"], forces.shape[1:], name) if "mask" in arrays else None
@@ -161,84 +183,8 @@ def _point_rows(array: npt.NDArray[Any], exists: Mask, where: str) -> npt.NDArra
     return found
 
 
-def npy_file_shape(file: IO[bytes], name: str) -> tuple[int, ...]:
-    """Shape of the array of an .npy, from its header.
-
-    Raises
-    ------
-    SourceError
-        If it has no such header.
-    """
-    with _refusing(name):
-        shape = npy_shape(file)
-    _check_dimensions(shape, name)
-    return shape
-
-
-def npz_file_shape(file: IO[bytes], name: str) -> tuple[tuple[int, ...], int | None]:
-    """Shape of the frames of an .npz, from their header, and the number of taxels by its mask;
-    None where it has none.
-
-    Raises
-    ------
-    SourceError
-        If it is no archive, does not hold frames, or the mask is malformed.
-    """
-    with _refusing(name):
-        _, shape, mask = _npz_frames(file, name)
-    return shape, None if mask is None else int(mask.sum())
-
-
-def _npz_frames(file: IO[bytes], name: str) -> tuple[str, tuple[int, ...], Mask | None]:
-    """Name and shape of the frames of an .npz, and its mask."""
-    shapes = npz_shapes(file, lambda held: ["forces"] if "forces" in held else held[:_MOST])
-    found = forces_name({key: len(one) for key, one in shapes.items()}, name)
-    shape = shapes[found]
-    _check_dimensions(shape, f"{name}, array {shown(found)}")
-    if not npz_shapes(file, lambda held: ["mask"] if "mask" in held else []):
-        return found, shape, None
-    mask = npz_member(file, "mask", 8 * MAX_ELEMENTS + MAX_HEAD_BYTES)
-    return found, shape, _mask(mask, shape[1:], name)
-
-
-def check_npy(file: IO[bytes], name: str, n_bytes: int, policy: Policy) -> None:
-    """Check the readings of an .npy of frames, as they are read: the first `MAX_CHECKED_BYTES`.
-
-    Raises
-    ------
-    SourceError
-        If the array is refused by `parse_npy`, or a reading by `policy`.
-    """
-    with _refusing(name):
-        _check_parts(npy_parts(file, n_bytes, MAX_CHECKED_BYTES), name, None, policy, name)
-
-
-def check_npz(file: IO[bytes], name: str, policy: Policy) -> None:
-    """As `check_npy`, of the frames of an .npz, whose shapes are those of `npz_file_shape`."""
-    with _refusing(name):
-        found, _, mask = _npz_frames(file, name)
-        parts = npz_parts(file, found, MAX_CHECKED_BYTES)
-        _check_parts(parts, f"{name}, array {shown(found)}", mask, policy, name)
-
-
-def _check_parts(
-    parts: Iterator[ArrayPart], array: str, mask: Mask | None, policy: Policy, name: str
-) -> None:
-    for part in parts:
-        _check_dtype(part.values.dtype, array)
-        if part.values.dtype.kind == "u":
-            return
-        check_part(part, name, policy.low, mask, finite=policy.nan == REFUSE)
-
-
-def parse_plain_csv(
-    raw: bytes,
-    name: str,
-    n_rows: int | None,
-    n_cols: int | None,
-    policy: Policy = DEFAULT_POLICY,
-) -> Parsed:
-    """Read numbers separated by commas, one frame a line, row after row of the skin.
+class PlainCsvRecording(Recording):
+    """Numbers separated by commas, one frame a line, row after row of the skin.
 
     Blank lines and lines that begin with `#` are skipped. If only one of `n_rows` and `n_cols`
     is stated, the other follows from the length of a line. Readings that are not finite (an empty
@@ -250,32 +196,54 @@ def parse_plain_csv(
         If no shape is stated, a line has not n_rows x n_cols numbers, or one is not a finite
         number >= 0.
     """
-    frames: list[npt.NDArray[np.float64]] = []
-    for index, line in enumerate(text_lines(raw)):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        where = f"{name}, line {index + 1}"
-        tokens = [token.strip() for token in line.split(",")]
-        if not frames and not (is_number(tokens[0]) or is_missing(tokens[0], policy)):
+
+    def __init__(
+        self, lines: Lines, n_rows: int | None, n_cols: int | None, policy: Policy
+    ) -> None:
+        self._lines, self._policy = lines, policy
+        tokens = self._next()
+        if tokens is None:
+            raise SourceError(f"{lines.name}: the recording holds no frame")
+        where = lines.where
+        if not (is_number(tokens[0]) or is_missing(tokens[0], policy)):
             raise SourceError(
                 f"{where}: {shown(tokens[0])} is not a number; allowed: an export of Tekscan or "
-                f"XSENSOR, or numbers with one frame a line{_vendor(line)}"
+                f"XSENSOR, or numbers with one frame a line{_vendor(','.join(tokens))}"
             )
         if n_rows is None or n_cols is None:
             n_rows, n_cols = _stated_shape(len(tokens), n_rows, n_cols, where)
-        if not frames:
-            check_grid(n_rows, n_cols, name)
+        check_grid(n_rows, n_cols, lines.name)
+        self._shape = n_rows, n_cols
+        self._first = self._frame(tokens)
+
+    def head(self) -> Head:
+        return Head(*self._shape, math.prod(self._shape))
+
+    def read(self) -> Parsed:
+        frames = [self._first]
+        while (tokens := self._next()) is not None:
+            frames.append(self._frame(tokens))
+        return Parsed(forces=stack_frames(frames, self._lines.name))
+
+    def _next(self) -> list[str] | None:
+        """The cells of the next line that is neither blank nor a comment; None at the end."""
+        for line in self._lines:
+            if line.strip() and not line.lstrip().startswith("#"):
+                return [token.strip() for token in line.split(",")]
+        return None
+
+    def _frame(self, tokens: list[str]) -> Doubles:
+        (n_rows, n_cols), where = self._shape, self._lines.where
         if len(tokens) != n_rows * n_cols:
             raise SourceError(
                 f"{where}: holds {len(tokens)} cells, but n_rows x n_cols = "
                 f"{n_rows} x {n_cols} needs {n_rows * n_cols}"
             )
         readings = [
-            parse_reading(token, where, *divmod(k, n_cols), policy)
+            parse_reading(token, where, *divmod(k, n_cols), self._policy)
             for k, token in enumerate(tokens)
         ]
-        frames.append(np.array(readings).reshape(n_rows, n_cols))
-    return Parsed(forces=stack_frames(frames, name))
+        return np.array(readings).reshape(n_rows, n_cols)
 
 
 def _vendor(line: str) -> str:
@@ -327,22 +295,28 @@ def forces_name(dimensions: Mapping[str, int], name: str) -> str:
 
 
 def _as_frames(array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
-    _check_dtype(array.dtype, where)
-    _check_dimensions(array.shape, where)
+    if array.dtype.kind not in "iuf":
+        raise SourceError(
+            f"{where}: dtype {shown(array.dtype)}; allowed are integers and floating point"
+        )
+    checked_shape(array.shape, where)
     return array
 
 
-def _check_dtype(dtype: np.dtype[Any], where: str) -> None:
-    if dtype.kind not in "iuf":
-        raise SourceError(f"{where}: dtype {shown(dtype)}; allowed are integers and floating point")
-
-
-def _check_dimensions(shape: tuple[int, ...], where: str) -> None:
+def checked_shape(shape: tuple[int, ...], where: str) -> tuple[int, ...]:
+    """The shape of frames; SourceError unless it has three dimensions."""
     if len(shape) != 3:
         raise SourceError(
             f"{where}: has {len(shape)} dimensions, shape {shape}; "
             "expected three: (frames, rows, columns)"
         )
+    return shape
+
+
+def _whole(file: IO[bytes]) -> bytes:
+    """All bytes of a file of which some have been read."""
+    file.seek(0)
+    return file.read()
 
 
 def _mask(array: npt.NDArray[Any], shape: tuple[int, ...], name: str) -> Mask:

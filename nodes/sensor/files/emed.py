@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 
@@ -13,14 +14,16 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
 
 from .parsed import (
+    Head,
+    Lines,
     Parsed,
+    Recording,
     check_grid,
     parse_number,
     parse_reading,
     parse_whole,
     shown,
     stack_frames,
-    text_lines,
 )
 
 _MATRIX = re.compile(r"Matrix:\s*(\S*)")
@@ -29,6 +32,8 @@ _PERIOD = re.compile(r"Time/picture:\s*(\S+)\s*(\S*)")
 _SIZE = re.compile(r"Sensor size:\s*([^x\s]+)x(\S+)\s*(\S*)")
 _PICTURE = re.compile(r"Pict-No\.:\s*(\S*)")
 
+Stated: TypeAlias = dict[re.Pattern[str], tuple[re.Match[str], str]]
+"""Properties of a page, each with its place: where one stands twice, the last."""
 _KPA_CM2_IN_NEWTONS = 0.1
 _SUM_ROUNDING_N = 0.0051
 """Force sums are printed to 0.01 N."""
@@ -51,8 +56,8 @@ class _Header:
         return self.area_cm2 * _KPA_CM2_IN_NEWTONS
 
 
-def parse_emed(raw: bytes, name: str) -> Parsed:
-    """Read an emed text export.
+class EmedRecording(Recording):
+    """An emed text export.
 
     A page lists only the rows and columns that were touched at some time, labelled from 1; they
     are put in their places on the full matrix of the platform. Pages without a `Pict-No.`, or
@@ -60,17 +65,7 @@ def parse_emed(raw: bytes, name: str) -> Parsed:
     Force column and row, every sum is compared with the readings, which also verifies that the
     pressures are in kPa: the file does not state their unit.
 
-    Parameters
-    ----------
-    raw : bytes
-        Content of the file.
-    name : str
-        Name of the file, for errors.
-
-    Returns
-    -------
-    Parsed
-        `forces` float64, shape (n_frames, n_rows, n_cols), newtons: pressure times sensor area.
+    `forces` are float64, newtons: pressure times sensor area.
 
     Raises
     ------
@@ -78,59 +73,132 @@ def parse_emed(raw: bytes, name: str) -> Parsed:
         If a page is cut short or does not fit its header, a frame is missing, a reading is not
         a finite number >= 0, or a Force sum is not the sum of its readings.
     """
-    lines = text_lines(raw)
-    frames: list[Doubles] = []
-    header: _Header | None = None
-    first_number = 0
-    page_start = 0
-    for index, line in enumerate(lines):
-        picture = _PICTURE.search(line)
-        if picture is None:
-            continue
-        start, page_start = page_start, index + 1
-        if not picture[1].isdigit():
-            continue
-        page_header = _parse_header(lines, start, index + 1, name)
-        where = f"{name}, line {index + 1}"
-        number = parse_whole(picture[1], where, 0, 999_999_999)
-        if header is None:
-            header, first_number = page_header, number
-        if page_header != header:
-            raise SourceError(f"{where}: the header of frame {number} differs from the first one")
-        if number != first_number + len(frames):
+
+    def __init__(self, lines: Lines) -> None:
+        self._lines = lines
+        first = self._next_page()
+        if first is None:
             raise SourceError(
-                f"{where}: frame {number} comes where frame {first_number + len(frames)} should; "
-                "a recording is one measurement with no frame left out"
+                f"{lines.name}: no page with a line 'Pict-No.: 1'; not an emed text export"
             )
-        frames.append(_parse_page(lines, index + 1, header, number, name))
-    if header is None:
-        raise SourceError(f"{name}: no page with a line 'Pict-No.: 1'; not an emed text export")
-    return Parsed(
-        forces=stack_frames(frames, name) * header.newtons_per_kpa,
-        unit="N",
-        rate_hz=1000.0 / header.period_ms,
-        stamp_ns=tuple(round(k * header.period_ms * 1e6) for k in range(len(frames))),
-        pitch_m=header.pitch_m,
-    )
+        self._header, self._first_number = first
+
+    def head(self) -> Head:
+        rows, cols = self._header.n_rows, self._header.n_cols
+        return Head(rows, cols, rows * cols, "N")
+
+    def read(self) -> Parsed:
+        header, first, name = self._header, self._first_number, self._lines.name
+        frames = [self._table(first)]
+        while (page := self._next_page()) is not None:
+            number, where = page[1], self._lines.where
+            if page[0] != header:
+                raise SourceError(
+                    f"{where}: the header of frame {number} differs from the first one"
+                )
+            if number != first + len(frames):
+                raise SourceError(
+                    f"{where}: frame {number} comes where frame {first + len(frames)} should; "
+                    "a recording is one measurement with no frame left out"
+                )
+            frames.append(self._table(number))
+        return Parsed(
+            forces=stack_frames(frames, name) * header.newtons_per_kpa,
+            unit="N",
+            rate_hz=1000.0 / header.period_ms,
+            stamp_ns=tuple(round(k * header.period_ms * 1e6) for k in range(len(frames))),
+            pitch_m=header.pitch_m,
+        )
+
+    def _next_page(self) -> tuple[_Header, int] | None:
+        """Read to the table of the next frame: its header and number; None at the end."""
+        stated: Stated = {}
+        for line in self._lines:
+            for pattern in (_MATRIX, _AREA, _PERIOD, _SIZE):
+                if match := pattern.search(line):
+                    stated[pattern] = match, self._lines.where
+            picture = _PICTURE.search(line)
+            if picture is None:
+                continue
+            if picture[1].isdigit():
+                where = self._lines.where
+                return _parse_header(stated, where), parse_whole(picture[1], where, 0, 999_999_999)
+            stated = {}
+        return None
+
+    def _table(self, number: int) -> Doubles:
+        """Read the table of a frame, kPa, onto the full matrix, float64 (n_rows, n_cols)."""
+        lines, header, start = self._lines, self._header, self._lines.where
+        line = next((line for line in lines if line.strip(" \t")), "\f")
+        if line.startswith("\f"):
+            raise SourceError(f"{start}: frame {number} has no table")
+        where = lines.where
+        corner, *labels = line.rstrip(" \t").split("\t")
+        if corner.strip():
+            raise SourceError(
+                f"{where}: {shown(corner)} stands where a row of column labels should"
+            )
+        has_sums = bool(labels) and labels[-1].strip() == "Force"
+        columns = [
+            parse_whole(label.strip(), f"{where}, column label", 1, header.n_cols) - 1
+            for label in labels[: len(labels) - has_sums]
+        ]
+        if any(after <= before for before, after in pairwise(columns)):
+            raise SourceError(f"{where}: the column labels do not rise")
+
+        kpa = np.zeros((header.n_rows, header.n_cols))
+        last_row, n_listed = -1, 0
+        for line in lines:
+            where = lines.where
+            if line.startswith("\f"):
+                if has_sums:
+                    break
+                lines.back()
+                return kpa
+            cells = [cell.strip() for cell in line.rstrip(" \t").split("\t")]
+            if len(cells) != 1 + len(columns) + has_sums:
+                raise SourceError(
+                    f"{where}: frame {number} has {len(cells)} cells in this row, "
+                    f"its header row {1 + len(columns) + has_sums}"
+                )
+            readings = cells[1 : 1 + len(columns)]
+            if cells[0] == "Force" and has_sums:
+                sums = [parse_number(cell, where) for cell in cells[1:]]
+                column_kpa = kpa[:, columns].sum(axis=0)
+                for label, stated, total in zip(labels, sums, column_kpa, strict=False):
+                    place = f"{where}, column {label.strip()}"
+                    _check_sum(stated, float(total), header, n_listed, place)
+                n_cells = n_listed * len(columns)
+                _check_sum(sums[-1], float(kpa.sum()), header, n_cells, f"{where}, column Force")
+                return kpa
+            row = parse_whole(cells[0], f"{where}, row label", 1, header.n_rows) - 1
+            if row <= last_row:
+                raise SourceError(f"{where}: row {row + 1} comes after row {last_row + 1}")
+            last_row, n_listed = row, n_listed + 1
+            place = f"{where}, frame {number}"
+            for col, token in zip(columns, readings, strict=True):
+                kpa[row, col] = parse_reading(token, place, row, col)
+            if has_sums:
+                stated_n = parse_number(cells[-1], where)
+                _check_sum(stated_n, float(kpa[row].sum()), header, len(columns), where)
+        raise SourceError(f"{where}: frame {number} is cut short before the end of its table")
 
 
-def _parse_header(lines: list[str], start: int, stop: int, name: str) -> _Header:
-    """Read the header of the page whose `Pict-No.` stands in lines[stop - 1]."""
+def _parse_header(stated: Stated, where: str) -> _Header:
+    """The header of the page whose `Pict-No.` stands at a place."""
 
     def find(pattern: re.Pattern[str], wanted: str) -> tuple[re.Match[str], str]:
-        # The last match is this page's: a page before it may have been skipped.
-        for index in range(stop - 1, start - 1, -1):
-            if match := pattern.search(lines[index]):
-                return match, f"{name}, line {index + 1}"
-        raise SourceError(f"{name}, line {stop}: the page before it states no '{wanted}'")
+        if pattern not in stated:
+            raise SourceError(f"{where}: the page before it states no '{wanted}'")
+        return stated[pattern]
 
     def quantity(pattern: re.Pattern[str], wanted: str, what: str, unit: str) -> list[float]:
-        match, where = find(pattern, f"{wanted} {unit}")
+        match, place = find(pattern, f"{wanted} {unit}")
         *numbers, found = match.groups()
         # A superscript two has one byte or two, by the encoding of the file.
         if not re.fullmatch(unit.replace("2", r"\S*"), found):
-            raise SourceError(f"{where}: {what} in {shown(found)}; allowed is {unit}")
-        return [parse_number(number, where, 1e-6, 1e6) for number in numbers]
+            raise SourceError(f"{place}: {what} in {shown(found)}; allowed is {unit}")
+        return [parse_number(number, place, 1e-6, 1e6) for number in numbers]
 
     n_rows, n_cols = _shape(*find(_MATRIX, "Matrix: COLUMNSxROWS"))
     (area_cm2,) = quantity(_AREA, "Sensor area: ...", "sensor area", "cm2")
@@ -141,84 +209,12 @@ def _parse_header(lines: list[str], start: int, stop: int, name: str) -> _Header
     return _Header(n_rows, n_cols, area_cm2, period_ms, pitch_m)
 
 
-def emed_shape(raw: bytes, name: str) -> tuple[int, int] | None:
-    """Rows and columns of a recording, from the begin of its file; None where it states none.
-
-    Raises
-    ------
-    SourceError
-        If the size of the matrix is malformed or too large.
-    """
-    for index, line in enumerate(text_lines(raw)[:-1]):  # the last one may be cut
-        if match := _MATRIX.search(line):
-            return _shape(match, f"{name}, line {index + 1}")
-    return None
-
-
 def _shape(match: re.Match[str], where: str) -> tuple[int, int]:
     n_cols_text, _, n_rows_text = match[1].partition("x")
     n_rows = parse_whole(n_rows_text, f"{where}, Matrix", 1, MAX_SIDE)
     n_cols = parse_whole(n_cols_text, f"{where}, Matrix", 1, MAX_SIDE)
     check_grid(n_rows, n_cols, where)
     return n_rows, n_cols
-
-
-def _parse_page(lines: list[str], start: int, header: _Header, number: int, name: str) -> Doubles:
-    """Read the table of one frame, kPa, onto the full matrix, float64 (n_rows, n_cols)."""
-    index = start
-    while index < len(lines) and lines[index].strip(" \t") == "":
-        index += 1
-    if index == len(lines) or lines[index].startswith("\f"):
-        raise SourceError(f"{name}, line {start}: frame {number} has no table")
-    where = f"{name}, line {index + 1}"
-    corner, *labels = lines[index].rstrip(" \t").split("\t")
-    if corner.strip():
-        raise SourceError(f"{where}: {shown(corner)} stands where a row of column labels should")
-    has_sums = bool(labels) and labels[-1].strip() == "Force"
-    columns = [
-        parse_whole(label.strip(), f"{where}, column label", 1, header.n_cols) - 1
-        for label in labels[: len(labels) - has_sums]
-    ]
-    if any(after <= before for before, after in pairwise(columns)):
-        raise SourceError(f"{where}: the column labels do not rise")
-
-    kpa = np.zeros((header.n_rows, header.n_cols))
-    last_row = -1
-    for row_index in range(index + 1, len(lines)):
-        line = lines[row_index].rstrip(" \t")
-        where = f"{name}, line {row_index + 1}"
-        if line.startswith("\f"):
-            if has_sums:
-                break
-            return kpa
-        cells = [cell.strip() for cell in line.split("\t")]
-        if len(cells) != 1 + len(columns) + has_sums:
-            raise SourceError(
-                f"{where}: frame {number} has {len(cells)} cells in this row, "
-                f"its header row {1 + len(columns) + has_sums}"
-            )
-        readings = cells[1 : 1 + len(columns)]
-        if cells[0] == "Force" and has_sums:
-            sums = [parse_number(cell, where) for cell in cells[1:]]
-            n_listed = row_index - index - 1
-            column_kpa = kpa[:, columns].sum(axis=0)
-            for label, stated, total in zip(labels, sums, column_kpa, strict=False):
-                place = f"{where}, column {label.strip()}"
-                _check_sum(stated, float(total), header, n_listed, place)
-            n_cells = n_listed * len(columns)
-            _check_sum(sums[-1], float(kpa.sum()), header, n_cells, f"{where}, column Force")
-            return kpa
-        row = parse_whole(cells[0], f"{where}, row label", 1, header.n_rows) - 1
-        if row <= last_row:
-            raise SourceError(f"{where}: row {row + 1} comes after row {last_row + 1}")
-        last_row = row
-        place = f"{where}, frame {number}"
-        for col, token in zip(columns, readings, strict=True):
-            kpa[row, col] = parse_reading(token, place, row, col)
-        if has_sums:
-            stated_n = parse_number(cells[-1], where)
-            _check_sum(stated_n, float(kpa[row].sum()), header, len(columns), where)
-    raise SourceError(f"{where}: frame {number} is cut short before the end of its table")
 
 
 def _check_sum(

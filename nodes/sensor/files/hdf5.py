@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 
-from .arrays import NPZ_NAMES, forces_name, parsed_arrays
+from .arrays import NPZ_NAMES, checked_shape, forces_name, parsed_arrays
 from .isolated import in_child
-from .parsed import Parsed, shown
+from .parsed import Head, Parsed, Recording, shown
 
 INSTALL = 'reading HDF5 needs h5py; pip install "sparseskin[files]"'
 _MOST_OBJECTS = 1000
@@ -24,8 +25,8 @@ _FILTERS = {"gzip", "lzf", "szip", None}
 _MATLAB_CLASS = "MATLAB_class"
 
 
-def parse_hdf5(raw: bytes, name: str) -> Parsed:
-    """Read a dataset `forces`, in any group, or the only one of numbers with three dimensions:
+class Hdf5Recording(Recording):
+    """A dataset `forces`, in any group, or the only one of numbers with three dimensions:
     (frames, rows, columns).
 
     `stamp_ns`, `rate_hz`, `mask`, `f_max`, `unit` and `pitch_m` are those beside it, or attributes
@@ -34,11 +35,21 @@ def parse_hdf5(raw: bytes, name: str) -> Parsed:
     Raises
     ------
     SourceError
-        If h5py is not installed, the bytes are no HDF5, do not hold one such dataset, or an array
+        If h5py is not installed, the file is no HDF5, does not hold one such dataset, or an array
         is larger than allowed or not as in an .npz.
     """
-    arrays, _ = hdf5_arrays(name, len(raw))
-    return parsed_arrays(arrays, name)
+
+    def __init__(self, file: IO[bytes], name: str) -> None:
+        self._name, self._n_bytes = name, file.seek(0, io.SEEK_END)
+
+    def head(self) -> Head:
+        shape, has_mask = hdf5_shape(self._name, self._n_bytes)
+        _, n_rows, n_cols = checked_shape(shape, self._name)
+        return Head(n_rows, n_cols, None if has_mask else n_rows * n_cols)
+
+    def read(self) -> Parsed:
+        arrays, _ = hdf5_arrays(self._name, self._n_bytes)
+        return parsed_arrays(arrays, self._name)
 
 
 def hdf5_arrays(name: str, n_bytes: int) -> tuple[dict[str, npt.NDArray[Any]], bool]:

@@ -16,7 +16,7 @@ from sparseskin.nodes.errors import SourceError
 from .arrays import NPZ_NAMES, forces_name, parsed_arrays
 from .hdf5 import hdf5_arrays, hdf5_shape
 from .isolated import in_child
-from .parsed import Parsed, shown
+from .parsed import Head, Parsed, Recording, shown
 
 _NUMERIC = (
     "double",
@@ -32,8 +32,8 @@ NO_ORDER = (
 )
 
 
-def parse_mat(raw: bytes, name: str, n_rows: int | None, n_cols: int | None) -> Parsed:
-    """Read a variable `forces`, or the only numeric one with three dimensions: rows, columns and
+class MatRecording(Recording):
+    """A variable `forces`, or the only numeric one with three dimensions: rows, columns and
     frames, or frames, rows and columns, as `n_rows` and `n_cols` decide; one frame has two.
 
     The other variables are read as those of an .npz.
@@ -41,42 +41,52 @@ def parse_mat(raw: bytes, name: str, n_rows: int | None, n_cols: int | None) -> 
     Raises
     ------
     SourceError
-        If the bytes are no .mat file, hold more than is allowed, do not state one such variable,
+        If the file is no .mat, holds more than is allowed, does not state one such variable,
         its order of dimensions is not decided, or a variable is not as in an .npz.
     """
-    if is_hdf5(raw):
-        arrays, transposed = hdf5_arrays(name, len(raw))
-        arrays = {key: array.T for key, array in arrays.items()} if transposed else arrays
-    else:
-        arrays = in_child("mat-arrays", name, len(raw))
-    arrays = {key: _plain(key, array) for key, array in arrays.items()}
-    key = forces_name({key: array.ndim for key, array in arrays.items()}, name)
-    forces = arrays[key]
-    axis = _frame_axis(forces.shape, n_rows, n_cols, name)
-    arrays[key] = np.moveaxis(forces[:, :, None] if forces.ndim == 2 else forces, axis, 0)
-    return parsed_arrays(arrays, name)
 
+    def __init__(self, file: IO[bytes], name: str, n_rows: int | None, n_cols: int | None) -> None:
+        self._name, self._stated = name, (n_rows, n_cols)
+        # Version 7.3 is HDF5.
+        self._is_hdf5 = file.read(_HEAD_BYTES).startswith((b"\x89HDF", b"MATLAB 7.3"))
+        self._n_bytes = file.seek(0, io.SEEK_END)
 
-def mat_shape(
-    file: IO[bytes], name: str, n_rows: int | None, n_cols: int | None
-) -> tuple[int, ...]:
-    """Shape of a frame as above, from the headers of the variables; () where a mask decides which
-    cells are taxels.
-    """
-    head, n_bytes = file.read(_HEAD_BYTES), file.seek(0, io.SEEK_END)
-    if is_hdf5(head):
-        shape, masked = hdf5_shape(name, n_bytes)
-        shape = shape[::-1]
-    else:
-        found = in_child("mat-shape", name, n_bytes)
-        shape, masked = tuple(found["shape"].tolist()), bool(found["has_mask"])
-    axis = _frame_axis(shape, n_rows, n_cols, name)
-    return () if masked else (shape[:2] if axis == 2 else shape[1:])
+    def head(self) -> Head:
+        if self._is_hdf5:
+            shape, masked = hdf5_shape(self._name, self._n_bytes)
+            shape = shape[::-1]
+        else:
+            found = in_child("mat-shape", self._name, self._n_bytes)
+            shape, masked = tuple(found["shape"].tolist()), bool(found["has_mask"])
+        n_rows, n_cols = shape[:2] if self._frame_axis(shape) == 2 else shape[-2:]
+        return Head(n_rows, n_cols, None if masked else n_rows * n_cols)
 
+    def read(self) -> Parsed:
+        name = self._name
+        if self._is_hdf5:
+            arrays, transposed = hdf5_arrays(name, self._n_bytes)
+            arrays = {key: array.T for key, array in arrays.items()} if transposed else arrays
+        else:
+            arrays = in_child("mat-arrays", name, self._n_bytes)
+        arrays = {key: _plain(key, array) for key, array in arrays.items()}
+        key = forces_name({key: array.ndim for key, array in arrays.items()}, name)
+        forces = arrays[key]
+        axis = self._frame_axis(forces.shape)
+        arrays[key] = np.moveaxis(forces[:, :, None] if forces.ndim == 2 else forces, axis, 0)
+        return parsed_arrays(arrays, name)
 
-def is_hdf5(raw: bytes) -> bool:
-    """True if the bytes begin as HDF5 does, or a .mat of version 7.3."""
-    return raw.startswith((b"\x89HDF", b"MATLAB 7.3"))
+    def _frame_axis(self, shape: tuple[int, ...]) -> int:
+        """Which dimension counts the frames: 2 or 0; 2 of one frame, whose array has two."""
+        (n_rows, n_cols), sizes = self._stated, " x ".join(map(str, shape))
+        if len(shape) not in (2, 3) or (n_rows is None and n_cols is None):
+            raise SourceError(f"{self._name}{NO_ORDER} (it holds {sizes})")
+        for axis, (rows, cols) in ((2, shape[:2]), (0, shape[-2:])):
+            if n_rows in (None, rows) and n_cols in (None, cols):
+                return axis
+        raise SourceError(
+            f"{self._name}: holds {sizes}, which is not n_rows = {n_rows}, n_cols = {n_cols} "
+            "and frames"
+        )
 
 
 def read_shape(name: str, most: int) -> dict[str, npt.NDArray[Any]]:
@@ -157,16 +167,3 @@ def _plain(key: str, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     if key == "mask" and array.dtype.kind == "f" and np.isin(array, (0, 1)).all():
         return array.astype(np.bool_)
     return array
-
-
-def _frame_axis(shape: tuple[int, ...], n_rows: int | None, n_cols: int | None, name: str) -> int:
-    """Which dimension counts the frames: 2 or 0; 2 of one frame, whose array has two dimensions."""
-    sizes = " x ".join(map(str, shape))
-    if len(shape) not in (2, 3) or (n_rows is None and n_cols is None):
-        raise SourceError(f"{name}{NO_ORDER} (it holds {sizes})")
-    for axis, (rows, cols) in ((2, shape[:2]), (0, shape[-2:])):
-        if n_rows in (None, rows) and n_cols in (None, cols):
-            return axis
-    raise SourceError(
-        f"{name}: holds {sizes}, which is not n_rows = {n_rows}, n_cols = {n_cols} and frames"
-    )

@@ -17,7 +17,17 @@ from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Indices
 
-from .parsed import Parsed, check_grid, parse_number, parse_reading, parse_whole, shown, text_lines
+from .parsed import (
+    Head,
+    Lines,
+    Parsed,
+    Recording,
+    check_grid,
+    parse_number,
+    parse_reading,
+    parse_whole,
+    shown,
+)
 
 _RATE = re.compile(r"scanning rate \[Hz\]:\s*(\S+)")
 _UNIT = re.compile(r"pressure values in\s+(\S+)")
@@ -43,15 +53,12 @@ def is_novel_asc(raw: bytes) -> bool:
     return raw.startswith(b"file name:") and b"scanning rate [Hz]" in raw[:4096]
 
 
-def parse_novel_asc(raw: bytes, name: str) -> Parsed:
-    """Read a pliance export; frames are the lines below `time[secs]` whose first cell is a number.
+class PlianceRecording(Recording):
+    """A pliance export; frames are the lines below `time[secs]` whose first cell is a number.
 
     Row 0 is the one of largest y. Cells of the grid without a sensor are masked.
 
-    Returns
-    -------
-    Parsed
-        `forces` float64, shape (n_frames, n_rows, n_cols), newtons: pressure times sensor area.
+    `forces` are float64, newtons: pressure times sensor area.
 
     Raises
     ------
@@ -59,50 +66,51 @@ def parse_novel_asc(raw: bytes, name: str) -> Parsed:
         If the file is no such export, its sensors form no grid (pedar), a line is malformed, or a
         reading is not a finite number >= 0.
     """
-    lines = text_lines(raw)
-    rate_hz, labels, start = _head(lines, name)
-    grid = _grid(lines, labels, name)
-    frames, times = [], []
-    for index in range(start, len(lines)):
-        cells = lines[index].split()
-        if not cells:
-            break
-        if cells[0] in ("MPP", "MVP"):  # pictures of maxima and means, below the frames
-            continue
-        where = f"{name}, line {index + 1}"
-        if len(cells) != 1 + len(labels):
-            raise SourceError(f"{where}: holds {len(cells)} numbers, its header {1 + len(labels)}")
-        times.append(parse_number(cells[0], where, 0, 1e9))
-        kpa = [
-            parse_reading(token, where, int(row), int(col))
-            for token, row, col in zip(cells[1:], grid.rows, grid.cols, strict=True)
-        ]
-        frames.append(np.array(kpa) * grid.area_cm2 * _KPA_CM2_IN_NEWTONS)
-    if not frames:
-        raise SourceError(f"{name}: the recording holds no frame")
-    stamps = tuple(round((time - times[0]) * 1e9) for time in times)
-    if any(after <= before for before, after in pairwise(stamps)):
-        raise SourceError(f"{name}: the times of the frames do not rise")
-    forces = np.zeros((len(frames), *grid.shape))
-    forces[:, grid.rows, grid.cols] = np.stack(frames)
-    mask = np.zeros(grid.shape, np.bool_)
-    mask[grid.rows, grid.cols] = True
-    return Parsed(
-        forces=forces,
-        unit="N",
-        rate_hz=rate_hz,
-        stamp_ns=stamps,
-        pitch_m=grid.pitch_m,
-        mask=None if mask.all() else mask,
-    )
 
+    def __init__(self, lines: Lines) -> None:
+        self._name = lines.name
+        self._lines = list(lines)  # the grid stands at the end of the file
+        self._rate_hz, self._labels, self._start = _head(self._lines, self._name)
+        self._grid = _grid(self._lines, self._labels, self._name)
 
-def novel_asc_shape(raw: bytes, name: str) -> tuple[int, int, int]:
-    """Rows, columns and number of sensors of a whole file; raises as `parse_novel_asc`."""
-    lines = text_lines(raw)
-    _, labels, _ = _head(lines, name)
-    grid = _grid(lines, labels, name)
-    return *grid.shape, len(labels)
+    def head(self) -> Head:
+        return Head(*self._grid.shape, len(self._labels), "N")
+
+    def read(self) -> Parsed:
+        grid, name = self._grid, self._name
+        frames, times = [], []
+        for number, line in enumerate(self._lines[self._start :], start=self._start + 1):
+            cells = line.split()
+            if not cells:
+                break
+            if cells[0] in ("MPP", "MVP"):  # pictures of maxima and means, below the frames
+                continue
+            where, n_cells = f"{name}, line {number}", 1 + len(self._labels)
+            if len(cells) != n_cells:
+                raise SourceError(f"{where}: holds {len(cells)} numbers, its header {n_cells}")
+            times.append(parse_number(cells[0], where, 0, 1e9))
+            kpa = [
+                parse_reading(token, where, int(row), int(col))
+                for token, row, col in zip(cells[1:], grid.rows, grid.cols, strict=True)
+            ]
+            frames.append(np.array(kpa) * grid.area_cm2 * _KPA_CM2_IN_NEWTONS)
+        if not frames:
+            raise SourceError(f"{name}: the recording holds no frame")
+        stamps = tuple(round((time - times[0]) * 1e9) for time in times)
+        if any(after <= before for before, after in pairwise(stamps)):
+            raise SourceError(f"{name}: the times of the frames do not rise")
+        forces = np.zeros((len(frames), *grid.shape))
+        forces[:, grid.rows, grid.cols] = np.stack(frames)
+        mask = np.zeros(grid.shape, np.bool_)
+        mask[grid.rows, grid.cols] = True
+        return Parsed(
+            forces=forces,
+            unit="N",
+            rate_hz=self._rate_hz,
+            stamp_ns=stamps,
+            pitch_m=grid.pitch_m,
+            mask=None if mask.all() else mask,
+        )
 
 
 def _head(lines: list[str], name: str) -> tuple[float, list[str], int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from itertools import pairwise
 from typing import Any
@@ -15,14 +16,16 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Mask
 
 from .parsed import (
+    Head,
+    Lines,
     Parsed,
     Policy,
+    Recording,
     check_grid,
     parse_reading,
     parse_whole,
     shown,
     stack_frames,
-    text_lines,
 )
 
 FIRST_LINE = "# sparseskin frames of "
@@ -39,8 +42,8 @@ def is_own_csv(raw: bytes) -> bool:
     return raw.startswith(FIRST_LINE.encode())
 
 
-def parse_own_csv(raw: bytes, name: str, policy: Policy) -> Parsed:
-    """Read the exported frames of a topic.
+class OwnCsvRecording(Recording):
+    """The exported frames of a topic.
 
     Raises
     ------
@@ -48,85 +51,84 @@ def parse_own_csv(raw: bytes, name: str, policy: Policy) -> Parsed:
         If the topic has no taxels, a line is malformed, a stamp is not after the one before, or a
         reading is not allowed.
     """
-    lines = text_lines(raw)
-    skin, columns, shape, header = _head(lines, name)
-    first = columns.index("r0c0")
-    at = columns.index("stamp_ns") if "stamp_ns" in columns else None
-    frames, stamps = [], []
-    for index, line in enumerate(lines[header:], start=header + 1):
-        if not line.strip():
-            continue
-        where = f"{name}, line {index}"
-        tokens = line.split(",")
-        if len(tokens) != len(columns):
-            raise SourceError(f"{where}: holds {len(tokens)} cells, its header {len(columns)}")
-        if at is not None:
-            stamps.append(_stamp(tokens[at], where))
-        cells = [
-            parse_reading(token, where, *divmod(k, shape[1]), policy)
-            for k, token in enumerate(tokens[first : first + shape[0] * shape[1]])
-        ]
-        frames.append(np.array(cells).reshape(shape))
-    for k, (before, stamp) in enumerate(pairwise(stamps), start=1):
-        if stamp <= before:
-            raise SourceError(
-                f"{name}: stamp {k} is {stamp}, not after the one before it, {before}"
-            )
-    return Parsed(
-        forces=stack_frames(frames, name),
-        unit=_text(skin, "unit"),
-        rate_hz=_number(skin, "rate_hz"),
-        stamp_ns=tuple(stamp - stamps[0] for stamp in stamps) if stamps else None,
-        pitch_m=_number(skin, "pitch_m"),
-        mask=_mask(skin, shape, name),
-        f_max=_number(skin, "f_max"),
-    )
+
+    def __init__(self, lines: Lines, policy: Policy) -> None:
+        self._lines, self._policy = lines, policy
+        self._skin, self._columns, self._shape = _head(lines)
+        self._mask = _mask(self._skin, self._shape, lines.name)
+
+    def head(self) -> Head:
+        n_taxels = math.prod(self._shape) if self._mask is None else int(self._mask.sum())
+        return Head(*self._shape, n_taxels, _text(self._skin, "unit"))
+
+    def read(self) -> Parsed:
+        skin, columns, (n_rows, n_cols) = self._skin, self._columns, self._shape
+        first = columns.index("r0c0")
+        at = columns.index("stamp_ns") if "stamp_ns" in columns else None
+        frames, stamps = [], []
+        for line in self._lines:
+            if not line.strip():
+                continue
+            where, tokens = self._lines.where, line.split(",")
+            if len(tokens) != len(columns):
+                raise SourceError(f"{where}: holds {len(tokens)} cells, its header {len(columns)}")
+            if at is not None:
+                stamps.append(_stamp(tokens[at], where))
+            cells = [
+                parse_reading(token, where, *divmod(k, n_cols), self._policy)
+                for k, token in enumerate(tokens[first : first + n_rows * n_cols])
+            ]
+            frames.append(np.array(cells).reshape(n_rows, n_cols))
+        for k, (before, stamp) in enumerate(pairwise(stamps), start=1):
+            if stamp <= before:
+                raise SourceError(
+                    f"{self._lines.name}: stamp {k} is {stamp}, not after the one before it, "
+                    f"{before}"
+                )
+        return Parsed(
+            forces=stack_frames(frames, self._lines.name),
+            unit=_text(skin, "unit"),
+            rate_hz=_number(skin, "rate_hz"),
+            stamp_ns=tuple(stamp - stamps[0] for stamp in stamps) if stamps else None,
+            pitch_m=_number(skin, "pitch_m"),
+            mask=self._mask,
+            f_max=_number(skin, "f_max"),
+        )
 
 
-def own_csv_shape(raw: bytes, name: str) -> tuple[int, int, int | None]:
-    """Rows, columns and number of taxels of exported frames; the last is None without a mask.
-
-    Raises
-    ------
-    SourceError
-        If the topic has no taxels, or description or header are malformed.
+def _head(lines: Lines) -> tuple[dict[str, Any], list[str], tuple[int, int]]:
+    """Read to the first frame: what the file states of the skin, the names of its columns, and the
+    shape of a frame.
     """
-    skin, _, shape, _ = _head(text_lines(raw), name)
-    mask = _mask(skin, shape, name)
-    return *shape, None if mask is None else int(mask.sum())
-
-
-def _head(lines: list[str], name: str) -> tuple[dict[str, Any], list[str], tuple[int, int], int]:
-    """What the file states of the skin, the names of its columns, the shape of a frame, and the
-    number of the line with these names, from 1.
-    """
-    header = 4 if len(lines) > 3 and lines[2].startswith(POINT_ROWS) else 3
-    if len(lines) < 3 or not lines[1].startswith("# {") or len(lines[1]) > _MAX_DEPTH_LINE:
-        raise SourceError(f"{name}, line 2: expected the description of the skin, '# {{...}}'")
+    title, stated, names = (next(lines, "") for _ in range(3))
+    if names.startswith(POINT_ROWS):
+        names = next(lines, "")
+    if not stated.startswith("# {") or len(stated) > _MAX_DEPTH_LINE:
+        raise SourceError(
+            f"{lines.name}, line 2: expected the description of the skin, '# {{...}}'"
+        )
     try:
-        described = json.loads(lines[1].removeprefix("# "))
+        described = json.loads(stated.removeprefix("# "))
     except (ValueError, RecursionError) as error:
-        raise SourceError(f"{name}, line 2: {shown(error, 80)}") from error
+        raise SourceError(f"{lines.name}, line 2: {shown(error, 80)}") from error
     skin = described.get("skin", {})
-    columns = [column.strip() for column in lines[header - 1].split(",")]
+    columns = [column.strip() for column in names.split(",")]
     cells = [match for column in columns if (match := _CELL.fullmatch(column))]
     if not cells or not isinstance(skin, dict):
-        topic = lines[0].removeprefix(FIRST_LINE)
+        topic = title.removeprefix(FIRST_LINE)
         raise SourceError(
-            f"{name}, line {header}: {shown(topic)} holds no taxels; allowed are taxels, truth and "
+            f"{lines.where}: {shown(topic)} holds no taxels; allowed are taxels, truth and "
             "reconstruction"
         )
     last = cells[-1]
-    n_rows, n_cols = (
-        parse_whole(side, f"{name}, line {header}", 0, MAX_SIDE) + 1 for side in last.groups()
-    )
-    check_grid(n_rows, n_cols, name)
+    n_rows, n_cols = (parse_whole(side, lines.where, 0, MAX_SIDE) + 1 for side in last.groups())
+    check_grid(n_rows, n_cols, lines.name)
     expected = [f"r{k // n_cols}c{k % n_cols}" for k in range(n_rows * n_cols)]
     first = columns.index(cells[0][0])
     if columns[first : first + len(expected)] != expected:
         fault = f"the columns are not r0c0..{last[0]}, row after row"
-        raise SourceError(f"{name}, line {header}: {fault}")
-    return skin, columns, (n_rows, n_cols), header
+        raise SourceError(f"{lines.where}: {fault}")
+    return skin, columns, (n_rows, n_cols)
 
 
 def _stamp(token: str, where: str) -> int:

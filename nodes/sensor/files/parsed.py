@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +16,6 @@ import numpy.typing as npt
 from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
 from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.array_files import ArrayPart
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 
 MAX_READING = 1e30
@@ -26,6 +28,8 @@ NAN_HINT = "; or set nan to zero, hold or mask"
 NEGATIVE_HINT = "; or set negative to zero, offset or mask"
 
 
+MAX_LINE_BYTES = 1 << 26
+"""Longest line of a text file; chosen: a line of 2**20 readings has 20 MB."""
 NO_UNIT = ": a .csv of numbers does not state its unit; set unit, e.g. N"
 """Refusal of a plain .csv, after its name."""
 
@@ -112,14 +116,38 @@ class Parsed:
     point_rows: npt.NDArray[np.int32] | None = None
 
 
+class Head(NamedTuple):
+    """What the begin of a recording states: rows, columns, and the number of taxels; None where
+    later frames decide which cells are taxels. `unit` is None where the begin states none.
+    """
+
+    n_rows: int
+    n_cols: int
+    n_taxels: int | None
+    unit: str | None = None
+
+
+class Recording(ABC):
+    """An open file of a recording. Each method is called once, `head` first if at all."""
+
+    @abstractmethod
+    def head(self) -> Head:
+        """Read the begin of the file; SourceError if it is malformed."""
+
+    @abstractmethod
+    def read(self) -> Parsed:
+        """Read the whole recording; SourceError if anything in it is malformed."""
+
+
 def shown(text: object, limit: int = 40) -> str:
     """Quote any content of a file so that it fits in one line of an error."""
     quoted = ascii(str(text))
     return quoted if len(quoted) <= limit else quoted[: limit - 4] + "...'"
 
 
-def read_bytes(name: str) -> bytes:
-    """Read a whole file.
+@contextmanager
+def reading(name: str) -> Iterator[IO[bytes]]:
+    """Open a file that is read within the context.
 
     Raises
     ------
@@ -134,15 +162,21 @@ def read_bytes(name: str) -> bytes:
             raise SourceError(f"{name}: there is no such file")
         if not path.is_file():
             raise SourceError(f"{name}: is no regular file")
-        raw = path.read_bytes()
+        if not path.stat().st_size:
+            raise SourceError(f"{name}: the file is empty")
+        with path.open("rb") as file:
+            yield file
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         raise SourceError(f"{shown(name, 200)}: cannot be read ({reason or error})") from error
     except MemoryError:
         raise SourceError(f"{name}: does not fit in memory") from None
-    if not raw:
-        raise SourceError(f"{name}: the file is empty")
-    return raw
+
+
+def read_bytes(name: str) -> bytes:
+    """Read a whole file; raises as `reading`."""
+    with reading(name) as file:
+        return file.read()
 
 
 def text_lines(raw: bytes) -> list[str]:
@@ -153,6 +187,43 @@ def text_lines(raw: bytes) -> list[str]:
     """
     lines = raw.removeprefix(b"\xef\xbb\xbf").decode("latin-1").split("\n")
     return [line.removesuffix("\r") for line in lines]
+
+
+class Lines(Iterator[str]):
+    """The lines of a text file, read one after the other, without their ends; as `text_lines`.
+
+    Attributes
+    ----------
+    name : str
+        Name of the file, for errors.
+    number : int
+        Number of the line that was read last, from 1, as in an editor.
+    """
+
+    def __init__(self, file: IO[bytes], name: str) -> None:
+        self._file, self.name, self.number = file, name, 0
+        self._line, self._again = "", False
+
+    @property
+    def where(self) -> str:
+        """Place of the line that was read last, for errors."""
+        return f"{self.name}, line {self.number}"
+
+    def __next__(self) -> str:
+        if not self._again:
+            raw = self._file.readline(MAX_LINE_BYTES)
+            if not raw:
+                raise StopIteration
+            (self._line, *_) = text_lines(raw)
+            if len(raw) == MAX_LINE_BYTES:
+                raise SourceError(f"{self.where}: is followed by one of {len(raw)} bytes or more")
+        self._again = False
+        self.number += 1
+        return self._line
+
+    def back(self) -> None:
+        """Let the line that was read last be read once more."""
+        self._again, self.number = True, self.number - 1
 
 
 # In all that follows `where` names the place in an error, e.g. "foot.lst, line 12".
@@ -261,41 +332,22 @@ def check_readings(forces: npt.NDArray[Any], where: str, low: float = 0.0) -> No
 
     `forces` has the shape (n_frames, n_rows, n_cols). The error names frame and cell, from 0.
     """
+    below = f"is below {low:g}" if low else f"is below 0; a range starts at 0{NEGATIVE_HINT}"
     # A part at a time: a recording of bytes would become eight times as large.
-    size = forces[0].size
-    step = max(1, MAX_ELEMENTS // size)
+    step = max(1, MAX_ELEMENTS // forces[0].size)
     for first in range(0, len(forces), step):
-        part = ArrayPart(forces.shape, "C", first * size, forces[first : first + step].reshape(-1))
-        check_part(part, where, low)
-
-
-def check_part(
-    part: ArrayPart, where: str, low: float = 0.0, mask: Mask | None = None, finite: bool = True
-) -> None:
-    """As `check_readings`, of some readings of a recording, and of existing taxels alone; `finite`
-    False: those that are not finite are allowed.
-    """
-    with np.errstate(all="ignore"):
-        values = part.values.astype(np.float64)
-    if not finite:
-        values[~np.isfinite(values)] = 0.0
-    if values.min() >= low and values.max() <= MAX_READING:  # False for a NaN
-        return
-    for what, bad in (
-        (f"is not finite{NAN_HINT}", ~np.isfinite(values)),
-        (
-            f"is below {low:g}" if low else f"is below 0; a range starts at 0{NEGATIVE_HINT}",
-            values < low,
-        ),
-        (f"is above {MAX_READING:g}", values > MAX_READING),
-    ):
-        numbers = np.flatnonzero(bad)
-        frames, rows, cols = np.unravel_index(part.first + numbers, part.shape, order=part.order)
-        kept = np.flatnonzero(mask[rows, cols]) if mask is not None else np.arange(len(numbers))
-        if kept.size:
-            k = kept[0]
-            place = f"{where}: frame {frames[k]}, row {rows[k]}, column {cols[k]}"
-            raise SourceError(f"{place}: {values[numbers[k]]:g} {what}")
+        with np.errstate(all="ignore"):
+            values = forces[first : first + step].astype(np.float64)
+        if values.min() >= low and values.max() <= MAX_READING:  # False for a NaN
+            continue
+        for what, bad in (
+            (f"is not finite{NAN_HINT}", ~np.isfinite(values)),
+            (below, values < low),
+            (f"is above {MAX_READING:g}", values > MAX_READING),
+        ):
+            for frame, row, col in np.argwhere(bad)[:1]:
+                place = f"{where}: frame {first + frame}, row {row}, column {col}"
+                raise SourceError(f"{place}: {values[frame, row, col]:g} {what}")
 
 
 def stack_frames(frames: list[npt.NDArray[Any]], where: str) -> Doubles:

@@ -1,12 +1,16 @@
-"""Recordings as a sensor source: a file is read whole and checked, then yields its frames."""
+"""Recordings as a sensor source: a file is read whole and checked, then yields its frames.
+
+Before a graph starts, the begin of the file is read alone.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import IO, Literal
 
 import numpy as np
 
@@ -17,30 +21,32 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
 
-from .arrays import parse_npy, parse_npz, parse_plain_csv
-from .emed import parse_emed
-from .hdf5 import parse_hdf5
+from .arrays import NpyRecording, NpzRecording, PlainCsvRecording
+from .emed import EmedRecording
+from .hdf5 import Hdf5Recording
 from .invalid import Treated, treat
-from .matlab import parse_mat
-from .novel_asc import parse_novel_asc
-from .own_csv import is_own_csv, parse_own_csv
+from .matlab import MatRecording
+from .novel_asc import PlianceRecording
+from .own_csv import OwnCsvRecording, is_own_csv
 from .parsed import (
     DEFAULT_POLICY,
     KEEP,
     MAX_READING,
     NO_UNIT,
+    Lines,
     Parsed,
     Policy,
+    Recording,
     check_grid,
     check_number,
     check_readings,
     check_stated_shape,
     check_unit,
-    read_bytes,
+    reading,
     shown,
 )
-from .tekscan import is_tekscan, parse_tekscan
-from .xsensor import is_xsensor, parse_xsensor
+from .tekscan import TekscanRecording, is_tekscan
+from .xsensor import XsensorRecording, is_xsensor
 
 SUFFIXES = {
     ".lst": "Novel emed text export",
@@ -59,6 +65,8 @@ MAX_FRAMES = 1 << 24
 UNTIMED_PERIOD_NS = 10_000_000
 """Time between frames where neither file nor caller states one, chosen: stamps must rise."""
 _MAX_RATE_HZ = 1e9
+_HEAD_BYTES = 1 << 16
+"""Begin of a .csv by which its format is found."""
 
 
 @dataclass(eq=False)
@@ -154,7 +162,9 @@ def open_file(
     if delivers not in ("truth", "taxels"):
         raise SourceError(f"{name}: delivers = {shown(delivers)}; allowed are truth, taxels")
     policy.check(name)
-    parsed, treated = treat(_parse(name, n_rows, n_cols, policy), policy)
+    with reading(name) as file:
+        parsed = _recording(file, name, n_rows, n_cols, policy).read()
+    parsed, treated = treat(parsed, policy)
     n_frames, rows, cols = parsed.forces.shape
     if n_frames == 0:
         raise SourceError(f"{name}: the recording holds no frame")
@@ -202,34 +212,96 @@ def open_file(
     )
 
 
-def unknown_suffix(suffix: str) -> str:
-    """Error text for a file of a suffix that is none of `SUFFIXES`."""
-    hint = "; sparseskin play FILE publishes a bag" if suffix.lower() == ".mcap" else ""
-    return f"suffix {shown(suffix)} is not known; allowed are {', '.join(SUFFIXES)}{hint}"
+def n_taxels(
+    path: str,
+    n_rows: int | None = None,
+    n_cols: int | None = None,
+    unit: str | None = None,
+    policy: Policy = DEFAULT_POLICY,
+) -> int | None:
+    """Number of taxels of a recording, from the begin of its file: what a launch checks.
+
+    Parameters
+    ----------
+    path, n_rows, n_cols, unit, policy
+        As in `open_file`.
+
+    Returns
+    -------
+    int or None
+        Number of cells that exist; None where the begin of the file does not show it.
+
+    Raises
+    ------
+    SourceError
+        If the file cannot be read, its begin is malformed, its shape is not allowed or not the
+        one that is stated, or it is a .csv with no unit, stated or its own.
+    """
+    policy.check(path)
+    with reading(path) as file:
+        found = os.fstat(file.fileno())
+    n = _n_taxels(path, n_rows, n_cols, unit, policy, (found.st_mtime_ns, found.st_size))
+    return None if policy.masks else n
 
 
-def _parse(name: str, n_rows: int | None, n_cols: int | None, policy: Policy) -> Parsed:
-    suffix = Path(name).suffix.lower()
-    if suffix not in SUFFIXES:
-        raise SourceError(f"{name}: {unknown_suffix(suffix)}")
-    raw = read_bytes(name)
-    if suffix == ".csv" and not is_tekscan(raw):
-        if is_xsensor(raw):
-            return parse_xsensor(raw, name)
-        if is_own_csv(raw):
-            return parse_own_csv(raw, name, policy)
-        return parse_plain_csv(raw, name, n_rows, n_cols, policy)
-    if suffix == ".mat":
-        return parse_mat(raw, name, n_rows, n_cols)
-    parsers = {
-        ".lst": parse_emed,
-        ".npy": parse_npy,
-        ".npz": parse_npz,
-        ".asc": parse_novel_asc,
-        ".h5": parse_hdf5,
-        ".hdf5": parse_hdf5,
-    }
-    return parsers.get(suffix, parse_tekscan)(raw, name)
+@lru_cache(maxsize=8)
+def _n_taxels(
+    path: str,
+    n_rows: int | None,
+    n_cols: int | None,
+    unit: str | None,
+    policy: Policy,
+    _of: tuple[int, int],
+) -> int | None:
+    """As above, of one state of the file."""
+    with reading(path) as file:
+        head = _recording(file, path, n_rows, n_cols, policy).head()
+    check_grid(head.n_rows, head.n_cols, path)
+    check_stated_shape(head.n_rows, head.n_cols, n_rows, n_cols, path)
+    if unit is None and head.unit is None and Path(path).suffix.lower() == ".csv":
+        raise SourceError(path + NO_UNIT)
+    return head.n_taxels or None  # no taxel: refused as it is read
+
+
+def _recording(
+    file: IO[bytes], name: str, n_rows: int | None, n_cols: int | None, policy: Policy
+) -> Recording:
+    """The recording of an open file, by its suffix, and for .csv by its begin."""
+    match suffix := Path(name).suffix.lower():
+        case ".npy":
+            return NpyRecording(file, name)
+        case ".npz":
+            return NpzRecording(file, name)
+        case ".h5" | ".hdf5":
+            return Hdf5Recording(file, name)
+        case ".mat":
+            return MatRecording(file, name, n_rows, n_cols)
+        case ".lst":
+            return EmedRecording(Lines(file, name))
+        case ".asc":
+            return PlianceRecording(Lines(file, name))
+        case ".asf":
+            return TekscanRecording(Lines(file, name))
+        case ".csv":
+            return _csv_recording(file, name, n_rows, n_cols, policy)
+    hint = "; sparseskin play FILE publishes a bag" if suffix == ".mcap" else ""
+    allowed = f"allowed are {', '.join(SUFFIXES)}{hint}"
+    raise SourceError(f"{name}: suffix {shown(Path(name).suffix)} is not known; {allowed}")
+
+
+def _csv_recording(
+    file: IO[bytes], name: str, n_rows: int | None, n_cols: int | None, policy: Policy
+) -> Recording:
+    """The recording of an open .csv, by its begin."""
+    begin, lines = file.read(_HEAD_BYTES), Lines(file, name)
+    file.seek(0)
+    if is_tekscan(begin):
+        return TekscanRecording(lines)
+    if is_xsensor(begin):
+        return XsensorRecording(lines)
+    if is_own_csv(begin):
+        return OwnCsvRecording(lines, policy)
+    return PlainCsvRecording(lines, n_rows, n_cols, policy)
 
 
 def _window(crop: Sequence[int], rows: int, cols: int, name: str) -> tuple[slice, slice]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -12,14 +12,16 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 
 from .parsed import (
+    Head,
+    Lines,
     Parsed,
+    Recording,
     check_grid,
     parse_number,
     parse_reading,
     parse_whole,
     shown,
     stack_frames,
-    text_lines,
 )
 
 _FRAME = re.compile(r"Frame\s+(\d+)\s*(?:,\s*([^,]*))?")
@@ -47,24 +49,14 @@ def is_tekscan(raw: bytes) -> bool:
     return any(line.lstrip().startswith((b"DATA_TYPE", b"ASCII_DATA")) for line in head)
 
 
-def parse_tekscan(raw: bytes, name: str) -> Parsed:
-    """Read a Tekscan ASCII movie export.
+class TekscanRecording(Recording):
+    """A Tekscan ASCII movie export.
 
     `B` marks a cell of the grid without a sensel: it is masked, and its value is 0. Raw counts
     are compared with the `Raw Sum` of each frame. The times of the frames are used where all
     differ; they are printed to 0.01 s, so for fast recordings `SECONDS_PER_FRAME` counts.
 
-    Parameters
-    ----------
-    raw : bytes
-        Content of the file.
-    name : str
-        Name of the file, for errors.
-
-    Returns
-    -------
-    Parsed
-        `forces` float64, shape (n_frames, ROWS, COLS), in the file's UNITS.
+    `forces` are float64, in the file's UNITS.
 
     Raises
     ------
@@ -72,89 +64,118 @@ def parse_tekscan(raw: bytes, name: str) -> Parsed:
         If a header or frame is missing, cut short or malformed, a reading is not a finite
         number >= 0, the mask changes, or a raw sum is not the sum of its frame.
     """
-    lines = text_lines(raw)
-    header, start, terminator = _parse_header(lines, name)
-    n_rows, n_cols = _shape(header, name)
-    unit, _ = _entry(header, "UNITS", name)
-    first, last = (
-        parse_whole(*header[keyword], 0, 999_999_999) if keyword in header else None
-        for keyword in ("START_FRAME", "END_FRAME")
-    )
-    period_s = None
-    if "SECONDS_PER_FRAME" in header:
-        period_s = parse_number(*header["SECONDS_PER_FRAME"], 1e-9, 1e6)
 
-    frames: list[Doubles] = []
-    times: list[float | None] = []
-    mask: Mask | None = None
-    number = -1
-    index = start
-    ended = False
-    while index < len(lines):
-        line = lines[index].strip(", \t")
-        where = f"{name}, line {index + 1}"
-        index += 1
-        if not line:
-            continue
-        if ended:
-            raise SourceError(f"{where}: {shown(line)} comes after the end mark '{terminator}'")
-        if terminator and line == terminator:
-            ended = True
-            continue
-        match = _FRAME.match(line)
-        if match is None:
-            raise SourceError(f"{where}: {shown(line)} stands where 'Frame N' should")
-        number = parse_whole(match[1], where, 0, 999_999_999)
-        wanted = number if first is None and not frames else (first or 0) + len(frames)
-        if number != wanted:
-            raise SourceError(f"{where}: frame {number} comes where frame {wanted} should")
-        first = number - len(frames)
-        frame, exists = _parse_frame(lines, index, (n_rows, n_cols), f"frame {number}", name)
-        index += n_rows
-        if mask is None:
-            mask = exists
-        elif not np.array_equal(mask, exists):
-            row, col = np.argwhere(mask != exists)[0]
+    def __init__(self, lines: Lines) -> None:
+        self._lines = lines
+        header, self._terminator = _parse_header(lines)
+        self._shape = _shape(header, lines.name)
+        self._unit, _ = _entry(header, "UNITS", lines.name)
+        self._number, self._last = (
+            parse_whole(*header[keyword], 0, 999_999_999) if keyword in header else None
+            for keyword in ("START_FRAME", "END_FRAME")
+        )
+        self._period_s = None
+        if "SECONDS_PER_FRAME" in header:
+            self._period_s = parse_number(*header["SECONDS_PER_FRAME"], 1e-9, 1e6)
+        self._pitch_m = _pitch(header)
+        self._mask: Mask | None = None
+        self._times: list[float | None] = []
+        self._first = self._next_frame()
+
+    def head(self) -> Head:
+        return Head(*self._shape, None if self._mask is None else int(self._mask.sum()), self._unit)
+
+    def read(self) -> Parsed:
+        frames, frame = [], self._first
+        while frame is not None:
+            frames.append(frame)
+            frame = self._next_frame()
+        forces, mask = stack_frames(frames, self._lines.name), self._mask
+        assert self._number is not None
+        if self._last is not None and self._number - 1 != self._last:
             raise SourceError(
-                f"{where}: frame {number} has its 'B' cells (no sensel) elsewhere than the first "
-                f"frame, e.g. at row {row}, column {col}; a mask must not change"
+                f"{self._lines.name}: the last frame is {self._number - 1}, "
+                f"but END_FRAME is {self._last}"
             )
-        if unit.lower() == "raw":
-            _check_raw_sum(line, float(frame.sum()), where, number)
-        times.append(parse_number(match[2], where) if (match[2] or "").strip() else None)
-        frames.append(frame)
-    if terminator and not ended:
-        raise SourceError(f"{name}: the file is cut short, its end mark '{terminator}' is missing")
-    if frames and last is not None and number != last:
-        raise SourceError(f"{name}: the last frame is {number}, but END_FRAME is {last}")
-    return Parsed(
-        forces=stack_frames(frames, name),
-        unit=unit,
-        rate_hz=None if period_s is None else 1.0 / period_s,
-        stamp_ns=_stamps(times, name),
-        pitch_m=_pitch(header),
-        mask=None if mask is None or mask.all() else mask,
-    )
+        return Parsed(
+            forces=forces,
+            unit=self._unit,
+            rate_hz=None if self._period_s is None else 1.0 / self._period_s,
+            stamp_ns=_stamps(self._times, self._lines.name),
+            pitch_m=self._pitch_m,
+            mask=None if mask is None or mask.all() else mask,
+        )
 
+    def _next_frame(self) -> Doubles | None:
+        """Read the next frame: its readings, and its time into `_times`; None at the end mark."""
+        for text in self._lines:
+            line, where = text.strip(", \t"), self._lines.where
+            if not line:
+                continue
+            if self._terminator and line == self._terminator:
+                self._check_end()
+                return None
+            match = _FRAME.match(line)
+            if match is None:
+                raise SourceError(f"{where}: {shown(line)} stands where 'Frame N' should")
+            number = parse_whole(match[1], where, 0, 999_999_999)
+            if self._number not in (None, number):
+                raise SourceError(
+                    f"{where}: frame {number} comes where frame {self._number} should"
+                )
+            self._number = number + 1
+            frame, exists = self._grid(f"frame {number}")
+            if self._mask is None:
+                self._mask = exists
+            elif not np.array_equal(self._mask, exists):
+                row, col = np.argwhere(self._mask != exists)[0]
+                raise SourceError(
+                    f"{where}: frame {number} has its 'B' cells (no sensel) elsewhere than the "
+                    f"first frame, e.g. at row {row}, column {col}; a mask must not change"
+                )
+            if self._unit.lower() == "raw":
+                _check_raw_sum(line, float(frame.sum()), where, number)
+            stated = (match[2] or "").strip()
+            self._times.append(parse_number(match[2], where) if stated else None)
+            return frame
+        if self._terminator:
+            raise SourceError(
+                f"{self._lines.name}: the file is cut short, "
+                f"its end mark '{self._terminator}' is missing"
+            )
+        return None
 
-def tekscan_shape(raw: bytes, name: str) -> tuple[int, int, int | None]:
-    """Rows, columns and number of sensels of a recording, from the begin of its file; None where
-    the first frame is not complete there.
+    def _check_end(self) -> None:
+        """Raise SourceError if anything follows the end mark."""
+        for line in self._lines:
+            if line := line.strip(", \t"):
+                raise SourceError(
+                    f"{self._lines.where}: {shown(line)} comes after the end mark "
+                    f"'{self._terminator}'"
+                )
 
-    Raises
-    ------
-    SourceError
-        If the header or the first frame is malformed.
-    """
-    lines = text_lines(raw)[:-1]  # the last one may be cut
-    header, start, _ = _parse_header(lines, name)
-    shape = _shape(header, name)
-    frames = (k for k in range(start, len(lines)) if _FRAME.match(lines[k].strip(", \t")))
-    first = next(frames, None)
-    if first is None or first + 1 + shape[0] > len(lines):
-        return *shape, None
-    _, exists = _parse_frame(lines, first + 1, shape, "the first frame", name)
-    return *shape, int(exists.sum())
+    def _grid(self, label: str) -> tuple[Doubles, Mask]:
+        """Read the readings of a frame, and the mask of existing sensels, both of its shape."""
+        n_rows, n_cols = self._shape
+        frame, exists = np.zeros(self._shape), np.ones(self._shape, dtype=np.bool_)
+        for row in range(n_rows):
+            line = next(self._lines, None)
+            if line is None:
+                raise SourceError(
+                    f"{self._lines.where}: the file ends in {label}, which needs {n_rows} rows"
+                )
+            where = f"{self._lines.where}, {label}"
+            cells = [cell.strip() for cell in line.split(",")]
+            while len(cells) > n_cols and not cells[-1]:
+                cells.pop()
+            if len(cells) != n_cols:
+                raise SourceError(f"{where}: row {row} has {len(cells)} cells, COLS is {n_cols}")
+            for col, token in enumerate(cells):
+                if token in ("B", "b"):
+                    exists[row, col] = False
+                else:
+                    frame[row, col] = parse_reading(token, where, row, col)
+        return frame, exists
 
 
 def _shape(header: Header, name: str) -> tuple[int, int]:
@@ -164,21 +185,21 @@ def _shape(header: Header, name: str) -> tuple[int, int]:
     return n_rows, n_cols
 
 
-def _parse_header(lines: list[str], name: str) -> tuple[Header, int, str]:
-    """Return the keywords, the index of the first line after them and the end mark ("": none)."""
+def _parse_header(lines: Lines) -> tuple[Header, str]:
+    """Read to the line before the frames: the keywords, and the end mark ("": none)."""
     header: Header = {}
-    for index, line in enumerate(lines[:_N_HEADER_LINES]):
+    for line in islice(lines, _N_HEADER_LINES):
         # A spreadsheet that saved the file again filled each line up with commas.
         keyword, _, value = line.strip(", \t").partition(" ")
-        header[keyword] = (value.strip(", \t"), f"{name}, line {index + 1}, {keyword}")
+        header[keyword] = (value.strip(", \t"), f"{lines.where}, {keyword}")
         if keyword == "DATA_TYPE" and header[keyword][0] != "MOVIE":
             raise SourceError(
-                f"{name}, line {index + 1}: DATA_TYPE {shown(header[keyword][0])}; "
+                f"{lines.where}: DATA_TYPE {shown(header[keyword][0])}; "
                 "allowed is MOVIE (export the whole recording)"
             )
         if keyword == "ASCII_DATA":
-            return header, index + 1, header[keyword][0]
-    raise SourceError(f"{name}: no line ASCII_DATA; not a Tekscan ASCII movie export")
+            return header, header[keyword][0]
+    raise SourceError(f"{lines.name}: no line ASCII_DATA; not a Tekscan ASCII movie export")
 
 
 def _entry(header: Header, keyword: str, name: str) -> tuple[str, str]:
@@ -202,32 +223,6 @@ def _pitch(header: Header) -> float | None:
         if not 1e-6 <= pitches[-1] <= 10:
             raise SourceError(f"{where}: {shown(text)} is outside 0.001 mm..10 m")
     return pitches[0] if pitches[0] == pitches[1] else None
-
-
-def _parse_frame(
-    lines: list[str], start: int, shape: tuple[int, int], label: str, name: str
-) -> tuple[Doubles, Mask]:
-    """Return the readings of one frame and the mask of existing sensels, both of `shape`."""
-    n_rows, n_cols = shape
-    if start + n_rows > len(lines):
-        raise SourceError(
-            f"{name}, line {len(lines)}: the file ends in {label}, which needs {n_rows} rows"
-        )
-    frame = np.zeros(shape)
-    exists = np.ones(shape, dtype=np.bool_)
-    for row in range(n_rows):
-        where = f"{name}, line {start + row + 1}, {label}"
-        cells = [cell.strip() for cell in lines[start + row].split(",")]
-        while len(cells) > n_cols and not cells[-1]:
-            cells.pop()
-        if len(cells) != n_cols:
-            raise SourceError(f"{where}: row {row} has {len(cells)} cells, COLS is {n_cols}")
-        for col, token in enumerate(cells):
-            if token in ("B", "b"):
-                exists[row, col] = False
-            else:
-                frame[row, col] = parse_reading(token, where, row, col)
-    return frame, exists
 
 
 def _check_raw_sum(line: str, total: float, where: str, number: int) -> None:

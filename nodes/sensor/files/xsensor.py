@@ -13,14 +13,16 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 
 from .parsed import (
+    Head,
+    Lines,
     Parsed,
+    Recording,
     check_grid,
     parse_number,
     parse_reading,
     parse_whole,
     shown,
     stack_frames,
-    text_lines,
 )
 
 _N_HEAD_LINES = 100
@@ -54,8 +56,8 @@ class _Sensor:
     area_cm2: float | None
 
 
-def parse_xsensor(raw: bytes, name: str) -> Parsed:
-    """Read an XSENSOR text export.
+class XsensorRecording(Recording):
+    """An XSENSOR text export; blank lines hold commas alone.
 
     A frame holds one sensor or more (a pair of insoles), and groups of their sensels: the first
     sensor is read. Its peak is compared with the one that the frame states. An empty cell is one
@@ -63,17 +65,7 @@ def parse_xsensor(raw: bytes, name: str) -> Parsed:
     grid, cells that read 0 in all frames are taken as such: an insole's export has zeros outside
     its outline. The rate is the mean one by the times of the frames, which are printed to 1 ms.
 
-    Parameters
-    ----------
-    raw : bytes
-        Content of the file.
-    name : str
-        Name of the file, for errors.
-
-    Returns
-    -------
-    Parsed
-        `forces` float64, shape (n_frames, Rows, Columns), in the file's Units.
+    `forces` are float64, in the file's Units.
 
     Raises
     ------
@@ -82,132 +74,95 @@ def parse_xsensor(raw: bytes, name: str) -> Parsed:
         number >= 0, frames differ in sensor, grid or mask or one is left out, times fall, or a
         peak is not the largest reading of its frame.
     """
-    reader = _Reader(text_lines(raw), name)
-    unit = reader.header_unit()
-    frames: list[Doubles] = []
-    times: list[float | None] = []
-    first: _Sensor | None = None
-    first_number = 0
-    mask: Mask | None = None
-    while (number := reader.next_frame()) is not None:
-        where = reader.where
-        if frames and number != first_number + len(frames):
-            raise SourceError(
-                f"{where}: frame {number} comes where frame {first_number + len(frames)} should"
-            )
-        first_number = first_number if frames else number
-        sensor, time_s, frame, exists = reader.frame(number)
-        if first is None:
-            first, mask = sensor, exists
-        elif (sensor.name, frame.shape) != (first.name, (first.n_rows, first.n_cols)):
-            raise SourceError(
-                f"{where}: frame {number} is {sensor.n_rows} x {sensor.n_cols} of sensor "
-                f"{shown(sensor.name)}, the first one {first.n_rows} x {first.n_cols} of "
-                f"{shown(first.name)}"
-            )
-        elif mask is not None and not np.array_equal(mask, exists):
-            row, col = np.argwhere(mask != exists)[0]
-            raise SourceError(
-                f"{where}: frame {number} has its empty cells (no sensel) elsewhere than the first "
-                f"frame, e.g. at row {row}, column {col}; a mask must not change"
-            )
-        times.append(time_s)
-        frames.append(frame)
-    forces = stack_frames(frames, name)
-    assert first is not None
-    assert mask is not None
-    if mask.all() and _is_part(first):
-        mask = forces.max(axis=0) > 0
-    stamps = _stamps(times, name)
-    return Parsed(
-        forces=forces,
-        unit=unit,
-        rate_hz=(len(stamps) - 1) * 1e9 / stamps[-1] if stamps and len(stamps) > 1 else None,
-        stamp_ns=stamps,
-        pitch_m=first.width_cm / 100
-        if first.width_cm is not None and first.width_cm == first.height_cm
-        else None,
-        mask=None if mask.all() or not mask.any() else mask,
-    )
 
-
-def xsensor_shape(raw: bytes, name: str) -> tuple[int, int, int | None]:
-    """Rows, columns and number of sensels of a recording, from the first frame of its file; None
-    where other frames decide which cells are sensels.
-
-    Raises
-    ------
-    SourceError
-        If header or first frame are malformed.
-    """
-    reader = _Reader(text_lines(raw), name)
-    reader.header_unit()
-    number = reader.next_frame()
-    if number is None:
-        raise SourceError(f"{name}: the recording holds no frame")
-    sensor, _, _, exists = reader.frame(number)
-    decided = not (exists.all() and _is_part(sensor))
-    return sensor.n_rows, sensor.n_cols, int(exists.sum()) if decided else None
-
-
-def _is_part(sensor: _Sensor) -> bool:
-    """True if the stated area is less than that of the whole grid."""
-    if sensor.width_cm is None or sensor.height_cm is None or sensor.area_cm2 is None:
-        return False
-    grid_cm2 = sensor.n_rows * sensor.n_cols * sensor.width_cm * sensor.height_cm
-    return sensor.area_cm2 < (1 - _AREA_ROUNDING) * grid_cm2
-
-
-class _Reader:
-    """The lines of an export, read one after the other; blank ones hold commas alone."""
-
-    def __init__(self, lines: list[str], name: str) -> None:
+    def __init__(self, lines: Lines) -> None:
         self._lines = lines
-        self._name = name
-        self._index = 0
-        self.where = f"{name}, line 1"
+        self._unit = self._header_unit()
+        self._number = self._next_number() or 0
+        self._sensor, self._time_s, self._first, self._exists = self._frame()
+
+    def head(self) -> Head:
+        sensor, decided = self._sensor, not (self._exists.all() and _is_part(self._sensor))
+        n_taxels = int(self._exists.sum()) if decided else None
+        return Head(sensor.n_rows, sensor.n_cols, n_taxels, self._unit)
+
+    def read(self) -> Parsed:
+        first, mask, name = self._sensor, self._exists, self._lines.name
+        frames, times = [self._first], [self._time_s]
+        wanted = self._number
+        while (number := self._next_number()) is not None:
+            wanted += 1
+            where = self._lines.where
+            if number != wanted:
+                raise SourceError(f"{where}: frame {number} comes where frame {wanted} should")
+            self._number = number
+            sensor, time_s, frame, exists = self._frame()
+            if (sensor.name, frame.shape) != (first.name, (first.n_rows, first.n_cols)):
+                raise SourceError(
+                    f"{where}: frame {number} is {sensor.n_rows} x {sensor.n_cols} of sensor "
+                    f"{shown(sensor.name)}, the first one {first.n_rows} x {first.n_cols} of "
+                    f"{shown(first.name)}"
+                )
+            if not np.array_equal(mask, exists):
+                row, col = np.argwhere(mask != exists)[0]
+                raise SourceError(
+                    f"{where}: frame {number} has its empty cells (no sensel) elsewhere than the "
+                    f"first frame, e.g. at row {row}, column {col}; a mask must not change"
+                )
+            times.append(time_s)
+            frames.append(frame)
+        forces = stack_frames(frames, name)
+        if mask.all() and _is_part(first):
+            mask = forces.max(axis=0) > 0
+        stamps = _stamps(times, name)
+        side_cm = first.width_cm if first.width_cm == first.height_cm else None
+        return Parsed(
+            forces=forces,
+            unit=self._unit,
+            rate_hz=(len(stamps) - 1) * 1e9 / stamps[-1] if stamps and len(stamps) > 1 else None,
+            stamp_ns=stamps,
+            pitch_m=None if side_cm is None else side_cm / 100,
+            mask=None if mask.all() or not mask.any() else mask,
+        )
 
     def _next(self) -> tuple[str, str] | None:
-        """Return first cell and rest of the next line that is not blank; None at the end."""
-        while self._index < len(self._lines):
-            line = self._lines[self._index].rstrip(", \t")
-            self._index += 1
-            if line:
-                self.where = f"{self._name}, line {self._index}"
+        """First cell and rest of the next line that is not blank; None at the end."""
+        for text in self._lines:
+            if line := text.rstrip(", \t"):
                 keyword, _, rest = line.partition(",")
                 return keyword.strip(), rest.strip(", \t")
         return None
 
-    def header_unit(self) -> str:
+    def _header_unit(self) -> str:
         """Read to the first frame; return the unit of the readings."""
         unit = ""
         while (entry := self._next()) is not None and entry[0] != "FRAME":
             if entry[0] == "Units:":
                 unit = entry[1]
         if entry is None:
-            raise SourceError(f"{self._name}: holds no line FRAME; not an export of frames")
+            raise SourceError(f"{self._lines.name}: holds no line FRAME; not an export of frames")
         if not unit:
-            raise SourceError(f"{self._name}: the header states no Units")
-        self._index -= 1
+            raise SourceError(f"{self._lines.name}: the header states no Units")
+        self._lines.back()
         return unit
 
-    def next_frame(self) -> int | None:
+    def _next_number(self) -> int | None:
         """Read to the next line FRAME, over further sensors and groups; return its number."""
         while (entry := self._next()) is not None:
             if entry[0] == "FRAME":
-                return parse_whole(entry[1], self.where, 0, 999_999_999)
+                return parse_whole(entry[1], self._lines.where, 0, 999_999_999)
         return None
 
-    def frame(self, number: int) -> tuple[_Sensor, float | None, Doubles, Mask]:
+    def _frame(self) -> tuple[_Sensor, float | None, Doubles, Mask]:
         """Read the first sensor of a frame: what it states, time in s, readings and mask."""
-        begin = self.where
+        number, begin = self._number, self._lines.where
         stated: dict[str, tuple[str, str]] = {}
         while (entry := self._next()) is not None and entry[0] != "SENSELS":
             if entry[0] in ("FRAME", "GROUP") or (entry[0] == "SENSOR" and "SENSOR" in stated):
                 entry = None
                 break
             # "Peak Pressure (mmHg)": without its unit.
-            stated.setdefault(entry[0].partition(" (")[0], (entry[1], self.where))
+            stated.setdefault(entry[0].partition(" (")[0], (entry[1], self._lines.where))
         if entry is None:
             raise SourceError(f"{begin}: frame {number} has no line SENSELS with readings")
         for keyword in ("SENSOR", "Rows", "Columns"):
@@ -229,7 +184,7 @@ class _Reader:
             length("Total Area"),
         )
         time_s = _seconds(*stated["Time"]) if "Time" in stated else None
-        readings, exists = self._grid(n_rows, n_cols, number)
+        readings, exists = self._grid(n_rows, n_cols)
         if "Peak Pressure" in stated:
             peak = parse_number(*stated["Peak Pressure"])
             if abs(peak - readings.max()) > _PEAK_ROUNDING:
@@ -239,37 +194,38 @@ class _Reader:
                 )
         return sensor, time_s, readings, exists
 
-    def _grid(self, n_rows: int, n_cols: int, number: int) -> tuple[Doubles, Mask]:
-        rows: list[list[str]] = []
-        places: list[str] = []
-        while len(rows) < n_rows and self._index < len(self._lines):
-            line = self._lines[self._index]
-            self._index += 1
+    def _grid(self, n_rows: int, n_cols: int) -> tuple[Doubles, Mask]:
+        readings, exists = np.zeros((n_rows, n_cols)), np.ones((n_rows, n_cols), dtype=np.bool_)
+        row, label = 0, f"frame {self._number}"
+        while row < n_rows:
+            line = next(self._lines, None)
+            if line is None:
+                raise SourceError(
+                    f"{self._lines.where}: the file ends in {label}, which needs {n_rows} rows"
+                )
             cells = [cell.strip() for cell in line.split(",")]
             if not any(cells):
                 continue  # a line between rows
-            where = f"{self._name}, line {self._index}, frame {number}"
+            where = f"{self._lines.where}, {label}"
             while len(cells) > n_cols and not cells[-1]:
                 cells.pop()
             if len(cells) != n_cols:
-                raise SourceError(
-                    f"{where}: row {len(rows)} has {len(cells)} cells, Columns is {n_cols}"
-                )
-            rows.append(cells)
-            places.append(where)
-        if len(rows) < n_rows:
-            raise SourceError(
-                f"{self._name}, line {self._index}: the file ends in frame {number}, which needs "
-                f"{n_rows} rows"
-            )
-        readings, exists = np.zeros((n_rows, n_cols)), np.ones((n_rows, n_cols), dtype=np.bool_)
-        for row, (cells, where) in enumerate(zip(rows, places, strict=True)):
+                raise SourceError(f"{where}: row {row} has {len(cells)} cells, Columns is {n_cols}")
             for col, token in enumerate(cells):
                 if token:
                     readings[row, col] = parse_reading(token, where, row, col)
                 else:
                     exists[row, col] = False
+            row += 1
         return readings, exists
+
+
+def _is_part(sensor: _Sensor) -> bool:
+    """True if the stated area is less than that of the whole grid."""
+    if sensor.width_cm is None or sensor.height_cm is None or sensor.area_cm2 is None:
+        return False
+    grid_cm2 = sensor.n_rows * sensor.n_cols * sensor.width_cm * sensor.height_cm
+    return sensor.area_cm2 < (1 - _AREA_ROUNDING) * grid_cm2
 
 
 def _seconds(text: str, where: str) -> float:

@@ -187,7 +187,7 @@ def test_a_plain_csv_is_imported_with_what_is_stated(bag: Bag) -> None:
     ("name", "content", "text"),
     [
         ("a.npy", b"no array", "not a readable NumPy file"),
-        ("a.xyz", b"", "suffix '.xyz' is not known"),
+        ("a.xyz", b"1,2,3\n", "suffix '.xyz' is not known"),
         ("a.csv", b"1,2,3\n", "does not state its shape"),
     ],
 )

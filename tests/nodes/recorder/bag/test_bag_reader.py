@@ -290,6 +290,29 @@ def test_a_file_that_changes_while_it_is_read_is_an_error_and_no_force(
         next(bag.messages())
 
 
+def test_a_bag_that_is_not_checked_whole_is_opened_by_its_index_and_damage_found_as_it_is_read(
+    whole: tuple[bytes, list[bytes]], tmp_path: Path
+) -> None:
+    data, payloads = whole
+    path, end = tmp_path / "a.mcap", chunk_ends(data)[3]
+    path.write_bytes(data[: end - 40] + b"\0" * 8 + data[end - 32 :])
+    with BagReader(path) as bag:
+        recovered = bag.recovered
+        n_readable = sum(1 for _ in bag.messages())
+        assert recovered
+    with BagReader(path, whole=False) as bag:
+        assert bag.recovered == ""
+        assert bag.topics["/skin/taxels"].n_messages == N_FRAMES
+        messages = bag.messages()
+        found = [next(messages).payload for _ in range(n_readable)]
+        with pytest.raises(BagError, match="is damaged"):
+            next(messages)
+    assert found == payloads[:n_readable]
+    path.write_bytes(data[:end])  # without an index it is scanned in any case
+    with BagReader(path, whole=False) as bag:
+        assert bag.recovered
+
+
 def test_a_bag_that_another_tool_wrote_anew_can_be_read(
     whole: tuple[bytes, list[bytes]], tmp_path: Path
 ) -> None:

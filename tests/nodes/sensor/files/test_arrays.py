@@ -13,10 +13,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sparseskin.launch.commands import cli
+from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor.files.parsed import KEEP, ZERO, Policy
 from sparseskin.nodes.sensor.files.recorded import UNTIMED_PERIOD_NS, RecordedSource, open_file
+from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 from sparseskin.nodes.sensor.sources import check_source
 
 FORCES = np.arange(24, dtype=np.float64).reshape(2, 3, 4) / 10
@@ -321,7 +323,7 @@ class TestAnyBytes:
 
 @pytest.mark.parametrize("order", ["C", "F"])
 @pytest.mark.parametrize("suffix", [".npy", ".npz"])
-def test_a_reading_that_is_refused_is_found_by_the_check_at_the_same_place(
+def test_a_reading_that_is_refused_is_named_by_the_sensor_with_its_place(
     tmp_path: Path, suffix: str, order: Any
 ) -> None:
     forces = np.asarray(np.ones((3, 512, 1024), np.float32), order=order)  # some parts of it
@@ -333,13 +335,13 @@ def test_a_reading_that_is_refused_is_found_by_the_check_at_the_same_place(
     )
     path = tmp_path / f"skin{suffix}"
     path.write_bytes(raw)
-    with pytest.raises(SourceError) as of_check:
-        check_source(f"file:{path}")
-    with pytest.raises(SourceError) as of_read:
-        open_file(path)
-    assert str(of_check.value) == str(of_read.value)
-    assert "frame 2, row 511, column 7: nan is not finite; or set nan to" in str(of_check.value)
-    check_source(f"file:{path}", policy=Policy(nan=ZERO))
+    check_source(f"file:{path}")  # reads the begin alone
+    settings = SensorSettings(source=f"file:{path}")
+    with pytest.raises(SourceError) as refused:
+        Sensor(settings, Context("sensor", ManualClock(0)))
+    place = f"{path}: frame 2, row 511, column 7: nan is not finite; or set nan to zero"
+    assert str(refused.value).startswith(place)
+    open_file(path, policy=Policy(nan=ZERO))
 
 
 def test_readings_of_cells_without_a_taxel_are_not_checked(tmp_path: Path) -> None:
@@ -349,22 +351,12 @@ def test_readings_of_cells_without_a_taxel_are_not_checked(tmp_path: Path) -> No
     mask[1, 2] = False
     path = tmp_path / "skin.npz"
     path.write_bytes(npz_bytes(forces=forces, mask=mask))
-    check_source(f"file:{path}")
+    assert not open_file(path).frames[:, 1, 2].any()
     forces[1, 0, 0] = -1
     path.write_bytes(npz_bytes(forces=forces, mask=mask, more=1))
     with pytest.raises(SourceError, match="frame 1, row 0, column 0: -1 is below 0"):
-        check_source(f"file:{path}")
-    check_source(f"file:{path}", policy=Policy(negative=KEEP))
-
-
-def test_a_reading_that_is_refused_ends_a_launch_before_any_process(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    np.save(tmp_path / "skin.npy", np.full((2, 32, 32), np.inf))
-    source = f"sensor.source=file:{tmp_path / 'skin.npy'}"
-    assert cli.main(["launch", "replay", "--set", source]) == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert "frame 0, row 0, column 0: inf is not finite; or set nan to zero, hold or mask" in line
+        open_file(path)
+    open_file(path, policy=Policy(negative=KEEP))
 
 
 def test_an_npz_may_hold_the_points_of_its_taxels(tmp_path: Path) -> None:

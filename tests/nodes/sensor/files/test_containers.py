@@ -20,9 +20,8 @@ from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor.files import isolated
-from sparseskin.nodes.sensor.files.head import n_taxels
 from sparseskin.nodes.sensor.files.parsed import Policy
-from sparseskin.nodes.sensor.files.recorded import open_file
+from sparseskin.nodes.sensor.files.recorded import n_taxels, open_file
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 
 FRAMES = np.arange(60, dtype=np.float64).reshape(5, 3, 4)
