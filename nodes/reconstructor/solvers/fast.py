@@ -7,7 +7,7 @@ import numpy as np
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.hadamard import side_by_side
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 from sparseskin.nodes.numerics.compiled import MAX_PLACES, ready
 from sparseskin.nodes.numerics.kernels import (
     dealt_adjoint,
@@ -19,7 +19,6 @@ from sparseskin.nodes.numerics.kernels import (
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis, level_sizes
 from sparseskin.nodes.reconstructor.bases.shifted_haar import in_planes
 
-from .descent import Descent
 from .projection import Projection
 
 
@@ -151,17 +150,21 @@ def _scale_of_sums(rows: int, cols: int) -> Doubles:
     return scale
 
 
-class CompiledDescent(Descent):
-    """As `SbheHaarDescent`; one or all iterations in a call."""
+class CompiledFista:
+    """As `Fista`, for the scrambled block Hadamard ensemble and Haar; all iterations in a call.
 
-    def __init__(self, phi: SbhePhi, basis: HaarBasis, taxels: Indices) -> None:
-        small = basis.n_rows * basis.n_cols <= MAX_PLACES
-        self._fista = fista if small else fista_large
-        ready(self._fista, tiled_image)
+    With orthonormal rows L = 1, and the gradient step replaces the measured Hadamard coefficients
+    of the image by y. Coefficients are held in the order and scale of `Tiling`.
+    """
+
+    def __init__(self, phi: SbhePhi, basis: HaarBasis, mask: Mask, lambda_n: float) -> None:
+        n_cells = basis.n_rows * basis.n_cols
+        small = n_cells <= MAX_PLACES
+        self._loop = fista if small else fista_large
+        ready(self._loop, tiled_image)
         self._phi, self._basis = phi, basis
-        self.step_size = 1.0
-        tiling = Tiling(basis.n_rows, basis.n_cols)
-        self.weights = tiling.weights
+        self._tiling = tiling = Tiling(basis.n_rows, basis.n_cols)
+        self._theta, self._before, self._z = np.zeros((3, n_cells), dtype=np.float32)
         columns, groups = side_by_side(phi.hadamard.sizes)
         self._kept = np.argsort(columns)[phi.rows]
         place_of_cell = np.argsort(tiling.order)
@@ -171,31 +174,36 @@ class CompiledDescent(Descent):
             keep[start : start + size * count] = 1 / size
         keep[self._kept] = 0
         self._measured = np.zeros(phi.n, dtype=np.float32)
-        self._arrays = (
-            *(np.zeros(tiling.order.size, np.float32), np.zeros(phi.n, np.float32)),
-            place_of_cell[taxels[phi.permutation[columns]]].astype(
-                np.uint16 if small else np.uint32
-            ),
-            *(keep, self._measured, groups, tiling.grid),
-            np.zeros(tiling.n_scratch, np.float32),
+        self._scratch = np.zeros(tiling.n_scratch, np.float32)
+        places = place_of_cell[np.flatnonzero(mask)[phi.permutation[columns]]]
+        self._tables = (
+            *(tiling.weights * tiling.weights, np.float32(lambda_n) * tiling.weights),
+            *(self._z, np.zeros(phi.n, np.float32)),
+            places.astype(np.uint16 if small else np.uint32),
+            *(keep, self._measured, groups, tiling.grid, self._scratch),
         )
-        self._weights2 = self.weights * self.weights
-        self._tiling = tiling
 
-    def set_measurements(self, y: Floats) -> None:
+    def reset(self) -> None:
+        """As in `Fista`."""
+        self._theta.fill(0)
+
+    def begin(self, y: Floats, warm: Floats | None) -> None:
+        """As in `Fista`."""
+        if warm is not None:
+            coefficients = self._basis.analysis(warm).reshape(-1)[self._tiling.cells]
+            np.multiply(coefficients, self._tiling.weights, self._theta)
+        np.copyto(self._before, self._theta)
         self._measured[self._kept] = y * self._phi.scale
 
-    def image_of(self, w: Floats, out: Floats) -> None:
-        # w is in the order and scale of the loops already.
-        t, (v, *_, scratch) = self._tiling, self._arrays
-        tiled_image(w, t.order, t.grid, v, scratch, out.reshape(-1))
+    def advance(self, betas: Floats) -> None:
+        """As in `Fista`."""
+        self._loop(self._theta, self._before, betas, *self._tables)
+        if betas.size % 2:  # each iteration swaps the two
+            self._theta, self._before = self._before, self._theta
 
-    def coefficients_of(self, image: Floats, out: Floats) -> None:
-        np.multiply(self._basis.analysis(image).reshape(-1)[self._tiling.cells], self.weights, out)
-
-    def prepare(self, thetas: Floats, threshold: Floats) -> None:
-        self._thetas, self._threshold = thetas, threshold
-
-    def iterate(self, newest: int, betas: Floats) -> None:
-        theta, before = self._thetas[newest], self._thetas[1 - newest]
-        self._fista(theta, before, betas, self._weights2, self._threshold, *self._arrays)
+    def image(self) -> Floats:
+        """As in `Fista`."""
+        image = np.empty((self._basis.n_rows, self._basis.n_cols), np.float32)
+        t, flat = self._tiling, image.reshape(-1)
+        tiled_image(self._theta, t.order, t.grid, self._z, self._scratch, flat)
+        return image

@@ -1,81 +1,90 @@
-"""FISTA for basis pursuit denoising, the paper's method: `fista` to be read, `FistaSolver` to run.
-
-`tests/nodes/reconstructor/solvers/test_fista.py` shows that they agree.
-"""
+"""FISTA for basis pursuit denoising, the paper's method."""
 
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.reconstructor.bases.base import Basis
+from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 
-from .backends import make_descent
 from .base import MAX_ITERATIONS, Solver, newtons, whole_number
+from .sbhe_haar import SbheHaarFista
+
+if TYPE_CHECKING:
+    from .fast import CompiledFista
 
 
-def fista(
-    phi: Phi,
-    basis: Basis,
-    y: Floats,
-    *,
-    iterations: int = 30,
-    lambda_n: float = 0.1 / 32,
-    mask: Mask | None = None,
-    start: Floats | None = None,
-) -> tuple[Floats, Floats]:
-    r"""Reconstruct one frame: the method itself, without the buffers of `FistaSolver`.
+class Fista:
+    """The iterations of FISTA on basis pursuit denoising, for any phi and any basis.
 
-    Basis pursuit denoising, with A = Phi R Psi and R the restriction to the existing taxels:
+    With A = Phi R Psi and R the restriction to the existing taxels,
 
-        min over theta of  1/2 ||A theta - y||_2^2 + lambda ||theta||_1,    x = max(0, Psi theta)
+        min over theta of  1/2 ||A theta - y||_2^2 + lambda ||theta||_1
 
-    FISTA with constant step 1/L, L >= the largest eigenvalue of A A^T. From z_1 = theta_0 = start
-    and t_1 = 1, for k = 1, 2, ..., iterations:
+    From z_1 = theta_0 and t_1 = 1, for k = 1, 2, ...:
 
         u_k       = z_k + 1/L A^T (y - A z_k)                    (gradient step)
         theta_k   = sign(u_k) max(0, |u_k| - lambda / L)         (soft threshold)
         t_{k+1}   = (1 + sqrt(1 + 4 t_k^2)) / 2
         z_{k+1}   = theta_k + (t_k - 1) / t_{k+1} (theta_k - theta_{k-1})      (momentum)
 
+    with the constant step 1/L, L >= the largest eigenvalue of A A^T. `SbheHaarFista` and compiled
+    loops are tested against this class, and this class against the equations with a dense matrix.
+
     Parameters
     ----------
-    phi, basis, iterations, lambda_n, mask
+    phi, basis, lambda_n
         As in `FistaSolver`.
-    y : ndarray of float32, shape (m,)
-        Measurements, newtons.
-    start : ndarray of float32, shape (n_rows, n_cols), optional
-        theta of the last frame for a warm start, newtons; None: 0.
-
-    Returns
-    -------
-    forces, theta : ndarray of float32, shape (n_rows, n_cols)
-        x, 0 where no taxel exists; and the theta to start the next frame from. Newtons.
+    mask : ndarray of bool, shape (n_rows, n_cols)
+        True where a taxel exists.
     """
-    shape = (basis.n_rows, basis.n_cols)
-    exists = np.ones(shape, dtype=np.bool_) if mask is None else mask
 
-    def forward(theta: Floats) -> Floats:  # A theta
-        return phi.forward(basis.synthesis(theta)[exists])
+    def __init__(self, phi: Phi, basis: Basis, mask: Mask, lambda_n: float) -> None:
+        self._phi, self._basis, self._mask = phi, basis, mask
+        self._step = np.float32(1 / phi.lipschitz)
+        self._limit = np.float32(lambda_n / phi.lipschitz)
+        self.reset()
 
-    def adjoint(residual: Floats) -> Floats:  # A^T residual
-        image = np.zeros(shape, dtype=np.float32)
-        image[exists] = phi.adjoint(residual)
-        return basis.analysis(image)
+    def reset(self) -> None:
+        """Forget the last frame."""
+        self._theta = self._before = np.zeros(self._mask.shape, dtype=np.float32)
 
-    step = np.float32(1 / phi.lipschitz)
-    theta = np.zeros(shape, dtype=np.float32) if start is None else start
-    z = theta
-    for beta in momenta(iterations + 1)[1:]:
-        u = z + step * adjoint(y - forward(z))
-        before, theta = theta, np.sign(u) * np.maximum(np.abs(u) - np.float32(lambda_n) * step, 0)
-        z = theta + np.float32(beta) * (theta - before)
-    forces = np.where(exists, np.maximum(basis.synthesis(theta), 0), np.float32(0))
-    return forces, theta
+    def begin(self, y: Floats, warm: Floats | None) -> None:
+        """Begin a frame of measurements, float32 (m,).
+
+        It starts from an image, float32 (n_rows, n_cols); None: from the last frame's theta.
+        """
+        if warm is not None:
+            self._theta = self._basis.analysis(warm)
+        self._before, self._y = self._theta, y.copy()
+
+    def advance(self, betas: Floats) -> None:
+        """Do an iteration for each of the momenta betas, float32 (k,)."""
+        for beta in betas:
+            z = self._theta + beta * (self._theta - self._before)
+            u = z + self._step * self._adjoint(self._y - self._forward(z))
+            self._before, self._theta = self._theta, u - np.clip(u, -self._limit, self._limit)
+
+    def image(self) -> Floats:
+        """Return Psi theta, float32 (n_rows, n_cols), newtons."""
+        return self._basis.synthesis(self._theta)
+
+    def _forward(self, theta: Floats) -> Floats:
+        """A theta."""
+        return self._phi.forward(self._basis.synthesis(theta)[self._mask])
+
+    def _adjoint(self, residual: Floats) -> Floats:
+        """A^T residual."""
+        image = np.zeros(self._mask.shape, dtype=np.float32)
+        image[self._mask] = self._phi.adjoint(residual)
+        return self._basis.analysis(image)
 
 
 def momenta(iterations: int) -> list[float]:
@@ -90,7 +99,7 @@ def momenta(iterations: int) -> list[float]:
 
 
 class FistaSolver(Solver):
-    """The problem and the iteration of `fista`, on buffers that are made once.
+    """Basis pursuit denoising by `Fista`, frame after frame.
 
     A constant number of iterations of step 1/L, L = `phi.lipschitz`. A frame starts from the
     theta of the last one, the first from 0; the momentum starts anew with each frame. Negative
@@ -143,55 +152,42 @@ class FistaSolver(Solver):
         self.lambda_n = newtons("fista", "lambda_n", lambda_n)
         self.n_steps = self.iterations
         self._momenta = np.array(momenta(self.iterations), dtype=np.float32)
-        self._descent = make_descent(phi, basis, self.taxels, use_compiled(fast))
-        weights = self._descent.weights
-        # Two buffers that are swapped by each iteration: the newest theta and the one before it.
-        self._thetas: Floats = np.zeros((2, weights.size), dtype=np.float32)
-        self._newest = 0
-        threshold: Floats = (self.lambda_n * self._descent.step_size * weights).astype(np.float32)
-        self._descent.prepare(self._thetas, threshold)
+        self._fista: Fista | SbheHaarFista | CompiledFista
+        compiled = use_compiled(fast)
+        # A subclass may have changed what the operators do.
+        if not is_sbhe(phi) or type(basis) is not HaarBasis:
+            self._fista = Fista(phi, basis, self.mask, self.lambda_n)
+        elif compiled:
+            from .fast import CompiledFista  # needs numba
+
+            self._fista = CompiledFista(phi, basis, self.mask, self.lambda_n)
+        else:
+            self._fista = SbheHaarFista(phi, basis, self.mask, self.lambda_n)
 
     @property
     def theta(self) -> Floats:
         """Coefficients that the next frame starts from, float32 (n_rows, n_cols), newtons."""
-        return self.basis.analysis(self._newest_image())
+        return self.basis.analysis(self._fista.image())
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         y = self._checked_y(y)
-        newest, other = self._thetas[self._newest], self._thetas[1 - self._newest]
-        if warm is not None:
-            self._descent.coefficients_of(self._checked_warm(warm), newest)
-        self._descent.set_measurements(y)
-        np.copyto(other, newest)
-        # Both buffers are equal now. BLAS may round a product by which row is which, so that each
-        # frame begins with the same one.
-        self._newest = 0
+        self._fista.begin(y, None if warm is None else self._checked_warm(warm))
         self._steps_left = self.n_steps
 
     def solve(self, y: Floats, warm: Floats | None = None) -> Floats:
         if type(self).step is not FistaSolver.step:  # a step of the user's own
             return super().solve(y, warm)
         self.setup(y, warm)
-        self._iterate(0, self.n_steps)
+        self._fista.advance(self._momenta)
         return self.finish()
 
     def step(self) -> None:
         self._count_step()
         done = self.n_steps - self._steps_left
-        self._iterate(done - 1, done)
+        self._fista.advance(self._momenta[done - 1 : done])
 
     def finish(self) -> Floats:
-        return self._final_forces(self._newest_image())
+        return self._final_forces(self._fista.image())
 
     def reset(self) -> None:
-        self._thetas.fill(0)
-
-    def _newest_image(self) -> Floats:
-        image = np.empty(self.mask.shape, dtype=np.float32)
-        self._descent.image_of(self._thetas[self._newest], image)
-        return image
-
-    def _iterate(self, begin: int, end: int) -> None:
-        """Do the iterations of these numbers, the first being 0."""
-        self._descent.iterate(self._newest, self._momenta[begin:end])
-        self._newest = (self._newest + end - begin) % 2
+        self._fista.reset()

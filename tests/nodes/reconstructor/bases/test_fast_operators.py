@@ -18,7 +18,7 @@ from sparseskin.nodes.reconstructor.bases.shifted_haar import ShiftedHaar
 if importlib.util.find_spec("numba") is None:
     pytest.skip("numba is not installed (extra fast)", allow_module_level=True)
 
-from sparseskin.nodes.reconstructor.solvers.fast import CompiledDescent, CompiledProjection
+from sparseskin.nodes.reconstructor.solvers.fast import CompiledFista, CompiledProjection
 
 SHAPES = [
     *[(1, 1), (1, 2), (2, 1), (3, 3), (1, 9), (31, 1), (5, 7), (6, 10), (2, 12)],
@@ -42,16 +42,12 @@ def test_haar_of_compiled_iterations_is_the_basis_of_numpy(shape: tuple[int, int
     """Of all measurements of an image, one step of FISTA without shrinking finds its theta."""
     n = shape[0] * shape[1]
     phi = SbhePhi(n, n, 0)
-    descent = CompiledDescent(phi, HaarBasis(*shape), np.arange(n))
-    image, back, w = normal(*shape), normal(*shape, seed=6), np.empty(n, np.float32)
-    thetas = np.zeros((2, n), np.float32)
-    descent.coefficients_of(image, w)
-    descent.image_of(w, back)
-    descent.prepare(thetas, np.zeros(n, np.float32))
-    descent.set_measurements(phi.forward(image.reshape(-1)))
-    descent.iterate(0, np.zeros(1, np.float32))
-    np.testing.assert_allclose(back, image, atol=3e-6)
-    np.testing.assert_allclose(thetas[1], w, atol=3e-6)
+    fista = CompiledFista(phi, HaarBasis(*shape), np.ones(shape, np.bool_), 0.0)
+    image, start = normal(*shape), normal(*shape, seed=6)
+    fista.begin(phi.forward(image.reshape(-1)), start)
+    np.testing.assert_allclose(fista.image(), start, atol=3e-6)
+    fista.advance(np.zeros(1, np.float32))
+    np.testing.assert_allclose(fista.image(), image, atol=3e-6)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ if importlib.util.find_spec("numba") is None:
     pytest.skip("numba is not installed (extra fast)", allow_module_level=True)
 
 from sparseskin.nodes.numerics import kernels as fast_kernels
-from sparseskin.nodes.reconstructor.solvers.fast import CompiledDescent, CompiledProjection
+from sparseskin.nodes.reconstructor.solvers.fast import CompiledFista, CompiledProjection
 
 GRIDS = [
     ((28, 28), 60),
@@ -206,7 +206,7 @@ def test_a_phi_of_ones_own_and_others_go_the_way_of_numpy(name: str) -> None:
         solver = make_solver(name, phi, basis, fast="on")
         off = make_solver(name, phi, basis, fast="off")
         parts = [*vars(solver).values()]
-        assert not any(isinstance(p, (CompiledDescent, CompiledProjection)) for p in parts)
+        assert not any(isinstance(p, (CompiledFista, CompiledProjection)) for p in parts)
         y = phi.forward(np.abs(phi.dense()[0]).astype(np.float32))
         np.testing.assert_array_equal(solver.solve(y), off.solve(y))
 
@@ -226,7 +226,7 @@ def test_a_skin_beyond_16_bits_is_compiled_too_and_finds_the_forces_of_numpy(nam
     phi = SbhePhi(n, n // 3, 0)
     on, off = (made(name, phi, mask, how) for how in ("on", "off"))
     parts = vars(on).values()
-    assert any(isinstance(p, (CompiledDescent, CompiledProjection)) for p in parts)
+    assert any(isinstance(p, (CompiledFista, CompiledProjection)) for p in parts)
     for frame in noisy(sliding_disc(mask.shape, 4)) * mask:
         y = phi.forward(frame[mask])
         np.testing.assert_allclose(on.solve(y), off.solve(y), rtol=0, atol=5e-5)
