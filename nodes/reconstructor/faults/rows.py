@@ -204,7 +204,7 @@ class RowWatch:
         np.maximum(peers, typical, out=peers)
         # The bias differs from block to block, and adds up in sums.
         if heavy.size:
-            shares: Floats = squared[heavy] / self._heavy_ones2
+            shares: Floats = np.divide(squared[heavy], self._heavy_ones2, dtype=np.float32)
             per_one = _middle(shares) / MEDIAN_SQUARE
             peers[heavy] = np.maximum(peers[heavy], np.float32(per_one) * self._heavy_ones2)
         np.multiply(peers, ODD, out=self._bound)
