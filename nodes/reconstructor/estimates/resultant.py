@@ -30,6 +30,9 @@ class Tuning:
     settled: float = 2.0
     #: Back-projection beyond which a taxel is pressed then, in standard deviations.
     pressed: float = 2.5
+    #: Total from which a skin is touched and has a centre, in standard deviations. Derived: noise
+    #: exceeds it in one frame of 700.
+    touched: float = 3.0
     #: Rates of the errors of earlier frames, and of the bias of readings clipped at 0.
     rate: float = 0.1
     bias_rate: float = 0.05
@@ -186,7 +189,7 @@ class ResultantEstimator:
         if self._last is not None:
             self._total_error2 += T.rate * ((total - self._prior) ** 2 - self._total_error2)
             # The centre of a skin that turns out to be untouched is no error of a centre.
-            if self._last.centre is not None and total > 2 * self._last.total_sd:
+            if self._last.centre is not None and total > T.touched * self._last.total_sd:
                 off = self._sums[1:, 0] / total - np.array(self._last.centre)
                 if self._jumped_by is None:
                     self._centre_error2 += T.rate * (off**2 - self._centre_error2)
@@ -246,7 +249,7 @@ class ResultantEstimator:
         jumped: bool,
     ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
         self._jumped_by = None
-        if not total > 2 * total_sd:
+        if not total > T.touched * total_sd:
             return None, None
         if not jumped:
             if not sums[0] > 0:

@@ -111,10 +111,12 @@ def test_bands_hold_in_taps_and_where_most_rows_are_never_read(
 
 
 def test_an_untouched_skin_has_no_centre_and_next_to_no_force() -> None:
-    for one in resultants(np.zeros((40, *SHAPE), np.float32))[20:]:
+    found = resultants(np.zeros((40, *SHAPE), np.float32))[20:]
+    for one in found:
         assert one.row is None
-        assert one.total <= 2 * one.total_sd
         assert one.total < 1.0
+    # A normal number is above two deviations in one frame of 44.
+    assert np.mean([one.total <= 2 * one.total_sd for one in found]) >= 0.95
 
 
 def test_a_solver_that_leaves_a_bias_has_no_resultant() -> None:
