@@ -157,9 +157,8 @@ class Live:
         """Close the source, where it can be."""
         self._closing = True
         self._thread.join(1.0)
-        close = getattr(self._source, "close", None)
-        if callable(close) and not self._thread.is_alive():
-            close()
+        if not self._thread.is_alive():
+            self._source.close()
 
     def _read(self) -> None:
         try:
