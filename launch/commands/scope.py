@@ -18,10 +18,8 @@ from sparseskin.launch.attach.heat_map import heat_map
 from sparseskin.launch.run.terminal import Terminal
 from sparseskin.messages.text import printable
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.boards.source import BoardSource, dropped_text
-from sparseskin.nodes.sensor.node import DEFAULT_RATE_HZ
 from sparseskin.nodes.sensor.settings import SensorSettings
-from sparseskin.nodes.sensor.source import Source
+from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Source
 from sparseskin.nodes.sensor.sources import open_source
 
 from .options import add_stated, naming_options, real, stated_values, whole
@@ -93,9 +91,7 @@ def _scope(arguments: argparse.Namespace) -> int:
             sys.stdout.write("\x1b[0m\x1b[?25h\x1b[?1049l")
         for one, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
             signal.signal(one, handler)
-        close = getattr(source, "close", None)
-        if close is not None:
-            close()
+        source.close()
     print(view.summary())
     return 0 if view.n_frames else 1
 
@@ -111,7 +107,7 @@ def _stated(words: list[str]) -> dict[str, Any]:
 
 def _frames(source: Source) -> Iterator[Floats | None]:
     """Frames in the time of the source, None while there is none."""
-    if isinstance(source, BoardSource):
+    if source.arrives:
         while True:
             frame = source.next_frame(WAIT_S)
             yield None if frame is None else frame[1]
@@ -151,11 +147,8 @@ class View:
 
     def take_lines(self) -> list[str]:
         """Lines that the source has logged since the last call."""
-        lines = getattr(self._source, "lines", None)
-        found = []
-        while lines:
-            self._last_line = printable(lines.popleft())
-            found.append(self._last_line)
+        found = [printable(line) for line in self._source.take_lines()]
+        self._last_line = found[-1] if found else self._last_line
         return found
 
     @property
@@ -172,10 +165,8 @@ class View:
 
     def dropped(self) -> str:
         """What was dropped, in words; "" of a source that drops nothing."""
-        if not isinstance(self._source, BoardSource):
-            return ""
-        figures = self._source.figures()
-        return f"dropped: {dropped_text(figures) or 'nothing'}"
+        dropped = self._source.dropped()
+        return "" if dropped is None else f"dropped: {dropped or 'nothing'}"
 
     def head(self, now_s: float) -> list[str]:
         """Name, figures, what was dropped, and the last line of the source."""

@@ -14,6 +14,8 @@ import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.sensor.driver import DriverSource
+from sparseskin.nodes.sensor.source import Address
 
 from . import cdr
 from .base import check_installed
@@ -30,7 +32,7 @@ TYPES = {
 
 
 @dataclass(frozen=True)
-class Ros2Address:
+class Ros2Topic:
     """A topic of ROS 2 and how it is reached; `timeout_s` is the longest wait for a message."""
 
     topic: str
@@ -39,7 +41,7 @@ class Ros2Address:
     timeout_s: float = 10.0
 
 
-def parse(source: str) -> Ros2Address:
+def parse(source: str) -> Ros2Topic:
     """Read the text of a source.
     Raises SourceError if it is not ros2:/TOPIC?KEY=VALUE&..., or cyclonedds is not installed.
     """
@@ -59,7 +61,7 @@ def parse(source: str) -> Ros2Address:
             values["timeout_s"] = float(values["timeout_s"])
     except ValueError:
         raise SourceError(f"{source}: domain and timeout_s are numbers") from None
-    found = Ros2Address(topic, **values)
+    found = Ros2Topic(topic, **values)
     if not 0 <= found.domain <= 232:
         raise SourceError(f"{source}: domain: {found.domain} is outside 0..232")
     if not 0 < found.timeout_s <= 86400:
@@ -67,13 +69,22 @@ def parse(source: str) -> Ros2Address:
     return found
 
 
-def check(source: str) -> None:
-    """Raise SourceError if the source cannot be opened here."""
-    parse(source)
-    try:
-        check_installed("cyclonedds", "cyclonedds", "ros2", f"source {source}")
-    except Exception as error:
-        raise SourceError(str(error)) from error
+class Ros2Address(Address):
+    """The address of a topic of ROS 2, whose messages are frames."""
+
+    def check(self) -> None:
+        parse(self.source)
+        try:
+            check_installed("cyclonedds", "cyclonedds", "ros2", f"source {self.source}")
+        except Exception as error:
+            raise SourceError(str(error)) from error
+
+    def open(self) -> DriverSource:
+        self.check()
+        stated: dict[str, Any] = {"f_max": self.f_max, "unit": self.unit, "raw": self.raw}
+        driver = DriverSource(self.source, frames(self.source), rate_hz=None, **stated)
+        driver.check_shape(self.n_rows, self.n_cols)
+        return driver
 
 
 def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
@@ -127,7 +138,7 @@ def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
             yield time.monotonic_ns(), received.values
 
 
-def _publication(member: Any, address: Ros2Address) -> tuple[str, bool]:
+def _publication(member: Any, address: Ros2Topic) -> tuple[str, bool]:
     """Type of what is published on a topic, and True if it is sent reliably."""
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
     from cyclonedds.qos import Policy

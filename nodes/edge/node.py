@@ -10,7 +10,6 @@ from typing import Any
 from sparseskin.messages import Measurements, Message, PhiState, SkinState, topic_of
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.node import Context, SourceNode, Tick
-from sparseskin.nodes.sensor.boards.source import dropped_text
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .description import EdgeDescription
@@ -143,7 +142,7 @@ class Edge(SourceNode[EdgeSettings]):
         self._log_lines()
 
     def status(self) -> str:
-        d, dropped = self._described, dropped_text(self._wire.figures())
+        d, dropped = self._described, self._wire.dropped()
         text = f"{self._wire.name}: frame {self._n_frames}, {d.m} of {d.bits} bits"
         if self._n_other:
             text += f"; {self._n_other} of another matrix"
@@ -158,8 +157,8 @@ class Edge(SourceNode[EdgeSettings]):
         self._wire.close()
 
     def _log_lines(self) -> None:
-        while self._wire.lines:
-            self.context.log(self._wire.lines.popleft())
+        for line in self._wire.take_lines():
+            self.context.log(line)
 
     def _log_other(self, payload: bytes) -> None:
         """Log frames of another matrix, each time that their number has doubled."""

@@ -19,10 +19,10 @@ from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
-from .node import DEFAULT_RATE_HZ
 from .noise import NoiseModel
 from .scenes.scenes import SCENES, open_scene
 from .scenes.tiled import TILED, TiledScene
+from .source import DEFAULT_RATE_HZ
 from .sources import SCENE
 
 MAX_TAXELS = MAX_ELEMENTS

@@ -7,32 +7,30 @@ from collections.abc import Iterable, Iterator
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable, one_line
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.calibration.zero import ZeroWatch
-from sparseskin.nodes.sensor.clipped import Clipped
 from sparseskin.nodes.sensor.files.parsed import (
     check_grid,
     check_number,
+    check_stated_shape,
     check_unit,
     shown,
 )
 
+from .source import LiveSource
 
-class DriverSource:
+
+class DriverSource(LiveSource):
     """The frames of a user's driver, each checked as it is yielded.
 
     Readings outside [0, f_max] are clipped, as a sensor saturates at the ends of its range. Its
     attributes are those of a `Source`: the driver's own where it has them, or else the name
-    `module:callable`, a skin of the first frame's shape, and "taxels" to deliver. `clipped` counts
-    the readings clipped so far. With `raw`, none is: a calibration converts them. `watch`, where it
-    is set, looks for noise around 0 in the first frames; `notice` is what it has found, "" for
-    nothing.
+    `module:callable`, a skin of the first frame's shape, and "taxels" to deliver. With `raw`, no
+    reading is clipped: a calibration converts them.
     """
 
     def __init__(
@@ -45,14 +43,12 @@ class DriverSource:
         rate_hz: float | None,
         raw: bool = False,
     ) -> None:
+        super().__init__()
         self._raw = raw
-        self.watch: ZeroWatch | None = None
-        self.notice = ""
         self._target = target
         self._driver = driver
         self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
         self._skin: Skin | None = None
-        self.clipped = Clipped()
         self._pending: tuple[int, Floats] | None = None
         self._is_one_shot = False
         self._iterator: Iterator[object] | None = None
@@ -96,6 +92,14 @@ class DriverSource:
                 yield frame
         finally:
             self.close()
+
+    def check_shape(self, n_rows: int | None, n_cols: int | None) -> None:
+        """Raise SourceError, and close the driver, if its frames have another shape than stated."""
+        try:
+            check_stated_shape(*self.skin.shape, n_rows, n_cols, self._target)
+        except SourceError:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Close the driver, so that its `finally` blocks run; may be called more than once.
@@ -200,8 +204,10 @@ class DriverSource:
                 )
         is_float = array.dtype in (np.float32, np.float64)
         # The common case; the comparison is false for a NaN.
-        if self.watch is not None:
-            self._look(array)
+        if self._watch is not None:
+            exists = array if self._skin is None else array[self._skin.exists]
+            with np.errstate(all="ignore"):
+                self._look(exists.astype(np.float64).ravel())
         if mask is None and is_float and 0 <= array.min() <= array.max() <= self._f_max:
             return array.astype(np.float32)
         with np.errstate(all="ignore"):
@@ -219,14 +225,6 @@ class DriverSource:
             return values.astype(np.float32)
         self.clipped.add(values, 0.0, self._f_max)
         return np.clip(values, 0, self._f_max).astype(np.float32)
-
-    def _look(self, readings: npt.NDArray[Any]) -> None:
-        assert self.watch is not None
-        exists = readings if self._skin is None else readings[self._skin.exists]
-        with np.errstate(all="ignore"):
-            self.notice = self.watch.add(exists.astype(np.float64).ravel())
-        if self.watch.done:
-            self.watch = None
 
     def _own_skin(self, skin: object, f_max: float | None, unit: str | None) -> Skin:
         if not isinstance(skin, Skin):

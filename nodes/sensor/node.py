@@ -2,35 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from sparseskin.messages import Calibration, Message, SkinState, Taxels, Truth, topic_of
 from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.numerics.arrays import Floats
 
-from .boards.board import describe_board, is_board
-from .boards.source import BoardSource, dropped_text
 from .calibration.description import SkinDescription
 from .calibration.skin_file import load_skin
 from .calibration.stage import Stage, described, fitted
-from .calibration.zero import ZeroWatch
 from .clipped import Clipped, clipped_text
-from .driver import DriverSource
-from .files.recorded import RecordedSource, n_taxels
 from .noise import NoiseModel
 from .settings import SensorSettings
-from .simulators.model import MUJOCO, check_model
-from .source import Skin, Source
-from .sources import FILE, SCENE, open_source
+from .source import Skin
 
-if TYPE_CHECKING:
-    from .layouts.placing import Placement
-
-DEFAULT_RATE_HZ = 100.0
-"""Frame rate of scenes and of recordings without a rate of their own."""
 WAIT_S = 0.05
 """Longest wait for a frame of a board, seconds; chosen: commands and signals wait no longer."""
 LOG_S = 10
@@ -61,7 +49,7 @@ class Sensor(SourceNode[SensorSettings]):
             from .layouts.placing import placed  # takes SciPy, which a flat grid does not need
 
             self._placement = placed(settings.points)
-        self._source = _open(settings, self._placement)
+        self._source = settings.address().open()
         try:
             self._source_skin = self._placed_skin()
             self._stage = self._made_stage(described)
@@ -74,17 +62,14 @@ class Sensor(SourceNode[SensorSettings]):
             self.skin = replace(self.skin, point_rows=rows)
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
-        self._live = isinstance(self._source, DriverSource | BoardSource)
-        self._board_ns = -1
+        self._arrived_ns = -1
         self.rate_hz = self._chosen_rate()
-        self._frames = self._on_grid(self._source)
         self._next: _Frame | None = None
         source = self._source
-        watched = source.delivers == "taxels" and self._stage is None and settings.f_min is None
-        if isinstance(source, DriverSource | BoardSource) and watched:
-            source.watch = ZeroWatch(self.skin.f_max)
+        if source.delivers == "taxels" and self._stage is None and settings.f_min is None:
+            source.watch_zero()
         self._n_frames = self._n_logged = self._logged_ns = 0
-        if not self._live:
+        if not source.is_live:
             self._prepare()
 
     @classmethod
@@ -95,27 +80,14 @@ class Sensor(SourceNode[SensorSettings]):
 
     @classmethod
     def facts(cls, settings: SensorSettings) -> Mapping[str, Any]:
-        source, n_rows, n_cols = settings.source, settings.n_rows, settings.n_cols
-        n: int | None
         if settings.points:
             from .layouts.files import load_points
 
-            n = load_points(settings.points).n
+            n: int | None = load_points(settings.points).n
         elif settings.skin:  # a source that masks further cells shows when it runs
             n = load_skin(settings.skin).skin.n_taxels
-        elif source.startswith(SCENE):
-            n = open_source(source, seed=settings.seed).skin.n_taxels
-        elif is_board(source):
-            unit, f_max = settings.unit, settings.f_max
-            board = describe_board(source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
-            n = board.skin.n_taxels
-        elif source.startswith(FILE):
-            path = source.removeprefix(FILE)
-            n = n_taxels(path, n_rows, n_cols, settings.unit, settings.policy)
-        elif source.startswith(MUJOCO):
-            n = check_model(source, n_rows, n_cols)
-        else:  # otherwise known once the driver runs
-            n = n_rows * n_cols if n_rows and n_cols else None
+        else:
+            n = settings.address().n_taxels()
         return {} if n is None else {topic_of(settings.patch, SkinState.schema): n}
 
     def start(self) -> Iterable[Message]:
@@ -123,9 +95,7 @@ class Sensor(SourceNode[SensorSettings]):
             self.context.log(self._placement.summary())
             for line in self._placement.points.notes:
                 self.context.log(f"{self._placement.points.name}: {line}")
-        if isinstance(self._source, RecordedSource):
-            for line in self._source.treated.lines(self._source.policy, self.skin.unit):
-                self.context.log(line)
+        self._log_lines()
         # First, so that a recorder knows it once the graph's other states follow from the skin.
         yield from self._calibration()
         yield self._describe()
@@ -149,8 +119,8 @@ class Sensor(SourceNode[SensorSettings]):
 
     @property
     def follows_readers(self) -> bool:
-        # A board does not wait: its frames would be lost where nobody counts them.
-        return super().follows_readers and not isinstance(self._source, BoardSource)
+        # What arrives does not wait: its frames would be lost where nobody counts them.
+        return super().follows_readers and not self._source.arrives
 
     def _describe(self) -> SkinState:
         skin, has_truth = self.skin, self._source.delivers == "truth"
@@ -188,13 +158,13 @@ class Sensor(SourceNode[SensorSettings]):
         return self._stage.tare(value)
 
     def tick(self, tick: Tick) -> Iterable[Message]:
-        stamp_ns = tick.stamp_ns
-        if self._live:
+        source, stamp_ns = self._source, tick.stamp_ns
+        if source.is_live:
             self._prepare()
             # A driver waits for its hardware: its frame is younger than the tick.
             stamp_ns = max(stamp_ns, self.context.clock.now_ns())
-        if isinstance(self._source, BoardSource):
-            stamp_ns = self._board_ns
+        if source.arrives:
+            stamp_ns = self._arrived_ns
         if self._stage is not None and self._stage.is_news:
             yield from self._calibration()
         if self._next is None:
@@ -206,34 +176,28 @@ class Sensor(SourceNode[SensorSettings]):
             yield Truth(stamp_ns=stamp_ns, patch=patch, forces=truth)
         self._n_frames += 1
         self._watch_rate(stamp_ns)
-        if not self._live:
+        if not source.is_live:
             self._prepare()
 
     def state(self) -> dict[str, Any]:
         # Without a stated rate, the pace of a driver is its own and not known.
-        paced = self._live and self.settings.rate_hz is None
+        paced = self._source.is_live and self.settings.rate_hz is None
         stage = self._stage.state() if self._stage is not None else {}
         return {**super().state(), **({} if paced else {"rate_hz": self.rate_hz}), **stage}
 
     def status(self) -> str:
-        total = f" of {self._source.n_frames}" if self._source.n_frames is not None else ""
-        text = f"{self._source.name}: frame {self._n_frames}{total}"
-        if isinstance(self._source, BoardSource):
-            dropped = dropped_text(self._source.figures())
-            text += f"; dropped: {dropped}" if dropped else ""
-            text += "" if self._source.is_there else "; the device is gone"
-        return text
+        source = self._source
+        total = f" of {source.n_frames}" if source.n_frames is not None else ""
+        text = f"{source.name}: frame {self._n_frames}{total}"
+        text += f"; dropped: {dropped}" if (dropped := source.dropped()) else ""
+        return text if source.is_there else f"{text}; the device is gone"
 
     def close(self, counts: dict[str, Any]) -> None:
-        if isinstance(self._source, DriverSource | BoardSource):
-            self._source.close()
+        self._source.close()
 
     def report(self) -> dict[str, Any]:
-        source = self._source
-        board = {"board": source.figures()} if isinstance(source, BoardSource) else {}
-        if isinstance(source, RecordedSource) and (invalid := source.treated.counts()):
-            return {"clipped": 0, "invalid": invalid}
-        return {**self._clipped.report(self._f_min, self.skin.f_max, self.skin.unit), **board}
+        clipped = self._clipped.report(self._f_min, self.skin.f_max, self.skin.unit)
+        return {**clipped, **self._source.report()}
 
     @property
     def _f_min(self) -> float:
@@ -243,10 +207,7 @@ class Sensor(SourceNode[SensorSettings]):
     @property
     def _clipped(self) -> Clipped:
         """Readings that were clipped to the range."""
-        if self._stage is not None:
-            return self._stage.chain.clipped
-        source = self._source
-        return source.clipped if isinstance(source, DriverSource | BoardSource) else Clipped()
+        return self._source.clipped if self._stage is None else self._stage.chain.clipped
 
     def _watch_range(self) -> None:
         """Log clipped readings at first, then when their number has doubled, `LOG_S` apart at
@@ -265,82 +226,53 @@ class Sensor(SourceNode[SensorSettings]):
         return NoiseModel.for_range(self.skin.f_max, self.settings.noise)
 
     def _chosen_rate(self) -> float:
-        if self.settings.rate_hz is not None:
-            return self.settings.rate_hz
-        if self.settings.source.startswith(SCENE):
-            return DEFAULT_RATE_HZ
-        if self._source.rate_hz is not None:
-            return self._source.rate_hz
-        return 0.0 if self._live else DEFAULT_RATE_HZ
+        stated = self.settings.rate_hz
+        return self._source.pace_hz if stated is None else stated
 
     def _prepare(self) -> None:
         """Compute the next frame, or note that there is none."""
-        if isinstance(self._source, BoardSource):
-            forces = self._from_board(self._source)
-            self._next, self.acquired = (
-                None if forces is None else (forces, None),
-                forces is not None,
-            )
-            return
-        try:
-            stamp_ns, forces = next(self._frames)
-            while self._stage is not None:
-                converted = self._stage.process(forces, stamp_ns)
-                if converted is not None:
-                    forces = converted
-                    break
-                if self._live:  # a tick a frame, so that a slow skin answers commands meanwhile
-                    self._next = None
-                    return
-                stamp_ns, forces = next(self._frames)
-        except StopIteration:
-            self._next, self.exhausted = None, True
+        source = self._source
+        self._next = None
+        while (frame := source.next_frame(WAIT_S, newest=self.rate_hz > 0)) is not None:
+            self._next = self._read(*frame)
+            # A tick a frame of now, so that a slow skin answers commands meanwhile.
+            if self._next is not None or source.is_live:
+                break
+        self._watch_range()
+        if source.is_live:
+            self._log_lines()
+        if source.ended:
+            self.exhausted = True
             if self._stage is not None and self._stage.is_starting:
-                self.context.log(f"{self._source.name}: ended before its tare")
-            return
-        self._watch_range()
-        self._log_notice()
-        if self._source.delivers == "taxels":
-            self._next = (forces, None)
-            return
-        self._next = self._measured(forces)
+                self.context.log(f"{source.name}: ended before its tare")
+        if source.arrives:
+            self.acquired = self._next is not None
+            if frame is None:
+                self.begin(self.context.clock.now_ns())  # no frame is made up for
 
-    def _from_board(self, board: BoardSource) -> Floats | None:
-        """The next frame of a board, and its stamp; None if none came."""
-        frame = board.next_frame(WAIT_S, newest=self.rate_hz > 0)
-        self._log_lines(board)
-        now_ns = self.context.clock.now_ns()
-        if frame is None:
-            self.begin(now_ns)  # no frame is made up for
-            return None
-        arrived_ns, forces = frame
-        if self._placement is not None:
+    def _read(self, stamp_ns: int, forces: Floats) -> _Frame | None:
+        """Convert a frame of the source; None during a tare."""
+        source = self._source
+        if source.arrives:
+            now_ns = self.context.clock.now_ns()
+            self._arrived_ns = max(now_ns - source.age_ns(stamp_ns), self._arrived_ns + 1)
+        if self._placement is not None and not source.on_points:
             forces = self._placement.on_grid(forces)
-        self._board_ns = max(now_ns - board.age_ns(arrived_ns), self._board_ns + 1)
-        found = forces if self._stage is None else self._stage.process(forces, arrived_ns)
-        self._watch_range()
-        self._log_notice()
-        return found
+        if self._stage is not None:
+            converted = self._stage.process(forces, stamp_ns)
+            return None if converted is None else (converted, None)
+        return (forces, None) if source.delivers == "taxels" else self._measured(forces)
 
-    def _log_lines(self, board: BoardSource) -> None:
-        while board.lines:
-            self.context.log(board.lines.popleft())
+    def _log_lines(self) -> None:
+        for line in self._source.take_lines():
+            self.context.log(line)
 
     def idle(self) -> None:
-        if not isinstance(self._source, BoardSource):
-            return
         if self.paused or not self._t0_ns:
             self._source.discard()
         elif self.rate_hz:
             self._source.receive(0.0)
-        self._log_lines(self._source)
-
-    def _log_notice(self) -> None:
-        """Log that noise lies around 0, where a source has found it."""
-        source = self._source
-        if isinstance(source, DriverSource | BoardSource) and source.notice:
-            self.context.log(f"{source.notice} (settings of the sensor)")
-            source.notice = ""
+        self._log_lines()
 
     def _made_stage(self, found: SkinDescription | None) -> Stage | None:
         s, source = self.settings, self._source
@@ -360,19 +292,11 @@ class Sensor(SourceNode[SensorSettings]):
         Raises SourceError if a frame has another number of readings.
         """
         skin = self._source.skin
-        if self._placement is None or self.settings.source.startswith(SCENE):
+        if self._placement is None or self._source.on_points:
             return skin
         self._placement.check_size(skin.n_rows * skin.n_cols)
         found = self._placement.skin(skin.f_max, skin.unit)
         return found if skin.mask is None else found.without(~self._placement.on_grid(skin.mask))
-
-    def _on_grid(self, source: Source) -> Iterator[tuple[int, Floats]]:
-        """Frames of the source, those of a layout on its virtual grid."""
-        if self._placement is None or self.settings.source.startswith(SCENE):
-            yield from source
-            return
-        for stamp_ns, forces in source:
-            yield stamp_ns, self._placement.on_grid(forces)
 
     def _measured(self, truth: Floats) -> _Frame:
         """Return the readings of true forces, and these."""
@@ -380,22 +304,3 @@ class Sensor(SourceNode[SensorSettings]):
         if self.skin.mask is not None:
             taxels[~self.skin.mask] = 0.0
         return taxels, truth
-
-
-def _open(settings: SensorSettings, placement: Placement | None) -> Source:
-    """Open the source; that of a calibrated skin delivers readings of any unit, sign and size."""
-    if placement is not None and settings.source.startswith(SCENE):
-        from .layouts.scenes import PointScene
-
-        return PointScene(settings.source.removeprefix(SCENE), placement, settings.seed)
-    n_rows, n_cols = settings.shape_for_source()
-    return open_source(
-        settings.source,
-        seed=settings.seed,
-        n_rows=n_rows,
-        n_cols=n_cols,
-        unit=settings.unit,
-        f_max=settings.f_max,
-        policy=settings.policy,
-        raw=settings.is_calibrated,
-    )

@@ -9,8 +9,9 @@ from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .calibration.chain import MAX_TARE_FRAMES
 from .calibration.skin_file import load_skin
-from .files.parsed import KEEP, NAN_WAYS, NEGATIVE_WAYS, REFUSE, Policy
-from .sources import FORMS, SCENE, check_source
+from .files.parsed import NAN_WAYS, NEGATIVE_WAYS, Policy
+from .source import Address
+from .sources import FORMS, find_address
 
 
 @dataclass(frozen=True)
@@ -95,33 +96,32 @@ class SensorSettings(PatchSettings):
     )
 
     @property
-    def policy(self) -> Policy:
-        """What to do with invalid readings of a file."""
-        keeps = self.is_calibrated and self.negative == REFUSE
-        return Policy(self.nan, KEEP if keeps else self.negative)
-
-    @property
     def is_calibrated(self) -> bool:
         """True if raw readings are converted to forces."""
         return bool(self.skin or self.tare or self.f_min)
 
-    def shape_for_source(self) -> tuple[int | None, int | None]:
-        """Rows and columns that are stated for the source: for a .csv those of the skin's file."""
-        if self.skin and self.source.endswith(".csv"):
-            found = load_skin(self.skin)
-            if found.placement is None:
-                return self.n_rows or found.rows, self.n_cols or found.cols
-        return self.n_rows, self.n_cols
+    def address(self) -> Address:
+        """The source, as these settings state it. Raises SourceError if it has no known form."""
+        return find_address(
+            self.source,
+            n_rows=self.n_rows,
+            n_cols=self.n_cols,
+            unit=self.unit,
+            f_max=self.f_max,
+            seed=self.seed,
+            policy=Policy(self.nan, self.negative),
+            raw=self.is_calibrated,
+            points=self.points,
+            described=load_skin(self.skin) if self.skin else None,
+        )
 
     def check(self) -> None:
-        unit = self.unit
         if self.skin:
             for key in ("unit", "f_max"):
                 if getattr(self, key) is not None:
                     raise SettingsError(f"{key}: the file of the skin has its own")
             with naming("skin"):
                 load_skin(self.skin)
-            unit = "raw" if self.source.endswith(".csv") else None
         if self.points:
             if self.skin and load_skin(self.skin).placement is not None:
                 raise SettingsError("points: the file of the skin has its own")
@@ -130,9 +130,8 @@ class SensorSettings(PatchSettings):
             with naming("points"):
                 load_points(self.points)
         with naming("source"):
-            shape = self.shape_for_source()
-            check_source(self.source, *shape, unit, self.policy, self.f_max, bool(self.points))
-        if self.source.startswith(SCENE):
-            for key in ("n_rows", "n_cols", "unit", "f_max", "skin", "tare", "drift", "f_min"):
-                if getattr(self, key) not in (None, "", 0):
-                    raise SettingsError(f"{key}: a scene has its own")
+            address = self.address()
+            address.check()
+        for key in address.own:
+            if getattr(self, key) not in (None, "", 0):
+                raise SettingsError(f"{key}: a {address.kind} has its own")

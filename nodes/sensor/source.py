@@ -1,18 +1,35 @@
-"""The interface of a sensor source: a skin, and its frames one after the other."""
+"""The interface of sensor sources: an address, which settings state, and the source it opens."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Iterator
-from typing import Literal, Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy.typing as npt
 
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Floats
 
-__all__ = ["Skin", "Source"]
+from .calibration.zero import ZeroWatch
+from .clipped import Clipped
+from .files.parsed import DEFAULT_POLICY, Policy
+
+if TYPE_CHECKING:
+    from .calibration.description import SkinDescription
+
+__all__ = ["Address", "LiveSource", "Skin", "Source"]
+
+DEFAULT_RATE_HZ = 100.0
+"""Frame rate of scenes and of recordings without a rate of their own."""
+MAX_LINES = 100
+"""Most lines for the log that wait, chosen: the newest ones tell what goes on."""
 
 
-class Source(Protocol):
-    """A source of frames: a simulated scene, a recording, or a driver.
+class Source:
+    """A source of frames: a simulated scene, a recording, a board, or a driver.
 
     Attributes
     ----------
@@ -22,21 +39,181 @@ class Source(Protocol):
         The patch the frames belong to.
     delivers : "truth" or "taxels"
         "truth": noise-free forces, to which the sensor adds noise. "taxels": readings of a real
-        skin, whose truth is not known.
+        skin, whose truth is not known, and which a calibration may convert to forces.
     rate_hz : float or None
         Native frame rate; None if the source has none of its own.
     n_frames : int or None
         Number of frames; None for an endless source.
+    is_live : bool
+        True if a frame is of the time at which it is read. Other sources are read a frame ahead.
+    arrives : bool
+        True if frames arrive whether or not they are read; `next_frame` then states when.
+    on_points : bool
+        True if the frames of a skin of points are on its virtual grid already.
+    ended : bool
+        True once `next_frame` has found that there is no frame any more.
+    clipped : Clipped
+        Counts of the readings that were clipped to the range.
     """
 
     name: str
     skin: Skin
-    delivers: Literal["truth", "taxels"]
-    rate_hz: float | None
-    n_frames: int | None
+    delivers: Literal["truth", "taxels"] = "taxels"
+    rate_hz: float | None = None
+    n_frames: int | None = None
+    is_live: bool = False
+    arrives: bool = False
+    on_points: bool = False
+    ended: bool = False
+    clipped: Clipped = Clipped()
+    _frames: Iterator[tuple[int, Floats]] | None = None
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
         """Yield (stamp_ns, forces): time since the first frame in nanoseconds, and
         float32 forces of shape (n_rows, n_cols) in [0, f_max]; 0 in masked cells.
         """
-        ...
+        raise NotImplementedError
+
+    @property
+    def pace_hz(self) -> float:
+        """Frames a second that a sensor reads where its settings state no rate; 0: as they come."""
+        if self.rate_hz is not None:
+            return self.rate_hz
+        return 0.0 if self.is_live else DEFAULT_RATE_HZ
+
+    @property
+    def is_there(self) -> bool:
+        """False while the device is gone."""
+        return True
+
+    def next_frame(self, wait_s: float, newest: bool = False) -> tuple[int, Floats] | None:
+        """The next frame, as `__iter__` yields it; None if there is none.
+
+        Parameters
+        ----------
+        wait_s : float
+            Longest wait for a frame that arrives, seconds.
+        newest : bool
+            True to take the newest of the frames that have arrived; the others are not used.
+        """
+        if self._frames is None:
+            self._frames = iter(self)
+        frame = next(self._frames, None)
+        self.ended = frame is None
+        return frame
+
+    def age_ns(self, arrived_ns: int) -> int:
+        """Time since a frame arrived, nanoseconds."""
+        return 0
+
+    def receive(self, wait_s: float) -> None:
+        """Read the frames that have arrived, waiting for them at most `wait_s` seconds."""
+
+    def discard(self) -> None:
+        """Use none of the frames that have arrived: nobody asks for frames now."""
+
+    def watch_zero(self) -> None:
+        """Look for noise around 0 in the first frames, which a line for the log then states."""
+
+    def take_lines(self) -> list[str]:
+        """Lines for the log since the last call."""
+        return []
+
+    def dropped(self) -> str | None:
+        """What was dropped, in words, "" for nothing; None of a source that drops nothing."""
+        return None
+
+    def report(self) -> dict[str, Any]:
+        """Counters for the summary of a run."""
+        return {}
+
+    def close(self) -> None:
+        """Close the source; may be called more than once."""
+
+
+class LiveSource(Source):
+    """A source of readings of now, which may be clipped."""
+
+    is_live = True
+
+    def __init__(self) -> None:
+        self.clipped = Clipped()
+        self._lines: deque[str] = deque(maxlen=MAX_LINES)
+        self._watch: ZeroWatch | None = None
+
+    def watch_zero(self) -> None:
+        self._watch = ZeroWatch(self.skin.f_max)
+
+    def take_lines(self) -> list[str]:
+        lines = list(self._lines)
+        self._lines.clear()
+        return lines
+
+    def _look(self, readings: npt.NDArray[Any]) -> None:
+        """Show readings of existing taxels, of one dimension, to the watch of noise around 0."""
+        assert self._watch is not None
+        if notice := self._watch.add(readings):
+            self._lines.append(f"{notice} (settings of the sensor)")
+        if self._watch.done:
+            self._watch = None
+
+
+@dataclass(frozen=True, eq=False)
+class Address(ABC):
+    """What settings state of a source that is not open; a subclass for each kind.
+
+    Attributes
+    ----------
+    source : str
+        The address itself, e.g. "file:press.npy".
+    n_rows, n_cols, unit, f_max
+        Properties that the source does not state itself, or that it must have; None: any.
+    seed : int
+        Seed of a scene.
+    policy : Policy
+        What to do with readings of a file that are not finite or below 0.
+    raw : bool
+        True: readings may have any sign and size, as a calibration converts them.
+    points : str
+        File with the places of the taxels of a skin of points; "" for a grid.
+    described : SkinDescription or None
+        What the file of the skin states.
+    own : tuple of str
+        Settings of the sensor that such a source has itself: they must not be stated.
+    """
+
+    source: str
+    n_rows: int | None = None
+    n_cols: int | None = None
+    unit: str | None = None
+    f_max: float | None = None
+    seed: int = 0
+    policy: Policy = DEFAULT_POLICY
+    raw: bool = False
+    points: str = ""
+    described: SkinDescription | None = None
+    own: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def kind(self) -> str:
+        """What stands before the colon."""
+        return self.source.partition(":")[0]
+
+    @property
+    def rest(self) -> str:
+        """What stands behind the colon."""
+        return self.source.partition(":")[2]
+
+    @abstractmethod
+    def check(self) -> None:
+        """Raise SourceError if the source cannot be opened, as far as shows without opening it."""
+
+    def n_taxels(self) -> int | None:
+        """Number of taxels, without opening the source; None where only the open one shows it.
+        May raise SourceError as `check`.
+        """
+        return self.n_rows * self.n_cols if self.n_rows and self.n_cols else None
+
+    @abstractmethod
+    def open(self) -> Source:
+        """Open the source; SourceError if it is missing, or contradicts what is stated."""

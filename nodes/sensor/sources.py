@@ -1,12 +1,14 @@
-"""Sources by name: a scene, a file, a board, a MuJoCo model, a ROS 2 topic, or a driver."""
+"""Sources by their addresses: a scene, a file, a board, a model, a ROS 2 topic, or a driver."""
 
 from __future__ import annotations
 
 import re
 import symtable
-from dataclasses import replace
+from functools import lru_cache
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import (
@@ -16,30 +18,73 @@ from sparseskin.nodes.lookup import (
     one_line,
     search_here,
 )
-from sparseskin.nodes.sensor.files.parsed import (
-    DEFAULT_POLICY,
-    KEEP,
-    REFUSE,
-    Policy,
-    check_stated_shape,
-)
-from sparseskin.nodes.sensor.files.recorded import n_taxels, open_file
-from sparseskin.nodes.sensor.scenes.scenes import SCENES, check_scene, open_scene
-from sparseskin.nodes.sensor.simulators.model import MUJOCO, check_model
+from sparseskin.nodes.sensor.files.parsed import DEFAULT_POLICY, Policy
 
-from .boards.board import check_board, describe_board, is_board
-from .boards.settings import KINDS
-from .boards.source import BoardSource
-from .driver import DriverSource, open_callable
-from .source import Source
+from .driver import open_callable
+from .source import Address, Source
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 SCENE = "scene:"
 FILE = "file:"
-ROS2 = "ros2:"
 FORMS = (
     "scene:NAME, file:PATH, mujoco:MODEL.xml#SITE, serial:DEVICE, udp:PORT, can:CHANNEL, "
     "ros2:/TOPIC or module:callable"
 )
+KINDS = {
+    "scene": "sparseskin.nodes.sensor.scenes.address:SceneAddress",
+    "file": "sparseskin.nodes.sensor.files.address:FileAddress",
+    "mujoco": "sparseskin.nodes.sensor.simulators.source:MujocoAddress",
+    "serial": "sparseskin.nodes.sensor.boards.source:BoardAddress",
+    "udp": "sparseskin.nodes.sensor.boards.source:BoardAddress",
+    "can": "sparseskin.nodes.sensor.boards.source:BoardAddress",
+    "ros2": "sparseskin.nodes.bridges.ros2_source:Ros2Address",
+}
+"""Class of the addresses of each kind, imported where one is used."""
+GROUP = "sparseskin_addresses"
+"""Group of entry points with which another package brings a kind: its name, and such a class."""
+
+
+def find_address(source: str, **stated: Any) -> Address:
+    """Return the address of a source.
+
+    Parameters
+    ----------
+    source : str
+        One of the forms in `FORMS`, or of a kind that another package brings.
+    **stated
+        What settings state of it: attributes of `Address`.
+
+    Raises
+    ------
+    SourceError
+        If it has none of these forms, or the package of its kind cannot be imported.
+    """
+    kind, colon, rest = source.partition(":")
+    if not (kind and colon and rest):
+        from .scenes.scenes import SCENES
+
+        hint = f' (did you mean "{SCENE}{source}"?)' if source in SCENES else ""
+        raise SourceError(f'source "{source}": expected {FORMS}{hint}')
+    made: type[Address] = DriverAddress
+    if kind in KINDS:
+        module, _, name = KINDS[kind].partition(":")
+        made = getattr(import_module(module), name)
+    elif kind in offered_kinds():
+        try:
+            made = offered_kinds()[kind].load()
+        except Exception as error:
+            raise SourceError(f"{source}: importing {kind} failed: {one_line(error)}") from error
+    return made(source, **stated)
+
+
+@lru_cache(maxsize=1)
+def offered_kinds() -> dict[str, EntryPoint]:
+    """Kinds that other packages bring, by name."""
+    from importlib.metadata import entry_points  # takes time, and few sources need it
+
+    return {point.name: point for point in entry_points(group=GROUP)}
 
 
 def check_source(
@@ -48,58 +93,29 @@ def check_source(
     n_cols: int | None = None,
     unit: str | None = None,
     policy: Policy = DEFAULT_POLICY,
-    f_max: float | None = None,
-    on_points: bool = False,
 ) -> None:
-    """Check that a source exists, without opening it; of a file the begin is read.
-
-    `on_points` is True for a skin of points, which has scenes of its own.
+    """Check that a source exists, without opening it; of a file the begin is read. Arguments as of
+    `open_source`.
 
     Raises
     ------
     SourceError
-        If it has none of these forms, the scene is unknown, a board's settings or device are wrong,
-        the file is missing, of an unknown format or refused by `n_taxels`, the model is refused by
-        `check_model`, or the module of the driver is missing.
+        As `find_address` and `Address.check`.
     """
-    kind, colon, rest = source.partition(":")
-    if not (kind and colon and rest):
-        hint = f' (did you mean "{SCENE}{source}"?)' if source in SCENES else ""
-        raise SourceError(f'source "{source}": expected {FORMS}{hint}')
-    if source.startswith(SCENE):
-        _check_scene(rest, on_points)
-    elif source.startswith(ROS2):
-        from sparseskin.nodes.bridges.ros2_source import check
-
-        check(source)
-    elif is_board(source):
-        board = describe_board(source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
-        check_board(board)
-    elif source.startswith(MUJOCO):
-        check_model(source, n_rows, n_cols)
-    elif not source.startswith(FILE):
-        check_module(source)
-    else:
-        n_taxels(rest, n_rows, n_cols, unit, policy)
+    find_address(source, n_rows=n_rows, n_cols=n_cols, unit=unit, policy=policy).check()
 
 
-def _check_scene(name: str, on_points: bool) -> None:
-    """Check that a scene exists, and that it is one of a grid, or one on points."""
-    if name in SCENES and not on_points:
-        return
-    # Takes SciPy, which a flat grid does not need.
-    from .layouts.scenes import SCENES as ON_POINTS
-    from .layouts.scenes import check_point_scene
+class DriverAddress(Address):
+    """A driver of a user's own: module:callable."""
 
-    if on_points:
-        if name in SCENES:
-            known = ", ".join(ON_POINTS)
-            raise SourceError(f"scene {name} presses a flat grid; allowed on points: {known}")
-        check_point_scene(name)
-    elif name in ON_POINTS:
-        raise SourceError(f"scene {name} presses a skin of points; state points, a file of them")
-    else:
-        check_scene(name)
+    def check(self) -> None:
+        check_module(self.source)
+
+    def open(self) -> Source:
+        self.check()
+        driver = open_callable(self.source, f_max=self.f_max, unit=self.unit, raw=self.raw)
+        driver.check_shape(self.n_rows, self.n_cols)
+        return driver
 
 
 def check_module(target: str) -> None:
@@ -125,8 +141,7 @@ def check_module(target: str) -> None:
         if package:
             raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause
     if found is None:
-        kinds = ("scene", "file", "mujoco", *KINDS)
-        hint = did_you_mean(module, kinds) if len(module) < 8 else ""
+        hint = did_you_mean(module, KINDS) if len(module) < 8 else ""
         hint = hint if "did you mean" in hint else ""
         raise SourceError(f"{target}: there is no module {module!r}, installed or in {here}{hint}")
     names = _names_of(Path(found.origin)) if found.origin else None
@@ -186,37 +201,5 @@ def open_source(
     SourceError
         If the source is missing or malformed, or a setting contradicts it.
     """
-    if raw and policy.negative == REFUSE:
-        policy = replace(policy, negative=KEEP)
-    if is_board(source):
-        board = describe_board(source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max)
-        return BoardSource(board, raw)
-    if source.startswith(FILE):
-        path = source.removeprefix(FILE)
-        return open_file(path, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max, policy=policy)
-    check_source(source, n_rows, n_cols, unit, policy)
-    if source.startswith(SCENE):
-        stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": unit, "f_max": f_max}
-        for name, value in stated.items():
-            if value is not None:
-                raise SourceError(f"{source}: {name} = {value} is stated, but a scene has its own")
-        return open_scene(source.removeprefix(SCENE), seed=seed)
-    if source.startswith(MUJOCO):
-        from sparseskin.nodes.sensor.simulators.source import open_mujoco
-
-        return open_mujoco(source, f_max=f_max, n_rows=n_rows, n_cols=n_cols, unit=unit)
-    driver = _open_driver(source, f_max, unit, raw)
-    try:
-        check_stated_shape(*driver.skin.shape, n_rows, n_cols, source)
-    except SourceError:
-        driver.close()
-        raise
-    return driver
-
-
-def _open_driver(source: str, f_max: float | None, unit: str | None, raw: bool) -> DriverSource:
-    if source.startswith(ROS2):
-        from sparseskin.nodes.bridges.ros2_source import frames
-
-        return DriverSource(source, frames(source), f_max=f_max, unit=unit, rate_hz=None, raw=raw)
-    return open_callable(source, f_max=f_max, unit=unit, raw=raw)
+    stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": unit, "f_max": f_max}
+    return find_address(source, seed=seed, policy=policy, raw=raw, **stated).open()

@@ -16,7 +16,7 @@ from sparseskin.nodes.recorder.bag.writer import BagWriter, removing
 from sparseskin.nodes.recorder.node import metadata_of
 from sparseskin.nodes.sensor.files.parsed import REFUSE, Policy, read_bytes
 from sparseskin.nodes.sensor.files.recorded import open_file
-from sparseskin.nodes.sensor.node import DEFAULT_RATE_HZ
+from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 
 from .npz import NpzExport, is_export
 

@@ -18,7 +18,6 @@ from .framing import Framing
 from .readings import Layout
 from .serial_port import check_serial
 from .settings import (
-    KINDS,
     BoardSettings,
     CanSettings,
     UdpSettings,
@@ -40,11 +39,6 @@ class Board:
     layout: Layout
     framing: Framing
     skin: Skin
-
-
-def is_board(source: str) -> bool:
-    """True if a source is named as a board is: serial:, udp: or can:."""
-    return source.partition(":")[0] in KINDS
 
 
 def describe_board(

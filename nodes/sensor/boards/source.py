@@ -5,16 +5,15 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterator
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.calibration.zero import ZeroWatch
-from sparseskin.nodes.sensor.clipped import Clipped
+from sparseskin.nodes.sensor.source import Address, LiveSource
 
-from .board import Board, check_board, naming_board
+from .board import Board, check_board, describe_board, naming_board
 from .can_port import CanPort
 from .framing import Counts
 from .ports import Arrived, Port
@@ -41,7 +40,7 @@ def _port_of(board: Board, counts: Counts) -> Port:
     return SerialPort(board.address, settings, board.framing, counts)
 
 
-class BoardSource:
+class BoardSource(LiveSource):
     """The frames of a board. Its attributes are those of a `Source`.
 
     What comes is checked: a frame that is not whole, or has a reading that is no number, is counted
@@ -61,19 +60,14 @@ class BoardSource:
         If its device is missing or cannot be opened.
     """
 
-    delivers: Literal["truth", "taxels"] = "taxels"
-    rate_hz: float | None = None
-    n_frames: int | None = None
+    arrives = True
 
     def __init__(self, board: Board, raw: bool = False) -> None:
         check_board(board)
+        super().__init__()
         self._raw = raw
-        self.watch: ZeroWatch | None = None
-        self.notice = ""
         self.name = board.name
         self.skin = board.skin
-        self.clipped = Clipped()
-        self.lines: deque[str] = deque(maxlen=100)
         self.counts = Counts()
         self.n_unused = self.n_not_finite = self.n_gone = 0
         self._board = board
@@ -92,7 +86,6 @@ class BoardSource:
 
     @property
     def is_there(self) -> bool:
-        """False while the device is gone."""
         return self._is_open
 
     def next_frame(self, wait_s: float, newest: bool = False) -> tuple[int, Floats] | None:
@@ -125,17 +118,14 @@ class BoardSource:
         return None
 
     def age_ns(self, arrived_ns: int) -> int:
-        """Time since a frame arrived, nanoseconds."""
         return max(0, time.monotonic_ns() - arrived_ns)
 
     def discard(self) -> None:
-        """Read what has come, and use none of it: nobody asks for frames now."""
         self.receive(0.0)
         self.n_unused += len(self._waiting)
         self._waiting.clear()
 
     def receive(self, wait_s: float) -> None:
-        """Read what has come, waiting for it at most `wait_s` seconds."""
         if not self._is_open and not self._reopen(wait_s):
             return
         try:
@@ -146,17 +136,17 @@ class BoardSource:
             self.n_gone += 1
             self._gone_at = time.monotonic()
             self._retry_at = self._gone_at + RETRY_S
-            self.lines.append(f"{self.name}: the device is gone; waiting for it")
+            self._lines.append(f"{self.name}: the device is gone; waiting for it")
             return
         if arrived:
             self._heard_at = arrived[-1][0] / 1e9
             self._bytes_before = self._port.n_bytes
             if self._said_silent:
                 self._said_silent = False
-                self.lines.append(f"{self.name}: frames come again")
+                self._lines.append(f"{self.name}: frames come again")
         elif not self._said_silent and time.monotonic() - self._heard_at > SILENT_S:
             self._said_silent = True
-            self.lines.append(self._why_silent())
+            self._lines.append(self._why_silent())
         self._waiting += arrived
 
     def _reopen(self, wait_s: float) -> bool:
@@ -174,7 +164,7 @@ class BoardSource:
         self._is_open = True
         self._heard_at = time.monotonic()
         self._said_silent = False
-        self.lines.append(f"{self.name}: is back after {self._heard_at - self._gone_at:.1f} s")
+        self._lines.append(f"{self.name}: is back after {self._heard_at - self._gone_at:.1f} s")
         return True
 
     def _why_silent(self) -> str:
@@ -197,9 +187,8 @@ class BoardSource:
     def _checked(self, forces: Floats) -> Floats | None:
         """Readings clipped to the range; None if one is no number."""
         f_max = self.skin.f_max
-        if self.watch is not None:
-            self.notice = self.watch.add(forces.ravel())
-            self.watch = None if self.watch.done else self.watch
+        if self._watch is not None:
+            self._look(forces.ravel())
         if 0 <= forces.min() <= forces.max() <= f_max:  # False for a NaN
             return forces
         if not np.isfinite(forces).all():
@@ -223,8 +212,13 @@ class BoardSource:
             **self._port.lost(),
         }
 
+    def dropped(self) -> str:
+        return dropped_text(self.figures())
+
+    def report(self) -> dict[str, Any]:
+        return {"board": self.figures()}
+
     def close(self) -> None:
-        """Close the device; may be called more than once."""
         self.n_unused += len(self._waiting)
         self._waiting.clear()
         self._port.close()
@@ -252,3 +246,20 @@ def dropped_text(figures: dict[str, int]) -> str:
     }
     parts = [f"{figures[key]} {text}" for key, text in words.items() if figures.get(key)]
     return ", ".join(parts)
+
+
+class BoardAddress(Address):
+    """A board: serial:DEVICE, udp:PORT or can:CHANNEL."""
+
+    def check(self) -> None:
+        check_board(self._board())
+
+    def n_taxels(self) -> int:
+        return self._board().skin.n_taxels
+
+    def open(self) -> BoardSource:
+        return BoardSource(self._board(), self.raw)
+
+    def _board(self) -> Board:
+        stated: dict[str, Any] = {"unit": self.unit, "f_max": self.f_max}
+        return describe_board(self.source, n_rows=self.n_rows, n_cols=self.n_cols, **stated)

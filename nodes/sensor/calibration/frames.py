@@ -14,9 +14,10 @@ import numpy.typing as npt
 from sparseskin.messages import Taxels, decode
 from sparseskin.messages.state import Calibration
 from sparseskin.nodes.errors import SourceError, SparseskinError
-from sparseskin.nodes.sensor.files.recorded import RecordedSource
+from sparseskin.nodes.sensor.files.parsed import KEEP, Policy
+from sparseskin.nodes.sensor.files.recorded import RecordedSource, open_file
 from sparseskin.nodes.sensor.source import Skin, Source
-from sparseskin.nodes.sensor.sources import FILE, SCENE, open_source
+from sparseskin.nodes.sensor.sources import FILE, open_source
 
 from .press import CalibrationError
 
@@ -60,9 +61,7 @@ def file_frames(path: str, n_rows: int | None = None, n_cols: int | None = None)
         If it cannot be read, or is a bag with none or several patches.
     """
     if Path(path).suffix != ".mcap":
-        source = open_source(FILE + path, seed=0, n_rows=n_rows, n_cols=n_cols, raw=True)
-        assert isinstance(source, RecordedSource)
-        return source.frames
+        return open_file(path, n_rows=n_rows, n_cols=n_cols, policy=Policy(negative=KEEP)).frames
     return _bag(path)[1]
 
 
@@ -157,9 +156,8 @@ class Live:
         """Close the source, where it can be."""
         self._closing = True
         self._thread.join(1.0)
-        close = getattr(self._source, "close", None)
-        if callable(close) and not self._thread.is_alive():
-            close()
+        if not self._thread.is_alive():
+            self._source.close()
 
     def _read(self) -> None:
         try:
@@ -189,13 +187,14 @@ def open_frames(
     SourceError
         If it cannot be opened, or delivers forces, as a scene does.
     """
-    if source.startswith(SCENE):
-        raise SourceError(f"{source}: delivers true forces, which need no calibration")
     if source.startswith(FILE) and source.endswith(".mcap"):
         stamps, frames = _bag(source.removeprefix(FILE))
         skin = Skin(frames.shape[1], frames.shape[2], max(1.0, float(frames.max())), "raw")
         return Recording(RecordedSource(Path(source).stem, skin, frames, stamps))
     opened = open_source(source, seed=0, n_rows=n_rows, n_cols=n_cols, raw=True)
+    if opened.delivers == "truth":
+        opened.close()
+        raise SourceError(f"{source}: delivers true forces, which need no calibration")
     if isinstance(opened, RecordedSource):
         return Recording(opened)
     return Live(opened)

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import IO, Literal
+from typing import IO, Any, Literal
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.source import Source
 
 from .arrays import NpyRecording, NpzRecording, PlainCsvRecording
 from .emed import EmedRecording
@@ -70,7 +71,7 @@ _HEAD_BYTES = 1 << 16
 
 
 @dataclass(eq=False)
-class RecordedSource:
+class RecordedSource(Source):
     """The frames of a recording, in memory and checked; may be iterated any number of times.
 
     Its attributes are those of a `Source`; its name is that of the file without suffix, its skin
@@ -87,6 +88,7 @@ class RecordedSource:
     policy: Policy = DEFAULT_POLICY
     treated: Treated = field(default_factory=Treated)
     n_frames: int | None = field(init=False)
+    _is_new: bool = field(default=True, init=False)
 
     def __post_init__(self) -> None:
         self.n_frames = len(self.frames)
@@ -97,6 +99,15 @@ class RecordedSource:
         """
         for stamp, frame in zip(self.stamp_ns, self.frames, strict=True):
             yield stamp, frame.copy()
+
+    def take_lines(self) -> list[str]:
+        lines = list(self.treated.lines(self.policy, self.skin.unit)) if self._is_new else []
+        self._is_new = False
+        return lines
+
+    def report(self) -> dict[str, Any]:
+        invalid = self.treated.counts()
+        return {"invalid": invalid} if invalid else {}
 
 
 def open_file(

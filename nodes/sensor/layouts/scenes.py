@@ -24,7 +24,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -37,6 +36,7 @@ from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
 from sparseskin.nodes.sensor.scenes.contact import Bed, RigidBody
 from sparseskin.nodes.sensor.scenes.scenes import SKIN
+from sparseskin.nodes.sensor.source import Source
 
 from .placing import Placement
 from .surface import neighbours
@@ -92,7 +92,7 @@ class _Course:
     across: Doubles
 
 
-class PointScene:
+class PointScene(Source):
     """A scene on points as a source of true forces, endlessly repeatable.
 
     Parameters
@@ -110,7 +110,8 @@ class PointScene:
         If there is no scene of that name.
     """
 
-    delivers: Literal["truth", "taxels"] = "truth"
+    delivers = "truth"
+    on_points = True
 
     def __init__(self, name: str, placement: Placement, seed: int) -> None:
         check_point_scene(name)

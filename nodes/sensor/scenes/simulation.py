@@ -14,6 +14,7 @@ import numpy as np
 
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
+from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Source
 
 from .bodies import Body
 from .contact import GRAVITY_M_S2, Bed, RigidBody
@@ -92,14 +93,14 @@ class State:
         out.reshape(-1)[self.taxels] = self.bed.forces(self.q, self.v)[: self.taxels.size]
 
 
-class SceneSource:
+class SceneSource(Source):
     """A simulated scene as a source of true forces.
 
     Every iteration runs the scene from its beginning; the same seed, that of a random path,
     gives the same frames.
     """
 
-    delivers: Literal["truth", "taxels"] = "truth"
+    delivers = "truth"
 
     def __init__(self, scene: Scene, seed: int) -> None:
         self.scene = scene
@@ -120,6 +121,10 @@ class SceneSource:
             forces = average.step()
             np.minimum(forces, np.float32(scene.f_max_n), out=forces)
             yield step * scene.dt_ns, forces
+
+    @property
+    def pace_hz(self) -> float:
+        return DEFAULT_RATE_HZ  # a skin is not read at every time step
 
     def states(self) -> Iterator[State]:
         """Yield the state at each time step, the first one at rest in the air."""

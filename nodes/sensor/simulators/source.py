@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +13,9 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.sensor.files.parsed import check_stated_shape
+from sparseskin.nodes.sensor.source import Address, Source
 
-from .model import MUJOCO, check_model, find_pad, load_model, name_of, skin_of_pad, split_address
+from .model import check_model, find_pad, load_model, name_of, skin_of_pad, split_address
 from .touch import Touch
 
 RATE_HZ = 1000.0
@@ -23,7 +24,7 @@ Control = Callable[[Any, Any, float], None]
 """Called before each step with model, data and time in s; it may set ctrl, poses and forces."""
 
 
-class MujocoSource:
+class MujocoSource(Source):
     """A simulation whose taxels are read 1000 times a second of its time.
 
     Every iteration runs it from its beginning. Without `control`, the model's keyframes drive it
@@ -50,7 +51,7 @@ class MujocoSource:
         As `check_model`; while it runs, if the simulation diverges or `control` fails.
     """
 
-    delivers: Literal["truth", "taxels"] = "truth"
+    delivers = "truth"
 
     def __init__(
         self,
@@ -162,13 +163,23 @@ def _follow(model: Any, data: Any, times: Doubles) -> None:
         data.mocap_quat[:] = quaternions / np.maximum(lengths, 1e-12)
 
 
-def open_mujoco(
-    source: str, *, f_max: float | None, n_rows: int | None, n_cols: int | None, unit: str | None
-) -> MujocoSource:
-    """Open a model as `sensor.source=mujoco:...` does; raises as `MujocoSource`."""
-    if unit not in (None, "N"):
-        raise SourceError(f"{source}: unit = {unit} is stated, but a simulation has newtons")
-    return MujocoSource(source.removeprefix(MUJOCO), f_max=f_max, n_rows=n_rows, n_cols=n_cols)
+class MujocoAddress(Address):
+    """A model and the site of its skin: mujoco:MODEL.xml#SITE."""
+
+    def check(self) -> None:
+        self.n_taxels()
+
+    def n_taxels(self) -> int:
+        return check_model(self.source, self.n_rows, self.n_cols)
+
+    def open(self) -> MujocoSource:
+        self.check()
+        if self.unit not in (None, "N"):
+            raise SourceError(
+                f"{self.source}: unit = {self.unit} is stated, but a simulation has newtons"
+            )
+        stated: dict[str, Any] = {"n_rows": self.n_rows, "n_cols": self.n_cols}
+        return MujocoSource(self.rest, f_max=self.f_max, **stated)
 
 
 def read_shape(source: str, most: int) -> dict[str, npt.NDArray[Any]]:

@@ -15,7 +15,7 @@ from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.convert.to_bag import import_file, recover_bag
-from sparseskin.nodes.sensor.node import DEFAULT_RATE_HZ
+from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 
 SIZE = {"n_rows": 2, "n_cols": 3}
 

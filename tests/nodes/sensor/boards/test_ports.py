@@ -75,8 +75,7 @@ def logged(source: BoardSource, text: str) -> str:
 
     def said() -> bool:
         assert source.next_frame(WAIT_S) is None
-        while source.lines:
-            found.append(source.lines.popleft())
+        found.extend(source.take_lines())
         return any(text in one for one in found)
 
     wait_until(said, text)
@@ -123,7 +122,7 @@ class TestSerial:
         line.sending([flexitac(2)] * 4)
         assert {int(forces.max()) for _, forces in taken(source, 3)} == {2}
         assert source.figures()["gone"] == 1
-        assert not source.lines
+        assert not source.take_lines()
 
     def test_a_silent_board_and_a_wrong_profile_are_told_apart(
         self, line: Line, opened: Any, monkeypatch: pytest.MonkeyPatch

@@ -1,0 +1,148 @@
+"""Sources by their addresses: kinds of this package, and those that another package brings."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sparseskin.messages import Message, SkinState, Taxels
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.errors import SettingsError, SourceError
+from sparseskin.nodes.node import Context, Tick
+from sparseskin.nodes.sensor import sources
+from sparseskin.nodes.sensor.node import Sensor, SensorSettings
+from sparseskin.nodes.sensor.source import Address
+
+GLOVE = """
+import numpy as np
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.source import Address, Skin, Source
+
+
+class Glove(Source):
+    name, skin, arrives, is_live = "glove", Skin(2, 3, 9.0, "raw"), True, True
+
+    def __init__(self):
+        self.waiting, self.lines, self.closed = [(7, 0.5), (8, 1.5)], ["connected"], False
+
+    def __iter__(self):
+        while (frame := self.next_frame(0.0)) is not None:
+            yield frame
+
+    def next_frame(self, wait_s, newest=False):
+        if not self.waiting:
+            return None
+        stamp_ns, force = self.waiting.pop(0)
+        return stamp_ns, np.full((2, 3), force, np.float32)
+
+    def take_lines(self):
+        lines, self.lines = self.lines, []
+        return lines
+
+    def dropped(self):
+        return "2 packets"
+
+    def report(self):
+        return {"glove": {"packets": 4}}
+
+    def close(self):
+        self.closed = True
+
+
+class GloveAddress(Address):
+    own = ("n_rows", "n_cols")
+
+    def check(self):
+        if self.rest != "left":
+            raise SourceError(f"{self.source}: allowed is left")
+
+    def n_taxels(self):
+        return 6
+
+    def open(self):
+        self.check()
+        return Glove()
+"""
+
+
+@pytest.fixture
+def offered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    """A package that brings the kind `glove`, and one, `broken`, that cannot be imported."""
+
+    def found(*, group: str) -> list[EntryPoint]:
+        return [
+            EntryPoint("glove", "glove_package:GloveAddress", group),
+            EntryPoint("broken", "no_such_package:Address", group),
+        ]
+
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("importlib.metadata.entry_points", found)
+    (tmp_path / "glove_package.py").write_text(GLOVE)
+    sources.offered_kinds.cache_clear()
+    yield
+    sources.offered_kinds.cache_clear()
+    sys.modules.pop("glove_package", None)
+
+
+@pytest.mark.usefixtures("offered")
+def test_a_sensor_reads_a_kind_of_source_that_another_package_brings() -> None:
+    settings = SensorSettings(source="glove:left")
+    settings.check()
+    assert Sensor.facts(settings) == {"/skin/skin": 6}
+    logged: list[str] = []
+    clock = ManualClock(100)
+    sensor = Sensor(settings, Context("sensor", clock, log=logged.append))
+    messages: list[Message] = [*sensor.start()]
+    for number in range(3):
+        clock.advance(10)
+        messages += sensor.acquire(Tick(clock.now_ns(), number))
+    assert logged == ["connected"]
+    assert [type(message) for message in messages] == [SkinState, Taxels, Taxels]
+    assert [m.forces[0, 0] for m in messages if isinstance(m, Taxels)] == [0.5, 1.5]
+    assert not sensor.follows_readers
+    assert not sensor.acquired  # at the third tick
+    assert sensor.status() == "glove: frame 2; dropped: 2 packets"
+    assert sensor.report() == {"clipped": 0, "glove": {"packets": 4}}
+    sensor.close({})
+
+
+@pytest.mark.usefixtures("offered")
+def test_what_such_a_kind_refuses_is_refused_before_a_graph_starts() -> None:
+    with pytest.raises(SettingsError, match="source: glove:right: allowed is left"):
+        SensorSettings(source="glove:right").check()
+    with pytest.raises(SettingsError, match="n_rows: a glove has its own"):
+        SensorSettings(source="glove:left", n_rows=2).check()
+    with pytest.raises(SourceError, match=r"broken:x: importing broken failed: .*no_such_package"):
+        sources.check_source("broken:x")
+
+
+@pytest.mark.parametrize("kind", sources.KINDS)
+def test_each_kind_has_its_class_of_addresses(kind: str) -> None:
+    address = sources.find_address(f"{kind}:x", n_rows=2)
+    assert isinstance(address, Address)
+    assert (address.kind, address.rest, address.n_rows) == (kind, "x", 2)
+
+
+def test_any_other_address_is_one_of_a_driver() -> None:
+    address = sources.find_address("my_skin:frames", n_rows=2, n_cols=3)
+    assert isinstance(address, sources.DriverAddress)
+    assert address.n_taxels() == 6
+    assert sources.find_address("my_skin:frames").n_taxels() is None
+
+
+def test_a_source_that_computes_its_frames_is_read_a_frame_at_a_time_and_ends() -> None:
+    source = sources.open_source("scene:lift_box_40", seed=0)
+    first, second = source.next_frame(0.0), source.next_frame(0.0)
+    assert first is not None
+    assert second is not None
+    for (stamp_ns, forces), read in zip(source, (first, second), strict=False):
+        assert read[0] == stamp_ns
+        np.testing.assert_array_equal(read[1], forces)
+    while source.next_frame(0.0) is not None:
+        assert not source.ended
+    assert source.ended
