@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 from sparseskin.nodes.sensor.scenes.scenes import SCENES
+from sparseskin.studies.frames import first_contact, scene_frames
 from sparseskin.studies.paper_tables import study as paper_study
 from sparseskin.studies.paper_tables.few_levels_haar import FewLevelsHaarBasis
 from sparseskin.studies.paper_tables.numbers import ITERATIONS, PAPER, RATIOS
@@ -21,7 +22,6 @@ from sparseskin.studies.paper_tables.study import (
     scene_figures,
     untouched,
 )
-from sparseskin.studies.scene_frames import first_contact, scene_frames
 
 PAPER_SETTINGS = {"iterations": 10, "lambda_n": 0.1 / 32, "few_levels": False}
 

@@ -17,7 +17,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, Timing, press_frames
 from sparseskin.plugins.design.strategies import SINGLE, STRATEGIES, Strategy
-from sparseskin.studies.scale.nodes import WARM_UP, made_node, timed_step
+from sparseskin.studies.speed.bodies import WARM_UP, made_node, timed_step
 
 SIZES = ((12, 32), (32, 32), (64, 64))
 """Skins that are timed: from a fingertip pad to a palm."""
