@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.rotation import FIXED, m_of
+from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, m_of
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.sensor.noise import NoiseModel
 
@@ -31,7 +31,7 @@ from .evaluate import (
 from .frames import KINDS, Frames, Take
 from .points import StudyError, compute
 
-PAPER_ROWS = FIXED
+PAPER_ROWS = PAPER
 """Rows of the measurement matrix with preset `paper`."""
 TIMED_ON = "process:1"
 """Executor of what is timed: one process at a time, so that it has its core to itself."""
@@ -39,8 +39,8 @@ TIMED_ON = "process:1"
 
 @dataclass(frozen=True)
 class Measurement:
-    """Measurement matrix: ratio N / M, "fixed" or "rotating" rows, kind, and size of the Hadamard
-    blocks (None: that of the kind).
+    """Measurement matrix: ratio N / M; rows "fixed", "rotating" or "paper"; kind; and size of the
+    Hadamard blocks (None: that of the kind).
     """
 
     ratio: float = 3

@@ -12,7 +12,8 @@ import pandas as pd
 from sparseskin.nodes.compressor.divider import divided, undivided, with_crosstalk
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, m_of
+from sparseskin.nodes.compressor.phi.local import WIRED_BLOCK
+from sparseskin.nodes.compressor.phi.rotation import PAPER, ROTATING, m_of
 from sparseskin.nodes.compressor.phi.row_local import RowLocalPhi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.compressor.wiring import Wiring, array_wiring, sbhe_wiring
@@ -28,8 +29,8 @@ from .report import Chart, Page, markdown, series_style
 
 SHAPE = (64, 64)
 RATIO = 3
-BLOCK: int | None = None
-"""Size of the Hadamard blocks, each the taxels of one amplifier; None: that of the kind."""
+BLOCK = WIRED_BLOCK
+"""Size of the Hadamard blocks, each the taxels of one amplifier."""
 SIDES = (4, 6, 8, 12, 16, 24, 32)
 LOCAL = tuple(f"local:{side}" for side in SIDES)
 ROW_LOCAL, SCRAMBLED, SINGLE = "row_local", "sbhe", "subsample"
@@ -39,7 +40,7 @@ BODIES = ("wrench", "fingertips", "gaussian")
 N_FRAMES, QUICK_FRAMES = 120, 15
 #: Frames of the scene: from 0.24 s on, when the wrench has landed, 2 ms apart.
 DRAG_FIRST, DRAG_EVERY = 2400, 20
-PRESET_ROWS = {"skin": ROTATING, "paper": FIXED}
+PRESET_ROWS = {"skin": ROTATING, "paper": PAPER}
 CROSSTALK = (0.01, 0.03, 0.1)
 LOAD_N = 40.0
 """Load of a row line: the conductance of taxels that bear so much together, newtons. Chosen: 16
@@ -204,10 +205,10 @@ def readout(point: dict[str, Any]) -> dict[str, Any]:
 def wiring(point: dict[str, Any]) -> dict[str, Any]:
     """Wires of each matrix. `point`: seed."""
     n, exists = math.prod(SHAPE), np.ones(SHAPE, dtype=np.bool_)
-    m, stated = m_of(n, RATIO, ROTATING), {} if BLOCK is None else {"block": BLOCK}
+    m = m_of(n, RATIO, ROTATING)
     found: dict[str, Wiring] = {kind: array_wiring(*SHAPE, m) for kind in (ROW_LOCAL, SINGLE)}
     for kind in (*LOCAL, SCRAMBLED):
-        phi = make_phi(kind, n, m, point["seed"], **stated)
+        phi = make_phi(kind, n, m, point["seed"], BLOCK)
         layout(phi, exists)
         assert isinstance(phi, SbhePhi)
         found[kind] = sbhe_wiring(phi, exists)

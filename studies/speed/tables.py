@@ -9,10 +9,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sparseskin.nodes.compressor.phi.rotation import FIXED
 from sparseskin.nodes.compressor.phi.rotation import RATIO as DEFAULT_RATIO
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.frames import PressFrames
-from sparseskin.studies.harness import TIMED_ON, Candidate, Experiment, Measurement, unrefused
+from sparseskin.studies.harness import (
+    PAPER_ROWS,
+    TIMED_ON,
+    Candidate,
+    Experiment,
+    Measurement,
+    unrefused,
+)
 from sparseskin.studies.points import compute, compute_rows
 from sparseskin.studies.report import Page, cells, markdown
 
@@ -73,8 +81,8 @@ def solvers(page: Page, quick: bool, seed: int) -> list[str]:
     ]
     forms = {"numpy": "off"} | ({"compiled": "on"} if find_spec("numba") else {})
     candidates = {
-        f"{preset}, {form}": Candidate({**chosen, "fast": fast})
-        for preset, chosen in PRESETS.items()
+        f"{preset}, {form}": Candidate({**PRESETS[preset], "fast": fast}, changes={"rows": rows})
+        for preset, rows in (("paper", PAPER_ROWS), ("skin", FIXED))
         for form, fast in forms.items()
     }
     scores = ("median_ms", "p99_ms", "iterations", "mean_db")

@@ -50,7 +50,7 @@ def test_a_seed_that_no_generator_takes_is_refused(seed: str) -> None:
 
 @pytest.mark.parametrize("name", command.STUDIES)
 def test_every_study_that_is_listed_can_be_run(name: str) -> None:
-    assert find_callable(command.target_of(name), StudyError).__name__ == "run"
+    assert find_callable(command.STUDIES[name].target, StudyError).__name__ == "run"
 
 
 def test_the_help_lists_every_study(capsys: pytest.CaptureFixture[str]) -> None:
@@ -58,3 +58,13 @@ def test_the_help_lists_every_study(capsys: pytest.CaptureFixture[str]) -> None:
         main(["study", "--help"])
     out = capsys.readouterr().out
     assert all(f"{name} " in out for name in command.STUDIES)
+
+
+@pytest.mark.parametrize("options", [("--recordings", "."), ("--seeds", "2")])
+def test_an_option_that_a_study_has_not_is_refused_with_those_that_have(
+    options: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["study", "wiring", "--out", str(tmp_path / "out"), *options]) == 2
+    error = capsys.readouterr().err
+    assert f"{options[0]}: study 'wiring' takes none; allowed: accuracy" in error
+    assert error.count("\n") == 1

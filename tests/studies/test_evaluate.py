@@ -83,14 +83,6 @@ def test_missing_taxels_are_not_measured() -> None:
     assert not method.reconstruct(taxels).forces[0].any()
 
 
-def test_acts_reads_taxels_where_the_frame_has_forces() -> None:
-    chosen = {"solver": "interpolation", "basis": "identity"}
-    method = make_method(chosen, SHAPE, 2, seed=0, rows=FIXED, phi="acts")
-    for _ in range(2):
-        forces = method.reconstruct(TRUTHS[1]).forces
-        np.testing.assert_allclose(forces[2:4, 2:4], 1.0)
-
-
 def test_percentiles_are_of_the_solve_times() -> None:
     scores = Scores()
     for ms in range(1, 102):

@@ -70,9 +70,7 @@ def test_frames_of_a_scene_are_counted_from_its_first_contact_and_from_half_way_
 
 
 def test_a_lower_rate_has_fewer_frames_of_the_same_span() -> None:
-    fast, slow = (
-        next(rated_frames(True, (rate_hz,))) for rate_hz in (1000, 100)
-    )
+    fast, slow = (next(rated_frames(True, (rate_hz,))) for rate_hz in (1000, 100))
     assert (fast.first, fast.stop, slow.every) == (slow.first, slow.stop, 10 * fast.every)
 
 

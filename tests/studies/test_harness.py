@@ -13,7 +13,14 @@ from sparseskin.studies.accuracy.experiments import CANDIDATES, READINGS, SIMPLE
 from sparseskin.studies.baselines.sampling import CODECS
 from sparseskin.studies.evaluate import VALUE_BYTES, Scores, Solved
 from sparseskin.studies.frames import PressFrames, UntouchedFrames
-from sparseskin.studies.harness import SCORES, TIMED_ON, Candidate, Experiment, Measurement, unrefused
+from sparseskin.studies.harness import (
+    SCORES,
+    TIMED_ON,
+    Candidate,
+    Experiment,
+    Measurement,
+    unrefused,
+)
 from sparseskin.studies.points import StudyError
 
 PRESS = PressFrames("gaussian", (12, 10), 20, "sudden")

@@ -15,6 +15,7 @@ pytest.importorskip("matplotlib")
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.sensor.scenes.presses import N_BEFORE
+from sparseskin.nodes.sensor.scenes.scenes import SCENES
 from sparseskin.studies import command, frames, harness, needs, wiring
 from sparseskin.studies.accuracy import experiments as accuracy
 from sparseskin.studies.paper import tables as paper
@@ -28,9 +29,9 @@ N_FRAMES = 9
 SOLVERS = ("fista", "skin")
 SIZES: tuple[tuple[Any, dict[str, Any]], ...] = (
     (accuracy, {"ACTIVE": (0.3,), "QUICK_SIZES": (((4, 4), None),), "QUICK_BODIES": ("peg",)}),
-    (accuracy, {"RATED_SCENES": ("path_40",), "SIDES": (40,)}),
+    (accuracy, {"SCENES": ("lift_box_40",), "RATED_SCENES": ("path_40",), "SIDES": (40,)}),
     (change, {"SUM_SOLVERS": SOLVERS}),
-    (contact, {"N_SIDE_QUICK": 2}),
+    (contact, {"N_SIDE_QUICK": 2, "SCENES": {"lift_box_40": SCENES["lift_box_40"]}}),
     (experiments, {"QUICK_ITERATIONS": (5,), "QUICK_RATIOS": (3, 8), "SUM_KINDS": ("sbhe",)}),
     (experiments, {"SUM_SOLVERS": SOLVERS}),
     (harness, {"TIMED_ON": "serial"}),
@@ -41,7 +42,7 @@ SIZES: tuple[tuple[Any, dict[str, Any]], ...] = (
     (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,), "QUICK_WINDOWS": 2}),
     (speed_accuracy, {"TIMED_ON": "serial"}),
     (sweeps, {"SUM_SOLVERS": ("fista",)}),
-    (wiring, {"SHAPE": (16, 16), "QUICK_FRAMES": 3}),
+    (wiring, {"SHAPE": (16, 16), "QUICK_FRAMES": 3, "BODIES": ("gaussian",)}),
 )
 """Sizes that are smaller than those of a quick run, by module."""
 TEXTS = {
@@ -54,6 +55,9 @@ TEXTS = {
     "wiring": "| local:4 |",
 }
 """A text on each page."""
+
+LONG = ("accuracy", "paper-tables", "speed-accuracy", "stability")
+"""Studies that take more than some seconds even so."""
 
 
 @pytest.fixture(autouse=True)
@@ -101,13 +105,20 @@ def recordings(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", command.STUDIES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] if name in LONG else [])
+        for name in command.STUDIES
+    ],
+)
 def test_a_study_writes_its_page_with_all_tables_and_charts(
     name: str, tmp_path: Path, recordings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = ["--recordings", str(recordings), "--seeds", "2"] if name == "accuracy" else []
     out = tmp_path / "out"
-    assert main(["study", name, "--quick", "--executor", "serial", "--out", str(out), *options]) == 0
+    options += ["--quick", "--executor", "serial", "--out", str(out)]
+    assert main(["study", name, *options]) == 0
     printed = capsys.readouterr().out.splitlines()
     page = (out / f"{name}.md").read_text()
     assert printed[-1] == str(out / f"{name}.md")
