@@ -230,7 +230,8 @@ def recorded(page: Page, runs: Runs, folder: Path, quick: bool) -> list[str]:
     """Recordings of real skins: errors, lost contacts, marks, and frames that are packed."""
     rows = runs.recordings(folder)
     compared, packed = rows[rows["ratio"] > 1], rows[rows["ratio"] == 1]
-    lines, flagged = [*beaten(rows), smaller(rows)], compared[compared["flagged"].notna()]
+    lines = [*geometric(rows), *beaten(rows), smaller(rows)]
+    flagged = compared[compared["flagged"].notna()]
     page.csv("recordings", rows.drop(columns=["path"]))
     keys = ["recording"]
     page.section(
@@ -266,6 +267,17 @@ def recorded(page: Page, runs: Runs, folder: Path, quick: bool) -> list[str]:
         by_ratio(compared[compared["method"] == DEFAULT], keys, "{n_bytes:.0f}"),
         "\n".join(cells(failed, "- not computed: {recording}, {method}, N/{ratio}: {refused}")),
     )
+    return lines
+
+
+def geometric(rows: pd.DataFrame) -> list[str]:
+    """Return a line a kind of rows of the default solver: geometric mean over the recordings."""
+    lines = []
+    known = rows[rows["median"].notna() & (rows["ratio"] > 1)].astype({"median": float})
+    for name, some in known[known["method"].isin([DEFAULT, SKIN])].groupby("method", sort=False):
+        means = np.exp(np.log(some["median"]).groupby(some["ratio"], sort=True).mean())
+        text = ", ".join(f"{mean:.2f} % at N/{ratio:g}" for ratio, mean in means.items())
+        lines.append(f"{name}: geometric mean of the median errors {text}.")
     return lines
 
 

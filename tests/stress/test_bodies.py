@@ -58,7 +58,6 @@ def run_at(
     }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("patches", "active", "first_hz"),
     [(16, 0.25, 100.0), (16, 0.1, 150.0), (244, 0.25, 8.0)] if FULL else [(3, 0.25, 2.0)],

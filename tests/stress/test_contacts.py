@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
 from stress.contacts import FRAMES, false_alarms, missed
 
 from sparseskin.messages.skin import Skin
@@ -17,7 +16,6 @@ from sparseskin.nodes.sensor.scenes.tiled import TiledScene
 SIDE = 64
 
 
-@pytest.mark.slow
 def test_strong_contacts_are_noticed_and_alarms_are_rare(full: bool, note: Any) -> None:
     n_patches, n_frames = (200, 640) if full else (20, 64)
     for contact in (4, 8, 16) if full else (8,):

@@ -16,7 +16,6 @@ from stress import cases, signals
 Note = Callable[..., None]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "transport"),
     [("SIGKILL", None), ("SIGKILL", "ipc"), ("SIGSEGV", None), ("SIGSTOP", None)],
@@ -75,19 +74,16 @@ def test_nothing_outlives_a_launcher_that_is_killed(caused: Any) -> None:
     assert not caused("launcher")["finding"].startswith("0 messages")
 
 
-@pytest.mark.slow
 def test_a_node_that_is_killed_twenty_times_in_a_row_comes_back(caused: Any) -> None:
     assert caused("in a row")["finding"].startswith("20 restarts")
 
 
-@pytest.mark.slow
 def test_by_default_a_node_that_is_killed_again_and_again_is_given_up(caused: Any) -> None:
     finding = caused("given up")["finding"]
     assert finding.startswith("exit code 1: ")
     assert finding.endswith("(5 restarts within 60 s: given up)")
 
 
-@pytest.mark.slow
 def test_a_full_disk_costs_the_stream_no_frame(caused: Any) -> None:
     found = caused("full disk")
     assert found["lost"] == 0
@@ -95,14 +91,12 @@ def test_a_full_disk_costs_the_stream_no_frame(caused: Any) -> None:
     assert "No space left on device; recording ended" in found["finding"]
 
 
-@pytest.mark.slow
 def test_ten_times_the_rate_loses_what_is_counted_and_then_it_is_as_before(caused: Any) -> None:
     found = caused("rate", rate_hz=20.0)  # slow enough for the solver on a busy host
     assert found["of"] > 0
     assert f"the graph itself counts {found['lost']};" in found["finding"]
 
 
-@pytest.mark.slow
 def test_a_clock_that_steps_back_is_not_noticed(caused: Any) -> None:
     found = caused("clock")
     assert found["lost"] == 0
@@ -115,12 +109,10 @@ def test_a_driver_whose_stamps_step_back_is_named_and_ends_the_graph(caused: Any
     assert "stepping:frames, frame 101: stamp_ns" in finding
 
 
-@pytest.mark.slow
 def test_subscribers_that_never_read_cost_the_stream_no_frame(caused: Any) -> None:
     assert caused("subscribers")["lost"] == 0
 
 
-@pytest.mark.slow
 def test_refused_readers_are_named_get_nothing_and_disturb_nobody(caused: Any) -> None:
     found = caused("keys")
     assert found["lost"] == 0

@@ -37,7 +37,6 @@ def graph_text(scene: str, rate_hz: float) -> str:
     )
 
 
-@pytest.mark.slow
 def test_commands_beside_a_graph_do_not_make_its_frames_wait(full: bool, note: Any) -> None:
     turns = (60, TURN_S) if full else (2, 0.5)
     with GraphRun(graph_text("path_40", 1000.0 if full else 50.0)) as graph:
@@ -50,7 +49,6 @@ def test_commands_beside_a_graph_do_not_make_its_frames_wait(full: bool, note: A
     assert found["us_a_frame"] > 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", BRIDGES)
 def test_a_bridge_beside_a_graph_does_not_make_its_frames_wait(
     kind: str, full: bool, note: Any
@@ -66,7 +64,6 @@ def test_a_bridge_beside_a_graph_does_not_make_its_frames_wait(
     assert found["us_a_frame"] > 0
 
 
-@pytest.mark.slow
 def test_pages_are_served_and_one_that_stalls_costs_no_memory(full: bool, note: Any) -> None:
     seconds = 20.0 if full else 0.5
     launch = (BUNDLED / "drag_wrench_64.toml").read_text()
@@ -100,7 +97,6 @@ def test_pages_are_served_and_one_that_stalls_costs_no_memory(full: bool, note: 
         note(pages="frames", **graph.summary()["patches"]["skin"]["frames"])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("rate_hz", "speed"), [(100, 1.0), (100, 10.0), (1000, 0.1), (1000, 1.0)])
 def test_a_replay_keeps_its_rate(
     rate_hz: int, speed: float, full: bool, note: Any, tmp_path: Path

@@ -122,7 +122,6 @@ def test_every_process_of_a_graph_is_sampled_and_nothing_is_lost() -> None:
     assert set(found["lost"].values()) == {0}
 
 
-@pytest.mark.slow
 def test_a_graph_that_runs_for_a_while_leaks_nothing_and_loses_nothing(
     full: bool, note: Any
 ) -> None:
