@@ -6,7 +6,6 @@ import inspect
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -305,30 +304,6 @@ class Scores:
     def contact_db(self) -> list[float]:
         """PSNR of each contact frame, dB."""
         return [psnr for psnr, touches in zip(self.psnr_db, self.contact, strict=True) if touches]
-
-    @property
-    def mean_db(self) -> float:
-        """Mean PSNR over the contact frames, dB."""
-        return float(np.mean(self.contact_db))
-
-    @property
-    def min_db(self) -> float:
-        """Least PSNR of a contact frame, dB."""
-        return float(np.min(self.contact_db))
-
-    @property
-    def first_db(self) -> float:
-        """Mean PSNR of the contact frames whose last one was not in contact, dB."""
-        first = [now and not before for before, now in pairwise([False, *self.contact])]
-        return float(np.mean(np.array(self.psnr_db)[first]))
-
-    def wall_ms(self, percent: float) -> float:
-        """Percentile of the solve times by the clock, ms."""
-        return float(np.percentile(self.wall_s, percent)) * 1e3
-
-    def cpu_ms(self, percent: float) -> float:
-        """Percentile of the processor times of the solves, ms."""
-        return float(np.percentile(self.cpu_s, percent)) * 1e3
 
 
 def evaluate(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import islice
@@ -223,6 +223,12 @@ class RecordedFrames:
 
 KINDS = {one.__name__: one for one in (SceneFrames, PressFrames, UntouchedFrames, RecordedFrames)}
 """Sources by the names with which points state them."""
+
+
+def opened(point: Mapping[str, Any]) -> Take:
+    """Open the frames of a point: frames (kind, and its fields) and seed."""
+    fields = dict(point["frames"])
+    return KINDS[fields.pop("kind")](**fields).open(point["seed"])
 
 
 class Part(NamedTuple):

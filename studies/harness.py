@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from .evaluate import (
     evaluate,
     make_method,
 )
-from .frames import KINDS, Frames, Take
+from .frames import Frames, Take, opened
 from .points import StudyError, compute
 
 PAPER_ROWS = PAPER
@@ -170,8 +171,7 @@ def scored(point: dict[str, Any]) -> dict[str, Any]:
     dict
         methods: by candidate its scores, and refused.
     """
-    fields = dict(point["frames"])
-    take = KINDS[fields.pop("kind")](**fields).open(point["seed"])
+    take = opened(point)
     measurement = Measurement(**point["measurement"])
     mask = None if take.mask.all() else take.mask
     scores, estimators = {}, {}
@@ -222,8 +222,13 @@ def _mean(values: Sequence[float | bool], times: float = 1.0) -> float | None:
     return times * float(np.mean(values)) if len(values) else None
 
 
-def _percentile(values: Sequence[float], percent: float) -> float | None:
-    return float(np.percentile(values, percent)) if values else None
+def _percentile(values: Sequence[float], percent: float, times: float = 1.0) -> float | None:
+    return times * float(np.percentile(values, percent)) if values else None
+
+
+def _firsts(scores: Scores) -> list[bool]:
+    """Marks of the contact frames whose last one was not in contact."""
+    return [now and not before for before, now in pairwise([False, *scores.contact])]
 
 
 def _touched_mn(scores: Scores) -> float | None:
@@ -244,9 +249,11 @@ def _of_contact(score: Callable[[Scores], Any]) -> Callable[[Scores], Any]:
 
 SCORES: dict[str, Callable[[Scores], Any]] = {
     # PSNR of contact frames, dB: mean, least, mean of the first frames of contacts; of each frame.
-    "mean_db": _of_contact(lambda s: s.mean_db),
-    "min_db": _of_contact(lambda s: s.min_db),
-    "first_db": _of_contact(lambda s: s.first_db),
+    "mean_db": lambda s: _mean(s.contact_db),
+    "min_db": _of_contact(lambda s: min(s.contact_db)),
+    "first_db": lambda s: _mean(
+        [db for db, first in zip(s.psnr_db, _firsts(s), strict=True) if first]
+    ),
     "psnr_db": lambda s: [round(one, 3) for one in s.psnr_db],
     "highest_db": lambda s: max(s.psnr_db),
     # Root mean square error of the touched taxels in contact frames, millinewtons.
@@ -271,8 +278,8 @@ SCORES: dict[str, Callable[[Scores], Any]] = {
     "n_untouched": lambda s: len(s.ghosts),
     "n_bytes": lambda s: _mean(s.n_bytes),
     # Solve time: of the processor and by the clock, ms; part in which the process had a core.
-    "median_ms": lambda s: s.cpu_ms(50),
-    "p99_ms": lambda s: s.wall_ms(99),
+    "median_ms": lambda s: _percentile(s.cpu_s, 50, 1e3),
+    "p99_ms": lambda s: _percentile(s.wall_s, 99, 1e3),
     "mean_ms": lambda s: _mean(s.wall_s, 1e3),
     "cpu_share": lambda s: sum(s.cpu_s) / sum(s.wall_s),
     "iterations": lambda s: _mean(s.n_steps),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -109,7 +108,7 @@ def _with_or_without(scene: Scene, axis: Any) -> Variant:
 
 
 def measure(point: dict[str, Any]) -> dict[str, Any]:
-    """Change of a variant's frames from the scene's, beside the noise, and the time of a frame.
+    """Change of a variant's frames from the scene's, beside the noise.
 
     `point`: scene, variant, n_steps (None: all), seed.
 
@@ -118,8 +117,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     dict
         change_db, noise_db: 10 log10(f_max^2 / mean squared difference) over the frames in
         contact, of the change and of the noise; worst_db: the frame that changes most;
-        above_noise: share of the contact frames that change by more than the noise;
-        scene_us, variant_us: time of the processor for a frame.
+        above_noise: share of the contact frames that change by more than the noise.
     """
     scene, n_steps = SCENES[point["scene"]](), point["n_steps"]
     scene = replace(scene, n_steps=min(n_steps or scene.n_steps, scene.n_steps))
@@ -127,8 +125,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     noise_model = NoiseModel.for_range(scene.f_max_n)
     rng = np.random.default_rng(point["seed"])
     changes, noises = [], []
-    timed = (_Timed(Variant(True, scene).frames()), _Timed(variant.frames()))
-    for ours, theirs in zip(*timed, strict=True):
+    for ours, theirs in zip(Variant(True, scene).frames(), variant.frames(), strict=True):
         if max(ours.max(), theirs.max()) <= CONTACT_FRACTION * scene.f_max_n:
             continue
         changes.append(float(np.mean(np.square(theirs - ours), dtype=np.float64)))
@@ -141,31 +138,12 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         "noise_db": decibels(float(np.mean(noises)), scene.f_max_n),
         "worst_db": decibels(max(changes), scene.f_max_n),
         "above_noise": float(np.mean(above)),
-        "scene_us": timed[0].total_s / scene.n_steps * 1e6,
-        "variant_us": timed[1].total_s / scene.n_steps * 1e6,
     }
 
 
 def decibels(error: float, f_max_n: float) -> float:
     """PSNR of a mean squared difference in N^2, at most 100 dB."""
     return float(10.0 * np.log10(f_max_n**2 / max(error, f_max_n**2 * 1e-10)))
-
-
-class _Timed:
-    """An iterator that sums the processor time of its frames."""
-
-    def __init__(self, frames: Iterator[Floats]) -> None:
-        self._frames = frames
-        self.total_s = 0.0
-
-    def __iter__(self) -> Iterator[Floats]:
-        return self
-
-    def __next__(self) -> Floats:
-        begin_s = time.thread_time()
-        frame = next(self._frames)
-        self.total_s += time.thread_time() - begin_s
-        return frame
 
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
@@ -235,7 +213,6 @@ def _table(rows: pd.DataFrame) -> pd.DataFrame:
             rows["scene"], rows["variant"], rows["verdict"], strict=True
         )
     ]
-    time = 100 * (rows["variant_us"] / rows["scene_us"] - 1)
     return pd.DataFrame(
         {
             "variant": np.where(rows["carried"], "without ", "with ") + rows["variant"],
@@ -243,7 +220,6 @@ def _table(rows: pd.DataFrame) -> pd.DataFrame:
             "noise, dB": cells(rows, "{noise_db:.1f}"),
             "worst, dB": cells(rows, "{worst_db:.1f}"),
             "above": cells(rows, "{above_noise:.1%}"),
-            "time": [f"{percent:+.0f} %" for percent in time],
             "verdict": [
                 f"{found}: {reason}" if reason else found
                 for found, reason in zip(rows["verdict"], reasons, strict=True)

@@ -22,8 +22,8 @@ from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.scenes.presses import N_BEFORE
 
 from .evaluate import Method, Scores, Solved, evaluate
-from .frames import KINDS, Frames, PressFrames, SceneFrames
-from .harness import Candidate, Experiment, Measurement, method_rows, unrefused
+from .frames import Frames, PressFrames, SceneFrames, opened
+from .harness import SCORES, Candidate, Experiment, Measurement, method_rows, unrefused
 from .points import compute
 from .report import Chart, Page, markdown, series_style
 
@@ -178,8 +178,7 @@ def readout(point: dict[str, Any]) -> dict[str, Any]:
     dict
         methods: by circuit mean_db and min_db.
     """
-    fields = dict(point["frames"])
-    take = KINDS[fields.pop("kind")](**fields).open(point["seed"])
+    take = opened(point)
     circuits: dict[str, dict[str, Any]] = {
         "exact sums": {},
         "divider, undone": {"divider": "undone"},
@@ -197,7 +196,8 @@ def readout(point: dict[str, Any]) -> dict[str, Any]:
         evaluate(estimators, part, scores)
     return {
         "methods": {
-            of: {"mean_db": one.mean_db, "min_db": one.min_db} for of, one in scores.items()
+            of: {name: SCORES[name](one) for name in ("mean_db", "min_db")}
+            for of, one in scores.items()
         }
     }
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.studies.baselines.sampling import CODECS, DEAD_ZONE_N, JUMP_SIGMAS, NEWEST
 from sparseskin.studies.evaluate import (
     GHOST,
@@ -21,10 +19,8 @@ from sparseskin.studies.evaluate import (
     WRONG,
 )
 from sparseskin.studies.frames import part_of, scene_of
-from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import Chart, Page, cells, draw_lines
 
-from .bands import DEVIATIONS, HELD, banded
 from .experiments import (
     ALL,
     ALONE,
@@ -43,7 +39,6 @@ from .experiments import (
     SPEED,
     TOUCHED,
     Runs,
-    rated_frames,
 )
 
 LEAST_ERROR = 0.5
@@ -80,7 +75,6 @@ def run(
     lines = recorded(page, runs, recordings, quick) if recordings else []
     lines += [scenes(page, runs), rates(page, runs), moving(page, runs)]
     sizes(page, runs)
-    bands(page, executor, seed, quick)
     page.write(lines)
     return lines
 
@@ -198,32 +192,6 @@ def sizes(page: Page, runs: Runs) -> None:
         f"Contact frames that have vanished, with an error of {100 * VANISHED:g} % or more, in %:",
         by_ratio(rows, ["taxels"], "{vanished:.0f}"),
     )
-
-
-def bands(page: Page, executor: str, seed: int, quick: bool) -> None:
-    """What the published standard deviations hold."""
-    points = [
-        {
-            "frames": {"kind": "SceneFrames", **asdict(frames)},
-            "ratio": r,
-            "rows": kept,
-            "seed": seed,
-        }
-        for frames in rated_frames(quick, RATES_HZ[:1])
-        for kept in (FIXED, ROTATING)
-        for r in RATIOS
-    ]
-    rows = pd.DataFrame(compute_rows(banded, points, page.out, executor, "bands"))
-    rows = rows.astype(dict.fromkeys(HELD, float))
-    means = rows.groupby(["rows", "ratio"], sort=False)[list(HELD)].mean().reset_index()
-    means["M"], means["held"] = (
-        cells(means, text) for text in ("N/{ratio}", " / ".join(f"{{{name}:.0%}}" for name in HELD))
-    )
-    page.csv(
-        "bands", rows.assign(scene=[of["scene"] for of in rows["frames"]]).drop(columns="frames")
-    )
-    shown = means[["rows", "M", "held"]]
-    page.section("Uncertainty", shown, deviations=DEVIATIONS, scenes=", ".join(RATED_SCENES))
 
 
 def recorded(page: Page, runs: Runs, folder: Path, quick: bool) -> list[str]:

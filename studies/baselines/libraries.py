@@ -1,4 +1,4 @@
-"""Other libraries on the problem that FISTA solves here: PyLops, SigPy, SPGL1, scikit-learn.
+"""Other libraries on the problem that FISTA solves here: PyLops, SigPy, SPGL1.
 
 Each gets the project's operator as its own kind of linear operator.
 """
@@ -16,7 +16,7 @@ import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import PAPER, block_and_rule
-from sparseskin.nodes.numerics.arrays import Doubles, Floats
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import Basis, make_basis
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS
 from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
@@ -44,11 +44,6 @@ class Bpdn:
     def adjoint(self, y: Any) -> Floats:
         """A^T y: shape (m,) to (n,)."""
         return self.basis.analysis(self.phi.adjoint(y).reshape(self.grid)).reshape(-1)
-
-    def dense(self) -> Doubles:
-        """A as a matrix, float64, shape (m, n)."""
-        rows = np.eye(self.m, dtype=np.float32)
-        return np.stack([self.adjoint(row) for row in rows]).astype(np.float64)
 
     def objective(self, theta: Any, y: Floats) -> float:
         """The value that is minimised, in newtons squared (theta in newtons)."""
@@ -78,12 +73,11 @@ Solve: TypeAlias = Callable[[Floats, int], Any]
 
 class Peer(NamedTuple):
     """A solver of the problem: module that has to be installed; what makes it of a problem and its
-    solution; True if it stops by itself, whatever number of iterations it is given.
+    solution.
     """
 
     module: str
     make: Callable[[Bpdn, Floats], Solve]
-    stops_by_itself: bool = False
 
 
 def _ours(problem: Bpdn, best: Floats) -> Solve:
@@ -158,29 +152,12 @@ def _spgl1(problem: Bpdn, best: Floats) -> Solve:
     return solve
 
 
-def _sklearn(problem: Bpdn, best: Floats) -> Solve:
-    """Orthogonal matching pursuit of scikit-learn, which takes nothing but a dense matrix.
-
-    It minimises another objective; it stops at the residual that the solution has.
-    """
-    from sklearn.linear_model import orthogonal_mp
-
-    matrix = problem.dense()
-
-    def solve(y: Floats, iterations: int) -> Any:
-        residual = problem.forward(best).astype(np.float64) - y
-        return orthogonal_mp(matrix, y.astype(np.float64), tol=float(residual @ residual))
-
-    return solve
-
-
 OURS, PYLOPS = "sparseskin FISTA", "PyLops FISTA"
 PEERS = {
     OURS: Peer("sparseskin", _ours),
     PYLOPS: Peer("pylops", _pylops),
     "SigPy FISTA": Peer("sigpy", _sigpy),
     "SPGL1": Peer("spgl1", _spgl1),
-    "scikit-learn OMP": Peer("sklearn", _sklearn, stops_by_itself=True),
 }
 
 

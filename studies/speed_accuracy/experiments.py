@@ -198,11 +198,7 @@ def race(point: dict[str, Any]) -> dict[str, Any]:
         best = problem.solution(y)
         lowest = problem.objective(best, y)
         solve = peer.make(problem, best)
-        if peer.stops_by_itself:
-            iterations = STEPS[-1]
-            solve(y, iterations)  # a first call, not timed, as the others have in the search
-        else:
-            iterations = _needed(problem, solve, y, WITHIN * lowest)
+        iterations = _needed(problem, solve, y, WITHIN * lowest)
         theta, span_ms = _shortest(solve, y, iterations)
         spans_ms.append(span_ms)
         counts.append(iterations)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -90,8 +89,6 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> None:
     page.section(
         "Solvers: measurements that a frame needs",
         _draw(page.out, rows),
-        "K/M up to which each solver is as good as the readings (-: nowhere that was looked at):",
-        _table(rows),
     )
 
 
@@ -118,25 +115,3 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
         label = "dB above the readings of all taxels"
         chart.figure.colorbar(spots, ax=chart.panels, label=label, extend="both")
     return chart.markdown
-
-
-def _table(frame: pd.DataFrame) -> pd.DataFrame:
-    """Largest K/M at which each solver is at least as good as the readings."""
-    lines = []
-    for solver, of_solver in frame.groupby("solver", sort=False):
-        line = {"solver": solver}
-        for delta, some in of_solver.groupby("delta", sort=False):
-            gains, ratios = some["gain_db"].tolist(), some["k_over_m"].tolist()
-            edge = crossing(ratios, gains, 0.0)
-            never_fails = f"> {ratios[-1]:.2f}" if gains[0] >= 0.0 else "-"
-            line[f"N/{1 / delta:.3g}"] = f"{edge:.2f}" if edge else never_fails
-        lines.append(line)
-    return pd.DataFrame(lines)
-
-
-def crossing(xs: Sequence[float], ys: Sequence[float], level: float) -> float | None:
-    """Place where a falling curve first passes below a level, between its points; None: nowhere."""
-    for x0, x1, y0, y1 in zip(xs, xs[1:], ys, ys[1:], strict=False):
-        if y0 >= level > y1:
-            return x0 + (x1 - x0) * (y0 - level) / (y0 - y1)
-    return None

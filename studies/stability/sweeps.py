@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.limits import LAMBDAS_N, MIN_ITERATIONS
-from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
 from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import Chart, Page, draw_lines, markdown
@@ -99,30 +97,16 @@ _SHARES = ((0.0, 0.001, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2), (0.0, 0.02, 0.2))
 _LOST = ((0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5), (0.0, 0.5))
 
 
-@cache
-def faults() -> dict[str, Sweep]:
-    """The faults that are swept."""
-    return {
-        "dead": Sweep("share of taxels dead", *_SHARES),
-        "masked": Sweep("share of taxels dead, in the mask", *_SHARES),
-        "stuck": Sweep("share of taxels stuck", *_SHARES),
-        "saturated": Sweep("share of taxels saturated", *_SHARES),
-        "rows": Sweep("measurements that read 0", (0, 1, 2, 5, 10, 20, 50), (0, 1, 10)),
-        "lost singly": Sweep("share of frames lost, singly", *_LOST),
-        "lost in bursts": Sweep("share of frames lost, in bursts", *_LOST),
-        "bits": Sweep("bits of a measurement", (4, 5, 6, 7, 8, 10, 12, 16), (4, 8)),
-        "converter": Sweep(
-            "bits of the converter",
-            range(4, 17),
-            (4, 8, 12),
-            edges={"noise of the skin": bits_of_the_noise(default_block())},
-        ),
-    }
-
-
-def default_block() -> int:
-    """Size of the Hadamard blocks where none is stated."""
-    return make_phi("sbhe", N, N // RATIO, 0).block
+FAULTS = {
+    "dead": Sweep("share of taxels dead", *_SHARES),
+    "masked": Sweep("share of taxels dead, in the mask", *_SHARES),
+    "stuck": Sweep("share of taxels stuck", *_SHARES),
+    "saturated": Sweep("share of taxels saturated", *_SHARES),
+    "rows": Sweep("measurements that read 0", (0, 1, 2, 5, 10, 20, 50), (0, 1, 10)),
+    "lost singly": Sweep("share of frames lost, singly", *_LOST),
+    "lost in bursts": Sweep("share of frames lost, in bursts", *_LOST),
+    "bits": Sweep("bits of a measurement", (4, 5, 6, 7, 8, 10, 12, 16), (4, 8)),
+}
 
 
 def points(sweeps: Mapping[str, Sweep], quick: bool, seed: int) -> list[dict[str, Any]]:
@@ -163,8 +147,6 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
             ys[:, rng.permutation(phi.m)[:level]] = 0.0
         if sweep == "bits":
             ys = np.stack([np.asarray(quantised(y, level)) for y in ys])
-        if sweep == "converter":
-            ys = converted(ys, level, phi.block)
         arrives = arrivals(sweep, level, len(truth), rng)
         solver = solver_for(name, phi, SHAPE, mask, **changed)
         frames = reconstruct(solver, ys[arrives])
@@ -179,26 +161,6 @@ def _phi(sweep: str, value: float, n: int, m: int, seed: int) -> Phi:
     if sweep == "step":
         return LongRows(n, m, seed, value)
     return make_phi("sbhe", n, m, seed, **({"block": int(value)} if sweep == "block" else {}))
-
-
-def converted(ys: Floats, bits: int, block: int) -> Floats:
-    """Measurements as a converter of that many bits returns them.
-
-    Its range holds any sum of a row over a block of B taxels: B f_max for a row of ones, B/2 f_max
-    either way for a row of both signs, over sqrt(B).
-    """
-    step = np.float32(converter_step_n(bits, block))
-    return np.multiply(step, np.round(ys / step), dtype=np.float32)
-
-
-def converter_step_n(bits: int, block: int) -> float:
-    """One step of the converter, N."""
-    return 1.5 * block * PAPER_F_MAX_N / math.sqrt(block) / 2.0**bits
-
-
-def bits_of_the_noise(block: int) -> float:
-    """Bits at which the steps make as much noise as an untouched taxel has."""
-    return math.log2(converter_step_n(0, block) / math.sqrt(12.0) / PAPER_SIGMA_END_N)
 
 
 def arrivals(
@@ -266,15 +228,14 @@ def settings_section(page: Page, quick: bool, seed: int, executor: str) -> None:
 
 def faults_section(page: Page, quick: bool, seed: int, executor: str) -> None:
     """Compute, draw and add the section on faults."""
-    asked = points(faults(), quick, seed)
+    asked = points(FAULTS, quick, seed)
     rows = pd.DataFrame(compute_rows(measure, asked, page.out, executor, "faults"))
     page.csv("faults", rows)
     page.section(
         "Faults between skin and solver",
-        draw_sweeps(page.out, "faults", "Faults, M = N/3.", rows, faults()),
-        sweep_table(rows, faults()),
+        draw_sweeps(page.out, "faults", "Faults, M = N/3.", rows, FAULTS),
+        sweep_table(rows, FAULTS),
         min_bits=MIN_BITS,
-        block=default_block(),
     )
 
 

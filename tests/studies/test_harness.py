@@ -135,5 +135,14 @@ def test_first_frames_of_contacts_are_those_without_one_before() -> None:
     for force in (0.0, 1.0, 2.0, 0.0, 2.0):
         scores.add(Solved(zeros), zeros + np.float32(force))
     dbs = [20 * np.log10(2.5 / force) for force in (1.0, 2.0)]
-    assert scores.first_db == pytest.approx(np.mean(dbs), abs=1e-4)
+    assert SCORES["first_db"](scores) == pytest.approx(np.mean(dbs), abs=1e-4)
     assert SCORES["mean_db"](Scores()) is None
+
+
+def test_percentiles_are_of_the_solve_times() -> None:
+    scores, zeros = Scores(), np.zeros((2, 2), np.float32)
+    for ms in range(1, 102):
+        scores.add(Solved(zeros, wall_s=ms / 1e3, cpu_s=ms / 2e3), zeros)
+    assert SCORES["median_ms"](scores) == pytest.approx(25.5)
+    assert SCORES["p99_ms"](scores) == pytest.approx(100)
+    assert SCORES["cpu_share"](scores) == pytest.approx(0.5)

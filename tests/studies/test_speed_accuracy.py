@@ -57,7 +57,6 @@ def test_the_problem_has_an_adjoint_and_its_minimum_is_lowest() -> None:
     y = rng.standard_normal(problem.m).astype(np.float32)
     inner = float(problem.forward(theta) @ y)
     assert inner == pytest.approx(float(theta @ problem.adjoint(y)), abs=1e-3)
-    np.testing.assert_allclose(problem.dense() @ theta, problem.forward(theta), atol=1e-4)
     best = problem.solution(y)
     # At the minimum no coefficient's gradient is steeper than lambda.
     gradient = problem.adjoint(problem.forward(best) - y)
@@ -73,10 +72,7 @@ def test_a_library_comes_within_one_percent_of_the_same_minimum(peer: str) -> No
     point |= {"peer": peer, "lambda_n": 0.1 / 32, "n_frames": 1}
     figures = race(point)
     assert figures["n_frames"] == 1
-    if PEERS[peer].stops_by_itself:
-        assert figures["objective"] < 2
-    else:
-        assert figures["objective"] <= WITHIN
+    assert figures["objective"] <= WITHIN
     assert figures["mean_db"] > 40
 
 

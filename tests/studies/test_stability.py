@@ -11,7 +11,6 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
 from sparseskin.studies.evaluate import SUM_SOLVERS
 from sparseskin.studies.stability import excerpts, sweeps
 from sparseskin.studies.stability.change import (
@@ -30,7 +29,7 @@ from sparseskin.studies.stability.excerpts import (
     psnr_of,
     touched_snr,
 )
-from sparseskin.studies.stability.phase import crossing, weak_threshold
+from sparseskin.studies.stability.phase import weak_threshold
 from sparseskin.studies.stability.sweeps import LongRows, Sweep, failing
 
 
@@ -92,17 +91,6 @@ def test_settling_counts_the_last_frame_that_is_off_by_more_than_1_db() -> None:
     assert frames_until_settled(errors) == {"first contact": 4, "slip": 1, "release": 1}
 
 
-def test_a_converter_has_the_step_and_the_noise_that_are_stated() -> None:
-    step = sweeps.converter_step_n(8, 32)
-    ys = np.random.default_rng(0).uniform(-5.0, 5.0, 20_000).astype(np.float32)
-    off = sweeps.converted(ys, 8, 32) - ys
-    assert np.abs(off).max() <= 0.5001 * step
-    assert off.std() == pytest.approx(step / math.sqrt(12), rel=0.02)
-    bits = sweeps.bits_of_the_noise(32)
-    noise = sweeps.converter_step_n(0, 32) / 2**bits / math.sqrt(12)
-    assert noise == pytest.approx(PAPER_SIGMA_END_N)
-
-
 @pytest.mark.parametrize("fault", ["lost singly", "lost in bursts"])
 def test_as_many_frames_are_lost_as_is_said(fault: str) -> None:
     arrives = sweeps.arrivals(fault, 0.3, 20_000, np.random.default_rng(0))
@@ -122,7 +110,7 @@ def test_every_solver_can_be_put_through_every_kind_of_point(
     assert sweeps.measure(point)["psnr_db"] > 30.0
     for swept, least in (
         (sweeps.SETTINGS, {"step", "noise", "block"}),
-        (sweeps.faults(), {"bits"}),
+        (sweeps.FAULTS, {"bits"}),
     ):
         asked = sweeps.points(swept, quick=True, seed=0)
         assert {p["sweep"] for p in asked if p["solver"] == solver} >= least
@@ -144,9 +132,3 @@ def test_failing_is_said_on_both_sides_of_the_best_value() -> None:
     assert failing(rows, Sweep("")) == "≤ 1 and ≥ 5"
     assert failing(rows[1:4], Sweep("")) == "nowhere"
     assert failing(rows, Sweep("", against_readings=True)) == "≥ 6"
-
-
-def test_crossing_is_interpolated_and_the_first() -> None:
-    assert crossing([0.0, 1.0, 2.0], [3.0, 1.0, -1.0], 0.0) == 1.5
-    assert crossing([0.0, 1.0, 2.0, 3.0], [1.0, -1.0, 1.0, -1.0], 0.0) == 0.5
-    assert crossing([0.0, 1.0], [1.0, 2.0], 0.0) is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from bands import held_of
 from pressed import noisy, sliding_disc
 from random_scenes import random_scene
 from watched import DESK_SHAPE as SHAPE
@@ -15,7 +16,6 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.estimates.resultant import T
 from sparseskin.nodes.reconstructor.node import ReconstructorSettings
-from sparseskin.studies.accuracy.bands import held_of
 from sparseskin.studies.frames import NOISE, Take
 
 

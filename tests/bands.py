@@ -12,34 +12,23 @@ from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, Resulta
 from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.evaluate import in_contact, make_method
-from sparseskin.studies.frames import KINDS, Take
+from sparseskin.studies.frames import Take
 
 DEVIATIONS = 1.645
 """Half width of a band in standard deviations: that of a normal distribution that holds 90 %."""
 HELD = ("touched", "untouched", "total", "row", "col")
 
 
-def banded(point: dict[str, Any]) -> dict[str, Any]:
+def held_of(take: Take, ratio: float, rows: str, seed: int) -> dict[str, float | None]:
     """Reconstruct frames by "skin" with its standard deviations, and count what bands hold.
 
-    `point`: frames (kind and fields, as in `harness.scored`), ratio, rows ("fixed" or "rotating"),
-    seed.
+    `rows`: "fixed" or "rotating"; `seed`: of Phi.
 
     Returns
     -------
     dict
         By name in `HELD`, the part of all contact frames' bands that hold the truth, 0..1; None
         where there was none.
-    """
-    fields = dict(point["frames"])
-    take = KINDS[fields.pop("kind")](**fields).open(point["seed"])
-    return held_of(take, point["ratio"], point["rows"], point["seed"])
-
-
-def held_of(take: Take, ratio: float, rows: str, seed: int) -> dict[str, float | None]:
-    """Part of the bands of each name in `HELD` that hold the truth, as `banded` returns it.
-
-    `seed`: of Phi.
     """
     shape = take.mask.shape
     method = make_method(PRESETS["skin"], shape, ratio, seed, rows=rows)
