@@ -9,7 +9,7 @@ WORKERS := $(shell echo $$((2 * $$(nproc))))
 INSTALL_SOME := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder
 
-.PHONY: demo scenes replay-timing page-load page-draw introspection-load soak shots charts charts-quick
+.PHONY: demo page-draw shots charts charts-quick stress stress-quick
 .PHONY: test test-all coverage test-kernels check mutants docs hooks clean
 .DELETE_ON_ERROR:
 
@@ -17,29 +17,9 @@ PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder
 demo: .venv/installed
 	$(BIN)/sparseskin launch drag_wrench_64 --set sensor.rate_hz=100
 
-# All six scenes at 200 Hz, beside the paper's table III (4 minutes).
-scenes: .venv/installed
-	$(BIN)/python -m sparseskin.studies.streaming.scenes
-
-# How well a replay keeps time, as a table (6 minutes).
-replay-timing: .venv/installed
-	$(BIN)/python -m sparseskin.studies.streaming.replay_timing
-
-# What the live page costs, as a table (6 minutes).
-page-load: .venv/installed
-	$(BIN)/python -m sparseskin.studies.streaming.page_load
-
 # Time that the page takes to draw skins of points (needs chromium, chromium-driver; half a minute).
 page-draw: .venv/installed-dev
 	PYTHONPATH=tests $(BIN)/python tests/draw_times.py
-
-# What looking at a graph from another terminal costs it, as a table (5 minutes).
-introspection-load: .venv/installed
-	$(BIN)/python -m sparseskin.studies.streaming.introspection_load
-
-# All nodes at 500 Hz for half an hour: memory, open files, lost frames.
-soak: .venv/installed-charts
-	$(BIN)/sparseskin study soak --minutes 30 --anew
 
 # Pictures of the live page in several states, in docs/ (needs chromium, chromium-driver).
 shots: .venv/installed-dev
@@ -58,6 +38,12 @@ test: .venv/installed-dev
 # All tests, those that are slow by nature too (kills, soak, browser, network namespaces).
 test-all: .venv/installed-dev
 	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) --durations=20
+
+# Faults, fuzz, attacks, soak, endurance and the costs of bridges and of readers, at the sizes whose
+# figures are in docs/ (7 hours; the quick ones 5 minutes); some: make stress STRESS=test_soak.py.
+stress stress-quick: .venv/installed-dev
+	$(if $(findstring quick,$@),,SPARSESKIN_STRESS=full) $(ONE_THREAD) $(BIN)/python -m pytest -q \
+	    -p no:xdist --timeout=0 $(addprefix tests/stress/,$(or $(STRESS),.))
 
 # The same with the coverage of what runs in the test processes, which takes them half as long again.
 coverage: .venv/installed-dev

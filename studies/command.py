@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -22,87 +21,57 @@ class Study:
     Attributes
     ----------
     summary : str
+    target : str
+        "module:callable" of the study, run(out, quick, seed, executor, **options). It computes the
+        points that are not saved yet with an `executor` (as `points.compute` takes it) and writes
+        page, tables and charts into the existing folder `out`; `quick`: fewer frames and points;
+        `seed`: of noise and Phi. It returns its conclusion, lines that are printed, and raises
+        StudyError if a point fails or a file cannot be written.
     options : tuple of str
         Options that it takes beside those of all studies.
     numpy_only : bool
         True if its figures are of numpy alone where nothing else is set, with numba installed
         or not.
-    target : str
-        "module:callable" of the study, run(out, quick, seed, executor, **options); by default
-        `run` in the module `study` of the folder of its name. It computes the points that are not
-        saved yet with an `executor` (as `points.compute` takes it) and writes page, tables and
-        charts into the existing folder `out`; `quick`: fewer frames and points; `seed`: of noise
-        and Phi. It raises StudyError if a point fails or a file cannot be written.
     """
 
     summary: str
+    target: str
     options: tuple[str, ...] = ()
     numpy_only: bool = False
-    target: str = ""
 
 
 STUDIES = {
     "paper-tables": Study(
-        "tables I to IV and the figures of the paper, beside ours", numpy_only=True
+        "tables I to IV and the figures of the paper, beside ours",
+        "sparseskin.studies.paper.tables:run",
+        numpy_only=True,
     ),
     "speed-accuracy": Study(
         "solve time and bytes against PSNR: solvers, bases, Phi, and other libraries",
+        "sparseskin.studies.speed_accuracy.charts:run",
         numpy_only=True,
     ),
     "stability": Study(
         "stable and unstable step sizes, contact parameters and settings of solvers",
+        "sparseskin.studies.stability.overview:run",
         numpy_only=True,
     ),
-    "scene-needs": Study("which degrees of freedom and terms each scene needs"),
-    "operators": Study(
-        "time of Phi, Psi and whole solvers beside the lower bound, and other libraries"
+    "scene-needs": Study(
+        "which degrees of freedom and terms each scene needs", "sparseskin.studies.needs:run"
     ),
-    "targets": Study(
-        "the default solver against the paper's and the full reading; effect of each part",
-        options=("recordings",),
-        numpy_only=True,
-    ),
-    "rates": Study(
-        "gain of the default solver by the frame rate, beside filters of the full reading",
-        numpy_only=True,
-    ),
-    "moving": Study(
-        "bodies that move a quarter of a taxel a frame, ramps and sudden contacts",
-        numpy_only=True,
-    ),
-    "real": Study(
-        "the default solver on recordings of real skins, beside what a user would try first",
+    "accuracy": Study(
+        "recordings, moving bodies and frame rates, beside what a user would try first",
+        "sparseskin.studies.accuracy.tables:run",
         options=("recordings", "seeds"),
-        numpy_only=True,
+    ),
+    "speed": Study(
+        "time of operators, of solvers, of bodies of many patches, and of a frame by stage",
+        "sparseskin.studies.speed.tables:run",
     ),
     "wiring": Study(
         "PSNR against the length of wires, from local to scrambled sums; circuits of row sums",
+        "sparseskin.studies.wiring:run",
         numpy_only=True,
-    ),
-    "layouts": Study(
-        "skins of points beside the grid, and beside other ways to put points on a grid"
-    ),
-    "bases": Study(
-        "in which basis forces are sparse: D2, D4 and others, learned ones; adaptive sampling",
-        numpy_only=True,
-    ),
-    "endurance": Study(
-        "the default solver over a million frames: memory, drift, recovery after changes"
-    ),
-    "bridges": Study("what bridges to other tools cost, and cost the graph beside them"),
-    "latency": Study("time from acquisition to reconstruction at 1 kHz, by stage"),
-    "scale": Study(
-        "a body of 1 to 244 patches: time, memory, idle patches, and the rate that is held live"
-    ),
-    "slices": Study(
-        "how long the warm-up of a slice of a recording has to be", options=("recordings",)
-    ),
-    "soak": Study("a long run: memory, open files, lost frames", options=("minutes",)),
-    "fuzz": Study("hostile messages on the sockets of nodes that run, and mutated launch files"),
-    "faults": Study("a graph under faults: frames lost, and time to recover"),
-    "attacks": Study(
-        "a graph under half-open connections, open pages and commands in a loop",
-        options=("minutes",),
     ),
 }
 #: Packages of the extra `charts`, which each study needs.
@@ -138,13 +107,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--recordings",
         metavar="DIR",
         type=Path,
-        help="real, targets: folder of real skins' recordings",
-    )
-    parser.add_argument(
-        "--minutes",
-        metavar="T",
-        type=_minutes,
-        help="how long the graph of soak runs (default: 30), the commands of attacks (60)",
+        help="accuracy: folder of recordings of real skins",
     )
     parser.add_argument("--anew", action="store_true", help="delete the points of earlier runs")
     parser.add_argument("--seed", type=_seed, default=0, help="seed of noise and Phi (default: 0)")
@@ -152,14 +115,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--seeds",
         metavar="K",
         type=_count,
-        help="real: number of seeds, from --seed on (default: 1)",
+        help="accuracy: number of seeds, from --seed on (default: 1)",
     )
     parser.set_defaults(run=_study)
-
-
-def target_of(name: str) -> str:
-    """Return what runs a study, as "module:callable"."""
-    return STUDIES[name].target or f"sparseskin.studies.{name.replace('-', '_')}.study:run"
 
 
 def _seed(text: str) -> int:
@@ -174,13 +132,6 @@ def _count(text: str) -> int:
     return int(text)
 
 
-def _minutes(text: str) -> float:
-    with contextlib.suppress(ValueError):
-        if 0.1 <= float(text) <= 100_000:
-            return float(text)
-    raise argparse.ArgumentTypeError(f"{text!r}: expected minutes, 0.1..100000")
-
-
 def _study(arguments: argparse.Namespace) -> int:
     name: str = arguments.name
     if name not in STUDIES:
@@ -191,7 +142,7 @@ def _study(arguments: argparse.Namespace) -> int:
         missing = f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
         raise SettingsError(f"study {name}: {missing}: pip install 'sparseskin[charts]'")
     options = {}
-    for option in ("recordings", "minutes", "seeds"):
+    for option in ("recordings", "seeds"):
         value = getattr(arguments, option)
         if value is None:
             continue
@@ -206,11 +157,13 @@ def _study(arguments: argparse.Namespace) -> int:
         raise SettingsError(f"--out {out}: {error.strerror}") from error
     if study.numpy_only:
         os.environ.setdefault(ENVIRONMENT, "off")
-    run = find_callable(target_of(name), SettingsError)
+    run = find_callable(study.target, SettingsError)
     if arguments.anew:
         from .points import forget
 
         forget(out)
-    run(out=out, quick=arguments.quick, seed=arguments.seed, executor=arguments.executor, **options)
+    common = {"quick": arguments.quick, "seed": arguments.seed, "executor": arguments.executor}
+    for line in run(out=out, **common, **options) or ():
+        print(f"- {line}")
     print(out / f"{name}.md")
     return 0

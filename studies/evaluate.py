@@ -1,8 +1,9 @@
-"""Evaluation of solvers on frames: measure, reconstruct, compare with the true forces."""
+"""Evaluation of estimators on frames: measure, reconstruct, compare with the true forces."""
 
 from __future__ import annotations
 
 import inspect
+import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
@@ -10,17 +11,20 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.acts import ActsPhi, ActsSearch, force_threshold
 from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import block_and_rule, row_subsets, rows_and_m
-from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.errors import SolverError, SparseskinError
 from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.monitor.metrics import psnr_db
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, Solver, make_rotating_solver
-from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.reconstructor.solvers.base import (
+    SOLVERS,
+    Solver,
+    estimated_error,
+    make_rotating_solver,
+)
 
 #: Solvers of sums of taxels: all but those that need a phi which chooses its taxels in each frame.
 SUM_SOLVERS = tuple(
@@ -35,23 +39,32 @@ def settings_of(solver: str) -> Mapping[str, inspect.Parameter]:
     return inspect.signature(find_class("solver", solver, SOLVERS, SolverError)).parameters
 
 
-class Solved(NamedTuple):
-    """A reconstructed frame.
+VALUE_BYTES = 2
+"""Bytes of a value that is sent, measurement or reading. Chosen: sensors have 8 to 16 bits."""
+LOADED, UNTOUCHED, GHOST = 0.1, 0.01, 0.05
+"""Parts of the 95th percentiles of a recording. A frame is loaded whose norm is above the first
+part of that of norms; below it a relative error is one of the sensor's offset and noise. A frame is
+untouched whose total is below the second part of that of totals, and a reconstruction of it above
+the third is a ghost. Chosen."""
+VANISHED, WRONG, RIGHT = 0.9, 0.5, 0.1
+"""Relative errors: from the first on a contact has vanished (1 is that of an estimate of 0); above
+the second a frame should be marked as not to be trusted, below the third it should not. Chosen."""
 
-    Attributes
-    ----------
-    forces : ndarray of float32, shape (n_rows, n_cols)
-        Newtons.
-    wall_s, cpu_s : float
-        Duration of the solve by the clock, and processor time of its thread.
-    n_steps : int
-        Iterations.
+
+class Solved(NamedTuple):
+    """A reconstructed frame: forces, float32, shape (n_rows, n_cols), newtons; duration of the
+    solve by the clock, and processor time of its thread; iterations; bytes that the edge sends,
+    `VALUE_BYTES` a value; and where the solver estimates them, the RMS error of a taxel in newtons,
+    and True if the frame is marked as not to be trusted.
     """
 
     forces: Floats
     wall_s: float = 0.0
     cpu_s: float = 0.0
     n_steps: int = 0
+    n_bytes: float = 0.0
+    error: float | None = None
+    flagged: bool | None = None
 
 
 class Estimator(Protocol):
@@ -62,21 +75,13 @@ class Estimator(Protocol):
 
 
 class Reading:
-    """Estimator of no method: the taxels as they are read, forces in a dead zone set to 0.
-
-    Parameters
-    ----------
-    dead_zone_n : float
-        Readings below it are set to 0, newtons.
-    """
+    """Estimator of no method: the taxels as they are read, those below a dead zone set to 0."""
 
     def __init__(self, dead_zone_n: float = 0.0) -> None:
         self.dead_zone_n = dead_zone_n
 
     def reconstruct(self, taxels: Floats) -> Solved:
         """Return the readings; see `Estimator`."""
-        if not self.dead_zone_n:
-            return Solved(taxels)
         return Solved(np.where(taxels < self.dead_zone_n, np.float32(0), taxels))
 
 
@@ -89,28 +94,15 @@ class Method:
         Made for the first of `phis`; with several of them, one whose `use` takes each.
     phis : sequence of Phi
         Matrices that frames take in turn: one where rows are fixed.
-    f_max_n : float
-        Upper end of the taxels' range, newtons; only phi "acts" needs it.
-
-    Attributes
-    ----------
-    n_code_bytes : int
-        Size of the last frame's choice of rows; 0 but for phi "adaptive".
     """
 
-    def __init__(self, solver: Solver, phis: Sequence[Phi], f_max_n: float = PAPER_F_MAX_N) -> None:
+    def __init__(self, solver: Solver, phis: Sequence[Phi]) -> None:
         self.solver = solver
         self.phis = phis
         self.n_frames = 0
-        self.n_code_bytes = 0
-        self._search: ActsSearch | None = None
+        self._n_code_bytes = 0
         self._choice: AdaptiveChoice | None = None
-        if isinstance(solver.phi, AdaptivePhi):
-            self._choice = AdaptiveChoice(solver.phi)
-        if isinstance(solver.phi, ActsPhi):
-            noise = NoiseModel.for_range(f_max_n)
-            threshold = force_threshold(noise.sigma_end, noise.f_max)
-            self._search = ActsSearch(solver.mask, solver.phi.m, threshold)
+        self.reset()
 
     @property
     def phi(self) -> Phi:
@@ -121,17 +113,15 @@ class Method:
         """Forget all frames, and begin with the first matrix again."""
         self.solver.reset()
         self.n_frames = 0
-        if self._choice is not None and isinstance(self.phi, AdaptivePhi):
+        if isinstance(self.phi, AdaptivePhi):
             self._choice = AdaptiveChoice(self.phi)
 
     def measure(self, taxels: Floats) -> Floats:
         """Measurements of the next frame: float32, shape (n_rows, n_cols) to (m,)."""
         x, phi = taxels.reshape(-1)[self.solver.taxels], self.phi
-        if self._search is not None and isinstance(phi, ActsPhi):
-            phi.choose(self._search.places(x.take))
         if self._choice is not None and isinstance(phi, AdaptivePhi):
             y = self._choice.measure(phi.tree.analysis(x).take)
-            self.n_code_bytes = phi.tree.coded(phi.chosen).size
+            self._n_code_bytes = phi.tree.coded(phi.chosen).size
             return y
         return phi.forward(x)
 
@@ -144,7 +134,10 @@ class Method:
             self.solver.use(phi)
         forces = self.solver.solve(y)
         cpu_s, wall_s = time.thread_time() - cpu_begin_s, time.perf_counter() - begin_s
-        return Solved(forces, wall_s, cpu_s, self.solver.n_steps)
+        error, trusted = estimated_error(self.solver)
+        flagged = None if error is None and trusted else not trusted
+        n_bytes = VALUE_BYTES * phi.m + self._n_code_bytes
+        return Solved(forces, wall_s, cpu_s, self.solver.n_steps, n_bytes, error, flagged)
 
     def reconstruct(self, taxels: Floats) -> Solved:
         """Measure and reconstruct the next frame; see `Estimator`."""
@@ -152,12 +145,7 @@ class Method:
 
 
 class Alone:
-    """Estimator of a method that forgets all earlier frames before each one.
-
-    Parameters
-    ----------
-    method : Method
-    """
+    """Estimator of a method that forgets all earlier frames before each one."""
 
     def __init__(self, method: Method) -> None:
         self.method = method
@@ -168,15 +156,17 @@ class Alone:
         return self.method.reconstruct(taxels)
 
 
-def phis_at(n: int, ratio: float, rows: str, seed: int, kind: str = "sbhe") -> list[Phi]:
+def phis_at(
+    n: int, ratio: float, rows: str, seed: int, kind: str = "sbhe", block: int | None = None
+) -> list[Phi]:
     """Matrices that frames take in turn at a ratio N / M.
 
     M is rounded down where rows are fixed, and up where they rotate, so that all row subsets
-    together hold every row. `rows` "paper" are the paper's, fixed.
+    together hold every row. `rows` "paper" are the paper's, fixed. `block`: size of the Hadamard
+    blocks; None: that of the kind.
     """
     kept, m = rows_and_m(kind, n, rows=rows, ratio=ratio)
-    phi = make_phi(kind, n=n, m=m, seed=seed, **block_and_rule(rows, None))
-    return row_subsets(phi, kept)
+    return row_subsets(make_phi(kind, n, m, seed, **block_and_rule(rows, block)), kept)
 
 
 def make_method(
@@ -190,6 +180,7 @@ def make_method(
     mask: Mask | None = None,
     f_max_n: float = PAPER_F_MAX_N,
     sigma_end: float = 0.0,
+    block: int | None = None,
 ) -> Method:
     """Make a method by the names of its parts.
 
@@ -197,21 +188,14 @@ def make_method(
     ----------
     chosen : mapping
         solver, basis ("haar" where absent) and the solver's settings, as in `PRESETS`.
-    shape : tuple of int
-        Rows and columns of the skin.
-    ratio : float
-        N / M.
-    seed : int
-        Of Phi.
-    rows, phi : str
-        "fixed" or "rotating" rows; kind of Phi.
-    mask : ndarray of bool, shape (n_rows, n_cols), optional
-        True where a taxel exists. None: everywhere.
-    f_max_n : float
-        Upper end of the taxels' range, newtons. Settings are used as stated, whatever the range.
-    sigma_end : float
-        Standard deviation of an untouched taxel's noise, newtons, as the skin states it to phi
-        "adaptive"; 0 if it is not known.
+    shape, mask
+        Rows and columns of the skin; True where a taxel exists (None: everywhere).
+    ratio, rows, phi, block
+        As for `phis_at`; `phi`: kind of Phi, drawn by `seed`.
+    f_max_n, sigma_end : float
+        Upper end of the taxels' range, and standard deviation of an untouched taxel's noise (0 if
+        it is not known), newtons, as the skin states them to phi "adaptive". Settings are used as
+        stated, whatever the range.
 
     Raises
     ------
@@ -220,11 +204,11 @@ def make_method(
     """
     settings = {key: value for key, value in chosen.items() if key not in ("solver", "basis")}
     n = shape[0] * shape[1] if mask is None else int(np.count_nonzero(mask))
-    phis = phis_at(n, ratio, rows, seed, phi)
+    phis = phis_at(n, ratio, rows, seed, phi, block)
     layout(phis[0], np.ones(shape, dtype=np.bool_) if mask is None else mask, sigma_end, f_max_n)
     basis = make_basis(chosen.get("basis", "haar"), *shape)
     solver = make_rotating_solver(chosen["solver"], phis, basis, mask, **settings)
-    return Method(solver, phis, f_max_n)
+    return Method(solver, phis)
 
 
 def in_contact(truth: Floats, f_max_n: float) -> bool:
@@ -239,96 +223,111 @@ class Scores:
     ----------
     f_max_n : float
         Upper end of the range, peak of the PSNR, newtons.
+    mask : ndarray of bool, shape (n_rows, n_cols), optional
+        True where a taxel exists. None: everywhere.
+    norm, total : float
+        95th percentiles of the norms and totals of a recording's frames; 0: a frame is loaded where
+        it is in contact, and none is untouched.
 
     Attributes
     ----------
-    psnr_db : list of float
-        Of each frame.
-    contact : list of bool
-        True where the frame is in contact.
-    touched : list of (float, int)
+    psnr_db, contact : list
+        Of each frame: PSNR; True where it is in contact, or loaded; see `LOADED`.
+    touched, relative, estimates : list
         Of each contact frame: mean squared error over the touched taxels (above 0.4 % of the
-        range) in newtons squared, and their number.
-    wall_s, cpu_s, n_steps : list
+        range) in newtons squared, and their number; error over the norm of the truth; estimated
+        over true RMS error, where there is an estimate.
+    ghosts : list of bool
+        Of each untouched frame: True if its reconstruction is a ghost; see `GHOST`.
+    flags : list of (bool, float)
+        Of each frame with an estimate: True if it is marked, and its relative error; NaN where it
+        is not in contact.
+    wall_s, cpu_s, n_steps, n_bytes : list
         Of each frame, as in `Solved`.
+    refused : str
+        Reason for which the estimator was ended; "" if it was not.
     """
 
-    def __init__(self, f_max_n: float = PAPER_F_MAX_N) -> None:
-        self.f_max_n = f_max_n
+    def __init__(
+        self,
+        f_max_n: float = PAPER_F_MAX_N,
+        mask: Mask | None = None,
+        norm: float = 0.0,
+        total: float = 0.0,
+    ) -> None:
+        self.f_max_n, self._mask, self._norm, self._total = f_max_n, mask, norm, total
         self.psnr_db: list[float] = []
         self.contact: list[bool] = []
         self.touched: list[tuple[float, int]] = []
+        self.relative: list[float] = []
+        self.estimates: list[float] = []
+        self.ghosts: list[bool] = []
+        self.flags: list[tuple[bool, float]] = []
         self.wall_s: list[float] = []
         self.cpu_s: list[float] = []
         self.n_steps: list[int] = []
+        self.n_bytes: list[float] = []
+        self.refused = ""
 
     def add(self, solved: Solved, truth: Floats) -> None:
         """Count one frame; truth: float32, shape (n_rows, n_cols), newtons."""
         error = solved.forces - truth
+        off, norm = (float(np.linalg.norm(self._taxels(x))) for x in (error, truth))
+        contact = norm > LOADED * self._norm if self._norm else in_contact(truth, self.f_max_n)
         self.psnr_db.append(psnr_db(error, self.f_max_n))
-        self.contact.append(in_contact(truth, self.f_max_n))
+        self.contact.append(contact)
         self.wall_s.append(solved.wall_s)
         self.cpu_s.append(solved.cpu_s)
         self.n_steps.append(solved.n_steps)
-        if self.contact[-1]:
+        self.n_bytes.append(solved.n_bytes)
+        if solved.flagged is not None:
+            self.flags.append((solved.flagged, off / norm if contact else math.nan))
+        if contact:
             on_touched = error[truth > CONTACT_FRACTION * self.f_max_n]
-            squared = float(np.mean(np.square(on_touched, dtype=np.float64)))
-            self.touched.append((squared, on_touched.size))
+            if on_touched.size:
+                squared = float(np.mean(np.square(on_touched, dtype=np.float64)))
+                self.touched.append((squared, on_touched.size))
+            self.relative.append(off / norm)
+            if solved.error is not None and off:
+                n = truth.size if self._mask is None else np.count_nonzero(self._mask)
+                self.estimates.append(solved.error * math.sqrt(n) / off)
+        if self._total and float(self._taxels(truth).sum()) <= UNTOUCHED * self._total:
+            total = float(self._taxels(solved.forces).sum())
+            self.ghosts.append(total > GHOST * self._total)
+
+    def _taxels(self, image: Floats) -> Doubles:
+        """Values of the taxels that exist."""
+        found: Doubles = (image if self._mask is None else image[self._mask]).astype(np.float64)
+        return found
 
     @property
     def contact_db(self) -> list[float]:
         """PSNR of each contact frame, dB."""
         return [psnr for psnr, touches in zip(self.psnr_db, self.contact, strict=True) if touches]
 
-    @property
-    def mean_db(self) -> float:
-        """Mean PSNR over the contact frames, dB."""
-        return float(np.mean(self.contact_db))
-
-    @property
-    def min_db(self) -> float:
-        """Least PSNR of a contact frame, dB."""
-        return float(np.min(self.contact_db))
-
-    def wall_ms(self, percent: float) -> float:
-        """Percentile of the solve times by the clock, ms."""
-        return float(np.percentile(self.wall_s, percent)) * 1e3
-
-    def cpu_ms(self, percent: float) -> float:
-        """Percentile of the processor times of the solves, ms."""
-        return float(np.percentile(self.cpu_s, percent)) * 1e3
-
 
 def evaluate(
     estimators: Mapping[str, Estimator],
     frames: Iterable[tuple[Floats, Floats]],
-    f_max_n: float = PAPER_F_MAX_N,
-) -> dict[str, Scores]:
-    """Run estimators side by side over the same frames.
+    scores: Mapping[str, Scores] | None = None,
+    unscored: int = 0,
+) -> Mapping[str, Scores]:
+    """Run estimators side by side over the same frames, and return scores by the same names.
 
-    Parameters
-    ----------
-    estimators : mapping of str to Estimator
-        By name; those that carry something from frame to frame go on from what they have.
-    frames : iterable of (truth, taxels)
-        float32, shape (n_rows, n_cols), newtons; each read once.
-    f_max_n : float
-        Upper end of the range, newtons.
-
-    Returns
-    -------
-    dict of str to Scores
-        By the same names.
+    `frames` are (truth, taxels): float32, shape (n_rows, n_cols), newtons; each is read once, the
+    first `unscored` are not counted. Estimators go on from what they have; one that raises a
+    SparseskinError is ended, and its scores state the reason. `scores` are continued.
     """
-    scores = {name: Scores(f_max_n) for name in estimators}
-    for truth, taxels in frames:
+    scores = scores if scores is not None else {name: Scores() for name in estimators}
+    for k, (truth, taxels) in enumerate(frames):
         for name, estimator in estimators.items():
-            scores[name].add(estimator.reconstruct(taxels), truth)
+            if scores[name].refused:
+                continue
+            try:
+                solved = estimator.reconstruct(taxels)
+            except SparseskinError as error:
+                scores[name].refused = str(error)
+                continue
+            if k >= unscored:
+                scores[name].add(solved, truth)
     return scores
-
-
-def evaluate_one(
-    estimator: Estimator, frames: Iterable[tuple[Floats, Floats]], f_max_n: float = PAPER_F_MAX_N
-) -> Scores:
-    """Run one estimator over frames; see `evaluate`."""
-    return evaluate({"": estimator}, frames, f_max_n)[""]

@@ -11,22 +11,15 @@ import numpy as np
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.scenes.scenes import open_scene
 
-from .scene_frames import scene_frames
+from .frames import scene_frames
 
 PERIOD_NS = 1_000_000
 
 
 class Looped:
-    """A `sparseskin.nodes.sensor.source.Source` that takes no processor time for a simulation.
+    """Source of a sensor node that repeats frames first, ..., first + n - 1 of a scene.
 
-    Parameters
-    ----------
-    scene : str
-        Name of the scene.
-    first, n : int
-        First frame that is repeated, and the number of frames.
-    delivers : "truth" or "taxels"
-        True forces, or readings with the skin's noise.
+    `delivers`: "truth", true forces, or "taxels", readings with the skin's noise.
     """
 
     rate_hz = None

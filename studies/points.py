@@ -8,7 +8,6 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
 
@@ -35,7 +34,7 @@ class StudyError(SparseskinError):
 def compute(
     function: Function, points: Sequence[Point], out: Path, executor_name: str, label: str
 ) -> list[Figures]:
-    """Compute the points that are not known yet, and return the figures of all.
+    """Compute the points that are not known yet, and return the figures of all, in their order.
 
     Each finished point is at once one line of `points.jsonl` in the folder: a run that was
     interrupted or killed continues where it was, and loses at most the points under way.
@@ -52,13 +51,8 @@ def compute(
     executor_name : str
         As in `sparseskin.nodes.tasks.executors.make_executor`.
     label : str
-        Name of the points, unique in the study: shown by the progress bar, and part of the key
-        of each point, as is the name of the function (but not the module it stands in).
-
-    Returns
-    -------
-    list of dict
-        Figures in the order of the points, the same ones whether computed now or read.
+        Name of the points, shown by the progress bar, and part of the key of each point, as is the
+        name of the function (but not the module it stands in).
 
     Raises
     ------
@@ -70,8 +64,7 @@ def compute(
     keys = [key_of(function, label, point) for point in points]
     code = code_fingerprint()
     with _opened(out) as file:
-        records, n_former = _read(file, label, function)
-        _log_former(out / POINTS_FILE, n_former)
+        records = _read(file)
         known = {key: record["figures"] for key, record in records.items()}
         missing = {
             key: dict(point) for key, point in zip(keys, points, strict=True) if key not in known
@@ -118,18 +111,6 @@ def _log_known(label: str, keys: set[str], is_other_code: Sequence[bool]) -> Non
     print(f"{text} (--anew forgets them)", file=sys.stderr)
 
 
-@cache
-def _log_former(path: Path, n_former: int) -> None:
-    """Log, once a folder, how many records no point of this version can use."""
-    if n_former:
-        print(
-            f"{path}: {n_former} points were saved by an earlier version under other names; they "
-            "are computed anew (they stay in the file until --anew, for the version that saved "
-            "them)",
-            file=sys.stderr,
-        )
-
-
 def forget(out: Path) -> None:
     """Delete the points that earlier runs have saved in a folder.
 
@@ -158,29 +139,23 @@ def _opened(out: Path) -> Iterator[BinaryIO]:
         yield file
 
 
-def _read(file: BinaryIO, label: str, function: Function) -> tuple[dict[str, dict[str, Any]], int]:
-    """Read records by key, and count those that no point can use any more: of other versions, or
-    of this label and a function of another name. An incomplete last line is cut off.
-    """
+def _read(file: BinaryIO) -> dict[str, dict[str, Any]]:
+    """Read records of this version by key. An incomplete last line is cut off."""
     file.seek(0)
     records: dict[str, dict[str, Any]] = {}
-    n_former = whole = 0
+    whole = 0
     for line in file:
         if not line.endswith(b"\n"):
             break
         try:
             record = json.loads(line)
-            if record.get("version") != STUDY_VERSION:
-                n_former += 1
-            else:
-                name = record["function"].partition(":")[2]
-                n_former += record["label"] == label and name != function.__qualname__
+            if record.get("version") == STUDY_VERSION:
                 records[record["key"]] = {key: record[key] for key in ("figures", "code")}
         except (ValueError, TypeError, KeyError, AttributeError):
             break
         whole += len(line)
     file.truncate(whole)
-    return records, n_former
+    return records
 
 
 def _computed(

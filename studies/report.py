@@ -54,11 +54,8 @@ class Chart:
 
     Parameters
     ----------
-    out : Path
-        Folder of the study.
-    name : str
-        Name of the files: `name.png` and `name.svg`.
-    caption : str
+    out, name, caption
+        Folder of the study; name of the files, `name.png` and `name.svg`.
     n_panels, n_columns : int
         Panels, row by row.
     size_in : (float, float)
@@ -70,9 +67,8 @@ class Chart:
 
     Attributes
     ----------
-    name, caption : str
-    figure : matplotlib.figure.Figure
-    panels : list of matplotlib.axes.Axes
+    figure, panels
+        The figure of matplotlib, and its axes.
     markdown : str
         Text that shows the chart on a page.
 
@@ -167,19 +163,10 @@ def draw_lines(
     order: Sequence[Any] = (),
     **style: Any,
 ) -> None:
-    """Draw one line for each value of a column.
+    """Draw one line for each value of column `by` over column x, labelled by it.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-    frame : DataFrame
-    x, y, by : str
-        Columns: places, heights, and what the lines are labelled by.
-    order : sequence
-        All values of `by`, whose styles are those of their places in it; by default those of
-        this frame as they come.
-    **style
-        Changes of `series_style`.
+    `order`: all values of `by`, whose styles are those of their places in it; by default those of
+    this frame as they come. `style`: changes of `series_style`.
     """
     labels = list(order) or list(frame[by].unique())
     for label, along in frame.groupby(by, sort=False):
@@ -188,14 +175,10 @@ def draw_lines(
 
 
 def markdown(frame: pd.DataFrame, formats: Mapping[str, str] | str = "") -> str:
-    """Format a data frame as a Markdown table.
+    """Format a data frame as a Markdown table; missing values are empty cells.
 
-    Parameters
-    ----------
-    frame : DataFrame
-        Its columns are the table's; missing values are empty cells.
-    formats : mapping of str to str, or str
-        Format of the numbers of a column, as `format` takes it: {"mean dB": ".1f"}; or of all.
+    `formats`: format of the numbers of a column, as `format` takes it: {"mean dB": ".1f"}; or of
+    all.
     """
 
     def cell(value: Any, spec: str) -> str:
@@ -211,32 +194,9 @@ def markdown(frame: pd.DataFrame, formats: Mapping[str, str] | str = "") -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def frame_of(
-    points: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, Any]], by: str = ""
-) -> pd.DataFrame:
-    """Points with their figures as a data frame.
-
-    A row a point; with `by`, a row for each name in the figures, which becomes that column.
-    """
-    rows: list[dict[str, Any]] = []
-    for point, figures in zip(points, found, strict=True):
-        of_point = {key: value for key, value in figures.items() if not isinstance(value, dict)}
-        named = figures.get("methods", figures) if by else {"": {}}
-        rows += [
-            {**point, **of_point, **({by: name} if by else {}), **of} for name, of in named.items()
-        ]
-    return pd.DataFrame(rows)
-
-
 def cells(frame: pd.DataFrame, text: str) -> list[str]:
     """Format each row of a frame, as in `cells(frame, "{mean_db:.1f} ({min_db:.1f})")`."""
     return [text.format(**row) for row in frame.to_dict("records")]
-
-
-def pivot(frame: pd.DataFrame, index: Sequence[str], columns: str, values: str) -> pd.DataFrame:
-    """Spread the values of one column over a column each of another's, in their given order."""
-    table = frame.pivot_table(values, list(index), columns, aggfunc="first", sort=False)
-    return table.reset_index()
 
 
 def write_csv(out: Path, name: str, rows: Rows) -> str:
@@ -258,53 +218,69 @@ def write_csv(out: Path, name: str, rows: Rows) -> str:
     return f"[{path.name}]({path.name})"
 
 
-def fill_page(
-    out: Path,
-    name: str,
-    template: Path | None = None,
-    conclusion: Sequence[str] = (),
-    **values: Any,
-) -> Path:
-    """Fill a template and write it as the study's page `name.md`.
+class Page:
+    """The page of a study: sections of text, tables and charts, in the one template `page.md`.
 
     Parameters
     ----------
     out : Path
         Folder of the study.
     name : str
-        Name of the page.
-    template : Path, optional
-        Markdown with Jinja2 expressions; `x|f(".1f")` formats a number as Python does. By
-        default `page.md` in the folder of the study of that name.
-    conclusion : sequence of str
-        What the figures show, three lines at most; they stand below the title.
-    **values
-        What the expressions name; a data frame is shown as a table.
-
-    Raises
-    ------
-    StudyError
-        If the page cannot be written.
-    jinja2.UndefinedError
-        If the template names something that is not among the values.
+        Name of the study, and of the page.
+    notes : Path
+        Markdown with the text of each section under its title; the title of the page, and what
+        follows it, come first. {name} stands for a value that the section is given.
+    quick : bool
+        True for a page that states that its figures are those of a quick run.
     """
-    environment = jinja2.Environment(
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-        finalize=lambda value: markdown(value) if isinstance(value, pd.DataFrame) else value,
-    )
-    environment.filters["f"] = format
-    path = out / f"{name}.md"
-    template = template or Path(__file__).parent / name.replace("-", "_") / "page.md"
-    text = environment.from_string(template.read_text(encoding="utf-8")).render(values)
-    if conclusion:
-        title, _, rest = text.lstrip().partition("\n")
-        text = "\n".join([title, "", *(f"- {line}" for line in conclusion[:3]), rest])
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StudyError(f"{path}: {error.strerror}") from error
-    return path
+
+    def __init__(self, out: Path, name: str, notes: Path, quick: bool) -> None:
+        self.out, self._name, self._quick = out, name, quick
+        first, *parts = notes.read_text(encoding="utf-8").removeprefix("# ").split("\n## ")
+        self._title, _, opening = first.partition("\n")
+        self._notes = dict(part.split("\n", 1) for part in parts) | {"": opening}
+        self._sections: list[dict[str, Any]] = []
+        self._files: list[str] = []
+
+    def section(self, title: str, *parts: str | pd.DataFrame, **values: Any) -> None:
+        """Add a section: its text, with these values, then its parts.
+
+        Parts are Markdown or data frames, which are shown as tables; empty ones are left out.
+        """
+        text = self._notes[title].strip().format(**values)
+        self._sections.append({"title": title, "parts": [p for p in (text, *parts) if len(p)]})
+
+    def csv(self, name: str, rows: Rows) -> None:
+        """Write rows to `name.csv`, which the page links; see `write_csv`."""
+        self._files.append(write_csv(self.out, name, rows))
+
+    def write(self, conclusion: Sequence[str]) -> None:
+        """Write the page `NAME.md`, the lines of the conclusion below its title.
+
+        Raises
+        ------
+        StudyError
+            If it cannot be written.
+        """
+        environment = jinja2.Environment(
+            undefined=jinja2.StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+            keep_trailing_newline=True,
+            autoescape=False,
+            finalize=lambda value: markdown(value) if isinstance(value, pd.DataFrame) else value,
+        )
+        template = Path(__file__).with_name("page.md").read_text(encoding="utf-8")
+        text = environment.from_string(template).render(
+            title=self._title,
+            conclusion=conclusion,
+            quick=self._quick,
+            sections=self._sections,
+            files=self._files,
+            command=f"{self._name}{' --quick' if self._quick else ''}",
+        )
+        path = self.out / f"{self._name}.md"
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise StudyError(f"{path}: {error.strerror}") from error

@@ -20,10 +20,10 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 
 WARM_UP = 256
 """Frames before a slice that are reconstructed and left out of its result. Measured
-(`sparseskin study slices`): on scenes from 64 frames on at N/3 and from 128 at N/8, on a recording
-of a bed from 256, a solver that began with nothing differs from one that ran all the time by no
-more than two that ran all the time with other random shifts. The watch for stuck taxels needs 200
-frames."""
+(`make stress STRESS=test_slices.py`): on scenes from 64 frames on at N/3 and from 128 at N/8, on a
+recording of a bed from 256, a solver that began with nothing differs from one that ran all the time
+by no more than two that ran all the time with other random shifts. The watch for stuck taxels needs
+200 frames."""
 LEAST_FRAMES = 20 * WARM_UP
 """Frames of a slice where no length is stated: the warm-up is then a twentieth of the work."""
 MAX_SLICES = 100_000

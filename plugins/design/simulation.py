@@ -157,7 +157,7 @@ def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: i
     chosen = PRESETS["skin"]
     basis = make_basis(chosen["basis"], *mask.shape)
     solver = make_rotating_solver(chosen["solver"], phis, basis, mask)
-    return Sums(Method(solver, phis, F_MAX_N), bits)
+    return Sums(Method(solver, phis), bits)
 
 
 def noise_model(noise: float) -> NoiseModel:

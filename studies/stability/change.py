@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,14 +12,12 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.studies.evaluate import SUM_SOLVERS
 from sparseskin.studies.points import compute_rows
-from sparseskin.studies.report import Chart, cells, pivot, write_csv
+from sparseskin.studies.report import Page, cells
 
-from .frames import contacts, frame_errors, measured, psnr_of, read, reconstruct, solver_for
-from .sweeps import draw_solvers
+from .excerpts import contacts, frame_errors, measured, psnr_of, read, reconstruct, solver_for
 
 EVENTS = ("first contact", "slip", "release")
 N_BEFORE, N_EACH, N_SETTLED = 10, 30, 10
-N_SHOWN_BEFORE, N_SHOWN = 2, 16
 SLIP_TAXELS = 5
 GOOD = PAPER_F_MAX_N**2 * 1e-6
 """Mean squared error, N^2, that counts as settled: 60 dB of PSNR."""
@@ -86,18 +83,19 @@ def frames_until_settled(errors: list[float]) -> dict[str, int]:
     return frames
 
 
-def section(out: Path, quick: bool, seed: int, executor: str) -> dict[str, Any]:
-    """Compute and draw; the values for the page."""
-    found = compute_rows(measure, points(quick, seed), out, executor, "sudden change")
-    frame = pd.DataFrame([row for one in found for row in _rows(one)])
-    csv = write_csv(out, "change", frame)
+def section(page: Page, quick: bool, seed: int, executor: str) -> pd.DataFrame:
+    """Compute and add the section; figures of each event."""
+    found = compute_rows(measure, points(quick, seed), page.out, executor, "sudden change")
+    rows = pd.DataFrame([row for one in found for row in _rows(one)])
+    page.csv("change", rows)
     text = "{frames_until_settled} / {below_readings} ({first_db:.1f}, {settled_db:.1f})"
-    sides, ratios = cells(frame, "{side} x {side}"), cells(frame, "N/{ratio}")
-    frame = frame.assign(taxels=sides, M=ratios, cell=cells(frame, text))
-    frame = frame.sort_values(["side", "ratio"], kind="stable")
-    table = pivot(frame, ["taxels", "M", "solver"], "event", "cell")
-    shown = {"chart": _chart(out, found), "table": table, "csv": csv}
-    return {"n_each": N_EACH, "rows": frame, **shown}
+    sides, ratios = cells(rows, "{side} x {side}"), cells(rows, "N/{ratio}")
+    shown = rows.assign(taxels=sides, M=ratios, cell=cells(rows, text))
+    shown = shown.sort_values(["side", "ratio"], kind="stable")
+    keys = ["taxels", "M", "solver"]
+    table = shown.pivot_table("cell", keys, "event", aggfunc="first", sort=False).reset_index()
+    page.section("Solvers: sudden change", table, n_each=N_EACH)
+    return rows
 
 
 def _rows(one: dict[str, Any]) -> list[dict[str, Any]]:
@@ -110,40 +108,10 @@ def _rows(one: dict[str, Any]) -> list[dict[str, Any]]:
         rows.append(
             {
                 **{key: one[key] for key in ("solver", "side", "ratio", "n_trials", "seed")},
-                "event": event,
-                "frames_until_settled": settled[event],
+                **{"event": event, "frames_until_settled": settled[event]},
                 "below_readings": sum(e > n for e, n in zip(errors, noisy, strict=True)),
                 "first_db": psnr_of(errors[0]),
                 "settled_db": float(np.mean([psnr_of(e) for e in errors[-N_SETTLED:]])),
             }
         )
     return rows
-
-
-def _chart(out: Path, found: list[dict[str, Any]]) -> str:
-    """PSNR around each event at each N/M, on the smaller skin."""
-    side = found[0]["side"]
-    found = [one for one in found if one["side"] == side]
-    frame = pd.DataFrame(found).explode(["errors", "noisy"])
-    frame["frame"] = frame.groupby(level=0).cumcount() - N_BEFORE
-    for errors in ("errors", "noisy"):
-        frame[errors] = [psnr_of(error) for error in frame[errors]]
-    ratios = list(frame["ratio"].unique())
-    n = len(EVENTS)
-    chart = Chart(
-        out,
-        "change",
-        f"Sudden change on {side} x {side} taxels.",
-        *(n * len(ratios), n),
-        size_in=(3.1 * n, 2.4 * len(ratios) + 0.6),
-        legend_columns=5,
-    )
-    with chart:
-        for i, axes in enumerate(chart.panels):
-            event, ratio = EVENTS[i % n], ratios[i // n]
-            some = frame[frame["ratio"] == ratio].assign(after=frame["frame"] - i % n * N_EACH)
-            shown = some[some["after"].between(-N_SHOWN_BEFORE, N_SHOWN - 1)]
-            draw_solvers(axes, shown, "after", "errors", "noisy")
-            axes.set(title=f"{event}, N/{ratio}")
-        chart.label("frames after the event", "PSNR, dB")
-    return chart.markdown

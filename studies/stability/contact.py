@@ -1,4 +1,4 @@
-"""Failures of contact integrators: growth, chatter and rebound over w dt and c dt / m.
+"""Failures of contact integrators: growth and rebound over w dt and c dt / m.
 
 One coordinate, unit mass: x'' = g - w^2 x - c x' where x > 0, x being the depth in the bed. The
 scenes use `RigidBody.step`; explicit, semi-implicit and implicit Euler are for comparison alone.
@@ -14,50 +14,37 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib.colors import LogNorm
 
 from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.sensor.scenes.contact import GRAVITY_M_S2, Bed, RigidBody
 from sparseskin.nodes.sensor.scenes.scenes import SCENES
 from sparseskin.nodes.sensor.scenes.simulation import Scene, SceneSource
 from sparseskin.studies.points import compute
-from sparseskin.studies.report import MARKERS, Chart, write_csv
+from sparseskin.studies.report import MARKERS, Chart, Page
 
 State = tuple[float, float]
 Places = Mapping[str, Mapping[str, float]]
 
-LOW, HIGH = 0.015, 30.0
-"""Range of both axes of the maps."""
-N_SIDE, N_SIDE_QUICK = 25, 11
+LOW, HIGH, N_SIDE, N_SIDE_QUICK = 0.015, 30.0, 25, 11
+"""Range of both axes of the maps, and points along each."""
 DT_S = 1e-3
-N_CHATTER, N_GROWTH = 40, 60
-"""Steps of a swing that are checked for chatter, and then for growth."""
-LOG_GONE = math.log(0.01)
 N_DROP = 400
-OVERFLOW = 1e6
-"""Ratio of energies at which a rebound ends as an overflow."""
+"""Steps after a drop."""
+OVERFLOW, NOTHING = 1e6, 1e-6
+"""Ratio of energies at which a rebound ends as an overflow; growth or gain beyond rounding."""
 IMPACT = 10.0
 """Speed of the impact over that at which the static depth would stop it: g / w."""
-NOTHING = 1e-6
-"""Growth or energy gain beyond rounding."""
-CHATTER = 0.25
-LABELS = {"growth": "growth a step", "chatter": "chatter", "rebound": "rebound"}
+LABELS = {"growth": "growth a step", "rebound": "rebound"}
 """Figures that are drawn, and their labels."""
 EXPLICIT = ("explicit Euler", "semi-implicit Euler")
 
 
 @dataclass(frozen=True)
 class Mass:
-    """A unit mass over a bed.
+    """A unit mass over a bed of natural frequency `omega`, rad/s, and c / m `damping`, 1/s.
 
-    Attributes
-    ----------
-    omega : float
-        Natural frequency on the bed, rad/s.
-    damping : float
-        c / m in 1/s.
-    unilateral : bool
-        True: the bed pushes only where x > 0 and never pulls. False: it is always attached.
+    `unilateral`: True: the bed pushes only where x > 0 and never pulls. False: always attached.
     """
 
     omega: float
@@ -116,48 +103,16 @@ def sdirk2(mass: Mass, x: float, v: float, dt_s: float) -> State:
     return -float(q[0]), -float(rate[0])
 
 
-def exact(mass: Mass, x: float, v: float, dt_s: float) -> State:
-    """The flow of the attached bed itself, by the matrix exponential; no unilateral bed."""
-    away, v_dt = propagator(mass.omega * dt_s, mass.damping * dt_s) @ np.array(
-        [x - mass.static_depth, v * dt_s]
-    )
-    return mass.static_depth + float(away), float(v_dt) / dt_s
-
-
 INTEGRATORS: dict[str, Callable[[Mass, float, float, float], State]] = {
     "explicit Euler": explicit_euler,
     "semi-implicit Euler": semi_implicit_euler,
     "implicit Euler": implicit_euler,
     "SDIRK2 (the scenes)": sdirk2,
-    "exact": exact,
 }
 
 
-def propagator(omega_dt: float, c_dt_over_m: float) -> Doubles:
-    """Exact motion over one step of (x - static depth, v dt), float64 of shape (2, 2)."""
-    half = c_dt_over_m / 2
-    rate2 = omega_dt**2 - half**2
-    # cos and sin r / r, of a real or an imaginary r; scaled so that nothing overflows.
-    if rate2 >= 0:
-        rate = math.sqrt(rate2)
-        cosine, sine = math.cos(rate), math.sin(rate) / rate if rate > 0 else 1.0
-        decay = math.exp(-half)
-        cosine, sine = decay * cosine, decay * sine
-    else:
-        rate = math.sqrt(-rate2)
-        grows, falls = math.exp(rate - half), math.exp(-rate - half)
-        cosine, sine = (grows + falls) / 2, (grows - falls) / (2 * rate)
-    return np.array([[cosine + half * sine, sine], [-(omega_dt**2) * sine, cosine - half * sine]])
-
-
 def amplification(method: str, omega_dt: float, c_dt_over_m: float) -> Doubles:
-    """Matrix of one step of (x - static depth, v dt) on an attached bed, float64, shape (2, 2).
-
-    Raises
-    ------
-    KeyError
-        If no integrator is called that.
-    """
+    """Matrix of one step of (x - static depth, v dt) on an attached bed, float64, shape (2, 2)."""
     a, b = omega_dt**2, c_dt_over_m
     rates: Doubles = np.array([[0.0, 1.0], [-a, -b]])
     one: Doubles = np.eye(2)
@@ -167,13 +122,9 @@ def amplification(method: str, omega_dt: float, c_dt_over_m: float) -> Doubles:
         return np.array([[1.0 - a, 1.0 - b], [-a, 1.0 - b]])
     if method == "implicit Euler":
         return np.asarray(np.linalg.inv(one - rates))
-    if method == "SDIRK2 (the scenes)":
-        gamma = 1.0 - 1.0 / math.sqrt(2.0)
-        stage = np.linalg.inv(one - gamma * rates)
-        return np.asarray((one + (1.0 - 2.0 * gamma) * rates) @ stage @ stage)
-    if method == "exact":
-        return propagator(omega_dt, c_dt_over_m)
-    raise KeyError(method)
+    gamma = 1.0 - 1.0 / math.sqrt(2.0)
+    stage = np.linalg.inv(one - gamma * rates)
+    return np.asarray((one + (1.0 - 2.0 * gamma) * rates) @ stage @ stage)
 
 
 def growth(method: str, omega_dt: float, c_dt_over_m: float) -> float:
@@ -192,9 +143,7 @@ def stability_margin(method: str, omega_dt: Doubles, c_dt_over_m: Doubles) -> Do
     a, b = omega_dt**2, c_dt_over_m
     if method == "explicit Euler":
         return np.minimum(b - a, 2.0 + a / 2.0 - b)
-    if method == "semi-implicit Euler":
-        return np.asarray(4.0 - a - 2.0 * b)
-    return None
+    return np.asarray(4.0 - a - 2.0 * b) if method == "semi-implicit Euler" else None
 
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
@@ -213,50 +162,11 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     if "scene" in point:
         return place_of_scene(SCENES[point["scene"]]())
     method, b = point["method"], point["c_dt_over_m"]
-    masses = [Mass(a / DT_S, b / DT_S, unilateral=False) for a in point["omega_dts"]]
-    attached = [swing(method, mass) for mass in masses]
-    figures = {
-        "growth": [factor for factor, _ in attached],
-        "reversals": [share for _, share in attached],
-        "theory": [growth(method, a, b) for a in point["omega_dts"]],
+    omegas = [a / DT_S for a in point["omega_dts"]]
+    return {
+        "growth": [growth(method, a, b) for a in point["omega_dts"]],
+        "rebound": [rebound(method, Mass(omega, b / DT_S, unilateral=True)) for omega in omegas],
     }
-    if method != "exact":
-        figures["rebound"] = [
-            rebound(method, Mass(mass.omega, mass.damping, unilateral=True)) for mass in masses
-        ]
-    return figures
-
-
-def swing(method: str, mass: Mass) -> tuple[float, float]:
-    """Let a mass swing on an attached bed, its amplitude set back to the same after each step.
-
-    Returns
-    -------
-    growth : float
-        Factor by which the amplitude grows in a step, in the geometric mean.
-    reversals : float
-        Share of the first steps at which the speed changes its sign while more than a hundredth
-        of the swing is left, 0..1.
-    """
-    step = INTEGRATORS[method]
-    # Amplitudes in the norm of the energy, of which a damped swing never gains.
-    size = 1e-3 * mass.static_depth * mass.omega
-    x, v = 0.0, size
-    log_growth, log_size, n_reversed = 0.0, 0.0, 0
-    for k in range(N_CHATTER + N_GROWTH):
-        x_next, v_next = step(mass, mass.static_depth + x, v, DT_S)
-        x_next -= mass.static_depth
-        length = math.hypot(mass.omega * x_next, v_next)
-        if length == 0.0:
-            return 0.0, n_reversed / N_CHATTER
-        # A swing that has died away does not chatter.
-        if k < N_CHATTER and log_size > LOG_GONE:
-            n_reversed += v_next * v < 0.0
-        log_size += math.log(length / size)
-        if k >= N_CHATTER:
-            log_growth += math.log(length / size)
-        x, v = x_next * size / length, v_next * size / length
-    return math.exp(log_growth / N_GROWTH), n_reversed / N_CHATTER
 
 
 def rebound(method: str, mass: Mass) -> float:
@@ -264,14 +174,12 @@ def rebound(method: str, mass: Mass) -> float:
 
     Not more than 1 where the integrator makes no energy; at most `OVERFLOW`.
     """
-    step = INTEGRATORS[method]
-    x, v = 0.0, IMPACT * GRAVITY_M_S2 / mass.omega
+    v = IMPACT * GRAVITY_M_S2 / mass.omega
     # A little before the bed, by a third of a step, so that contact starts within a step.
-    x -= v * DT_S / 3.0
-    before = mass.energy(x, v)
-    largest = 0.0
+    x = -v * DT_S / 3.0
+    before, largest = mass.energy(x, v), 0.0
     for k in range(N_DROP):
-        x, v = step(mass, x, v, DT_S)
+        x, v = INTEGRATORS[method](mass, x, v, DT_S)
         energy = mass.energy(x, v)
         if not energy < OVERFLOW * before:
             return OVERFLOW
@@ -297,72 +205,57 @@ def place_of_scene(scene: Scene) -> dict[str, Any]:
     return {"omega_dt": math.sqrt(omega2) * dt_s, "c_dt_over_m": rate * dt_s}
 
 
-def section(out: Path, quick: bool, seed: int, executor: str) -> dict[str, Any]:
-    """Compute and draw; the values for the page."""
+def section(page: Page, quick: bool, seed: int, executor: str) -> pd.DataFrame:
+    """Compute, draw and add the section; the table of integrators."""
     asked = points(quick, seed)
-    pairs = list(zip(asked, compute(measure, asked, out, executor, "contact"), strict=True))
+    pairs = list(zip(asked, compute(measure, asked, page.out, executor, "contact"), strict=True))
     scenes = {point["scene"]: figures for point, figures in pairs if "scene" in point}
-    frame = pd.concat(
+    rows = pd.concat(
         pd.DataFrame({**point, **figures}).rename(columns={"omega_dts": "omega_dt"})
         for point, figures in pairs
         if "method" in point
-    ).reset_index(drop=True)
-    maps = ["method", "omega_dt", "c_dt_over_m", "growth", "reversals", "theory", "rebound"]
-    csv = write_csv(out, "contact", frame[maps])
-    # Beyond half a swing a step, the steps of the exact motion do not show its swing.
-    exact = frame.loc[frame["method"] == "exact", "reversals"].tolist() * len(INTEGRATORS)
-    frame["chatter"] = (frame["reversals"] - exact).where(frame["omega_dt"] < np.pi)
-    return {
-        "charts": [
-            _chart(out, f"contact_{column}", label, frame, column, scenes)
-            for column, label in LABELS.items()
-        ],
-        "table": pd.DataFrame([_line(*one) for one in frame.groupby("method", sort=False)]),
-        **{"places": scenes, "explicit": EXPLICIT, "growth": growth},
-        "csv": csv,
-    }
+    )
+    page.csv("contact", rows)
+    places = [
+        {
+            **{"": k, "scene": scene, "ω·dt": f"{at['omega_dt']:.3f}"},
+            "c·dt/m": f"{at['c_dt_over_m']:.3f}",
+            **{m: "holds" if growth(m, **at) <= 1 else "blows up" for m in EXPLICIT},
+        }
+        for k, (scene, at) in enumerate(scenes.items(), 1)
+    ]
+    table = pd.DataFrame([_line(*one) for one in rows.groupby("method", sort=False)])
+    page.section(
+        "Contact: time integrators",
+        *(_chart(page.out, column, rows, scenes) for column in LABELS),
+        table,
+        "Places of the scenes, and whether an explicit method would hold there:",
+        pd.DataFrame(places),
+    )
+    return table
 
 
-def _line(method: Any, frame: pd.DataFrame) -> dict[str, str]:
-    """One integrator in the table: where it is unstable, chatters and makes energy."""
-
-    def percent(shares: pd.Series, digits: int = 0) -> str:
-        return f"{100 * shares.mean():.{digits}f} %"
-
-    grown, theory = (frame[name] > 1 + NOTHING for name in ("growth", "theory"))
-    chatter = frame.loc[frame["omega_dt"] < np.pi, "chatter"] > CHATTER
+def _line(method: Any, rows: pd.DataFrame) -> dict[str, str]:
+    """One integrator in the table: where it is unstable and makes energy."""
+    grown = rows["growth"] > 1 + NOTHING
     return {
         "integrator": method,
-        "unstable": percent(grown),
-        "as in theory": percent(grown == theory, 1),
-        "from ω·dt": f"{frame.loc[grown, 'omega_dt'].min():.2f}" if grown.any() else "-",
-        "chatters (ω·dt < π)": percent(chatter),
-        "makes energy": "-" if method == "exact" else percent(frame["rebound"] > 1 + NOTHING),
+        "unstable": f"{grown.mean():.0%}",
+        "from ω·dt": f"{rows.loc[grown, 'omega_dt'].min():.2f}" if grown.any() else "-",
+        "makes energy": f"{(rows['rebound'] > 1 + NOTHING).mean():.0%}",
     }
 
 
-def _chart(
-    out: Path, name: str, label: str, frame: pd.DataFrame, column: str, scenes: Places
-) -> str:
-    """Maps of one figure, a panel for each method that has it."""
-    is_ratio = column != "chatter"
-    frame = frame[frame["method"] != "exact"] if column == "rebound" else frame
-    methods = list(frame["method"].unique())
-    n_columns = 3 if len(methods) > 4 else 2
-    chart = Chart(
-        out,
-        name,
-        f"Contact: {label} over ω·dt and c·dt/m; black: where theory puts the boundary.",
-        *(len(methods), n_columns),
-        size_in=(3.3 * n_columns, 3.0 * -(-len(methods) // n_columns) + 0.6),
-        legend_columns=3,
-    )
+def _chart(out: Path, column: str, rows: pd.DataFrame, scenes: Places) -> str:
+    """Maps of one figure, a panel for each method."""
+    caption = f"Contact: {LABELS[column]} over ω·dt and c·dt/m; black: edge of stability."
     fine = np.geomspace(LOW, HIGH, 400)
-    with chart:
-        for axes, method in zip(chart.panels, methods, strict=True):
-            grid = frame[frame["method"] == method].pivot(
-                index="c_dt_over_m", columns="omega_dt", values=column
-            )
+    name, n = f"contact_{column}", len(INTEGRATORS)
+    with Chart(out, name, caption, n, 2, size_in=(6.6, 6.6), legend_columns=3) as chart:
+        for axes, (method, some) in zip(
+            chart.panels, rows.groupby("method", sort=False), strict=True
+        ):
+            grid = some.pivot(index="c_dt_over_m", columns="omega_dt", values=column)
             axis = grid.columns.to_numpy()
             half = np.sqrt(axis[1] / axis[0])
             edges = np.append(axis / half, axis[-1] * half)
@@ -370,26 +263,18 @@ def _chart(
             axes.set(xscale="log", yscale="log", title=method, xlim=limits, ylim=limits)
             axes.grid(False)
             axes.minorticks_off()
-            mesh = axes.pcolormesh(
-                *(edges, edges, grid.clip(0.01, 100.0) if is_ratio else grid),
-                norm=LogNorm(0.01, 100.0) if is_ratio else Normalize(-1.0, 1.0),
-                cmap="RdBu_r",
-                rasterized=True,
-            )
-            margin = stability_margin(method, *np.meshgrid(fine, fine))
+            style: dict[str, Any] = {"cmap": "RdBu_r", "rasterized": True}
+            shown = grid.clip(0.01, 100.0)
+            mesh = axes.pcolormesh(edges, edges, shown, norm=LogNorm(0.01, 100.0), **style)
+            margin = stability_margin(str(method), *np.meshgrid(fine, fine))
             if margin is not None:
-                style: dict[str, Any] = {"colors": "black", "linewidths": 1.6}
-                axes.contour(fine, fine, margin, levels=[0.0], **style)
-                axes.plot([], [], color="black", lw=1.6, label="edge of stability, in theory")
-            for k, (scene, place) in enumerate(scenes.items()):
-                axes.plot(
-                    *([place["omega_dt"]], [place["c_dt_over_m"]], MARKERS[k]),
-                    color="white",
-                    markeredgecolor="black",
-                    markersize=6,
-                    label=f"{k + 1} {scene}",
-                )
+                axes.contour(fine, fine, margin, levels=[0.0], colors="black", linewidths=1.6)
+                axes.plot([], [], color="black", lw=1.6, label="edge of stability")
+            for k, (scene, at) in enumerate(scenes.items()):
+                mark: dict[str, Any] = {"color": "white", "markeredgecolor": "black"}
+                place = ([at["omega_dt"]], [at["c_dt_over_m"]], MARKERS[k])
+                axes.plot(*place, markersize=6, label=f"{k + 1} {scene}", **mark)
         chart.label("ω·dt", "c·dt/m")
-        bar = label + (" (white: 1)" if is_ratio else "")
+        bar = f"{LABELS[column]} (white: 1)"
         chart.figure.colorbar(mesh, ax=chart.panels, label=bar, shrink=0.8)
     return chart.markdown

@@ -1,4 +1,4 @@
-"""Sweeps over one quantity at a time, drawn and tabulated: one line for each solver."""
+"""Settings of the solvers and faults before them, swept one at a time far beyond both ends."""
 
 from __future__ import annotations
 
@@ -8,12 +8,33 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import pandas as pd
-from matplotlib.axes import Axes
 
-from sparseskin.studies.evaluate import SUM_SOLVERS
-from sparseskin.studies.report import Chart, draw_lines
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.nodes.compressor.limits import MIN_BITS, MIN_BLOCK
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.compressor.quantiser import quantised
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.limits import LAMBDAS_N, MIN_ITERATIONS
+from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
+from sparseskin.studies.points import compute_rows
+from sparseskin.studies.report import Chart, Page, draw_lines, markdown
 
+from .excerpts import (
+    SHAPE,
+    N,
+    mean_scores,
+    measured,
+    read_excerpts,
+    reconstruct,
+    scores,
+    solver_for,
+)
+
+RATIO, BURST = 3, 10
 FLOOR_DB, CEILING_DB = 10.0, 70.0
 """Where curves are cut off, dB: below, all has failed; above, all is good."""
 FAILS_DB = 3.0
@@ -26,24 +47,21 @@ _EDGE: dict[str, Any] = {
     **{"ha": "right", "va": "bottom"},
     "bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
 }
+#: Readings of faulty taxels in newtons, for n of them.
+TAXEL_FAULTS: dict[str, Any] = {
+    "dead": lambda n, rng: np.zeros(n),
+    "masked": lambda n, rng: np.zeros(n),
+    "stuck": lambda n, rng: rng.uniform(0.0, PAPER_F_MAX_N, n),
+    "saturated": lambda n, rng: np.full(n, PAPER_F_MAX_N),
+}
 
 
 @dataclass(frozen=True)
 class Sweep:
     """One quantity that is swept.
 
-    Attributes
-    ----------
-    label : str
-        Label of the axis.
-    values, quick : sequence of float
-        In a full and in a quick run.
-    scale : str
-        "linear" or "log".
-    edges : mapping of str to float
-        Edges by theory, by name.
-    against_readings : bool
-        True if a solver fails where it is worse than the readings, which change with the quantity.
+    Label of its axis; its values in a full and in a quick run; "linear" or "log"; edges by theory,
+    by name; True if a solver fails where it is worse than the readings, which change with it.
     """
 
     label: str
@@ -54,47 +72,199 @@ class Sweep:
     against_readings: bool = False
 
 
-def sweep_points(sweeps: Mapping[str, Sweep], quick: bool) -> list[dict[str, Any]]:
-    """Every solver over each quantity."""
+SETTINGS = {
+    "step": Sweep(
+        "step, in 1/L",
+        np.linspace(0.5, 2.5, 17).tolist(),
+        np.linspace(0.5, 2.5, 5).tolist(),
+        edges={"4/3: momentum": 4 / 3, "2: none": 2.0},
+    ),
+    "lambda_n": Sweep(
+        "λ, N", np.geomspace(1e-4, 1.0, 17).tolist(), np.geomspace(1e-4, 1.0, 5).tolist(), "log"
+    ),
+    "iterations": Sweep(
+        "iterations a frame", (1, 2, 3, 5, 7, 10, 15, 20, 30, 50, 100), (1, 5, 20), "log"
+    ),
+    "noise": Sweep(
+        "noise, times the paper's",
+        (0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0),
+        (0.0, 1.0, 10.0),
+        against_readings=True,
+    ),
+    "block": Sweep("block size B", [2**k for k in range(1, 9)], (2, 32, 256), "log"),
+}
+_SHARES = ((0.0, 0.001, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2), (0.0, 0.02, 0.2))
+_LOST = ((0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5), (0.0, 0.5))
+
+
+FAULTS = {
+    "dead": Sweep("share of taxels dead", *_SHARES),
+    "masked": Sweep("share of taxels dead, in the mask", *_SHARES),
+    "stuck": Sweep("share of taxels stuck", *_SHARES),
+    "saturated": Sweep("share of taxels saturated", *_SHARES),
+    "rows": Sweep("measurements that read 0", (0, 1, 2, 5, 10, 20, 50), (0, 1, 10)),
+    "lost singly": Sweep("share of frames lost, singly", *_LOST),
+    "lost in bursts": Sweep("share of frames lost, in bursts", *_LOST),
+    "bits": Sweep("bits of a measurement", (4, 5, 6, 7, 8, 10, 12, 16), (4, 8)),
+}
+
+
+def points(sweeps: Mapping[str, Sweep], quick: bool, seed: int) -> list[dict[str, Any]]:
+    """Every solver over each quantity that it has, all else as it is in the project."""
+    ratios = (RATIO,) if quick or "lambda_n" not in sweeps else (RATIO, 8)
     return [
-        {"sweep": key, "value": value, "solver": solver}
+        {"sweep": key, "value": value, "solver": solver, "ratio": ratio, "seed": seed}
         for solver in SUM_SOLVERS
         for key, sweep in sweeps.items()
+        if key not in ("lambda_n", "iterations") or key in settings_of(solver)
         for value in (sweep.quick if quick else sweep.values)
+        for ratio in ratios
     ]
 
 
-def draw_solvers(
-    axes: Axes, frame: pd.DataFrame, x: str, y: str, noisy: str, floor_db: float = FLOOR_DB
-) -> None:
-    """Draw decibels within the limits: one line for each solver, and one for the readings."""
-    frame = frame.assign(**{one: frame[one].clip(floor_db, CEILING_DB) for one in (y, noisy)})
-    readings = frame[frame["solver"] == frame["solver"].iloc[0]]
-    label = "readings of all taxels"
-    axes.plot(
-        readings[x], readings[noisy], label=label, color="#555555", lw=2.2, alpha=0.6, zorder=1
+def measure(point: dict[str, Any]) -> dict[str, Any]:
+    """`SCORES` of a solver, means over the excerpts, dB: of reconstructed frames, and of readings
+    without a fault, over taxels without a fault only; and the share of frames that blew up.
+
+    `point`: sweep, value, solver, ratio, seed.
+    """
+    sweep, level, name, ratio = (point[key] for key in ("sweep", "value", "solver", "ratio"))
+    changed = {sweep: level} if sweep in ("lambda_n", "iterations") else {}
+    if sweep == "iterations" and "max_iterations" in settings_of(name):
+        changed["max_iterations"] = max(level, settings_of(name)["max_iterations"].default)
+    found, blown_up = [], []
+    for truth, readings, rng in read_excerpts(point["seed"], level if sweep == "noise" else 1.0):
+        faulty = readings.copy()
+        alive = np.ones(SHAPE, np.bool_)
+        if sweep in TAXEL_FAULTS:
+            alive.reshape(-1)[rng.permutation(N)[: round(level * N)]] = False
+            faulty[:, ~alive] = TAXEL_FAULTS[sweep](int(np.count_nonzero(~alive)), rng)
+        mask = alive if sweep == "masked" else None
+        n = N if mask is None else int(np.count_nonzero(mask))
+        phi = _phi(sweep, level, n, int(n / ratio), point["seed"])
+        ys = measured(phi, faulty, mask)
+        if sweep == "rows":
+            ys[:, rng.permutation(phi.m)[:level]] = 0.0
+        if sweep == "bits":
+            ys = np.stack([np.asarray(quantised(y, level)) for y in ys])
+        arrives = arrivals(sweep, level, len(truth), rng)
+        solver = solver_for(name, phi, SHAPE, mask, **changed)
+        frames = reconstruct(solver, ys[arrives])
+        blown_up += [not np.isfinite(frame).all() for frame in frames]
+        # While frames are lost, the last reconstructed one stands.
+        last = np.maximum.accumulate(np.where(arrives, np.cumsum(arrives) - 1, 0))
+        found.append(scores(frames[last], readings, truth, alive))
+    return {**mean_scores(found), "blown_up": float(np.mean(blown_up))}
+
+
+def _phi(sweep: str, value: float, n: int, m: int, seed: int) -> Phi:
+    if sweep == "step":
+        return LongRows(n, m, seed, value)
+    return make_phi("sbhe", n, m, seed, **({"block": int(value)} if sweep == "block" else {}))
+
+
+def arrivals(
+    fault: str, share: float, n_frames: int, rng: np.random.Generator
+) -> npt.NDArray[np.bool_]:
+    """True for each frame that arrives; the first one always does."""
+    arrives = np.ones(n_frames, np.bool_)
+    if fault == "lost singly":
+        arrives = rng.random(n_frames) >= share
+    elif fault == "lost in bursts":
+        # Gaps of BURST frames, begun so often that the stated share is lost.
+        begin = share / (BURST * (1.0 - share))
+        left = 0
+        for t in range(n_frames):
+            left = left - 1 if left else (BURST if rng.random() < begin else 0)
+            arrives[t] = left == 0
+    arrives[0] = True
+    return arrives
+
+
+class LongRows(Phi):
+    """Scrambled block Hadamard with rows longer than the length 1 that it states.
+
+    A solver then takes steps of `times` / L, L being the true largest eigenvalue.
+    """
+
+    kind = "long rows"
+
+    def __init__(self, n: int, m: int, seed: int, times: float) -> None:
+        super().__init__(n, m, seed)
+        self._honest = SbhePhi(n, m, seed)
+        self._length = np.float32(math.sqrt(times))
+        self.fingerprint = self._honest.fingerprint
+
+    def dense(self) -> npt.NDArray[np.float64]:
+        return self._honest.dense() * float(self._length)
+
+    def _forward(self, x: Floats, out: Floats) -> None:
+        np.multiply(self._honest.forward(x), self._length, out=out)
+
+    def _adjoint(self, y: Floats, out: Floats) -> None:
+        np.multiply(self._honest.adjoint(y), self._length, out=out)
+
+
+def settings_section(page: Page, quick: bool, seed: int, executor: str) -> None:
+    """Compute, draw and add the section on settings."""
+    asked = points(SETTINGS, quick, seed)
+    rows = pd.DataFrame(compute_rows(measure, asked, page.out, executor, "settings"))
+    charts = []
+    for ratio, some in rows.groupby("ratio", sort=False):
+        name, caption = f"settings_n{ratio}", f"Settings, M = N/{ratio}."
+        chart = draw_sweeps(page.out, name, caption, some, SETTINGS)
+        charts += [chart, markdown(sweep_table(some, SETTINGS))]
+    page.csv("settings", rows)
+    page.section(
+        "Solvers: settings and surroundings",
+        *charts,
+        lambdas=", ".join(
+            f"{low:g} to {high:g} ({name})" for name, (low, high) in LAMBDAS_N.items()
+        ),
+        iterations=", ".join(f"{least} ({name})" for name, least in MIN_ITERATIONS.items()),
+        min_block=MIN_BLOCK,
     )
-    draw_lines(axes, frame, x, y, "solver", SUM_SOLVERS, markersize=3.5)
+
+
+def faults_section(page: Page, quick: bool, seed: int, executor: str) -> None:
+    """Compute, draw and add the section on faults."""
+    asked = points(FAULTS, quick, seed)
+    rows = pd.DataFrame(compute_rows(measure, asked, page.out, executor, "faults"))
+    page.csv("faults", rows)
+    page.section(
+        "Faults between skin and solver",
+        draw_sweeps(page.out, "faults", "Faults, M = N/3.", rows, FAULTS),
+        sweep_table(rows, FAULTS),
+        min_bits=MIN_BITS,
+    )
 
 
 def draw_sweeps(
     out: Path, name: str, caption: str, frame: pd.DataFrame, sweeps: Mapping[str, Sweep]
 ) -> str:
     """Chart of sweeps, three in a row: PSNR, and below it SNR over the touched taxels."""
-    n_panels = 2 * len(sweeps)
-    size_in = (3 * 2.9, -(-n_panels // 3) * 2.3 + 0.6)
-    chart = Chart(out, name, caption, n_panels, 3, size_in=size_in, legend_columns=5)
-    with chart:
+    n_panels = 6 * -(-len(sweeps) // 3)
+    size_in = (3 * 2.9, n_panels // 3 * 2.3 + 0.6)
+    with Chart(out, name, caption, n_panels, 3, size_in=size_in, legend_columns=5) as chart:
         for k, (key, sweep) in enumerate(sweeps.items()):
             for below, (score, (title, floor_db)) in enumerate(_SCORES.items()):
                 axes = chart.panels[6 * (k // 3) + 3 * below + k % 3]
-                some = frame[frame["sweep"] == key]
-                draw_solvers(axes, some, "value", score, f"noisy_{score}", floor_db)
+                some = frame[frame["sweep"] == key].copy()
+                noisy = f"noisy_{score}"
+                some[[score, noisy]] = some[[score, noisy]].clip(floor_db, CEILING_DB)
+                readings = some[some["solver"] == some["solver"].iloc[0]]
+                grey: dict[str, Any] = {"color": "#555555", "lw": 2.2, "alpha": 0.6, "zorder": 1}
+                axes.plot(
+                    readings["value"], readings[noisy], label="readings of all taxels", **grey
+                )
+                draw_lines(axes, some, "value", score, "solver", SUM_SOLVERS, markersize=3.5)
                 axes.set(xscale=sweep.scale, xlabel=sweep.label if below else "")
                 axes.set_ylabel("" if k % 3 else title)
                 for edge, at in sweep.edges.items():
                     axes.axvline(at, color="black", lw=1.0, ls=":")
                     axes.annotate(edge, (at, 0.03), **_EDGE)
+        for axes in chart.panels:
+            axes.set_visible(axes.has_data())
     return chart.markdown
 
 

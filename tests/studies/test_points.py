@@ -208,25 +208,6 @@ def test_a_point_is_known_where_its_function_has_moved_to_another_module(
     assert "1 of 1 points are known" in capsys.readouterr().err
 
 
-def test_points_saved_under_former_names_are_counted_and_computed_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    former = {"key": "0" * 64, "code": "c", "point": {"k": 1}, "figures": {"double": 5}}
-    (tmp_path / POINTS_FILE).write_text(f"{json.dumps(former)}\n" * 3)
-    for _ in range(2):
-        assert compute(double, [{"k": 1}], tmp_path, "serial", "doubles")[0]["double"] == 2
-    lines = [line for line in capsys.readouterr().err.splitlines() if "computed anew" in line]
-    assert lines == [
-        f"{tmp_path / POINTS_FILE}: 3 points were saved by an earlier version under other names; "
-        "they are computed anew (they stay in the file until --anew, for the version that saved "
-        "them)"
-    ]
-    assert n_lines(tmp_path / POINTS_FILE) == 4
-    monkeypatch.setattr(double, "__qualname__", "twice")
-    compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
-    assert "4 points were saved" in capsys.readouterr().err
-
-
 def test_a_line_without_its_end_is_cut_off(tmp_path: Path) -> None:
     compute(double, [{"k": k} for k in range(2)], tmp_path, "serial", "doubles")
     path = tmp_path / POINTS_FILE

@@ -5,12 +5,11 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-import jinja2
 import pandas as pd
 import pytest
 
 from sparseskin.studies.points import StudyError
-from sparseskin.studies.report import Chart, draw_lines, fill_page, markdown, write_csv
+from sparseskin.studies.report import Chart, Page, cells, draw_lines, markdown, write_csv
 
 FRAME = pd.DataFrame({"solver": ["a", "b"], "n": [3, 4], "mean dB": [41.256, None]})
 
@@ -31,13 +30,31 @@ def test_a_csv_keeps_every_digit_and_whole_numbers_whole(tmp_path: Path) -> None
         assert list(csv.reader(file)) == [["n", "x"], ["3", repr(0.1 + 0.2)], ["", "1e-30"]]
 
 
-def test_a_page_is_its_template_filled_with_tables_and_numbers(tmp_path: Path) -> None:
-    template = tmp_path / "template.md"
-    template.write_text('# Page\n{% if quick %}\nQuick.\n{% endif %}\n{{ x|f(".2f") }}\n{{ t }}\n')
-    fill_page(tmp_path, "page", template, quick=False, x=1 / 3, t=FRAME[["n"]])
-    assert (tmp_path / "page.md").read_text() == "# Page\n0.33\n| n |\n| --- |\n| 3 |\n| 4 |\n"
-    with pytest.raises(jinja2.UndefinedError, match="'t' is undefined"):
-        fill_page(tmp_path, "page", template, quick=True, x=1)
+NOTES = "# Some page\n\nOf {n} points.\n\n## Second\n\nText.\n"
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_a_page_is_notes_with_values_tables_and_links(quick: bool, tmp_path: Path) -> None:
+    (tmp_path / "notes.md").write_text(NOTES)
+    page = Page(tmp_path, "some", tmp_path / "notes.md", quick)
+    page.csv("rows", FRAME)
+    page.section("", n=4)
+    page.section("Second", FRAME[["n"]], "")
+    page.write(["It is so."])
+    text = (tmp_path / "some.md").read_text()
+    assert text.startswith("# Some page\n\n- It is so.\n")
+    assert "\nOf 4 points.\n\n## Second\n\nText.\n\n| n |\n| --- |\n| 3 |\n| 4 |\n" in text
+    assert ("A quick run" in text) == quick
+    command = "study some --quick" if quick else "study some"
+    assert f"[rows.csv](rows.csv). Computed by `sparseskin {command}`." in text
+    with pytest.raises(KeyError):
+        page.section("")
+    with pytest.raises(KeyError, match="Third"):
+        page.section("Third")
+
+
+def test_cells_are_formatted_row_by_row() -> None:
+    assert cells(FRAME, "{solver}: {n:.1f}") == ["a: 3.0", "b: 4.0"]
 
 
 def draw(out: Path) -> str:
@@ -65,6 +82,6 @@ def test_a_folder_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
         write_csv(out, "rows", FRAME)
     with pytest.raises(StudyError, match=r"no_such.*No such file"), Chart(out, "chart", "A chart"):
         pass
-    (tmp_path / "template.md").touch()
+    (tmp_path / "notes.md").write_text(NOTES)
     with pytest.raises(StudyError, match=r"no_such.*No such file"):
-        fill_page(out, "page", tmp_path / "template.md")
+        Page(out, "page", tmp_path / "notes.md", quick=False).write([])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from scipy.linalg import expm
 
 from sparseskin.nodes.sensor.scenes.scenes import SCENES
 from sparseskin.studies.stability.contact import (
@@ -18,20 +17,12 @@ from sparseskin.studies.stability.contact import (
     growth,
     measure,
     place_of_scene,
-    propagator,
     rebound,
     stability_margin,
-    swing,
 )
 
 DT_S = 1e-3
 decades = st.floats(-2.0, 1.4).map(lambda exponent: 10.0**exponent)
-
-
-@given(omega_dt=decades, c_dt_over_m=decades)
-def test_propagator_is_the_matrix_exponential(omega_dt: float, c_dt_over_m: float) -> None:
-    rates = np.array([[0.0, 1.0], [-(omega_dt**2), -c_dt_over_m]])
-    np.testing.assert_allclose(propagator(omega_dt, c_dt_over_m), expm(rates), atol=1e-7)
 
 
 @pytest.mark.parametrize("method", INTEGRATORS)
@@ -63,30 +54,13 @@ def test_the_boundary_that_is_drawn_is_where_amplitudes_begin_to_grow(
     assert (growth(method, omega_dt, c_dt_over_m) < 1.0) == (float(margin) > 0.0)
 
 
-@pytest.mark.parametrize("method", ["implicit Euler", "SDIRK2 (the scenes)", "exact"])
+@pytest.mark.parametrize("method", ["implicit Euler", "SDIRK2 (the scenes)"])
 @given(omega_dt=decades, c_dt_over_m=decades)
 def test_implicit_methods_are_stable_everywhere(
     method: str, omega_dt: float, c_dt_over_m: float
 ) -> None:
     assert growth(method, omega_dt, c_dt_over_m) < 1.0
     assert stability_margin(method, np.array(1.0), np.array(1.0)) is None
-
-
-def test_measured_growth_is_the_spectral_radius() -> None:
-    for method, omega_dt, c_dt_over_m in (
-        ("explicit Euler", 0.5, 0.1),
-        ("semi-implicit Euler", 2.5, 0.1),
-        ("implicit Euler", 1.0, 0.5),
-        ("SDIRK2 (the scenes)", 0.5, 0.05),
-    ):
-        factor, _ = swing(method, Mass(omega_dt / DT_S, c_dt_over_m / DT_S, unilateral=False))
-        assert factor == pytest.approx(growth(method, omega_dt, c_dt_over_m), rel=0.02)
-
-
-def test_a_damper_too_strong_for_the_step_makes_an_explicit_method_chatter() -> None:
-    mass = Mass(0.05 / DT_S, 3.0 / DT_S, unilateral=False)
-    assert swing("explicit Euler", mass)[1] > 0.9
-    assert swing("exact", mass)[1] < 0.1
 
 
 @pytest.mark.parametrize("omega_dt", [0.3, 1.5, 6.0])
@@ -105,8 +79,7 @@ def test_the_box_has_the_frequency_and_damping_of_its_400_taxels() -> None:
     assert place["c_dt_over_m"] == pytest.approx(400 * 0.4 / scene.body.mass_kg * 1e-3)
 
 
-def test_a_point_is_a_row_of_the_map_with_its_theory() -> None:
+def test_a_point_is_a_row_of_the_map() -> None:
     figures = measure({"method": "explicit Euler", "c_dt_over_m": 0.1, "omega_dts": [0.1, 1.0]})
-    assert figures["theory"] == [growth("explicit Euler", a, 0.1) for a in (0.1, 1.0)]
-    assert figures["growth"] == pytest.approx(figures["theory"], rel=0.05)
+    assert figures["growth"] == [growth("explicit Euler", a, 0.1) for a in (0.1, 1.0)]
     assert len(figures["rebound"]) == 2

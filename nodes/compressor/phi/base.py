@@ -32,7 +32,7 @@ _WITH_PARAMETER = {
 }
 BLOCK = 256
 """Size of the Hadamard blocks where none is stated: of sums in software, which need no wires.
-Fitted on five recordings (`sparseskin study real`); 1024 is no better."""
+Fitted on five recordings (`sparseskin study accuracy`); 1024 is no better."""
 RANDOM, SPREAD = 1, 2
 """Rules by which the rows of "sbhe" are chosen, see `SbhePhi`; a message states which."""
 _INTERFACE = (

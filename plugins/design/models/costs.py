@@ -17,7 +17,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, Timing, press_frames
 from sparseskin.plugins.design.strategies import SINGLE, STRATEGIES, Strategy
-from sparseskin.studies.scale.nodes import WARM_UP, made_node, timed_step
+from sparseskin.studies.speed.bodies import WARM_UP, made_node, timed_step
 
 SIZES = ((12, 32), (32, 32), (64, 64))
 """Skins that are timed: from a fingertip pad to a palm."""
@@ -44,8 +44,8 @@ HOW = (
 """Lines of `costs.toml` that state how it was measured."""
 HOP_S = 0.28e-3
 """Time of a frame from one process to the next, seconds: half of the column "wires" of
-`sparseskin study latency`, 64 x 64 taxels at 1 kHz, every frame reconstructed."""
-LATENCY_COMMAND = "sparseskin study latency"
+`sparseskin study speed`, 64 x 64 taxels at 1 kHz, every frame reconstructed."""
+LATENCY_COMMAND = "sparseskin study speed"
 
 
 @dataclass(frozen=True)

@@ -180,7 +180,7 @@ LINES = {
     "node in": "info",
     "bag info my": "my\\ skin.mcap",
     "launch path_40 --set reconstructor.preset=pa": "paper",
-    "study spee": "speed-accuracy",
+    "study pap": "paper-tables",
 }
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from stress.contacts import Watched, false_alarms, missed
 
 from sparseskin.messages import ReconstructionBatch, SkinState
 from sparseskin.messages.skin import Skin
@@ -18,7 +19,6 @@ from sparseskin.nodes.reconstructor.batch.idle import FALSE_ALARMS, REFRESH, Idl
 from sparseskin.nodes.reconstructor.batch.node import ReconstructorBatch
 from sparseskin.nodes.sensor.batch import SensorBatch
 from sparseskin.nodes.sensor.scenes.tiled import TiledScene
-from sparseskin.studies.scale.missed import Watched, false_alarms, missed
 
 SIDE = 32
 BATCH: dict[str, Any] = {"patch": "body", "patches": ("left", "right", "back", "hand")}

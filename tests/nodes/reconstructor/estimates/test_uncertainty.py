@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from pressed import noisy
+from random_scenes import random_scene
 from watched import DESK_SHAPE as SHAPE
 from watched import Desk, N
 
@@ -16,7 +17,6 @@ from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED, Uncertainty
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
-from sparseskin.studies.targets.scenes import random_scene
 
 #: Scenes that the constants were not fitted on, and how much of them is held at least and at most.
 #: Large flat contacts (1) are better than they show; small ones that slide slowly (3) are worse.

@@ -1,0 +1,211 @@
+"""Experiments of study `accuracy`: the default beside what a user would try first, by frames."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from sparseskin.nodes.compressor.phi.rotation import ROTATING
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES, SKINS
+from sparseskin.studies.baselines.sampling import CODECS
+from sparseskin.studies.frames import (
+    Frames,
+    PressFrames,
+    RecordedFrames,
+    SceneFrames,
+    digest_of,
+    files_in,
+    part_of,
+    scene_of,
+)
+from sparseskin.studies.harness import PAPER_ROWS, Candidate, Experiment, Measurement
+from sparseskin.studies.points import StudyError
+
+RATIOS = (3, 4, 8)
+DEFAULT, SKIN, PAPER = "skin, rotating", "skin", "paper"
+ADAPTIVE, ALONE = "skin, adaptive", "skin, each frame alone"
+SIMPLE = ("lattice", "hold", "subsample", "acts")
+"""Methods that read single taxels at the edge, and need no measurement matrix."""
+ALL, FILTERED, RAW = "skin, all taxels", "all taxels, filtered", "all taxels, raw"
+CANDIDATES = {
+    DEFAULT: Candidate(PRESETS["skin"], changes={"rows": ROTATING}),
+    SKIN: Candidate(PRESETS["skin"]),
+    ADAPTIVE: Candidate(PRESETS["skin"], changes={"phi": "adaptive"}),
+    ALONE: Candidate(PRESETS["skin"], alone=True),
+    PAPER: Candidate(PRESETS["paper"], changes={"rows": PAPER_ROWS}),
+    "lattice": Candidate(of="lattice"),
+    "hold": Candidate(of="hold"),
+    "subsample": Candidate({"solver": "interpolation"}, changes={"phi": "subsample"}),
+    "acts": Candidate(of="acts"),
+}
+READINGS = {
+    ALL: Candidate(PRESETS["skin"]),
+    FILTERED: Candidate(of="filtered"),
+    RAW: Candidate(of="reading"),
+}
+"""Estimators that read all taxels."""
+
+SCENES = (
+    *("lift_box_40", "lift_wrench_40", "drag_wrench_40", "path_40"),
+    *("lift_box_64", "drag_wrench_64"),
+)
+SCENE_FRAMES, QUICK_SCENE_FRAMES = 4000, 150
+RATED_SCENES, RATES_HZ = ("drag_wrench_40", "path_40", "drag_wrench_64"), (1000, 300, 100, 30)
+SPAN_S, QUICK_SPAN_S, BEFORE_S = 3.0, 0.7, 0.02
+"""Time from shortly before the first contact on, and untouched time before it."""
+SIDES, QUICK_BODIES = (40, 64), ("wrench", "peg")
+SPEED, TOUCHED, PRESS_FRAMES = 0.25, 0.1, 160
+"""Of moving bodies: taxels a frame, part of the skin that is touched, frames."""
+SIZES = (*((shape, None) for shape in SKINS if shape[0] < 40), ((20, 20), None), ((20, 20), 42))
+"""Small skins: shape, and number of scattered taxels (None: one in each cell)."""
+QUICK_SIZES = (((4, 4), None), ((10, 10), None))
+ACTIVE, SIZE_FRAMES = (0.1, 0.3, 0.6), 60
+LONGEST_RECORDED, QUICK_RECORDED = 300, 60
+
+PSNR = ("mean_db", "min_db", "first_db", "touched_mn", "n_contact")
+ERRORS = ("median", "mean", "vanished", "n_bytes", "n_contact")
+MARKS = ("ghosts", "flagged", "flagged_wrong", "flagged_right", "n_wrong", "n_right", "n_untouched")
+ESTIMATES = ("estimate_low", "estimate_median", "estimate_high")
+
+
+def experiment(
+    label: str,
+    frames: Sequence[Frames],
+    names: Sequence[str],
+    scores: Sequence[str],
+    seeds: Sequence[int],
+    ratios: Sequence[int] = RATIOS,
+) -> Experiment:
+    """An experiment of some `CANDIDATES`, or at ratio 1 of `READINGS` and codecs, by name."""
+    known = CANDIDATES | READINGS | {kind: Candidate(of=kind) for kind in CODECS}
+    measurements = [Measurement(ratio=ratio) for ratio in ratios]
+    chosen = {name: known[name] for name in names}
+    return Experiment(label, frames, measurements, chosen, scores, seeds)
+
+
+class Runs:
+    """Runs of the experiments, each of which returns its rows.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the study.
+    executor : str
+    quick : bool
+    seeds : sequence of int
+        Of Phi, frames and noise.
+    """
+
+    def __init__(self, out: Path, executor: str, quick: bool, seeds: Sequence[int]) -> None:
+        self._out, self._executor, self._quick, self._seeds = out, executor, quick, seeds
+
+    def _rows(
+        self,
+        label: str,
+        frames: Sequence[Frames],
+        names: Sequence[str],
+        scores: Sequence[str],
+        readings: Sequence[str] = (RAW,),
+    ) -> pd.DataFrame:
+        """Rows of candidates at all ratios, and of the readings of all taxels at ratio 1."""
+        parts = [experiment(label, frames, names, scores, self._seeds)]
+        if readings:
+            label = f"{label}, all taxels"
+            parts.append(experiment(label, frames, readings, scores, self._seeds, ratios=(1,)))
+        return pd.concat(part.run(self._out, self._executor) for part in parts)
+
+    def scenes(self) -> pd.DataFrame:
+        """The six scenes of the paper, at their own frame rates."""
+        stop = QUICK_SCENE_FRAMES if self._quick else SCENE_FRAMES
+        frames = [SceneFrames(scene, stop=stop - 20) for scene in SCENES]
+        return self._rows("scenes", frames, (DEFAULT, SKIN, PAPER), PSNR, (RAW, ALL))
+
+    def rates(self) -> pd.DataFrame:
+        """Scenes of which every k-th frame is read, so that bodies move further a frame."""
+        names = (DEFAULT, SKIN, PAPER, ALONE, "lattice", "hold")
+        frames, readings = list(rated_frames(self._quick)), (ALL, FILTERED, RAW)
+        compressed = experiment("rates", frames, names, PSNR, self._seeds, ratios=(3,))
+        read = experiment("rates, all taxels", frames, readings, PSNR, self._seeds, ratios=(1,))
+        rows = pd.concat(part.run(self._out, self._executor) for part in (compressed, read))
+        spacing_ms = [
+            1e-6 * every * scene_of(scene).dt_ns
+            for scene, every in zip(rows["scene"], rows["every"], strict=True)
+        ]
+        return rows.assign(spacing_ms=spacing_ms)
+
+    def moving(self) -> pd.DataFrame:
+        """Bodies that move a quarter of a taxel a frame, ramps, and sudden contacts."""
+        frames = [
+            PressFrames(body, (side, side), PRESS_FRAMES, course, SPEED, TOUCHED)
+            for side in SIDES
+            for course in COURSES
+            for body in (QUICK_BODIES if self._quick else BODIES)
+        ]
+        names = (DEFAULT, SKIN, ADAPTIVE, PAPER, "lattice", "hold")
+        return self._rows("presses", frames, names, PSNR)
+
+    def sizes(self) -> pd.DataFrame:
+        """Sudden contacts on small skins."""
+        frames = [
+            PressFrames(body, shape, SIZE_FRAMES, "sudden", active=part, n_scattered=n)
+            for shape, n in (QUICK_SIZES if self._quick else SIZES)
+            for part in ACTIVE
+            for body in BODIES
+        ]
+        names = (DEFAULT, SKIN, PAPER, "lattice", "hold")
+        return self._rows("sizes", frames, names, ERRORS)
+
+    def recordings(self, folder: Path) -> pd.DataFrame:
+        """Recordings of real skins in a folder; the recording itself is the truth.
+
+        Raises
+        ------
+        StudyError
+            If no file of the folder can be used; of each one, a line on stderr.
+        """
+        n_most = QUICK_RECORDED if self._quick else LONGEST_RECORDED
+        files = readable(files_in(folder), n_most)
+        # The first frames are not scored: until "hold" has read all taxels once.
+        frames = [RecordedFrames(str(p), digest_of(p), n_most, max(RATIOS)) for p in files]
+        scores = (*ERRORS, *MARKS, *ESTIMATES)
+        rows = self._rows("recordings", frames, tuple(CANDIDATES), scores, CODECS)
+        stems = [path.stem for path in files]
+        labels = {str(p): p.stem if stems.count(p.stem) == 1 else p.name for p in files}
+        return rows.assign(recording=rows["path"].map(labels))
+
+
+def rated_frames(quick: bool, rates_hz: Sequence[int] = RATES_HZ) -> Iterator[SceneFrames]:
+    """Scenes at each frame rate, over the same time."""
+    span_s = QUICK_SPAN_S if quick else SPAN_S
+    for scene in RATED_SCENES:
+        step_s = 1e-9 * scene_of(scene).dt_ns
+        first = -round(BEFORE_S / step_s)
+        for rate_hz in rates_hz:
+            every = max(1, round(1 / (rate_hz * step_s)))
+            yield SceneFrames(scene, first, first + round(span_s / step_s), every)
+
+
+def readable(files: Sequence[Path], n_most: int) -> list[Path]:
+    """Return the recordings that can be used; of each other one a line on stderr.
+
+    Raises
+    ------
+    StudyError
+        If there is none.
+    """
+    found: list[Path] = []
+    for path in files:
+        try:
+            part_of(str(path), n_most)
+        except SparseskinError as error:
+            print(f"accuracy: skipped: {error}", file=sys.stderr)
+            continue
+        found.append(path)
+    if not found:
+        raise StudyError(f"--recordings {files[0].parent}: none of {len(files)} files can be used")
+    return found

@@ -1,0 +1,352 @@
+"""Study `accuracy`: tables and charts of what is reconstructed, by frames, measurements, method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from sparseskin.studies.baselines.sampling import CODECS, DEAD_ZONE_N, JUMP_SIGMAS, NEWEST
+from sparseskin.studies.evaluate import (
+    GHOST,
+    LOADED,
+    RIGHT,
+    UNTOUCHED,
+    VALUE_BYTES,
+    VANISHED,
+    WRONG,
+)
+from sparseskin.studies.frames import part_of, scene_of
+from sparseskin.studies.report import Chart, Page, cells, draw_lines
+
+from .experiments import (
+    ALL,
+    ALONE,
+    CANDIDATES,
+    DEFAULT,
+    FILTERED,
+    LONGEST_RECORDED,
+    PAPER,
+    QUICK_RECORDED,
+    RATED_SCENES,
+    RATES_HZ,
+    RATIOS,
+    RAW,
+    SIMPLE,
+    SKIN,
+    SPEED,
+    TOUCHED,
+    Runs,
+)
+
+LEAST_ERROR = 0.5
+"""Least relative error that a quotient is formed with, in %. Chosen: about that of readings in 8
+bits, so that below it all methods are as good as exact."""
+METHODS = (*CANDIDATES, ALL, FILTERED, RAW, *CODECS)
+"""Order of the columns."""
+
+
+def run(
+    out: Path,
+    quick: bool,
+    seed: int,
+    executor: str,
+    recordings: Path | None = None,
+    seeds: int = 1,
+) -> list[str]:
+    """Compute the study, write its page and return its conclusion; see `command.Study`.
+
+    `recordings` is a folder of recordings of real skins; without it, the page has none. `seeds`:
+    number of seeds, from `seed` on.
+    """
+    runs = Runs(out, executor, quick, range(seed, seed + seeds))
+    page = Page(out, "accuracy", Path(__file__).with_name("notes.md"), quick)
+    page.section(
+        "",
+        value_bytes=VALUE_BYTES,
+        ratios=" / ".join(f"N/{ratio}" for ratio in RATIOS),
+        seeds=seeds,
+        newest=NEWEST,
+        jump_sigmas=JUMP_SIGMAS,
+        dead_zone_n=DEAD_ZONE_N,
+    )
+    lines = recorded(page, runs, recordings, quick) if recordings else []
+    lines += [scenes(page, runs), rates(page, runs), moving(page, runs)]
+    sizes(page, runs)
+    page.write(lines)
+    return lines
+
+
+def by_ratio(rows: pd.DataFrame, keys: Sequence[str], text: str) -> pd.DataFrame:
+    """Means of some rows by method: a line a key, cells of all ratios side by side.
+
+    `text`: cell of one ratio, as "{mean_db:.1f}"; methods that have no figure are left out.
+    """
+    figures = [name for name in rows.columns if f"{{{name}:" in text]
+    known = rows[rows[figures].notna().all(axis=1)].astype(dict.fromkeys(figures, float))
+    means = known.groupby([*keys, "method", "ratio"], sort=False)[figures].mean().reset_index()
+    means = means.assign(cell=cells(means, text)).sort_values("ratio", kind="stable")
+    joined = means.groupby([*keys, "method"], sort=False)["cell"].agg(" / ".join).unstack("method")
+    lines = known[list(keys)].drop_duplicates()
+    order = [name for name in METHODS if name in joined]
+    return lines.join(joined[order], on=list(keys)).fillna("-")
+
+
+def over(rows: pd.DataFrame, keys: Sequence[str], reference: str) -> pd.Series:
+    """PSNR of each row above that of a method on the same frames, dB; of its own ratio, or of 1."""
+    of = rows[rows["method"] == reference]
+    by = [*keys, "seed"] + (["ratio"] if of["ratio"].nunique() > 1 else [])
+    base = of.set_index(by)["mean_db"].astype(float)
+    return rows["mean_db"].astype(float) - base.reindex(pd.MultiIndex.from_frame(rows[by])).array
+
+
+def scenes(page: Page, runs: Runs) -> str:
+    """Simulated scenes at their own rate: gain over preset paper, and PSNR."""
+    rows = runs.scenes()
+    rows["taxels"] = rows["scene"].map(lambda scene: "{} x {}".format(*scene_of(scene).shape))
+    rows["gain"], rows["over_raw"] = (over(rows, ["scene"], name) for name in (PAPER, RAW))
+    ours = rows[rows["method"].isin([DEFAULT, SKIN])]
+    page.csv("scenes", rows)
+    page.section(
+        "Simulated scenes",
+        "Gain of the mean PSNR over preset paper, dB:",
+        by_ratio(ours, ["taxels"], "{gain:+.1f}"),
+        "The same over the raw reading of all taxels:",
+        by_ratio(ours, ["taxels"], "{over_raw:+.1f}"),
+        "Mean PSNR, dB:",
+        by_ratio(rows, ["scene"], "{mean_db:.1f}"),
+        "Least PSNR of a contact frame, dB:",
+        by_ratio(rows, ["scene"], "{min_db:.1f}"),
+        "Root mean square error of touched taxels, mN:",
+        by_ratio(rows, ["scene"], "{touched_mn:.1f}"),
+    )
+    some = ours[(ours["method"] == DEFAULT) & (ours["ratio"] == RATIOS[0])]
+    means = some.groupby("taxels", sort=False)["gain"].mean()
+    gains = ", ".join(f"{gain:+.1f} dB ({taxels})" for taxels, gain in means.items())
+    return f"Gain of {DEFAULT} over preset paper at N/{RATIOS[0]}, simulated scenes: {gains}."
+
+
+def rates(page: Page, runs: Runs) -> str:
+    """Scenes at lower frame rates, beside filters of the full reading."""
+    rows = runs.rates()
+    rows["gain"] = over(rows, ["scene", "spacing_ms"], PAPER)
+    rows["spacing"] = cells(rows, "{spacing_ms:.3g} ms")
+    keys = ["scene", "spacing"]
+    page.csv("rates", rows)
+    page.section(
+        "Frame rates",
+        _draw_rates(page.out, rows),
+        "Gain of the mean PSNR over preset paper, dB:",
+        by_ratio(rows[rows["method"] != PAPER], keys, "{gain:+.1f}"),
+        "Mean / least PSNR of contact frames, dB:",
+        by_ratio(rows, keys, "{mean_db:.1f} / {min_db:.1f}"),
+    )
+    means = rows.groupby(["method", "spacing_ms"])["mean_db"].mean()
+    found = [
+        ", ".join(
+            f"{means[DEFAULT, ms] - means[other, ms]:+.1f} dB at {1000 / ms:.0f} Hz"
+            for ms in (rows["spacing_ms"].min(), rows["spacing_ms"].max())
+        )
+        for other in (PAPER, FILTERED)
+    ]
+    return f"{DEFAULT} at N/3 against preset paper: {found[0]}; against a filter: {found[1]}."
+
+
+def moving(page: Page, runs: Runs) -> str:
+    """Bodies that move far from frame to frame, ramps and sudden contacts."""
+    rows = runs.moving()
+    rows["taxels"] = rows["shape"].map("{0[0]} x {0[1]}".format)
+    page.csv("moving", rows)
+    page.section(
+        "Bodies that move",
+        "Mean PSNR of contact frames, dB:",
+        by_ratio(rows, ["taxels"], "{mean_db:.1f}"),
+        by_ratio(rows, ["taxels", "course"], "{mean_db:.1f}"),
+        "First frames of contacts:",
+        by_ratio(rows, ["taxels", "course"], "{first_db:.1f}"),
+        "By body:",
+        by_ratio(rows, ["taxels", "course", "body"], "{mean_db:.1f}"),
+        touched=100 * TOUCHED,
+        speed=SPEED,
+    )
+    some = rows[rows["ratio"].isin([1, RATIOS[0]])].groupby(["course", "method"])["mean_db"].mean()
+    courses = [
+        f"{of}: " + ", ".join(f"{name} {some[of, name]:.1f}" for name in (DEFAULT, PAPER, RAW))
+        for of in rows["course"].unique()
+    ]
+    return f"Bodies at N/{RATIOS[0]}, mean PSNR in dB: {'; '.join(courses)}."
+
+
+def sizes(page: Page, runs: Runs) -> None:
+    """Contacts on small skins: how far off a reconstruction is, and which contacts it loses."""
+    rows = runs.sizes()
+    numbers = [f", {n:.0f} taxels" if n > 0 else "" for n in rows["n_scattered"].astype(float)]
+    rows["taxels"] = rows["shape"].map("{0[0]} x {0[1]}".format) + numbers
+    page.csv("sizes", rows)
+    page.section(
+        "Small skins",
+        "Median relative error of contact frames in %:",
+        by_ratio(rows, ["taxels"], "{median:.0f}"),
+        f"Contact frames that have vanished, with an error of {100 * VANISHED:g} % or more, in %:",
+        by_ratio(rows, ["taxels"], "{vanished:.0f}"),
+    )
+
+
+def recorded(page: Page, runs: Runs, folder: Path, quick: bool) -> list[str]:
+    """Recordings of real skins: errors, lost contacts, marks, and frames that are packed."""
+    rows = runs.recordings(folder)
+    compared, packed = rows[rows["ratio"] > 1], rows[rows["ratio"] == 1]
+    lines = [*geometric(rows), *beaten(rows), smaller(rows)]
+    flagged = compared[compared["flagged"].notna()]
+    page.csv("recordings", rows.drop(columns=["path"]))
+    keys = ["recording"]
+    page.section(
+        "Recordings",
+        facts(rows, QUICK_RECORDED if quick else LONGEST_RECORDED),
+        "\n".join(f"- {line}" for line in lines),
+        "Median relative error of loaded frames in %:",
+        by_ratio(compared, keys, "{median:.1f}"),
+        "Mean:",
+        by_ratio(compared, keys, "{mean:.1f}"),
+        f"Loaded frames with a relative error of {100 * VANISHED:g} % or more, in %:",
+        by_ratio(compared, keys, "{vanished:.0f}"),
+        f"Untouched frames (total below {100 * UNTOUCHED:g} % of the 95th percentile) that are "
+        f"reconstructed with more than {100 * GHOST:g} % of it, in %:",
+        by_ratio(compared, keys, "{ghosts:.0f}"),
+        loaded=100 * LOADED,
+        simple=", ".join(SIMPLE),
+        least=LEAST_ERROR,
+    )
+    estimates = "{estimate_median:.2f} ({estimate_low:.2f} to {estimate_high:.2f})"
+    page.section(
+        "Marks and estimated errors",
+        "Marked frames, in %:",
+        by_ratio(flagged, keys, "{flagged:.0f}"),
+        "Estimated over true RMS error of loaded frames: median (5th to 95th percentile):",
+        by_ratio(flagged, keys, estimates),
+        "\n".join(f"- {line}" for line in marked(flagged)),
+    )
+    failed = rows[rows["refused"] != ""].drop_duplicates(["recording", "method", "ratio"])
+    page.section(
+        "All taxels read",
+        by_ratio(packed, keys, "{n_bytes:.0f} / {median:.3g}"),
+        by_ratio(compared[compared["method"] == DEFAULT], keys, "{n_bytes:.0f}"),
+        "\n".join(cells(failed, "- not computed: {recording}, {method}, N/{ratio}: {refused}")),
+    )
+    return lines
+
+
+def geometric(rows: pd.DataFrame) -> list[str]:
+    """Return a line a kind of rows of the default solver: geometric mean over the recordings."""
+    lines = []
+    known = rows[rows["median"].notna() & (rows["ratio"] > 1)].astype({"median": float})
+    for name, some in known[known["method"].isin([DEFAULT, SKIN])].groupby("method", sort=False):
+        means = np.exp(np.log(some["median"]).groupby(some["ratio"], sort=True).mean())
+        text = ", ".join(f"{mean:.2f} % at N/{ratio:g}" for ratio, mean in means.items())
+        lines.append(f"{name}: geometric mean of the median errors {text}.")
+    return lines
+
+
+def beaten(rows: pd.DataFrame) -> list[str]:
+    """Return a line a ratio: where the best simple method beats the default."""
+    lines = []
+    for ratio, some in quotients(rows).groupby("ratio", sort=True):
+        worse = list(some[some["quotient"] > 1]["recording"])
+        named = f" ({', '.join(worse)})" if worse else ""
+        lines.append(
+            f"N/{ratio:g}: the best simple method beats {DEFAULT} on {len(worse)} of {len(some)} "
+            f"recordings{named}; median quotient of the errors {some['quotient'].median():.2f}."
+        )
+    return lines
+
+
+def quotients(rows: pd.DataFrame) -> pd.DataFrame:
+    """Error of the default over that of the best simple method, by medians."""
+    known = rows[(rows["ratio"] > 1) & rows["median"].notna()].astype({"median": float})
+    keys = ["recording", "ratio"]
+    means = known.groupby([*keys, "method"], sort=False)["median"].mean().unstack("method")
+    best = means[[name for name in SIMPLE if name in means]].min(axis=1)
+    found = means[DEFAULT].clip(LEAST_ERROR) / best.clip(LEAST_ERROR)
+    return found.dropna().rename("quotient").reset_index()
+
+
+def smaller(rows: pd.DataFrame) -> str:
+    """Return the line on all taxels in 8 bits, packed, beside the default."""
+    sent = rows.astype({"n_bytes": float, "median": float}).drop_duplicates(
+        ["recording", "method", "ratio"]
+    )
+    codec = sent[sent["method"] == CODECS[0]].set_index("recording")
+    ours = sent[(sent["method"] == DEFAULT) & (sent["ratio"] > 1)]
+    is_smaller = ours["recording"].map(codec["n_bytes"]) < ours["n_bytes"]
+    counts = ", ".join(
+        f"at N/{ratio:g} on {int(some.sum())} of {len(some)}"
+        for ratio, some in is_smaller.groupby(ours["ratio"], sort=True)
+    )
+    return (
+        f"All taxels in 8 bits, packed by zstd, are fewer bytes than {DEFAULT}: {counts} "
+        f"recordings; error {codec['median'].median():.2g} % in the median."
+    )
+
+
+def marked(rows: pd.DataFrame) -> list[str]:
+    """Return a line a method whose solver estimates its error: wrong and right frames it marks."""
+    lines = []
+    for name, some in rows.groupby("method", sort=False):
+        parts = []
+        for which, bound in (
+            ("wrong", f"above {100 * WRONG:g} %"),
+            ("right", f"below {100 * RIGHT:g} %"),
+        ):
+            n = some[f"n_{which}"].astype(float)
+            share = (some[f"flagged_{which}"].astype(float) * n).sum() / max(1, n.sum())
+            parts.append(f"{share:.1f} % of {n.sum():.0f} frames with an error {bound}")
+        lines.append(f"{name} marks {' and '.join(parts)}")
+    return lines
+
+
+def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
+    """Facts of the recordings."""
+    lines = []
+    for (name, path), some in rows.groupby(["recording", "path"], sort=False):
+        part = part_of(str(path), n_most)
+        x = part.truth[:, part.mask].astype(np.float64)
+        changes, norms = np.linalg.norm(np.diff(x, axis=0), axis=1), np.linalg.norm(x[1:], axis=1)
+        loaded = norms > LOADED * part.norm
+        change = np.median(changes[loaded] / norms[loaded]) if loaded.any() else 0.0
+        stop = part.first + len(part.frames)
+        lines.append(
+            {
+                **{"recording": name, "N": x.shape[1], "unit": part.unit},
+                "grid": "{} x {}".format(*part.mask.shape),
+                "frames": f"{part.first}..{stop - 1} of {part.n_recorded}",
+                "loaded": int(some["n_contact"].max() or 0),
+                "untouched": int(some["n_untouched"].max() or 0),
+                "spacing": "-" if part.spacing_ms is None else f"{part.spacing_ms:.3g} ms",
+                "pressed, %": f"{100 * np.mean(x > 0):.0f}",
+                "change, %": f"{100 * change:.1f}",
+            }
+        )
+    return pd.DataFrame(lines)
+
+
+def _draw_rates(out: Path, rows: pd.DataFrame) -> str:
+    drawn = (DEFAULT, ALL, FILTERED, RAW, ALONE, "hold")
+    caption = "Gain of mean PSNR over preset paper at N/3, by frame rate; contact frames"
+    n, ticks = len(RATED_SCENES), [1000 / rate for rate in RATES_HZ]
+    labels = [f"{rate}\n{ms:.3g}" for rate, ms in zip(RATES_HZ, ticks, strict=True)]
+    with Chart(
+        out, "gain", caption, n, n, size_in=(9.5, 4.4), legend_columns=3, sharey=True
+    ) as chart:
+        for axes, scene in zip(chart.panels, RATED_SCENES, strict=True):
+            some = rows[(rows["scene"] == scene) & rows["method"].isin(drawn)]
+            means = some.groupby(["method", "spacing_ms"], sort=False)["gain"].mean().reset_index()
+            draw_lines(axes, means, "spacing_ms", "gain", "method", drawn)
+            axes.axhline(0, color="black", linewidth=1.2)
+            axes.set_xscale("log")
+            axes.set_xticks(ticks, labels)
+            axes.set_xticks([], minor=True)
+            axes.set_title(scene)
+        chart.label("frame rate, Hz\nframe spacing, ms", "gain over paper, dB")
+    return chart.markdown

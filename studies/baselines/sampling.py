@@ -1,0 +1,217 @@
+"""What a user would try first: single taxels, a filter of all taxels, and frames that are packed.
+
+Each estimator sends the bytes that its frames state, `VALUE_BYTES` a value.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import zstandard
+
+from sparseskin.nodes.compressor.phi.acts import ActsSearch, force_threshold
+from sparseskin.nodes.compressor.phi.quadtree import Quadtree
+from sparseskin.nodes.compressor.phi.rotation import m_of
+from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.reconstructor.solvers.interpolation import (
+    LineInterpolation,
+    interpolated_from,
+)
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.studies.evaluate import VALUE_BYTES, Solved
+
+N_CODES = 255
+"""Largest code of a reading in 8 bits."""
+CODECS = ("zstd", "zstd of change", "touched")
+NEWEST, DEAD_ZONE_N, JUMP_SIGMAS = 0.3, 0.03, 4.0
+"""Of the filter of all taxels: weight of the newest reading, dead zone in newtons, and standard
+deviations of its noise by which a reading differs from its mean at a jump. Chosen."""
+
+
+class Filtered:
+    """Estimator of all taxels: their running mean, which begins anew where a reading jumps.
+
+    A taxel jumps where its reading is `JUMP_SIGMAS` standard deviations of the noise, which is
+    known to this filter, away from the mean. Means in the dead zone are set to 0.
+    """
+
+    def __init__(self, noise: NoiseModel) -> None:
+        self._noise = noise
+        self._mean: Floats | None = None
+
+    def reconstruct(self, taxels: Floats) -> Solved:
+        """See `Estimator`."""
+        if self._mean is None:
+            self._mean = taxels.copy()
+        change = taxels - self._mean
+        jumps = np.abs(change) > JUMP_SIGMAS * self._noise.sigma(self._mean)
+        self._mean += np.where(jumps, np.float32(1), np.float32(NEWEST)) * change
+        forces = np.where(self._mean < DEAD_ZONE_N, np.float32(0), self._mean)
+        return Solved(forces, n_bytes=VALUE_BYTES * taxels.size)
+
+
+class Lattice:
+    """Estimator that reads every k-th taxel, the same ones in each frame; linear between them.
+
+    The taxels are those of one class of `classes`: of the largest that has not more than N / k of
+    them, rounded up.
+    """
+
+    def __init__(self, mask: Mask, ratio: int) -> None:
+        most = math.ceil(np.count_nonzero(mask) / ratio)
+        allowed = [one for one in classes(mask, ratio) if 0 < one.size <= most]
+        # A mask of few cells may have them all in one class.
+        allowed = allowed or [np.flatnonzero(mask)[::ratio]]
+        self._read = max(allowed, key=lambda one: one.size)
+        self._wanted = np.setdiff1d(np.flatnonzero(mask), self._read)
+        places = np.argwhere(np.ones_like(mask)).astype(np.float64)
+        found = interpolated_from(places[self._read], places[self._wanted])
+        self._corners, self._weights = found
+        self.n_values = self._read.size
+
+    def reconstruct(self, taxels: Floats) -> Solved:
+        """See `Estimator`."""
+        flat, forces = taxels.reshape(-1), np.zeros(taxels.size, dtype=np.float32)
+        values = flat[self._read]
+        forces[self._read] = values
+        forces[self._wanted] = np.einsum("ij,ij->i", values[self._corners], self._weights)
+        return Solved(forces.reshape(taxels.shape), n_bytes=VALUE_BYTES * self.n_values)
+
+
+class Hold:
+    """Estimator that reads another k-th of the taxels in each frame; each keeps its last reading.
+
+    The classes of `classes` in turn, in an order that leaves far taxels next to each other in time.
+    """
+
+    def __init__(self, mask: Mask, ratio: int) -> None:
+        self._classes = classes(mask, ratio)
+        self._held = np.zeros(mask.size, dtype=np.float32)
+        self._frame = 0
+        self._n_bytes = VALUE_BYTES * np.count_nonzero(mask) / ratio
+
+    def reconstruct(self, taxels: Floats) -> Solved:
+        """See `Estimator`."""
+        read = self._classes[self._frame % len(self._classes)]
+        self._frame += 1
+        self._held[read] = taxels.reshape(-1)[read]
+        return Solved(self._held.reshape(taxels.shape).copy(), n_bytes=self._n_bytes)
+
+
+class Acts:
+    """Estimator that chooses single taxels anew in each frame; linear between them.
+
+    After ACTS, arXiv 2410.13847: the sampling follows differences of readings; the interpolation
+    along rows, columns and diagonals is ours. It has fewer values, as their addresses are sent too.
+
+    Raises
+    ------
+    PhiError
+        If no value fits with its address into the bytes of N / `ratio` values.
+    """
+
+    def __init__(self, mask: Mask, ratio: int, f_max: float) -> None:
+        n = int(np.count_nonzero(mask))
+        m = acts_values(n, m_of(n, ratio))
+        if not m:
+            raise PhiError(f"acts: no value of {n} taxels fits with its address at N/{ratio}")
+        # The noise of a recorded skin is not known, as in the graph: 0.
+        self._search = ActsSearch(mask, m, force_threshold(0.0, f_max))
+        self._lines = LineInterpolation(mask)
+        self._taxels, self._inside = np.flatnonzero(mask), mask
+        self._n_bytes = VALUE_BYTES * m + address_bytes(n, m)
+
+    def reconstruct(self, taxels: Floats) -> Solved:
+        """See `Estimator`."""
+        x = taxels.reshape(-1)[self._taxels]
+        read = self._search.places(x.take)
+        forces = self._lines.fill(self._taxels[read], x[read]).reshape(taxels.shape)
+        forces = np.where(self._inside, np.maximum(forces, 0), np.float32(0))
+        return Solved(forces, n_bytes=self._n_bytes)
+
+
+class Codec:
+    """Estimator whose edge reads all taxels and sends each frame in 8 bits, packed.
+
+    `kind` is one of `CODECS`: "zstd" packs the codes of each frame by themselves, "zstd of change"
+    their differences to those of the frame before, "touched" sends codes above 0 with addresses.
+    """
+
+    def __init__(self, mask: Mask, f_max: float, kind: str) -> None:
+        self._taxels = np.flatnonzero(mask)
+        self._scale = np.float32(N_CODES / f_max)
+        self._kind = kind
+        self._packer = zstandard.ZstdCompressor(write_content_size=False)
+        self._before = np.zeros(self._taxels.size, dtype=np.uint8)
+
+    def reconstruct(self, taxels: Floats) -> Solved:
+        """See `Estimator`."""
+        x = taxels.reshape(-1)[self._taxels]
+        codes = np.rint(np.clip(x * self._scale, 0, N_CODES)).astype(np.uint8)
+        if self._kind == "touched":
+            n_touched = int(np.count_nonzero(codes))
+            n_bytes = n_touched + address_bytes(codes.size, n_touched)
+        else:
+            # Differences modulo 256: as good as signed ones, and in 8 bits.
+            sent = codes - self._before if self._kind == "zstd of change" else codes
+            n_bytes = len(self._packer.compress(sent.tobytes()))
+            self._before = codes
+        forces = np.zeros(taxels.size, dtype=np.float32)
+        forces[self._taxels] = codes / self._scale
+        return Solved(forces.reshape(taxels.shape), n_bytes=n_bytes)
+
+
+def classes(mask: Mask, k: int) -> list[Indices]:
+    """Split the taxels of a grid into k lattices of equal density, each as even as can be.
+
+    Cell (i, j) belongs to the class (i + s j) mod k, s being such that the least distance within
+    a class is largest.
+
+    Returns
+    -------
+    list of ndarray of intp
+        Places in the flat grid, ascending; successive classes are far from each other in number.
+    """
+    i, j = np.indices(mask.shape)
+    number = (i + (1 if min(mask.shape) == 1 else _slope(k)) * j) % k
+    # As the golden ratio: of few successive classes, none are neighbours.
+    stride = next(step for step in range(max(1, round(0.382 * k)), k + 1) if math.gcd(step, k) == 1)
+    order = [turn * stride % k for turn in range(k)]
+    return [np.flatnonzero(mask & (number == one)) for one in order]
+
+
+@cache
+def _slope(k: int) -> int:
+    """Return s of the lattice of cells with (i + s j) mod k = 0 whose least distance is largest."""
+
+    def least(s: int) -> int:
+        near = range(-k, k + 1)
+        return min(i * i + j * j for i in near for j in near if (i or j) and (i + s * j) % k == 0)
+
+    return max(range(k), key=least)
+
+
+def address_bytes(n: int, m: int) -> int:
+    """Bytes that state which m of n taxels are sent: a bit a taxel, or a number each."""
+    return min(math.ceil(n / 8), math.ceil(m * max(1, (n - 1).bit_length()) / 8))
+
+
+def adaptive_values(mask: Mask, m: int) -> int:
+    """Number of rows that fit with the code of their choice into the bytes of m values, at least 1.
+
+    The code is as long as it can be where all quarters of a node exist.
+    """
+    for k in range(m, 1, -1):
+        tree = Quadtree(mask, k)
+        if VALUE_BYTES * k + tree.most_code_bytes(k - tree.n_tiles) <= VALUE_BYTES * m:
+            return k
+    return 1
+
+
+def acts_values(n: int, m: int) -> int:
+    """Number of values that fit with their addresses into the bytes of m values; 0 if none."""
+    fits = (k for k in range(m, 0, -1) if VALUE_BYTES * k + address_bytes(n, k) <= VALUE_BYTES * m)
+    return next(fits, 0)

@@ -1,1 +1,0 @@
-"""What bridges cost, and what they cost the graph beside them."""

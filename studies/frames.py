@@ -1,0 +1,318 @@
+"""Sources of frames for studies: scenes, presses and recordings, stated as data."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+
+from sparseskin.arrays import read_recording
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
+from sparseskin.nodes.sensor.files.recorded import SUFFIXES
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.scenes.presses import press_frames, scattered_mask
+from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
+from sparseskin.nodes.sensor.scenes.simulation import Scene
+
+from .evaluate import LOADED, in_contact
+from .points import StudyError
+
+NOISE = NoiseModel.for_range(PAPER_F_MAX_N)
+MOST_KEPT = 500
+"""Frames of a scene that a worker keeps in memory; more are simulated anew for each point."""
+Pairs: TypeAlias = Iterable[tuple[Floats, Floats]]
+
+
+def scene_frames(
+    scene: str, seed: int, first: int = 0, stop: int | None = None, every: int = 1
+) -> Iterator[tuple[Floats, Floats]]:
+    """Yield (truth, taxels) of the frames first, first + every, ... below `stop` (None: the end).
+
+    The noise of a frame is what a sensor node of that seed adds to it, whichever other frames
+    are asked for. Arrays are fresh, float32, shape (n_rows, n_cols), newtons.
+    """
+    source = open_scene(scene, seed)
+    noise = NoiseModel.for_range(source.skin.f_max)
+    rng = np.random.default_rng(seed)
+    for k, (_, truth) in enumerate(islice(source, stop)):
+        taxels = noise.apply(truth, rng)
+        if k >= first and (k - first) % every == 0:
+            yield truth, taxels
+
+
+@cache
+def first_contact(scene: str, seed: int) -> int:
+    """Number of a scene's first frame in contact."""
+    f_max_n = scene_of(scene).f_max_n
+    frames = enumerate(open_scene(scene, seed))
+    return next(k for k, (_, truth) in frames if in_contact(truth, f_max_n))
+
+
+@cache
+def scene_of(scene: str) -> Scene:
+    """A scene by name: its shape, number of frames, time step and range."""
+    return SCENES[scene]()
+
+
+@dataclass(frozen=True)
+class Take:
+    """Frames of a source, and what estimators and scores have to know of them.
+
+    Attributes
+    ----------
+    mask : ndarray of bool, shape (n_rows, n_cols)
+        True where a taxel exists.
+    f_max : float
+        Upper end of the range, in the unit of the frames.
+    parts : callable
+        Returns the parts, each an iterable of (truth, taxels): float32, shape (n_rows, n_cols).
+        Estimators are reset between two parts.
+    sigma_end, norm, total
+        As for `make_method` and `Scores`.
+    unscored : int
+        Frames at the beginning of each part that are not scored.
+    """
+
+    mask: Mask
+    f_max: float
+    parts: Callable[[], Iterable[Pairs]]
+    sigma_end: float = NOISE.sigma_end
+    norm: float = 0.0
+    total: float = 0.0
+    unscored: int = 0
+
+    @property
+    def n(self) -> int:
+        """Number of taxels that exist."""
+        return int(np.count_nonzero(self.mask))
+
+
+class Frames(Protocol):
+    """Source of frames: a frozen dataclass whose fields are as JSON holds them."""
+
+    def open(self, seed: int) -> Take:
+        """Open the frames; `seed`: of scene and noise."""
+
+
+@dataclass(frozen=True)
+class SceneFrames:
+    """Frames of a simulated scene, counted in its own steps from its first contact on.
+
+    `first` and `stop` None: the beginning and the end of the scene. `every`: steps from one frame
+    to the next. `later`: number of frames of a second part, from half way between the first contact
+    and the end on.
+    """
+
+    scene: str
+    first: int | None = -20
+    stop: int | None = None
+    every: int = 1
+    later: int = 0
+
+    def open(self, seed: int) -> Take:
+        """See `Frames`."""
+        found = scene_of(self.scene)
+        return Take(np.ones(found.shape, dtype=np.bool_), found.f_max_n, lambda: self._parts(seed))
+
+    def windows(self, seed: int) -> Iterator[tuple[int, int | None]]:
+        """First frame and end of each part, counted from the beginning of the scene."""
+        contact = first_contact(self.scene, seed)
+        first = 0 if self.first is None else max(0, contact + self.first)
+        yield first, None if self.stop is None else contact + self.stop
+        if self.later:
+            half = (contact + scene_of(self.scene).n_steps) // 2
+            yield half, half + self.later * self.every
+
+    def _parts(self, seed: int) -> Iterator[Pairs]:
+        for first, stop in self.windows(seed):
+            if stop is not None and stop - first <= MOST_KEPT * self.every:
+                yield _kept(self.scene, seed, first, stop, self.every)
+            else:
+                yield scene_frames(self.scene, seed, first, stop, self.every)
+
+
+@lru_cache(maxsize=4)
+def _kept(scene: str, seed: int, first: int, stop: int, every: int) -> list[tuple[Floats, Floats]]:
+    return list(scene_frames(scene, seed, first, stop, every))
+
+
+@dataclass(frozen=True)
+class PressFrames:
+    """Frames of an analytic body that presses a skin of any size, with the noise of the paper.
+
+    Fields are those of `press_frames`; `n_scattered`: number of taxels, at random places of the
+    grid (None: one in each cell); `skip`: frames at the beginning that are left out.
+    """
+
+    body: str
+    shape: tuple[int, int]
+    n_frames: int
+    course: str = "moving"
+    speed: float = 0.3
+    active: float = 0.1
+    n_scattered: int | None = None
+    skip: int = 0
+
+    def open(self, seed: int) -> Take:
+        """See `Frames`."""
+        mask = np.ones(self.shape, dtype=np.bool_)
+        if self.n_scattered is not None:
+            mask = scattered_mask(self.shape, self.n_scattered, seed)
+        how: dict[str, Any] = {"course": self.course, "speed": self.speed, "active": self.active}
+
+        def parts() -> Iterable[Pairs]:
+            frames = press_frames(
+                self.body, self.shape, self.n_frames, seed, mask=mask, noise=NOISE, **how
+            )
+            return [list(frames)[self.skip :]]
+
+        return Take(mask, PAPER_F_MAX_N, parts)
+
+
+@dataclass(frozen=True)
+class UntouchedFrames:
+    """Frames of a skin that nothing touches, with the noise of the paper."""
+
+    side: int
+    n_frames: int
+    unscored: int = 5
+
+    def open(self, seed: int) -> Take:
+        """See `Frames`."""
+        truth = np.zeros((self.side, self.side), dtype=np.float32)
+
+        def noisy() -> Iterator[tuple[Floats, Floats]]:
+            rng = np.random.default_rng(seed)
+            for _ in range(self.n_frames):
+                yield truth, NOISE.apply(truth, rng)
+
+        mask = np.ones(truth.shape, dtype=np.bool_)
+        return Take(mask, PAPER_F_MAX_N, lambda: [noisy()], unscored=self.unscored)
+
+
+@dataclass(frozen=True)
+class RecordedFrames:
+    """A part of a recording: of at most `n_most` frames, that with most loaded ones.
+
+    Of several such parts it is the one next to the middle. The truth is the true forces where the
+    recording has them, or else the readings. The noise is not known. `digest`: as of `digest_of`,
+    with another content, figures are computed anew.
+    """
+
+    path: str
+    digest: str
+    n_most: int
+    unscored: int = 0
+
+    def open(self, seed: int) -> Take:
+        """See `Frames`. Raises SparseskinError if the file holds no frames that can be used."""
+        part = part_of(self.path, self.n_most)
+        pairs = list(zip(part.truth, part.frames, strict=True))
+        unscored = min(self.unscored, len(pairs) - 1)
+        return Take(part.mask, part.f_max, lambda: [pairs], 0.0, part.norm, part.total, unscored)
+
+
+KINDS = {one.__name__: one for one in (SceneFrames, PressFrames, UntouchedFrames, RecordedFrames)}
+"""Sources by the names with which points state them."""
+
+
+def opened(point: Mapping[str, Any]) -> Take:
+    """Open the frames of a point: frames (kind, and its fields) and seed."""
+    fields = dict(point["frames"])
+    return KINDS[fields.pop("kind")](**fields).open(point["seed"])
+
+
+class Part(NamedTuple):
+    """A part of a recording: frames and truth, float32, shape (n_frames, n_rows, n_cols); mask,
+    True where a taxel exists; time between frames, if known; number of its first frame, and of
+    all; 95th percentiles of norms and totals of all frames in which anything touches the skin.
+    """
+
+    frames: Floats
+    truth: Floats
+    mask: Mask
+    f_max: float
+    unit: str
+    spacing_ms: float | None
+    first: int
+    n_recorded: int
+    norm: float
+    total: float
+
+
+@cache
+def part_of(path: str, n_most: int) -> Part:
+    """Read the part of a recording that `RecordedFrames` describes.
+
+    Raises
+    ------
+    SparseskinError
+        If the file cannot be read, holds no readings, or nothing touches the skin.
+    """
+    read = read_recording(path)
+    if "forces" not in read:
+        raise SparseskinError(f"{path}: holds no readings of taxels")
+    frames = read["forces"]
+    truth = read.get("truth", frames)
+    if truth.shape != frames.shape:
+        raise SparseskinError(
+            f"{path}: {len(truth)} frames of true forces, but {len(frames)} of readings"
+        )
+    mask = read.get("mask", np.ones(frames.shape[1:], dtype=np.bool_))
+    flat = truth[:, mask].astype(np.float64)
+    norms, totals = np.linalg.norm(flat, axis=1), flat.sum(axis=1)
+    touched = norms > 0
+    if not touched.any():
+        raise SparseskinError(f"{path}: nothing touches the skin, all readings are 0")
+    norm, total = (float(np.percentile(of[touched], 95)) for of in (norms, totals))
+    first = _busiest(norms > LOADED * norm, n_most)
+    part = slice(first, first + n_most)
+    spacing_ms = 1e3 / float(read["rate_hz"]) if "rate_hz" in read else None
+    return Part(
+        *(frames[part], truth[part], mask, float(read["f_max"]), read["unit"], spacing_ms),
+        *(first, len(frames), norm, total),
+    )
+
+
+def _busiest(loaded: np.ndarray[tuple[int], np.dtype[np.bool_]], n_most: int) -> int:
+    """Return the first frame of the part of `n_most` frames with most loaded ones."""
+    if loaded.size <= n_most:
+        return 0
+    counts = np.convolve(loaded, np.ones(n_most, dtype=np.intp), "valid")
+    best = np.flatnonzero(counts == counts.max())
+    return int(best[np.argmin(np.abs(best - (counts.size - 1) / 2))])
+
+
+def files_in(folder: Path) -> list[Path]:
+    """Return the files of a folder whose suffix is that of a recording, by name.
+
+    Raises
+    ------
+    StudyError
+        If the folder cannot be read, or has none.
+    """
+    suffixes = (*SUFFIXES, FILE_SUFFIX)
+    try:
+        files = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
+    except OSError as error:
+        raise StudyError(f"--recordings {folder}: {error.strerror}") from error
+    if not files:
+        raise StudyError(f"--recordings {folder}: no recording; allowed are {', '.join(suffixes)}")
+    return files
+
+
+def digest_of(path: Path) -> str:
+    """Return 16 hexadecimal characters that change with the content of a file."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    except OSError as error:
+        raise StudyError(f"{path}: {error.strerror}") from error

@@ -1,0 +1,287 @@
+"""Experiments as data: frames, measurements and estimators, each combination scored once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, m_of
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.sensor.noise import NoiseModel
+
+from .baselines.sampling import CODECS, Acts, Codec, Filtered, Hold, Lattice, adaptive_values
+from .evaluate import (
+    RIGHT,
+    VANISHED,
+    WRONG,
+    Alone,
+    Estimator,
+    Method,
+    Reading,
+    Scores,
+    evaluate,
+    make_method,
+)
+from .frames import Frames, Take, opened
+from .points import StudyError, compute
+
+PAPER_ROWS = PAPER
+"""Rows of the measurement matrix with preset `paper`."""
+TIMED_ON = "process:1"
+"""Executor of what is timed: one process at a time, so that it has its core to itself."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Measurement matrix: ratio N / M; rows "fixed", "rotating" or "paper"; kind; and size of the
+    Hadamard blocks (None: that of the kind).
+    """
+
+    ratio: float = 3
+    rows: str = FIXED
+    phi: str = "sbhe"
+    block: int | None = None
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An estimator by the names of its parts.
+
+    Attributes
+    ----------
+    settings : mapping
+        solver, basis and settings as in `PRESETS`; `lambda_n` is stated for the paper's range, and
+        scaled with that of the skin. Of "reading": dead_zone_n.
+    of : str
+        "solver", "reading", "filtered", "lattice", "hold", "acts", or one of `CODECS`.
+    changes : mapping
+        Fields of the measurement that differ from the experiment's.
+    alone : bool
+        True for a solver that forgets all earlier frames before each one.
+    """
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    of: str = "solver"
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    alone: bool = False
+
+    def make(self, measurement: Measurement, take: Take, seed: int) -> Estimator:
+        """Make the estimator for the skin of a take; `seed`: of Phi.
+
+        Raises
+        ------
+        SparseskinError
+            If the parts do not fit together or the skin.
+        """
+        at, mask = replace(measurement, **self.changes), take.mask
+        ratio = int(at.ratio)
+        if self.of != "solver":
+            makers: dict[str, Callable[[], Estimator]] = {
+                "reading": lambda: Reading(**self.settings),
+                "filtered": lambda: Filtered(NoiseModel.for_range(take.f_max)),
+                "lattice": lambda: Lattice(mask, ratio),
+                "hold": lambda: Hold(mask, ratio),
+                "acts": lambda: Acts(mask, ratio, take.f_max),
+                **{kind: lambda: Codec(mask, take.f_max, self.of) for kind in CODECS},
+            }
+            return makers[self.of]()
+        settings = dict(self.settings)
+        if "lambda_n" in settings:
+            settings["lambda_n"] *= take.f_max / PAPER_F_MAX_N
+        if at.phi == "adaptive":
+            # As many rows as fit, with the code of their choice, into the bytes of M; M is rounded
+            # down, and a half keeps it from rounding errors.
+            rows = adaptive_values(mask, m_of(take.n, at.ratio))
+            at = replace(at, ratio=take.n / (rows + 0.5))
+        skin: dict[str, Any] = {"mask": mask, "f_max_n": take.f_max, "sigma_end": take.sigma_end}
+        how: dict[str, Any] = {"rows": at.rows, "phi": at.phi, "block": at.block}
+        method = make_method(settings, mask.shape, at.ratio, seed, **how, **skin)
+        return Alone(method) if self.alone else method
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Every candidate on every source of frames at every measurement.
+
+    Attributes
+    ----------
+    label : str
+        Shown by the progress bar.
+    frames, measurements, candidates, scores
+        Lists of the product; candidates by name; scores of `SCORES`.
+    seeds : sequence of int
+        Of frames, noise and Phi.
+    timed : bool
+        True if each candidate is run by itself, in one process at a time, whatever the executor.
+    """
+
+    label: str
+    frames: Sequence[Frames]
+    measurements: Sequence[Measurement]
+    candidates: Mapping[str, Candidate]
+    scores: Sequence[str]
+    seeds: Sequence[int] = (0,)
+    timed: bool = False
+
+    def points(self) -> list[dict[str, Any]]:
+        """Points as `scored` takes them."""
+        named = {name: asdict(one) for name, one in self.candidates.items()}
+        groups = [{name: one} for name, one in named.items()] if self.timed else [named]
+        return [
+            {
+                "frames": {"kind": type(frames).__name__, **asdict(frames)},  # type: ignore[call-overload]
+                "measurement": asdict(measurement),
+                "candidates": group,
+                "scores": list(self.scores),
+                "seed": seed,
+            }
+            for frames in self.frames
+            for measurement in self.measurements
+            for group in groups
+            for seed in self.seeds
+        ]
+
+    def run(self, out: Path, executor: str) -> pd.DataFrame:
+        """Compute what is not known yet in the folder of the study; see `points.compute`.
+
+        Returns
+        -------
+        DataFrame
+            A row a point and candidate: fields of frames and measurement, seed, method (the name
+            of the candidate), its scores, and refused: the reason where it could not be run, or "".
+        """
+        points = self.points()
+        found = compute(scored, points, out, TIMED_ON if self.timed else executor, self.label)
+        keys = [{**p["frames"], **p["measurement"], "seed": p["seed"]} for p in points]
+        return method_rows(keys, found).drop(columns="kind", errors="ignore")
+
+
+def scored(point: dict[str, Any]) -> dict[str, Any]:
+    """Run the candidates of a point of an `Experiment` side by side on the same frames.
+
+    Returns
+    -------
+    dict
+        methods: by candidate its scores, and refused.
+    """
+    take = opened(point)
+    measurement = Measurement(**point["measurement"])
+    mask = None if take.mask.all() else take.mask
+    scores, estimators = {}, {}
+    for name, of in point["candidates"].items():
+        scores[name] = Scores(take.f_max, mask, take.norm, take.total)
+        try:
+            estimators[name] = Candidate(**of).make(measurement, take, point["seed"])
+        except SparseskinError as error:
+            scores[name].refused = str(error)
+    for part in take.parts():
+        for estimator in estimators.values():
+            if isinstance(estimator, Method):
+                estimator.reset()
+        evaluate(estimators, part, scores, take.unscored)
+    return {
+        "methods": {
+            name: {
+                "refused": one.refused,
+                **{score: None if one.refused else SCORES[score](one) for score in point["scores"]},
+            }
+            for name, one in scores.items()
+        }
+    }
+
+
+def method_rows(
+    keys: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, Any]], name: str = "method"
+) -> pd.DataFrame:
+    """A row a point and method: the keys of the point, the method in column `name`, its figures.
+
+    `found`: figures of each point; methods: by method its own.
+    """
+    return pd.DataFrame(
+        {**key, name: method, **figures}
+        for key, of in zip(keys, found, strict=True)
+        for method, figures in of["methods"].items()
+    )
+
+
+def unrefused(rows: pd.DataFrame) -> pd.DataFrame:
+    """Rows of an experiment; raises StudyError with the reason if a candidate was refused."""
+    for row in rows[rows["refused"] != ""].to_dict("records"):
+        raise StudyError(f"{row['method']}, N/{row['ratio']:g}: {row['refused']}")
+    return rows
+
+
+def _mean(values: Sequence[float | bool], times: float = 1.0) -> float | None:
+    return times * float(np.mean(values)) if len(values) else None
+
+
+def _percentile(values: Sequence[float], percent: float, times: float = 1.0) -> float | None:
+    return times * float(np.percentile(values, percent)) if values else None
+
+
+def _firsts(scores: Scores) -> list[bool]:
+    """Marks of the contact frames whose last one was not in contact."""
+    return [now and not before for before, now in pairwise([False, *scores.contact])]
+
+
+def _touched_mn(scores: Scores) -> float | None:
+    if not scores.touched:
+        return None
+    squared, n_touched = zip(*scores.touched, strict=True)
+    return 1e3 * float(np.sqrt(np.average(squared, weights=n_touched)))
+
+
+def _flagged(scores: Scores, least: float, most: float) -> list[bool]:
+    """Marks of the frames whose relative error is above `least` and below `most`."""
+    return [flag for flag, relative in scores.flags if least < relative < most]
+
+
+def _of_contact(score: Callable[[Scores], Any]) -> Callable[[Scores], Any]:
+    return lambda scores: score(scores) if scores.contact_db else None
+
+
+SCORES: dict[str, Callable[[Scores], Any]] = {
+    # PSNR of contact frames, dB: mean, least, mean of the first frames of contacts; of each frame.
+    "mean_db": lambda s: _mean(s.contact_db),
+    "min_db": _of_contact(lambda s: min(s.contact_db)),
+    "first_db": lambda s: _mean(
+        [db for db, first in zip(s.psnr_db, _firsts(s), strict=True) if first]
+    ),
+    "psnr_db": lambda s: [round(one, 3) for one in s.psnr_db],
+    "highest_db": lambda s: max(s.psnr_db),
+    # Root mean square error of the touched taxels in contact frames, millinewtons.
+    "touched_mn": _touched_mn,
+    # Relative error of contact frames in %, and part of them that has vanished.
+    "median": _of_contact(lambda s: 100 * float(np.median(s.relative))),
+    "mean": _of_contact(lambda s: _mean(s.relative, 100)),
+    "vanished": _of_contact(lambda s: _mean([one >= VANISHED for one in s.relative], 100)),
+    # Part of the untouched frames that are ghosts; of all, wrong and right frames that are marked.
+    "ghosts": lambda s: _mean(s.ghosts, 100),
+    "flagged": lambda s: _mean([flag for flag, _ in s.flags], 100),
+    "flagged_wrong": lambda s: _mean(_flagged(s, WRONG, np.inf), 100),
+    "flagged_right": lambda s: _mean(_flagged(s, -np.inf, RIGHT), 100),
+    "n_wrong": lambda s: len(_flagged(s, WRONG, np.inf)),
+    "n_right": lambda s: len(_flagged(s, -np.inf, RIGHT)),
+    # Estimated over true RMS error of contact frames.
+    **{
+        f"estimate_{name}": lambda s, percent=percent: _percentile(s.estimates, percent)  # type: ignore[misc]
+        for name, percent in (("low", 5), ("median", 50), ("high", 95))
+    },
+    "n_contact": lambda s: len(s.contact_db),
+    "n_untouched": lambda s: len(s.ghosts),
+    "n_bytes": lambda s: _mean(s.n_bytes),
+    # Solve time: of the processor and by the clock, ms; part in which the process had a core.
+    "median_ms": lambda s: _percentile(s.cpu_s, 50, 1e3),
+    "p99_ms": lambda s: _percentile(s.wall_s, 99, 1e3),
+    "mean_ms": lambda s: _mean(s.wall_s, 1e3),
+    "cpu_share": lambda s: sum(s.cpu_s) / sum(s.wall_s),
+    "iterations": lambda s: _mean(s.n_steps),
+}
+"""Scores of one estimator over all frames, by name; None where there is no such frame."""

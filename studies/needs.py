@@ -1,0 +1,267 @@
+"""Study `scene-needs`: scenes with a degree of freedom or a term more or less, and their frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sparseskin.messages.skin import CONTACT_FRACTION
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.scenes.bodies import Body, metal_peg, monkey_wrench, wooden_cube
+from sparseskin.nodes.sensor.scenes.scenes import SCENES, SKIN_ON_GROUND, TAXEL_RADIUS_M
+from sparseskin.nodes.sensor.scenes.simulation import (
+    SMOOTHING_STEPS,
+    MovingAverage,
+    Scene,
+    SceneSource,
+)
+
+from .points import compute_rows
+from .report import PALETTE, Chart, Page, cells
+
+QUICK_SCENES = ("lift_box_40", "lift_wrench_40", "path_40")
+QUICK_STEPS = 1000
+OFTEN = 0.05
+"""Share of frames changed by more than their noise above which a scene is another one."""
+FINER = 10
+BODIES: tuple[Callable[[float], Body], ...] = (wooden_cube, metal_peg, monkey_wrench)
+#: Reasons for which a scene keeps what it does not need.
+KEPT = {
+    "round taxels": "the skin is one and the same in all scenes",
+    "damping of the ground": "the ground is one and the same in all scenes",
+    "damping of the skin": "the skin is one and the same in all scenes",
+    "moving average": "the recordings of the paper are smoothed; felt at the impact alone",
+}
+#: Reasons for which a scene does without what it would need.
+LEFT_OUT = {
+    ("path_40", axis): "the peg is kept vertical, as in the paper"
+    for axis in ("pitch", "roll", "pitch and roll")
+}
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to change a scene.
+
+    Attributes
+    ----------
+    carried : bool
+        True: the scene has what is varied, and it is removed. False: it is added.
+    scene : Scene
+        The changed scene.
+    smoothing_steps : int
+        Width of the moving average.
+    finer : int
+        Steps of the simulation that make one frame.
+    """
+
+    carried: bool
+    scene: Scene
+    smoothing_steps: int = SMOOTHING_STEPS
+    finer: int = 1
+
+    def frames(self) -> Iterator[Floats]:
+        """True forces in N, float32 of shape (n_rows, n_cols), one for each frame."""
+        average = MovingAverage(self.smoothing_steps, self.scene.shape)
+        for step, state in enumerate(SceneSource(self.scene, seed=0).states()):
+            if step % self.finer == 0:
+                state.write_forces(average.newest)
+                yield np.minimum(average.step(), np.float32(self.scene.f_max_n))
+
+
+def variants(scene: Scene) -> dict[str, Variant]:
+    """All variants of a scene, by name."""
+    surface, dof = scene.surface, scene.dof
+    grounded = surface.ground_drop_m is not None
+    needles = next(body(0.0) for body in BODIES if body(TAXEL_RADIUS_M) is scene.body)
+    other_ground = replace(surface, ground_drop_m=None) if grounded else SKIN_ON_GROUND
+    steps, step_ns = FINER * scene.n_steps, scene.dt_ns // FINER
+    finer = Variant(False, replace(scene, n_steps=steps, dt_ns=step_ns), finer=FINER)
+    found = {
+        "damping of the skin": Variant(True, replace(scene, surface=replace(surface, damping=0.0))),
+        "round taxels": Variant(True, replace(scene, body=needles)),
+        "moving average": Variant(True, scene, smoothing_steps=1),
+        "pitch": _with_or_without(scene, "pitch"),
+        "roll": _with_or_without(scene, "roll"),
+        "ground": Variant(grounded, replace(scene, surface=other_ground)),
+        "steps a tenth as long": finer,
+    }
+    if grounded:
+        deadened = replace(surface, ground_damping=0.0)
+        found["damping of the ground"] = Variant(True, replace(scene, surface=deadened))
+    if len(dof) == 1:
+        found["pitch and roll"] = Variant(False, replace(scene, dof=("z", "pitch", "roll")))
+    return found
+
+
+def _with_or_without(scene: Scene, axis: Any) -> Variant:
+    carried = axis in scene.dof
+    if carried:
+        return Variant(True, replace(scene, dof=tuple(a for a in scene.dof if a != axis)))
+    return Variant(False, replace(scene, dof=(*scene.dof, axis)))
+
+
+def measure(point: dict[str, Any]) -> dict[str, Any]:
+    """Change of a variant's frames from the scene's, beside the noise.
+
+    `point`: scene, variant, n_steps (None: all), seed.
+
+    Returns
+    -------
+    dict
+        change_db, noise_db: 10 log10(f_max^2 / mean squared difference) over the frames in
+        contact, of the change and of the noise; worst_db: the frame that changes most;
+        above_noise: share of the contact frames that change by more than the noise.
+    """
+    scene, n_steps = SCENES[point["scene"]](), point["n_steps"]
+    scene = replace(scene, n_steps=min(n_steps or scene.n_steps, scene.n_steps))
+    variant = variants(scene)[point["variant"]]
+    noise_model = NoiseModel.for_range(scene.f_max_n)
+    rng = np.random.default_rng(point["seed"])
+    changes, noises = [], []
+    for ours, theirs in zip(Variant(True, scene).frames(), variant.frames(), strict=True):
+        if max(ours.max(), theirs.max()) <= CONTACT_FRACTION * scene.f_max_n:
+            continue
+        changes.append(float(np.mean(np.square(theirs - ours), dtype=np.float64)))
+        noise = noise_model.apply(ours, rng) - ours
+        noises.append(float(np.mean(np.square(noise), dtype=np.float64)))
+    above = [change > noise for change, noise in zip(changes, noises, strict=True)]
+    return {
+        "carried": variant.carried,
+        "change_db": decibels(float(np.mean(changes)), scene.f_max_n),
+        "noise_db": decibels(float(np.mean(noises)), scene.f_max_n),
+        "worst_db": decibels(max(changes), scene.f_max_n),
+        "above_noise": float(np.mean(above)),
+    }
+
+
+def decibels(error: float, f_max_n: float) -> float:
+    """PSNR of a mean squared difference in N^2, at most 100 dB."""
+    return float(10.0 * np.log10(f_max_n**2 / max(error, f_max_n**2 * 1e-10)))
+
+
+def points(quick: bool, seed: int) -> list[dict[str, Any]]:
+    """Every variant of every scene; quick: of three of them, as far as the first bounces."""
+    n_steps = QUICK_STEPS if quick else None
+    return [
+        {"scene": scene, "variant": variant, "n_steps": n_steps, "seed": seed}
+        for scene in (QUICK_SCENES if quick else SCENES)
+        for variant in variants(SCENES[scene]())
+    ]
+
+
+def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
+    """Compute the study, write its page and return its conclusion; see `command.Study`."""
+    rows = pd.DataFrame(compute_rows(measure, points(quick, seed), out, executor, "scene needs"))
+    rows["verdict"] = rows.apply(verdict, axis=1)
+    page = Page(out, "scene-needs", Path(__file__).with_suffix(".md"), quick)
+    page.section("", _draw(out, rows), summary(rows))
+    tables = [(f"**{scene}**", _table(some)) for scene, some in rows.groupby("scene", sort=False)]
+    page.section("Each scene", *(part for pair in tables for part in pair))
+    page.csv("scene-needs", rows)
+    lines = conclusion(rows)
+    page.write(lines)
+    return lines
+
+
+def verdict(row: Any) -> str:
+    """Verdict on a variant by its figures."""
+    matters = row["change_db"] < row["noise_db"] or row["above_noise"] > OFTEN
+    if row["carried"]:
+        if matters:
+            return "needed"
+        return "kept" if row["variant"] in KEPT else "superfluous"
+    if not matters:
+        return "rightly left out"
+    return "left out" if (row["scene"], row["variant"]) in LEFT_OUT else "missing"
+
+
+def conclusion(rows: pd.DataFrame) -> list[str]:
+    """What the verdicts amount to."""
+    n = rows["verdict"].value_counts()
+    n_carried, needed = int(rows["carried"].sum()), rows[rows["verdict"] == "needed"]["variant"]
+    n_added, n_missing = len(rows) - n_carried, n.get("missing", 0)
+    return [
+        f"Of {n_carried} terms that the scenes carry, {n.get('needed', 0)} change the frames by "
+        f"more than the noise and are needed; {n.get('kept', 0)} are kept for another reason, "
+        "which is stated.",
+        f"Of {n_added} that they do not carry, {n_added - n_missing} would change less than the "
+        f"noise, or are left out for a stated reason; {n_missing} are missing.",
+        f"Needed in some scene: {', '.join(sorted(set(needed))) or 'none'}.",
+    ]
+
+
+def summary(rows: pd.DataFrame) -> str:
+    """Number of variants with each verdict, and names of those that should not be; as Markdown."""
+    kinds = ("needed", "rightly left out", "kept", "left out", "superfluous", "missing")
+    lines = [f"- {kind}: {(rows['verdict'] == kind).sum()}" for kind in kinds]
+    wrong = rows[rows["verdict"].isin(kinds[4:])]
+    return "\n".join(lines + cells(wrong, "- **{verdict}**: {scene}: {variant}"))
+
+
+def _table(rows: pd.DataFrame) -> pd.DataFrame:
+    """Figures of one scene."""
+    reasons = [
+        {"kept": KEPT.get(variant), "left out": LEFT_OUT.get((scene, variant))}.get(found)
+        for scene, variant, found in zip(
+            rows["scene"], rows["variant"], rows["verdict"], strict=True
+        )
+    ]
+    return pd.DataFrame(
+        {
+            "variant": np.where(rows["carried"], "without ", "with ") + rows["variant"],
+            "change, dB": cells(rows, "{change_db:.1f}"),
+            "noise, dB": cells(rows, "{noise_db:.1f}"),
+            "worst, dB": cells(rows, "{worst_db:.1f}"),
+            "above": cells(rows, "{above_noise:.1%}"),
+            "verdict": [
+                f"{found}: {reason}" if reason else found
+                for found, reason in zip(rows["verdict"], reasons, strict=True)
+            ],
+        }
+    )
+
+
+def _draw(out: Path, rows: pd.DataFrame) -> str:
+    scenes = list(rows["scene"].unique())
+    names = list(rows["variant"].unique())[::-1]
+    caption = "Change of each scene's frames, in dB as PSNR: the further left, the larger."
+    size_in = (9.5, 3.2 * -(-len(scenes) // 3) + 1.1)
+    with Chart(
+        out, "scene-needs", caption, len(scenes), 3, size_in=size_in, legend_columns=5
+    ) as chart:
+        for k, (axes, scene) in enumerate(zip(chart.panels, scenes, strict=True)):
+            mine = rows[rows["scene"] == scene]
+            noise_db = mine["noise_db"].iloc[0]
+            axes.axvspan(10.0, noise_db, color="#dddddd", zorder=0, label="above the noise")
+            for place, text in (
+                ((10.0 + noise_db) / 2, "above the noise:\nneeded"),
+                ((noise_db + 105.0) / 2, "below the noise:\ncan be left out"),
+            ):
+                style: dict[str, Any] = {"ha": "center", "va": "top", "color": "0.3"}
+                axes.text(place, len(names) + 0.75, text, fontsize=8, **style)
+            for carried, colour, marker, label in (
+                (True, PALETTE[0], "o", "removed"),
+                (False, PALETTE[1], "s", "added"),
+            ):
+                some = mine[mine["carried"] == carried]
+                heights = [names.index(name) for name in some["variant"]]
+                changes, worst = some["change_db"], some["worst_db"]
+                axes.hlines(heights, worst, changes, color=colour, lw=1.0)
+                axes.plot(changes, heights, marker, color=colour, label=label)
+                axes.plot(worst, heights, "|", color=colour, ms=9, label=f"{label}: worst frame")
+            axes.set(xlim=(10.0, 105.0), ylim=(-0.6, len(names) + 0.9), title=scene)
+            axes.set_yticks(range(len(names)), [""] * len(names) if k % 3 else names)
+        chart.figure.suptitle(
+            "What a scene needs: its frames with one term removed or added, against its own\n"
+            "(mark: mean of the contact frames; line: to the worst of them)",
+            fontsize=10,
+        )
+        chart.label("change, dB (left: larger)", "")
+    return chart.markdown

@@ -1,0 +1,78 @@
+"""Charts of study `paper-tables`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.studies.frames import scene_of
+from sparseskin.studies.report import LINES, MARKERS, PALETTE, Chart
+
+from .numbers import ITERATIONS, PAPER, RATIOS
+from .results import Results
+
+Style = dict[str, Any]
+SHOWN_FRAMES = 300
+
+
+def draw_maps(out: Path, scene: str, maps: Mapping[str, Any]) -> str:
+    """True forces, taxels and reconstructed forces, a row a frame.
+
+    `maps`: by title the number of the frame, its maps, and the PSNR of taxels and of reconstructed
+    forces in dB.
+    """
+    caption = "Forces of DRAG WRENCH 64 x 64, reconstructed from 1365 numbers, 20 iterations."
+    n_rows = len(maps)
+    size_in = (9.0, 2.9 * n_rows + 0.4)
+    with Chart(out, "maps", caption, 3 * n_rows, 3, size_in=size_in, legend_columns=0) as chart:
+        for k, (title, (frame, images, (noisy_db, ours_db))) in enumerate(maps.items()):
+            row = chart.panels[3 * k : 3 * k + 3]
+            top = float(np.max(images[0]))
+            notes = ("true", f"noisy, {noisy_db:.1f} dB", f"reconstructed, {ours_db:.1f} dB")
+            for axes, image, note in zip(row, images, notes, strict=True):
+                drawn = axes.imshow(image, vmin=0, vmax=top, cmap="viridis", origin="lower")
+                axes.set(title=note, xlabel="column")
+                axes.grid(False)
+            row[0].set_ylabel(f"{title}, {frame * scene_of(scene).dt_ns * 1e-6:.1f} ms\nrow")
+            chart.figure.colorbar(drawn, ax=row, label="force in N", shrink=0.9)
+    return chart.markdown
+
+
+def draw_sequences(out: Path, results: Results, by: str) -> str:
+    """PSNR over time, by "M" in DRAG WRENCH or by "iterations" in LIFT BOX, 64 x 64."""
+    name, scene = f"psnr_by_{by.lower()}", "drag_wrench_64" if by == "M" else "lift_box_64"
+    if by == "M":
+        series = {f"M = N/{ratio}": results.ours(scene, ratio) for ratio in RATIOS}
+    else:
+        series = {f"{k} iterations": results.ours(scene, 3, str(k)) for k in ITERATIONS}
+    series["noisy"] = results.ours(scene, 1)
+    contact, first = results.contact(scene), results.scenes[scene]["first"]
+    begins = {
+        "representative": _longest_contact(contact),
+        "first contact": max(0, int(np.argmax(contact)) - 50),
+    }
+    caption = f"PSNR over time, {PAPER[scene].title} 64 x 64, preset paper"
+    with Chart(out, name, caption, len(begins), len(begins), size_in=(9.0, 4.2)) as chart:
+        for axes, (title, begin) in zip(chart.panels, begins.items(), strict=True):
+            part = slice(begin, min(begin + SHOWN_FRAMES, len(contact)))
+            times_ms = (np.arange(part.start, part.stop) + first) * scene_of(scene).dt_ns * 1e-6
+            for k, (label, values) in enumerate(series.items()):
+                k = -1 if label == "noisy" else k
+                style: Style = {"color": PALETTE[k], "linestyle": LINES[k], "marker": MARKERS[k]}
+                style["markevery"] = (k * 5 % 30, max(1, len(times_ms) // 8))
+                axes.plot(times_ms, values[part], label=label, markersize=4, **style)
+            axes.set(title=title, xlabel="time in the scene in ms", ylabel="PSNR in dB")
+    return chart.markdown
+
+
+def _longest_contact(contact: npt.NDArray[np.bool_]) -> int:
+    """First of the middle frames of the longest contact: forces change slowly there."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], contact, [False]])))
+    begins, ends = edges[::2], edges[1::2]
+    longest = int(np.argmax(ends - begins))
+    middle = int(begins[longest] + ends[longest]) // 2
+    return max(0, middle - SHOWN_FRAMES // 2)

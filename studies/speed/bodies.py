@@ -1,0 +1,89 @@
+"""Time and memory of the nodes of a body of many patches, wire form included, without sockets."""
+
+from __future__ import annotations
+
+import gc
+import os
+import time
+from typing import Any
+
+import numpy as np
+
+from sparseskin.messages import Message, decode, encode
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.node import Context, Tick
+from sparseskin.nodes.process.proc import own_bytes
+from sparseskin.nodes.registry import make_settings, node_class
+
+WARM_UP = 24
+"""Frames before those that are timed: a patch is idle after 12, and solvers adapt; chosen."""
+
+
+def time_body(point: dict[str, Any]) -> dict[str, Any]:
+    """Processor time of edge and host for one frame of all patches of a lying body, at 1 kHz.
+
+    Parameters
+    ----------
+    point : dict
+        patches, side: number of patches, and taxels along a side of each; idle: part of them that
+        nothing presses; skip_idle: True if idle patches are not solved; n_frames, seed: frames that
+        are timed, and the seed of the noise.
+
+    Returns
+    -------
+    dict of str to float
+        edge_us, host_us: median processor time of a frame and patch, microseconds: decoding,
+        the node's step, encoding; bytes: of the measurements of a frame of all patches; memory_mb:
+        memory of the reconstructor node for one patch, MB; unchanged: part of the frames not
+        solved.
+    """
+    patches, side, n_frames = (point[key] for key in ("patches", "side", "n_frames"))
+    common = {"patch": "body", "patches": [f"p{k}" for k in range(patches)]}
+    source = {"source": "scene:lying", "active": 1.0 - point["idle"], "seed": point["seed"]}
+    shape = {"n_rows": side, "n_cols": side, "rate_hz": 100.0}
+    sensor = made_node("sensor_batch", {**common, **source, **shape})
+    edge = made_node("compressor_batch", common)
+    (skin,) = sensor.start()
+    (phi,) = edge.step(skin)
+    # The next frame is of the time when all have landed, then come frames each 1 ms.
+    list(sensor.acquire(Tick(0, 0)))
+    list(sensor.change(sensor.settings.changed({"rate_hz": 1000.0})))
+    gc.collect()
+    before = own_bytes(os.getpid())
+    host = made_node("reconstructor_batch", {**common, "skip_idle": point["skip_idle"]})
+    list(host.step(skin))
+    list(host.step(phi))
+    edge_s: list[float] = []
+    host_s: list[float] = []
+    n_unchanged = n_bytes = 0
+    for k in range(WARM_UP + n_frames):
+        (taxels, _) = sensor.acquire(Tick(1_000_000 * (k + 1), k + 1))
+        (measured,) = timed_step(edge, encode(taxels), edge_s)
+        (found,) = timed_step(host, measured, host_s)
+        if k >= WARM_UP:
+            n_bytes = len(measured[1])
+            n_unchanged += int(np.count_nonzero(decode(*found).unchanged))  # type: ignore[attr-defined]
+    return {
+        "edge_us": 1e6 * float(np.median(edge_s[WARM_UP:])) / patches,
+        "host_us": 1e6 * float(np.median(host_s[WARM_UP:])) / patches,
+        "bytes": float(n_bytes),
+        "memory_mb": (own_bytes(os.getpid()) - before) / patches / 1e6,
+        "unchanged": n_unchanged / patches / n_frames,
+    }
+
+
+def made_node(type_name: str, values: dict[str, Any]) -> Any:
+    """Make a node of a type with settings, without sockets."""
+    cls = node_class(type_name)
+    return cls(make_settings(cls, values), Context(type_name, ManualClock(1)))
+
+
+def timed_step(
+    node: Any, parts: tuple[bytes, bytes], spent: list[float]
+) -> list[tuple[bytes, bytes]]:
+    """Let a node process a message in its wire form; note the processor time."""
+    begin_s = time.process_time()
+    message: Message = decode(*parts)
+    sent = [encode(each) for each in node.step(message)]
+    spent.append(time.process_time() - begin_s)
+    return sent

@@ -1,0 +1,167 @@
+"""From acquisition to reconstruction at 1 kHz, and the time spent in each stage."""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.compressor.phi.rotation import FIXED
+from sparseskin.nodes.process.proc import host_busy_s
+from sparseskin.studies.points import StudyError
+
+from .stopwatch import WATCH
+
+Times = npt.NDArray[np.int64]
+
+RATE_HZ = 1000
+SCENES = {"40 x 40": "path_40", "64 x 64": "drag_wrench_64"}
+STAGES = (
+    *("sensor", "wire to the edge", "queue at the edge", "edge"),
+    *("wire to the host", "queue at the host", "host", "solve"),
+)
+WARM_UP = 500
+"""Frames that are left out: new processes start with cold caches and memory."""
+QUANTILES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
+_NODES = "sparseskin.studies.speed.stopwatch:Timed"
+
+
+def points(quick: bool, seed: int) -> list[dict[str, Any]]:
+    """Both sizes, with and without a monitor: the default solver, where it reconstructs the newest
+    frames alone too, and the paper's.
+    """
+    n_frames = 3000 if quick else 12_000
+    return [
+        {
+            **{"scene": scene, "preset": preset, "depth": depth, "monitor": monitor},
+            **{"rate_hz": RATE_HZ, "n_frames": n_frames, "warm_up": WARM_UP, "seed": seed},
+        }
+        for monitor in (False, True)
+        for preset, depth in (("skin", 0), ("skin", 1), ("paper", 0))
+        for scene in SCENES.values()
+    ]
+
+
+def measure(point: dict[str, Any]) -> dict[str, Any]:
+    """Age of the frames of one graph when they were reconstructed, and its stages.
+
+    `point`: scene, preset, depth, rate_hz, n_frames, warm_up (frames that are left out), monitor
+    (True: one subscribes).
+
+    Returns
+    -------
+    dict
+        Of each quantile, NAME_ms, and "NAME STAGE": the mean of the time in each of `STAGES` over
+        the frames around that quantile, ms. Further frames, skipped, lost, and others: cores that
+        other work of the host used meanwhile.
+
+    Raises
+    ------
+    StudyError
+        If the graph fails, or reconstructs too few frames.
+    """
+    source = f"sparseskin.studies.looped:{point['scene']}"
+    solver = {"preset": point["preset"], "depth": point["depth"]}
+    nodes: dict[str, dict[str, Any]] = {
+        "sensor": {"type": f"{_NODES}Sensor", "source": source, "rate_hz": point["rate_hz"]},
+        "compressor": {"type": f"{_NODES}Compressor", "rows": FIXED},
+        "reconstructor": {"type": f"{_NODES}Reconstructor", **solver},
+        **({"monitor": {"type": "monitor", "page": False}} if point["monitor"] else {}),
+    }
+    text = "".join(
+        f"[nodes.{name}]\n" + "".join(f"{k} = {json.dumps(v)}\n" for k, v in settings.items())
+        for name, settings in nodes.items()
+    )
+    began_s, busy_s, own_s = time.monotonic(), host_busy_s(), _children_s()
+    with tempfile.TemporaryDirectory(prefix="sparseskin-speed-") as folder:
+        Path(folder, "graph.toml").write_text(text)
+        command = [sys.executable, "-m", "sparseskin", "launch", "graph.toml"]
+        command += ["--frames", str(point["n_frames"]), "--summary", "summary.json"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise StudyError(f"the graph ended with {done.returncode}: {done.stderr[-500:]}")
+        nodes = json.loads(Path(folder, "summary.json").read_text())["nodes"]
+    others_s = host_busy_s() - busy_s - (_children_s() - own_s)
+    sensor, edge, host = (
+        np.array(nodes[name][WATCH], dtype=np.int64)
+        for name in ("sensor", "compressor", "reconstructor")
+    )
+    stages = stages_ns(sensor, edge, host)[point["warm_up"] :]
+    if not len(stages):
+        raise StudyError(f"{len(host)} frames were reconstructed; {point['warm_up']} are left out")
+    skipped = sum(nodes["reconstructor"]["skipped"].values())
+    return {
+        **figures(stages / 1e6),
+        **{"frames": len(stages), "skipped": skipped, "lost": len(sensor) - len(host) - skipped},
+        "others": round(others_s / (time.monotonic() - began_s), 2),
+    }
+
+
+def _children_s() -> float:
+    """Processor time of the processes that this one has started and that have ended, s."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def stages_ns(sensor: Times, edge: Times, host: Times) -> Times:
+    """Time of each frame in each of `STAGES`, ns; the sum of a row is the frame's age when it was
+    reconstructed.
+
+    A message waits in a queue while its reader is busy with the one before it; the rest of its way
+    is the wire: the transport, the wake-up of the reader, decoding.
+
+    Parameters
+    ----------
+    sensor : ndarray of int64, shape (n, 2)
+        stamp_ns, and from there until sent.
+    edge : ndarray of int64, shape (n, 3)
+        stamp_ns; until the message came, until the measurements were sent.
+    host : ndarray of int64, shape (n, 5)
+        stamp_ns; until the message came, the solver was called, was done, the result was sent.
+
+    Returns
+    -------
+    ndarray of int64, shape (m, 8)
+        Of the frames that were reconstructed.
+    """
+    common = np.intersect1d(np.intersect1d(sensor[:, 0], edge[:, 0]), host[:, 0])
+    s, e, h = (times[np.searchsorted(times[:, 0], common)] for times in (sensor, edge, host))
+    edge_queue = _waited(e, sent=s[:, 1], came=e[:, 1], free=e[:, 2])
+    host_queue = _waited(h, sent=e[:, 2], came=h[:, 1], free=h[:, 4])
+    columns = [
+        *(s[:, 1], e[:, 1] - s[:, 1] - edge_queue, edge_queue, e[:, 2] - e[:, 1]),
+        *(h[:, 1] - e[:, 2] - host_queue, host_queue, h[:, 2] - h[:, 1], h[:, 3] - h[:, 2]),
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _waited(reader: Times, sent: Times, came: Times, free: Times) -> Times:
+    """Time from sending each message until its reader was done with the one before, ns."""
+    gap = np.diff(reader[:, 0], prepend=reader[0, 0])
+    free_before = np.concatenate([[0], free[:-1]]) - gap  # from this frame's stamp on
+    free_before[0] = sent[0]
+    waited: Times = np.clip(np.minimum(free_before, came) - sent, 0, None)
+    return waited
+
+
+def figures(stages_ms: npt.NDArray[np.float64]) -> dict[str, float]:
+    """Quantiles of the sum of the stages, and the mean of each stage around each quantile, ms."""
+    total = stages_ms.sum(axis=1)
+    order = np.argsort(total)
+    n = len(order)
+    found: dict[str, float] = {}
+    for name, quantile in QUANTILES.items():
+        centre, half = round(quantile * (n - 1)), max(1, round(min(0.05, 1 - quantile) / 2 * n))
+        around = order[max(0, centre - half) : centre + half + 1]
+        found[f"{name}_ms"] = round(float(np.quantile(total, quantile)), 4)
+        means = zip(STAGES, stages_ms[around].mean(axis=0), strict=True)
+        found |= {f"{name} {stage}": round(float(ms), 4) for stage, ms in means}
+    return found

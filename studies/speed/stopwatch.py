@@ -1,0 +1,70 @@
+"""The shipped nodes with a stopwatch: node types of the study `speed` alone.
+
+Each notes when a frame's message came and when the message made from it had been sent. That costs
+two readings of the clock and one list element a frame; the shipped nodes are not changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from sparseskin.messages import Measurements, Message, Reconstruction, Taxels
+from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.node import Context, Node, Tick
+from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.sensor.node import Sensor
+
+WATCH = "stopwatch"
+"""Key under which a node reports, for each frame, [stamp_ns, ns from there until ...]."""
+
+
+class _Timed(Node[Any]):
+    def __init__(self, settings: Any, context: Context) -> None:
+        super().__init__(settings, context)
+        self._notes: list[list[int]] = []
+
+    def _timed(
+        self, step: Callable[[Any], Iterable[Message]], what: Any, timed: type[Message]
+    ) -> Iterable[Message]:
+        """Yield the messages of a step; note came, what `_inside` adds, and sent of one type."""
+        came_ns = self.context.clock.now_ns()
+        for message in step(what):
+            yield message  # it has been sent when the runner asks for the next one
+            if isinstance(message, timed):
+                times_ns = (*self._inside(message, came_ns), self.context.clock.now_ns())
+                stamp_ns = message.stamp_ns
+                self._notes.append([stamp_ns, *(time_ns - stamp_ns for time_ns in times_ns)])
+
+    def _inside(self, message: Any, came_ns: int) -> tuple[int, ...]:
+        return (came_ns,)
+
+    def report(self) -> dict[str, Any]:
+        return {**super().report(), WATCH: self._notes}
+
+
+class TimedSensor(_Timed, Sensor):
+    """A sensor that notes (stamp_ns, sent)."""
+
+    def tick(self, tick: Tick) -> Iterable[Message]:
+        return self._timed(super().tick, tick, Taxels)
+
+    def _inside(self, message: Any, came_ns: int) -> tuple[int, ...]:
+        return ()
+
+
+class TimedCompressor(_Timed, Compressor):
+    """A compressor that notes (stamp_ns, came, sent)."""
+
+    def step(self, message: Message) -> Iterable[Message]:
+        return self._timed(super().step, message, Measurements)
+
+
+class TimedReconstructor(_Timed, Reconstructor):
+    """A reconstructor that notes (stamp_ns, came, solver called, solved, sent)."""
+
+    def step(self, message: Message) -> Iterable[Message]:
+        return self._timed(super().step, message, Reconstruction)
+
+    def _inside(self, message: Any, came_ns: int) -> tuple[int, ...]:
+        return (came_ns, message.done_ns - message.solve_ns, message.done_ns)

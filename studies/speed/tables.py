@@ -1,0 +1,172 @@
+"""Study `speed`: time of operators and solvers, of bodies, and of a frame by stage."""
+
+from __future__ import annotations
+
+import os
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from sparseskin.nodes.compressor.phi.rotation import FIXED
+from sparseskin.nodes.compressor.phi.rotation import RATIO as DEFAULT_RATIO
+from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.studies.frames import PressFrames
+from sparseskin.studies.harness import (
+    PAPER_ROWS,
+    TIMED_ON,
+    Candidate,
+    Experiment,
+    Measurement,
+    unrefused,
+)
+from sparseskin.studies.points import compute, compute_rows
+from sparseskin.studies.report import Page, cells, markdown
+
+from . import latency
+from .bodies import time_body
+from .operators import OURS, time_operators
+
+SIDES, QUICK_SIDES = (20, 40, 64, 128), (20, 40)
+WINDOWS, QUICK_WINDOWS = 101, 21
+PATCH_SIDE, PATCHES, QUICK_PATCHES, IDLE = 64, (1, 4, 16, 64, 244), (1, 4), 0.9
+GOAL, GOAL_HZ = 244, 1000
+"""Patches of a million taxels, and frames a second."""
+LINK_BYTES_HZ = 1e9 / 8
+"""Bytes a second of a gigabit link."""
+QUIET = 0.1
+"""Cores that other work may use before the host counts as busy."""
+
+
+def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
+    """Time what is not known yet, write the page and return its conclusion; see `command.Study`.
+
+    `executor` is not used: all is timed on this host, one point at a time.
+    """
+    page = Page(out, "speed", Path(__file__).with_name("notes.md"), quick)
+    page.section("", cores=len(os.sched_getaffinity(0)))
+    lines = [
+        operators(page, quick, seed),
+        *solvers(page, quick, seed),
+        bodies(page, quick, seed),
+        *stages(page, quick, seed),
+    ]
+    page.write(lines)
+    return lines
+
+
+def operators(page: Page, quick: bool, seed: int) -> str:
+    """Operators beside the least times and other libraries."""
+    windows, sides = (QUICK_WINDOWS, QUICK_SIDES) if quick else (WINDOWS, SIDES)
+    points = [{"side": side, "seed": seed, "windows": windows} for side in sides]
+    found = compute(time_operators, points, page.out, TIMED_ON, "operators")
+    rows = pd.DataFrame([row for figures in found for row in figures["rows"]])
+    rows["times_least"] = rows[["alone_us", "batch_us"]].min(axis=1) / rows["least_us"]
+    page.csv("operators", rows)
+    formats = dict.fromkeys(("alone_us", "batch_us", "least_us"), ".2f") | {"times_least": ".1f"}
+    page.section("Operators", markdown(rows, formats))
+    times = rows[(rows["library"] == OURS) & (rows["n"] == rows["n"].max())]["times_least"]
+    return (
+        f"Operators in numpy take {times.min():.1f} to {times.max():.1f} times what sums, products "
+        f"and bytes cost at least, N = {rows['n'].max()}."
+    )
+
+
+def solvers(page: Page, quick: bool, seed: int) -> list[str]:
+    """Whole frames of both presets, in numpy and in compiled loops."""
+    sides = QUICK_SIDES if quick else SIDES
+    frames = [
+        PressFrames("plate", (side, side), 100 if quick else 400, speed=0.02) for side in sides
+    ]
+    forms = {"numpy": "off"} | ({"compiled": "on"} if find_spec("numba") else {})
+    candidates = {
+        f"{preset}, {form}": Candidate({**PRESETS[preset], "fast": fast}, changes={"rows": rows})
+        for preset, rows in (("paper", PAPER_ROWS), ("skin", FIXED))
+        for form, fast in forms.items()
+    }
+    scores = ("median_ms", "p99_ms", "iterations", "mean_db")
+    timed = Experiment("solvers", frames, [Measurement()], candidates, scores, (seed,), timed=True)
+    rows = unrefused(timed.run(page.out, TIMED_ON))
+    rows.insert(0, "n", [side * side for side, _ in rows["shape"]])
+    page.csv("solvers", rows)
+    shown = rows[["n", "method", *scores]].assign(hz=1000 / rows["median_ms"])
+    names = {"n": "N", "median_ms": "median ms", "p99_ms": "p99 ms", "hz": "frames a second"}
+    formats = {"median ms": ".3f", "p99 ms": ".3f", "iterations": ".1f", "mean dB": ".1f"}
+    shown = shown.rename(columns=names | {"mean_db": "mean dB"})
+    page.section("Solvers", markdown(shown, formats | {"frames a second": ".0f"}))
+    last = rows[(rows["n"] == rows["n"].max()) & rows["method"].str.startswith("skin")]
+    return cells(last, "Solver {method}, N = {n}: {median_ms:.2f} ms a frame.")
+
+
+def bodies(page: Page, quick: bool, seed: int) -> str:
+    """Bodies of many patches: time by the number of taxels, and what a million would take."""
+    points = [
+        {
+            **{"side": PATCH_SIDE, "seed": seed, "patches": n, "idle": idle, "skip_idle": idle > 0},
+            "n_frames": 12 if quick or n >= 64 else 60,
+        }
+        for idle in (0.0, IDLE)
+        for n in (QUICK_PATCHES if quick else PATCHES)
+    ]
+    rows = pd.DataFrame(compute_rows(time_body, points, page.out, TIMED_ON, "bodies"))
+    page.csv("bodies", rows)
+    us, patch_hz = rows["edge_us"] + rows["host_us"], GOAL * GOAL_HZ
+    table = pd.DataFrame(
+        {
+            "taxels": [f"{n * PATCH_SIDE**2:,}" for n in rows["patches"]],
+            "patches": rows["patches"],
+            "idle": cells(rows, "{idle:.0%}"),
+            "edge, us a patch": cells(rows, "{edge_us:.0f}"),
+            "host, us a patch": cells(rows, "{host_us:.0f}"),
+            "frames/s, one core": [f"{hz:.1f}" for hz in 1e6 / us / rows["patches"]],
+            "MB a patch": cells(rows, "{memory_mb:.2f}"),
+            "unchanged": cells(rows, "{unchanged:.0%}"),
+        }
+    )
+    solved = rows[rows["idle"] == 0]
+    spent = np.log((solved["edge_us"] + solved["host_us"]) * solved["patches"])
+    slope = float(np.polyfit(np.log(solved["patches"]), spent, 1)[0])
+    last = solved.iloc[-1]
+    cores = [1e-6 * patch_hz * last[name] for name in ("edge_us", "host_us")]
+    links = last["bytes"] / last["patches"] * patch_hz / LINK_BYTES_HZ
+    line = (
+        f"Time grows with taxels to the power {slope:.2f}. A million taxels at 1 kHz take "
+        f"{cores[0]:.0f} cores of edges and {cores[1]:.0f} of hosts as fast as this one, and "
+        f"{links:.0f} gigabit links in place of {DEFAULT_RATIO * links:.0f}."
+    )
+    page.section("Bodies of many patches", table, line, side=PATCH_SIDE)
+    return line
+
+
+def stages(page: Page, quick: bool, seed: int) -> list[str]:
+    """Age of a frame when it is reconstructed, by stage, in real graphs."""
+    points = latency.points(quick, seed)
+    rows = pd.DataFrame(compute_rows(latency.measure, points, page.out, "serial", "latency"))
+    sizes = {scene: size for size, scene in latency.SCENES.items()}
+    rows["skin"] = rows["scene"].map(sizes)
+    rows["reconstructed"] = np.where(rows["depth"] > 0, "newest", "all")
+    rows["monitor"] = np.where(rows["monitor"], "yes", "no")
+    page.csv("latency", rows)
+    headings = {"frames": "frames", "skipped": "skipped", "lost": "lost"}
+    headings |= {f"{name}_ms": f"{name} ms" for name in latency.QUANTILES}
+    headings |= {f"p50 {stage}": stage for stage in latency.STAGES}
+    names = ["skin", "preset", "reconstructed", "monitor"]
+    formats = {f"{name} ms": ".2f" for name in latency.QUANTILES}
+    busiest = rows["others"].max()
+    busy = (
+        f"**The host was busy: other work used up to {busiest:.1f} cores meanwhile. Times are too "
+        "long, the tails most of all.**"
+    )
+    page.section(
+        "From acquisition to reconstruction",
+        busy if busiest > QUIET else "",
+        markdown(
+            rows[[*names, *headings]].rename(columns=headings),
+            formats | dict.fromkeys(latency.STAGES, ".3f"),
+        ),
+        warm_up=latency.WARM_UP,
+    )
+    alone = rows[(rows["preset"] == "skin") & (rows["depth"] == 0) & (rows["monitor"] == "no")]
+    text = "All frames of {skin} taxels at 1 kHz: half of them are reconstructed {p50_ms:.2f} ms "
+    return cells(alone, text + "after their acquisition, 99 % within {p99_ms:.2f} ms.")

@@ -1,0 +1,165 @@
+"""Frames, readings, solvers and scores that the parts of the stability study share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.studies.frames import scene_frames
+
+#: Scene, first frame, stop and stride: an impact frame by frame, and at 100 Hz a wrench dragged
+#: and a light peg on its way.
+EXCERPTS = (
+    ("lift_box_40", 316, 356, 1),
+    ("drag_wrench_40", 2500, 2900, 10),
+    ("path_40", 1500, 1900, 10),
+)
+SHAPE = (40, 40)
+N = math.prod(SHAPE)
+BLOWN_UP_DB = -100.0
+"""PSNR that stands for a reconstruction that is not finite."""
+MAX_PADS, MAX_SIDE = 300, 12
+SCORES = ("psnr_db", "touched_db", "noisy_psnr_db", "noisy_touched_db")
+"""Figures of reconstructed frames and of readings, as `mean_scores` returns them."""
+
+
+@cache
+def excerpt(k: int) -> Floats:
+    """True forces of excerpt k of `EXCERPTS`, float32 of shape (40, 40, 40), N."""
+    scene, first, stop, every = EXCERPTS[k]
+    frames = np.stack([truth for truth, _ in scene_frames(scene, 0, first, stop, every)])
+    frames.setflags(write=False)
+    return frames
+
+
+def read_excerpts(
+    seed: int, factor: float = 1.0
+) -> Iterator[tuple[Floats, Floats, np.random.Generator]]:
+    """Yield each excerpt: true forces, readings, and the generator of its noise."""
+    for k in range(len(EXCERPTS)):
+        rng = np.random.default_rng((seed, k))
+        yield excerpt(k), read(excerpt(k), rng, factor), rng
+
+
+def read(truth: Floats, rng: np.random.Generator, factor: float = 1.0) -> Floats:
+    """Readings of true forces: the paper's noise times a factor, clipped to the range."""
+    paper = NoiseModel.for_range(PAPER_F_MAX_N)
+    sigmas = [min(factor * sigma, PAPER_F_MAX_N) for sigma in (paper.sigma_mid, paper.sigma_end)]
+    return NoiseModel(PAPER_F_MAX_N, *sigmas).apply(truth, rng)
+
+
+def solver_for(
+    name: str, phi: Phi, shape: tuple[int, int], mask: Mask | None = None, **changed: Any
+) -> Solver:
+    """A solver with the settings of its preset, or its defaults, some of them changed."""
+    presets = (preset for preset in PRESETS.values() if preset["solver"] == name)
+    settings = {"basis": "haar", **next(presets, {}), **changed}
+    settings.pop("solver", None)
+    basis = make_basis(settings.pop("basis"), *shape)
+    return make_solver(name, phi, basis, mask, **settings)
+
+
+def reconstruct(solver: Solver, ys: Floats) -> Floats:
+    """Reconstruct frame after frame; a frame that blows up is NaN."""
+    frames = []
+    for y in ys:
+        with np.errstate(all="ignore"):  # a solver that diverges is expected to overflow
+            try:
+                frames.append(solver.solve(y))
+            except SolverError:
+                frames.append(np.full(solver.mask.shape, np.nan, np.float32))
+    return np.stack(frames)
+
+
+def measured(phi: Phi, frames: Floats, mask: Mask | None = None) -> Floats:
+    """Measurements of frames, float32 of shape (n_frames, m)."""
+    return phi.forward(frames.reshape(len(frames), -1) if mask is None else frames[:, mask])
+
+
+def frame_errors(frames: Floats, truth: Floats, mask: Mask | None = None) -> list[float]:
+    """Mean squared error of each frame, N^2; `inf` where it is not finite."""
+    off = (frames - truth).reshape(len(truth), -1) if mask is None else (frames - truth)[:, mask]
+    with np.errstate(all="ignore"):
+        errors = np.mean(off.astype(np.float64) ** 2, axis=1)
+    return [float(error) if math.isfinite(error) else math.inf for error in errors]
+
+
+def psnr_of(error: float) -> float:
+    """PSNR in dB of a mean squared error in N^2, from `BLOWN_UP_DB` to 100."""
+    if error <= 0.0:
+        return 100.0
+    if not math.isfinite(error):
+        return BLOWN_UP_DB
+    return max(BLOWN_UP_DB, min(100.0, 10.0 * math.log10(PAPER_F_MAX_N**2 / error)))
+
+
+def mean_psnr(errors: Sequence[float], truth: Floats) -> float:
+    """Mean PSNR in dB over the frames in contact."""
+    contact = truth.reshape(len(truth), -1).max(axis=1) > CONTACT_FRACTION * PAPER_F_MAX_N
+    return float(np.mean([psnr_of(e) for e, c in zip(errors, contact, strict=True) if c]))
+
+
+def touched_snr(frames: Floats, truth: Floats, mask: Mask | None = None) -> float:
+    """Signal over error on the taxels that are truly pressed, dB; 0 for frames of zeros.
+
+    In PSNR, a peg that presses 14 taxels of 1600 hardly counts.
+    """
+    pressed = truth > 0.0 if mask is None else (truth > 0.0) & mask
+    with np.errstate(all="ignore"):
+        error = float(np.sum(np.square(frames - truth, dtype=np.float64)[pressed]))
+    if not math.isfinite(error):
+        return BLOWN_UP_DB
+    signal = float(np.sum(np.square(truth[pressed], dtype=np.float64)))
+    return max(BLOWN_UP_DB, 10.0 * math.log10(signal / max(error, 1e-12)))
+
+
+def scores(frames: Floats, readings: Floats, truth: Floats, mask: Mask) -> list[float]:
+    """`SCORES` of one excerpt, dB: PSNR over contact frames, SNR over touched taxels, of both."""
+    found = []
+    for some in (frames, readings):
+        errors = frame_errors(some, truth, mask)
+        found += [mean_psnr(errors, truth), touched_snr(some, truth, mask)]
+    return found
+
+
+def mean_scores(found: Sequence[Sequence[float]]) -> dict[str, float]:
+    """Means over the excerpts of what `scores` returns, by name."""
+    return dict(zip(SCORES, np.mean(found, axis=0).tolist(), strict=True))
+
+
+def contacts(shape: tuple[int, int], n_coefficients: int, rng: np.random.Generator) -> Floats:
+    """Pads pressed on the skin until the frame has about so many Haar coefficients.
+
+    `n_coefficients`, K, is met within a tenth where pads of whole taxels allow it; never more.
+    Returns forces in newtons, 0.2 to 1.5 under each pad: float32, shape (n_rows, n_cols).
+    """
+    basis = make_basis("haar", *shape)
+    frame = np.zeros(shape, np.float32)
+    for _ in range(MAX_PADS):
+        sides = rng.integers(1, MAX_SIDE + 1, 2)
+        row, col = rng.integers(0, np.array(shape) - sides + 1)
+        trial = frame.copy()
+        trial[row : row + sides[0], col : col + sides[1]] = rng.uniform(0.2, 1.5)
+        count = count_coefficients(basis.analysis(trial))
+        if count <= n_coefficients:
+            frame = trial
+            if count > 0.9 * n_coefficients:
+                break
+    return frame
+
+
+def count_coefficients(theta: Floats) -> int:
+    """Number of coefficients of a noise-free frame that are not 0 beyond rounding."""
+    return int(np.count_nonzero(np.abs(theta) > 1e-5 * PAPER_F_MAX_N))

@@ -1,0 +1,31 @@
+"""The study `stability`: where each method fails, why, and what the program does about it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sparseskin.studies.report import Page
+
+from . import change, contact, phase, sweeps
+
+
+def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
+    """Compute the study, write its page and return its conclusion; see `command.Study`."""
+    page = Page(out, "stability", Path(__file__).with_name("notes.md"), quick)
+    integrators = contact.section(page, quick, seed, executor)
+    phase.section(page, quick, seed, executor)
+    sweeps.settings_section(page, quick, seed, executor)
+    events = change.section(page, quick, seed, executor)
+    sweeps.faults_section(page, quick, seed, executor)
+    parts = map(" ".join, zip(integrators["integrator"], integrators["unstable"], strict=True))
+    slowest = events.loc[events["frames_until_settled"].idxmax()]
+    lowest = events.loc[events["settled_db"].idxmin()]
+    lines = [
+        f"Contact: share of the places where an integrator is unstable: {', '.join(parts)}.",
+        f"Sudden change: settled after {slowest['frames_until_settled']} frames at most, solver "
+        f"{slowest['solver']}, N/{slowest['ratio']}, {slowest['event']}.",
+        f"It settles lowest, at {lowest['settled_db']:.1f} dB, with solver {lowest['solver']}, "
+        f"N/{lowest['ratio']}, {lowest['event']}.",
+    ]
+    page.write(lines)
+    return lines

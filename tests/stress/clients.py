@@ -1,0 +1,101 @@
+"""A tool at the other end of a bridge: python -m stress.clients KIND ADDRESS [N].
+
+It reads all that is sent; a line on stdout once it has read the first. With N, it ends with the
+frame whose stamp is N ms, and prints how many frames of 1 to N ms it has read.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+MAP = "/skin/reconstruction"
+HISTORY = 1000
+"""Samples that DDS keeps for this reader: more than come while it does not run."""
+CDR_HEAD = 4
+_STAMP = struct.Struct("<iI")  # of a header of ROS: seconds, nanoseconds
+_MESSAGE = struct.Struct("<BIQ")  # 1, number of the subscription, time in ns
+
+
+def foxglove(address: str) -> Iterator[int]:
+    """Subscribe to image, grid and figures of the reconstruction; yield stamps of images, ns."""
+    from websockets.sync.client import connect
+
+    options: dict[str, Any] = {"subprotocols": ["foxglove.sdk.v1"], "max_size": None}
+    with connect(address, **options) as socket:
+        channels: dict[str, int] = {}
+        wanted = [MAP, f"{MAP}/grid", f"{MAP}/figures"]
+        while not set(wanted) <= channels.keys():
+            found = json.loads(socket.recv())
+            channels |= {one["topic"]: one["id"] for one in found.get("channels", ())}
+        asked = [{"id": k, "channelId": channels[name]} for k, name in enumerate(wanted, 1)]
+        socket.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+        while True:
+            data = socket.recv()
+            if isinstance(data, bytes):
+                _, number, stamp_ns = _MESSAGE.unpack_from(data)
+                if number == 1:
+                    yield stamp_ns
+
+
+def ros2(address: str) -> Iterator[int]:
+    """Subscribe to image, points and array of the reconstruction, on a DDS domain; yield the stamps
+    of images, ns.
+    """
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic
+    from cyclonedds.util import duration
+
+    from sparseskin.nodes.bridges import dds
+
+    member = dds.participant(int(address), "lo")
+    types: dict[str, Any] = {
+        "": dds.Image,
+        "/points": dds.PointCloud2,
+        "/array": dds.Float32MultiArray,
+    }
+    readers: list[Any] = [
+        DataReader(member, Topic(member, f"rt{MAP}{ending}", cls), qos=dds.quality(HISTORY))
+        for ending, cls in types.items()
+    ]
+    while True:
+        for image in readers[0].take_iter(timeout=duration(milliseconds=100)):
+            for other in readers[1:]:
+                other.take(N=100)
+            sec, nanosec = _STAMP.unpack_from(image.cdr, CDR_HEAD)
+            yield 1_000_000_000 * sec + nanosec
+
+
+def lerobot(address: str) -> Iterator[int]:
+    """Subscribe as LeRobot's ZMQ camera does; yield the stamps of frames, ns."""
+    import zmq
+
+    socket: Any = zmq.Context().socket(zmq.SUB)
+    socket.setsockopt_string(zmq.SUBSCRIBE, "")
+    socket.setsockopt(zmq.CONFLATE, True)
+    socket.connect(address)
+    while True:
+        (stamp_s,) = json.loads(socket.recv_string())["timestamps"].values()
+        yield round(1e9 * stamp_s)
+
+
+def main(kind: str, address: str, last_ms: int | None = None) -> None:
+    """Read until the frame `last_ms`, or for ever."""
+    stamps = {"foxglove": foxglove, "ros2": ros2, "lerobot": lerobot}[kind](address)
+    next(stamps)
+    print("reads", flush=True)
+    found: set[int] = set()
+    for stamp_ns in stamps:
+        found.add(stamp_ns // 1_000_000)
+        if stamp_ns // 1_000_000 == last_ms:
+            print(sum(1 <= ms <= last_ms for ms in found), flush=True)
+            return
+        if last_ms is None:
+            found.clear()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2], int(sys.argv[3]) if len(sys.argv) > 3 else None)

@@ -1,0 +1,40 @@
+"""Sizes of stress tests, small with all other tests and large with `make stress`; figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from stress.graphs import FULL
+
+_FIGURES = pytest.StashKey[dict[str, list[dict[str, Any]]]]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash[_FIGURES] = {}
+
+
+@pytest.fixture(scope="session")
+def full() -> bool:
+    """True if the tests run at the sizes whose figures stand in the documents."""
+    return FULL
+
+
+@pytest.fixture
+def note(request: pytest.FixtureRequest) -> Callable[..., None]:
+    """Note a line of figures, under the name of the test module; all are printed at the end."""
+    rows = request.config.stash[_FIGURES].setdefault(request.path.stem, [])
+    return lambda **figures: rows.append(figures)
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    for name, rows in config.stash[_FIGURES].items() if FULL else ():
+        columns = list(dict.fromkeys(key for row in rows for key in row))
+        terminalreporter.section(name)
+        for cells in (
+            columns,
+            ["---"] * len(columns),
+            *([row.get(c, "") for c in columns] for row in rows),
+        ):
+            terminalreporter.write_line("| " + " | ".join(map(str, cells)) + " |")

@@ -1,0 +1,418 @@
+"""A graph launched as its user launches it, observed from outside: processes, files, frames."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import zmq
+
+from sparseskin.launch.run.control_socket import ControlClient
+from sparseskin.messages import MessageError, decode
+from sparseskin.nodes.clock import SystemClock
+from sparseskin.nodes.compressor.phi.rotation import FIXED
+from sparseskin.nodes.network.keys import read_key_pair
+from sparseskin.nodes.network.sockets import Reader, make_context
+
+FULL = bool(os.environ.get("SPARSESKIN_STRESS"))
+"""True if tests run at the sizes whose figures stand in the documents: `make stress`."""
+PATIENCE_S = 120.0
+"""Time after which a wait fails: far beyond what anything takes that goes well."""
+LOOK_S = 0.005
+RATE_HZ = 100.0
+FRESH_NS = 500_000_000
+"""Age at which a frame that comes is one that did not wait for older ones."""
+TESTS = Path(__file__).resolve().parents[1]
+_MARK = "SPARSESKIN_GRAPH_RUN"
+_PROGRAM = (sys.executable, "-m", "sparseskin.launch.commands.entry")
+_SENSED, _RECONSTRUCTED = "/skin/taxels", "/skin/reconstruction"
+
+
+class GraphError(Exception):
+    """A graph does not do what is waited for."""
+
+
+class GraphRun:
+    """One run of `sparseskin launch`, to be used in a `with`: nothing of it outlives that.
+
+    Parameters
+    ----------
+    launch : str
+        Text of a launch file, or the name of one; nodes of this folder are "stress.MODULE:CLASS".
+    *arguments : str
+        Further arguments of the command.
+    folder : Path, optional
+        Empty folder in which it runs, and which keeps its output and its files; by default a
+        temporary one, which is removed at the end.
+    environment : mapping of str to str, optional
+        Environment variables that differ from those of this process.
+
+    Raises
+    ------
+    GraphError
+        If the graph does not become ready.
+    """
+
+    def __init__(
+        self,
+        launch: str,
+        *arguments: str,
+        folder: Path | None = None,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        self._is_temporary = folder is None
+        self.folder = (folder or Path(tempfile.mkdtemp(prefix="sparseskin-graph-"))).resolve()
+        self.folder.mkdir(parents=True, exist_ok=True)
+        if "\n" in launch:
+            (self.folder / "graph.toml").write_text(launch)
+            launch = "graph.toml"
+        self._mark = uuid.uuid4().hex
+        self.notes = self.folder / "notes"
+        """Folder of this run's notes, so that no other graph on the host is found in its place."""
+        self.environment = {
+            **os.environ,
+            _MARK: self._mark,
+            "SPARSESKIN_RUNTIME_DIR": str(self.notes),
+            "XDG_STATE_HOME": str(self.folder / "state"),
+            "PYTHONPATH": str(TESTS),
+            **(environment or {}),
+        }
+        self.stack = contextlib.ExitStack()
+        """Contexts that end before the graph is killed."""
+        out, err = ((self.folder / f"{name}.txt").open("wb") for name in ("stdout", "stderr"))
+        with out, err:
+            arguments = ("launch", launch, "--summary", "summary.json", *arguments)
+            self.process = self.start(*arguments, stdout=out, stderr=err, start_new_session=True)
+        self._client: ControlClient | None = None
+        self._state: dict[str, Any] = {}
+        self._n_requests = 0
+        try:
+            self.wait_for("[launch] ready")
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def start(self, *arguments: str, **options: Any) -> subprocess.Popen[bytes]:
+        """Start a command `sparseskin` that sees this graph; `options` are those of `Popen`."""
+        command = [*_PROGRAM, *arguments]
+        return subprocess.Popen(command, cwd=self.folder, env=self.environment, **options)
+
+    @property
+    def log(self) -> list[str]:
+        """Lines that launcher and nodes have logged so far, without their times."""
+        text = (self.folder / "stderr.txt").read_text(errors="replace")
+        return [re.sub(r"^\d\d:\d\d:\d\d\.\d{3} ", "", line) for line in text.splitlines()]
+
+    def wait_for(self, token: str) -> str:
+        """Wait until a line of the log holds a token; the last such line."""
+        found: list[str] = []
+
+        def has_come() -> bool:
+            ended = self.process.poll() is not None
+            found[:] = [line for line in self.log if token in line]
+            if ended and not found:
+                raise GraphError(f"the graph ended without {token!r}: {self.log[-5:]}")
+            return bool(found)
+
+        wait_until(has_come, repr(token))
+        return found[-1]
+
+    def page(self) -> str:
+        """Address of the live page, once it is served."""
+        found = re.search(r"live page: (\S+)", self.wait_for("live page: "))
+        assert found is not None
+        return found[1]
+
+    def note(self) -> dict[str, Any]:
+        """The launcher's note of the graph, by which other programs find it."""
+        found: list[dict[str, Any]] = []
+
+        def is_there() -> bool:
+            with contextlib.suppress(ValueError, OSError):
+                notes = [json.loads(path.read_text()) for path in self.notes.glob("*.json")]
+                found.extend(note for note in notes if note["nodes"])  # none while it starts
+            return bool(found)
+
+        wait_until(is_there, "the graph's note")
+        return found[0]
+
+    def processes(self) -> dict[int, str]:
+        """Command lines of all processes of this run, by process number."""
+        mark, found = f"{_MARK}={self._mark}".encode(), {}
+        for folder in Path("/proc").iterdir():
+            if folder.name.isdecimal():
+                with contextlib.suppress(OSError):
+                    if mark in (folder / "environ").read_bytes().split(b"\0"):
+                        line = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
+                        found[int(folder.name)] = line.decode(errors="replace")
+        return found
+
+    def nodes(self) -> dict[str, int]:
+        """Process numbers of the nodes that run, by name."""
+        return {
+            found[1]: pid
+            for pid, line in self.processes().items()
+            if (found := re.search(r"sparseskin\.nodes\.process\.run_node (\S+)\s*$", line))
+        }
+
+    def stopped(self, before: Mapping[str, int], *but: str) -> list[str]:
+        """Nodes, except those named, that are gone or run as another process than before."""
+        now = self.nodes()
+        return [name for name, pid in before.items() if name not in but and now.get(name) != pid]
+
+    def state(self) -> dict[str, dict[str, Any]]:
+        """Newest state of each node that the launcher has published, by name."""
+        if self._client is None:
+            path = self.notes / f"{self.process.pid}.sock"
+            wait_until(path.exists, "the control socket")
+            self._client = self.stack.enter_context(closing(ControlClient(str(path))))
+            self._client.send({"watch": True})
+        for fields in self._client.receive() or ():
+            if "graph" in fields:
+                self._state = {node["name"]: node for node in fields["graph"]["nodes"]}
+        return self._state
+
+    def ask(self, node: str, command: str, value: Any) -> None:
+        """Send a node a command, as the terminal of the graph does."""
+        self.state()
+        assert self._client is not None
+        self._n_requests += 1
+        number = str(self._n_requests)
+        self._client.send({"id": number, "node": node, "command": command, "value": value})
+
+    def end(self) -> int:
+        """End the graph as Ctrl-C does, wait for it, and return its exit code."""
+        with contextlib.suppress(ProcessLookupError):
+            self.process.send_signal(signal.SIGINT)
+        return self.wait()
+
+    def wait(self, patience_s: float | None = PATIENCE_S) -> int:
+        """Wait for the end of the graph, for ever where `patience_s` is None; the exit code."""
+        try:
+            return self.process.wait(patience_s)
+        except subprocess.TimeoutExpired as error:
+            raise GraphError(f"the graph does not end: {self.log[-5:]}") from error
+
+    def summary(self) -> dict[str, Any]:
+        """The summary that the graph has written as it ended."""
+        found: dict[str, Any] = json.loads((self.folder / "summary.json").read_text())
+        return found
+
+    def left_behind(self) -> list[str]:
+        """Processes, notes and unfinished files that are there after the end; to be empty."""
+        left = [f"process {line.strip()}" for line in self.processes().values()]
+        if self.notes.is_dir():
+            left += [f"note {path.name}" for path in self.notes.iterdir()]
+        for pattern in ("*.part", "core*"):
+            left += [f"file {path.name}" for path in self.folder.glob(pattern)]
+        return left
+
+    def shared_memory(self) -> list[str]:
+        """Files in /dev/shm that processes of the graph have mapped, while it runs."""
+        found = []
+        for pid in self.processes():
+            with contextlib.suppress(OSError):
+                text = Path(f"/proc/{pid}/maps").read_text()
+                found += [line.split()[-1] for line in text.splitlines() if "/dev/shm/" in line]
+        return found
+
+    def close(self) -> None:
+        """Kill all processes that are left, and remove a temporary folder."""
+        self.stack.close()
+        for pid in self.processes():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        self.process.wait()
+        if self._is_temporary:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def launch_text(
+    nodes: Mapping[str, Mapping[str, Any]], graph: Mapping[str, Any] | None = None
+) -> str:
+    """Text of a launch file: settings of each node by its name, which is its type where none is
+    stated, and of the table [graph]; keys whose value is None are left out.
+    """
+    tables = {f"nodes.{name}": {"type": name, **settings} for name, settings in nodes.items()}
+    return "".join(
+        f"[{table}]\n"
+        + "".join(
+            f"{key} = {json.dumps(value)}\n" for key, value in values.items() if value is not None
+        )
+        for table, values in {"graph": graph or {}, **tables}.items()
+    )
+
+
+def wait_until(done: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> float:
+    """Poll a condition until it is true; the seconds that it took.
+
+    Raises
+    ------
+    GraphError
+        If it takes longer than `patience_s`.
+    """
+    began_s = time.monotonic()
+    while not done():
+        if time.monotonic() > began_s + patience_s:
+            raise GraphError(f"gave up waiting for {what}")
+        time.sleep(LOOK_S)
+    return time.monotonic() - began_s
+
+
+def graph_text(graph: Mapping[str, Any] | None = None, **changed: Mapping[str, Any]) -> str:
+    """Launch file of the graph to which faults are done, with changed settings of the graph and of
+    nodes by name. Faults follow each other within the restart window, and each is to count as the
+    first.
+    """
+    nodes: dict[str, dict[str, Any]] = {
+        "sensor": {"source": "scene:path_40", "rate_hz": RATE_HZ},
+        "compressor": {"rows": FIXED},
+        "reconstructor": {"preset": "skin"},
+        "monitor": {"page": False},
+    }
+    nodes = {name: {**settings, **changed.get(name, {})} for name, settings in nodes.items()}
+    restarts = {"restart": "on-failure", "restart_window_s": 1}
+    return launch_text(nodes, {**restarts, **(graph or {})})
+
+
+class Seen(NamedTuple):
+    """Stamp of a frame and time of its arrival, ns on the graph's clock."""
+
+    stamp_ns: int
+    came_ns: int
+
+
+class Probe:
+    """Notes each frame of the patch "skin" that is acquired or reconstructed, in a thread.
+
+    Attributes
+    ----------
+    sensed, reconstructed : list of Seen
+        Frames that have come so far, in order.
+    """
+
+    def __init__(self, graph: GraphRun) -> None:
+        note = graph.note()
+        self._clock = SystemClock(note["offset_ns"])
+        self.sensed: list[Seen] = []
+        self.reconstructed: list[Seen] = []
+        self._seen = {_SENSED: self.sensed, _RECONSTRUCTED: self.reconstructed}
+        keys = read_key_pair(Path(note["key_file"])) if note["key_file"] else None
+        self._context = make_context()
+        topics = list(self._seen)
+        self._reader = Reader(self._context, "probe", (), topics, present=False, keys=keys)
+        for node in note["nodes"].values():
+            if any(topic in node["outputs"] for topic in topics):
+                self._reader.connect(node["endpoint"], node["key"])
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._read, name="probe", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._closing.set()
+        self._thread.join()
+        self._context.destroy(linger=0)
+
+    def now_ns(self) -> int:
+        """Time on the graph's clock."""
+        return self._clock.now_ns()
+
+    def lost(self, since_ns: int) -> tuple[int, int]:
+        """Frames acquired since a time and not reconstructed, and frames acquired; from the first
+        whose reconstruction came, as that subscription may begin after the other, up to the newest
+        that was reconstructed, for later ones may still be on their way.
+        """
+        done = {seen.stamp_ns for seen in list(self.reconstructed)}
+        until_ns = max(done, default=0)
+        since_ns = max(since_ns, min(done, default=0) - 1)
+        sensed = {seen.stamp_ns for seen in list(self.sensed)}
+        sensed = {stamp_ns for stamp_ns in sensed if since_ns < stamp_ns <= until_ns}
+        return len(sensed - done), len(sensed)
+
+    def wait_for_frame(self, after_ns: int | None = None, max_age_ns: float = FRESH_NS) -> float:
+        """Wait for the reconstruction of a frame acquired after a time, by default now, that is no
+        older than `max_age_ns` as it comes; the seconds from that time until it came.
+        """
+        begin_ns = self.now_ns() if after_ns is None else after_ns
+        found: list[Seen] = []
+
+        def has_come() -> bool:
+            for seen in reversed(list(self.reconstructed)):
+                if seen.stamp_ns <= begin_ns:
+                    break
+                if seen.came_ns - seen.stamp_ns < max_age_ns:
+                    found[:] = [seen]
+            return bool(found)
+
+        wait_until(has_come, "the reconstruction of a frame acquired after the fault")
+        return (found[0].came_ns - begin_ns) / 1e9
+
+    def _read(self) -> None:
+        poller = zmq.Poller()
+        poller.register(self._reader.socket, zmq.POLLIN)
+        while not self._closing.is_set():
+            poller.poll(20)
+            while (parts := self._reader.receive()) is not None:
+                try:
+                    message = decode(*parts)
+                except MessageError:
+                    continue
+                if message.topic in self._seen:
+                    self._seen[message.topic].append(Seen(message.stamp_ns, self.now_ns()))
+
+
+class ObservedGraph(GraphRun):
+    """A graph with a probe beside it; arguments as those of `GraphRun`."""
+
+    def __init__(self, launch: str, *arguments: str, **options: Any) -> None:
+        super().__init__(launch, *arguments, **options)
+        self.probe = self.stack.enter_context(Probe(self))
+        self.begin()
+
+    def begin(self) -> None:
+        """Observe from now on: frames that are lost, nodes that stop."""
+        self.began_ns, self._before = self.probe.now_ns(), self.nodes()
+
+    def outcome(self, finding: str, *but: str, recover_s: float | None = None) -> dict[str, Any]:
+        """End the graph; what was lost and what stopped, except nodes named; see `outcome_of`."""
+        lost, n_sensed = self.probe.lost(self.began_ns)
+        stopped = self.stopped(self._before, *but)
+        self.end()
+        return outcome_of(finding, self.left_behind(), recover_s, lost, n_sensed, stopped)
+
+
+def outcome_of(
+    finding: str,
+    left: list[str],
+    recover_s: float | None = None,
+    lost: int = 0,
+    of: int | None = None,
+    stopped: list[str] | None = None,
+) -> dict[str, Any]:
+    """Outcome of a fault: `finding` is free text, `of` the frames acquired."""
+    recover_s = None if recover_s is None else round(recover_s, 3)
+    found = {"recover_s": recover_s, "lost": lost, "of": of, "stopped": stopped or []}
+    return {**found, "left": left, "finding": finding}

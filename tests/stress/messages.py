@@ -1,0 +1,293 @@
+"""Hostile messages on the sockets of nodes that run: sound ones, mutated, and sound ones after."""
+
+from __future__ import annotations
+
+import selectors
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import zmq
+from stress.graphs import wait_until
+
+from sparseskin.launch.launchfile.spec import NodeSpec
+from sparseskin.launch.run.process import NodeProcess
+from sparseskin.messages import End, Message, encode
+from sparseskin.messages.topics import split_topic
+from sparseskin.messages.wire import wire_parts
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import wall_offset_ns
+from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.host import is_latched
+from sparseskin.nodes.network.sockets import Writer, make_context
+from sparseskin.nodes.node import Node
+from sparseskin.nodes.process.proc import resident_bytes
+from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.registry import make_settings, node_class
+from sparseskin.nodes.sensor.node import Sensor
+from sparseskin.nodes.settings import Settings
+
+TYPES = ("compressor", "reconstructor", "monitor", "recorder")
+N_SOUND = 10
+N_PARTS = 10
+"""Equal parts of the messages; memory is measured after each."""
+SUBSCRIPTIONS = 0.1
+"""Hostile subscriptions to what the node writes, as a part of the messages it reads."""
+ANY = "tcp://127.0.0.1:*"
+SIDE = 8
+HOSTILE_RUN = "00000000000000aa"
+SOUND_RUN = "00000000000000bb"
+MAX_RANDOM_BYTES = 300
+
+
+class _Endless:
+    """Frames of true forces on a small skin, for a sensor."""
+
+    delivers = "truth"
+
+    def __iter__(self) -> Iterator[tuple[int, Any]]:
+        stamp_ns = 0
+        while True:
+            stamp_ns += 1_000_000
+            yield stamp_ns, np.linspace(0, 1, SIDE * SIDE, dtype=np.float32).reshape(SIDE, SIDE)
+
+
+def small_skin() -> _Endless:
+    """The driver `stress.messages:small_skin`."""
+    return _Endless()
+
+
+class _Tap(Node[Settings]):
+    """Keeps all messages of a graph."""
+
+    def __init__(self, settings: Settings, context: Any) -> None:
+        super().__init__(settings, context)
+        self.kept: list[Message] = []
+
+    @classmethod
+    def inputs(cls, settings: Settings) -> tuple[str, ...]:
+        return ("*",)
+
+    def step(self, message: Message) -> Iterable[Message]:
+        self.kept.append(message)
+        return ()
+
+
+def sound_messages(run_id: str, n_frames: int) -> list[Message]:
+    """All messages that a graph of one small patch sends in some frames, as one run."""
+    bus = Bus(
+        {
+            "sensor": (Sensor, Sensor.Settings(source=f"{__name__}:small_skin")),
+            "compressor": (Compressor, Compressor.Settings()),
+            "reconstructor": (Reconstructor, Reconstructor.Settings()),
+            "tap": (_Tap, Settings()),
+        }
+    )
+    bus.run(n_frames)
+    tap = bus.hosts["tap"].node
+    assert isinstance(tap, _Tap)
+    return [message.published(run_id, message.seq) for message in tap.kept]
+
+
+def ends(topics: Iterable[str], run_id: str, n_messages: int) -> list[End]:
+    """The end of each topic."""
+    return [
+        End(stamp_ns=1, patch=patch, run_id=run_id, of=name, n_messages=n_messages)
+        for patch, name in map(split_topic, topics)
+    ]
+
+
+def hostile_parts(
+    topics: Sequence[str], n: int, rng: np.random.Generator
+) -> Iterator[tuple[bytes, ...]]:
+    """`n` random or mutated messages under the topics that a node listens to."""
+    sound = sound_messages(HOSTILE_RUN, 1)
+    good = [encode(message) for message in sound if message.topic in topics]
+    frames = [
+        tuple(map(bytes, wire_parts(message)))
+        for message in sound
+        if message.topic in topics and not message.latched
+    ]
+    for _ in range(n):
+        topic, payload = good[rng.integers(len(good))]
+        match rng.integers(7):
+            case 0:
+                yield topic, rng.bytes(int(rng.integers(0, MAX_RANDOM_BYTES)))
+            case 1:
+                yield topic, payload[: rng.integers(len(payload))]
+            case 2:
+                yield topic, good[rng.integers(len(good))][1] + rng.bytes(int(rng.integers(1, 9)))
+            case 3:
+                yield (topic, payload, b"one part too many")
+            case 4:
+                yield topic, good[rng.integers(len(good))][1]  # sound, but perhaps not here
+            case 5:
+                yield topic, _mutated(payload, rng)
+            case _:  # one part of a frame is another one, or missing
+                parts = list(frames[rng.integers(len(frames))])
+                place = 1 + int(rng.integers(len(parts) - 1))
+                other = frames[rng.integers(len(frames))][-1]
+                parts[place] = (_mutated(parts[place], rng), other, b"")[rng.integers(3)]
+                yield tuple(parts[: len(parts) - int(rng.integers(2))])
+
+
+def _mutated(payload: bytes, rng: np.random.Generator) -> bytes:
+    """A copy with up to five bytes changed."""
+    mutated = bytearray(payload)
+    for place in rng.integers(len(mutated), size=rng.integers(1, 6)):
+        mutated[place] = rng.integers(256)
+    return bytes(mutated)
+
+
+def hostile_subscription(rng: np.random.Generator) -> bytes:
+    """Random bytes from a reader to a writer: a subscription, an unasked answer, or anything."""
+    what = rng.bytes(int(rng.integers(0, MAX_RANDOM_BYTES)))
+    return (b"", b"\0", b"\x01", b"\x01@", b"\x01@probe#node:", b"\0@")[rng.integers(6)] + what
+
+
+class Harness:
+    """A node in a process of its own, joined to this program alone; to be used in a `with`.
+
+    It has the settings `values` and reads `topics` from `writer`; `streams` are those topics that
+    are not latched.
+    """
+
+    def __init__(self, type_name: str, values: dict[str, Any], topics: list[str]) -> None:
+        self.context = make_context()
+        self.writer = Writer(self.context, ANY)
+        # With one reader it is safe to wait for it instead of dropping what it has no room for.
+        self.writer.socket.setsockopt(zmq.XPUB_NODROP, 1)
+        self.topics = topics
+        self.streams = [topic for topic in topics if not is_latched(topic)]
+        cls = node_class(type_name)
+        spec = NodeSpec(type_name, type_name, cls, values, make_settings(cls, values))
+        settings = {"name": type_name, "type": type_name, "settings": values, "endpoint": ANY}
+        joined = {"readers": [], "inputs": topics, "offset_ns": wall_offset_ns()}
+        self.node = NodeProcess(spec, {**settings, **joined, "max_frames": None})
+        self.events: list[dict[str, Any]] = []
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self.node.pipes[0], selectors.EVENT_READ)
+
+    def __enter__(self) -> Self:
+        self.event("bound")
+        peers = [{"writer": "fuzzer", "endpoint": self.writer.endpoint}]
+        self.node.command("connect", peers=peers)
+        self.event("ready")
+
+        def present() -> bool:
+            self.writer.serve_subscriptions()
+            return self.node.name in self.writer.present
+
+        wait_until(present, "the subscription")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.node.command("stop")
+        self.node.close()
+        self._selector.close()
+        self.context.destroy(linger=0)
+
+    def event(self, name: str) -> dict[str, Any]:
+        """Wait for an event of the node; Raises GraphError if it does not come."""
+
+        def came() -> bool:
+            self._selector.select(0.05)
+            self.events += self.node.read()[0]
+            return any(event["event"] == name for event in self.events)
+
+        wait_until(came, f"the event {name} of the {self.node.name}")
+        return next(event for event in self.events if event["event"] == name)
+
+    def write(self, parts: Iterable[tuple[bytes, ...]]) -> None:
+        """Publish messages as they stand; events of the node meanwhile are read."""
+        for k, part in enumerate(parts):
+            self.writer.socket.send_multipart(part)
+            if k % 1000 == 0:
+                self.events += self.node.read()[0]
+
+    def send(self, messages: Iterable[Message]) -> None:
+        """Publish messages of its topics."""
+        self.write(wire_parts(message) for message in messages if message.topic in self.topics)
+
+    def subscribe(self, notes: Iterable[bytes]) -> None:
+        """Send the node subscriptions, as they stand, over one connection."""
+        reader = self.context.socket(zmq.XSUB)
+        reader.connect(self.event("bound")["endpoint"])
+        for note in notes:
+            reader.send(note)
+        reader.close(linger=5000)
+
+    def drained(self) -> None:
+        """Wait until the node has read all that was published."""
+        ask = self.writer.ask()
+
+        def answered() -> bool:
+            self.writer.serve_subscriptions()
+            self.events += self.node.read()[0]
+            return not self.writer.awaits(ask)
+
+        wait_until(answered, f"the {self.node.name} to read everything", 600.0)
+
+    def memory_mb(self) -> float:
+        """Resident memory of the node, MB."""
+        return resident_bytes(self.node.pid) / 1e6
+
+
+def measure(point: dict[str, Any]) -> dict[str, Any]:
+    """Send one node hostile messages, then sound ones.
+
+    `point`: type: the node's. n: number of hostile messages. seed.
+
+    Returns
+    -------
+    dict
+        refused: counts by reason. memory_mb: resident memory after each tenth of the messages.
+        subscribed_mb: after hostile subscriptions over one connection, and as many over another,
+        where the node writes something: the second can use what the first has freed.
+        received: of the sound frames, the fewest on any topic. published: messages made of
+        them. alive: True if the node ran until it was stopped.
+    """
+    rng = np.random.default_rng(point["seed"])
+    name = point["type"]
+    sound = sound_messages(SOUND_RUN, N_SOUND)
+    with (
+        tempfile.TemporaryDirectory(prefix="sparseskin-fuzz-") as folder,
+        Harness(name, settings_of(name, Path(folder)), topics_of(name, sound)) as harness,
+    ):
+        memory_mb = []
+        for _ in range(N_PARTS):
+            harness.write(hostile_parts(harness.topics, point["n"] // N_PARTS, rng))
+            harness.drained()
+            memory_mb.append(round(harness.memory_mb(), 2))
+        subscribed_mb = []
+        for _ in range(2 * bool(harness.node.spec.cls.outputs(harness.node.spec.settings))):
+            n_notes = round(SUBSCRIPTIONS * point["n"])
+            harness.subscribe(hostile_subscription(rng) for _ in range(n_notes))
+            harness.drained()
+            subscribed_mb.append(round(harness.memory_mb(), 2))
+        harness.send(chain(sound, ends(harness.streams, SOUND_RUN, N_SOUND)))
+        counts = harness.event("ended")["counts"]
+        alive = harness.node.exit_code() is None
+    return {
+        "refused": counts["refused"],
+        "memory_mb": memory_mb,
+        "subscribed_mb": subscribed_mb,
+        "received": min(counts["received"][topic] for topic in harness.streams),
+        "published": sum(counts["published"].values()),
+        "alive": alive,
+    }
+
+
+def settings_of(name: str, folder: Path) -> dict[str, Any]:
+    """Settings of a node type that differ from the default; files go into a folder."""
+    return {"out": str(folder / "fuzz.mcap")} if name == "recorder" else {}
+
+
+def topics_of(name: str, sound: list[Any]) -> list[str]:
+    """Input topics of a node type among those of some messages."""
+    cls = node_class(name)
+    topics = cls.inputs(make_settings(cls, {}))
+    return list(dict.fromkeys(m.topic for m in sound)) if "*" in topics else list(topics)

@@ -1,0 +1,182 @@
+"""A long run of a graph: memory, open files, lost frames; at full size 30 minutes at 500 Hz.
+
+`SPARSESKIN_SOAK_MINUTES` states another duration.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from stress.graphs import GraphRun, launch_text
+
+from sparseskin.nodes.compressor.phi.rotation import FIXED
+from sparseskin.nodes.process import proc
+from sparseskin.studies.frames import scene_frames
+from sparseskin.studies.looped import Looped
+
+LAUNCHER = "launcher"
+MAX_SAMPLES = 300
+WARM_UP_S = 70.0
+"""The monitor keeps the figures of the last minute: it grows until then."""
+FLAT = 0.03
+"""Relative growth of the memory after the warm-up that still counts as flat in half an hour."""
+
+FLAT_MB = 3.0
+"""Of 50 to 180 MB; a leak of 1 kB a frame would be 5 MB in the time that is looked at."""
+
+
+NAMES = {LAUNCHER, "sensor", "compressor", "reconstructor", "monitor", "recorder"}
+
+
+def measure(seconds: float, rate_hz: float, side: int) -> dict[str, Any]:
+    """Run a graph for a while, sample its processes at intervals, and end it.
+
+    Returns
+    -------
+    dict
+        samples: time_s, and of each process, by name, memory_mb (resident), files (open
+        descriptors) and cpu_s. frames: the monitor's count of sensed, reconstructed and lost.
+        lost: messages that each node missed on its inputs. restarts, exit_code.
+    """
+    source = f"sparseskin.studies.looped:truth_{side}"
+    topics = ["/skin/skin", "/skin/phi", "/skin/measurements"]
+    nodes = {
+        "sensor": {"source": source, "rate_hz": rate_hz},
+        "compressor": {"rows": FIXED},
+        "reconstructor": {"preset": "skin"},
+        "monitor": {"port": 0},
+        "recorder": {"out": "soak.mcap", "topics": topics},
+    }
+    with GraphRun(launch_text(nodes)) as graph:
+        pids = {LAUNCHER: graph.process.pid, **graph.nodes()}
+        found: dict[str, Any] = {"time_s": []}
+        for name in pids:
+            found[name] = {"memory_mb": [], "files": [], "cpu_s": []}
+        began_s = time.monotonic()
+        while (now_s := time.monotonic() - began_s) < seconds:
+            found["time_s"].append(round(now_s, 2))
+            for name, pid in pids.items():
+                found[name]["memory_mb"].append(proc.resident_bytes(pid) / 1e6)
+                found[name]["files"].append(proc.n_files(pid))
+                found[name]["cpu_s"].append(proc.cpu_s(pid))
+            time.sleep(max(1.0, seconds / MAX_SAMPLES))
+        code = graph.end()
+        summary = graph.summary()
+    return {
+        "samples": found,
+        "frames": summary["patches"]["skin"]["frames"],
+        "lost": {name: sum(node["lost"].values()) for name, node in summary["nodes"].items()},
+        "restarts": sum(node["restarts"] for node in summary["nodes"].values()),
+        "exit_code": code,
+    }
+
+
+def verdict(samples: dict[str, Any], name: str) -> dict[str, Any]:
+    """Figures of one process after the warm-up.
+
+    Returns
+    -------
+    dict
+        before_mb, after_mb: medians over the first and the last fifth, which a queue that is long
+        for some seconds does not change. highest_mb: such a queue included. growth: relative
+        change of the memory. mb_per_hour: slope of a straight line. files_before, files_after:
+        the most before the last fifth and in it; a file may be open for a moment. cpu: cores.
+        warm_up_s: time left out, a third of a short run.
+    """
+    time_s = np.array(samples["time_s"])
+    warm_up_s = min(WARM_UP_S, time_s[-1] / 3)
+    after = time_s >= warm_up_s
+    time_s = time_s[after]
+    memory_mb, files, cpu_s = (
+        np.array(samples[name][what])[after] for what in ("memory_mb", "files", "cpu_s")
+    )
+    fifth = max(1, len(time_s) // 5)
+    before_mb, after_mb = (float(np.median(p)) for p in (memory_mb[:fifth], memory_mb[-fifth:]))
+    return {
+        **{"before_mb": before_mb, "after_mb": after_mb, "growth": after_mb / before_mb - 1},
+        "highest_mb": float(memory_mb.max()),
+        "mb_per_hour": float(np.polyfit(time_s, memory_mb, 1)[0]) * 3600,
+        **{"files_before": int(files[:-fifth].max()), "files_after": int(files[-fifth:].max())},
+        "cpu": float((cpu_s[-1] - cpu_s[0]) / (time_s[-1] - time_s[0])),
+        "warm_up_s": float(warm_up_s),
+    }
+
+
+def test_every_process_of_a_graph_is_sampled_and_nothing_is_lost() -> None:
+    found = measure(3.5, 50, 40)
+    samples = found["samples"]
+    assert samples.keys() == {"time_s", *NAMES}
+    assert len(samples["time_s"]) >= 2
+    for name in NAMES:
+        for values in samples[name].values():
+            assert len(values) == len(samples["time_s"])
+            assert min(values) > 0
+    assert found["frames"]["sensed"] == found["frames"]["reconstructed"] > 0
+    assert (found["frames"]["lost"], found["restarts"], found["exit_code"]) == (0, 0, 130)
+    assert found["lost"].keys() == NAMES - {LAUNCHER}
+    assert set(found["lost"].values()) == {0}
+
+
+def test_a_graph_that_runs_for_a_while_leaks_nothing_and_loses_nothing(
+    full: bool, note: Any
+) -> None:
+    minutes = float(os.environ.get("SPARSESKIN_SOAK_MINUTES", "30" if full else "0.4"))
+    found = measure(60 * minutes, 500, 64) if full else measure(60 * minutes, 100, 40)
+    for name in NAMES:
+        v = verdict(found["samples"], name)
+        note(process=name, **{key: round(value, 3) for key, value in v.items()})
+        if full:
+            assert v["growth"] < FLAT, name
+        else:
+            assert v["after_mb"] - v["before_mb"] < FLAT_MB, name
+        assert v["files_after"] <= v["files_before"], name
+    note(process="frames", **found["frames"])
+    assert found["frames"]["lost"] == found["restarts"] == 0
+    assert set(found["lost"].values()) == {0}
+
+
+def samples(memory_mb: list[float], files: list[int]) -> dict[str, Any]:
+    n = len(memory_mb)
+    looked_at = {"memory_mb": memory_mb, "files": files, "cpu_s": [0.25 * k for k in range(n)]}
+    return {"time_s": [float(k) for k in range(n)], "x": looked_at}
+
+
+def test_memory_is_judged_after_the_warm_up_by_its_first_and_last_fifth() -> None:
+    n = 600
+    warm, flat = [float(k) for k in range(70)], [100.0] * (n - 70)
+    v = verdict(samples(warm + flat, [9] * n), "x")
+    assert (v["growth"], v["files_before"], v["files_after"]) == (0.0, 9, 9)
+    assert v["mb_per_hour"] == pytest.approx(0.0, abs=1e-6)
+    assert v["cpu"] == pytest.approx(0.25)
+    leaks = (100.0 + 0.01 * np.arange(n)).tolist()
+    v = verdict(samples(leaks, [9] * (n - 1) + [10]), "x")
+    assert v["mb_per_hour"] == pytest.approx(36.0)
+    assert v["growth"] > 0.02
+    assert (v["files_before"], v["files_after"]) == (9, 10)
+
+
+def test_a_queue_that_is_long_for_some_seconds_is_no_growth() -> None:
+    memory_mb = [100.0] * 600
+    memory_mb[560:590] = [180.0] * 30
+    v = verdict(samples(memory_mb, [9] * 600), "x")
+    assert (v["growth"], v["highest_mb"]) == (0.0, 180.0)
+
+
+def test_of_a_short_run_a_third_is_warm_up() -> None:
+    assert verdict(samples([1.0] * 31, [1] * 31), "x")["warm_up_s"] == 10.0
+
+
+def test_a_looped_source_repeats_its_frames_with_stamps_that_go_on() -> None:
+    first, n = 60, 5
+    pairs = list(scene_frames("lift_box_40", 0, first, first + n))
+    for delivers in ("truth", "taxels"):
+        source = Looped("lift_box_40", first, n, delivers)
+        stamps, forces = zip(*itertools.islice(source, 2 * n), strict=True)
+        assert all(np.diff(stamps) > 0)
+        expected = [pair[delivers == "taxels"] for pair in pairs]
+        np.testing.assert_array_equal(forces, 2 * expected)

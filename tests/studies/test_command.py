@@ -1,0 +1,70 @@
+"""The command `sparseskin study`: what it refuses, in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.nodes.lookup import find_callable
+from sparseskin.studies import command
+from sparseskin.studies.points import StudyError
+
+
+def test_an_unknown_study_is_refused_with_the_one_that_was_meant(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["study", "paper-table"]) == 2
+    error = capsys.readouterr().err
+    assert "did you mean 'paper-tables'" in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("package", command.EXTRA)
+def test_without_a_package_of_the_extra_one_line_names_it_and_the_extra(
+    package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "find_spec", lambda name: None if name == package else name)
+    assert main(["study", "paper-tables"]) == 2
+    error = capsys.readouterr().err
+    assert f"{package} is not installed" in error
+    assert "pip install 'sparseskin[charts]'" in error
+    assert error.count("\n") == 1
+
+
+def test_a_folder_that_cannot_be_made_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert main(["study", "paper-tables", "--out", str(tmp_path / "file" / "out")]) == 2
+    assert str(tmp_path / "file") in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("seed", ["-1", "1.5", "4294967296"])
+def test_a_seed_that_no_generator_takes_is_refused(seed: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["study", "paper-tables", "--seed", seed])
+    assert ended.value.code == 2
+
+
+@pytest.mark.parametrize("name", command.STUDIES)
+def test_every_study_that_is_listed_can_be_run(name: str) -> None:
+    assert find_callable(command.STUDIES[name].target, StudyError).__name__ == "run"
+
+
+def test_the_help_lists_every_study(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["study", "--help"])
+    out = capsys.readouterr().out
+    assert all(f"{name} " in out for name in command.STUDIES)
+
+
+@pytest.mark.parametrize("options", [("--recordings", "."), ("--seeds", "2")])
+def test_an_option_that_a_study_has_not_is_refused_with_those_that_have(
+    options: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["study", "wiring", "--out", str(tmp_path / "out"), *options]) == 2
+    error = capsys.readouterr().err
+    assert f"{options[0]}: study 'wiring' takes none; allowed: accuracy" in error
+    assert error.count("\n") == 1

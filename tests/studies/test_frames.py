@@ -1,0 +1,146 @@
+"""Frames of scenes, presses and recordings, as studies take them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.recorder.convert.to_bag import import_file
+from sparseskin.studies.accuracy.experiments import rated_frames, readable
+from sparseskin.studies.frames import (
+    PressFrames,
+    RecordedFrames,
+    SceneFrames,
+    UntouchedFrames,
+    digest_of,
+    files_in,
+    first_contact,
+    part_of,
+    scene_frames,
+)
+from sparseskin.studies.points import StudyError
+
+SHAPE = (12, 10)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with a recording of a press that comes and goes, masked in a corner."""
+    i, j = np.indices(SHAPE)
+    frames = np.zeros((40, *SHAPE), dtype=np.float32)
+    for k in range(10, 30):
+        frames[k] = 50 * np.exp(-((i - 5 - 0.05 * k) ** 2 + (j - 5) ** 2) / 6)
+    mask = np.ones(SHAPE, dtype=np.bool_)
+    mask[:3, :2] = False
+    np.savez(tmp_path / "press.npz", forces=frames * mask, mask=mask, unit="kPa")
+    return tmp_path
+
+
+def pairs_of(frames: Any, seed: int = 0) -> list[Any]:
+    return [pair for part in frames.open(seed).parts() for pair in part]
+
+
+def test_noise_of_a_frame_does_not_depend_on_which_frames_are_asked_for() -> None:
+    every = list(scene_frames("lift_box_40", 3, stop=335))
+    some = list(scene_frames("lift_box_40", 3, first=315, stop=335, every=5))
+    assert len(some) == 4
+    for (truth, taxels), (truth_again, taxels_again) in zip(every[315::5], some, strict=True):
+        np.testing.assert_array_equal(truth, truth_again)
+        np.testing.assert_array_equal(taxels, taxels_again)
+
+
+def test_the_first_contact_is_the_first() -> None:
+    frame = first_contact("path_40", 0)
+    truths = [truth.max() for truth, _ in scene_frames("path_40", 0, stop=frame + 1)]
+    assert max(truths[:-1]) <= 0.01 < truths[-1]
+
+
+def test_frames_of_a_scene_are_counted_from_its_first_contact_and_from_half_way_on() -> None:
+    frames = SceneFrames("path_40", -4, 6, 2, later=3)
+    contact = first_contact("path_40", 0)
+    (first, stop), (half, end) = frames.windows(0)
+    assert (first, stop) == (contact - 4, contact + 6)
+    assert half > contact
+    assert end == half + 6
+    assert [len(list(part)) for part in frames.open(0).parts()] == [5, 3]
+
+
+def test_a_lower_rate_has_fewer_frames_of_the_same_span() -> None:
+    fast, slow = (next(rated_frames(True, (rate_hz,))) for rate_hz in (1000, 100))
+    assert (fast.first, fast.stop, slow.every) == (slow.first, slow.stop, 10 * fast.every)
+
+
+def test_presses_have_the_taxels_and_the_speed_that_are_stated() -> None:
+    take = PressFrames("peg", (10, 10), 30, n_scattered=42).open(0)
+    assert take.n == 42
+    ((truth, taxels), *others) = pairs_of(PressFrames("peg", (10, 10), 30, skip=3))
+    assert truth.shape == taxels.shape == (10, 10)
+    assert len(others) == 26
+
+
+def test_an_untouched_skin_has_noise_of_its_own_in_each_frame() -> None:
+    (_, one), (truth, other) = pairs_of(UntouchedFrames(8, 2))
+    assert not truth.any()
+    assert (one != other).any()
+
+
+def test_the_part_of_a_recording_is_the_loaded_one_next_to_its_middle(tmp_path: Path) -> None:
+    frames = np.zeros((100, 4, 4), dtype=np.float32)
+    frames[20:40] = 1
+    np.save(tmp_path / "a.npy", frames)
+    part = part_of(str(tmp_path / "a.npy"), 30)
+    assert (part.first, len(part.frames), part.n_recorded) == (20, 30, 100)
+    whole = part_of(str(tmp_path / "a.npy"), 100)
+    assert (whole.first, whole.norm, whole.total) == (0, 4, 16)
+
+
+def test_a_bag_of_a_recording_is_the_same_as_its_file(folder: Path) -> None:
+    import_file(folder / "press.npz", folder / "copy.mcap")
+    assert [path.name for path in readable(files_in(folder), 60)] == ["copy.mcap", "press.npz"]
+    bag, file = (
+        RecordedFrames(str(folder / name), "", 60, unscored=8).open(0)
+        for name in ("copy.mcap", "press.npz")
+    )
+    for one, other in zip(*(pair for take in (bag, file) for pair in take.parts()), strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(bag.mask, file.mask)
+    assert (bag.f_max, bag.norm, bag.total) == (file.f_max, file.norm, file.total)
+    assert (file.n, file.unscored) == (114, 8)
+
+
+def test_a_digest_changes_with_the_content_of_a_file(folder: Path) -> None:
+    path = folder / "press.npz"
+    before = digest_of(path)
+    path.write_bytes(path.read_bytes() + b"0")
+    assert digest_of(path) != before
+    with pytest.raises(StudyError, match="No such file"):
+        digest_of(folder / "none")
+
+
+def test_unusable_files_get_one_line_each_and_are_skipped(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "README.md").write_text("no recording")
+    (folder / "numbers.csv").write_text("1,2\n3,4\n")
+    (folder / "broken.mcap").write_bytes(b"\x89MCAP0\r\n")
+    np.savez(folder / "zeros.npz", forces=np.zeros((3, 4, 4)), f_max=1.0)
+    assert [path.name for path in readable(files_in(folder), 60)] == ["press.npz"]
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3
+    assert all(line.startswith("accuracy: skipped: ") for line in lines)
+    with pytest.raises(SparseskinError, match="nothing touches"):
+        part_of(str(folder / "zeros.npz"), 60)
+
+
+def test_a_folder_without_a_usable_recording_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(StudyError, match=r"no recording; allowed are \.lst, .*\.mcap"):
+        files_in(tmp_path)
+    with pytest.raises(StudyError, match="No such file"):
+        files_in(tmp_path / "gone")
+    (tmp_path / "a.npy").write_text("x")
+    with pytest.raises(StudyError, match="none of 1 files can be used"):
+        readable(files_in(tmp_path), 60)

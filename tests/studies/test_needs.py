@@ -1,0 +1,103 @@
+"""The study of what scenes need: its variants, its figures, its verdicts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
+from sparseskin.studies.needs import (
+    Variant,
+    decibels,
+    measure,
+    points,
+    summary,
+    variants,
+    verdict,
+)
+
+
+def compared(scene: str, variant: str, n_steps: int = 420) -> dict[str, Any]:
+    return measure({"scene": scene, "variant": variant, "n_steps": n_steps, "seed": 0})
+
+
+def test_a_scene_that_is_not_changed_gives_its_own_frames() -> None:
+    scene = SCENES["lift_box_40"]()
+    ours = Variant(True, scene).frames()
+    for (_, expected), frame in zip(open_scene("lift_box_40", 0), ours, strict=True):
+        np.testing.assert_array_equal(frame, expected)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_each_degree_of_freedom_and_each_term_is_taken_away_or_added(name: str) -> None:
+    scene = SCENES[name]()
+    found = variants(scene)
+    assert found["pitch"].carried == ("pitch" in scene.dof)
+    assert ("pitch" in found["pitch"].scene.dof) != found["pitch"].carried
+    assert found["roll"].scene.dof != scene.dof
+    assert found["damping of the skin"].scene.surface.damping == 0.0
+    assert found["moving average"].smoothing_steps == 1
+    grounded = scene.surface.ground_drop_m is not None
+    assert found["ground"].carried == grounded
+    assert (found["ground"].scene.surface.ground_drop_m is None) == grounded
+    assert ("damping of the ground" in found) == grounded
+    finer = found["steps a tenth as long"]
+    assert finer.scene.n_steps * finer.scene.dt_ns == scene.n_steps * scene.dt_ns
+
+
+@pytest.mark.parametrize("variant", ["pitch", "roll", "ground"])
+def test_a_box_that_lands_flat_in_the_middle_needs_neither_tilt_nor_ground(variant: str) -> None:
+    assert compared("lift_box_40", variant)["change_db"] == 100.0
+
+
+def test_what_a_scene_carries_changes_its_frames_by_more_than_the_noise() -> None:
+    for variant in ("damping of the skin", "moving average"):
+        figures = compared("lift_box_40", variant)
+        assert figures["carried"]
+        assert figures["change_db"] < figures["noise_db"] - 3.0
+        assert figures["worst_db"] < figures["change_db"]
+
+
+def test_frames_do_not_hang_on_the_time_step() -> None:
+    for scene in ("lift_box_40", "lift_wrench_40"):
+        figures = compared(scene, "steps a tenth as long", n_steps=620)
+        assert figures["change_db"] > figures["noise_db"] + 3.0
+
+
+def test_decibels_of_a_change() -> None:
+    assert decibels(0.0, 2.5) == 100.0
+    assert decibels(0.025**2, 2.5) == pytest.approx(40.0)
+
+
+@pytest.mark.parametrize(
+    ("carried", "change_db", "above", "variant", "scene", "said"),
+    [
+        (True, 40.0, 0.04, "pitch", "lift_wrench_40", "needed"),
+        (True, 60.0, 0.06, "pitch", "lift_wrench_40", "needed"),
+        (True, 60.0, 0.04, "pitch", "lift_wrench_40", "superfluous"),
+        (True, 60.0, 0.04, "round taxels", "lift_box_40", "kept"),
+        (False, 60.0, 0.04, "roll", "lift_wrench_40", "rightly left out"),
+        (False, 40.0, 0.04, "roll", "lift_wrench_40", "missing"),
+        (False, 60.0, 0.06, "roll", "lift_wrench_40", "missing"),
+        (False, 40.0, 0.04, "pitch", "path_40", "left out"),
+    ],
+)
+def test_verdicts(
+    carried: bool, change_db: float, above: float, variant: str, scene: str, said: str
+) -> None:
+    row = {"carried": carried, "change_db": change_db, "above_noise": above}
+    assert verdict({**row, "variant": variant, "scene": scene, "noise_db": 47.0}) == said
+
+
+def test_every_scene_is_looked_at() -> None:
+    assert {point["scene"] for point in points(quick=False, seed=0)} == set(SCENES)
+
+
+def test_variants_that_should_not_be_are_named() -> None:
+    row = {"scene": "path_40", "variant": "roll"}
+    found = summary(pd.DataFrame([row | {"verdict": "missing"}, row | {"verdict": "needed"}]))
+    assert "- needed: 1" in found
+    assert found.endswith("- **missing**: path_40: roll")

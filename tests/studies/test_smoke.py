@@ -1,0 +1,132 @@
+"""One run of each study, as small as it can be: its page, tables and charts are there."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.nodes.sensor.scenes.presses import N_BEFORE
+from sparseskin.nodes.sensor.scenes.scenes import SCENES
+from sparseskin.studies import command, frames, harness, needs, wiring
+from sparseskin.studies.accuracy import experiments as accuracy
+from sparseskin.studies.paper import tables as paper
+from sparseskin.studies.speed import latency
+from sparseskin.studies.speed import tables as speed
+from sparseskin.studies.speed_accuracy import charts as speed_accuracy
+from sparseskin.studies.speed_accuracy import experiments
+from sparseskin.studies.stability import change, contact, phase, sweeps
+
+N_FRAMES = 9
+SOLVERS = ("fista", "skin")
+SIZES: tuple[tuple[Any, dict[str, Any]], ...] = (
+    (accuracy, {"ACTIVE": (0.3,), "QUICK_SIZES": (((4, 4), None),), "QUICK_BODIES": ("peg",)}),
+    (accuracy, {"SCENES": ("lift_box_40",), "RATED_SCENES": ("path_40",), "SIDES": (40,)}),
+    (change, {"SUM_SOLVERS": SOLVERS}),
+    (contact, {"N_SIDE_QUICK": 2, "SCENES": {"lift_box_40": SCENES["lift_box_40"]}}),
+    (experiments, {"QUICK_ITERATIONS": (5,), "QUICK_RATIOS": (3, 8), "SUM_KINDS": ("sbhe",)}),
+    (experiments, {"SUM_SOLVERS": SOLVERS}),
+    (harness, {"TIMED_ON": "serial"}),
+    (latency, {"WARM_UP": 50, "SCENES": {"40 x 40": "path_40"}}),
+    (needs, {"QUICK_SCENES": ("lift_box_40",), "QUICK_STEPS": 350}),
+    (paper, {"BEFORE_MAPS": 0}),
+    (phase, {"SUM_SOLVERS": SOLVERS}),
+    (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,), "QUICK_WINDOWS": 2}),
+    (speed_accuracy, {"TIMED_ON": "serial"}),
+    (sweeps, {"SUM_SOLVERS": ("fista",)}),
+    (wiring, {"SHAPE": (16, 16), "QUICK_FRAMES": 3, "BODIES": ("gaussian",)}),
+)
+"""Sizes that are smaller than those of a quick run, by module."""
+TEXTS = {
+    "paper-tables": "## Table III: PSNR by M, 30 iterations",
+    "speed-accuracy": "| fista, preset paper | sbhe | 3 |",
+    "stability": "| lambda_n | fista |",
+    "scene-needs": "| without damping of the skin |",
+    "accuracy": "| press | 114 | kPa |",
+    "speed": "## From acquisition to reconstruction",
+    "wiring": "| local:4 |",
+}
+"""A text on each page."""
+
+LONG = ("accuracy", "paper-tables", "speed-accuracy", "stability")
+"""Studies that take more than some seconds even so."""
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make all sizes small, and let studies see few frames around the first contact of a scene."""
+    for module, sizes in SIZES:
+        for name, value in sizes.items():
+            monkeypatch.setattr(module, name, value)
+    windows, of_latency = frames.SceneFrames.windows, latency.points
+
+    def few(self: frames.SceneFrames, seed: int) -> Iterator[tuple[int, int | None]]:
+        begin = frames.first_contact(self.scene, seed) - 3 * self.every
+        for first, stop in windows(self, seed):
+            first = max(first, begin)
+            yield first, min(stop or first + 1000, first + N_FRAMES * self.every)
+
+    monkeypatch.setattr(frames.SceneFrames, "windows", few)
+    for kind, n_frames in (("PressFrames", N_BEFORE + N_FRAMES), ("UntouchedFrames", N_FRAMES)):
+        cls = getattr(frames, kind)
+
+        def opened(self: Any, seed: int, n: int = n_frames, whole: Any = cls.open) -> frames.Take:
+            take: frames.Take = whole(replace(self, n_frames=min(self.n_frames, n)), seed)
+            return take
+
+        monkeypatch.setattr(cls, "open", opened)
+
+    def short(quick: bool, seed: int) -> list[dict[str, Any]]:
+        return [point | {"n_frames": 200} for point in of_latency(quick, seed)[:2]]
+
+    monkeypatch.setattr(latency, "points", short)
+
+
+@pytest.fixture
+def recordings(tmp_path: Path) -> Path:
+    """A folder with a recording of a press that comes and goes, and one of five taxels."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    i, j = np.indices((12, 10))
+    presses = np.zeros((40, 12, 10), dtype=np.float32)
+    presses[10:30] = 50 * np.exp(-((i - 5) ** 2 + (j - 5) ** 2) / 6)
+    mask = np.ones((12, 10), dtype=np.bool_)
+    mask[:3, :2] = False
+    np.savez(folder / "press.npz", forces=presses * mask, mask=mask, unit="kPa")
+    np.save(folder / "tiny.npy", np.ones((12, 1, 5), dtype=np.float32))
+    return folder
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] if name in LONG else [])
+        for name in command.STUDIES
+    ],
+)
+def test_a_study_writes_its_page_with_all_tables_and_charts(
+    name: str, tmp_path: Path, recordings: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--recordings", str(recordings), "--seeds", "2"] if name == "accuracy" else []
+    out = tmp_path / "out"
+    options += ["--quick", "--executor", "serial", "--out", str(out)]
+    assert main(["study", name, *options]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    page = (out / f"{name}.md").read_text()
+    assert printed[-1] == str(out / f"{name}.md")
+    assert len(printed) > 1
+    assert all(line in page for line in printed[:-1])
+    assert TEXTS[name] in page
+    assert "A quick run" in page
+    assert "nan" not in page
+    links = set(re.findall(r"\]\(([^)]+)\)", page))
+    assert links == {path.name for path in out.iterdir()} - {f"{name}.md", "points.jsonl"}
+    assert all((out / link).stat().st_size > 50 for link in links)
