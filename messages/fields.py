@@ -209,7 +209,7 @@ class Array(FieldKind):
         return self.dtype, shape, math.prod(shape) * self._dtype.itemsize
 
     def of_data(
-        self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes
+        self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes | memoryview
     ) -> npt.NDArray[Any]:
         """The array of bytes, as many as `checked_form` returned; MessageError if not finite."""
         if self._dtype.kind == "b" and max(data) > 1:
@@ -308,14 +308,14 @@ class Samples(Array):
         return form[0], shape, n_bytes(shape[0], bits)
 
     def of_data(
-        self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes
+        self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes | memoryview
     ) -> npt.NDArray[Any]:
         if dtype == self.dtype:
             return super().of_data(name, dtype, shape, extra, data)
         return self._of_codes(name, shape[0], _bits_of(name, dtype), extra, data)
 
     @staticmethod
-    def _of_codes(name: str, m: int, bits: int, step: Any, data: bytes) -> Quantised:
+    def _of_codes(name: str, m: int, bits: int, step: Any, data: bytes | memoryview) -> Quantised:
         if type(step) is not float:
             raise MalformedError(f"{name}: step must be a float")
         _check_quantiser(name, bits, step)

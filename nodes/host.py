@@ -153,13 +153,9 @@ class NodeHost:
         try:
             message = decode(topic, payload)
         except MessageError as error:
-            self.refuse(error)
+            self._refuse(error.reason, str(error))
             return
         yield from self.receive(message, overtaken)
-
-    def refuse(self, error: MessageError) -> None:
-        """Count what came and is no message."""
-        self._refuse(error.reason, str(error))
 
     def receive(self, message: Message, overtaken: bool = False) -> Iterator[Message]:
         """Process one message; one that the node refuses is counted, and the node continues."""

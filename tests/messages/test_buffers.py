@@ -1,4 +1,4 @@
-"""Frames in parts: what goes in comes out, and nothing else comes in."""
+"""Frames as one buffer: what goes in comes out, and nothing else comes in."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ from sparseskin.messages import (
     size_bytes,
 )
 from sparseskin.messages.batches import BATCHES
-from sparseskin.messages.parts import MAX_HEAD_BYTES, head_of, travels_in_parts
-from sparseskin.messages.wire import SCHEMAS, Payload, payload_of, wire_parts
+from sparseskin.messages.buffers import ALIGNMENT, MARK, MAX_HEAD_BYTES, head_of, is_frame
+from sparseskin.messages.quantised import Quantised
+from sparseskin.messages.wire import SCHEMAS, Payload, received, wire_bytes
 from sparseskin.nodes.compressor.quantiser import quantised
 
 TOPIC = b"/skin/taxels"
@@ -39,8 +40,24 @@ TOPIC = b"/skin/taxels"
 
 def sent(message: Message) -> tuple[bytes, Payload]:
     """Topic and payload as they arrive."""
-    parts = [bytes(part) for part in wire_parts(message)]
-    return parts[0], payload_of(parts)
+    return received(wire_bytes(message))
+
+
+def head_and_data(message: Message) -> tuple[bytes, bytes, bytes]:
+    """Topic, head, and arrays as they follow each other, padded."""
+    topic, payload = sent(message)
+    end = 3 + int.from_bytes(payload[1:3], "little")
+    return topic, bytes(payload[3:end]), bytes(payload[end + padding(topic, end) :])
+
+
+def padding(topic: bytes, end: int) -> int:
+    return -(len(topic) + 1 + end) % ALIGNMENT
+
+
+def payload(topic: bytes, head: bytes, data: bytes) -> bytes:
+    """A payload with another head or other arrays."""
+    begin = bytes([MARK]) + len(head).to_bytes(2, "little") + head
+    return begin + bytes(padding(topic, len(begin))) + data
 
 
 def taxels(value: float = 1.0, shape: tuple[int, int] = (2, 3)) -> Taxels:
@@ -49,27 +66,29 @@ def taxels(value: float = 1.0, shape: tuple[int, int] = (2, 3)) -> Taxels:
 
 
 @given(messages)
-def test_parts_hold_the_message_and_their_lengths_are_its_size(message: Message) -> None:
+def test_a_buffer_holds_the_message_and_its_length_is_its_size(message: Message) -> None:
     twin = decode(*sent(message))
     assert twin == message
     assert list(twin.__dict__) == list(decode(*encode(message)).__dict__)
-    assert size_bytes(message) == sum(len(bytes(part)) for part in wire_parts(message))
+    assert size_bytes(message) == len(wire_bytes(message))
 
 
-def test_frames_with_arrays_travel_in_parts_and_their_map_is_read_too() -> None:
-    found = {name for name, cls in SCHEMAS.items() if travels_in_parts(cls)}
+def test_frames_with_arrays_have_a_head_and_their_map_is_read_too() -> None:
+    found = {name for name, cls in SCHEMAS.items() if is_frame(cls)}
     single = {"taxels", "truth", "measurements", "reconstruction"}
     assert found == single | {cls.schema for cls in BATCHES.values()}
-    topic, payload = encode(taxels())
-    assert decode(topic, payload_of([topic, payload])) == taxels()
+    assert decode(*received(b"\0".join(encode(taxels())))) == taxels()
 
 
-def test_an_array_is_a_view_of_its_part_and_not_written_to() -> None:
-    topic, payload = sent(taxels())
-    found = decode(topic, payload)
-    assert isinstance(found, Taxels)
-    assert np.shares_memory(found.forces, np.frombuffer(payload[1], np.float32))  # type: ignore[arg-type]
-    assert not found.forces.flags.writeable
+@given(messages.filter(lambda m: is_frame(type(m))))
+def test_arrays_are_aligned_views_of_the_buffer_and_not_written_to(message: Message) -> None:
+    buffer = wire_bytes(message)
+    found = decode(*received(buffer))
+    for value in vars(found).values():
+        if isinstance(value, np.ndarray) and not isinstance(value, Quantised):
+            assert np.shares_memory(value, np.frombuffer(buffer, np.uint8))
+            assert value.ctypes.data % ALIGNMENT == 0
+            assert not value.flags.writeable
 
 
 @given(st.integers(2, 16), st.lists(st.floats(-1, 1, width=32), min_size=1, max_size=9))
@@ -82,71 +101,71 @@ def test_quantised_measurements_keep_codes_bits_and_step(bits: int, values: list
     assert found.y.step == y.step  # type: ignore[attr-defined]
 
 
-@given(messages.filter(lambda m: travels_in_parts(type(m))), st.data())
+@given(messages.filter(lambda m: is_frame(type(m))), st.data())
 @settings(max_examples=300)
-def test_mutated_parts_decode_or_raise_a_message_error(
+def test_mutated_buffers_decode_or_raise_a_message_error(
     message: Message, data: st.DataObject
 ) -> None:
-    topic, payload = sent(message)
-    parts = [bytearray(part) for part in payload]
+    topic, found = sent(message)
+    mutated = bytearray(found)
+    n_head = 3 + int.from_bytes(mutated[1:3], "little")
     for _ in range(data.draw(st.integers(1, 4))):
-        part = parts[data.draw(st.integers(0, len(parts) - 1))]
-        part[data.draw(st.integers(0, len(part) - 1))] = data.draw(st.integers(0, 255))
+        last = data.draw(st.sampled_from((n_head, len(mutated)))) - 1
+        mutated[data.draw(st.integers(0, last))] = data.draw(st.integers(0, 255))
     with contextlib.suppress(MessageError):
-        decode(topic, tuple(map(bytes, parts)))
+        decode(topic, bytes(mutated))
 
 
-@given(st.lists(st.binary(max_size=200), min_size=2, max_size=5))
-def test_random_parts_raise_a_message_error(parts: list[bytes]) -> None:
-    with pytest.raises(MessageError):
-        decode(TOPIC, tuple(parts))
+@given(st.binary(max_size=200))
+def test_random_payloads_raise_a_message_error(data: bytes) -> None:
+    for begin in (b"", bytes([MARK])):
+        with pytest.raises(MessageError):
+            decode(TOPIC, begin + data)
 
 
-@given(messages.filter(lambda m: travels_in_parts(type(m))), st.data())
-def test_parts_cut_short_are_refused_as_truncated(message: Message, data: st.DataObject) -> None:
-    topic, (head, *arrays) = sent(message)
-    assert isinstance(head, bytes)
-    cut = data.draw(st.integers(0, len(head) - 1))
+@given(messages.filter(lambda m: is_frame(type(m))), st.data())
+def test_buffers_cut_short_are_refused_as_truncated(message: Message, data: st.DataObject) -> None:
+    topic, whole = sent(message)
     with pytest.raises(TruncatedError):
-        decode(topic, (head[:cut], *arrays))
-    with pytest.raises(TruncatedError):
-        decode(topic, (head, *arrays[:-1], arrays[-1][:-1]))
-    with pytest.raises(TruncatedError):
-        decode(topic, (head, *arrays[:-1]))
+        decode(topic, whole[: data.draw(st.integers(1, len(whole) - 1))])
 
 
-def test_a_part_too_many_and_an_array_too_long_are_refused() -> None:
-    topic, (head, data) = sent(taxels())
-    with pytest.raises(MalformedError, match="2 arrays, expected 1"):
-        decode(topic, (head, data, data))
-    with pytest.raises(OversizedError, match=r"shape \[2, 3\] does not fit 48 bytes"):
-        decode(topic, (head, data + data))
-    assert payload_of([topic, head, *[data] * 15]) == b""
+def test_bytes_too_many_and_a_head_too_long_are_refused() -> None:
+    topic, head, data = head_and_data(taxels())
+    with pytest.raises(OversizedError, match="taxels: 25 bytes of arrays, expected 24"):
+        decode(topic, payload(topic, head, data + b"x"))
     with pytest.raises(OversizedError, match="head of"):
-        decode(topic, (bytes(MAX_HEAD_BYTES + 1), data))
+        decode(topic, payload(topic, bytes(MAX_HEAD_BYTES + 1), data))
+
+
+def test_a_topic_alone_is_no_message() -> None:
+    assert received(TOPIC) == (TOPIC, b"")
+    with pytest.raises(TruncatedError, match="another version"):
+        decode(TOPIC, b"")
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_forces_that_are_not_finite_are_refused_in_each_frame(bad: float) -> None:
-    topic, (head, data) = sent(taxels())
-    assert decode(topic, (head, data)) == taxels()
+    topic, head, data = head_and_data(taxels())
+    assert decode(topic, payload(topic, head, data)) == taxels()
     forces = np.frombuffer(data, np.float32).copy()
     forces[4] = bad
     with pytest.raises(NotFiniteError, match=r"forces\[1, 1\]"):
-        decode(topic, (head, forces.tobytes()))
+        decode(topic, payload(topic, head, forces.tobytes()))
 
 
 def test_a_known_description_does_not_pass_under_another_topic() -> None:
-    topic, payload = sent(taxels())
-    decode(topic, payload)
+    topic, head, data = head_and_data(taxels())
+    decode(topic, payload(topic, head, data))
+    other = b"/other/taxels"
     with pytest.raises(FieldError, match="came under topic"):
-        decode(b"/other/taxels", payload)
+        decode(other, payload(other, head, data))
 
 
 @pytest.mark.parametrize(
     ("change", "error"),
     [
-        ({"wire": 3}, VersionError),
+        ({"wire": 2}, VersionError),
         ({"schema": "taxel"}, UnknownSchemaError),
         ({"schema": "skin"}, MalformedError),
         ({"version": 2}, VersionError),
@@ -165,11 +184,11 @@ def test_a_known_description_does_not_pass_under_another_topic() -> None:
     ],
 )
 def test_wrong_descriptions_are_refused(change: dict[str, object], error: type[Exception]) -> None:
-    topic, (head, data) = sent(taxels())
+    topic, head, data = head_and_data(taxels())
     description, *numbers = msgpack.unpackb(head)
-    described = msgpack.unpackb(description) | change
+    described = msgpack.packb(msgpack.unpackb(description) | change)
     with pytest.raises(error):
-        decode(topic, (msgpack.packb([msgpack.packb(described), *numbers]), data))
+        decode(topic, payload(topic, msgpack.packb([described, *numbers]), data))
 
 
 @pytest.mark.parametrize(
@@ -178,35 +197,34 @@ def test_wrong_descriptions_are_refused(change: dict[str, object], error: type[E
      ([7, 0.0], FieldError), ([7, None], FieldError), (["7", 0], FieldError)],
 )  # fmt: skip
 def test_wrong_numbers_are_refused(numbers: list[object], error: type[Exception]) -> None:
-    topic, (head, data) = sent(taxels())
+    topic, head, data = head_and_data(taxels())
     description = msgpack.unpackb(head)[0]
     with pytest.raises(error):
-        decode(topic, (msgpack.packb([description, *numbers]), data))
+        decode(topic, payload(topic, msgpack.packb([description, *numbers]), data))
 
 
 @pytest.mark.parametrize("step", [0.0, -1.0, float("nan"), float("inf"), 1, None, "1"])
 def test_wrong_steps_are_refused(step: object) -> None:
     y = quantised(np.ones(3, dtype=np.float32), 8)
-    topic, (head, data) = sent(Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16))
+    made = Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16)
+    topic, head, data = head_and_data(made)
     *numbers, _ = msgpack.unpackb(head)
     with pytest.raises(MessageError):
-        decode(topic, (msgpack.packb([*numbers, step]), data))
+        decode(topic, payload(topic, msgpack.packb([*numbers, step]), data))
 
 
 def test_fields_that_depend_on_each_other_are_checked_in_each_frame() -> None:
     fields = {"stamp_ns": 1, "patch": "skin", "phi": "0" * 16, "iterations": 3, "residual": 0.1}
     forces = np.zeros((2, 2), dtype=np.float32)
     message = Reconstruction(**fields, solve_ns=1, done_ns=2, forces=forces, sd=forces)  # type: ignore[arg-type]
-    topic, (head, *arrays) = sent(message)
+    topic, head, data = head_and_data(message)
     description, *numbers = msgpack.unpackb(head)
     described = msgpack.unpackb(description)
     described["arrays"]["sd"] = ["<f4", [1, 4]]
     with pytest.raises(ShapeError, match="sd: shape"):
-        decode(topic, (msgpack.packb([msgpack.packb(described), *numbers]), *arrays))
+        decode(topic, payload(topic, msgpack.packb([msgpack.packb(described), *numbers]), data))
 
 
 def test_a_head_alone_says_which_message_it_is() -> None:
     message = taxels().published("0123456789abcdef", 5)
-    _, (head, _) = sent(message)
-    assert isinstance(head, bytes)
-    assert head_of(head) == ("0123456789abcdef", 5, 7)
+    assert head_of(sent(message)[1]) == ("0123456789abcdef", 5, 7)
