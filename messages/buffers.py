@@ -1,15 +1,16 @@
-"""The wire form of frames: one buffer of a topic, a small head, and the arrays.
+"""The wire form of frames: one buffer of a topic, a description, numbers and arrays.
 
-It is the topic, a zero byte, `MARK`, the size of the head (16 bits, little-endian), the head, and
-the arrays, each from a multiple of `ALIGNMENT` bytes on. The head is a msgpack list: the
-description of the stream, and the numbers of the frame. The description is a msgpack map of
-everything that stays the same from frame to frame: schema, version, texts, and dtype and shape of
-each array. It is checked when it first arrives; after that equal bytes stand for it. Numbers are
-checked in each frame, arrays by their size, and for being finite.
+It is the topic, a zero byte, `MARK`, the size of the description (16 bits), the description, the
+numbers, and the arrays, each from a multiple of `ALIGNMENT` bytes on; all is little-endian. The
+description is a msgpack map of everything that stays the same from frame to frame: schema, version,
+texts, and dtype and shape of each array. It is checked when it first arrives; after that equal
+bytes stand for it. Numbers have 8 bytes, truth values 1. They are checked in each frame, arrays for
+being finite.
 """
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ import msgpack
 
 from .base import Message, once_a_class, wire_fields
 from .errors import FieldError, MalformedError, OversizedError, TruncatedError, VersionError
-from .fields import Array, FieldKind, Text
+from .fields import Array, FieldKind, Number, Text
 from .schemas import class_of
 from .topics import topic_of
 
@@ -33,11 +34,12 @@ MARK = 0xC1
 ALIGNMENT = 16
 """Arrays begin at a multiple of this many bytes from the begin of the topic: received into memory
 that is aligned, they need no copy. Chosen: as malloc aligns, and wider than any dtype."""
-MAX_HEAD_BYTES = 8192
+MAX_DESCRIPTION_BYTES = 8192
 MAX_STREAMS = 1024
 """Number of descriptions that are known at a time."""
 _LIMITS = {"max_str_len": 4096, "max_array_len": 64, "max_map_len": 64, "max_ext_len": 0}
 _DESCRIPTION = frozenset({"wire", "schema", "version", "texts", "arrays"})
+_BEGIN = struct.Struct("<BH")
 
 
 @dataclass(frozen=True)
@@ -48,45 +50,52 @@ class _Form:
     names: tuple[str, ...]
     texts: tuple[tuple[str, FieldKind], ...]
     arrays: tuple[tuple[str, Array], ...]
-    numbers: tuple[tuple[str, Callable[[str, Any], Any]], ...]
+    numbers: tuple[tuple[str, Number], ...]
+    checks: tuple[tuple[str, Callable[[str, Any], Any]], ...]
 
 
 @once_a_class
 def _form(cls: type[Message]) -> _Form:
     fields = wire_fields(cls)
     arrays = tuple((n, kind) for n, kind in fields.items() if isinstance(kind, Array))
+    numbers = tuple((n, kind) for n, kind in fields.items() if isinstance(kind, Number))
     # What msgpack does not carry as it is, arrays apart, is a text: the names of a batch.
     texts = tuple(
         (n, kind)
         for n, kind in fields.items()
         if isinstance(kind, Text) or not (kind.travels_as_it_is or isinstance(kind, Array))
     )
-    apart = {name for name, _ in (*texts, *arrays)}
-    numbers = tuple((n, kind.check) for n, kind in fields.items() if n not in apart)
-    return _Form(cls, tuple(fields), texts, arrays, numbers)
+    checks = tuple((n, kind.of_number) for n, kind in numbers)
+    return _Form(cls, tuple(fields), texts, arrays, numbers, checks)
 
 
 @dataclass(frozen=True)
 class _Stream:
-    """A description that was checked: what all messages with these bytes have in common.
+    """What all messages of a description have in common.
 
-    `values` holds all fields in their order, the texts set; `arrays` the name, kind, dtype, shape
-    and number of bytes of the arrays that are sent; `n_bytes` the bytes of all, each but the last
-    padded.
+    `begin` is their topic and all that follows up to the numbers; `numbers` packs these; `values`
+    holds all fields in their order, the texts set; `arrays` has the name, kind, dtype and shape of
+    the arrays that are sent, and where each begins and ends in the payload.
     """
 
     form: _Form
-    topic: bytes
+    begin: bytes
+    numbers: struct.Struct
     values: dict[str, Any]
-    arrays: tuple[tuple[str, Array, str, tuple[int, ...], int], ...]
-    n_bytes: int
-    n_numbers: int
+    arrays: tuple[tuple[str, Array, str, tuple[int, ...], int, int], ...]
+
+    @property
+    def topic(self) -> bytes:
+        return self.begin[: self.begin.index(0)]
+
+    @property
+    def n_bytes(self) -> int:
+        """Size of the payload, bytes."""
+        return self.arrays[-1][-1]
 
 
-_HEAD = struct.Struct("<BH")
-_ZEROS = bytes(ALIGNMENT)
 _STREAMS: dict[bytes, _Stream] = {}
-_DESCRIBED: dict[tuple[Any, ...], tuple[bytes, bytes]] = {}
+_DESCRIBED: dict[tuple[Any, ...], _Stream] = {}
 
 
 def is_frame(cls: type[Message]) -> bool:
@@ -100,11 +109,12 @@ def frame_pieces(message: Message) -> list[Any]:
     Raises
     ------
     MessageError
-        If its head is too large to travel.
+        If its description is too large to travel.
     """
     form, values = _form(type(message)), message.__dict__
     key: list[Any] = [form.cls, *(values[name] for name, _ in form.texts)]
-    data, numbers = [], [values[name] for name, _ in form.numbers]
+    numbers = [values[name] for name, _ in form.numbers]
+    data = []
     for name, kind in form.arrays:
         value = values[name]
         if value is None:
@@ -113,21 +123,24 @@ def frame_pieces(message: Message) -> list[Any]:
         key += (kind.dtype_of(value), value.shape)
         numbers += kind.extra_of(value)
         data.append(kind.data_of(value))
-    described = _DESCRIBED.get(tuple(key))
-    if described is None:
-        described = _describe(message)
-        _remember(_DESCRIBED, tuple(key), described)
-    begin, description = described
-    head = msgpack.packb([description, *numbers])
-    if len(head) > MAX_HEAD_BYTES:
-        raise OversizedError(f"head of {len(head)} bytes, at most {MAX_HEAD_BYTES}")
-    pieces = [begin, _HEAD.pack(MARK, len(head)), head]
-    n_bytes = len(begin) + _HEAD.size + len(head)
-    for one in data:
-        n_zeros = -n_bytes % ALIGNMENT
-        size = one.nbytes if type(one) is memoryview else len(one)
-        pieces += (_ZEROS[:n_zeros], one)
-        n_bytes += n_zeros + size
+    stream = _DESCRIBED.get(tuple(key))
+    if stream is None:
+        stream = _describe(message)
+        _remember(_DESCRIBED, tuple(key), stream)
+    if None in numbers:
+        numbers = [math.nan if number is None else number for number in numbers]
+    pieces: list[Any] = [stream.begin, stream.numbers.pack(*numbers)]
+    pieces += data if len(data) == 1 else _padded(stream, data)
+    return pieces
+
+
+def _padded(stream: _Stream, data: list[Any]) -> list[Any]:
+    """Arrays, and the zeros between them."""
+    pieces: list[Any] = []
+    end = stream.arrays[0][-2]
+    for (*_, begin, last), one in zip(stream.arrays, data, strict=True):
+        pieces += (bytes(begin - end), one)
+        end = last
     return pieces
 
 
@@ -139,57 +152,39 @@ def decode_frame(topic: bytes, payload: Payload) -> Message:
     MessageError
         As `decode` does.
     """
-    description, numbers, end = _read_head(payload)
-    stream = _STREAMS.get(description) or _learn(description)
-    if stream.topic != topic:
-        raise FieldError(f"a message of {stream.topic.decode()} came under topic {topic!r}")
-    if len(numbers) != stream.n_numbers:
-        schema = stream.form.cls.schema
-        raise MalformedError(f"{schema}: {len(numbers)} numbers, expected {stream.n_numbers}")
-    at = end + -(len(topic) + 1 + end) % ALIGNMENT
-    if len(payload) - at != stream.n_bytes:
-        text = f"{stream.form.cls.schema}: {len(payload) - at} bytes of arrays, expected "
-        wrong = TruncatedError if len(payload) - at < stream.n_bytes else OversizedError
-        raise wrong(f"{text}{stream.n_bytes}")
-    values = stream.values.copy()
-    rest = iter(numbers)
-    for name, check in stream.form.numbers:
-        values[name] = check(name, next(rest))
-    for name, kind, dtype, shape, n_bytes in stream.arrays:
-        extra = next(rest) if dtype != kind.dtype else None
-        values[name] = kind.of_data(name, dtype, shape, extra, payload[at : at + n_bytes])
-        at += n_bytes + -n_bytes % ALIGNMENT
-    return stream.form.cls.assembled(values)
+    stream = _stream_of(topic, payload)
+    n_bytes = len(payload)
+    if n_bytes != stream.n_bytes:
+        text = f"{stream.form.cls.schema}: {n_bytes} bytes, expected {stream.n_bytes}"
+        raise (TruncatedError if n_bytes < stream.n_bytes else OversizedError)(text)
+    values, form = stream.values.copy(), stream.form
+    at = len(stream.begin) - len(topic) - 1
+    numbers = stream.numbers.unpack_from(payload, at)
+    for (name, check), number in zip(form.checks, numbers, strict=False):
+        values[name] = check(name, number)
+    n_read = len(form.numbers)
+    for name, kind, dtype, shape, begin, end in stream.arrays:
+        extra = None
+        if dtype != kind.dtype:
+            extra, n_read = numbers[n_read], n_read + 1
+        values[name] = kind.of_data(name, dtype, shape, extra, payload[begin:end])
+    return form.cls.assembled(values)
 
 
-def head_of(payload: Payload) -> tuple[str, int, int]:
-    """Run id, sequence number and stamp of a frame, unchecked, by its head.
+def head_of(topic: bytes, payload: Payload) -> tuple[str, int, int]:
+    """Run id, sequence number and stamp of a frame, unchecked.
 
-    Raises MessageError, or TypeError, for a head that has none.
+    Raises
+    ------
+    MessageError
+        If it has no description.
+    struct.error
+        If it is cut off.
     """
-    description, numbers, _ = _read_head(payload)
-    stream = _STREAMS.get(description) or _learn(description)
+    stream = _stream_of(topic, payload)
+    numbers = stream.numbers.unpack_from(payload, len(stream.begin) - len(topic) - 1)
     found = dict(zip((name for name, _ in stream.form.numbers), numbers, strict=False))
     return stream.values["run_id"], found["seq"], found["stamp_ns"]
-
-
-def _remember(known: dict[Any, Any], key: Any, value: Any) -> None:
-    if len(known) >= MAX_STREAMS:
-        known.clear()
-    known[key] = value
-
-
-def _read_head(payload: Payload) -> tuple[bytes, list[Any], int]:
-    """Description and numbers of a head, unchecked, and its end in the payload."""
-    if len(payload) < _HEAD.size:
-        raise TruncatedError(f"message cut off after {len(payload)} bytes")
-    end = _HEAD.size + _HEAD.unpack_from(payload)[1]
-    if end > _HEAD.size + MAX_HEAD_BYTES:
-        raise OversizedError(f"head of {end - _HEAD.size} bytes, at most {MAX_HEAD_BYTES}")
-    read = unpacked(payload[_HEAD.size : end], list, len(payload))
-    if not read or not isinstance(read[0], bytes):
-        raise MalformedError("expected a head with a description")
-    return read[0], read[1:], end
 
 
 def unpacked(raw: Payload, expected: type, n_bytes: int) -> Any:
@@ -208,8 +203,14 @@ def unpacked(raw: Payload, expected: type, n_bytes: int) -> Any:
     return found
 
 
-def _describe(message: Message) -> tuple[bytes, bytes]:
-    """Begin of the buffer, the topic and a zero byte, and description of a message."""
+def _remember(known: dict[Any, Any], key: Any, value: Any) -> None:
+    if len(known) >= MAX_STREAMS:
+        known.clear()
+    known[key] = value
+
+
+def _describe(message: Message) -> _Stream:
+    """The stream of a message that was checked."""
     form, values = _form(type(message)), message.__dict__
     arrays = {
         name: [kind.dtype_of(values[name]), list(values[name].shape)]
@@ -223,7 +224,30 @@ def _describe(message: Message) -> tuple[bytes, bytes]:
         "texts": [kind.pack(values[name]) for name, kind in form.texts],
         "arrays": arrays,
     }
-    return message.topic.encode() + b"\0", msgpack.packb(described)
+    description = msgpack.packb(described)
+    if len(description) > MAX_DESCRIPTION_BYTES:
+        most = f"at most {MAX_DESCRIPTION_BYTES}"
+        raise OversizedError(f"description of {len(description)} bytes, {most}")
+    return _learn(description)
+
+
+def _stream_of(topic: bytes, payload: Payload) -> _Stream:
+    """The stream of a payload, or MessageError."""
+    n_bytes = len(payload)
+    if n_bytes < _BEGIN.size:
+        raise TruncatedError(f"message cut off after {n_bytes} bytes")
+    size = _BEGIN.unpack_from(payload)[1]
+    if size > MAX_DESCRIPTION_BYTES:
+        raise OversizedError(f"description of {size} bytes, at most {MAX_DESCRIPTION_BYTES}")
+    description = bytes(payload[_BEGIN.size : _BEGIN.size + size])
+    stream = _STREAMS.get(description)
+    if stream is None:
+        if len(description) < size:
+            raise TruncatedError(f"message cut off after {n_bytes} bytes")
+        stream = _learn(description)
+    if not stream.begin.startswith(topic) or stream.begin[len(topic)]:
+        raise FieldError(f"a message of {stream.topic.decode()} came under topic {topic!r}")
+    return stream
 
 
 def _learn(description: bytes) -> _Stream:
@@ -243,17 +267,27 @@ def _learn(description: bytes) -> _Stream:
     values: dict[str, Any] = dict.fromkeys(form.names)
     for (name, text), value in zip(form.texts, texts, strict=True):
         values[name] = text.unpack(name, value)
-    arrays, n_numbers, n_all = [], len(form.numbers), 0
+    sent, codes = [], [kind.code for _, kind in form.numbers]
     for name, kind in form.arrays:
-        if name not in described:
-            if not kind.optional:
-                raise MalformedError(f"{cls.schema}: missing array {name}")
-            continue
-        dtype, shape, n_bytes = kind.checked_form(name, described[name])
-        arrays.append((name, kind, dtype, shape, n_bytes))
-        n_all += -n_all % ALIGNMENT + n_bytes
-        n_numbers += dtype != kind.dtype
+        if name in described:
+            dtype, shape, n_bytes = kind.checked_form(name, described[name])
+            sent.append((name, kind, dtype, shape, n_bytes))
+            if dtype != kind.dtype:
+                codes.append("d")
+        elif not kind.optional:
+            raise MalformedError(f"{cls.schema}: missing array {name}")
+    if not sent:
+        raise MalformedError(f"{cls.schema}: no array")
     topic = topic_of(values["patch"], cls.schema).encode()
-    stream = _Stream(form, topic, values, tuple(arrays), n_all, n_numbers)
+    begin = topic + b"\0" + _BEGIN.pack(MARK, len(description)) + description
+    n_numbers = struct.calcsize("<" + "".join(codes))
+    n_zeros = -(len(begin) + n_numbers) % ALIGNMENT
+    end, arrays = len(begin) - len(topic) - 1 + n_numbers + n_zeros, []
+    for name, kind, dtype, shape, n_bytes in sent:
+        at = end + -(len(topic) + 1 + end) % ALIGNMENT
+        end = at + n_bytes
+        arrays.append((name, kind, dtype, shape, at, end))
+    numbers = struct.Struct(f"<{''.join(codes)}{n_zeros}x")
+    stream = _Stream(form, begin, numbers, values, tuple(arrays))
     _remember(_STREAMS, description, stream)
     return stream

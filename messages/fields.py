@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -47,9 +48,22 @@ class FieldKind:
         return self.check(name, raw)
 
 
+class Number(FieldKind):
+    """A number or a truth value, which a frame carries in binary; `code` as of module `struct`."""
+
+    code: ClassVar[str]
+
+    @property
+    def of_number(self) -> Callable[[str, Any], Any]:
+        """Function of name and number as it travelled: its value, or MessageError."""
+        return self.check
+
+
 @dataclass(frozen=True)
-class Integer(FieldKind):
+class Integer(Number):
     """A whole number in [low, high]."""
+
+    code: ClassVar[str] = "q"
 
     low: int = 0
     high: int = INT64_MAX
@@ -65,8 +79,10 @@ class Integer(FieldKind):
 
 
 @dataclass(frozen=True)
-class Real(FieldKind):
-    """A finite number in [low, high]; None where `optional`."""
+class Real(Number):
+    """A finite number in [low, high]; None, which travels as NaN, where `optional`."""
+
+    code: ClassVar[str] = "d"
 
     low: float = -math.inf
     high: float = math.inf
@@ -86,10 +102,19 @@ class Real(FieldKind):
             raise FieldError(f"{name}: {number} is outside {self.low}..{self.high}")
         return number
 
+    @property
+    def of_number(self) -> Callable[[str, Any], Any]:
+        return self._known if self.optional else self.check
+
+    def _known(self, name: str, number: Any) -> float | None:
+        return None if number != number else self.check(name, number)
+
 
 @dataclass(frozen=True)
-class Flag(FieldKind):
+class Flag(Number):
     """True or false."""
+
+    code: ClassVar[str] = "?"
 
     def check(self, name: str, value: Any) -> bool:
         if not isinstance(value, bool):

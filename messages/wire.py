@@ -112,9 +112,9 @@ def decode(topic: bytes, payload: Payload) -> Message:
         truncated, oversized, an unknown schema or version, a wrong shape, a value out of range,
         NaN or infinity, or another topic than the message's own.
     """
+    n_bytes = len(payload)
     if len(topic) > MAX_TOPIC_BYTES:
         raise OversizedError(f"topic of {len(topic)} bytes, at most {MAX_TOPIC_BYTES}")
-    n_bytes = len(payload)
     if n_bytes > MAX_MESSAGE_BYTES:
         raise OversizedError(f"message of {n_bytes} bytes, at most {MAX_MESSAGE_BYTES}")
     if not n_bytes:

@@ -225,7 +225,7 @@ def _arrival(topic: bytes, payload: Payload, at_ns: int) -> Arrival | None:
             seq = body["n_messages"] if ends else body["seq"]
             head = (str(body["run_id"]), seq, body["stamp_ns"])
         else:
-            head = head_of(payload)
+            head = head_of(topic, payload)
     except Exception:  # msgpack promises no narrower family for hostile bytes
         return None
     if type(head[1]) is not int or type(head[2]) is not int:

@@ -33,9 +33,12 @@ def make_context() -> zmq.Context[zmq.Socket[bytes]]:
     return context
 
 
+_EVENTS, _POLLIN = int(zmq.EVENTS), int(zmq.POLLIN)
+
+
 def is_readable(socket: zmq.Socket[bytes]) -> bool:
-    """True if a message waits; a tenth of the time of `poll(0)`, or of a receive that fails."""
-    return bool(int(socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)
+    """True if a message waits; a third of the time of a receive that fails."""
+    return bool(socket.getsockopt(_EVENTS) & _POLLIN)  # type: ignore[operator]
 
 
 def monitor_event(monitor: zmq.Socket[bytes]) -> tuple[int, int, str]:

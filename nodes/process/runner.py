@@ -123,8 +123,10 @@ class Runner:
             ready = self._wait()
             if self.writer.socket in ready:  # the states for a new reader come before frames
                 self.writer.serve_subscriptions()
-            self._receive()
-            self._answer()
+            if self.reader is not None and (self.reader.socket in ready or not self.caught_up):
+                self._receive(self.reader)
+            if self.unanswered:
+                self._answer()
             if self.control.fd in ready:
                 self._execute_commands()
             if self.draining and self._source is not None:
@@ -252,22 +254,19 @@ class Runner:
             self.host.node.begin(self.clock.now_ns())
         self.started = True
 
-    def _receive(self) -> None:
-        if self.reader is None or self.backlog is None:
-            return
+    def _receive(self, reader: Reader) -> None:
+        assert self.backlog is not None
         for _ in _batch():
             waiting = self.backlog.take(self.host.node.depth)
             self.caught_up = waiting is None
             if waiting is None:
                 return
-            if self.reader.is_ask(waiting.topic):
-                note = bytes(waiting.payload)
-                if self.network.take_time(note):
-                    continue
+            topic, payload, overtaken = waiting
+            if not reader.is_ask(topic):
+                self._publish(self.host.receive_bytes(topic, payload, overtaken))
+            elif not self.network.take_time(note := bytes(payload)):
                 self.asked = True
                 self.unanswered.append((self.writer.ask(), note))
-            else:
-                self._publish(self.host.receive_bytes(*waiting))
 
     def _answer(self) -> None:
         """Answer asks as soon as the readers of this node have answered them."""
