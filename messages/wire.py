@@ -118,7 +118,7 @@ def decode(topic: bytes, payload: Payload) -> Message:
     if n_bytes > MAX_MESSAGE_BYTES:
         raise OversizedError(f"message of {n_bytes} bytes, at most {MAX_MESSAGE_BYTES}")
     if not n_bytes:
-        raise TruncatedError("nothing follows the topic, as where another version sent it")
+        raise TruncatedError("no payload follows the topic: the sender runs another version")
     if payload[0] == MARK:
         return decode_frame(topic, payload)
     body: dict[object, object] = unpacked(payload, dict, n_bytes)

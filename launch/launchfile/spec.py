@@ -111,14 +111,14 @@ class LaunchFile:
         nodes = {n: spec for n, spec in self.nodes.items() if spec.host in ("", here)}
         links = [link for link in self.links if link.reader in nodes or link.writer in nodes]
         elsewhere = {n: spec for n, spec in self.nodes.items() if n not in nodes}
-        refused = []
+        refused: dict[str, list[str]] = {}
         for spec in nodes.values():
             try:
                 spec.scheduling.check_permitted()
             except SettingsError as error:
-                refused.append(f"{self.shown}: nodes.{spec.name}.{error}")
+                refused.setdefault(str(error), []).append(spec.name)
         if refused:
-            raise LaunchError(refused)
+            raise LaunchError([f"{self.shown}: {', '.join(n)}: {e}" for e, n in refused.items()])
         return replace(
             self, nodes=nodes, links=links, elsewhere=elsewhere, host=here, credentials=found
         )

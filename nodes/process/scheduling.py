@@ -70,7 +70,7 @@ class Scheduling:
     @contextmanager
     def applied(self) -> Iterator[None]:
         """Schedule this process so, with the threads that start within the context. Those that
-        start after it share the CPUs with all others: what serves a page must not hold up frames.
+        start after it have no priority: a thread that serves a page must not hold up frames.
 
         Raises
         ------

@@ -30,7 +30,7 @@ BUDGET_S = 1500.0
 faults the study then takes 30 minutes at most.
 """
 STOP_S = 5.0
-TRANSPORTS = ("unix", "ipc")
+TRANSPORTS = ("ipc", "tcp")
 UNKNOWN = "?"
 SIGNALS = {
     "SIGKILL": "kill -9 of the {node}",

@@ -25,8 +25,6 @@ RATE_HZ = 1000
 WANTED_MS = 0.4
 """Median age that is wanted without a monitor."""
 SCENES = {"40 x 40": "path_40", "64 x 64": "drag_wrench_64"}
-TRANSPORTS = ("unix", "ipc")
-"""Direct links and ZeroMQ."""
 FAR = 4.0
 """Multiple of the median above which a bar of the chart is cut off and labelled; chosen."""
 QUIET = 0.1
@@ -44,8 +42,7 @@ _NODES = "sparseskin.studies.latency.nodes:Timed"
 def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Age of the frames of one graph when they were reconstructed, and its stages.
 
-    `point`: scene, preset, depth, rate_hz, n_frames, monitor (True: one subscribes), transport (of
-    a launch file).
+    `point`: scene, preset, depth, rate_hz, n_frames, monitor (True: one subscribes).
 
     Returns
     -------
@@ -62,7 +59,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         "reconstructor": {"type": f"{_NODES}Reconstructor", **solver},
     }
     nodes |= {"monitor": {"page": False}} if point["monitor"] else {}
-    launch = launch_text(nodes, {"transport": point["transport"]})
+    launch = launch_text(nodes, {})
     began_s, before_s, own_s = time.monotonic(), host_busy_s(), 0.0
     with GraphRun(launch, "--frames", str(point["n_frames"])) as graph:
         pids = [graph.process.pid, *graph.nodes().values()]
@@ -104,7 +101,7 @@ def stages_ns(sensor: Times, edge: Times, host: Times) -> Times:
     reconstructed.
 
     A message waits in a queue while its reader is busy with the one before it; the rest of its way
-    is the wire: the transport, the wake-up of the reader, decoding.
+    is the wire: ZeroMQ, the wake-up of the reader, decoding.
 
     Parameters
     ----------
@@ -158,19 +155,14 @@ def figures(stages_ms: npt.NDArray[np.float64]) -> dict[str, Any]:
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """Both sizes, the default solver and the paper's, with and without a monitor; the default
-    solver also where it reconstructs the newest frames alone, and over both transports, one after
-    the other.
+    solver also where it reconstructs the newest frames alone.
     """
     common = {"rate_hz": RATE_HZ, "n_frames": 3000 if quick else 12_000, "seed": seed}
     return [
-        {
-            **{"scene": scene, "preset": preset, "depth": depth, "monitor": monitor},
-            **{"transport": transport, **common},
-        }
+        {"scene": scene, "preset": preset, "depth": depth, "monitor": monitor, **common}
         for monitor in (False, True)
         for preset, depth in (("skin", 0), ("skin", 1), ("paper", 0))
         for scene in SCENES.values()
-        for transport in (TRANSPORTS if preset == "skin" else TRANSPORTS[:1])
     ]
 
 
@@ -182,7 +174,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
     made = points(quick, seed)
     found = compute(measure, made, out, "serial", "latency")
     rows = pd.DataFrame(map(row_of, made, found), dtype=object)
-    names = ["skin", "preset", "reconstructed", "monitor", "transport"]
+    names = ["skin", "preset", "reconstructed", "monitor"]
     names += ["n_frames", "skipped", "lost"]
     headings = {"n_frames": "frames", **{f"{name}_ms": f"{name} ms" for name in QUANTILES}}
     headings |= {f"p50 {stage}_ms": stage for stage in STAGES}
@@ -203,29 +195,15 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> None:
 
 
 def conclusion(rows: pd.DataFrame) -> list[str]:
-    """The default solver without a monitor, all frames; the median over direct links against that
-    over ZeroMQ; and what was not reconstructed.
-    """
+    """The default solver without a monitor, all frames; and what was not reconstructed."""
     skin = rows[rows["preset"] == "skin"]
-    alone = skin[
-        (skin["reconstructed"] == "all")
-        & (skin["monitor"] == "no")
-        & (skin["transport"] == TRANSPORTS[0])
-    ]
+    alone = skin[(skin["reconstructed"] == "all") & (skin["monitor"] == "no")]
     lines = [
         f"Preset `skin`, all frames of {row['skin']} taxels: half of them are reconstructed "
         f"{row['p50_ms']:.2f} ms after their acquisition (wanted: {WANTED_MS:g} ms), 99 % within "
         f"{row['p99_ms']:.2f} ms."
         for row in alone.to_dict("records")
     ]
-    names = ["skin", "reconstructed", "monitor"]
-    medians = skin.pivot_table(index=names, columns="transport", values="p50_ms", aggfunc="first")
-    if set(TRANSPORTS) <= set(medians):
-        ratios = (medians[TRANSPORTS[0]] / medians[TRANSPORTS[1]]).dropna().astype(float)
-        lines.append(
-            f"Over direct links (`unix`) the median age is {ratios.median():.2f} times that over "
-            f"ZeroMQ (`ipc`), {ratios.min():.2f} to {ratios.max():.2f} in {len(ratios)} pairs."
-        )
     n, lost = rows["n_frames"].sum(), rows["lost"].sum()
     return [*lines, f"Of all graphs' {n} frames that were timed, {lost} were lost."]
 
@@ -237,7 +215,6 @@ def row_of(point: dict[str, Any], figures: dict[str, Any]) -> dict[str, Any]:
         "preset": point["preset"],
         "reconstructed": "newest" if point["depth"] else "all",
         "monitor": "yes" if point["monitor"] else "no",
-        "transport": point["transport"],
         "rate_hz": point["rate_hz"],
         **{name: figures[name] for name in ("n_frames", "skipped", "lost")},
         "others_cores": figures["others"],
@@ -259,7 +236,7 @@ def draw(out: Path, rows: pd.DataFrame) -> str:
     """Chart of the stages: a bar a graph, for the median and both tails."""
     labels = rows["skin"] + ", " + rows["preset"]
     labels += rows["reconstructed"].map({"newest": ", newest", "all": ""})
-    labels += rows["monitor"].map({"yes": ", monitor", "no": ""}) + ", " + rows["transport"]
+    labels += rows["monitor"].map({"yes": ", monitor", "no": ""})
     caption = (
         "Stages of a frame at 1 kHz, from its acquisition until it is reconstructed: around the "
         "median, and around the slowest of 100 and of 1000 frames (each panel has its own scale; "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 
 import numpy as np
@@ -70,34 +69,12 @@ def test_quantiles_and_the_stages_around_them() -> None:
         assert abs(sum(found[name]["stages_ms"]) - found[name]["total_ms"]) < 0.1
 
 
-def test_both_transports_are_timed_one_after_the_other_and_compared() -> None:
-    made = latency.points(quick=True, seed=0)
-    pairs = [
-        (a, b)
-        for a, b in itertools.pairwise(made)
-        if {**a, "transport": ""} == {**b, "transport": ""}
-    ]
-    assert len(pairs) == 8
-    assert {(a["transport"], b["transport"]) for a, b in pairs} == {("unix", "ipc")}
-    rows = []
-    for k, point in enumerate(made):
-        total_ms = 0.5 + (0.5 if point["transport"] == "ipc" else 0.0) + 1000 * (k > 8)
-        of = {"total_ms": total_ms, "stages_ms": [total_ms / 8] * 8}
-        found = {"n_frames": 10, "skipped": 0, "lost": 0, "others": 0.0}
-        rows.append(latency.row_of(point, found | dict.fromkeys(QUANTILES, of)))
-    lines = latency.conclusion(pd.DataFrame(rows, dtype=object))
-    assert "is 0.50 times that over ZeroMQ" not in lines[0]
-    (line,) = [line for line in lines if "direct links" in line]
-    assert "in 8 pairs" in line
-    assert ", 0.50 to 1.00 in" in line
-
-
 def test_a_graph_with_a_stopwatch_is_complete(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(latency, "WARM_UP", 20)
     point = {"scene": "path_40", "preset": "skin", "depth": 0, "rate_hz": 100, "n_frames": 150}
-    point |= {"monitor": False, "transport": "unix"}
+    point |= {"monitor": False}
     found = measure(point)
     assert found["lost"] == found["skipped"] == 0
     assert found["n_frames"] == 130

@@ -24,7 +24,7 @@ def made(fault: str, tmp_path: Path, **more: Any) -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "transport"), [*((name, "unix") for name in faults.SIGNALS), ("SIGKILL", "ipc")]
+    ("name", "transport"), [*((name, "ipc") for name in faults.SIGNALS), ("SIGKILL", "tcp")]
 )
 def test_a_node_that_is_killed_crashes_or_stops_takes_no_other_with_it(
     name: str, transport: str, tmp_path: Path
