@@ -73,25 +73,20 @@ def _form(cls: type[Message]) -> _Form:
 class _Stream:
     """What all messages of a description have in common.
 
-    `begin` is their topic and all that follows up to the numbers; `numbers` packs these; `values`
-    holds all fields in their order, the texts set; `arrays` has the name, kind, dtype and shape of
-    the arrays that are sent, and where each begins and ends in the payload.
+    `begin` is their topic and all that follows up to the numbers; `numbers` packs these, which
+    begin in the payload at `numbers_at`; `values` holds all fields in their order, the texts set;
+    `arrays` has the name, kind, dtype and shape of the arrays that are sent, and where each begins
+    and ends in the payload, which has `n_bytes`.
     """
 
     form: _Form
+    topic: bytes
     begin: bytes
     numbers: struct.Struct
+    numbers_at: int
     values: dict[str, Any]
     arrays: tuple[tuple[str, Array, str, tuple[int, ...], int, int], ...]
-
-    @property
-    def topic(self) -> bytes:
-        return self.begin[: self.begin.index(0)]
-
-    @property
-    def n_bytes(self) -> int:
-        """Size of the payload, bytes."""
-        return self.arrays[-1][-1]
+    n_bytes: int
 
 
 _STREAMS: dict[bytes, _Stream] = {}
@@ -158,8 +153,7 @@ def decode_frame(topic: bytes, payload: Payload) -> Message:
         text = f"{stream.form.cls.schema}: {n_bytes} bytes, expected {stream.n_bytes}"
         raise (TruncatedError if n_bytes < stream.n_bytes else OversizedError)(text)
     values, form = stream.values.copy(), stream.form
-    at = len(stream.begin) - len(topic) - 1
-    numbers = stream.numbers.unpack_from(payload, at)
+    numbers = stream.numbers.unpack_from(payload, stream.numbers_at)
     for (name, check), number in zip(form.checks, numbers, strict=False):
         values[name] = check(name, number)
     n_read = len(form.numbers)
@@ -182,7 +176,7 @@ def head_of(topic: bytes, payload: Payload) -> tuple[str, int, int]:
         If it is cut off.
     """
     stream = _stream_of(topic, payload)
-    numbers = stream.numbers.unpack_from(payload, len(stream.begin) - len(topic) - 1)
+    numbers = stream.numbers.unpack_from(payload, stream.numbers_at)
     found = dict(zip((name for name, _ in stream.form.numbers), numbers, strict=False))
     return stream.values["run_id"], found["seq"], found["stamp_ns"]
 
@@ -245,7 +239,7 @@ def _stream_of(topic: bytes, payload: Payload) -> _Stream:
         if len(description) < size:
             raise TruncatedError(f"message cut off after {n_bytes} bytes")
         stream = _learn(description)
-    if not stream.begin.startswith(topic) or stream.begin[len(topic)]:
+    if stream.topic != topic:
         raise FieldError(f"a message of {stream.topic.decode()} came under topic {topic!r}")
     return stream
 
@@ -281,13 +275,13 @@ def _learn(description: bytes) -> _Stream:
     topic = topic_of(values["patch"], cls.schema).encode()
     begin = topic + b"\0" + _BEGIN.pack(MARK, len(description)) + description
     n_numbers = struct.calcsize("<" + "".join(codes))
-    n_zeros = -(len(begin) + n_numbers) % ALIGNMENT
-    end, arrays = len(begin) - len(topic) - 1 + n_numbers + n_zeros, []
+    n_zeros, at = -(len(begin) + n_numbers) % ALIGNMENT, len(begin) - len(topic) - 1
+    end, arrays = at + n_numbers + n_zeros, []
     for name, kind, dtype, shape, n_bytes in sent:
-        at = end + -(len(topic) + 1 + end) % ALIGNMENT
-        end = at + n_bytes
-        arrays.append((name, kind, dtype, shape, at, end))
+        first = end + -(len(topic) + 1 + end) % ALIGNMENT
+        end = first + n_bytes
+        arrays.append((name, kind, dtype, shape, first, end))
     numbers = struct.Struct(f"<{''.join(codes)}{n_zeros}x")
-    stream = _Stream(form, begin, numbers, values, tuple(arrays))
+    stream = _Stream(form, topic, begin, numbers, at, values, tuple(arrays), end)
     _remember(_STREAMS, description, stream)
     return stream
