@@ -159,7 +159,9 @@ def test_forces_that_are_not_finite_are_refused_in_each_frame(bad: float) -> Non
         decode(topic, payload(description, numbers, forces.tobytes()))
 
 
-@pytest.mark.parametrize("other", [b"/other/taxels", b"/skin/taxel", b"/skin/taxels_batch", b"/skin/taxels\0"])
+@pytest.mark.parametrize(
+    "other", [b"/other/taxels", b"/skin/taxel", b"/skin/taxels_batch", b"/skin/taxels\0"]
+)
 def test_a_known_description_does_not_pass_under_another_topic(other: bytes) -> None:
     topic, *rest = pieces(taxels())
     decode(topic, payload(*rest))
