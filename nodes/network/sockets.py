@@ -58,6 +58,9 @@ QUEUE_FRAMES = 1000
 """High-water mark of each queue: one second at 1 kHz before messages are dropped and counted."""
 
 
+_NOBLOCK = int(zmq.NOBLOCK)
+
+
 @dataclass(frozen=True)
 class Peer:
     """A writer as its readers know it: name of the node, and where it is bound.
@@ -311,16 +314,15 @@ class Reader:
         alone is returned with an empty payload, for the decoder to refuse and count; each part of a
         message of several counts as a message. An ask is a payload under the reader's own tag.
         """
-        while is_readable(self.socket):
-            try:
-                topic, payload = received(self.socket.recv(zmq.NOBLOCK))
+        while True:
+            try:  # to ask first whether one waits would cost as much as to receive it
+                topic, payload = received(self.socket.recv(_NOBLOCK))
             except zmq.Again:
                 return None
             if topic in self._topics:
                 return topic, payload
             if topic == self._tag:
                 return topic, bytes(payload)
-        return None
 
     def is_ask(self, topic: bytes) -> bool:
         """True if a topic is that of asks, to be answered by `answer`."""
