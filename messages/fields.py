@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -47,9 +48,22 @@ class FieldKind:
         return self.check(name, raw)
 
 
+class Number(FieldKind):
+    """A number or a truth value, which a frame carries in binary; `code` as of module `struct`."""
+
+    code: ClassVar[str]
+
+    @property
+    def of_number(self) -> Callable[[str, Any], Any]:
+        """Function of name and number as it travelled: its value, or MessageError."""
+        return self.check
+
+
 @dataclass(frozen=True)
-class Integer(FieldKind):
+class Integer(Number):
     """A whole number in [low, high]."""
+
+    code: ClassVar[str] = "q"
 
     low: int = 0
     high: int = INT64_MAX
@@ -65,8 +79,10 @@ class Integer(FieldKind):
 
 
 @dataclass(frozen=True)
-class Real(FieldKind):
-    """A finite number in [low, high]; None where `optional`."""
+class Real(Number):
+    """A finite number in [low, high]; None, which travels as NaN, where `optional`."""
+
+    code: ClassVar[str] = "d"
 
     low: float = -math.inf
     high: float = math.inf
@@ -86,10 +102,19 @@ class Real(FieldKind):
             raise FieldError(f"{name}: {number} is outside {self.low}..{self.high}")
         return number
 
+    @property
+    def of_number(self) -> Callable[[str, Any], Any]:
+        return self._known if self.optional else self.check
+
+    def _known(self, name: str, number: Any) -> float | None:
+        return None if number != number else self.check(name, number)
+
 
 @dataclass(frozen=True)
-class Flag(FieldKind):
+class Flag(Number):
     """True or false."""
+
+    code: ClassVar[str] = "?"
 
     def check(self, name: str, value: Any) -> bool:
         if not isinstance(value, bool):
@@ -209,7 +234,7 @@ class Array(FieldKind):
         return self.dtype, shape, math.prod(shape) * self._dtype.itemsize
 
     def of_data(
-        self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes
+        self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes | memoryview
     ) -> npt.NDArray[Any]:
         """The array of bytes, as many as `checked_form` returned; MessageError if not finite."""
         if self._dtype.kind == "b" and max(data) > 1:
@@ -308,14 +333,14 @@ class Samples(Array):
         return form[0], shape, n_bytes(shape[0], bits)
 
     def of_data(
-        self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes
+        self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes | memoryview
     ) -> npt.NDArray[Any]:
         if dtype == self.dtype:
             return super().of_data(name, dtype, shape, extra, data)
         return self._of_codes(name, shape[0], _bits_of(name, dtype), extra, data)
 
     @staticmethod
-    def _of_codes(name: str, m: int, bits: int, step: Any, data: bytes) -> Quantised:
+    def _of_codes(name: str, m: int, bits: int, step: Any, data: bytes | memoryview) -> Quantised:
         if type(step) is not float:
             raise MalformedError(f"{name}: step must be a float")
         _check_quantiser(name, bits, step)

@@ -54,7 +54,7 @@ def packed(codes: npt.NDArray[np.int32], bits: int) -> bytes:
     return np.packbits(all_bits[:, 32 - bits :]).tobytes()
 
 
-def unpacked(data: bytes, m: int, bits: int) -> npt.NDArray[np.int32]:
+def unpacked(data: bytes | memoryview, m: int, bits: int) -> npt.NDArray[np.int32]:
     """Inverse of `packed`: m codes, int32, from `n_bytes(m, bits)` bytes."""
     rows = np.unpackbits(np.frombuffer(data, np.uint8), count=m * bits).reshape(m, bits)
     wide = np.zeros((m, 32), np.uint8)

@@ -1,12 +1,13 @@
-"""The wire forms: a topic and one msgpack map, or for frames a head and arrays (`parts`).
+"""The wire forms: a topic, a zero byte, and one msgpack map or the head and arrays of a frame.
 
-Frames travel in parts; recordings hold maps, and a map of any message is read from the wire too.
+A message is one buffer, which ZeroMQ carries as one part and selects by its begin. The form of
+frames is in `buffers`; recordings hold maps, and a map of any message is read from the wire too.
 Nothing on the wire is ever executed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,27 +15,25 @@ import msgpack
 import numpy as np
 
 from .base import Message, omitted_fields, once_a_class, wire_fields
+from .buffers import MARK, Payload, decode_frame, frame_pieces, is_frame, unpacked
 from .errors import (
     FieldError,
     MalformedError,
     OversizedError,
+    TruncatedError,
 )
 from .fields import MAX_ELEMENTS
-from .parts import Parts, decode_parts, encode_parts, travels_in_parts, unpacked
 from .schemas import SCHEMAS, class_of
 from .state import End
 from .topics import MAX_TOPIC_BYTES
 
 __all__ = [
-    "MAX_MESSAGE_BYTES", "SCHEMAS", "Payload", "decode", "encode", "is_end", "payload_of",
-    "size_bytes", "wire_parts",
+    "MAX_MESSAGE_BYTES", "SCHEMAS", "Payload", "decode", "encode", "is_end", "received",
+    "size_bytes", "wire_bytes",
 ]  # fmt: skip
 
 MAX_MESSAGE_BYTES = 8 * MAX_ELEMENTS + 65536
 """Largest payload, bytes: two of the largest float32 arrays and room for the other fields."""
-
-MAX_PARTS = 16
-"""Largest number of parts, its topic included."""
 
 _END: bytes = msgpack.packb("schema") + msgpack.packb(End.schema)
 """Bytes after the first one, the number of fields, in the payload of an End."""
@@ -68,25 +67,24 @@ def _form(cls: type[Message]) -> _Form:
     )
 
 
-Payload = bytes | Parts
-"""A message as received, without its topic: one map, or head and arrays."""
-
-
 def is_end(payload: Payload) -> bool:
     """True if a payload made by `encode` is that of an End, without decoding it."""
-    return isinstance(payload, bytes) and payload[1 : 1 + len(_END)] == _END
+    return payload[1 : 1 + len(_END)] == _END
 
 
-def wire_parts(message: Message) -> tuple[Any, ...]:
-    """Turn a message into the parts that travel: its topic first, and bytes or arrays of them."""
-    return encode_parts(message) if travels_in_parts(type(message)) else encode(message)
+def wire_bytes(message: Message) -> bytes:
+    """Turn a message into the buffer that travels."""
+    if is_frame(type(message)):
+        return b"".join(frame_pieces(message))
+    return b"\0".join(encode(message))
 
 
-def payload_of(parts: Sequence[bytes]) -> Payload:
-    """Payload of the parts of a received message, its topic first; b"" where there is none."""
-    if len(parts) == 2:
-        return parts[1]
-    return tuple(parts[1:]) if 2 < len(parts) <= MAX_PARTS else b""
+def received(buffer: bytes) -> tuple[bytes, Payload]:
+    """Topic and payload of a buffer that came; b"" where there is none."""
+    end = buffer.find(0)
+    if end < 0:
+        return buffer, b""
+    return buffer[:end], memoryview(buffer)[end + 1 :]
 
 
 def encode(message: Message) -> tuple[bytes, bytes]:
@@ -114,13 +112,15 @@ def decode(topic: bytes, payload: Payload) -> Message:
         truncated, oversized, an unknown schema or version, a wrong shape, a value out of range,
         NaN or infinity, or another topic than the message's own.
     """
+    n_bytes = len(payload)
     if len(topic) > MAX_TOPIC_BYTES:
         raise OversizedError(f"topic of {len(topic)} bytes, at most {MAX_TOPIC_BYTES}")
-    n_bytes = len(payload) if isinstance(payload, bytes) else sum(map(len, payload))
     if n_bytes > MAX_MESSAGE_BYTES:
         raise OversizedError(f"message of {n_bytes} bytes, at most {MAX_MESSAGE_BYTES}")
-    if not isinstance(payload, bytes):
-        return decode_parts(topic, payload)
+    if not n_bytes:
+        raise TruncatedError("no payload follows the topic: the sender runs another version")
+    if payload[0] == MARK:
+        return decode_frame(topic, payload)
     body: dict[object, object] = unpacked(payload, dict, n_bytes)
     form = _form(class_of(body))
     for name, default in form.omitted.items():
@@ -135,5 +135,7 @@ def decode(topic: bytes, payload: Payload) -> Message:
 
 
 def size_bytes(message: Message) -> int:
-    """Size on the wire in bytes, topic and all other parts."""
-    return sum(getattr(part, "nbytes", None) or len(part) for part in wire_parts(message))
+    """Size on the wire in bytes, topic included."""
+    if not is_frame(type(message)):
+        return len(wire_bytes(message))
+    return sum(getattr(one, "nbytes", None) or len(one) for one in frame_pieces(message))

@@ -135,7 +135,8 @@ class NodeHost:
         """Let a source acquire one frame; a source that fails ends its stream."""
         assert isinstance(self.node, SourceNode)
         try:
-            yield from self._publish(self.node.acquire(tick))
+            for message in self.node.acquire(tick):
+                yield self._numbered(message)
         except SparseskinError as error:
             self.failure = str(error)
             self._log(f"error: {error}")
@@ -145,41 +146,43 @@ class NodeHost:
 
     def receive_bytes(
         self, topic: bytes, payload: Payload, overtaken: bool = False
-    ) -> Iterator[Message]:
+    ) -> Iterable[Message]:
         """Decode and process one message; one that cannot be decoded is counted.
 
-        An overtaken one is counted and skipped, unless it ends its stream.
+        An overtaken one is counted and skipped, unless it ends its stream. The node works while
+        what follows is iterated over.
         """
         try:
             message = decode(topic, payload)
         except MessageError as error:
-            self.refuse(error)
-            return
-        yield from self.receive(message, overtaken)
+            self._refuse(error.reason, str(error))
+            return ()
+        return self.receive(message, overtaken)
 
-    def refuse(self, error: MessageError) -> None:
-        """Count what came and is no message."""
-        self._refuse(error.reason, str(error))
-
-    def receive(self, message: Message, overtaken: bool = False) -> Iterator[Message]:
+    def receive(self, message: Message, overtaken: bool = False) -> Iterable[Message]:
         """Process one message; one that the node refuses is counted, and the node continues."""
-        count = self.counts.inputs.get(message.topic)
+        topic = message.topic
+        count = self.counts.inputs.get(topic)
         if count is None:
-            self._refuse("unknown topic", f"{message.topic}: not an input of this node")
-            return
+            self._refuse("unknown topic", f"{topic}: not an input of this node")
+            return ()
         self._last_stamp_ns = max(self._last_stamp_ns, message.stamp_ns)
         if isinstance(message, End):
-            if not count.ended:
-                count.end(message)
-                yield from self._guarded(self.node.ended, message.topic, message.n_messages)
-                if all(self.counts.inputs[topic].ended for topic in self.streams):
-                    yield from self.finish(self._last_stamp_ns)
-        elif count.admit(message):
-            if overtaken:
-                count.skipped += 1
-                self.node.overtaken(message)
-                return
-            yield from self._guarded(self.node.step, message)
+            return () if count.ended else self._end(count, message)
+        if not count.admit(message):
+            return ()
+        if overtaken:
+            count.skipped += 1
+            self.node.overtaken(message)
+            return ()
+        return self._guarded(self.node.step, message)
+
+    def _end(self, count: InputCount, end: End) -> Iterator[Message]:
+        """Process the end of an input."""
+        count.end(end)
+        yield from self._guarded(self.node.ended, end.topic, end.n_messages)
+        if all(self.counts.inputs[topic].ended for topic in self.streams):
+            yield from self.finish(self._last_stamp_ns)
 
     def change(self, changes: Mapping[str, Any]) -> list[Message]:
         """Change settings between two frames, or raise SparseskinError; return what follows."""
@@ -226,7 +229,8 @@ class NodeHost:
     def _guarded(self, method: Callable[..., Iterable[Message]], *args: Any) -> Iterator[Message]:
         """Publish what a method yields; an exception is counted and ends no node."""
         try:
-            yield from self._publish(method(*args))
+            for message in method(*args):
+                yield self._numbered(message)
         except RefusedError as error:
             self._refuse("refused", str(error))
         except MessageError as error:
@@ -242,12 +246,17 @@ class NodeHost:
 
     def _publish(self, messages: Iterable[Message]) -> Iterator[Message]:
         for message in messages:
-            seq = self.counts.published[message.topic]
-            self.counts.published[message.topic] += 1
-            if not self.node.verbatim:
-                message = message.published(self.run_id, seq)
-            self._sent[message.topic] = (message.run_id, message.seq + 1)
-            yield message
+            yield self._numbered(message)
+
+    def _numbered(self, message: Message) -> Message:
+        """Count a message that the node publishes, and give it its number."""
+        topic = message.topic
+        seq = self.counts.published[topic]
+        self.counts.published[topic] = seq + 1
+        if not self.node.verbatim:
+            message = message.published(self.run_id, seq)
+        self._sent[topic] = (message.run_id, message.seq + 1)
+        return message
 
     def _count_error(self, error: Exception) -> None:
         self.counts.errors += 1

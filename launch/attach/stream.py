@@ -18,7 +18,7 @@ import zmq
 
 from sparseskin.launch.run.running import RunningGraph, is_running
 from sparseskin.messages import End
-from sparseskin.messages.parts import head_of
+from sparseskin.messages.buffers import MARK, head_of
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS, Payload
 from sparseskin.nodes.clock import SystemClock
@@ -60,8 +60,7 @@ class Arrival(NamedTuple):
     @property
     def n_bytes(self) -> int:
         """Its size on the wire, topic and payload."""
-        parts = (self.payload,) if isinstance(self.payload, bytes) else self.payload
-        return len(self.topic) + sum(map(len, parts))
+        return len(self.topic) + 1 + len(self.payload)
 
 
 class Losses:
@@ -220,13 +219,13 @@ def _arrival(topic: bytes, payload: Payload, at_ns: int) -> Arrival | None:
     """A message with its head read, its fields unchecked; None where it has none."""
     ends = False
     try:
-        if isinstance(payload, bytes):
+        if payload[0] != MARK:
             body: Any = msgpack.unpackb(payload, raw=False, max_map_len=64, max_ext_len=0)
             ends = body["schema"] == End.schema
             seq = body["n_messages"] if ends else body["seq"]
             head = (str(body["run_id"]), seq, body["stamp_ns"])
         else:
-            head = head_of(payload[0])
+            head = head_of(topic, payload)
     except Exception:  # msgpack promises no narrower family for hostile bytes
         return None
     if type(head[1]) is not int or type(head[2]) is not int:

@@ -33,13 +33,6 @@ from sparseskin.nodes.process.proc import age_s, cpu_s, resident_bytes
 
 from .options import add_commands, add_graph, show
 
-TRANSPORTS = {
-    "unix": "unix (direct links to nodes of this host); observers: ipc",
-    "ipc": "ipc (ZeroMQ)",
-    "tcp": "tcp (ZeroMQ)",
-}
-"""Meaning of the transport of a node."""
-
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `node`."""
@@ -100,7 +93,7 @@ def _text(node: dict[str, Any]) -> list[str]:
         *_entry("type", node["type"]),
         *_entry("condition", node["condition"] + restarts),
         *_entry("process", f"{node['pid']} on {node['host']}"),
-        *_entry("transport", TRANSPORTS.get(node["transport"], node["transport"])),
+        *_entry("transport", f"{node['transport']} (ZeroMQ)"),
     ]
     if "cpu_s" in node:
         shares = f"{node['cpu_percent']:.1f} % of a core since it started"

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from sparseskin.launch.run.restarts import RESTART_KEYS, RestartPolicy
 from sparseskin.messages.errors import MessageError
@@ -16,14 +16,15 @@ from sparseskin.messages.topics import check_name
 from sparseskin.nodes.errors import NotHereError, SparseskinError
 from sparseskin.nodes.graph import Link, join
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.process.scheduling import SCHEDULING_KEYS, Scheduling
 from sparseskin.nodes.registry import make_settings, node_class
 from sparseskin.nodes.settings import Settings
 from sparseskin.nodes.toml import parse_toml
 
 from .hosts import check_exposure, give_ports, read_hosts, read_place, read_security
-from .spec import DIRECT, LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
+from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
 
-TRANSPORTS = ("auto", DIRECT, "ipc", "tcp")
+TRANSPORTS = ("ipc", "tcp")
 RECORDER = "recorder"
 SKIN = "skin"
 """Table of the patches of a body."""
@@ -39,7 +40,9 @@ MAX_ERRORS = 50
 """Errors of one file that are reported."""
 MAX_ERROR = 1000
 """Characters of one error that are reported."""
-GRAPH_KEYS = ("description", "transport", "log_dir", INSECURE, *RESTART_KEYS)
+GRAPH_KEYS = ("description", "transport", "log_dir", INSECURE, *RESTART_KEYS, *SCHEDULING_KEYS)
+
+Stated = TypeVar("Stated", RestartPolicy, Scheduling)
 
 
 class Checker:
@@ -58,6 +61,7 @@ class Checker:
         self.launched = text
         self.templates: dict[str, str] = {}
         self.restart = RestartPolicy()
+        self.scheduling = Scheduling()
         self.places: dict[str, Any] = {}
 
     def check(self, overrides: Sequence[str], record: str | None) -> LaunchFile:
@@ -72,7 +76,8 @@ class Checker:
         security = read_security(self.tree, hosts, self.folder, self.fault)
         insecure = graph.get(INSECURE) is True
         check_exposure(hosts.values(), security, insecure, self.fault)
-        self.restart = self.restart_policy((GRAPH,), graph, RestartPolicy())
+        self.restart = self.stated((GRAPH,), graph, RESTART_KEYS, RestartPolicy())
+        self.scheduling = self.stated((GRAPH,), graph, SCHEDULING_KEYS, Scheduling())
         changes = "".join(f"# --set {override}\n" for override in overrides)
         self.launched = changes + self.text
         tables = self.expanded(tables)
@@ -112,15 +117,12 @@ class Checker:
             for node_name, (host, _) in places.items():
                 public = endpoints.get(node_name, "")
                 nodes[node_name] = replace(nodes[node_name], host=host, public=public)
-        if graph.get("transport") == DIRECT and security is not None:
-            text = "links of a graph with keys are ZeroMQ (allowed: auto, ipc, tcp)"
-            self.fault((GRAPH, "transport"), f"'{DIRECT}': {text}")
         if self.errors:
             raise LaunchError(self.errors[:MAX_ERRORS])
         return LaunchFile(
             self.name,
             graph.get("description", ""),
-            graph.get("transport", "auto"),
+            graph.get("transport", "ipc"),
             nodes,
             links,
             self.launched,
@@ -128,6 +130,7 @@ class Checker:
             security,
             insecure,
             log_dir=graph.get("log_dir", ""),
+            shown=self.shown,
         )
 
     def graph_table(self) -> dict[str, Any]:
@@ -138,7 +141,7 @@ class Checker:
         for key, value in graph.items():
             if key not in GRAPH_KEYS:
                 self.fault((GRAPH, key), f"unknown key{did_you_mean(key, GRAPH_KEYS)}")
-            elif key in RESTART_KEYS:
+            elif key in (*RESTART_KEYS, *SCHEDULING_KEYS):
                 continue
             elif key == INSECURE:
                 if not isinstance(value, bool):
@@ -150,17 +153,18 @@ class Checker:
                 self.fault((GRAPH, key), f"{value!r} is not allowed{hint}")
         return graph
 
-    def restart_policy(
-        self, place: tuple[str, ...], table: dict[str, Any], policy: RestartPolicy
-    ) -> RestartPolicy:
-        """The policy with the keys that a table states."""
-        for key in RESTART_KEYS:
+    def stated(
+        self, place: tuple[str, ...], table: dict[str, Any], keys: Sequence[str], default: Stated
+    ) -> Stated:
+        """A policy, or a scheduling, with those of its keys that a table states."""
+        found = default
+        for key in keys:
             if key in table:
                 try:
-                    policy = policy.stated(key, table[key])
+                    found = found.stated(key, table[key])
                 except SparseskinError as error:
                     self.fault((*place, key), str(error))
-        return policy
+        return found
 
     def node_tables(self) -> dict[str, dict[str, Any]]:
         tables = self.tree.get("nodes")
@@ -255,8 +259,10 @@ class Checker:
         except SparseskinError as error:
             self.fault(("nodes", name, "type"), str(error))
             return None
-        restart = self.restart_policy(("nodes", name), values, self.restart)
-        values = {key: value for key, value in values.items() if key not in RESTART_KEYS}
+        place, common = ("nodes", name), (*RESTART_KEYS, *SCHEDULING_KEYS)
+        restart = self.stated(place, values, RESTART_KEYS, self.restart)
+        scheduling = self.stated(place, values, SCHEDULING_KEYS, self.scheduling)
+        values = {key: value for key, value in values.items() if key not in common}
         # A recorder, recognised by its settings: importing its class loads the writers of files.
         if {"launch", "source", "out"} <= {f.name for f in dataclasses.fields(cls.Settings)}:
             values = {"launch": self.launched, "source": self.name} | values
@@ -280,7 +286,9 @@ class Checker:
                 else:
                     del right[key]
                 continue
-            return NodeSpec(name, type_name, cls, values, settings, restart) if decided else None
+            if not decided:
+                return None
+            return NodeSpec(name, type_name, cls, values, settings, restart, scheduling)
 
     def check_settings(self, name: str, settings: Settings) -> None:
         """Check settings; a device that is not on this host is looked for by the node itself where

@@ -21,13 +21,17 @@ _MAX_VALUE = 40
 
 def graph_text(launch: LaunchFile) -> str:
     """Nodes with their settings, then hosts, then links."""
-    lines = [f"{launch.name}: {launch.description}", f"transport {launch.transports}", "", "nodes"]
+    lines = [f"{launch.name}: {launch.description}", f"transport {launch.transport}", "", "nodes"]
     name_width = max(len(node.name) for node in launch.nodes.values())
     type_width = max(len(node.type_name) for node in launch.nodes.values())
     for node in launch.nodes.values():
         shown = {k: v for k, v in node.values.items() if k != "launch"}
         if node.host:
             shown = {"host": node.host, **shown}
+        if node.scheduling.cpus:
+            shown["cpus"] = list(node.scheduling.cpus)
+        if node.scheduling.priority:
+            shown["priority"] = node.scheduling.priority
         settings = ", ".join(f"{key} = {value!r}" for key, value in shown.items())
         lines.append(
             f"  {node.name:<{name_width}} {node.type_name:<{type_width}} {settings}".rstrip()

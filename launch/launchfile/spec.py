@@ -8,18 +8,17 @@ from typing import Any
 
 from sparseskin.launch.run.restarts import RestartPolicy
 from sparseskin.messages.text import printable
-from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.network.keys import KeyFileError
 from sparseskin.nodes.node import Node
+from sparseskin.nodes.process.scheduling import Scheduling
 
 from .hosts import Credentials, Host, Security, read_credentials
 
 LAUNCHER = "launch"
 """Name of the launcher itself, as the receiver of requests and in the log."""
-DIRECT = "unix"
-"""Transport of links between nodes of one host, beside that of ZeroMQ for observers."""
 LIVE_RECORDER = "live_recorder_"
 """Begin of the names of recorders that are started while a graph runs."""
 
@@ -42,6 +41,7 @@ class NodeSpec:
     values: dict[str, Any]
     settings: Any
     restart: RestartPolicy = RestartPolicy()
+    scheduling: Scheduling = Scheduling()
     host: str = ""
     public: str = ""
 
@@ -65,7 +65,7 @@ class NodeSpec:
 @dataclass(frozen=True)
 class LaunchFile:
     """A checked launch file; `text` is the file as it stands, with the changes of --set, `folder`
-    the one in which its nodes search modules, "" for none.
+    the one in which its nodes search modules, "" for none, `shown` its path for error lines.
 
     Of a graph of several hosts, `host` is the one whose part this is, `nodes` are those that run
     there and `elsewhere` the others; "" and none as long as no host was chosen.
@@ -85,24 +85,13 @@ class LaunchFile:
     credentials: Credentials | None = None
     log_dir: str = ""
     folder: str = ""
-
-    @property
-    def has_direct_links(self) -> bool:
-        """True if nodes of one host are connected by direct links; with keys all is ZeroMQ."""
-        return self.transport in ("auto", DIRECT) and self.security is None
-
-    @property
-    def transports(self) -> str:
-        """The transports of the graph within a host, for a person."""
-        if self.has_direct_links:
-            return "unix between nodes of a host, ipc for observers"
-        return self.transport if self.transport == "tcp" else "ipc"
+    shown: str = ""
 
     def part(self, host: str | None) -> LaunchFile:
         """The part of a graph that runs on one host, with the keys that it needs there; `host` is
         None where the graph has but one.
-        Raises LaunchError if the host is missing, unknown or one too many, or its keys cannot be
-        used.
+        Raises LaunchError if the host is missing, unknown or one too many, its keys cannot be used,
+        or a node may not be scheduled there as stated.
         """
         names = ", ".join(self.hosts)
         if self.hosts and host is None:
@@ -122,6 +111,14 @@ class LaunchFile:
         nodes = {n: spec for n, spec in self.nodes.items() if spec.host in ("", here)}
         links = [link for link in self.links if link.reader in nodes or link.writer in nodes]
         elsewhere = {n: spec for n, spec in self.nodes.items() if n not in nodes}
+        refused: dict[str, list[str]] = {}
+        for spec in nodes.values():
+            try:
+                spec.scheduling.check_permitted()
+            except SettingsError as error:
+                refused.setdefault(str(error), []).append(spec.name)
+        if refused:
+            raise LaunchError([f"{self.shown}: {', '.join(n)}: {e}" for e, n in refused.items()])
         return replace(
             self, nodes=nodes, links=links, elsewhere=elsewhere, host=here, credentials=found
         )

@@ -13,7 +13,7 @@ from sparseskin.nodes.graph import Link
 from sparseskin.nodes.network.keys import read_key_pair
 from sparseskin.nodes.network.sockets import Peer
 
-from .running import RunningGraph, RunningNode, direct_path, page_path, socket_path
+from .running import RunningGraph, RunningNode, page_path, socket_path
 
 
 def node_config(
@@ -40,8 +40,8 @@ def node_config(
         "type": spec.type_name,
         "settings": spec.values,
         "folder": launch.folder,
+        **asdict(spec.scheduling),
         "endpoint": _endpoint(launch.transport, number),
-        "direct": _direct(launch, joined, number),
         "inputs": [link.topic for link in read],
         "readers": sorted(readers),
         "offset_ns": offset_ns,
@@ -65,11 +65,9 @@ def peer_of(
     joined: RunningGraph | None,
     writer: str,
     endpoints: Mapping[str, str],
-    direct: str = "",
 ) -> dict[str, str]:
     """Endpoint and key of a writer, as plain data for a node that reads from it. `endpoints` are
-    those of the nodes of this host, `direct` is its path for direct links; a node that is restarted
-    binds the same ones.
+    those of the nodes of this host; a node that is restarted binds the same one.
     """
     keys = launch.credentials
     if joined is not None:
@@ -81,7 +79,7 @@ def peer_of(
         peer = Peer(writer, spec.public, spec.host, server)
     else:
         key = keys.own.public if keys else ""
-        peer = Peer(writer, endpoints[writer], key=key, direct=direct)
+        peer = Peer(writer, endpoints[writer], key=key)
     return asdict(peer)
 
 
@@ -115,13 +113,6 @@ def _security(launch: LaunchFile, joined: RunningGraph | None) -> dict[str, Any]
         "allowed": dict(keys.allowed),
         "known": dict(keys.known),
     }
-
-
-def _direct(launch: LaunchFile, joined: RunningGraph | None, number: int) -> str:
-    """Where a node listens for direct links, "" where it has none: an observer of another graph
-    reads by ZeroMQ.
-    """
-    return direct_path(number) if launch.has_direct_links and joined is None else ""
 
 
 def _endpoint(transport: str, number: int) -> str:

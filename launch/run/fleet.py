@@ -100,11 +100,7 @@ class Fleet:
         writers = {link.writer for link in self._links if link.reader == node.name}
         here = {writer for writer in writers if writer not in self._launch.elsewhere}
         names = sorted(writers - here if distant else here)
-        direct = {name: self.nodes[name].config["direct"] for name in names if name in self.nodes}
-        peers = [
-            peer_of(self._launch, self._joined, name, self._endpoints, direct.get(name, ""))
-            for name in names
-        ]
+        peers = [peer_of(self._launch, self._joined, name, self._endpoints) for name in names]
         if peers or not distant:
             node.command("connect", peers=peers)
 

@@ -121,11 +121,6 @@ def socket_path(number: int) -> str:
     return str(runtime_folder() / f"{os.getpid()}.{number}.sock")
 
 
-def direct_path(number: int) -> str:
-    """Path of the socket of a node for direct links."""
-    return str(runtime_folder() / f"{os.getpid()}.{number}.unix")
-
-
 def page_path(number: int) -> str:
     """Path of the file with which a node opens its live page in a browser."""
     return str(runtime_folder() / f"{os.getpid()}.{number}.html")
@@ -322,8 +317,7 @@ def _remove_own(path: Path, number: str) -> bool:
     """
     with contextlib.suppress(FileNotFoundError):  # its process ends
         mode = path.lstat().st_mode
-        own = rf"{number}((\.\d+)?\.sock|\.\d+\.unix)"
-        if stat.S_ISSOCK(mode) and re.fullmatch(own, path.name):
+        if stat.S_ISSOCK(mode) and re.fullmatch(rf"{number}(\.\d+)?\.sock", path.name):
             if is_served(path):
                 return False
             path.unlink()

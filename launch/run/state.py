@@ -8,7 +8,7 @@ import socket
 from collections.abc import Iterable
 from typing import Any
 
-from sparseskin.launch.launchfile.spec import DIRECT, LIVE_RECORDER, LaunchFile
+from sparseskin.launch.launchfile.spec import LIVE_RECORDER, LaunchFile
 from sparseskin.nodes.host import is_latched
 from sparseskin.nodes.process.control import COUNTED
 
@@ -56,7 +56,7 @@ def _node_description(fleet: Fleet, node: NodeProcess, in_full: bool) -> dict[st
         "condition": fleet.condition(node),
         "pid": node.pid,
         "restarts": fleet.n_restarts(node.name),
-        "transport": DIRECT if node.config["direct"] else node.endpoint.partition(":")[0],
+        "transport": node.endpoint.partition(":")[0],
         "line": node.line,
         "state": node.state,
         "refused": node.counts.get("refused", {}),

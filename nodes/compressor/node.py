@@ -268,10 +268,10 @@ class Compressor(Node[CompressorSettings]):
         """Readings of the taxels that exist, of one frame or several: float32, shape (..., n)."""
         if self._state is None:
             raise RefusedError(f"{topic}: the skin is not known yet")
-        if forces.shape[-2:] != self._state.skin.shape:
+        shape = self._state.n_rows, self._state.n_cols
+        if forces.shape[-2:] != shape:
             raise RefusedError(
-                f"{topic}: forces of shape {forces.shape[-2:]}, "
-                f"but the skin has {self._state.skin.shape}"
+                f"{topic}: forces of shape {forces.shape[-2:]}, but the skin has {shape}"
             )
         x = forces.reshape(*forces.shape[:-2], -1)
         return x if self._cells is None else x[..., self._cells]

@@ -10,13 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import zmq
 
-from sparseskin.messages.errors import MessageError
 from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate
 from sparseskin.nodes.files import check_private
 
-from .direct import DirectInlet, DirectOutlet
 from .keys import KeyPair
-from .poll import Poll
 from .sockets import Peer, Reader, Writer
 
 if TYPE_CHECKING:
@@ -35,11 +32,14 @@ class Network:
     context, now_ns, log
         The node's context; the graph's clock; receives one line of text.
     config : mapping
-        name, endpoint; direct (path for direct links of this host, "" for none), public (endpoint
-        for other hosts, "" for none), distant_readers (their names), distant_inputs (host of each
-        topic of another host), security (own keys, allowed and known public ones; None for none).
-    poll : Poll, optional
-        What the node waits with; a new one by default.
+        name, endpoint; public (endpoint for other hosts, "" for none), distant_readers (their
+        names), distant_inputs (host of each topic of another host), security (own keys, allowed
+        and known public ones; None for none).
+
+    Attributes
+    ----------
+    poller : zmq.Poller
+        Waits for all sockets.
 
     Raises
     ------
@@ -55,9 +55,8 @@ class Network:
         config: Mapping[str, Any],
         now_ns: Callable[[], int],
         log: Callable[[str], None],
-        poll: Poll | None = None,
     ) -> None:
-        self.poll = poll or Poll()
+        self.poller = zmq.Poller()
         self._context = context
         self._name: str = config["name"]
         self._now_ns = now_ns
@@ -78,11 +77,6 @@ class Network:
         if config["endpoint"].startswith("ipc:///"):
             check_private(Path(config["endpoint"].removeprefix("ipc://")).parent)
         self._peers: Peers | None = None
-        self._inlet: DirectInlet | None = None
-        self._outlet: DirectOutlet | None = None
-        if direct := config.get("direct", ""):
-            check_private(Path(direct).parent)
-            self._outlet = DirectOutlet(direct, self.poll, log)
         self.writer = Writer(
             context,
             config["endpoint"],
@@ -91,60 +85,33 @@ class Network:
             gate=self._gate,
             now_ns=now_ns if public else None,
             log=log,
-            direct=self._outlet,
         )
-        self.sockets = [self.writer.socket, *(self._gate.sockets if self._gate else ())]
-        self._poll_all()
+        for socket in (self.writer.socket, *(self._gate.sockets if self._gate else ())):
+            self.poller.register(socket, zmq.POLLIN)
 
-    def make_reader(
-        self,
-        topics: Sequence[str],
-        observes: bool = False,
-        refused: Callable[[MessageError], None] | None = None,
-    ) -> Reader:
+    def make_reader(self, topics: Sequence[str], observes: bool = False) -> Reader:
         """Make the reader of the node's input topics; `connect` connects it. No source waits for
-        one that observes; `refused` is called for what comes by a direct link and is no message.
+        one that observes.
         """
-        if self._outlet is not None:
-            self._inlet = DirectInlet(self.poll, self._log, refused)
-        reader = Reader(
-            self._context,
-            self._name,
-            (),
-            topics,
-            keys=self._keys,
-            observes=observes,
-            direct=self._inlet,
-        )
-        self.sockets.append(reader.socket)
+        reader = Reader(self._context, self._name, (), topics, keys=self._keys, observes=observes)
+        self.poller.register(reader.socket, zmq.POLLIN)
         if self._keys is not None or self._distant_inputs:
             from .peers import Peers  # with zmq.utils.monitor, and so asyncio
 
             self._peers = Peers(reader, self._log)
-            self.sockets.append(self._peers.monitor)
-        self._poll_all()
+            self.poller.register(self._peers.monitor, zmq.POLLIN)
         return reader
-
-    def _poll_all(self) -> None:
-        for socket in self.sockets:
-            self.poll.add_socket(socket)
 
     def connect(self, reader: Reader, peers: Sequence[Peer]) -> None:
         """Connect a reader to writers."""
-        near = [peer for peer in peers if peer.direct and self._inlet is not None]
-        for peer in near:
-            reader.connect_direct(peer.direct)
-        far = [peer for peer in peers if peer not in near]
         if self._peers is not None:
-            self._peers.connect(far)
+            self._peers.connect(peers)
         else:
-            for peer in far:
+            for peer in peers:
                 reader.connect(peer.endpoint)
 
     def serve(self) -> None:
-        """Process events of the gate and of connections, and connect again where links broke."""
-        if self._inlet is not None and self._inlet.is_broken:
-            self._inlet.serve()
+        """Process events of the gate and of connections to other hosts."""
         if self._gate is not None:
             self._gate.serve(self._now_ns())
         if self._peers is not None:
@@ -171,13 +138,6 @@ class Network:
         if self._peers is None:
             return {"heard": {}, "clocks": {}}
         return {"heard": self._peers.heard, "clocks": self._peers.clocks()}
-
-    def close(self, linger_ms: int) -> None:
-        """Send what waits for readers on direct links, for a bounded time, and close these."""
-        if self._outlet is not None:
-            self._outlet.close(linger_ms)
-        if self._inlet is not None:
-            self._inlet.close()
 
     def end_repeated(self) -> None:
         """Ask which readers have the end of the streams, after it was published once more."""

@@ -16,6 +16,7 @@ and each writer publishes "WRITER!T1:T2:T3" on the tag of that reader.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,25 +24,19 @@ from typing import Any
 
 import zmq
 
-from sparseskin.messages import MAX_MESSAGE_BYTES, End, Message
-from sparseskin.messages.wire import Payload, payload_of, wire_parts
+from sparseskin.messages import MAX_MESSAGE_BYTES, Message
+from sparseskin.messages.wire import Payload, received, wire_bytes
 from sparseskin.nodes.files import is_served
 
-from .direct import DirectInlet, DirectOutlet
 from .keys import KeyPair
-from .transport import JOINS, PRESENCE, Inlet, Outlet, Parts, Send
-from .zeromq import (
-    HANDSHAKE_MS,
-    MAX_SUBSCRIPTIONS,
-    Guard,
-    ZmqInlet,
-    ZmqOutlet,
-    make_context,
-    watch_for_death,
-)
+from .zeromq import HANDSHAKE_MS, Guard, is_readable, make_context, watch_for_death
 
 __all__ = ["Peer", "Reader", "Writer", "make_context", "read_times"]
 
+JOINS = b"\x01"
+"""Begins a subscription; the end of one begins with b"\\0"."""
+PRESENCE = b"@"
+"""Begins the topics by which writers and readers know each other."""
 OBSERVER = "~"
 """Begins the name in the tag of a reader that is never asked."""
 FAREWELL_MS = 500
@@ -53,30 +48,37 @@ MAX_TIMES_BYTES = 160
 MAX_TIME_DIGITS = 20
 MAX_WRITERS = 256
 MAX_READERS = 128
-"""Readers, and subscriptions, beyond these are not counted, and one line is logged."""
+MAX_SUBSCRIPTIONS = 4096
+"""Readers and subscriptions beyond these are not counted, and one line is logged. Up to as many
+subscriptions, topics without a reader are not sent.
+"""
 MAX_EVENTS = 1000
 """Largest number of subscriptions, or of events of connections, between two looks at messages."""
 QUEUE_FRAMES = 1000
 """High-water mark of each queue: one second at 1 kHz before messages are dropped and counted."""
 
 
+_NOBLOCK = int(zmq.NOBLOCK)
+
+
 @dataclass(frozen=True)
 class Peer:
     """A writer as its readers know it: name of the node, and where it is bound.
 
-    `host` is "" for this one, `key`, its public key, "" where it needs none; `direct`, the path of
-    its socket for direct links, "" for none.
+    `host` is "" for this one, `key`, its public key, "" where it needs none.
     """
 
     writer: str
     endpoint: str
     host: str = ""
     key: str = ""
-    direct: str = ""
 
 
 class Writer:
-    """Publishing side of a node: its transports, and the latched messages it repeats.
+    """Publishing side of a node: an XPUB socket, and the latched messages it repeats.
+
+    A topic is sent from its first subscription on: that of a reader which never had it can be ended
+    by any other one.
 
     Parameters
     ----------
@@ -87,8 +89,6 @@ class Writer:
         hosts, "tcp://ADDRESS:PORT", or "" for none.
     gate, now_ns, log
         Guard of the socket; the graph's clock, for readers on other hosts; receives one line.
-    direct : DirectOutlet, optional
-        Direct links to nodes of this host, beside ZeroMQ.
 
     Attributes
     ----------
@@ -111,12 +111,12 @@ class Writer:
         gate: Guard | None = None,
         now_ns: Callable[[], int] | None = None,
         log: Callable[[str], None] = lambda line: None,
-        direct: DirectOutlet | None = None,
     ) -> None:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.XPUB)
         self.socket.setsockopt(zmq.XPUB_VERBOSE, 1)
         self.socket.setsockopt(zmq.SNDHWM, QUEUE_FRAMES)
         self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_NOTE_BYTES)
+        self._gate = gate
         if gate is not None:
             gate.guard(self.socket)
         # Unlike all others, a bind to the path of a file replaces the one who listens there.
@@ -127,9 +127,8 @@ class Writer:
         if public:
             watch_for_death(self.socket)
             self.socket.bind(public)
-        # A direct link first: its reader wakes up while the other transport is served.
-        zeromq = ZmqOutlet(self.socket, gate)
-        self._outlets: list[Outlet] = [zeromq] if direct is None else [direct, zeromq]
+        self._prefixes: set[bytes] = set()
+        self._wanted: dict[str, bool] = {}
         self.present: set[str] = set()
         self._observers: set[str] = set()
         self._name = name
@@ -140,57 +139,60 @@ class Writer:
         self._asks = 0
         self._answered: dict[str, int] = {}
         self._processed: dict[str, int] = {}
-        self._latched: dict[bytes, Parts] = {}
+        self._latched: dict[bytes, bytes] = {}
 
     def send(self, message: Message) -> None:
         """Publish a message to the subscribers of its topic; where there is none, encode none."""
-        topic = message.topic.encode()
+        topic = message.topic
         if message.latched:
-            self._latched[topic] = wire_parts(message)
-            self.publish(self._latched[topic])
+            self._latched[topic.encode()] = wire_bytes(message)
+            self.socket.send(self._latched[topic.encode()])
             return
-        wanted = [outlet for outlet in self._outlets if outlet.wants(topic)]
-        if not wanted:  # a reader may have come since
-            self.serve_subscriptions()
-            wanted = [outlet for outlet in self._outlets if outlet.wants(topic)]
-        if wanted:
-            parts, frame = wire_parts(message), not isinstance(message, End)
-            for outlet in wanted:
-                outlet.send(parts, frame)
+        if not self._wants(topic):
+            self.serve_subscriptions()  # a reader may have come since
+            if not self._wants(topic):
+                return
+        self.socket.send(wire_bytes(message))
 
-    def publish(self, parts: Parts) -> None:
-        """Send parts to the subscribers of their topic as they are."""
-        for outlet in self._outlets:
-            if outlet.wants(parts[0]):
-                outlet.send(parts)
+    def note(self, reader: str, text: str) -> None:
+        """Send a note to a reader, under its presence tag."""
+        self.socket.send(b"%b%b\0%b" % (PRESENCE, reader.encode(), text.encode()))
 
     def serve_subscriptions(self) -> None:
         """Process waiting subscriptions: note present readers, repeat latched messages."""
-        for outlet in self._outlets:
-            self._serve(outlet)
-
-    def _serve(self, outlet: Outlet) -> None:
         for _ in range(MAX_EVENTS):  # a flood must not keep a node from its work
-            received = outlet.note()
-            if received is None:
+            if not is_readable(self.socket):
                 return
-            self._take(*received)
+            frame = self.socket.recv(copy=False)
+            if self._gate is not None:
+                with contextlib.suppress(zmq.ZMQError):  # by no connection, in a process
+                    self._gate.subscribed(frame.get(zmq.SRCFD))
+            joins, topic = frame.bytes[:1] == JOINS, frame.bytes[1:]
+            self._count(joins)
+            if topic.startswith(PRESENCE):
+                self._note_presence(topic[1:].decode(errors="replace"), joins)
+            elif joins:
+                if topic not in self._prefixes and len(self._prefixes) < MAX_SUBSCRIPTIONS:
+                    self._prefixes.add(topic)
+                    self._wanted.clear()
+                if topic in self._latched:
+                    self.socket.send(self._latched[topic])
 
-    def _take(self, note: bytes, reply: Send) -> None:
-        joins, topic = note[:1] == JOINS, note[1:]
-        self._count(joins)
-        if topic.startswith(PRESENCE):
-            self._note_presence(topic[1:].decode(errors="replace"), joins)
-        elif joins and topic in self._latched:
-            reply(self._latched[topic])
+    def _wants(self, topic: str) -> bool:
+        """True if a reader may have subscribed to a topic; ZeroMQ subscribes by prefix."""
+        wanted = self._wanted.get(topic)
+        if wanted is None:
+            wanted = topic.encode().startswith(tuple(self._prefixes))
+            wanted = wanted or len(self._prefixes) >= MAX_SUBSCRIPTIONS
+            self._wanted[topic] = wanted
+        return wanted
 
     def ask(self) -> int:
         """Ask all present readers to answer when they have processed all messages sent so far."""
         self._asks += 1
         for reader in self.present - self._observers:
             self._answered.setdefault(reader, self._asks - 1)
-            note = f"{self._name}:{self._asks}".encode()
-            self.publish((PRESENCE + reader.encode(), note))
+            self.note(reader, f"{self._name}:{self._asks}")
         return self._asks
 
     def awaits(self, ask: int) -> bool:
@@ -217,8 +219,7 @@ class Writer:
         if self._now_ns is None or reader.removeprefix(OBSERVER) not in self.present:
             return
         if t1_ns.isdecimal() and len(t1_ns) <= MAX_TIME_DIGITS:
-            note = f"{self._name}!{t1_ns}:{self._now_ns()}:{self._now_ns()}".encode()
-            self.publish((PRESENCE + reader.encode(), note))
+            self.note(reader, f"{self._name}!{t1_ns}:{self._now_ns()}:{self._now_ns()}")
 
     def _note_presence(self, tag: str, joins: bool) -> None:
         asking, is_time, t1_ns = tag.partition("!")
@@ -244,7 +245,7 @@ class Writer:
 
 
 class Reader:
-    """Subscribing side of a node: its transports, connected to all its writers.
+    """Subscribing side of a node: a SUB socket connected to all its writers.
 
     Parameters
     ----------
@@ -259,8 +260,6 @@ class Reader:
     keys, read_ahead
         Keys of this host, for writers that need them; number of messages of a writer that wait
         here, further ones wait at the writer.
-    direct : DirectInlet, optional
-        For direct links to writers of this host.
     """
 
     def __init__(
@@ -273,7 +272,6 @@ class Reader:
         keys: KeyPair | None = None,
         read_ahead: int = QUEUE_FRAMES,
         observes: bool = False,
-        direct: DirectInlet | None = None,
     ) -> None:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.SUB)
         self.socket.setsockopt(zmq.RCVHWM, read_ahead)
@@ -286,21 +284,12 @@ class Reader:
             self.socket.setsockopt(zmq.CURVE_PUBLICKEY, keys.public.encode())
             self.socket.setsockopt(zmq.CURVE_SECRETKEY, keys.secret.encode())
             self.socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
-        self._zeromq, self._direct = ZmqInlet(self.socket), direct
-        self._inlets: list[Inlet] = [self._zeromq] if direct is None else [direct, self._zeromq]
-        self._connected: list[Inlet] = []
         for topic in sorted(self._topics):
-            self._subscribe(topic)
+            self.socket.subscribe(topic)
         if present:
-            self._subscribe(self._tag)
+            self.socket.subscribe(self._tag)
         for endpoint in endpoints:
             self.connect(endpoint)
-
-    def connect_direct(self, path: str) -> None:
-        """Connect to one more writer by a direct link, in place of ZeroMQ."""
-        assert self._direct is not None
-        self._add(self._direct)
-        self._direct.connect(path)
 
     def connect(self, endpoint: str, server_key: str = "", distant: bool = False) -> None:
         """Connect to one more writer, with its public key if it needs keys.
@@ -311,14 +300,7 @@ class Reader:
             self.socket.setsockopt(zmq.CURVE_SERVERKEY, server_key.encode())
         if distant:
             watch_for_death(self.socket)
-        self._add(self._zeromq)
         self.socket.connect(endpoint)
-
-    def close(self) -> None:
-        """Close all connections."""
-        self.socket.close()
-        if self._direct is not None:
-            self._direct.close()
 
     def reconnect(self, endpoint: str, server_key: str = "", distant: bool = False) -> None:
         """Connect again after a refused handshake, which ZeroMQ does not do by itself."""
@@ -328,27 +310,19 @@ class Reader:
     def receive(self) -> tuple[bytes, Payload] | None:
         """Next waiting (topic, payload), or None.
 
-        ZeroMQ subscribes by prefix: a longer topic that begins like one of ours is dropped. A
-        message without a payload, or of too many parts, is returned as one with an empty payload,
-        for the decoder to refuse and count. An ask is a payload under the reader's own tag.
+        ZeroMQ subscribes by prefix: a longer topic that begins like one of ours is dropped. A topic
+        alone is returned with an empty payload, for the decoder to refuse and count; each part of a
+        message of several counts as a message. An ask is a payload under the reader's own tag.
         """
-        for inlet in self._connected:
-            while (parts := inlet.receive()) is not None:
-                if parts[0] in self._topics or parts[0] == self._tag:
-                    return parts[0], payload_of(parts)
-        return None
-
-    def _add(self, inlet: Inlet) -> None:
-        if inlet not in self._connected:
-            self._connected.append(inlet)
-
-    def _subscribe(self, topic: bytes) -> None:
-        for inlet in self._inlets:
-            inlet.subscribe(topic)
-
-    def _unsubscribe(self, topic: bytes) -> None:
-        for inlet in self._inlets:
-            inlet.unsubscribe(topic)
+        while True:
+            try:  # to ask first whether one waits would cost as much as to receive it
+                topic, payload = received(self.socket.recv(_NOBLOCK))
+            except zmq.Again:
+                return None
+            if topic in self._topics:
+                return topic, payload
+            if topic == self._tag:
+                return topic, bytes(payload)
 
     def is_ask(self, topic: bytes) -> bool:
         """True if a topic is that of asks, to be answered by `answer`."""
@@ -357,9 +331,9 @@ class Reader:
     def ask_time(self, now_ns: int) -> None:
         """Ask all writers for the time on their clocks; the answers arrive like asks."""
         tag = self._tag + b"!%d" % now_ns
-        self._zeromq.subscribe(tag)  # of this host the clock is the same
+        self.socket.subscribe(tag)
         if self._time_tag:
-            self._zeromq.unsubscribe(self._time_tag)
+            self.socket.unsubscribe(self._time_tag)
         self._time_tag = tag
 
     def answer(self, note: bytes) -> None:
@@ -368,9 +342,9 @@ class Reader:
         if len(note) > MAX_ASK_BYTES or len(self._answers) >= MAX_WRITERS:
             return  # not one of the writers
         tag = self._tag + b"#" + note
-        self._subscribe(tag)
+        self.socket.subscribe(tag)
         if writer in self._answers:
-            self._unsubscribe(self._answers[writer])
+            self.socket.unsubscribe(self._answers[writer])
         self._answers[writer] = tag
 
 

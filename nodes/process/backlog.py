@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import NamedTuple
 
 from sparseskin.messages.wire import Payload, is_end
 from sparseskin.nodes.network.sockets import QUEUE_FRAMES, Reader
 
-
-class Waiting(NamedTuple):
-    """A message as received, and True if it is to be skipped because newer ones wait."""
-
-    topic: bytes
-    payload: Payload
-    overtaken: bool
+Waiting = tuple[bytes, Payload, bool]
+"""Topic and payload of a message, and True if it is to be skipped because newer ones wait."""
 
 
 class Backlog:
@@ -36,8 +30,7 @@ class Backlog:
         first = self._queue.popleft() if self._queue else self._reader.receive()
         if first is None:
             return None
-        topic, payload = first
-        return Waiting(topic, payload, bool(depth) and self._is_overtaken(topic, depth))
+        return *first, bool(depth) and self._is_overtaken(first[0], depth)
 
     def is_behind(self) -> bool:
         """True if a message of a stream waits, and none of its writers waits for an answer."""

@@ -12,13 +12,14 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+import zmq
+
 from sparseskin.messages import Message
 from sparseskin.nodes.clock import ClockEstimate, SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.host import NodeHost
 from sparseskin.nodes.lookup import one_line, search_in, trace_of
 from sparseskin.nodes.network.network import Network
-from sparseskin.nodes.network.poll import Poll
 from sparseskin.nodes.network.sockets import FAREWELL_MS, Peer, Reader, make_context
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.registry import make_settings, node_class
@@ -26,6 +27,7 @@ from sparseskin.nodes.registry import make_settings, node_class
 from .backlog import Backlog
 from .control import Control
 from .memory import FreeMemory
+from .scheduling import Scheduling
 
 POLL_MS = 100
 """Longest wait, so that signals are noticed."""
@@ -50,7 +52,8 @@ class Runner:
         Control channel to the launcher; dict of name, type, settings, endpoint, inputs (topics),
         readers (names of the nodes that read this one), offset_ns (of the graph's clock); optional
         max_frames (of a source), folder (in which modules are searched too), late (the node joins a
-        running graph), page_token, page_file, and the keys of `Network`.
+        running graph), page_token, page_file, cpus and priority (`Scheduling`), and the keys of
+        `Network`.
     """
 
     def __init__(self, control: Control, config: dict[str, Any]) -> None:
@@ -77,12 +80,15 @@ class Runner:
         self.host.raised = self._raised
         self.expected = set(config["readers"])
         self.max_frames: int | None = config.get("max_frames")
-        self.context = make_context()
-        self.poll = Poll()
-        self.network = Network(self.context, config, self.clock.now_ns, self.log, self.poll)
+        scheduling = Scheduling(tuple(config.get("cpus", ())), config.get("priority", 0))
+        with scheduling.applied():
+            self.context = make_context()
+            if scheduling.priority:  # what comes and goes is never behind the node's own work
+                self.context.set(zmq.THREAD_PRIORITY, scheduling.priority + 1)
+            self.network = Network(self.context, config, self.clock.now_ns, self.log)
         self.writer = self.network.writer
         self.reader: Reader | None = None
-        self.poll.add(control.fd)
+        self.network.poller.register(control.fd, zmq.POLLIN)
         self.connected = self.ready = self.started = self.stopping = self.end_reported = False
         self.draining = self.failed = self.terminated = False
         self.asks: deque[int] = deque()
@@ -114,18 +120,23 @@ class Runner:
         gc.freeze()
         gc.enable()
         while not (self.stopping or self.control.closed):
-            self._wait()
-            if self.poll.signalled:  # the states for a new reader come before frames
+            ready = self._wait()
+            if self.writer.socket in ready:  # the states for a new reader come before frames
                 self.writer.serve_subscriptions()
-            self._receive()
-            self._answer()
-            self._execute_commands()
+            if self.reader is not None and (self.reader.socket in ready or not self.caught_up):
+                self._receive(self.reader)
+            if self.unanswered:
+                self._answer()
+            if self.control.fd in ready:
+                self._execute_commands()
+            if self.draining and self._source is not None:
+                self._publish(self.host.finish(max(0, self.last_stamp_ns)))
             self.network.serve()
-            self.writer.serve_subscriptions()
-            for _ in _batch():
-                if not self._tick_due():
-                    break
-                self._tick()
+            if self.host.is_source:
+                for _ in _batch():
+                    if not self._tick_due():
+                        break
+                    self._tick()
             self.host.idle()
             self._report()
         if self.terminated:
@@ -136,7 +147,6 @@ class Runner:
             assert self.reader is not None
             self.reader.answer(note)
         # Pending messages are still sent, for a bounded time.
-        self.network.close(FAREWELL_MS)
         self.context.destroy(linger=FAREWELL_MS)
 
     def _on_interrupt(self, *_: object) -> None:
@@ -169,19 +179,21 @@ class Runner:
         left_ns = self._left_ns()
         return left_ns is not None and left_ns <= 0
 
-    def _wait(self) -> None:
+    def _wait(self) -> dict[Any, int]:
+        """Wait for an event, a signal or the next tick; return sockets and files that are ready."""
         timeout_ms = POLL_MS if self.caught_up else 0
         left_ns = self._left_ns()
         if left_ns is not None:
             if 0 < left_ns < SPIN_NS:
                 time.sleep(left_ns / 1e9)
             timeout_ms = max(0, min(timeout_ms, (left_ns - SPIN_NS) // 1_000_000))
-        ready = self.poll.wait(timeout_ms)
+        ready: dict[Any, int] = dict(self.network.poller.poll(timeout_ms))
         patience_s = self.host.node.patience_s
         # Not while messages wait, and not if a source waits for answers.
         waits = patience_s and self.caught_up and ready
         if waits and not (self.asked or self.network.awaits_time):
             time.sleep(patience_s)
+        return ready
 
     def _execute_commands(self) -> None:
         for command in self.control.commands():
@@ -196,8 +208,6 @@ class Runner:
                     self.stopping = True
                 case name:
                     self._command(name, command.get("value"), command.get("id"))
-        if self.draining and self._source is not None:
-            self._publish(self.host.finish(max(0, self.last_stamp_ns)))
 
     def _command(self, name: str, value: Any, number: str | None) -> None:
         """Execute a command of an operator and answer it."""
@@ -226,7 +236,7 @@ class Runner:
         """Connect to writers; those on other hosts are named once this node is ready."""
         if peers and self.reader is None:
             host = self.host
-            self.reader = self.network.make_reader(host.inputs, host.node.observes, host.refuse)
+            self.reader = self.network.make_reader(host.inputs, host.node.observes)
             self.backlog = Backlog(self.reader, frozenset(t.encode() for t in host.streams))
         if self.reader is not None:
             self.network.connect(self.reader, peers)
@@ -244,23 +254,19 @@ class Runner:
             self.host.node.begin(self.clock.now_ns())
         self.started = True
 
-    def _receive(self) -> None:
-        if self.reader is None or self.backlog is None:
-            return
+    def _receive(self, reader: Reader) -> None:
+        assert self.backlog is not None
         for _ in _batch():
             waiting = self.backlog.take(self.host.node.depth)
             self.caught_up = waiting is None
             if waiting is None:
                 return
-            if self.reader.is_ask(waiting.topic):
-                if not isinstance(waiting.payload, bytes):
-                    continue  # not from a writer
-                if self.network.take_time(waiting.payload):
-                    continue
+            topic, payload, overtaken = waiting
+            if not reader.is_ask(topic):
+                self._publish(self.host.receive_bytes(topic, payload, overtaken))
+            elif not self.network.take_time(note := bytes(payload)):
                 self.asked = True
-                self.unanswered.append((self.writer.ask(), waiting.payload))
-            else:
-                self._publish(self.host.receive_bytes(*waiting))
+                self.unanswered.append((self.writer.ask(), note))
 
     def _answer(self) -> None:
         """Answer asks as soon as the readers of this node have answered them."""

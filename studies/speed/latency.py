@@ -116,7 +116,7 @@ def stages_ns(sensor: Times, edge: Times, host: Times) -> Times:
     reconstructed.
 
     A message waits in a queue while its reader is busy with the one before it; the rest of its way
-    is the wire: the transport, the wake-up of the reader, decoding.
+    is the wire: ZeroMQ, the wake-up of the reader, decoding.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from sparseskin.launch.launchfile.spec import NodeSpec
 from sparseskin.launch.run.process import NodeProcess
 from sparseskin.messages import End, Message, encode
 from sparseskin.messages.topics import split_topic
-from sparseskin.messages.wire import wire_parts
+from sparseskin.messages.wire import wire_bytes
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import wall_offset_ns
 from sparseskin.nodes.compressor.node import Compressor
@@ -100,38 +100,29 @@ def ends(topics: Iterable[str], run_id: str, n_messages: int) -> list[End]:
     ]
 
 
-def hostile_parts(
-    topics: Sequence[str], n: int, rng: np.random.Generator
-) -> Iterator[tuple[bytes, ...]]:
+def hostile_messages(topics: Sequence[str], n: int, rng: np.random.Generator) -> Iterator[bytes]:
     """`n` random or mutated messages under the topics that a node listens to."""
-    sound = sound_messages(HOSTILE_RUN, 1)
-    good = [encode(message) for message in sound if message.topic in topics]
-    frames = [
-        tuple(map(bytes, wire_parts(message)))
-        for message in sound
-        if message.topic in topics and not message.latched
-    ]
+    sound = [m for m in sound_messages(HOSTILE_RUN, 1) if m.topic in topics]
+    good = [b"\0".join(encode(message)) for message in sound]
+    frames = [wire_bytes(message) for message in sound if not message.latched]
     for _ in range(n):
-        topic, payload = good[rng.integers(len(good))]
-        match rng.integers(7):
+        buffers = (good, frames)[rng.integers(2)]
+        topic, _, payload = buffers[rng.integers(len(buffers))].partition(b"\0")
+        other = buffers[rng.integers(len(buffers))].partition(b"\0")[2]
+        begin = topic + b"\0"
+        match rng.integers(6):
             case 0:
-                yield topic, rng.bytes(int(rng.integers(0, MAX_RANDOM_BYTES)))
+                yield begin + rng.bytes(int(rng.integers(0, MAX_RANDOM_BYTES)))
             case 1:
-                yield topic, payload[: rng.integers(len(payload))]
+                yield begin + payload[: rng.integers(len(payload))]
             case 2:
-                yield topic, good[rng.integers(len(good))][1] + rng.bytes(int(rng.integers(1, 9)))
+                yield begin + other + rng.bytes(int(rng.integers(1, 9)))
             case 3:
-                yield (topic, payload, b"one part too many")
+                yield topic
             case 4:
-                yield topic, good[rng.integers(len(good))][1]  # sound, but perhaps not here
-            case 5:
-                yield topic, _mutated(payload, rng)
-            case _:  # one part of a frame is another one, or missing
-                parts = list(frames[rng.integers(len(frames))])
-                place = 1 + int(rng.integers(len(parts) - 1))
-                other = frames[rng.integers(len(frames))][-1]
-                parts[place] = (_mutated(parts[place], rng), other, b"")[rng.integers(3)]
-                yield tuple(parts[: len(parts) - int(rng.integers(2))])
+                yield begin + other  # sound, but perhaps not here
+            case _:
+                yield begin + _mutated(payload, rng)
 
 
 def _mutated(payload: bytes, rng: np.random.Generator) -> bytes:
@@ -201,16 +192,16 @@ class Harness:
         wait_until(came, f"the event {name} of the {self.node.name}")
         return next(event for event in self.events if event["event"] == name)
 
-    def write(self, parts: Iterable[tuple[bytes, ...]]) -> None:
+    def write(self, buffers: Iterable[bytes]) -> None:
         """Publish messages as they stand; events of the node meanwhile are read."""
-        for k, part in enumerate(parts):
-            self.writer.socket.send_multipart(part)
+        for k, buffer in enumerate(buffers):
+            self.writer.socket.send(buffer)
             if k % 1000 == 0:
                 self.events += self.node.read()[0]
 
     def send(self, messages: Iterable[Message]) -> None:
         """Publish messages of its topics."""
-        self.write(wire_parts(message) for message in messages if message.topic in self.topics)
+        self.write(wire_bytes(message) for message in messages if message.topic in self.topics)
 
     def subscribe(self, notes: Iterable[bytes]) -> None:
         """Send the node subscriptions, as they stand, over one connection."""
@@ -259,7 +250,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     ):
         memory_mb = []
         for _ in range(N_PARTS):
-            harness.write(hostile_parts(harness.topics, point["n"] // N_PARTS, rng))
+            harness.write(hostile_messages(harness.topics, point["n"] // N_PARTS, rng))
             harness.drained()
             memory_mb.append(round(harness.memory_mb(), 2))
         subscribed_mb = []

@@ -18,7 +18,7 @@ Note = Callable[..., None]
 
 @pytest.mark.parametrize(
     ("name", "transport"),
-    [("SIGKILL", None), ("SIGKILL", "ipc"), ("SIGSEGV", None), ("SIGSTOP", None)],
+    [("SIGKILL", None), ("SIGKILL", "tcp"), ("SIGSEGV", None), ("SIGSTOP", None)],
 )
 def test_a_node_that_is_killed_crashes_or_stops_takes_no_other_with_it(
     name: str, transport: str | None, full: bool, note: Note, tmp_path: Path

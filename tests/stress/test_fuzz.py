@@ -17,13 +17,13 @@ from stress.messages import (
     HOSTILE_RUN,
     SOUND_RUN,
     ends,
-    hostile_parts,
+    hostile_messages,
     hostile_subscription,
     sound_messages,
 )
 
 from sparseskin.messages import decode, encode
-from sparseskin.messages.wire import payload_of
+from sparseskin.messages.wire import received
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.host import NodeHost
@@ -50,9 +50,9 @@ def test_hostile_messages_end_no_node(type_name: str, tmp_path: Path) -> None:
     host = host_of(type_name, tmp_path, lines)
     list(host.start())
     rng = np.random.default_rng(5)
-    for parts in hostile_parts(host.inputs, N_MESSAGES, rng):
+    for buffer in hostile_messages(host.inputs, N_MESSAGES, rng):
         # As `Reader.receive` does.
-        list(host.receive_bytes(parts[0], payload_of(parts)))
+        list(host.receive_bytes(*received(buffer)))
         host.idle()
     refused = host.counts.refused
     assert sum(refused.values()) > N_MESSAGES / 2
@@ -115,11 +115,11 @@ def test_the_messages_that_are_mutated_are_sound_and_of_every_kind() -> None:
 def test_one_seed_gives_the_same_hostile_messages() -> None:
     topics = ["/skin/taxels", "/skin/skin"]
     first, second = (
-        list(hostile_parts(topics, 50, np.random.default_rng(seed))) for seed in (3, 4)
+        list(hostile_messages(topics, 50, np.random.default_rng(seed))) for seed in (3, 4)
     )
-    again = list(hostile_parts(topics, 50, np.random.default_rng(3)))
+    again = list(hostile_messages(topics, 50, np.random.default_rng(3)))
     # The stamps of sound messages are of the time at which they are made.
-    assert [len(parts) for parts in first] == [len(parts) for parts in again]
+    assert [len(buffer) for buffer in first] == [len(buffer) for buffer in again]
     assert first != second
     assert hostile_subscription(np.random.default_rng(1)) == hostile_subscription(
         np.random.default_rng(1)

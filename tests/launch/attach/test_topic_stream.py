@@ -144,7 +144,7 @@ def test_a_patient_reader_receives_what_is_queued_at_the_writer(publisher: Publi
 def test_invalid_messages_are_counted_and_skipped(publisher: Publisher, payload: bytes) -> None:
     with TopicStream(publisher.graph, TOPIC) as stream:
         publisher.wait_for_subscription()
-        publisher.writer.socket.send_multipart((TOPIC.encode(), payload))
+        publisher.writer.socket.send(TOPIC.encode() + b"\0" + payload)
         publisher.send(1)
         assert [one.seq for one in take(stream, 1)] == [0]
         assert stream.unreadable == 1

@@ -134,9 +134,9 @@ def test_node_info_reports_topics_counts_settings_and_what_it_costs(
     assert {one["key"]: one["live"] for one in node["settings"]}["ratio"] is True
     assert node["cpu_s"] > 0
     assert node["memory_mb"] > 5
-    assert node["transport"] == "unix"
+    assert node["transport"] == "ipc"
     text = run("node", "info", "compressor")
-    assert "  transport  unix (direct links to nodes of this host); observers: ipc" in text
+    assert "  transport  ipc (ZeroMQ)" in text
     assert "/skin/measurements" in text
     assert max(map(len, text.splitlines())) <= 80
 

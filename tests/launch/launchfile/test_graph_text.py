@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -156,8 +155,10 @@ def test_a_picture_that_cannot_be_written_is_one_line(
     assert capsys.readouterr().err == f"--dot {nowhere}: No such file or directory\n"
 
 
-def test_a_graph_states_its_transports() -> None:
-    launch = load("path_40")
-    assert "\ntransport unix between nodes of a host, ipc for observers\n" in graph_text(launch)
-    for transport in ("ipc", "tcp"):
-        assert f"\ntransport {transport}\n" in graph_text(replace(launch, transport=transport))
+def test_a_graph_states_its_transport_and_how_its_nodes_are_scheduled() -> None:
+    assert "\ntransport ipc\n" in graph_text(load("path_40"))
+    changes = ["graph.transport=tcp", "graph.cpus=[1, 0]", "sensor.priority=7"]
+    text = graph_text(load("path_40", changes))
+    assert "\ntransport tcp\n" in text
+    assert text.count("cpus = [0, 1]") == 4
+    assert text.count("priority = 7") == 1

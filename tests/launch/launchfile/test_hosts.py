@@ -203,11 +203,3 @@ def test_a_graph_of_one_host_names_its_key() -> None:
     launch = load(write(one.replace('"keys"', '"keys"\nkey = "edge"'))).part(None)
     assert launch.credentials is not None
     assert list(launch.credentials.allowed.values()) == ["edge"]
-
-
-def test_direct_links_are_of_graphs_without_keys() -> None:
-    lines = faults(TWO.replace("[graph]", '[graph]\ntransport = "unix"'))
-    (line,) = lines
-    assert line.startswith("f.toml:2: graph.transport: 'unix': links of a graph with keys are Zero")
-    assert not load(write(TWO)).has_direct_links
-    assert load(write(NO_KEYS.replace("[graph]", "[graph]\ninsecure = true"))).has_direct_links

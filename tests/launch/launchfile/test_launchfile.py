@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.graph_text import graph_text
 from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, bundled_names, load
 from sparseskin.launch.run.restarts import RestartPolicy
+from sparseskin.nodes.process.scheduling import Scheduling
 from sparseskin.nodes.sensor.files.arrays import NpyRecording
 
 SCENES = [
@@ -127,7 +129,7 @@ def test_all_bundled_files_are_known() -> None:
         (
             'description = "a test"',
             'transport = "udp"',
-            "f.toml:2: graph.transport: 'udp' is not allowed (known: auto, ipc, tcp, unix)",
+            "f.toml:2: graph.transport: 'udp' is not allowed (known: ipc, tcp)",
         ),
         (
             "scene:path_40",
@@ -524,15 +526,41 @@ def test_set_states_the_keys_of_the_graph(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        ("transport=zmq", "'zmq' is not allowed (known: auto, ipc, tcp, unix)"),
+        ("transport=unix", "'unix' is not allowed (known: ipc, tcp)"),
         ("transprt=tcp", "unknown key (did you mean 'transport'?)"),
         ("transport.x=tcp", "expected a text, got {'x': 'tcp'}"),
         ("insecure=1", "expected true or false, got 1"),
         ("max_restarts=0", "0 is not allowed (allowed: a whole number, 1..1000)"),
+        ("priority=99", "99 is not allowed (allowed: a whole number, 0..98)"),
+        ("cpus=0", "0 is not allowed (allowed: a list of numbers of CPUs, 0..1023, as [0, 1])"),
     ],
 )
 def test_a_wrong_set_of_the_graph_is_refused(check, change: str, what: str) -> None:
     assert check(GOOD, f"graph.{change}") == [f"--set graph.{change}: {what}"]
+
+
+def test_cpus_and_priority_are_of_the_graph_or_of_a_node(tmp_path: Path) -> None:
+    path = tmp_path / "f.toml"
+    path.write_text(GOOD)
+    changes = ["graph.cpus=[0]", "graph.priority=5", "sensor.priority=0", "monitor.cpus=[1, 0]"]
+    nodes = load(str(path), changes).nodes
+    assert nodes["sensor"].scheduling == Scheduling((0,))
+    assert nodes["compressor"].scheduling == Scheduling((0,), 5)
+    assert nodes["monitor"].scheduling == Scheduling((0, 1), 5)
+    assert "priority" not in nodes["sensor"].values
+
+
+def test_nodes_that_may_not_be_scheduled_as_stated_are_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
+    monkeypatch.chdir(tmp_path)
+    Path("f.toml").write_text(GOOD)
+    assert main(["launch", "f.toml", "--set", "graph.cpus=[0, 7]", "--set", "sensor.cpus=[1]"]) == 2
+    nodes = ", ".join(name for name in load("f.toml").nodes if name != "sensor")
+    assert capsys.readouterr().err == (
+        f"f.toml: {nodes}: cpus: CPU 7 is not there for this process (allowed: 0, 1)\n"
+    )
 
 
 def _graph_of(source: str, **compressor: object) -> str:

@@ -149,7 +149,7 @@ def test_the_summary_holds_what_it_promises(start: StartProgram, tmp_path: Path)
     assert patch["solve_ms"]["p50"] <= patch["latency_ms"]["p50"]
 
 
-@pytest.mark.parametrize("transport", ["unix", "ipc", slow("tcp")])
+@pytest.mark.parametrize("transport", ["ipc", slow("tcp")])
 def test_over_any_transport_and_in_one_process_the_forces_are_the_same_bits(
     start: StartProgram, tmp_path: Path, transport: str
 ) -> None:

@@ -12,9 +12,6 @@ from conftest import StartProgram, wait_until
 
 KB_A_QUEUE = 12 * 1024
 GRAPH = """
-[graph]
-transport = "{}"
-
 [nodes.sensor]
 type = "sensor"
 source = "held:frames"
@@ -58,22 +55,16 @@ def resident_kb(pid: int) -> int:
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc keeps it otherwise")
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("transport", "queues"), [("ipc", ("reader", "sensor")), ("unix", ("sensor",))]
-)
-def test_memory_of_a_queue_that_was_long_is_freed(
-    start: StartProgram, tmp_path: Path, transport: str, queues: tuple[str, ...]
-) -> None:
+def test_memory_of_a_queue_that_was_long_is_freed(start: StartProgram, tmp_path: Path) -> None:
     (tmp_path / "held.py").write_text(HELD)
-    (tmp_path / "graph.toml").write_text(GRAPH.format(transport))
+    (tmp_path / "graph.toml").write_text(GRAPH)
     graph = start("launch", "graph.toml")
     graph.wait_for("[launch] ready")
-    pids = {node: graph.pid_of(node) for node in queues}
+    pids = {node: graph.pid_of(node) for node in ("reader", "sensor")}
     before = {node: resident_kb(pid) for node, pid in pids.items()}
     hold = tmp_path / "hold"
     hold.touch()
-    # With ZeroMQ the queue of the reader fills first, then that of the writer; a direct link has
-    # that of the writer alone.
+    # The queue of the reader fills first, then that of the writer.
     for node, pid in pids.items():
         wait_until(lambda: resident_kb(pid) > before[node] + KB_A_QUEUE, f"a queue at the {node}")  # noqa: B023
     hold.unlink()

@@ -190,8 +190,6 @@ def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(
     assert page.stat().st_mode & 0o777 == 0o600
     assert "?token=" in page.read_text()
     assert len(list(folder.glob(f"{program.process.pid}.*.sock"))) == 4
-    direct = list(folder.glob(f"{program.process.pid}.*.unix"))
-    assert [path.stat().st_mode & 0o777 for path in direct] == [0o600] * 4
     wait_until((folder / f"{program.process.pid}.sock").exists, "the control socket")
     program.kill_all()
     program.process.communicate()
@@ -227,7 +225,6 @@ def test_what_others_wrote_stays(folder: Path) -> None:
         "deep-7.json": "[" * 100_000,
         "7.sock": "no socket",
         "7.mine.html": "no page of a graph",
-        "7.0.unix": "no socket either",
         "8.page.html": "nor this",
     }
     for name, text in texts.items():
@@ -254,7 +251,7 @@ def test_what_a_node_made_after_the_note_was_removed_is_removed_too(folder: Path
     gone.wait()
     here, served = os.getpid(), f"{gone.pid}.1.sock"
     with contextlib.ExitStack() as stack:
-        orphans = [f"{gone.pid}{end}" for end in (".sock", ".0.sock", ".0.unix")]
+        orphans = [f"{gone.pid}{end}" for end in (".sock", ".0.sock")]
         for name in (*orphans, served, f"{here}.0.sock"):
             made = stack.enter_context(socket.socket(socket.AF_UNIX))
             made.bind(str(folder / name))

@@ -44,7 +44,7 @@ def test_each_topic_has_the_clock_of_its_writers_host(context: zmq.Context[Any])
         )
         for host, ahead_ns in AHEAD_NS.items()
     }
-    assert reader.socket in node.sockets
+    assert reader.socket in node.poller
     assert node.clock_of(LEFT) is None
     assert node.clock_of(HERE) == SAME_CLOCK
     node.connect(
@@ -56,7 +56,7 @@ def test_each_topic_has_the_clock_of_its_writers_host(context: zmq.Context[Any])
             writer.serve_subscriptions()
         node.serve()
         while (parts := reader.receive()) is not None:
-            assert node.take_time(parts[1])
+            assert node.take_time(bytes(parts[1]))
         return node.clock_of(LEFT) is not None and node.clock_of(RIGHT) is not None
 
     wait_until(known, "the clocks of both hosts")
@@ -86,7 +86,7 @@ def test_a_gate_guards_what_has_keys_or_can_be_reached_over_tcp(
     config = {k: v.format(tmp_path) if k == "endpoint" else v for k, v in config.items()}
     node, _ = network(context, **config)
     # The writer, and of the gate its authentication socket and its monitor.
-    assert len(node.sockets) == (3 if guarded else 1)
+    assert len(node.poller.sockets) == (3 if guarded else 1)
     assert bool(node.writer.socket.getsockopt(zmq.ZAP_DOMAIN)) is guarded
     assert node.writer.socket.getsockopt(zmq.CURVE_SERVER) == ("security" in config)
     assert node.clock_of(HERE) == SAME_CLOCK

@@ -40,8 +40,9 @@ def taken(topics: Iterable[str], depth: int) -> list[tuple[str, bool]]:
     backlog = Backlog(Waiting(topics), frozenset([b"a", b"b"]))
     found = []
     while (waiting := backlog.take(depth)) is not None:
-        assert int(waiting.payload) == len(found)  # first come, first taken
-        found.append((waiting.topic.decode(), waiting.overtaken))
+        topic, payload, overtaken = waiting
+        assert int(bytes(payload)) == len(found)  # first come, first taken
+        found.append((topic.decode(), overtaken))
     return found
 
 
@@ -53,7 +54,7 @@ def test_a_node_is_behind_if_a_message_of_a_stream_waits_before_any_ask(topics: 
         assert backlog.is_behind() == ("a" in topics[k : k + before_ask])
         waiting = backlog.take(0)
         assert waiting is not None
-        assert waiting.topic.decode() == topics[k]
+        assert waiting[0].decode() == topics[k]
     assert not backlog.is_behind()
 
 

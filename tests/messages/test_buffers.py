@@ -1,0 +1,247 @@
+"""Frames as one buffer: what goes in comes out, and nothing else comes in."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import struct
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from message_strategies import messages
+
+from sparseskin.messages import (
+    FieldError,
+    MalformedError,
+    Measurements,
+    Message,
+    MessageError,
+    NotFiniteError,
+    OversizedError,
+    Reconstruction,
+    ShapeError,
+    Taxels,
+    TruncatedError,
+    UnknownSchemaError,
+    VersionError,
+    decode,
+    encode,
+    size_bytes,
+)
+from sparseskin.messages.batches import BATCHES
+from sparseskin.messages.buffers import (
+    ALIGNMENT,
+    MARK,
+    MAX_DESCRIPTION_BYTES,
+    frame_pieces,
+    head_of,
+    is_frame,
+)
+from sparseskin.messages.quantised import Quantised
+from sparseskin.messages.wire import SCHEMAS, Payload, received, wire_bytes
+from sparseskin.nodes.compressor.quantiser import quantised
+
+TOPIC = b"/skin/taxels"
+
+
+def sent(message: Message) -> tuple[bytes, Payload]:
+    """Topic and payload as they arrive."""
+    return received(wire_bytes(message))
+
+
+def pieces(message: Message) -> tuple[bytes, bytes, bytes, bytes]:
+    """Topic, description, numbers with padding, and arrays."""
+    begin, numbers, *data = frame_pieces(message)
+    topic, _, rest = begin.partition(b"\0")
+    return topic, rest[3:], numbers, b"".join(data)
+
+
+def payload(description: bytes, *rest: bytes) -> bytes:
+    """A payload with another description, other numbers or arrays."""
+    begin = bytes([MARK]) + len(description).to_bytes(2, "little")
+    return b"".join((begin, description, *rest))
+
+
+def taxels(value: float = 1.0, shape: tuple[int, int] = (2, 3)) -> Taxels:
+    forces = np.full(shape, value, dtype=np.float32)
+    return Taxels(stamp_ns=7, patch="skin", forces=forces)
+
+
+@given(messages)
+def test_a_buffer_holds_the_message_and_its_length_is_its_size(message: Message) -> None:
+    twin = decode(*sent(message))
+    assert twin == message
+    assert list(twin.__dict__) == list(decode(*encode(message)).__dict__)
+    assert size_bytes(message) == len(wire_bytes(message))
+
+
+def test_frames_with_arrays_have_a_head_and_their_map_is_read_too() -> None:
+    found = {name for name, cls in SCHEMAS.items() if is_frame(cls)}
+    single = {"taxels", "truth", "measurements", "reconstruction"}
+    assert found == single | {cls.schema for cls in BATCHES.values()}
+    assert decode(*received(b"\0".join(encode(taxels())))) == taxels()
+
+
+@given(messages.filter(lambda m: is_frame(type(m))))
+def test_arrays_are_aligned_views_of_the_buffer_and_not_written_to(message: Message) -> None:
+    buffer = wire_bytes(message)
+    found = decode(*received(buffer))
+    for value in vars(found).values():
+        if isinstance(value, np.ndarray) and not isinstance(value, Quantised):
+            assert np.shares_memory(value, np.frombuffer(buffer, np.uint8))
+            assert value.ctypes.data % ALIGNMENT == 0
+            assert not value.flags.writeable
+
+
+@given(st.integers(2, 16), st.lists(st.floats(-1, 1, width=32), min_size=1, max_size=9))
+def test_quantised_measurements_keep_codes_bits_and_step(bits: int, values: list[float]) -> None:
+    y = quantised(np.array(values, dtype=np.float32), bits)
+    message = Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16)
+    found = decode(*sent(message))
+    assert found == message
+    assert found.y.bits == bits  # type: ignore[attr-defined]
+    assert found.y.step == y.step  # type: ignore[attr-defined]
+
+
+@given(messages.filter(lambda m: is_frame(type(m))), st.data())
+@settings(max_examples=300)
+def test_mutated_buffers_decode_or_raise_a_message_error(
+    message: Message, data: st.DataObject
+) -> None:
+    topic, found = sent(message)
+    mutated = bytearray(found)
+    n_head = min(43 + int.from_bytes(mutated[1:3], "little"), len(mutated))
+    for _ in range(data.draw(st.integers(1, 4))):
+        last = data.draw(st.sampled_from((n_head, len(mutated)))) - 1
+        mutated[data.draw(st.integers(0, last))] = data.draw(st.integers(0, 255))
+    with contextlib.suppress(MessageError):
+        decode(topic, bytes(mutated))
+
+
+@given(st.binary(max_size=200))
+def test_random_payloads_raise_a_message_error(data: bytes) -> None:
+    for begin in (b"", bytes([MARK])):
+        with pytest.raises(MessageError):
+            decode(TOPIC, begin + data)
+
+
+@given(messages.filter(lambda m: is_frame(type(m))), st.data())
+def test_buffers_cut_short_are_refused_as_truncated(message: Message, data: st.DataObject) -> None:
+    topic, whole = sent(message)
+    with pytest.raises(TruncatedError):
+        decode(topic, whole[: data.draw(st.integers(1, len(whole) - 1))])
+
+
+def test_bytes_too_many_and_a_description_too_long_are_refused() -> None:
+    topic, description, *rest = pieces(taxels())
+    with pytest.raises(OversizedError, match=r"taxels: \d+ bytes, expected"):
+        decode(topic, payload(description, *rest, b"x"))
+    with pytest.raises(OversizedError, match="description of"):
+        decode(topic, payload(bytes(MAX_DESCRIPTION_BYTES + 1), *rest))
+
+
+def test_a_topic_alone_is_no_message() -> None:
+    assert received(TOPIC) == (TOPIC, b"")
+    with pytest.raises(TruncatedError, match="another version"):
+        decode(TOPIC, b"")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_forces_that_are_not_finite_are_refused_in_each_frame(bad: float) -> None:
+    topic, description, numbers, data = pieces(taxels())
+    assert decode(topic, payload(description, numbers, data)) == taxels()
+    forces = np.frombuffer(data, np.float32).copy()
+    forces[4] = bad
+    with pytest.raises(NotFiniteError, match=r"forces\[1, 1\]"):
+        decode(topic, payload(description, numbers, forces.tobytes()))
+
+
+@pytest.mark.parametrize(
+    "other", [b"/other/taxels", b"/skin/taxel", b"/skin/taxels_batch", b"/skin/taxels\0"]
+)
+def test_a_known_description_does_not_pass_under_another_topic(other: bytes) -> None:
+    topic, *rest = pieces(taxels())
+    decode(topic, payload(*rest))
+    with pytest.raises(FieldError, match="came under topic"):
+        decode(other, payload(*rest))
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"wire": 2}, VersionError),
+        ({"schema": "taxel"}, UnknownSchemaError),
+        ({"schema": "skin"}, MalformedError),
+        ({"version": 2}, VersionError),
+        ({"texts": ["skin"]}, MalformedError),
+        ({"texts": ["Skin", ""]}, FieldError),
+        ({"texts": ["skin", 3]}, FieldError),
+        ({"arrays": {}}, MalformedError),
+        ({"arrays": {"force": ["<f4", [2, 3]]}}, MalformedError),
+        ({"arrays": {"forces": ["<f4"]}}, MalformedError),
+        ({"arrays": {"forces": ["<f8", [2, 3]]}}, ShapeError),
+        ({"arrays": {"forces": ["<f4", [6]]}}, ShapeError),
+        ({"arrays": {"forces": ["<f4", [2, -3]]}}, ShapeError),
+        ({"arrays": {"forces": ["<f4", [4096, 4096]]}}, OversizedError),
+        ({"arrays": {"forces": ["<f4", [2, 3.0]]}}, MalformedError),
+        ({"more": 1}, MalformedError),
+    ],
+)
+def test_wrong_descriptions_are_refused(change: dict[str, object], error: type[Exception]) -> None:
+    topic, description, *rest = pieces(taxels())
+    described = msgpack.packb(msgpack.unpackb(description) | change)
+    with pytest.raises(error):
+        decode(topic, payload(described, *rest))
+
+
+@pytest.mark.parametrize("numbers", [(-1, 0), (7, -1)])
+def test_wrong_numbers_are_refused(numbers: tuple[int, int]) -> None:
+    topic, description, sound, data = pieces(taxels())
+    packed = struct.pack("<qq", *numbers) + sound[16:]
+    with pytest.raises(FieldError):
+        decode(topic, payload(description, packed, data))
+
+
+@pytest.mark.parametrize("step", [0.0, -1.0, math.nan, math.inf])
+def test_wrong_steps_are_refused(step: float) -> None:
+    y = quantised(np.ones(3, dtype=np.float32), 8)
+    made = Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16)
+    topic, description, sound, data = pieces(made)
+    packed = sound[:16] + struct.pack("<d", step) + sound[24:]
+    with pytest.raises(MessageError):
+        decode(topic, payload(description, packed, data))
+
+
+def reconstruction(error: float | None) -> Reconstruction:
+    forces = np.zeros((2, 2), dtype=np.float32)
+    fields = {"stamp_ns": 1, "patch": "skin", "phi": "0" * 16, "iterations": 3, "residual": 0.1}
+    return Reconstruction(**fields, solve_ns=1, done_ns=2, forces=forces, sd=forces, error=error)  # type: ignore[arg-type]
+
+
+def test_a_number_that_is_not_known_is_none_and_no_other_is_nan() -> None:
+    for error in (None, 0.25):
+        found = decode(*sent(reconstruction(error)))
+        assert isinstance(found, Reconstruction)
+        assert found.error == error
+    topic, description, sound, data = pieces(reconstruction(None))
+    packed = bytearray(sound)
+    at = sound.index(struct.pack("<d", 0.1))
+    packed[at : at + 8] = struct.pack("<d", math.nan)
+    with pytest.raises(NotFiniteError, match="residual"):
+        decode(topic, payload(description, bytes(packed), data))
+
+
+def test_fields_that_depend_on_each_other_are_checked_in_each_frame() -> None:
+    topic, description, *rest = pieces(reconstruction(None))
+    described = msgpack.unpackb(description)
+    described["arrays"]["sd"] = ["<f4", [1, 4]]
+    with pytest.raises(ShapeError, match="sd: shape"):
+        decode(topic, payload(msgpack.packb(described), *rest))
+
+
+def test_a_head_alone_says_which_message_it_is() -> None:
+    message = taxels().published("0123456789abcdef", 5)
+    assert head_of(*sent(message)) == ("0123456789abcdef", 5, 7)
