@@ -104,7 +104,11 @@ def main(action: str, name: str, kind: str, n: int, domain: int) -> None:
     as_ros = Policy.DataRepresentation(use_cdrv0_representation=True)
     if action == "read":
         reader = DataReader(member, topic, qos=Qos(reliable, keep, as_ros))
-        print("READY", flush=True)
+        # That the writer knows this reader does not say that this reader knows the writer, and what
+        # it sends before is not for a reader of DDS that keeps no history.
+        while not reader.get_matched_publications():
+            time.sleep(0.01)
+        print("MATCHED", flush=True)
         got = 0
         while got < n:
             for sample in reader.take_iter(timeout=duration(seconds=60)):

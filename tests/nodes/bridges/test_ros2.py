@@ -77,7 +77,7 @@ def sent(
     )  # fmt: skip
     writer = bridge._writers[f"{kind} /skin/taxels"]
     with Peer("read", topic, kind, len(messages)) as peer:
-        assert peer.line() == "READY"
+        assert peer.line() == "MATCHED"
         wait_until(lambda: bool(writer.get_matched_subscriptions()), "the reader")
         for message in (skin, *messages):
             list(bridge.step(message))
