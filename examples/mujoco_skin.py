@@ -16,7 +16,7 @@ from sparseskin.nodes.sensor.scenes.bodies import Body, build_sole, slab
 from sparseskin.nodes.sensor.scenes.motion import Drag
 from sparseskin.nodes.sensor.scenes.scenes import SKIN, TAXEL_RADIUS_M
 from sparseskin.nodes.sensor.scenes.simulation import Scene, SceneSource
-from sparseskin.nodes.sensor.simulators.source import MujocoSource
+from sparseskin.plugins.simulators.source import MujocoSource
 
 MODEL = Path(__file__).parent / "models" / "pad.xml"
 N_STEPS, DRAG_AT_S, SPEED_M_S, MASS_KG = 2000, 1.0, 0.05, 0.3

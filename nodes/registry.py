@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from . import extensions
 from .errors import SettingsError
 from .lookup import find_class
 
@@ -14,7 +15,6 @@ if TYPE_CHECKING:
 NODE_TYPES = {
     "sensor": "sparseskin.nodes.sensor.node:Sensor",
     "compressor": "sparseskin.nodes.compressor.node:Compressor",
-    "edge": "sparseskin.nodes.edge.node:Edge",
     "reconstructor": "sparseskin.nodes.reconstructor.node:Reconstructor",
     "sensor_batch": "sparseskin.nodes.sensor.batch:SensorBatch",
     "compressor_batch": "sparseskin.nodes.compressor.batch:CompressorBatch",
@@ -22,17 +22,22 @@ NODE_TYPES = {
     "monitor": "sparseskin.nodes.monitor.node:Monitor",
     "recorder": "sparseskin.nodes.recorder.node:Recorder",
     "player": "sparseskin.nodes.player.node:Player",
-    "foxglove": "sparseskin.nodes.bridges.foxglove:FoxgloveBridge",
-    "ros2": "sparseskin.nodes.bridges.ros2:Ros2Bridge",
-    "lerobot": "sparseskin.nodes.bridges.lerobot:LeRobotBridge",
 }
+"""Class of each type of the core."""
+
+
+def node_types() -> dict[str, str]:
+    """Class of each type, as "module:Class": those of the core, then those of plug-ins."""
+    offers = extensions.offered(extensions.NODES)
+    return NODE_TYPES | {n: point.value for n, point in offers.items() if n not in NODE_TYPES}
 
 
 def node_class(type_name: str) -> type[Node[Any]]:
     """Return the class of a registered node type, or of "module:Class"; or raise SettingsError."""
     from .node import Node  # with it numpy, which the names above do not need
 
-    cls = find_class("type", type_name, NODE_TYPES, SettingsError)
+    known = NODE_TYPES if type_name in NODE_TYPES or ":" in type_name else node_types()
+    cls = find_class("type", type_name, known, SettingsError)
     if not (isinstance(cls, type) and issubclass(cls, Node)):
         raise SettingsError(f'type "{type_name}": not a subclass of sparseskin.nodes.node.Node')
     return cls

@@ -9,9 +9,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.extensions import STUDIES as GROUP
+from sparseskin.nodes.extensions import failures, loaded
 from sparseskin.nodes.lookup import find_callable, nearest_of
 from sparseskin.nodes.numerics.compiled import ENVIRONMENT
-from sparseskin.nodes.tasks.executors import FORMS
+from sparseskin.nodes.tasks.executors import forms
 
 
 @dataclass(frozen=True)
@@ -68,12 +70,15 @@ STUDIES = {
         "time of operators, of solvers, of bodies of many patches, and of a frame by stage",
         "sparseskin.studies.speed.tables:run",
     ),
-    "wiring": Study(
-        "PSNR against the length of wires, from local to scrambled sums; circuits of row sums",
-        "sparseskin.studies.wiring:run",
-        numpy_only=True,
-    ),
 }
+"""Studies of the core, by name."""
+
+
+def studies() -> dict[str, Study]:
+    """Studies of the core, then those of plug-ins."""
+    return {**loaded(GROUP), **STUDIES}
+
+
 #: Packages of the extra `charts`, which each study needs.
 EXTRA = ("matplotlib", "jinja2", "pandas")
 
@@ -85,11 +90,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "where it was."
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = "\n".join(f"{name:<15} {study.summary}" for name, study in STUDIES.items())
-    name = parser.add_argument("name", metavar="STUDY", help=f"study: {', '.join(STUDIES)}")
+    known = studies()
+    parser.epilog = "\n".join(f"{name:<15} {study.summary}" for name, study in known.items())
+    name = parser.add_argument("name", metavar="STUDY", help=f"study: {', '.join(known)}")
     # Read by argcomplete: candidates for the word, and what each means.
     name.completer = lambda **_: {  # type: ignore[attr-defined]
-        known: study.summary for known, study in STUDIES.items()
+        name: study.summary for name, study in known.items()
     }
     parser.add_argument(
         "--quick", action="store_true", help="fewer frames and points: to see that it runs"
@@ -101,7 +107,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--executor",
         metavar="HOW",
         default=f"process:{len(os.sched_getaffinity(0))}",
-        help=f"where points are computed: {FORMS} (default: %(default)s)",
+        help=f"where points are computed: {forms()} (default: %(default)s)",
     )
     parser.add_argument(
         "--recordings",
@@ -134,9 +140,12 @@ def _count(text: str) -> int:
 
 def _study(arguments: argparse.Namespace) -> int:
     name: str = arguments.name
-    if name not in STUDIES:
-        raise SettingsError(f"study {name!r} is not known{nearest_of(name, STUDIES)}")
-    study = STUDIES[name]
+    known = studies()
+    if name not in known:
+        raise SettingsError(
+            f"study {name!r} is not known{nearest_of(name, known)}{failures(GROUP)}"
+        )
+    study = known[name]
     absent = [package for package in EXTRA if find_spec(package) is None]
     if absent:
         missing = f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
@@ -147,7 +156,7 @@ def _study(arguments: argparse.Namespace) -> int:
         if value is None:
             continue
         if option not in study.options:
-            takers = ", ".join(known for known in STUDIES if option in STUDIES[known].options)
+            takers = ", ".join(one for one in known if option in known[one].options)
             raise SettingsError(f"--{option}: study {name!r} takes none; allowed: {takers}")
         options[option] = value
     out: Path = arguments.out or Path("out") / (f"{name}-quick" if arguments.quick else name)

@@ -17,7 +17,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
-from sparseskin.nodes.sensor.files.recorded import SUFFIXES
+from sparseskin.nodes.sensor.files.format import suffixes
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import press_frames, scattered_mask
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
@@ -300,13 +300,13 @@ def files_in(folder: Path) -> list[Path]:
     StudyError
         If the folder cannot be read, or has none.
     """
-    suffixes = (*SUFFIXES, FILE_SUFFIX)
+    known = (*suffixes(), FILE_SUFFIX)
     try:
-        files = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
+        files = sorted(path for path in folder.iterdir() if path.suffix.lower() in known)
     except OSError as error:
         raise StudyError(f"--recordings {folder}: {error.strerror}") from error
     if not files:
-        raise StudyError(f"--recordings {folder}: no recording; allowed are {', '.join(suffixes)}")
+        raise StudyError(f"--recordings {folder}: no recording; allowed are {', '.join(known)}")
     return files
 
 

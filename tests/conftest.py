@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.metadata
 import json
 import os
 import signal
@@ -12,11 +13,14 @@ import sys
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
 import hypothesis
 import pytest
+
+from sparseskin.nodes import extensions
 
 # No test fails because the host is busy.
 hypothesis.settings.register_profile("busy host", deadline=None)
@@ -224,3 +228,21 @@ def mount_disk(tmp_path: Path) -> Iterator[MountDisk]:
     yield mount
     for folder in folders:
         subprocess.run(["umount", str(folder)], check=True)
+
+
+@pytest.fixture
+def offering(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Install plug-ins for a test alone: called with a group, and targets by name."""
+    offers: dict[str, list[EntryPoint]] = {}
+
+    def offer(group: str, **targets: str) -> None:
+        offers[group] = [EntryPoint(name, target, group) for name, target in targets.items()]
+        extensions.forget()
+
+    real = importlib.metadata.entry_points
+    monkeypatch.setattr(
+        "importlib.metadata.entry_points",
+        lambda *, group: offers[group] if group in offers else real(group=group),
+    )
+    yield offer
+    extensions.forget()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from sparseskin.launch.attach.formats import formatted
 from sparseskin.launch.attach.text import flowing
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.extensions import EXPORTS, loaded
 from sparseskin.nodes.files import make_folder
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.process.control import is_shallow
@@ -24,24 +25,15 @@ from sparseskin.nodes.recorder.bag.format import (
     TopicInfo,
     span_ns,
 )
+from sparseskin.nodes.recorder.convert.export import OWN, export_names, find_export
+from sparseskin.nodes.sensor.files.format import suffixes
 from sparseskin.nodes.sensor.files.parsed import NAN_WAYS, NEGATIVE_WAYS, REFUSE
-from sparseskin.nodes.sensor.files.recorded import SUFFIXES
 
 from .options import add_commands, whole
 
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
-_CONVERT = "sparseskin.nodes.recorder.convert"
-EXPORTS = {
-    "npz": (".npz", f"{_CONVERT}.npz:export_npz"),
-    "csv": ("_csv", f"{_CONVERT}.csv:export_csv"),
-    "ros2": ("_ros2", f"{_CONVERT}.ros2:export_ros2"),
-    "foxglove": ("_foxglove.mcap", f"{_CONVERT}.foxglove:export_foxglove"),
-    "skin": (".toml", f"{_CONVERT}.skin:export_skin"),
-    "lerobot": ("_lerobot", f"{_CONVERT}.lerobot:export_lerobot"),
-}
-"""Of each kind of export the ending of the default name of its output, and its function."""
 READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz", "nan", "negative")
 """Options of `import` on how a file is read."""
 WIDTH = 80
@@ -65,21 +57,29 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = f"default: NAME_recovered{FILE_SUFFIX}"
     recover.add_argument("--out", metavar="NEW", type=Path, help=about)
     _configure_import(add("import", _import, "make a bag of a file of frames"))
-    export = add("export", _export, "convert a bag to NumPy, CSV, ROS 2, Foxglove, LeRobot")
+    export = add("export", _export, "convert a bag to NumPy, CSV or the format of another tool")
     export.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}")
-    export.add_argument("--to", choices=tuple(EXPORTS), required=True, help="the format")
-    about = "default: NAME.npz, NAME_csv, NAME_ros2, NAME_foxglove.mcap, NAME_lerobot or NAME.toml"
+    export.add_argument("--to", choices=export_names(), required=True, help="the format")
+    about = "default: NAME and the ending of the format, as NAME.npz, NAME_csv, NAME_ros2"
     export.add_argument("--out", metavar="PATH", type=Path, help=about)
     about = "only these topics; default: all with frames"
     export.add_argument("--topics", metavar="TOPIC", nargs="+", help=about)
-    about = "of lerobot: rows a second (default: 30)"
-    export.add_argument("--fps", metavar="N", type=whole(1), help=about)
-    about = "of lerobot: tactile frames a row (default: as many as come meanwhile)"
-    export.add_argument("--window", metavar="K", type=whole(1), help=about)
+    for option, (takers, metavar, what) in _export_options().items():
+        about = f"of {', '.join(takers)}: {what}"
+        export.add_argument(f"--{option}", metavar=metavar, type=whole(1), help=about)
+
+
+def _export_options() -> dict[str, tuple[list[str], str, str]]:
+    """Options that exports have of their own: the exports, metavar and help of each."""
+    found: dict[str, tuple[list[str], str, str]] = {}
+    for name, export in {**OWN, **loaded(EXPORTS)}.items():
+        for option, (metavar, about) in export.options.items():
+            found.setdefault(option, ([], metavar, about))[0].append(name)
+    return found
 
 
 def _configure_import(parser: argparse.ArgumentParser) -> None:
-    formats = "; ".join(f"{suffix}: {what}" for suffix, what in SUFFIXES.items())
+    formats = "; ".join(f"{suffix}: {what}" for suffix, what in suffixes().items())
     parser.description = f"{parser.description} Formats: {formats}."
     parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="the recording")
     about = f"the bag, NAME{FILE_SUFFIX}; or a folder, for one bag a FILE"
@@ -168,17 +168,20 @@ def _export(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.recorder.bag.reader import BagReader
     from sparseskin.nodes.recorder.bag.split import split_bag
 
-    ending, target = EXPORTS[arguments.to]
-    export = find_callable(target, BagError)
-    stated = {key: getattr(arguments, key) for key in ("fps", "window")}
-    options = {key: value for key, value in stated.items() if value is not None}
-    if options and arguments.to != "lerobot":
-        raise BagError(f"--{next(iter(options))}: goes with --to lerobot")
+    export = find_export(arguments.to)
+    write = find_callable(export.target, BagError)
+    options = {}
+    for option, (takers, *_) in _export_options().items():
+        if (value := getattr(arguments, option)) is None:
+            continue
+        if arguments.to not in takers:
+            raise BagError(f"--{option}: goes with --to {' or '.join(takers)}")
+        options[option] = value
     with BagReader(arguments.bag) as bag:
-        out = arguments.out or bag.path.with_name(_stem(bag.path) + ending)
+        out = arguments.out or bag.path.with_name(_stem(bag.path) + export.ending)
         if bag.recovered:
             print(f"{bag.path}: {bag.recovered}", file=sys.stderr)
-        for path in export(split_bag(bag), out, arguments.topics, **options):
+        for path in write(split_bag(bag), out, arguments.topics, **options):
             print(path)
     return 0
 

@@ -7,16 +7,13 @@ import os
 import re
 import sys
 from collections.abc import Collection, Sequence
-from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from sparseskin.messages.text import printable
+from sparseskin.nodes import extensions
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.lookup import did_you_mean, nearest_of
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
+from sparseskin.nodes.lookup import did_you_mean, nearest_of, one_line
 
 EXIT_USAGE = 2
 
@@ -30,12 +27,10 @@ COMMANDS = {
     "param": (".node", "list, get and set the settings of a running graph's nodes"),
     "topic": (".topic", "list the topics of a running graph, print and measure their messages"),
     "record": (".beside", "record topics of a running graph"),
-    "bridge": (".bridge", "show a running graph to Foxglove, ROS 2 or LeRobot"),
     "play": (".play", "play a recording"),
     "bag": (".bag", "look into a recording, repair it, convert it"),
     "reprocess": (".reprocess", "put recordings through other settings, offline"),
     "learn-basis": (".learn_basis", "learn a basis from a recording"),
-    "edge": (".edge", "export a compressor in C for a board, count its instructions"),
     "sources": (".sources", "list what a sensor of this host can read"),
     "scope": (".scope", "show the frames of a source in the terminal"),
     "calibrate": (".calibrate", "make the file of a skin: from counts to newtons"),
@@ -49,21 +44,10 @@ COMMANDS = {
 `configure`, and one line of help.
 """
 
-PLUGINS = "sparseskin_commands"
-"""Group of the entry points of commands that plug-ins bring, of this package or of others: each
-names a module with `HELP`, one line, and `configure(parser)`, which sets `run` as those here do. It
-is imported for every list of commands, so that its own imports belong into `configure`.
-"""
 
-
-@cache
-def plugins() -> dict[str, EntryPoint]:
-    """Commands of plug-ins by name; no plug-in replaces a command of `COMMANDS`."""
-    # Imported here: it takes longer than all that a command of the core needs to begin.
-    from importlib.metadata import entry_points
-
-    found = {one.name: one for one in entry_points(group=PLUGINS)}
-    return {name: found[name] for name in sorted(found.keys() - COMMANDS.keys())}
+def plugins() -> list[str]:
+    """Commands of plug-ins; none replaces a command of `COMMANDS`."""
+    return [name for name in extensions.offered(extensions.COMMANDS) if name not in COMMANDS]
 
 
 def about(name: str) -> str:
@@ -71,9 +55,9 @@ def about(name: str) -> str:
     if name in COMMANDS:
         return COMMANDS[name][1]
     try:
-        return str(plugins()[name].load().HELP)
-    except Exception as error:  # a plug-in may raise anything
-        return printable(f"cannot be used: {type(error).__name__}: {error}")
+        return str(extensions.load(extensions.COMMANDS, name, SparseskinError).HELP)
+    except (SparseskinError, AttributeError) as error:
+        return printable(f"cannot be used: {error}")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -108,15 +92,13 @@ def _configure(name: str, parser: argparse.ArgumentParser) -> None:
         module = import_module(COMMANDS[name][0], __package__)
         (getattr(module, f"configure_{name}", None) or module.configure)(parser)
         return
+    plugin = extensions.load(extensions.COMMANDS, name, SparseskinError)
     try:
-        plugins()[name].load().configure(parser)
+        plugin.configure(parser)
     except SparseskinError:
         raise
     except Exception as error:  # a plug-in may raise anything
-        where = plugins()[name].value
-        raise SparseskinError(
-            f"{name}: plug-in {where}: {type(error).__name__}: {error}"
-        ) from error
+        raise SparseskinError(f"{name}: plug-in {plugin.__name__}: {one_line(error)}") from error
 
 
 def configure_help(parser: argparse.ArgumentParser) -> None:

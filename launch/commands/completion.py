@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import contextlib
 import functools
 import glob
 import os
@@ -16,6 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sparseskin.nodes import extensions
 from sparseskin.nodes.errors import SparseskinError
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 # Imports of one kind of value stand where it is offered: a key is pressed, and a person waits.
 LAUNCH_FILES = Path(__file__).parent.parent
-PROFILES = LAUNCH_FILES.parent / "nodes" / "sensor" / "boards" / "profiles"
 FILES = ("FILE", "BAG", "NEW", "PATH", "OUT.json", "F.mcap", "G.mcap", "REC.mcap", "B.npz")
 FOLDERS = ("DIR", "D")
 """Metavars of arguments that are files, and folders."""
@@ -161,42 +160,23 @@ def _overrides(prefix: str, types: Mapping[str, str]) -> Words:
 
 
 def sources(prefix: str) -> Words:
-    """Sources that begin with what has been typed: kinds, then scenes, files, serial ports and CAN
-    interfaces, and after a "?" profiles and keys.
+    """Sources that begin with what has been typed: kinds, then scenes, files, and what a plug-in
+    offers of its kind.
     """
     kind, colon, rest = prefix.partition(":")
-    boards = _source("sparseskin.nodes.sensor.boards.settings")
+    offers = extensions.offered(extensions.ADDRESSES)
     if not colon:
-        return _bare(f"{one}:" for one in ("scene", "file", *boards["KINDS"]))
-    address, query, _ = rest.partition("?")
-    if kind in boards["KINDS"] and query:
-        begun = prefix.rpartition("&")[0] + "&" if "&" in prefix else f"{kind}:{address}?"
-        found = {f"{begun}profile={path.stem}": "" for path in PROFILES.glob("*.toml")}
-        settings = _declared(*boards[f"{kind.capitalize()}Settings"])
-        keys = {f"{begun}{entry['key']}=": entry["doc"] for entry in settings}
-        return dict(sorted(found.items())) | keys
+        return _bare(f"{one}:" for one in ("scene", "file", *offers))
     match kind:
         case "scene":
             scenes = _source("sparseskin.nodes.sensor.scenes.scenes")
             return _bare(f"scene:{name}" for name in scenes["SCENES"])
         case "file":
             return {f"file:{path}": "" for path in _paths(rest, folders_only=False)}
-        case "serial":
-            names = _source("sparseskin.nodes.sensor.boards.serial_port")["DEVICES"]
-            paths = (path for one in names for path in sorted(glob.glob(f"/dev/{one}")))
-            return _bare(f"serial:{path}?" for path in paths)
-        case "can":
-            return _bare(f"can:{Path(path).parent.name}?" for path in _can_types())
+        case _ if kind in offers:
+            found = extensions.load(extensions.ADDRESSES, kind, SparseskinError)
+            return dict(found.completions(prefix))
     return {}
-
-
-def _can_types() -> list[str]:
-    found = []
-    for path in sorted(glob.glob("/sys/class/net/*/type")):
-        with contextlib.suppress(OSError):
-            if Path(path).read_text().strip() == "280":  # ARPHRD_CAN
-                found.append(path)
-    return found
 
 
 def declared_settings(type_name: str) -> list[dict[str, Any]]:
@@ -204,7 +184,7 @@ def declared_settings(type_name: str) -> list[dict[str, Any]]:
     "[graph]", read from their source: importing it takes longer than a person waits for a word.
     None of a user's own type.
     """
-    from sparseskin.nodes.registry import NODE_TYPES
+    from sparseskin.nodes import registry
 
     if type_name == f"[{GRAPH}]":
         source = _source("sparseskin.launch.launchfile.check")
@@ -218,9 +198,10 @@ def declared_settings(type_name: str) -> list[dict[str, Any]]:
             {**entry, "key": key, "choices": list(choices.get(key, ()))}
             for key in source["GRAPH_KEYS"]
         ]
-    if type_name not in NODE_TYPES:
+    target = registry.NODE_TYPES.get(type_name) or registry.node_types().get(type_name, "")
+    if not target.startswith("sparseskin."):
         return []
-    module, _, name = NODE_TYPES[type_name].partition(":")
+    module, _, name = target.partition(":")
     source, node = _source(module)[name]
     (settings,) = (
         line.value.id

@@ -151,13 +151,8 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
         if n := node.get("restarts", 0):
             times, last = "time" if n == 1 else "times", printable(node["failures"][-1])
             print(f"{name}: restarted {n} {times} after a failure; the last: {last}")
-        if board := node.get("board"):
-            from sparseskin.nodes.sensor.boards.source import dropped_text
-
-            if text := dropped_text(board):
-                print(f"{name}: dropped: {text}")
-            if n := board["gone"]:
-                print(f"{name}: the device was gone {n} {'time' if n == 1 else 'times'}")
+        for line in node.get("lines", ()):
+            print(f"{name}: {line}")
         if node["type"] == "sensor" and node.get("clipped"):
             from sparseskin.nodes.sensor.clipped import clipped_text
 

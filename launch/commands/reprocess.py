@@ -24,7 +24,7 @@ from sparseskin.nodes.remote import (
     local_path,
     store,
 )
-from sparseskin.nodes.tasks.executors import FORMS
+from sparseskin.nodes.tasks.executors import forms
 
 from .options import add_set, add_summary, check_summary, whole, write_summary
 
@@ -48,7 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--from", dest="start_from", choices=START_POINTS, default=START_POINTS[0], help=about
     )
-    parser.add_argument("--executor", metavar="WHERE", help=FORMS)
+    parser.add_argument("--executor", metavar="WHERE", help=forms())
     about = "cut recordings into slices of this many seconds, or auto, which --executor shares"
     parser.add_argument("--slices", type=_slice_s, metavar="SECONDS|auto", help=about)
     about = "frames before a slice that are computed with it and left out (default: 256)"

@@ -76,7 +76,7 @@ class Patch:
         s = self.skin
         mask = None if s.mask is None or s.mask.all() else s.mask.tobytes()
         settings = repr(sorted(self.compressor.items()))
-        layout = None if s.placement is None else s.placement.points.layout
+        layout = None if s.placement is None else s.placement.layout
         of_skin = (*s.shape, s.pitch_mm, s.f_max, mask, s.noise, s.noise_mid, layout)
         return (*of_skin, self.host, settings)
 
@@ -90,7 +90,7 @@ class Patch:
             "f_max": s.f_max,
         }
         if s.placement is not None:
-            return {"points": s.placement.points.layout, "f_max": s.f_max, **self._noise_values()}
+            return {"points": s.placement.layout, "f_max": s.f_max, **self._noise_values()}
         if s.mask is not None and not s.mask.all():
             values["mask"] = ["".join("01"[cell] for cell in row) for row in s.mask.astype(int)]
         return values | self._noise_values()

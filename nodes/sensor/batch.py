@@ -20,6 +20,7 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .noise import NoiseModel
+from .points import point_skins
 from .scenes.scenes import SCENES, open_scene
 from .scenes.tiled import TILED, TiledScene
 from .source import DEFAULT_RATE_HZ
@@ -114,9 +115,7 @@ class SensorBatchSettings(PatchSettings):
         if (name := self.source.removeprefix(SCENE)) in SCENES:
             return open_scene(name, self.seed).skin
         if self.points:
-            from .layouts.placing import placed  # takes SciPy, which a flat grid does not need
-
-            return placed(self.points).skin(self.f_max, "N")
+            return point_skins().place(self.points).skin(self.f_max, "N")
         rows = self.mask
         mask = None if rows is None else np.array([[c == "1" for c in row] for row in rows])
         if mask is not None and mask.all():

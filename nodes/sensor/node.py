@@ -16,6 +16,7 @@ from .calibration.skin_file import load_skin
 from .calibration.stage import Stage, described, fitted
 from .clipped import Clipped, clipped_text
 from .noise import NoiseModel
+from .points import point_skins
 from .settings import SensorSettings
 from .source import Skin
 
@@ -46,9 +47,7 @@ class Sensor(SourceNode[SensorSettings]):
         described = load_skin(settings.skin) if settings.skin else None
         self._placement = described.placement if described else None
         if settings.points:
-            from .layouts.placing import placed  # takes SciPy, which a flat grid does not need
-
-            self._placement = placed(settings.points)
+            self._placement = point_skins().place(settings.points)
         self._source = settings.address().open()
         try:
             self._source_skin = self._placed_skin()
@@ -81,9 +80,7 @@ class Sensor(SourceNode[SensorSettings]):
     @classmethod
     def facts(cls, settings: SensorSettings) -> Mapping[str, Any]:
         if settings.points:
-            from .layouts.files import load_points
-
-            n: int | None = load_points(settings.points).n
+            n: int | None = point_skins().n_taxels(settings.points)
         elif settings.skin:  # a source that masks further cells shows when it runs
             n = load_skin(settings.skin).skin.n_taxels
         else:
@@ -92,9 +89,8 @@ class Sensor(SourceNode[SensorSettings]):
 
     def start(self) -> Iterable[Message]:
         if self._placement is not None:
-            self.context.log(self._placement.summary())
-            for line in self._placement.points.notes:
-                self.context.log(f"{self._placement.points.name}: {line}")
+            for line in self._placement.summary():
+                self.context.log(line)
         self._log_lines()
         # First, so that a recorder knows it once the graph's other states follow from the skin.
         yield from self._calibration()

@@ -10,8 +10,9 @@ from sparseskin.nodes.settings import PatchSettings, naming, setting
 from .calibration.chain import MAX_TARE_FRAMES
 from .calibration.skin_file import load_skin
 from .files.parsed import NAN_WAYS, NEGATIVE_WAYS, Policy
+from .points import point_skins
 from .source import Address
-from .sources import FORMS, find_address
+from .sources import find_address
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,8 @@ class SensorSettings(PatchSettings):
 
     source: str = setting(
         "scene:drag_wrench_64",
-        f"where frames come from: {FORMS}",
+        "where frames come from: scene:NAME, file:PATH, module:callable, or of a kind that a "
+        "plug-in brings, as serial:DEVICE",
         decides=True,
     )
     rate_hz: float | None = setting(
@@ -125,10 +127,8 @@ class SensorSettings(PatchSettings):
         if self.points:
             if self.skin and load_skin(self.skin).placement is not None:
                 raise SettingsError("points: the file of the skin has its own")
-            from .layouts.files import load_points  # takes SciPy, which a flat grid does not need
-
             with naming("points"):
-                load_points(self.points)
+                point_skins().n_taxels(self.points)
         with naming("source"):
             address = self.address()
             address.check()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -20,7 +20,7 @@ from .files.parsed import DEFAULT_POLICY, Policy
 if TYPE_CHECKING:
     from .calibration.description import SkinDescription
 
-__all__ = ["Address", "LiveSource", "Skin", "Source"]
+__all__ = ["Address", "Listing", "LiveSource", "Skin", "Source"]
 
 DEFAULT_RATE_HZ = 100.0
 """Frame rate of scenes and of recordings without a rate of their own."""
@@ -124,7 +124,7 @@ class Source:
         return None
 
     def report(self) -> dict[str, Any]:
-        """Counters for the summary of a run."""
+        """Counters for the summary of a run; `lines`: lines for the terminal at its end."""
         return {}
 
     def close(self) -> None:
@@ -158,6 +158,24 @@ class LiveSource(Source):
             self._watch = None
 
 
+@dataclass(frozen=True)
+class Listing:
+    """Sources of one kind that there are, for `sparseskin sources`.
+
+    Attributes
+    ----------
+    key : str
+        Key in its JSON.
+    title : str
+    entries : sequence of mapping
+        `about`, a few words on each, and `source`, its address; or `name`, for what is part of one.
+    """
+
+    key: str
+    title: str
+    entries: Sequence[Mapping[str, str]]
+
+
 @dataclass(frozen=True, eq=False)
 class Address(ABC):
     """What settings state of a source that is not open; a subclass for each kind.
@@ -178,6 +196,8 @@ class Address(ABC):
         File with the places of the taxels of a skin of points; "" for a grid.
     described : SkinDescription or None
         What the file of the skin states.
+    form : str
+        The form of such addresses, for help and errors.
     own : tuple of str
         Settings of the sensor that such a source has itself: they must not be stated.
     """
@@ -192,7 +212,20 @@ class Address(ABC):
     raw: bool = False
     points: str = ""
     described: SkinDescription | None = None
+    form: ClassVar[str] = "module:callable"
     own: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def listings(cls) -> Sequence[Listing]:
+        """What this host has of such sources; called by `sparseskin sources`."""
+        return ()
+
+    @classmethod
+    def completions(cls, prefix: str) -> Mapping[str, str]:
+        """Addresses that begin with what has been typed, kind and colon included, and a few words
+        on each; "" if the address is enough.
+        """
+        return {}
 
     @property
     def kind(self) -> str:

@@ -1,18 +1,18 @@
-"""Sources by their addresses: a scene, a file, a board, a model, a ROS 2 topic, or a driver."""
+"""Sources by their addresses: a scene, a file, a driver, or of a kind that a plug-in brings."""
 
 from __future__ import annotations
 
 import re
 import symtable
-from functools import lru_cache
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.extensions import ADDRESSES, failures, load, loaded, offered
 from sparseskin.nodes.lookup import (
     did_you_mean,
+    find_callable,
     is_missing,
     note_import,
     one_line,
@@ -23,27 +23,38 @@ from sparseskin.nodes.sensor.files.parsed import DEFAULT_POLICY, Policy
 from .driver import open_callable
 from .source import Address, Source
 
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
 SCENE = "scene:"
 FILE = "file:"
-FORMS = (
-    "scene:NAME, file:PATH, mujoco:MODEL.xml#SITE, serial:DEVICE, udp:PORT, can:CHANNEL, "
-    "ros2:/TOPIC or module:callable"
-)
 KINDS = {
     "scene": "sparseskin.nodes.sensor.scenes.address:SceneAddress",
     "file": "sparseskin.nodes.sensor.files.address:FileAddress",
-    "mujoco": "sparseskin.nodes.sensor.simulators.source:MujocoAddress",
-    "serial": "sparseskin.nodes.sensor.boards.source:BoardAddress",
-    "udp": "sparseskin.nodes.sensor.boards.source:BoardAddress",
-    "can": "sparseskin.nodes.sensor.boards.source:BoardAddress",
-    "ros2": "sparseskin.nodes.bridges.ros2_source:Ros2Address",
 }
-"""Class of the addresses of each kind, imported where one is used."""
-GROUP = "sparseskin_addresses"
-"""Group of entry points with which another package brings a kind: its name, and such a class."""
+"""Class of the addresses of each kind of the core, imported where one is used."""
+
+
+def kinds() -> list[str]:
+    """Kinds of the core, then those of plug-ins."""
+    return [*KINDS, *(kind for kind in offered(ADDRESSES) if kind not in KINDS)]
+
+
+def find_kind(kind: str, where: str = "") -> type[Address]:
+    """Class of the addresses of one of `kinds`. Raises SourceError, after `where`, if its plug-in
+    cannot be imported.
+    """
+    found: Any = None
+    if kind in KINDS:
+        found = find_callable(KINDS[kind], SourceError)
+    else:
+        found = load(ADDRESSES, kind, SourceError, where)
+    made: type[Address] = found
+    return made
+
+
+def forms() -> str:
+    """The forms of addresses."""
+    known = [find_kind(kind).form for kind in KINDS]
+    offers = [made.form for kind, made in loaded(ADDRESSES).items() if kind not in KINDS]
+    return f"{', '.join(known + offers)} or {Address.form}{failures(ADDRESSES)}"
 
 
 def find_address(source: str, **stated: Any) -> Address:
@@ -52,7 +63,7 @@ def find_address(source: str, **stated: Any) -> Address:
     Parameters
     ----------
     source : str
-        One of the forms in `FORMS`, or of a kind that another package brings.
+        One of `forms`.
     **stated
         What settings state of it: attributes of `Address`.
 
@@ -66,25 +77,10 @@ def find_address(source: str, **stated: Any) -> Address:
         from .scenes.scenes import SCENES
 
         hint = f' (did you mean "{SCENE}{source}"?)' if source in SCENES else ""
-        raise SourceError(f'source "{source}": expected {FORMS}{hint}')
-    made: type[Address] = DriverAddress
-    if kind in KINDS:
-        module, _, name = KINDS[kind].partition(":")
-        made = getattr(import_module(module), name)
-    elif kind in offered_kinds():
-        try:
-            made = offered_kinds()[kind].load()
-        except Exception as error:
-            raise SourceError(f"{source}: importing {kind} failed: {one_line(error)}") from error
+        raise SourceError(f'source "{source}": expected {forms()}{hint}')
+    # Plug-ins are looked up for what is no kind of the core.
+    made = find_kind(kind, source) if kind in KINDS or kind in kinds() else DriverAddress
     return made(source, **stated)
-
-
-@lru_cache(maxsize=1)
-def offered_kinds() -> dict[str, EntryPoint]:
-    """Kinds that other packages bring, by name."""
-    from importlib.metadata import entry_points  # takes time, and few sources need it
-
-    return {point.name: point for point in entry_points(group=GROUP)}
 
 
 def check_source(
@@ -141,7 +137,7 @@ def check_module(target: str) -> None:
         if package:
             raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause
     if found is None:
-        hint = did_you_mean(module, KINDS) if len(module) < 8 else ""
+        hint = did_you_mean(module, kinds()) if len(module) < 8 else ""
         hint = hint if "did you mean" in hint else ""
         raise SourceError(f"{target}: there is no module {module!r}, installed or in {here}{hint}")
     names = _names_of(Path(found.origin)) if found.origin else None
@@ -185,7 +181,7 @@ def open_source(
     Parameters
     ----------
     source : str
-        One of the forms in `FORMS`.
+        One of `forms`.
     seed : int
         Seed of a scene; not used by files and drivers.
     n_rows, n_cols, unit, f_max

@@ -19,7 +19,7 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES
-from sparseskin.nodes.sensor.sources import FORMS, open_source
+from sparseskin.nodes.sensor.sources import forms, open_source
 from sparseskin.nodes.tasks.computed import computed
 
 from .budget import Accuracy, Row
@@ -219,7 +219,9 @@ def _of_source(
 ) -> tuple[Iterator[tuple[Floats, Floats]], str]:
     """Frames (truth, readings) of a source in the range of the simulation, and a note."""
     if ":" not in name:
-        raise SettingsError(f"scene: {name!r} is not known; allowed: {', '.join(BODIES)}, {FORMS}")
+        raise SettingsError(
+            f"scene: {name!r} is not known; allowed: {', '.join(BODIES)}, {forms()}"
+        )
     source = open_source(name, seed=seed)
     skin: Skin = source.skin
     if not np.array_equal(skin.exists, exists):

@@ -7,8 +7,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from sparseskin.messages.quantised import n_bytes
-from sparseskin.nodes.edge.description import CRC_BYTES, HEADER_BYTES
 from sparseskin.nodes.errors import SettingsError
+from sparseskin.plugins.edge.description import CRC_BYTES, HEADER_BYTES
 
 from .models.costs import HOP_S, LARGEST, cost
 from .models.wires import Wires, reads_single, wires_of

@@ -12,9 +12,9 @@ from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean, nearest_of
 from sparseskin.nodes.numerics.arrays import Mask
-from sparseskin.nodes.sensor.layouts.files import EXAMPLE
-from sparseskin.nodes.sensor.layouts.placing import Placement, placed
 from sparseskin.nodes.toml import parse_toml
+from sparseskin.plugins.points.files import EXAMPLE
+from sparseskin.plugins.points.placing import Placement, placed
 
 from .models.adc import Adc, read_adc
 from .models.buses import Bus, read_bus

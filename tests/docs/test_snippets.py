@@ -16,7 +16,6 @@ import pytest
 
 import sparseskin
 from sparseskin.launch.commands import cli
-from sparseskin.nodes.sensor.boards.board import describe_board
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -122,31 +121,6 @@ def test_launch_files_of_a_page_are_accepted(page: Path, workplace: Path) -> Non
         path = workplace / f"page{number}.toml"
         path.write_text(block, encoding="utf-8")
         assert sparseskin.load_launch(str(path)).nodes
-
-
-def test_the_profile_and_the_firmware_of_the_page_on_boards_send_what_they_state(
-    tmp_path: Path,
-) -> None:
-    page = ROOT / "docs" / "boards.md"
-    path = tmp_path / "my_board.toml"
-    path.write_text(fenced(page, "ini")[0], encoding="utf-8")
-    board = describe_board(f"serial:/dev/ttyUSB0?profile={path}")
-    assert (board.skin.shape, board.skin.f_max) == ((12, 8), 4095.0)
-    numbered = describe_board("serial:/dev/ttyUSB0?profile=numbered&rows=8&cols=8")
-    if (compiler := shutil.which("cc")) is None:
-        pytest.skip("no C compiler")
-    (code,) = fenced(page, "c")
-    main = (
-        "#include <stdio.h>\nint main(void) { uint16_t r[N]; uint8_t out[6 + 2 * N];"
-        " for (int k = 0; k < N; k++) r[k] = (uint16_t)(k * 1000);"
-        " return fwrite(out, 1, frame(out, 513, r), stdout) == 0; }\n"
-    )
-    (tmp_path / "board.c").write_text(code + main, encoding="utf-8")
-    subprocess.run([compiler, "-o", "board", "board.c"], cwd=tmp_path, check=True)
-    sent = subprocess.run([tmp_path / "board"], capture_output=True, check=True).stdout
-    readings = (np.arange(64) * 1000).astype("<u2").tobytes()
-    assert numbered.framing.split(sent) == (readings, 513)
-    assert numbered.framing.is_whole(sent)
 
 
 @pytest.mark.parametrize("words", all_commands("sparseskin", INDENTED))

@@ -49,7 +49,7 @@ def ros2(address: str) -> Iterator[int]:
     from cyclonedds.topic import Topic
     from cyclonedds.util import duration
 
-    from sparseskin.nodes.bridges import dds
+    from sparseskin.plugins.bridges import dds
 
     member = dds.participant(int(address), "lo")
     types: dict[str, Any] = {

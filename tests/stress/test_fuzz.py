@@ -28,7 +28,7 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.host import NodeHost
 from sparseskin.nodes.node import Context
-from sparseskin.nodes.registry import NODE_TYPES, make_settings, node_class
+from sparseskin.nodes.registry import make_settings, node_class, node_types
 
 N_MESSAGES = int(os.environ.get("SPARSESKIN_FUZZ_MESSAGES", "2000"))
 GROWTH_BYTES = 500
@@ -75,7 +75,7 @@ def test_hostile_messages_end_no_node(type_name: str, tmp_path: Path) -> None:
 def test_settings_of_any_value_are_accepted_or_refused() -> None:
     rng = np.random.default_rng(5)
     values: list[Any] = [None, True, -1, 1e400, 10**400, float("nan"), "", "x" * 5000, [], {}]
-    for type_name in NODE_TYPES:
+    for type_name in node_types():
         cls = node_class(type_name)
         for setting in cls.Settings.described():
             for value in (*values, rng.bytes(8).hex()):

@@ -16,7 +16,7 @@ pytest.importorskip("matplotlib")
 from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.sensor.scenes.presses import N_BEFORE
 from sparseskin.nodes.sensor.scenes.scenes import SCENES
-from sparseskin.studies import command, frames, harness, needs, wiring
+from sparseskin.studies import command, frames, harness, needs
 from sparseskin.studies.accuracy import experiments as accuracy
 from sparseskin.studies.paper import tables as paper
 from sparseskin.studies.speed import latency
@@ -42,7 +42,6 @@ SIZES: tuple[tuple[Any, dict[str, Any]], ...] = (
     (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,), "QUICK_WINDOWS": 2}),
     (speed_accuracy, {"TIMED_ON": "serial"}),
     (sweeps, {"SUM_SOLVERS": ("fista",)}),
-    (wiring, {"SHAPE": (16, 16), "QUICK_FRAMES": 3, "BODIES": ("gaussian",)}),
 )
 """Sizes that are smaller than those of a quick run, by module."""
 TEXTS = {
@@ -52,7 +51,6 @@ TEXTS = {
     "scene-needs": "| without damping of the skin |",
     "accuracy": "| press | 114 | kPa |",
     "speed": "## From acquisition to reconstruction",
-    "wiring": "| local:4 |",
 }
 """A text on each page."""
 

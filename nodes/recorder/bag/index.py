@@ -227,9 +227,9 @@ def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex,
 
 def _source_hint(name: str) -> str:
     """Hint at what reads a file that a sensor can play; "" by its suffix for others."""
-    from sparseskin.nodes.sensor.files.recorded import SUFFIXES
+    from sparseskin.nodes.sensor.files.format import suffixes
 
-    if Path(name).suffix.lower() not in SUFFIXES:
+    if Path(name).suffix.lower() not in suffixes():
         return ""
     return (
         "; sparseskin launch replay --set sensor.source=file:FILE reads such a file, "

@@ -15,7 +15,7 @@ from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from .response import MAX_NUMBER, MAX_SLOPE, MIN_SLOPE, Response, SkinFileError
 
 if TYPE_CHECKING:
-    from sparseskin.nodes.sensor.layouts.placing import Placement
+    from sparseskin.nodes.sensor.placement import Placement
 
 MAX_NAME = 64
 """Longest name of a skin, characters."""

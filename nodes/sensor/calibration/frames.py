@@ -92,14 +92,15 @@ def _bag(path: str) -> tuple[list[int], Frames]:
 
 
 class Recording:
-    """Parts of a recording, by their stamps."""
+    """Parts of a source that ends, by their stamps; all of it is read."""
 
     is_live = False
 
-    def __init__(self, source: RecordedSource) -> None:
+    def __init__(self, source: Source) -> None:
         self.skin: Skin = source.skin
-        self._stamps_s = np.asarray(source.stamp_ns, dtype=np.float64) / 1e9
-        self._frames = source.frames
+        stamps, frames = zip(*source, strict=True)
+        self._stamps_s = np.array(stamps, dtype=np.float64) / 1e9
+        self._frames = np.stack(frames)
 
     def part(self, start_s: float, stop_s: float) -> Frames:
         """Frames with stamps in [start_s, stop_s), seconds since the first.
@@ -195,6 +196,6 @@ def open_frames(
     if opened.delivers == "truth":
         opened.close()
         raise SourceError(f"{source}: delivers true forces, which need no calibration")
-    if isinstance(opened, RecordedSource):
-        return Recording(opened)
-    return Live(opened)
+    if opened.is_live or opened.n_frames is None:
+        return Live(opened)
+    return Recording(opened)

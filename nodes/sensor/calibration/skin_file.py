@@ -11,7 +11,7 @@ import stat
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,13 +21,12 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.sensor.placement import Placement
+from sparseskin.nodes.sensor.points import point_skins
 from sparseskin.nodes.toml import parse_toml
 
 from .description import MAX_NAME, SkinDescription, points_on_grid
 from .response import MAX_KNOTS, Response, SkinFileError
-
-if TYPE_CHECKING:
-    from sparseskin.nodes.sensor.layouts.placing import Placement
 
 MAX_FILE_CHARS = 1 << 18
 """Longest skin.toml, chosen: eight thousand numbers, as a program writes them."""
@@ -228,9 +227,6 @@ def _grid(
 
 def _placed(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Grid and placement of the file with points that a table names."""
-    # Placing points takes SciPy, which a skin without them does not need.
-    from sparseskin.nodes.sensor.layouts.placing import placed
-
     for key in OF_POINTS:
         if key in table:
             raise SkinFileError(f"{key}: is stated beside points, from which it follows")
@@ -238,7 +234,7 @@ def _placed(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     if not isinstance(name, str) or not name:
         raise SkinFileError("points: expected the name of a file")
     try:
-        found = placed(name if name.startswith("example:") else str(folder / name))
+        found = point_skins().place(name if name.startswith("example:") else str(folder / name))
     except SourceError as error:
         raise SkinFileError(f"points: {error}") from error
     rows, cols = found.shape

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
-from sparseskin.nodes.sensor.source import Address, Source
+from sparseskin.messages.text import printable
+from sparseskin.nodes.sensor.source import Address, Listing, Source
 
+from .format import suffixes
 from .parsed import KEEP, REFUSE, Policy
 from .recorded import n_taxels, open_file
+
+MAX_LISTED = 20
+"""Most recordings of the current folder that are listed; chosen."""
 
 
 class FileAddress(Address):
@@ -16,6 +23,8 @@ class FileAddress(Address):
     A .csv of numbers takes its shape from the file of the skin, where one is stated. Readings below
     0 are kept where a calibration converts them.
     """
+
+    form = "file:PATH"
 
     def check(self) -> None:
         unit = "raw" if self.unit is None and self.described is not None else self.unit
@@ -34,6 +43,18 @@ class FileAddress(Address):
             f_max=self.f_max,
             policy=self._policy,
         )
+
+    @classmethod
+    def listings(cls) -> Sequence[Listing]:
+        """Recordings in the current folder by their suffixes, the newest first."""
+        about = suffixes()
+        found = (p for p in Path().iterdir() if p.suffix.lower() in about and p.is_file())
+        newest = sorted(found, key=lambda p: -p.stat().st_mtime_ns)[:MAX_LISTED]
+        entries = [
+            {"source": f"file:{printable(p.name)}", "about": about[p.suffix.lower()]}
+            for p in newest
+        ]
+        return (Listing("files", "recordings in this folder", entries),)
 
     @property
     def _shape(self) -> tuple[int | None, int | None]:

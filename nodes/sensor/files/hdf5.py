@@ -57,14 +57,14 @@ def hdf5_arrays(name: str, n_bytes: int) -> tuple[dict[str, npt.NDArray[Any]], b
     dimensions stand in reverse order. `n_bytes` is the size of the file.
     """
     _check_installed(name)
-    arrays = in_child("hdf5-arrays", name, n_bytes)
+    arrays = in_child(f"{__name__}:read_arrays", name, n_bytes)
     return arrays, bool(arrays.pop(_MATLAB_CLASS))
 
 
 def hdf5_shape(name: str, n_bytes: int) -> tuple[tuple[int, ...], bool]:
     """Shape of the dataset of frames of a file, and True where a mask stands beside it."""
     _check_installed(name)
-    found = in_child("hdf5-shape", name, n_bytes)
+    found = in_child(f"{__name__}:read_shape", name, n_bytes)
     return tuple(found["shape"].tolist()), bool(found["has_mask"])
 
 

@@ -2,7 +2,7 @@
 
 For a few changed bytes HDF5's library enters endless loops, and SciPy's reader of .mat ends the
 process; a MuJoCo model of a few lines takes any time and memory. So they run in a child whose time
-and memory are bounded: `python -m sparseskin.nodes.sensor.files.isolated TASK NAME MOST_BYTES`.
+and memory are bounded: `python -m sparseskin.nodes.sensor.files.isolated TARGET NAME MOST_BYTES`.
 """
 
 from __future__ import annotations
@@ -22,15 +22,6 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
 
-_FILES = "sparseskin.nodes.sensor.files"
-TASKS = {
-    "hdf5-arrays": f"{_FILES}.hdf5:read_arrays",
-    "hdf5-shape": f"{_FILES}.hdf5:read_shape",
-    "mat-arrays": f"{_FILES}.matlab:read_arrays",
-    "mat-shape": f"{_FILES}.matlab:read_shape",
-    "mujoco-shape": "sparseskin.nodes.sensor.simulators.source:read_shape",
-}
-"""Functions of (name, most bytes of the arrays): arrays by name, or SourceError."""
 START_S, BYTES_PER_S = 60.0, 1e7
 """Time that a child has, in s: to start, and by size; chosen, far above what it takes (1 s of the
 processor for a small .mat), as a host may be loaded."""
@@ -40,18 +31,19 @@ _REFUSED = 3
 """Exit status of a child that printed why it refuses the file."""
 
 
-def in_child(task: str, name: str, n_bytes: int) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of a file of `n_bytes`, by one of the `TASKS`; `name` is its path, and what else the
-    task reads from it.
+def in_child(target: str, name: str, n_bytes: int) -> dict[str, npt.NDArray[Any]]:
+    """Arrays of a file of `n_bytes`, by a function "module:callable" of this package: of `name` and
+    the most bytes of the arrays, it returns arrays by name, or raises SourceError. `name` is the
+    path of the file, and what else the function reads from it.
 
     Raises
     ------
     SourceError
-        If the task does, or its process fails or takes too long.
+        If the function does, or its process fails or takes too long.
     """
     most = max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
     # -P: no module of the current directory is imported.
-    command = [sys.executable, "-P", "-m", f"{_FILES}.isolated", task, name, str(most)]
+    command = [sys.executable, "-P", "-m", __name__, target, name, str(most)]
     limit_s = START_S + n_bytes / BYTES_PER_S
     try:
         done = subprocess.run(
@@ -81,7 +73,7 @@ def _ended(status: int) -> str:
         return f"was ended by signal {-status}"
 
 
-def main(task: str, name: str, most: int) -> int:
+def main(target: str, name: str, most: int) -> int:
     """The child: read a file and write its arrays as .npz to standard output."""
     limit = 2 * most + _OTHER_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -90,7 +82,7 @@ def main(task: str, name: str, most: int) -> int:
     with os.fdopen(os.dup(1), "wb") as out:
         os.dup2(2, 1)
         try:
-            arrays = find_callable(TASKS[task], SourceError)(name, most)
+            arrays = find_callable(target, SourceError)(name, most)
         except SourceError as error:
             print(error, file=sys.stderr)
             return _REFUSED

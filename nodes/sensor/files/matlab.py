@@ -56,7 +56,7 @@ class MatRecording(Recording):
             shape, masked = hdf5_shape(self._name, self._n_bytes)
             shape = shape[::-1]
         else:
-            found = in_child("mat-shape", self._name, self._n_bytes)
+            found = in_child(f"{__name__}:read_shape", self._name, self._n_bytes)
             shape, masked = tuple(found["shape"].tolist()), bool(found["has_mask"])
         n_rows, n_cols = shape[:2] if self._frame_axis(shape) == 2 else shape[-2:]
         return Head(n_rows, n_cols, None if masked else n_rows * n_cols)
@@ -67,7 +67,7 @@ class MatRecording(Recording):
             arrays, transposed = hdf5_arrays(name, self._n_bytes)
             arrays = {key: array.T for key, array in arrays.items()} if transposed else arrays
         else:
-            arrays = in_child("mat-arrays", name, self._n_bytes)
+            arrays = in_child(f"{__name__}:read_arrays", name, self._n_bytes)
         arrays = {key: _plain(key, array) for key, array in arrays.items()}
         key = forces_name({key: array.ndim for key, array in arrays.items()}, name)
         forces = arrays[key]

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,22 +22,15 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.source import Source
 
-from .arrays import NpyRecording, NpzRecording, PlainCsvRecording
-from .emed import EmedRecording
-from .hdf5 import Hdf5Recording
+from .format import File, recording_of
 from .invalid import Treated, treat
-from .matlab import MatRecording
-from .novel_asc import PlianceRecording
-from .own_csv import OwnCsvRecording, is_own_csv
 from .parsed import (
     DEFAULT_POLICY,
     KEEP,
     MAX_READING,
     NO_UNIT,
-    Lines,
     Parsed,
     Policy,
-    Recording,
     check_grid,
     check_number,
     check_readings,
@@ -46,28 +39,12 @@ from .parsed import (
     reading,
     shown,
 )
-from .tekscan import TekscanRecording, is_tekscan
-from .xsensor import XsensorRecording, is_xsensor
 
-SUFFIXES = {
-    ".lst": "Novel emed text export",
-    ".asf": "Tekscan ASCII movie export",
-    ".asc": "Novel pliance text export",
-    ".csv": "Tekscan ASCII movie, XSENSOR or bag export, or numbers with one frame a line",
-    ".npy": "array (frames, rows, columns)",
-    ".npz": "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted",
-    ".mat": "MATLAB variable 'forces', or the only one of three dimensions; n_rows, n_cols stated",
-    ".h5": "HDF5 dataset 'forces', or the only one of three dimensions (frames, rows, columns)",
-    ".hdf5": "as .h5",
-}
-"""The file formats that can be read, by suffix."""
 MAX_FRAMES = 1 << 24
 """Most frames of a recording, chosen: four hours at 1 kHz; each has a stamp, a Python integer."""
 UNTIMED_PERIOD_NS = 10_000_000
 """Time between frames where neither file nor caller states one, chosen: stamps must rise."""
 _MAX_RATE_HZ = 1e9
-_HEAD_BYTES = 1 << 16
-"""Begin of a .csv by which its format is found."""
 
 
 @dataclass(eq=False)
@@ -127,7 +104,7 @@ def open_file(
     Parameters
     ----------
     path : str or path
-        A file with one of the suffixes in `SUFFIXES`.
+        A file with one of the suffixes in `format.suffixes()`.
     n_rows, n_cols : int, optional
         Shape of a frame. Required for a plain .csv (one of them is enough); any other file
         states its shape, which must agree.
@@ -174,7 +151,7 @@ def open_file(
         raise SourceError(f"{name}: delivers = {shown(delivers)}; allowed are truth, taxels")
     policy.check(name)
     with reading(name) as file:
-        parsed = _recording(file, name, n_rows, n_cols, policy).read()
+        parsed = recording_of(File(file, name, n_rows, n_cols, policy)).read()
     parsed, treated = treat(parsed, policy)
     n_frames, rows, cols = parsed.forces.shape
     if n_frames == 0:
@@ -266,53 +243,12 @@ def _n_taxels(
 ) -> int | None:
     """As above, of one state of the file."""
     with reading(path) as file:
-        head = _recording(file, path, n_rows, n_cols, policy).head()
+        head = recording_of(File(file, path, n_rows, n_cols, policy)).head()
     check_grid(head.n_rows, head.n_cols, path)
     check_stated_shape(head.n_rows, head.n_cols, n_rows, n_cols, path)
     if unit is None and head.unit is None and Path(path).suffix.lower() == ".csv":
         raise SourceError(path + NO_UNIT)
     return head.n_taxels or None  # no taxel: refused as it is read
-
-
-def _recording(
-    file: IO[bytes], name: str, n_rows: int | None, n_cols: int | None, policy: Policy
-) -> Recording:
-    """The recording of an open file, by its suffix, and for .csv by its begin."""
-    match suffix := Path(name).suffix.lower():
-        case ".npy":
-            return NpyRecording(file, name)
-        case ".npz":
-            return NpzRecording(file, name)
-        case ".h5" | ".hdf5":
-            return Hdf5Recording(file, name)
-        case ".mat":
-            return MatRecording(file, name, n_rows, n_cols)
-        case ".lst":
-            return EmedRecording(Lines(file, name))
-        case ".asc":
-            return PlianceRecording(Lines(file, name))
-        case ".asf":
-            return TekscanRecording(Lines(file, name))
-        case ".csv":
-            return _csv_recording(file, name, n_rows, n_cols, policy)
-    hint = "; sparseskin play FILE publishes a bag" if suffix == ".mcap" else ""
-    allowed = f"allowed are {', '.join(SUFFIXES)}{hint}"
-    raise SourceError(f"{name}: suffix {shown(Path(name).suffix)} is not known; {allowed}")
-
-
-def _csv_recording(
-    file: IO[bytes], name: str, n_rows: int | None, n_cols: int | None, policy: Policy
-) -> Recording:
-    """The recording of an open .csv, by its begin."""
-    begin, lines = file.read(_HEAD_BYTES), Lines(file, name)
-    file.seek(0)
-    if is_tekscan(begin):
-        return TekscanRecording(lines)
-    if is_xsensor(begin):
-        return XsensorRecording(lines)
-    if is_own_csv(begin):
-        return OwnCsvRecording(lines, policy)
-    return PlainCsvRecording(lines, n_rows, n_cols, policy)
 
 
 def _window(crop: Sequence[int], rows: int, cols: int, name: str) -> tuple[slice, slice]:

@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.source import Address, Source
+from sparseskin.nodes.extensions import POINTS, loaded
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.sensor.points import point_scenes, point_skins
+from sparseskin.nodes.sensor.source import Address, Listing, Source
 
 from .scenes import SCENES, check_scene, open_scene
 
 
 class SceneAddress(Address):
-    """A simulated scene. Scenes on points take SciPy, which a flat grid does not need."""
+    """A simulated scene."""
 
+    form = "scene:NAME"
     own = ("n_rows", "n_cols", "unit", "f_max", "skin", "tare", "drift", "f_min")
 
     def check(self) -> None:
         if self.rest in SCENES and not self.points:
             return
-        from sparseskin.nodes.sensor.layouts.scenes import SCENES as ON_POINTS
-        from sparseskin.nodes.sensor.layouts.scenes import check_point_scene
-
+        on_points = point_scenes()
         if self.points:
             if self.rest in SCENES:
-                known = ", ".join(ON_POINTS)
+                known = ", ".join(on_points)
                 raise SourceError(
                     f"scene {self.rest} presses a flat grid; allowed on points: {known}"
                 )
-            check_point_scene(self.rest)
-        elif self.rest in ON_POINTS:
+            if self.rest not in on_points:
+                hint = did_you_mean(self.rest, on_points)
+                raise SourceError(f"no scene on points is called {self.rest!r}{hint}")
+        elif self.rest in on_points:
             raise SourceError(
                 f"scene {self.rest} presses a skin of points; state points, a file of them"
             )
@@ -46,7 +52,24 @@ class SceneAddress(Address):
                 )
         if not self.points:
             return open_scene(self.rest, seed=self.seed)
-        from sparseskin.nodes.sensor.layouts.placing import placed
-        from sparseskin.nodes.sensor.layouts.scenes import PointScene
+        return point_skins().open_scene(self.rest, self.points, self.seed)
 
-        return PointScene(self.rest, placed(self.points), self.seed)
+    @classmethod
+    def listings(cls) -> Sequence[Listing]:
+        flat = {
+            name: (make.__doc__ or "").partition("\n")[0].rstrip(".").partition(":")[0]
+            for name, make in SCENES.items()
+        }
+        title = "scenes that press a skin of points: add --set sensor.points=LAYOUT"
+        return (
+            Listing("scenes", "scenes", _entries(flat)),
+            Listing("points", title, _entries(point_scenes())),
+            *(one for skins in loaded(POINTS).values() for one in skins.listings()),
+        )
+
+
+def _entries(scenes: Mapping[str, str]) -> list[dict[str, str]]:
+    return [
+        {"source": f"scene:{name}", "about": about.removeprefix("Return ")}
+        for name, about in scenes.items()
+    ]

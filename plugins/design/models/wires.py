@@ -12,9 +12,9 @@ import numpy as np
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.local import WIRED_BLOCK, LocalSbhePhi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
-from sparseskin.nodes.compressor.wiring import Wiring, array_wiring, sbhe_wiring
 from sparseskin.plugins.design.spec import Design
 from sparseskin.plugins.design.strategies import ANALOG, DIGITAL, SINGLE, Strategy
+from sparseskin.plugins.wiring.model import Wiring, array_wiring, sbhe_wiring
 
 MOST_STAR = 4096
 """Most taxels for which crossings of single wires are counted: the time grows with the square."""

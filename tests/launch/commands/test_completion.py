@@ -15,7 +15,7 @@ from sparseskin.launch.commands.cli import main
 from sparseskin.launch.commands.completion import candidates, declared_settings
 from sparseskin.launch.launchfile.check import GRAPH_KEYS, TRANSPORTS
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.nodes.registry import NODE_TYPES, node_class
+from sparseskin.nodes.registry import node_class, node_types
 
 BEGUN = "sensor.source=udp:1?rows=2&"
 C = ("checksum", "checksum_from", "confirm", "cols", "col_order")
@@ -115,7 +115,7 @@ def test_a_node_that_is_the_only_one_to_fit_is_completed_with_its_settings() -> 
     assert all(word.startswith("monitor.") for word in found)
 
 
-@pytest.mark.parametrize("type_name", NODE_TYPES)
+@pytest.mark.parametrize("type_name", node_types())
 def test_settings_read_from_the_source_are_those_of_the_class(type_name: str) -> None:
     described = node_class(type_name).Settings.described()
     offered = [{key: one[key] for key in OFFERED} for one in described]

@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from importlib.metadata import EntryPoint
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from sparseskin.launch.commands import cli
+from sparseskin.nodes import extensions
 
 
 @pytest.fixture
-def plugged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
+def plugged(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, offering: Callable[..., None]
+) -> Iterator[Path]:
     """A folder of modules that are plug-ins `greet`, `broken` and, by another name, `launch`."""
-
-    def found(*, group: str) -> list[EntryPoint]:
-        return [
-            EntryPoint("greet", "greeting_plugin", group),
-            EntryPoint("broken", "no_such_plugin", group),
-            EntryPoint("launch", "greeting_plugin", group),
-        ]
-
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr("importlib.metadata.entry_points", found)
-    cli.plugins.cache_clear()
+    greet = "greeting_plugin"
+    offering(extensions.COMMANDS, greet=greet, broken="no_such_plugin", launch=greet)
     (tmp_path / "greeting_plugin.py").write_text(
         'HELP = "greet 100 %"\n'
         "def configure(parser):\n"
@@ -33,7 +27,6 @@ def plugged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
         "    parser.set_defaults(run=lambda a: print('hello', a.name) or 0)\n"
     )
     yield tmp_path
-    cli.plugins.cache_clear()
     sys.modules.pop("greeting_plugin", None)
 
 
@@ -56,7 +49,7 @@ def test_a_plugin_that_cannot_be_imported_is_named_and_stops_no_other_command(
     assert ended.value.code == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "greet greet 100 %" in shown
-    assert "broken cannot be used: ModuleNotFoundError" in shown
+    assert "broken cannot be used: broken: plug-in no_such_plugin: ModuleNotFoundError" in shown
 
 
 @pytest.mark.usefixtures("plugged")

@@ -10,7 +10,6 @@ import pytest
 from sparseskin.messages import Measurements, PhiState, Reconstruction, SkinState, Taxels, decode
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.phi.base import RANDOM
-from sparseskin.nodes.edge.description import EdgeDescription
 from sparseskin.nodes.player.node import Player
 from sparseskin.nodes.player.settings import PlayerSettings
 from sparseskin.nodes.reconstructor.node import (
@@ -23,19 +22,6 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 #: 12 frames of 96 taxels of 9 x 11 cells, recorded by version 0.1: taxels and measurements.
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 ROWS = ["fixed", "rotating"]
-EDGE = """
-version = 1
-n_rows = 9
-n_cols = 11
-m = 30
-bits = 8
-rows = "rotating"
-block = 32
-seed = 7
-adc_bits = 12
-fingerprint = "443e07fb12311131"
-mask = ["00011111111", {eight}]
-"""
 
 
 @pytest.mark.parametrize("rows", ROWS)
@@ -63,12 +49,3 @@ def test_it_is_reconstructed(rows: str) -> None:
     made = [message for messages in bus.frames() for message in messages]
     assert sum(isinstance(message, Reconstruction) for message in made) == 12
     assert bus.hosts["reconstructor"].counts.refused == {}
-
-
-def test_the_description_of_an_edge_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "edge.toml"
-    path.write_text(EDGE.format(eight=", ".join(['"11111111111"'] * 8)), encoding="utf-8")
-    read = EdgeDescription.read(path)
-    assert (read.rule, len(read.subsets)) == (RANDOM, 4)
-    path.write_text(read.to_toml(), encoding="utf-8")
-    assert EdgeDescription.read(path).tags == read.tags

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from importlib.metadata import EntryPoint
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sparseskin.messages import Message, SkinState, Taxels
+from sparseskin.nodes import extensions
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context, Tick
@@ -71,21 +71,15 @@ class GloveAddress(Address):
 
 
 @pytest.fixture
-def offered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+def offered(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, offering: Callable[..., None]
+) -> Iterator[None]:
     """A package that brings the kind `glove`, and one, `broken`, that cannot be imported."""
-
-    def found(*, group: str) -> list[EntryPoint]:
-        return [
-            EntryPoint("glove", "glove_package:GloveAddress", group),
-            EntryPoint("broken", "no_such_package:Address", group),
-        ]
-
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr("importlib.metadata.entry_points", found)
+    broken = "no_such_package:Address"
+    offering(extensions.ADDRESSES, glove="glove_package:GloveAddress", broken=broken)
     (tmp_path / "glove_package.py").write_text(GLOVE)
-    sources.offered_kinds.cache_clear()
     yield
-    sources.offered_kinds.cache_clear()
     sys.modules.pop("glove_package", None)
 
 
@@ -117,11 +111,11 @@ def test_what_such_a_kind_refuses_is_refused_before_a_graph_starts() -> None:
         SensorSettings(source="glove:right").check()
     with pytest.raises(SettingsError, match="n_rows: a glove has its own"):
         SensorSettings(source="glove:left", n_rows=2).check()
-    with pytest.raises(SourceError, match=r"broken:x: importing broken failed: .*no_such_package"):
+    with pytest.raises(SourceError, match=r"broken:x: plug-in no_such_package:Address: ModuleNot"):
         sources.check_source("broken:x")
 
 
-@pytest.mark.parametrize("kind", sources.KINDS)
+@pytest.mark.parametrize("kind", sources.kinds())
 def test_each_kind_has_its_class_of_addresses(kind: str) -> None:
     address = sources.find_address(f"{kind}:x", n_rows=2)
     assert isinstance(address, Address)

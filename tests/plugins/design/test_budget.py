@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sparseskin.nodes.compressor.wiring import array_wiring
 from sparseskin.plugins.design import text
 from sparseskin.plugins.design.accuracy import grid_of
 from sparseskin.plugins.design.budget import (
@@ -38,6 +37,7 @@ from sparseskin.plugins.design.models.wires import wires_of
 from sparseskin.plugins.design.page import write_page
 from sparseskin.plugins.design.spec import Design, make_design
 from sparseskin.plugins.design.strategies import STRATEGIES
+from sparseskin.plugins.wiring.model import array_wiring
 
 PALM = {"rows": 64, "cols": 64}
 

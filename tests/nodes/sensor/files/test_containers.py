@@ -1,22 +1,21 @@
-"""Recordings in .mat, .h5 and .asc, and readings that are not valid."""
+"""Recordings in .mat and .h5, and readings that are not valid."""
 
 from __future__ import annotations
 
 import io
 import struct
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from damaged import refusal
+from hypothesis import HealthCheck
 from scipy.io import savemat
 
 from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.errors import SourceError, SparseskinError
+from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor.files import isolated
@@ -35,9 +34,9 @@ def direct(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> N
     if "isolated" in request.keywords:
         return
 
-    def read(task: str, name: str, n_bytes: int) -> Any:
+    def read(target: str, name: str, n_bytes: int) -> Any:
         most = max(isolated.MAX_GROWN_BYTES, isolated.MAX_GROWTH * n_bytes)
-        return find_callable(isolated.TASKS[task], SourceError)(name, most)
+        return find_callable(target, SourceError)(name, most)
 
     for module in ("matlab", "hdf5"):
         monkeypatch.setattr(f"sparseskin.nodes.sensor.files.{module}.in_child", read)
@@ -108,20 +107,6 @@ def test_a_mat_file_that_would_fill_the_memory_is_refused(
 
 
 SHARED = [HealthCheck.function_scoped_fixture]
-
-
-def refusal(read: Callable[[], object]) -> str:
-    """The line of a refusal; "" where there is none."""
-    try:
-        read()
-    except SparseskinError as error:
-        return str(error)
-    return ""
-
-
-def changed(raw: bytes, place: int, piece: bytes) -> bytes:
-    at = place % len(raw)
-    return raw[:at] + piece + raw[at + len(piece) :]
 
 
 # --- .h5 -------------------------------------------------------------------------------------
@@ -228,80 +213,6 @@ def test_a_file_on_which_its_reader_fails_or_hangs_is_refused(
     monkeypatch.setattr(f"{ISOLATED}.START_S", 0.1)
     with pytest.raises(SourceError, match="not read within 0 s; a damaged or huge file"):
         open_file(tmp_path / "a.mat", **STATED)
-
-
-# --- .asc ------------------------------------------------------------------------------------
-
-ASC = """file name: a.mat date/time 17.06.23 15.21
-mat type s2
-total times [secs]: 0.1 time per frame [secs]: 0.04 scanning rate [Hz]: 25
-pressure values in kPa
-
-electrical:
-time[secs]       4       5       7
-   0.04   10.000   0.000   20.000
-   0.08   11.000   5.000   20.000
-      MPP   11.000   5.000   20.000
-
- time[secs] force[N]   x[cm]   y[cm]
-   0.04    0.000       -       -
-
-sensor        4        5        7
-corner[cm]
-x[0]   0.0   1.0   0.0
-x[c]   0.5   1.5   0.5
-y[c]   1.5   1.5   0.5
-area   1.0   1.0   1.0
-"""
-
-
-def test_a_pliance_export_is_put_on_the_grid_of_its_corners(tmp_path: Path) -> None:
-    (tmp_path / "a.asc").write_text(ASC)
-    source = open_file(tmp_path / "a.asc")
-    # kPa times 1 cm2 is 0.1 N; the top row is the one of largest y.
-    assert source.frames == pytest.approx(np.array([[[1, 0], [2, 0]], [[1.1, 0.5], [2, 0]]]))
-    assert source.skin.mask is not None
-    assert source.skin.mask.tolist() == [[True, True], [True, False]]
-    assert (source.skin.unit, source.skin.pitch_m, source.rate_hz) == ("N", 0.01, 25.0)
-    assert list(source.stamp_ns) == [0, 40_000_000]
-    assert n_taxels(str(tmp_path / "a.asc")) == 3
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "text"),
-    [
-        (
-            "corner[cm]",
-            "",
-            "an insole (pedar) has them; allowed: an export whose sensors form a grid",
-        ),
-        ("x[c]   0.5   1.5   0.5", "x[c]   0.5   1.75  0.9", "form no grid by their x[c]"),
-        ("x[c]   0.5   1.5   0.5", "x[c]   0.5   0.5   0.5", "two sensors at one place"),
-        ("area   1.0   1.0   1.0", "area   1.0   1.0   2.0", "sensors of different size"),
-        ("20.000\n   0.08", "-20.000\n   0.08", "is below 0; a range starts at 0"),
-        ("11.000   5.000   20.000\n", "11.000   5.000\n", "holds 3 numbers, its header 4"),
-        ("in kPa", "in psi", "pressures in 'psi'; allowed is kPa"),
-        ("   0.08", "   0.04", "the times of the frames do not rise"),
-        ("file name:", "name:", "not a pliance or pedar export"),
-    ],
-)
-def test_another_asc_file_is_refused_with_its_place(
-    tmp_path: Path, old: str, new: str, text: str
-) -> None:
-    (tmp_path / "a.asc").write_text(ASC.replace(old, new, 1))
-    with pytest.raises(SourceError) as refused:
-        open_file(tmp_path / "a.asc")
-    assert text in str(refused.value)
-
-
-@settings(max_examples=80, deadline=None, suppress_health_check=SHARED)
-@given(place=st.integers(0, 10**6), piece=st.text("0123456789.-e \n[]cx", min_size=1, max_size=6))
-def test_a_damaged_asc_file_is_read_or_refused_in_one_line(
-    tmp_path: Path, place: int, piece: str
-) -> None:
-    (tmp_path / "a.asc").write_bytes(changed(ASC.encode(), place, piece.encode()))
-    assert refusal(lambda: open_file(tmp_path / "a.asc")).isprintable()
-    assert refusal(lambda: n_taxels(str(tmp_path / "a.asc"))).isprintable()
 
 
 # --- foreign .csv ----------------------------------------------------------------------------

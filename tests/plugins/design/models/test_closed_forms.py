@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.nodes.edge.description import EdgeDescription
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.plugins.design.models.adc import Adc, read_adc, settling_s_of
 from sparseskin.plugins.design.models.buses import Can, CanFd, Serial, Spi, Udp, read_bus
 from sparseskin.plugins.design.models.edge import CYCLES, Edge, instructions, read_edge
 from sparseskin.plugins.design.models.units import FORCE, LENGTH, RATE, quantity
+from sparseskin.plugins.edge.description import EdgeDescription
 
 
 def test_a_byte_on_a_serial_line_has_ten_bits() -> None:

@@ -1,1 +1,0 @@
-"""A compressor outside the graph: its program in C, and the node that reads its frames."""

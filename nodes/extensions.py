@@ -1,0 +1,78 @@
+"""What plug-ins bring, of this package or of others: entry points, by group and name.
+
+The core imports no plug-in by its name. What it needs it looks up here, when it is asked for.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from .errors import SparseskinError
+from .lookup import one_line
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+COMMANDS = "sparseskin_commands"
+"""Commands: each a module with `HELP`, one line, and `configure(parser)`, which sets `run` as those
+of `sparseskin.launch.commands` do. It is imported for every list of commands, so that its own
+imports belong into `configure`."""
+NODES = "sparseskin_nodes"
+"""Types of nodes: each a subclass of `sparseskin.nodes.node.Node`."""
+ADDRESSES = "sparseskin_addresses"
+"""Kinds of sources: each a subclass of `sparseskin.nodes.sensor.source.Address`."""
+DRIVERS = "sparseskin.sources"
+"""Drivers that `sparseskin sources` lists: each a callable, as in the address `module:callable`."""
+FILES = "sparseskin_files"
+"""Formats of recordings: each a `sparseskin.nodes.sensor.files.format.Format`."""
+POINTS = "sparseskin_points"
+"""Skins of points, by the name `points`: a `sparseskin.nodes.sensor.points.PointSkins`."""
+EXPORTS = "sparseskin_exports"
+"""Kinds of export of a bag: each a `sparseskin.nodes.recorder.convert.export.Export`."""
+EXECUTORS = "sparseskin_executors"
+"""Executors of tasks: each a `sparseskin.nodes.tasks.executors.Factory`."""
+STUDIES = "sparseskin_studies"
+"""Studies: each a `sparseskin.studies.command.Study`."""
+
+
+@cache
+def offered(group: str) -> dict[str, EntryPoint]:
+    """Entry points of a group by name, in alphabetical order."""
+    from importlib.metadata import entry_points  # takes time, and the core alone needs none
+
+    found = {point.name: point for point in entry_points(group=group)}
+    return {name: found[name] for name in sorted(found)}
+
+
+def load(group: str, name: str, error: type[SparseskinError], where: str = "") -> Any:
+    """Import what an entry point names; raise `error`, after `where`, if that fails."""
+    point = offered(group)[name]
+    try:
+        return point.load()
+    except Exception as cause:  # a plug-in may raise anything
+        raise error(f"{where or name}: plug-in {point.value}: {one_line(cause)}") from cause
+
+
+@cache
+def loaded(group: str) -> dict[str, Any]:
+    """All of a group that can be imported, by name."""
+    found = {}
+    for name in offered(group):
+        try:
+            found[name] = load(group, name, SparseskinError)
+        except SparseskinError:
+            continue  # it stops no other; `failures` names it
+    return found
+
+
+def failures(group: str) -> str:
+    """The plug-ins of a group that cannot be imported, as the end of an error; "" for none."""
+    absent = [offered(group)[name].value for name in offered(group).keys() - loaded(group).keys()]
+    return f"; cannot be imported: {', '.join(sorted(absent))}" if absent else ""
+
+
+def forget() -> None:
+    """Look entry points up anew, as after an installation."""
+    offered.cache_clear()
+    loaded.cache_clear()

@@ -1,0 +1,53 @@
+"""Kinds of export of a bag, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.extensions import EXPORTS, load, offered
+from sparseskin.nodes.recorder.bag.format import BagError
+
+
+@dataclass(frozen=True)
+class Export:
+    """A kind of export.
+
+    Attributes
+    ----------
+    ending : str
+        End of the default name of its output.
+    target : str
+        "module:function", imported when it is used: write(bag, out, topics, **options), of a
+        `BagReader`, a path and topics (None: all with frames), returns the paths written. It raises
+        BagError.
+    options : mapping
+        Options of its own that take a whole number, 1 or more: metavar and help of each.
+    """
+
+    ending: str
+    target: str
+    options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+
+_HERE = __name__.rpartition(".")[0]
+OWN = {
+    "npz": Export(".npz", f"{_HERE}.npz:export_npz"),
+    "csv": Export("_csv", f"{_HERE}.csv:export_csv"),
+    "skin": Export(".toml", f"{_HERE}.skin:export_skin"),
+}
+"""Exports of the core."""
+
+
+def export_names() -> list[str]:
+    """Exports of the core, then those of plug-ins."""
+    return [*OWN, *(name for name in offered(EXPORTS) if name not in OWN)]
+
+
+def find_export(name: str, error: type[SparseskinError] = BagError) -> Export:
+    """The export of a name in `export_names`; raises `error` if its plug-in cannot be imported."""
+    if name in OWN:
+        return OWN[name]
+    found: Export = load(EXPORTS, name, error, f"--to {name}")
+    return found

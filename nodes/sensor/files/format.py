@@ -1,0 +1,115 @@
+"""Formats of recordings: the interface, those of the core, and those of plug-ins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import IO
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.extensions import FILES, failures, loaded
+
+from .arrays import NpyRecording, NpzRecording, PlainCsvRecording
+from .hdf5 import Hdf5Recording
+from .matlab import MatRecording
+from .own_csv import OwnCsvRecording, is_own_csv
+from .parsed import Lines, Policy, Recording, shown
+
+HEAD_BYTES = 1 << 16
+"""Bytes from the begin of a file by which its format is found, where several have its suffix."""
+
+
+@dataclass(frozen=True)
+class File:
+    """An open file of a recording, and what is stated of it, as in `open_file`."""
+
+    file: IO[bytes]
+    name: str
+    n_rows: int | None
+    n_cols: int | None
+    policy: Policy
+
+    @property
+    def lines(self) -> Lines:
+        """Its lines, for formats of text."""
+        return Lines(self.file, self.name)
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of recordings.
+
+    Attributes
+    ----------
+    suffixes : mapping
+        The suffixes of its files, in small letters with the dot, and a few words on what such a
+        file holds.
+    open : callable
+        Makes the `Recording` of a `File`; raises SourceError.
+    recognises : callable or None
+        True if a file that begins with these bytes (at most `HEAD_BYTES`) is one of this format;
+        None: every file with one of its suffixes that no other format recognises.
+    """
+
+    suffixes: Mapping[str, str]
+    open: Callable[[File], Recording]
+    recognises: Callable[[bytes], bool] | None = None
+
+
+_HDF5 = "HDF5 dataset 'forces', or the only one of three dimensions (frames, rows, columns)"
+OWN = (
+    Format({".csv": "bag export"}, lambda f: OwnCsvRecording(f.lines, f.policy), is_own_csv),
+    Format(
+        {".csv": "numbers with one frame a line"},
+        lambda f: PlainCsvRecording(f.lines, f.n_rows, f.n_cols, f.policy),
+    ),
+    Format({".npy": "array (frames, rows, columns)"}, lambda f: NpyRecording(f.file, f.name)),
+    Format(
+        {
+            ".npz": "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted",
+        },
+        lambda f: NpzRecording(f.file, f.name),
+    ),
+    Format(
+        {
+            ".mat": "MATLAB variable 'forces', or the only one of three dimensions; n_rows, n_cols "
+            "stated",
+        },
+        lambda f: MatRecording(f.file, f.name, f.n_rows, f.n_cols),
+    ),
+    Format({".h5": _HDF5, ".hdf5": "as .h5"}, lambda f: Hdf5Recording(f.file, f.name)),
+)
+"""Formats of the core."""
+
+
+@cache
+def suffixes() -> dict[str, str]:
+    """The suffixes of recordings that can be read, and what files of each hold."""
+    found: dict[str, list[str]] = {}
+    for one in (*OWN, *loaded(FILES).values()):
+        for suffix, about in one.suffixes.items():
+            found.setdefault(suffix, []).append(about)
+    return {suffix: " or ".join(abouts) for suffix, abouts in found.items()}
+
+
+def recording_of(file: File) -> Recording:
+    """The recording of an open file, by its suffix, and where several formats have it, by its
+    begin. Raises SourceError if no format has it.
+    """
+    suffix = Path(file.name).suffix.lower()
+    fitting = [one for one in OWN if suffix in one.suffixes]
+    if len(fitting) != 1:  # plug-ins are imported for these alone
+        begin = file.file.read(HEAD_BYTES)
+        file.file.seek(0)
+        fitting = [one for one in (*fitting, *loaded(FILES).values()) if suffix in one.suffixes]
+        sure = [one for one in fitting if one.recognises is not None and one.recognises(begin)]
+        fitting = sure or [one for one in fitting if one.recognises is None] or fitting
+    if not fitting:
+        hint = "; sparseskin play FILE publishes a bag" if suffix == ".mcap" else failures(FILES)
+        allowed = f"allowed are {', '.join(suffixes())}{hint}"
+        raise SourceError(
+            f"{file.name}: suffix {shown(Path(file.name).suffix)} is not known; {allowed}"
+        )
+    return fitting[0].open(file)

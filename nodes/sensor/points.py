@@ -1,0 +1,54 @@
+"""The interface of skins of points, whose taxels form no flat grid, to the plug-in for them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.extensions import POINTS, failures, load, loaded, offered
+
+from .placement import Placement
+from .source import Listing, Source
+
+NAME = "points"
+"""Name of the entry point."""
+
+
+class PointSkins(ABC):
+    """What a plug-in brings for skins of points."""
+
+    @abstractmethod
+    def n_taxels(self, layout: str) -> int:
+        """Number of taxels of a layout, a path or `example:NAME`. Raises SourceError if it is
+        missing or malformed.
+        """
+
+    @abstractmethod
+    def place(self, layout: str) -> Placement:
+        """The placement of a layout; raises SourceError as `n_taxels`."""
+
+    @abstractmethod
+    def scenes(self) -> Mapping[str, str]:
+        """Names of scenes that press such a skin, and a few words on each."""
+
+    @abstractmethod
+    def open_scene(self, name: str, layout: str, seed: int) -> Source:
+        """One of `scenes` on a layout; raises SourceError as `n_taxels`."""
+
+    @abstractmethod
+    def listings(self) -> Sequence[Listing]:
+        """Layouts that need no file."""
+
+
+def point_skins() -> PointSkins:
+    """The plug-in for skins of points. Raises SourceError if there is none."""
+    if NAME not in offered(POINTS):
+        raise SourceError(f"skins of points need the plug-in {NAME}, which is not installed")
+    found: PointSkins = load(POINTS, NAME, SourceError)
+    return found
+
+
+def point_scenes() -> Mapping[str, str]:
+    """Scenes on skins of points; none without the plug-in."""
+    return loaded(POINTS)[NAME].scenes() if not failures(POINTS) and offered(POINTS) else {}

@@ -1,0 +1,112 @@
+"""Addresses of boards: serial:DEVICE, udp:PORT and can:CHANNEL."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from sparseskin.messages.text import printable
+from sparseskin.nodes.sensor.source import Address, Listing
+
+from .board import Board, check_board, describe_board
+from .can_port import can_channels
+from .serial_port import serial_devices
+from .settings import KINDS, PROFILES, profile_names, read_toml
+from .source import BoardSource
+
+
+class BoardAddress(Address):
+    """A board."""
+
+    def check(self) -> None:
+        check_board(self._board())
+
+    def n_taxels(self) -> int:
+        return self._board().skin.n_taxels
+
+    def open(self) -> BoardSource:
+        return BoardSource(self._board(), self.raw)
+
+    def _board(self) -> Board:
+        stated: dict[str, Any] = {"unit": self.unit, "f_max": self.f_max}
+        return describe_board(self.source, n_rows=self.n_rows, n_cols=self.n_cols, **stated)
+
+    @classmethod
+    def ports(cls) -> Iterable[str]:
+        """Addresses of this host that such a board may be at."""
+        return ()
+
+    @classmethod
+    def completions(cls, prefix: str) -> Mapping[str, str]:
+        address, query, _ = prefix.partition("?")
+        if not query:
+            return dict.fromkeys(cls.ports(), "")
+        begun = f"{prefix.rpartition('&')[0]}&" if "&" in prefix else f"{address}?"
+        profiles = {f"{begun}profile={name}": "" for name in profile_names()}
+        settings = KINDS[address.partition(":")[0]].described()
+        return profiles | {f"{begun}{entry['key']}=": entry["doc"] for entry in settings}
+
+
+class SerialAddress(BoardAddress):
+    """A board on a serial port; `sparseskin sources` lists those that pyserial describes, or where
+    it is not installed those in /dev.
+    """
+
+    form = "serial:DEVICE"
+
+    @classmethod
+    def ports(cls) -> Iterable[str]:
+        return (f"serial:{path}?" for path in serial_devices())
+
+    @classmethod
+    def listings(cls) -> Sequence[Listing]:
+        found = dict.fromkeys(serial_devices(), "")
+        try:
+            from serial.tools.list_ports import comports
+        except ImportError:
+            missing = "pyserial is not installed: pip install 'sparseskin[serial]'"
+            found = dict.fromkeys(found, missing)
+        else:
+            known = {port.device: port.description for port in comports() if port.hwid != "n/a"}
+            found |= {path: "" if text == "n/a" else text for path, text in known.items()}
+        ports = [
+            {"source": f"serial:{path}", "about": printable(text)}
+            for path, text in sorted(found.items())
+        ]
+        profiles = [
+            {"name": name, "about": str(read_toml(PROFILES / f"{name}.toml").get("about", ""))}
+            for name in profile_names()
+        ]
+        about = "profiles of boards: for ?profile=NAME; or the path of a .toml file"
+        return (
+            Listing("serial", "serial ports: add ?profile=NAME", ports),
+            Listing("profiles", about, profiles),
+        )
+
+
+class UdpAddress(BoardAddress):
+    """A board that sends packets."""
+
+    form = "udp:PORT"
+
+    @classmethod
+    def listings(cls) -> Sequence[Listing]:
+        about = "packets that come to a port of this host"
+        entries = [{"source": "udp:PORT?rows=R&cols=C", "about": about}]
+        return (Listing("udp", "boards on the network", entries),)
+
+
+class CanAddress(BoardAddress):
+    """A board on a CAN bus."""
+
+    form = "can:CHANNEL"
+
+    @classmethod
+    def ports(cls) -> Iterable[str]:
+        return (f"can:{name}?" for name in can_channels())
+
+    @classmethod
+    def listings(cls) -> Sequence[Listing]:
+        title = "CAN interfaces: add ?ids=FIRST-LAST&rows=R&cols=C"
+        entries = [{"source": f"can:{name}", "about": "CAN interface"} for name in can_channels()]
+        return (Listing("can", title, entries),)

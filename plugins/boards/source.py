@@ -1,0 +1,252 @@
+"""A board as a source of frames."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.source import LiveSource
+
+from .board import Board, check_board, naming_board
+from .can_port import CanPort
+from .framing import Counts
+from .ports import Arrived, Port
+from .readings import Decoder
+from .serial_port import SerialPort
+from .settings import CanSettings, SerialSettings, UdpSettings
+from .udp_port import UdpPort
+
+RETRY_S = 0.25
+"""Time between two attempts to open a device that is gone, seconds; chosen: soon for a person."""
+SILENT_S = 2.0
+"""Time without a frame after which one line says so, seconds; chosen as in the examples."""
+MAX_WAITING = 1024
+"""Most frames that wait to be used, chosen: 1 s at 1 kHz. No more are read while so many wait."""
+
+
+def _port_of(board: Board, counts: Counts) -> Port:
+    settings = board.settings
+    if isinstance(settings, UdpSettings):
+        return UdpPort(board.address, settings, board.framing, counts)
+    if isinstance(settings, CanSettings):
+        return CanPort(board.address, settings, board.framing, counts)
+    assert isinstance(settings, SerialSettings)
+    return SerialPort(board.address, settings, board.framing, counts)
+
+
+class BoardSource(LiveSource):
+    """The frames of a board. Its attributes are those of a `Source`.
+
+    What comes is checked: a frame that is not whole, or has a reading that is no number, is counted
+    and dropped; readings outside [0, f_max] are clipped and counted (`clipped`). A device that goes
+    away is waited for.
+
+    Parameters
+    ----------
+    board : Board
+        Description of the board.
+    raw : bool
+        True: readings are not clipped, as a calibration converts them.
+
+    Raises
+    ------
+    SourceError
+        If its device is missing or cannot be opened.
+    """
+
+    arrives = True
+
+    def __init__(self, board: Board, raw: bool = False) -> None:
+        check_board(board)
+        super().__init__()
+        self._raw = raw
+        self.name = board.name
+        self.skin = board.skin
+        self.counts = Counts()
+        self.n_unused = self.n_not_finite = self.n_gone = 0
+        self._board = board
+        self._decode = Decoder(board.layout)
+        self._port = _port_of(board, self.counts)
+        self._waiting: deque[Arrived] = deque()
+        self._last_ns = -1
+        self._is_open = False
+        self._retry_at = self._gone_at = 0.0
+        self._heard_at = time.monotonic()
+        self._said_silent = False
+        self._bytes_before = 0
+        with naming_board(self.name):
+            self._port.open()
+        self._is_open = True
+
+    @property
+    def is_there(self) -> bool:
+        return self._is_open
+
+    def next_frame(self, wait_s: float, newest: bool = False) -> tuple[int, Floats] | None:
+        """The next frame; None if none came in `wait_s` seconds.
+
+        Parameters
+        ----------
+        wait_s : float
+            Longest wait, seconds.
+        newest : bool
+            True to take the newest frame of those that wait; the others are counted as unused.
+
+        Returns
+        -------
+        tuple of int and ndarray of float32, shape (n_rows, n_cols), or None
+            Time at which its last byte came on the monotonic clock, nanoseconds, which rises from
+            frame to frame; readings in [0, f_max].
+        """
+        if newest or len(self._waiting) < MAX_WAITING:
+            self.receive(0.0 if self._waiting else wait_s)
+        while newest and len(self._waiting) > 1:
+            self._waiting.popleft()
+            self.n_unused += 1
+        while self._waiting:
+            arrived_ns, frame = self._waiting.popleft()
+            forces = self._checked(self._decode(frame.payload))
+            if forces is not None:
+                self._last_ns = max(arrived_ns, self._last_ns + 1)
+                return self._last_ns, forces
+        return None
+
+    def age_ns(self, arrived_ns: int) -> int:
+        return max(0, time.monotonic_ns() - arrived_ns)
+
+    def discard(self) -> None:
+        self.receive(0.0)
+        self.n_unused += len(self._waiting)
+        self._waiting.clear()
+
+    def receive(self, wait_s: float) -> None:
+        if not self._is_open and not self._reopen(wait_s):
+            return
+        try:
+            arrived = self._port.receive(wait_s)
+        except OSError:
+            self._port.close()
+            self._is_open = False
+            self.n_gone += 1
+            self._gone_at = time.monotonic()
+            self._retry_at = self._gone_at + RETRY_S
+            self._lines.append(f"{self.name}: the device is gone; waiting for it")
+            return
+        if arrived:
+            self._heard_at = arrived[-1][0] / 1e9
+            self._bytes_before = self._port.n_bytes
+            if self._said_silent:
+                self._said_silent = False
+                self._lines.append(f"{self.name}: frames come again")
+        elif not self._said_silent and time.monotonic() - self._heard_at > SILENT_S:
+            self._said_silent = True
+            self._lines.append(self._why_silent())
+        self._waiting += arrived
+
+    def _reopen(self, wait_s: float) -> bool:
+        """Try to open a device that is gone; False if it is not back."""
+        left_s = self._retry_at - time.monotonic()
+        if left_s > 0:
+            time.sleep(min(wait_s, left_s))
+            if wait_s < left_s:
+                return False
+        self._retry_at = time.monotonic() + RETRY_S
+        try:
+            self._port.open()
+        except SourceError:
+            return False
+        self._is_open = True
+        self._heard_at = time.monotonic()
+        self._said_silent = False
+        self._lines.append(f"{self.name}: is back after {self._heard_at - self._gone_at:.1f} s")
+        return True
+
+    def _why_silent(self) -> str:
+        n_bytes = self._port.n_bytes - self._bytes_before
+        self._bytes_before = self._port.n_bytes
+        n, settings = self._board.framing.n_bytes, self._board.settings
+        if n_bytes > n:  # one may wait for the start bytes of the next
+            baud = ", baud" if isinstance(settings, SerialSettings) else ""
+            return (
+                f"{self.name}: {n_bytes} bytes came, but no frame of {n} bytes: check start, rows, "
+                f"cols, dtype, checksum{baud}{self._port.hint()}"
+            )
+        if isinstance(settings, UdpSettings) and settings.bind.startswith("127."):
+            return (
+                f"{self.name}: no packet for {SILENT_S:g} s; for a board on the network add "
+                "bind=ADDRESS of this host"
+            )
+        return f"{self.name}: nothing came for {SILENT_S:g} s"
+
+    def _checked(self, forces: Floats) -> Floats | None:
+        """Readings clipped to the range; None if one is no number."""
+        f_max = self.skin.f_max
+        if self._watch is not None:
+            self._look(forces.ravel())
+        if 0 <= forces.min() <= forces.max() <= f_max:  # False for a NaN
+            return forces
+        if not np.isfinite(forces).all():
+            self.n_not_finite += 1
+            return None
+        if self._raw:
+            return forces
+        self.clipped.add(forces, 0.0, f_max)
+        return np.clip(forces, 0, f_max).astype(np.float32)
+
+    def figures(self) -> dict[str, int]:
+        """Counters: those of `Counts`; unused_frames (before the start, while paused, or faster
+        than rate_hz), not_finite_frames, gone (times that the device went away), and what kernel
+        and driver have dropped.
+        """
+        return {
+            **self.counts.as_dict(),
+            "unused_frames": self.n_unused,
+            "not_finite_frames": self.n_not_finite,
+            "gone": self.n_gone,
+            **self._port.lost(),
+        }
+
+    def dropped(self) -> str:
+        return dropped_text(self.figures())
+
+    def report(self) -> dict[str, Any]:
+        figures = self.figures()
+        lines = [f"dropped: {text}"] if (text := dropped_text(figures)) else []
+        if n := self.n_gone:
+            lines.append(f"the device was gone {n} {'time' if n == 1 else 'times'}")
+        return {"board": figures, "lines": lines}
+
+    def close(self) -> None:
+        self.n_unused += len(self._waiting)
+        self._waiting.clear()
+        self._port.close()
+
+    def __iter__(self) -> Iterator[tuple[int, Floats]]:
+        """Yield (stamp_ns, forces) for ever: nanoseconds since the first frame, and readings."""
+        first_ns: int | None = None
+        while True:
+            frame = self.next_frame(RETRY_S)
+            if frame is not None:
+                first_ns = frame[0] if first_ns is None else first_ns
+                yield frame[0] - first_ns, frame[1]
+
+
+def dropped_text(figures: dict[str, int]) -> str:
+    """What a board's figures state as dropped, in words; "" if nothing was."""
+    words = {
+        "bad_frames": "bad frames",
+        "missing_frames": "missing frames",
+        "late_frames": "late frames",
+        "not_finite_frames": "frames with a reading that is no number",
+        "kernel_packets": "packets dropped by the kernel",
+        "port_errors": "errors of the port",
+        "dropped_bytes": "bytes",
+    }
+    parts = [f"{figures[key]} {text}" for key, text in words.items() if figures.get(key)]
+    return ", ".join(parts)

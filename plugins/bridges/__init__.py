@@ -1,0 +1,14 @@
+"""Plug-in `bridges`: observers that show a graph to other tools, and exports of bags to them."""
+
+from __future__ import annotations
+
+import argparse
+
+HELP = "show a running graph to Foxglove, ROS 2 or LeRobot"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `sparseskin bridge`."""
+    from .command import configure
+
+    configure(parser)

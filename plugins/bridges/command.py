@@ -1,0 +1,87 @@
+"""The command `sparseskin bridge`: a node beside a running graph that shows it to another tool."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from typing import Any
+
+from sparseskin.launch.commands.beside import run_beside
+from sparseskin.launch.commands.options import (
+    add_commands,
+    add_graph,
+    add_stated,
+    naming_options,
+    print_ends,
+    stated_values,
+    whole,
+)
+from sparseskin.launch.run.running import choose_graph
+from sparseskin.messages.topics import split_topic
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.extensions import NODES, loaded
+from sparseskin.nodes.lookup import did_you_mean
+
+from .base import Bridge, patches_of
+
+
+def bridges() -> dict[str, type[Bridge[Any]]]:
+    """Bridges by the names of their types of nodes, of this package and of others."""
+    return {
+        name: cls
+        for name, cls in loaded(NODES).items()
+        if isinstance(cls, type) and issubclass(cls, Bridge)
+    }
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `bridge`."""
+    add = add_commands(
+        parser,
+        "Show a running graph to another tool, until it ends or Ctrl-C. A bridge slows no node "
+        "down: where it is behind, the oldest messages are dropped and counted.",
+    )
+    for name, cls in bridges().items():
+        one = add(name, _bridge, cls.HELP)
+        one.description = f"{cls.HELP[0].upper()}{cls.HELP[1:]}, until it ends or Ctrl-C."
+        one.set_defaults(bridge=name)
+        keys = {entry["key"] for entry in cls.Settings.described()}
+        if "port" in keys:
+            stated = "port of 127.0.0.1; 0: a free one"
+            one.add_argument("--port", type=whole(0), help=stated)
+        if "allow_set" in keys:
+            stated = "let clients set parameters; pages in your browser are clients, too"
+            one.add_argument("--allow-set", action="store_true", help=stated)
+        add_stated(one, "another setting of the bridge, see docs/bridges.md")
+        add_graph(one)
+
+
+def _bridge(arguments: argparse.Namespace) -> int:
+    from sparseskin.launch.attach.stream import EXIT_NOTHING
+
+    cls = bridges()[arguments.bridge]
+    values = stated_values(arguments.set, cls.Settings.described())
+    for key in ("port", "allow_set"):
+        if stated := getattr(arguments, key, None):
+            values[key] = stated
+        elif stated == 0 and key == "port":
+            values[key] = 0
+    graph = choose_graph(arguments.graph)
+    writers = graph.writers()
+    patches = values.setdefault("patches", patches_of(writers))
+    if not patches:
+        raise SettingsError(f"{graph.label}: publishes no skin that a bridge could show")
+    settings = cls.Settings.from_mapping(values)
+    for topic in cls.inputs(settings):
+        if topic not in writers:
+            known = patches_of(writers)
+            hint = did_you_mean(split_topic(topic)[0], known)
+            raise SettingsError(f"patches: {graph.label} has no {split_topic(topic)[0]!r}{hint}")
+    read = {*cls.inputs(settings), *cls.optional_inputs(settings)}
+    topics = [topic for topic in writers if topic in read]
+    name = f"{arguments.bridge}_{os.getpid()}"
+    with naming_options({"port": "--port"}):
+        code, summary = run_beside(graph, arguments.bridge, name, values, topics)
+    print_ends(summary["nodes"])
+    sent = summary["nodes"][name].get("bridge", {}).get("sent", 0)
+    return code if sent else code or EXIT_NOTHING

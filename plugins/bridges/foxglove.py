@@ -1,0 +1,259 @@
+"""The bridge `foxglove`: a server that Foxglove and Lichtblick open as a live connection."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from sparseskin.messages import Message, Resultant, SkinState
+from sparseskin.messages.text import printable
+from sparseskin.messages.topics import topic_of
+from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
+from sparseskin.nodes.lookup import one_line
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.settings import setting
+from sparseskin.plugins.bridges.exports.foxglove import grid, point_cloud, raw_image
+
+from .base import LOOPBACK, Bridge, BridgeSettings, Figures, Map, check_installed
+from .parameters import GraphParameters
+
+BACKLOG = 1024
+"""Messages that the server keeps for a client that reads slowly; beyond it drops the oldest."""
+MAX_NAMES = 1024
+"""Most parameters of one request."""
+
+
+@dataclass(frozen=True)
+class FoxgloveSettings(BridgeSettings):
+    """Settings of the bridge `foxglove`."""
+
+    host: str = setting("127.0.0.1", "address to listen at; others let other hosts in, unprotected")
+    port: int = setting(8765, "port of the server; 0: a free one", low=0, high=65535)
+    allow_set: bool = setting(
+        False, "let clients set parameters: every page that this browser opens is one, too"
+    )
+
+    def check(self) -> None:
+        check_installed("foxglove", "foxglove-sdk", "foxglove", "type foxglove")
+
+
+class FoxgloveBridge(Bridge[FoxgloveSettings]):
+    """Sends each map as `foxglove.RawImage` (32FC1) and `foxglove.Grid`, its figures as JSON; of a
+    skin of points as `foxglove.PointCloud`, too.
+
+    Topics: /PATCH/SCHEMA, /PATCH/SCHEMA/grid, /PATCH/SCHEMA/figures, /PATCH/resultant. A topic
+    that no client has subscribed to costs nothing. Parameters are the live settings of the graph.
+    """
+
+    HELP = "serve a running graph to Foxglove and Lichtblick"
+    Settings = FoxgloveSettings
+    watches = True
+    patience_s = 0.008  # not visible to a person; messages are read together
+
+    def __init__(self, settings: FoxgloveSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        settings.check()
+        import foxglove
+
+        self._fox = foxglove
+        self._own = foxglove.Context()
+        self._channels: dict[str, Any] = {}
+        self._parameters = GraphParameters(context.ask)
+        self._listener = _Listener(foxglove, self._parameters, settings.allow_set)
+        try:
+            self._server = foxglove.start_server(
+                name=f"sparseskin {context.name}",
+                host=settings.host,
+                port=settings.port,
+                capabilities=[foxglove.Capability.Parameters, foxglove.Capability.Time],
+                server_listener=self._listener,
+                context=self._own,
+                message_backlog_size=BACKLOG,
+            )
+        except (RuntimeError, OSError, ValueError) as error:
+            raise SettingsError(
+                f"port: cannot listen at {settings.host}:{settings.port}: {one_line(error)}; "
+                "0: a free one"
+            ) from error
+        self._url = f"ws://{settings.host}:{self._server.port}"
+
+    def start(self) -> Iterable[Message]:
+        for patch in self.settings.patches:
+            for schema in self.settings.maps:
+                self._open(topic_of(patch, schema))
+        self.context.log(f"foxglove: {self.where()}")
+        if self.settings.host not in LOOPBACK:
+            self.context.log("foxglove: whoever reaches that address can read the graph")
+        return ()
+
+    def where(self) -> str:
+        return self._url
+
+    def status(self) -> str:
+        n = self._listener.n_clients
+        return f"{super().status()} to {n} client{'' if n == 1 else 's'}"
+
+    def send(self, message: Map, skin: SkinState) -> None:
+        topic = message.topic
+        image, cells, figures = (
+            self._channels[name] for name in (topic, f"{topic}/grid", f"{topic}/figures")
+        )
+        if image.has_sinks():
+            image.log(raw_image(message, message.forces), log_time=message.stamp_ns)
+        if cells.has_sinks():
+            layers = {"force": message.forces}
+            cells.log(grid(message, layers, skin), log_time=message.stamp_ns)
+        if skin.points is not None:
+            name = f"{topic}/points"
+            if name not in self._channels:
+                made = self._fox.channels.PointCloudChannel(name, context=self._own)
+                self._channels[name] = made
+            if self._channels[name].has_sinks():
+                cloud = point_cloud(message, {"force": message.forces}, skin)
+                self._channels[name].log(cloud, log_time=message.stamp_ns)
+        if figures.has_sinks():
+            latency_ns = self.context.clock.now_ns() - message.stamp_ns
+            figures.log(
+                Figures.of(message, skin.f_max, latency_ns).as_dict(), log_time=message.stamp_ns
+            )
+
+    def send_resultant(self, message: Resultant) -> None:
+        channel = self._channels.get(message.topic)
+        if channel is None:
+            channel = self._fox.Channel(
+                message.topic, schema=_numbers(_RESULTANT), context=self._own
+            )
+            self._channels[message.topic] = channel
+        if channel.has_sinks():
+            found = {name: getattr(message, name) for name in _RESULTANT}
+            known = {name: value for name, value in found.items() if value is not None}
+            channel.log(known, log_time=message.stamp_ns)
+
+    def idle(self) -> None:
+        for text in self._listener.taken():
+            self._server.publish_status(text, self._fox.StatusLevel.Error, "parameters")
+
+    def command(self, name: str, value: Any) -> str:
+        """Accept the state of the graph, and answers to requests, from the launcher."""
+        if name == "graph":
+            new = self._parameters.update(value)
+            if new:
+                self._server.publish_parameter_values(_as_parameters(self._fox, new))
+            return ""
+        if name == "answer":
+            self._parameters.answer(value)
+            return ""
+        return super().command(name, value)
+
+    def close(self, counts: dict[str, Any]) -> None:
+        for channel in self._channels.values():
+            channel.close()
+        self._server.stop()
+
+    def _open(self, topic: str) -> None:
+        """Advertise the channels of a topic of maps."""
+        channels = self._fox.channels
+        self._channels[topic] = channels.RawImageChannel(topic, context=self._own)
+        self._channels[f"{topic}/grid"] = channels.GridChannel(f"{topic}/grid", context=self._own)
+        self._channels[f"{topic}/figures"] = self._fox.Channel(
+            f"{topic}/figures", schema=_numbers(_FIGURES), context=self._own
+        )
+
+
+_FIGURES = (
+    *("seq", "total", "peak", "row", "col", "latency_ms"),
+    *("residual", "iterations", "solve_ms", "error"),
+)
+_RESULTANT = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
+
+
+def _numbers(names: Iterable[str]) -> dict[str, Any]:
+    """JSON Schema of an object of numbers, with `trusted` where it is known."""
+    fields: dict[str, Any] = {name: {"type": "number"} for name in names}
+    return {
+        "type": "object",
+        "title": "sparseskin.Figures",
+        "properties": {**fields, "trusted": {"type": "boolean"}},
+    }
+
+
+def _as_parameters(fox: Any, values: dict[str, Any]) -> list[Any]:
+    """Parameters of the server; one whose setting is not stated has no value."""
+    made = []
+    for name, value in values.items():
+        try:
+            made.append(fox.Parameter(name, value=value))
+        except (TypeError, ValueError):  # of a type that the protocol has not
+            made.append(fox.Parameter(name, value=str(value)))
+    return made
+
+
+class _Listener:
+    """Answers clients on the threads of the server."""
+
+    def __init__(self, fox: Any, parameters: GraphParameters, allow_set: bool) -> None:
+        self._fox = fox
+        self._parameters = parameters
+        self._allow_set = allow_set
+        self._lock = threading.Lock()
+        self._subscribed: set[tuple[int, int]] = set()
+        self._refused: deque[str] = deque(maxlen=MAX_NAMES)
+
+    def taken(self) -> list[str]:
+        """Refusals since the last call."""
+        with self._lock:
+            found = list(self._refused)
+            self._refused.clear()
+        return found
+
+    @property
+    def n_clients(self) -> int:
+        """Number of clients with a subscription."""
+        with self._lock:
+            return len({client for client, _ in self._subscribed})
+
+    def on_subscribe(self, client: Any, channel: Any) -> None:
+        with self._lock:
+            self._subscribed.add((client.id, channel.id))
+
+    def on_unsubscribe(self, client: Any, channel: Any) -> None:
+        with self._lock:
+            self._subscribed.discard((client.id, channel.id))
+
+    def _ignore(self, *_: Any) -> None:
+        """What a client may do besides has no meaning here."""
+
+    on_client_advertise = on_client_unadvertise = on_message_data = _ignore
+    on_parameters_subscribe = on_parameters_unsubscribe = _ignore
+    on_connection_graph_subscribe = on_connection_graph_unsubscribe = _ignore
+    on_playback_control_request = _ignore
+
+    def on_get_parameters(
+        self, client: Any, param_names: list[str], request_id: str | None = None
+    ) -> list[Any]:
+        """Values of the named parameters, or of all."""
+        return _as_parameters(self._fox, self._parameters.get(param_names[:MAX_NAMES]))
+
+    def on_set_parameters(
+        self, client: Any, parameters: list[Any], request_id: str | None = None
+    ) -> list[Any]:
+        """Set parameters; the values that they have then, refused ones as before."""
+        changes = {one.name: one.get_value() for one in parameters[:MAX_NAMES]}
+        try:
+            if not self._allow_set:
+                raise RefusedError(
+                    "parameters are read only; start the bridge with allow_set=true (--allow-set)"
+                )
+            self._parameters.set(changes)
+        except SparseskinError as error:
+            self._refuse(str(error))
+        except Exception as error:  # the thread is that of the server
+            self._refuse(one_line(error))
+        return _as_parameters(self._fox, self._parameters.get(changes))
+
+    def _refuse(self, text: str) -> None:
+        with self._lock:
+            self._refused.extend(printable(line) for line in text.splitlines())

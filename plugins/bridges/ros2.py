@@ -1,0 +1,146 @@
+"""The bridge `ros2`: publishes the forces of patches as messages of ROS 2, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages import Message, SkinState, topic_of
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.settings import setting
+
+from . import cdr
+from .base import Bridge, BridgeSettings, Map, check_installed, stamp_of
+
+KINDS = ("image", "points", "array")
+UNKNOWN_PITCH_M = 1.0
+"""Distance of points where the pitch of the skin is not known: places then count taxels."""
+
+
+@dataclass(frozen=True)
+class Ros2Settings(BridgeSettings):
+    """Settings of the bridge `ros2`."""
+
+    messages: tuple[str, ...] = setting(
+        KINDS,
+        "image: sensor_msgs/Image on /PATCH/MAP; points: sensor_msgs/PointCloud2 on "
+        "/PATCH/MAP/points; array: std_msgs/Float32MultiArray on /PATCH/MAP/array",
+    )
+    domain: int = setting(0, "DDS domain, ROS_DOMAIN_ID of the readers", low=0, high=232)
+    interface: str = setting(
+        "lo", 'network interface; "lo": this host alone; "": as CYCLONEDDS_URI has it'
+    )
+    history: int = setting(10, "samples of a topic kept for readers", low=1, high=1000)
+    reliable: bool = setting(True, "send again what a reader has missed, as far as it is kept")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for k, kind in enumerate(self.messages):
+            if kind not in KINDS:
+                raise SettingsError(
+                    f"messages[{k}]: {kind!r} is not allowed{did_you_mean(kind, KINDS)}"
+                )
+
+    def check(self) -> None:
+        check_installed("cyclonedds", "cyclonedds", "ros2", "type ros2")
+
+
+class Ros2Bridge(Bridge[Ros2Settings]):
+    """Publishes each map on DDS; a topic that nobody reads costs nothing.
+
+    A reader gets the last `history` samples of each topic; where it is further behind, the oldest
+    are dropped by DDS, which tells that reader (its status "sample lost").
+    """
+
+    HELP = "publish a running graph to ROS 2"
+    Settings = Ros2Settings
+
+    def __init__(self, settings: Ros2Settings, context: Context) -> None:
+        super().__init__(settings, context)
+        settings.check()
+        from . import dds
+
+        self._dds = dds
+        self._participant = dds.participant(settings.domain, settings.interface)
+        self._writers: dict[str, Any] = {}
+        self._points: dict[str, npt.NDArray[np.float32]] = {}
+
+    def start(self) -> Iterable[Message]:
+        from cyclonedds.pub import DataWriter
+        from cyclonedds.topic import Topic
+
+        dds, settings = self._dds, self.settings
+        types = {
+            "image": ("", dds.Image),
+            "points": ("/points", dds.PointCloud2),
+            "array": ("/array", dds.Float32MultiArray),
+        }
+        quality = dds.quality(settings.history, settings.reliable)
+        for patch in settings.patches:
+            for schema in settings.maps:
+                for kind in settings.messages:
+                    ending, cls = types[kind]
+                    name = dds.dds_name(topic_of(patch, schema) + ending)
+                    topic = Topic(self._participant, name, cls)
+                    self._writers[f"{kind} {topic_of(patch, schema)}"] = DataWriter(
+                        self._participant, topic, qos=quality
+                    )
+        self.context.log(f"ros2: {self.where()}")
+        return ()
+
+    def where(self) -> str:
+        by = f" by {self.settings.interface}" if self.settings.interface else ""
+        return f"DDS domain {self.settings.domain}{by}"
+
+    def send(self, message: Map, skin: SkinState) -> None:
+        from cyclonedds.core import DDSException
+
+        stamp = stamp_of(message.stamp_ns)
+        for kind in self.settings.messages:
+            writer = self._writers[f"{kind} {message.topic}"]
+            if not writer.get_matched_subscriptions():
+                continue
+            if kind == "image":
+                made = cdr.image(stamp, message.patch, message.forces)
+            elif kind == "array":
+                made = cdr.array(message.forces)
+            else:
+                made = cdr.cloud(stamp, message.patch, self._cloud(message, skin))
+            try:
+                writer.write(self._dds.ready(writer.topic.data_type, made))
+            except DDSException:  # a reader is behind
+                self.n_dropped += 1
+
+    def step(self, message: Message) -> Iterable[Message]:
+        if isinstance(message, SkinState):
+            self._points.pop(message.patch, None)
+        return super().step(message)
+
+    def close(self, counts: dict[str, Any]) -> None:
+        self._writers.clear()
+
+    def _cloud(self, message: Map, skin: SkinState) -> npt.NDArray[np.float32]:
+        """Place in metres and force of the taxels that exist; on a flat grid x runs along the
+        columns and y along the rows. Of points from a file their rows, too, as bits of uint32.
+        """
+        exists = skin.mask if skin.mask is not None else np.ones(skin.skin.shape, bool)
+        points = self._points.get(message.patch)
+        if points is None:
+            rows, cols = np.nonzero(exists)
+            points = np.zeros((len(rows), 4 + (skin.point_rows is not None)), np.float32)
+            if skin.points is not None:
+                points[:, :3] = skin.points[:, :3]
+                if skin.point_rows is not None:
+                    points[:, 4] = skin.point_rows.astype("<u4").view("<f4")
+            else:
+                pitch_m = skin.pitch_m or UNKNOWN_PITCH_M
+                points[:, 0], points[:, 1] = pitch_m * cols, pitch_m * rows
+            self._points[message.patch] = points
+        points[:, 3] = message.forces.ravel() if skin.mask is None else message.forces[exists]
+        return points

@@ -1,0 +1,1 @@
+"""Plug-in `cluster`: the workers of a Dask cluster as an executor."""

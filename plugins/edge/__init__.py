@@ -1,0 +1,16 @@
+"""Plug-in `edge`: a compressor outside the graph: its program in C, and the node that reads its
+frames.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+HELP = "export a compressor in C for a board, count its instructions"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `sparseskin edge`."""
+    from .command import configure
+
+    configure(parser)

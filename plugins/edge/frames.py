@@ -1,0 +1,80 @@
+"""Frames of an edge on the wire: start, sequence number, Phi, step, codes, CRC-16."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.quantised import Quantised, largest_code, packed, unpacked
+from sparseskin.plugins.boards.framing import Framing
+
+from .description import EdgeDescription
+
+_HEAD = struct.Struct("<If")
+
+
+@dataclass(frozen=True)
+class EdgeFrame:
+    """The payload of a frame.
+
+    Attributes
+    ----------
+    phi : str
+        Fingerprint of its matrix.
+    step : float
+        Size of a code's step, counts.
+    codes : ndarray of int32, shape (m,)
+    """
+
+    phi: str
+    step: float
+    codes: npt.NDArray[np.int32]
+
+    def measurements(self, bits: int, unit: float) -> Quantised:
+        """Return the measurements; `unit` is the force of one count."""
+        return Quantised.of(self.codes, bits, self.step * unit)
+
+
+def framing_of(description: EdgeDescription) -> Framing:
+    """Return the framing of an edge's frames."""
+    return Framing(
+        _HEAD.size + description.code_bytes, start=b"\xaa\x55", sequence_bytes=2, checksum="crc16"
+    )
+
+
+def frame_bytes(description: EdgeDescription, seq: int, phi: str, y: Quantised) -> bytes:
+    """Return the bytes that the edge sends for the measurements of a frame.
+
+    Parameters
+    ----------
+    description : EdgeDescription
+    seq : int
+        Number of the frame; it is sent modulo 65536.
+    phi : str
+        Fingerprint of the matrix.
+    y : Quantised
+        Measurements of shape (m,) in counts, of `description.bits` bits.
+    """
+    head = _HEAD.pack(int(phi[:8], 16), y.step)
+    return framing_of(description).encode(head + packed(y.codes(), description.bits), seq)
+
+
+def tag_of(payload: bytes) -> int:
+    """Return the first 8 digits of the fingerprint that a payload states, as a number."""
+    return int.from_bytes(payload[:4], "little")
+
+
+def read_frame(description: EdgeDescription, payload: bytes) -> EdgeFrame | None:
+    """Read a payload; None if its matrix is none of the description, or its step not above 0."""
+    d = description
+    tag, step = _HEAD.unpack_from(payload)
+    phi = d.tags.get(tag)
+    if phi is None or not 0 < step < np.inf:
+        return None
+    codes = unpacked(payload[_HEAD.size :], d.m, d.bits)
+    # One code more than the quantiser uses fits the bits.
+    np.minimum(codes, largest_code(d.bits), out=codes)
+    return EdgeFrame(phi, step, codes)

@@ -1,0 +1,173 @@
+"""The edge node: measurements of a compressor outside the graph, from its frames on a wire."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sparseskin.messages import Measurements, Message, PhiState, SkinState, topic_of
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.node import Context, SourceNode, Tick
+from sparseskin.nodes.settings import PatchSettings, naming, setting
+
+from .description import EdgeDescription
+from .frames import read_frame, tag_of
+from .wire import EdgeWire, describe_wire
+
+COUNTS = "counts"
+WAIT_S = 0.05
+"""Longest wait for a frame, seconds; chosen as for boards: commands and signals wait no longer."""
+
+
+@dataclass(frozen=True)
+class EdgeSettings(PatchSettings):
+    """Settings of the edge node."""
+
+    source: str = setting(
+        "serial:/dev/ttyACM0",
+        "where its frames come from: serial:DEVICE?baud=NUMBER, or udp:PORT?bind=ADDRESS",
+        decides=True,
+    )
+    description: str = setting("edge.toml", "file that was exported with its program")
+    unit: str | None = setting(None, "unit of the forces; counts if not stated")
+    f_max: float | None = setting(
+        None, "force at full scale, in that unit; not stated: the largest count", low=1e-9, high=1e9
+    )
+    pitch_m: float | None = setting(
+        None, "distance between neighbouring taxels, metres", low=1e-6, high=10.0
+    )
+
+    def check(self) -> None:
+        with naming("description"):
+            described = EdgeDescription.read(Path(self.description))
+        with naming("source"):
+            describe_wire(self.source, described, self.skin(described))
+
+    def skin(self, described: EdgeDescription) -> Skin:
+        """The skin whose forces are measured."""
+        f_max = float(described.full_scale) if self.f_max is None else self.f_max
+        shape = described.n_rows, described.n_cols
+        return Skin(*shape, f_max, self.unit or COUNTS, self.pitch_m, described.mask)
+
+
+class Edge(SourceNode[EdgeSettings]):
+    """Publishes /PATCH/skin and /PATCH/phi once, then /PATCH/measurements.
+
+    The stamp of a frame is the time at which its last byte was read. Frames of another matrix than
+    those described are counted and never published.
+    """
+
+    Settings = EdgeSettings
+
+    def __init__(self, settings: EdgeSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        self._described = EdgeDescription.read(Path(settings.description))
+        self.skin = settings.skin(self._described)
+        self._of_count = self.skin.f_max / self._described.full_scale
+        self._n_frames = self._n_other = self._n_logged = 0
+        self._stamp_ns = 0
+        with naming("source"):
+            self._wire = EdgeWire(describe_wire(settings.source, self._described, self.skin))
+
+    @classmethod
+    def outputs(cls, settings: EdgeSettings) -> tuple[str, ...]:
+        return tuple(
+            topic_of(settings.patch, cls.schema) for cls in (SkinState, PhiState, Measurements)
+        )
+
+    @classmethod
+    def facts(cls, settings: EdgeSettings) -> Mapping[str, Any]:
+        described = EdgeDescription.read(Path(settings.description))
+        return {
+            topic_of(settings.patch, SkinState.schema): described.n_taxels,
+            topic_of(settings.patch, PhiState.schema): described.phi.kind,
+            topic_of(settings.patch, Measurements.schema): lambda n: (described.rows, described.m),
+        }
+
+    def start(self) -> Iterable[Message]:
+        d, s = self._described, self.settings
+        stamp_ns = self.context.clock.now_ns()
+        yield SkinState(
+            stamp_ns=stamp_ns,
+            patch=s.patch,
+            **vars(self.skin),
+            source=self._wire.name,
+            seed=0,
+            rate_hz=0.0,
+            has_truth=False,
+            has_taxels=False,
+            sigma_mid=0.0,
+            sigma_end=0.0,
+        )
+        yield PhiState(
+            stamp_ns=stamp_ns,
+            patch=s.patch,
+            kind=d.phi.kind,
+            n=d.phi.n,
+            m=d.phi.m,
+            block=d.block,
+            seed=d.seed,
+            fingerprint=d.phi.fingerprint,
+            rows=d.rows,
+            rule=d.rule,
+        )
+
+    def tick(self, tick: Tick) -> Iterable[Message]:
+        found = self._wire.next_payload(WAIT_S)
+        self._log_lines()
+        frame = None if found is None else read_frame(self._described, found[1])
+        self.acquired = frame is not None
+        if found is None:
+            return
+        arrived_ns, payload = found
+        if frame is None:
+            self._n_other += 1
+            self._log_other(payload)
+            return
+        self._n_frames += 1
+        now_ns = self.context.clock.now_ns()
+        self._stamp_ns = max(now_ns - self._wire.age_ns(arrived_ns), self._stamp_ns + 1)
+        yield Measurements(
+            stamp_ns=self._stamp_ns,
+            patch=self.settings.patch,
+            y=frame.measurements(self._described.bits, self._of_count),
+            phi=frame.phi,
+        )
+
+    def idle(self) -> None:
+        if self.paused:
+            self._wire.discard()
+        self._log_lines()
+
+    def status(self) -> str:
+        d, dropped = self._described, self._wire.dropped()
+        text = f"{self._wire.name}: frame {self._n_frames}, {d.m} of {d.bits} bits"
+        if self._n_other:
+            text += f"; {self._n_other} of another matrix"
+        text += f"; dropped: {dropped}" if dropped else ""
+        return text if self._wire.is_there else f"{text}; the device is gone"
+
+    def report(self) -> dict[str, Any]:
+        figures = {**self._wire.figures(), "frames": self._n_frames, "other_matrix": self._n_other}
+        return {**self._wire.report(), "board": figures}
+
+    def close(self, counts: dict[str, Any]) -> None:
+        self._wire.close()
+
+    def _log_lines(self) -> None:
+        for line in self._wire.take_lines():
+            self.context.log(line)
+
+    def _log_other(self, payload: bytes) -> None:
+        """Log frames of another matrix, each time that their number has doubled."""
+        if self._n_other <= 2 * self._n_logged:
+            return
+        self._n_logged = self._n_other
+        described = ", ".join(f"{tag:08x}" for tag in self._described.tags)
+        self.context.log(
+            f"{self._wire.name}: {self._n_other} frames of another matrix (the last "
+            f"{tag_of(payload):08x}; described {described}): is {self.settings.description} that "
+            "of the program on the board?"
+        )

@@ -1,0 +1,74 @@
+"""The wire from an edge: a serial line or UDP, opened and watched as those of other boards."""
+
+from __future__ import annotations
+
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.plugins.boards.board import Board, naming_board
+from sparseskin.plugins.boards.readings import Layout
+from sparseskin.plugins.boards.settings import read_settings, split_source
+from sparseskin.plugins.boards.source import BoardSource
+from sparseskin.plugins.boards.udp_port import check_udp
+
+from .description import EdgeDescription
+from .frames import framing_of
+
+KEYS = {"serial": ("baud",), "udp": ("bind", "sender")}
+"""Kinds of wires, and what may be stated of each."""
+
+
+def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Board:
+    """Describe the wire that a source names, without opening it.
+
+    Parameters
+    ----------
+    source : str
+        "serial:DEVICE", "serial:DEVICE?baud=2000000", "udp:PORT" or "udp:PORT?bind=ADDRESS".
+    description : EdgeDescription
+    skin : Skin
+        The skin whose forces are measured.
+
+    Raises
+    ------
+    SourceError
+        If the source has another form, or a key or value is not allowed.
+    """
+    kind, address, query = split_source(source)
+    if kind not in KEYS or not address:
+        hint = did_you_mean(kind, KEYS) if kind not in KEYS else ""
+        hint = hint if "did you mean" in hint else ""
+        raise SourceError(f'"{source}": expected serial:DEVICE or udp:PORT{hint}')
+    name = f"{kind}:{address}"
+    with naming_board(name):
+        for key in query:
+            if key not in KEYS[kind]:
+                raise SourceError(f"{key}: unknown key{did_you_mean(key, KEYS[kind])}")
+        settings = read_settings(kind, query)
+        settings.check_port()
+        if kind == "udp":
+            check_udp(address)
+    framing = framing_of(description)
+    # A payload is taken whole: the layout is not used.
+    n = framing.payload_bytes
+    layout = Layout(1, n, "uint8", "little", "rows", [0], list(range(n)))
+    return Board(name, kind, address, settings, layout, framing, skin)
+
+
+class EdgeWire(BoardSource):
+    """Payloads from a wire; the device, lost and damaged frames are treated as of other boards."""
+
+    def next_payload(self, wait_s: float) -> tuple[int, bytes] | None:
+        """Return the next payload; None if none came in `wait_s` seconds.
+
+        Returns
+        -------
+        tuple of int and bytes, or None
+            Time at which its last byte came on the monotonic clock, nanoseconds; the payload.
+        """
+        if not self._waiting:
+            self.receive(wait_s)
+        if not self._waiting:
+            return None
+        arrived_ns, frame = self._waiting.popleft()
+        return arrived_ns, frame.payload

@@ -1,0 +1,48 @@
+"""Plug-in `points`: skins whose taxels stand at free places, on a virtual grid; scenes on them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from sparseskin.nodes.sensor.placement import Placement
+from sparseskin.nodes.sensor.points import PointSkins
+from sparseskin.nodes.sensor.source import Listing, Source
+
+# The modules of this package take SciPy, which a node without such a skin does not need.
+
+
+class _Points(PointSkins):
+    def n_taxels(self, layout: str) -> int:
+        from .files import load_points
+
+        return load_points(layout).n
+
+    def place(self, layout: str) -> Placement:
+        from .placing import placed
+
+        return placed(layout)
+
+    def scenes(self) -> Mapping[str, str]:
+        from .scenes import SCENES
+
+        return {name: scene.about() for name, scene in SCENES.items()}
+
+    def open_scene(self, name: str, layout: str, seed: int) -> Source:
+        from .placing import placed
+        from .scenes import PointScene
+
+        return PointScene(name, placed(layout), seed)
+
+    def listings(self) -> Sequence[Listing]:
+        from .examples import EXAMPLES
+        from .files import EXAMPLE
+
+        entries = []
+        for name, make in EXAMPLES.items():
+            about = (make.__doc__ or "").partition("\n")[0].rstrip(".").partition(":")[0]
+            entries.append({"name": f"{EXAMPLE}{name}", "about": about.removeprefix("Return ")})
+        title = "layouts: for sensor.points; or a file of places, .csv or an iCub's .txt"
+        return (Listing("layouts", title, entries),)
+
+
+POINTS = _Points()

@@ -1,0 +1,391 @@
+"""Points of a skin placed on a virtual grid, so that neighbours on the skin are neighbours on it.
+
+Each part of the skin is laid flat (`surface`). Steps between neighbours that are steps of a
+lattice, square or hexagonal, are rounded to whole ones, in an orientation that may turn from place
+to place, and all steps joined by least squares: a lattice that is bent, stretched or has holes
+becomes a grid with cells without a taxel. What is no lattice is kept as it lies. Points then go to
+the nearest free cells: those with the least sum of squared distances.
+
+The quad tree of that grid is a tree of neighbours on the skin. The grid's Haar basis, its shifts
+and its neighbours are those of the skin, and all that works on a grid with a mask works on it.
+
+Source: lattices rounded on a surface: Ray et al., "Periodic global parameterization", ACM
+Transactions on Graphics 25(4), 2006; Bommes et al., "Mixed-integer quadrangulation", ACM
+Transactions on Graphics 28(3), 2009.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+from scipy.spatial import cKDTree
+
+from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
+
+from .files import load_points
+from .points import Points
+from .surface import Edges, Joined, flattened, neighbours, parts
+
+SQUARE, HEXAGONAL = 4, 6
+_AXES = {
+    SQUARE: np.eye(2),
+    HEXAGONAL: np.array([[1.0, 0.5], [0.0, math.sqrt(0.75)]]),
+}
+"""Axes of a lattice of spacing 1, as columns."""
+ORDERED = 0.3
+"""Least mean cosine of `order` times the angle between two neighbours of a point, at which points
+form a lattice; 1 on one, below 0.1 for random points, 0.35 to 0.6 on a torso and on an iCub."""
+N_SMOOTHED = 8
+"""Rounds in which the orientation of a lattice is averaged over neighbours."""
+WHOLE = 0.3
+"""Largest distance of a step from a whole one to which it is rounded, in spacings."""
+LOOSE = 0.02
+"""Weight of a step that is not rounded, in that of one that is."""
+N_ROUNDED = 3
+"""Rounds of rounding: what the first joined may turn out whole in the second."""
+FILLED = 0.85
+"""Part of the cells that points without a lattice fill: at 1, some would be placed far away."""
+WINDOW = 2
+"""Cells around its place among which a point's own is chosen first; more where that fails."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """The virtual grid of a layout.
+
+    Attributes
+    ----------
+    points : Points
+        The layout.
+    shape : (int, int)
+        Rows and columns of the grid.
+    cells : ndarray of intp, shape (n,)
+        Flat cell of each point, no two the same.
+    pitch_m : float
+        Median distance of neighbours, metres.
+    n_parts : int
+        Parts of the skin without a common neighbour.
+    """
+
+    points: Points
+    shape: tuple[int, int]
+    cells: Indices
+    pitch_m: float
+    n_parts: int = 1
+
+    def skin(self, f_max: float, unit: str) -> Skin:
+        """The skin of this grid with a range."""
+        mask = np.zeros(self.shape, dtype=np.bool_)
+        mask.reshape(-1)[self.cells] = True
+        order = np.argsort(self.cells)
+        rows = np.concatenate([self.points.places, self.points.normals], axis=1)[order]
+        points = np.ascontiguousarray(rows, dtype=np.float32)
+        found = None if mask.all() else mask
+        return Skin(*self.shape, f_max, unit, self.pitch_m, found, points, self.point_rows(mask))
+
+    def point_rows(self, exists: Mask) -> npt.NDArray[np.int32]:
+        """Row of each taxel of a mask of the grid among those of the file, int32 (n_taxels,)."""
+        rows = np.full(self.shape, -1, dtype=np.int32)
+        rows.reshape(-1)[self.cells] = self.points.slots
+        return rows[exists]
+
+    @property
+    def layout(self) -> str:
+        """Absolute path of the file with the points, or `example:NAME`."""
+        return self.points.layout
+
+    def summary(self) -> list[str]:
+        """Number of taxels, grid and distance, and the notes on the points, for a log."""
+        parts = f", {self.n_parts} parts" if self.n_parts > 1 else ""
+        grid = f"{self.shape[0]} x {self.shape[1]}{parts}, {1000 * self.pitch_m:.3g} mm apart"
+        lines = [f"{self.points.n} taxels on a virtual grid of {grid}", *self.points.notes]
+        return [f"{self.points.name}: {line}" for line in lines]
+
+    def check_size(self, n_readings: int) -> None:
+        """Raise SourceError unless a frame of so many readings has one for each taxel."""
+        points = self.points
+        if n_readings not in (points.n, points.n_slots):
+            known = f"{points.n}" + (f" or {points.n_slots}" * (points.n_slots != points.n))
+            raise SourceError(
+                f"{points.name}: a frame has {n_readings} readings; expected {known}, one a taxel"
+            )
+
+    def on_grid(self, values: npt.NDArray[Any], unused: float = 0.0) -> npt.NDArray[Any]:
+        """Readings in the order of the layout on the grid.
+
+        Parameters
+        ----------
+        values : ndarray
+            n or n_slots readings, any shape.
+        unused : float
+            Value of cells without a taxel.
+
+        Returns
+        -------
+        ndarray, shape `shape`
+            Of the same dtype.
+
+        Raises
+        ------
+        SourceError
+            If their number is another.
+        """
+        flat = values.reshape(-1)
+        points = self.points
+        self.check_size(flat.size)
+        if flat.size != points.n:
+            flat = flat[points.slots]
+        image = np.full(self.shape, unused, dtype=flat.dtype)
+        image.reshape(-1)[self.cells] = flat
+        return image
+
+
+def placed(layout: str) -> Placement:
+    """The placement of a layout, as `load_points` reads it; remembered while the file stays.
+    Raises SourceError as `load_points` and `place` do.
+    """
+    try:
+        state = Path(layout).stat()
+        version = (state.st_mtime_ns, state.st_size)
+    except (OSError, ValueError):
+        version = (0, 0)
+    return _placed(layout, version)
+
+
+@lru_cache(maxsize=4)
+def _placed(layout: str, _version: tuple[int, int]) -> Placement:
+    return place(load_points(layout))
+
+
+def place(points: Points) -> Placement:
+    """Place points on a virtual grid.
+
+    Raises
+    ------
+    SourceError
+        If the grid would have more than 4096 rows or columns, or 2**20 cells.
+    """
+    # Several taxels may stand at one place; of these the first is a neighbour of others.
+    _, first, of_place = np.unique(points.places, axis=0, return_index=True, return_inverse=True)
+    places, normals = points.places[first], points.normals[first]
+    edges = neighbours(places, normals)
+    grids = []
+    for part in parts(edges, len(places)):
+        number = np.full(len(places), -1)
+        number[part] = np.arange(len(part))
+        inside = edges.only(number[edges.a] >= 0)
+        own = Edges(number[inside.a], number[inside.b], inside.length)
+        wanted = _lattice_of_part(places[part], normals[part], own)
+        taxels = np.flatnonzero(number[of_place] >= 0)
+        grids.append((taxels, _assigned(wanted[number[of_place[taxels]]])))
+    rows, cols, shape = _packed(grids, points.n)
+    if max(shape) > MAX_SIDE or shape[0] * shape[1] > MAX_ELEMENTS:
+        raise SourceError(
+            f"{points.name}: its virtual grid would have {shape[0]} x {shape[1]} cells; at most "
+            f"{MAX_SIDE} a side and {MAX_ELEMENTS} are allowed"
+        )
+    nearest = np.full(len(places), np.inf)
+    np.minimum.at(nearest, edges.a, edges.length)
+    found = nearest[np.isfinite(nearest)]
+    pitch_m = float(np.median(found)) if found.size else 1.0
+    return Placement(points, shape, rows * shape[1] + cols, pitch_m, len(grids))
+
+
+def _lattice_of_part(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
+    """Row and column of each point of a part, not yet whole, (n, 2)."""
+    n = len(places)
+    if n == 1:
+        return np.zeros((1, 2))
+    plane = flattened(places, normals, edges)
+    # Where a band was cut open, its ends are neighbours no more.
+    apart = np.linalg.norm(plane[edges.b] - plane[edges.a], axis=1)
+    edges = edges.only(apart < 2 * edges.length)
+    spacing = _spacing(plane, edges)
+    order, angle = _orientation(plane, edges)
+    steps = plane[edges.b] - plane[edges.a]
+    if order:
+        axes = _AXES[order]
+        mean = angle[edges.a] + 0.5 * _wrapped(angle[edges.b] - angle[edges.a], order)
+        steps = _turned(steps, -mean) / (0.5 * (spacing[edges.a] + spacing[edges.b]))[:, None]
+        lattice = _joined(steps @ np.linalg.inv(axes).T, edges, n)
+    else:
+        lattice, order = _squarest(plane) / _cell_size(plane), SQUARE
+    return _upright(lattice, places, order)
+
+
+def _squarest(plane: Doubles) -> Doubles:
+    """Points turned such that the rectangle around them is the smallest, (n, 2)."""
+    turns = [_turned(plane, np.full(len(plane), angle)) for angle in np.radians(range(90))]
+    return min(turns, key=lambda turned: float(np.prod(np.ptp(turned, axis=0))))
+
+
+def _cell_size(plane: Doubles) -> float:
+    """Side of the cells for points without a lattice: a little less than their distance."""
+    nearest = cKDTree(plane).query(plane, k=min(SQUARE + 1, len(plane)))[0][:, 1:]
+    return math.sqrt(FILLED) * max(float(nearest.mean()), 1e-9)
+
+
+def _spacing(plane: Doubles, edges: Edges) -> Doubles:
+    """Distance of each point's nearest neighbours, smoothed over neighbours, (n,)."""
+    n = len(plane)
+    length = np.linalg.norm(plane[edges.b] - plane[edges.a], axis=1)
+    nearest = np.full(n, np.inf)
+    np.minimum.at(nearest, edges.a, length)
+    typical = np.median(nearest[np.isfinite(nearest)])
+    nearest[~np.isfinite(nearest)] = typical
+    np.maximum(nearest, 0.5 * typical, out=nearest)
+    count = np.bincount(edges.a, minlength=n) + 1
+    for _ in range(N_SMOOTHED):
+        nearest = (nearest + np.bincount(edges.a, nearest[edges.b], minlength=n)) / count
+    return nearest
+
+
+def _orientation(plane: Doubles, edges: Edges) -> tuple[int, Doubles]:
+    """Order of the lattice, 4 or 6, 0 for none, and its angle at each point, radians (n,)."""
+    n = len(plane)
+    step = plane[edges.b] - plane[edges.a]
+    length = np.linalg.norm(step, axis=1)
+    spacing = _spacing(plane, edges)[edges.a]
+    near = length < 1.25 * spacing
+    direction = np.arctan2(step[near, 1], step[near, 0])
+    a, b = edges.a[near], edges.b[near]
+    best = 0, np.zeros(n), ORDERED
+    count = np.bincount(a, minlength=n)
+    pairs = (count * (count - 1)).sum()
+    if (count > 1).mean() < 0.5:
+        return 0, np.zeros(n)
+    for order in (SQUARE, HEXAGONAL):
+        field = np.zeros(n, dtype=np.complex128)
+        np.add.at(field, a, np.exp(1j * order * direction))
+        # The mean of cos(order x angle between two neighbours of a point): 0 for any directions.
+        found = float((np.abs(field) ** 2 - count).sum() / pairs)
+        for _ in range(N_SMOOTHED):
+            mean = field.copy()
+            np.add.at(mean, a, field[b])
+            field = mean / (np.maximum(count, 1) + 1)
+        if found > best[2]:
+            best = order, np.angle(field) / order, found
+    order, angle, _ = best
+    return order, _unwound(angle, edges, order) if order else angle
+
+
+def _unwound(angle: Doubles, edges: Edges, order: int) -> Doubles:
+    """Angles, known up to 2 pi / order, such that neighbours differ by little."""
+    from scipy.sparse.csgraph import breadth_first_order
+
+    n = len(angle)
+    found = angle.copy()
+    way, before = breadth_first_order(edges.matrix(n), 0, directed=False)
+    for point in way[1:]:
+        last = before[point]
+        found[point] = found[last] + _wrapped(angle[point] - found[last], order)
+    return found
+
+
+def _wrapped(angle: Doubles, order: int) -> Doubles:
+    """Angles within half of 2 pi / order around 0."""
+    period = 2 * np.pi / order
+    return (angle + period / 2) % period - period / 2
+
+
+def _turned(steps: Doubles, angle: Doubles) -> Doubles:
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y = steps.T
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
+
+
+def _joined(steps: Doubles, edges: Edges, n: int) -> Doubles:
+    """Coordinates on a lattice, (n, 2), by steps in its axes, the whole ones rounded."""
+    lattice = np.zeros((n, 2))
+    for _ in range(N_ROUNDED):
+        whole = np.rint(steps)
+        off = np.abs(steps - whole).max(axis=1)
+        is_whole = (off < WHOLE) & (np.abs(whole).max(axis=1) == 1)
+        weights = np.where(is_whole, 1.0, LOOSE)
+        lattice = Joined(edges, n, weights)(np.where(is_whole[:, None], whole, steps))
+        steps = lattice[edges.b] - lattice[edges.a]
+    return lattice
+
+
+def _upright(lattice: Doubles, places: Doubles, order: int) -> Doubles:
+    """Rows and columns, (n, 2), of coordinates on a lattice; row 0 is at the upper end.
+
+    Up is +z, on a level skin +y. Rows of a hexagonal lattice are half a cell apart in turn.
+    """
+    up = places[:, 2] if np.ptp(places[:, 2]) > 0.1 * np.ptp(places, axis=0).max() else places[:, 1]
+    flat = lattice @ _AXES[order].T
+    centred = flat - flat.mean(axis=0)
+    slope = np.linalg.lstsq(centred, up - up.mean(), rcond=None)[0]
+    turn = np.rint(order * np.arctan2(slope[0], slope[1]) / (2 * np.pi))
+    angle = np.full(len(flat), 2 * np.pi * turn / order)
+    x, y = (_turned(flat, angle) @ np.linalg.inv(_AXES[order]).T).T
+    y = y - _phase(y)
+    if order == HEXAGONAL:
+        x = x + 0.5 * y - 0.5 * (np.rint(y) % 2)
+    return np.stack([-y, x - _phase(x)], axis=1)
+
+
+def _phase(values: Doubles) -> float:
+    """What is to be subtracted so that most values are near whole numbers."""
+    return float(np.angle(np.exp(2j * np.pi * values).mean()) / (2 * np.pi))
+
+
+def _assigned(wanted: Doubles) -> Indices:
+    """A cell for each point, (n, 2), no two the same, near the wanted ones."""
+    n = len(wanted)
+    rounded = np.rint(wanted).astype(np.intp)
+    if len(np.unique(rounded, axis=0)) < n:
+        window = WINDOW
+        while (found := _matched(wanted, rounded, window)) is None:
+            window *= 2
+        rounded = found
+    rounded -= rounded.min(axis=0)
+    return rounded
+
+
+def _matched(wanted: Doubles, rounded: Indices, window: int) -> Indices | None:
+    """The assignment of least squares within a window; None if there is none."""
+    n = len(wanted)
+    around = np.arange(-window, window + 1)
+    cells = rounded[:, None, :] + np.stack(np.meshgrid(around, around), -1).reshape(1, -1, 2)
+    cost = ((cells - wanted[:, None, :]) ** 2).sum(axis=-1) + 1e-6
+    low = cells.min(axis=(0, 1))
+    width = int(np.ptp(cells[..., 1])) + 1
+    flat = (cells[..., 0] - low[0]) * width + cells[..., 1] - low[1]
+    used, number = np.unique(flat, return_inverse=True)
+    k = flat.shape[1]
+    graph = csr_matrix((cost.ravel(), number.ravel(), np.arange(0, n * k + 1, k)), (n, len(used)))
+    try:
+        _, chosen = min_weight_full_bipartite_matching(graph)
+    except ValueError:  # no full matching
+        return None
+    row, col = np.divmod(used[chosen], width)
+    return np.stack([row + low[0], col + low[1]], axis=1)
+
+
+def _packed(
+    grids: list[tuple[Indices, Indices]], n: int
+) -> tuple[Indices, Indices, tuple[int, int]]:
+    """Rows and columns of all points with the parts side by side, and the size of the grid."""
+    rows, cols = np.zeros((2, n), dtype=np.intp)
+    area = sum(int(np.prod(cells.max(axis=0) + 2)) for _, cells in grids)
+    most = max(math.isqrt(area), *(int(cells[:, 1].max()) + 1 for _, cells in grids))
+    top = left = height = 0
+    for part, cells in sorted(grids, key=lambda grid: -int(grid[1][:, 0].max())):
+        n_rows, n_cols = (cells.max(axis=0) + 1).tolist()
+        if left and left + n_cols > most:
+            top, left, height = top + height + 1, 0, 0
+        rows[part], cols[part] = cells[:, 0] + top, cells[:, 1] + left
+        left, height = left + n_cols + 1, max(height, n_rows)
+    return rows, cols, (int(rows.max()) + 1, int(cols.max()) + 1)

@@ -1,0 +1,223 @@
+"""Scenes on a skin of points: a finger, a ball or a limb presses it and moves over it.
+
+| scene        | body                                 | push | course                              |
+|--------------|--------------------------------------|------|-------------------------------------|
+| finger_path  | a sphere of 10 mm radius, 0.05 kg    | 1 N  | along a path over the skin, 0.1 m/s |
+| ball_presses | a sphere of 40 mm radius, 0.3 kg     | 6 N  | pressed, lifted, at place by place  |
+| limb_path    | a bead of 35 mm radius, 160 mm, 1 kg | 15 N | as finger_path, across its length   |
+
+The contact model is that of all scenes (`scenes.contact`): each taxel a unilateral spring-damper
+with k and c of `scenes.scenes.SKIN`, one rigid body. The body is free along the normal of the skin
+at the place where it presses, and pushed against it by a constant force; along the skin it is
+guided. A taxel is a sphere of half their distance, r, whose top is at its place p: its middle is
+m = p - r n with the normal n. With c the middle, or the nearest point of the axis, of a body of
+radius R, its gap is the distance in space,
+
+    g = |c - m| - R - r,        J = dg/dq = a . (c - m) / |c - m|,
+
+where a is the outward normal along which the body is free, q its height. A taxel that faces away
+from the body is not touched. The course is a shortest way over neighbours on the skin between
+places drawn at random, smoothed. A frame is the mean of `STEPS` steps: 10 ms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import cKDTree
+
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
+from sparseskin.nodes.sensor.scenes.contact import Bed, RigidBody
+from sparseskin.nodes.sensor.scenes.scenes import SKIN
+from sparseskin.nodes.sensor.source import Source
+
+from .placing import Placement
+from .surface import neighbours
+
+DT_S, STEPS = 0.002, 5
+"""Time step, and steps of a frame."""
+N_FRAMES = 1000
+SPEED_M_S = 0.1
+DROP_M = 0.002
+"""Height from which a body is pushed against the skin."""
+REST_S = 0.3
+"""Time before a body moves along the skin: the oscillation of its landing decays."""
+HELD_S, LIFTED_S = 0.6, 0.2
+"""Time for which a press lasts, and in which the body is lifted at `SPEED_M_S`."""
+SMOOTHED = 1.5
+"""Standard deviation of the smoothing of a course, in the distance of taxels."""
+_NEAR = 6
+"""Taxels whose mean place and normal are those of the skin between them."""
+_REACH_M = 0.01
+"""Gap beyond which a taxel is not touched within a step: at 5 m/s."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A body, as in the table of this module; a sphere where its length is 0."""
+
+    radius_m: float
+    mass_kg: float
+    push_n: float
+    length_m: float = 0.0
+    presses: bool = False
+
+    def about(self) -> str:
+        """Body, push and course in a line."""
+        bead = f", {1000 * self.length_m:g} mm long" if self.length_m else ""
+        course = "presses at place by place" if self.presses else "moves over the skin"
+        return f"a body of {1000 * self.radius_m:g} mm radius{bead}, {self.push_n:g} N, {course}"
+
+
+SCENES: dict[str, Scene] = {
+    "finger_path": Scene(0.010, 0.05, 1.0),
+    "ball_presses": Scene(0.040, 0.3, 6.0, presses=True),
+    "limb_path": Scene(0.035, 1.0, 15.0, length_m=0.16),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """Places on the skin, their normals and the directions across, float64 (k, 3) each."""
+
+    places: Doubles
+    normals: Doubles
+    across: Doubles
+
+
+class PointScene(Source):
+    """A scene on points as a source of true forces, endlessly repeatable.
+
+    Parameters
+    ----------
+    name : str
+        One of `SCENES`.
+    placement : Placement
+        The layout, and its virtual grid.
+    seed : int
+        Of the places on the course.
+    """
+
+    delivers = "truth"
+    on_points = True
+
+    def __init__(self, name: str, placement: Placement, seed: int) -> None:
+        self.name = name
+        self.skin = placement.skin(PAPER_F_MAX_N, "N")
+        self.rate_hz: float | None = 1 / (DT_S * STEPS)
+        self.n_frames: int | None = N_FRAMES
+        self._scene, self._placement, self._seed = SCENES[name], placement, seed
+        points = placement.points
+        self._radius = 0.5 * placement.pitch_m
+        self._middles = points.places - self._radius * points.normals
+        self._tree = cKDTree(self._middles)
+
+    def __iter__(self) -> Iterator[tuple[int, Floats]]:
+        """Yield (stamp_ns, forces): true forces in N in [0, f_max], float32 (n_rows, n_cols)."""
+        scene, points = self._scene, self._placement.points
+        courses = self._courses()
+        body = RigidBody(np.array([scene.mass_kg]), np.array([-scene.push_n]))
+        course, start_s = next(courses), 0.0
+        q, v = np.array([DROP_M]), np.zeros(1)
+        for frame in range(N_FRAMES):
+            total = np.zeros(points.n)
+            candidates: Indices | None = None
+            for step in range(STEPS):
+                t_s = (frame * STEPS + step) * DT_S - start_s
+                if scene.presses and t_s >= HELD_S + LIFTED_S:
+                    course, start_s = next(courses), start_s + t_s
+                    q, v, t_s, candidates = np.array([DROP_M]), np.zeros(1), 0.0, None
+                here = 0 if scene.presses else round(max(0.0, t_s - REST_S) / DT_S)
+                if candidates is None:  # within a frame, a body moves by less than a millimetre
+                    candidates = self._candidates(course, here % len(course.places))
+                bed, touched = self._bed(course, here % len(course.places), q, candidates)
+                total[touched] += bed.forces(q, v)
+                if scene.presses and t_s >= HELD_S:
+                    v = np.array([SPEED_M_S])
+                    q = q + DT_S * v
+                else:
+                    q, v = body.step(bed, q, v, DT_S)
+            forces = np.minimum(total / STEPS, self.skin.f_max)
+            yield (
+                round(frame * STEPS * DT_S * 1e9),
+                self._placement.on_grid(forces.astype(np.float32)),
+            )
+
+    def _candidates(self, course: _Course, k: int) -> Indices:
+        """Taxels that a body at place k may touch."""
+        scene = self._scene
+        middle = course.places[k] + scene.radius_m * course.normals[k]
+        reach = scene.radius_m + self._radius + 0.5 * scene.length_m + 2 * _REACH_M
+        return np.array(self._tree.query_ball_point(middle, reach), dtype=np.intp)
+
+    def _bed(self, course: _Course, k: int, q: Doubles, candidates: Indices) -> tuple[Bed, Indices]:
+        """Those of the candidates that are near the body, and their numbers."""
+        scene = self._scene
+        normals = self._placement.points.normals[candidates]
+        normal = course.normals[k]
+        middle = course.places[k] + (scene.radius_m + q[0]) * normal
+        off = middle - self._middles[candidates]
+        if scene.length_m:
+            half = 0.5 * scene.length_m
+            along = np.clip(-off @ course.across[k], -half, half)
+            off = off + along[:, None] * course.across[k]
+        distance = np.linalg.norm(off, axis=1)
+        faces = np.einsum("ij,ij->i", off, normals) > 0
+        touching = scene.radius_m + self._radius
+        near = np.flatnonzero((distance < touching + _REACH_M) & faces)
+        jacobian = (off[near] @ normal / distance[near])[:, None]
+        gap = distance[near] - touching - jacobian[:, 0] * q[0]
+        stiffness, damping = (np.full(near.size, of) for of in (SKIN.stiffness, SKIN.damping))
+        return Bed(stiffness, damping, gap, jacobian), candidates[near]
+
+    def _courses(self) -> Iterator[_Course]:
+        """A course for a path, as long as the scene; place after place for presses."""
+        rng = np.random.default_rng(self._seed)
+        points = self._placement.points
+        edges = neighbours(points.places, points.normals)
+        graph = edges.matrix(points.n)
+        label = connected_components(graph, directed=False)[1]
+        largest = np.flatnonzero(label == np.argmax(np.bincount(label)))
+        if self._scene.presses:
+            while True:
+                yield self._course(points.places[rng.choice(points.n)][None])
+        length = SPEED_M_S * N_FRAMES * STEPS * DT_S
+        way = [int(rng.choice(largest))]
+        done = 0.0
+        while done < length and largest.size > 1:
+            before = dijkstra(graph, directed=False, indices=way[-1], return_predecessors=True)
+            at = goal = int(rng.choice(largest))
+            back = []
+            while at != way[-1]:
+                back.append(at)
+                at = int(before[1][at])
+            way += back[::-1]
+            done += float(before[0][goal])
+        yield self._course(points.places[way])
+
+    def _course(self, corners: Doubles) -> _Course:
+        """Places on the skin along a way, `SPEED_M_S` times `DT_S` apart, smoothed."""
+        points, step_m = self._placement.points, SPEED_M_S * DT_S
+        lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(lengths)])
+        at = np.arange(0.0, along[-1] + step_m / 2, step_m)
+        places = np.stack([np.interp(at, along, axis) for axis in corners.T], axis=1)
+        near = cKDTree(points.places).query(places, k=min(_NEAR, points.n))[1].reshape(len(at), -1)
+        normals, middle = points.normals[near].mean(axis=1), points.places[near].mean(axis=1)
+        width = SMOOTHED * self._placement.pitch_m / step_m
+        places, normals, middle = (
+            gaussian_filter1d(each, width, axis=0, mode="nearest")
+            for each in (places, normals, middle)
+        )
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        # Smoothing cuts corners: back to the mean plane of the taxels there.
+        places += normals * np.einsum("ij,ij->i", middle - places, normals)[:, None]
+        ahead = np.gradient(places, axis=0) if len(at) > 1 else np.array([[1.0, 0.3, 0.2]])
+        across = np.cross(normals, ahead)
+        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+        return _Course(places, normals, across)

@@ -1,0 +1,216 @@
+"""MuJoCo models with a skin: the address of a source, and what a model must have."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sparseskin.messages.fields import MAX_SIDE
+from sparseskin.messages.ranges import is_real
+from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.sensor.files.isolated import in_child
+from sparseskin.nodes.sensor.files.parsed import check_grid, check_stated_shape
+from sparseskin.nodes.sensor.scenes.scenes import SKIN
+
+MUJOCO = "mujoco:"
+FORM = "mujoco:MODEL.xml#SITE"
+INSTALL = 'MuJoCo models need mujoco; pip install "sparseskin[mujoco]"'
+SUFFIXES = (".xml", ".mjb")
+_READ_SHAPE = "sparseskin.plugins.simulators.source:read_shape"
+MAX_DEPTH_M = 0.02
+"""Deepest penetration that is read by default, metres; deeper bodies read it. Chosen: four pitches
+of 5 mm; a force of 2.5 N, the range, is one of 20.5 mm."""
+_WHOLE = 0.02
+"""Allowed distance of the number of taxels of a side from a whole one; chosen."""
+
+
+@dataclass(frozen=True)
+class Pad:
+    """A skin in a model: a box site, whose face at its largest z is the plane of the taxels.
+
+    Attributes
+    ----------
+    site, body : int
+        Ids of the site and of its body.
+    shape : (n_rows, n_cols)
+        Taxels along the site's y and x; taxel (0, 0) is at the smallest x and y.
+    pitch_m, stiffness, damping, depth_m : float
+        Pitch in m, k in N/m and c in N s/m of each taxel, and the deepest penetration read, in m.
+    top_m : float
+        Height of the plane over the middle of the site, in m.
+    """
+
+    site: int
+    body: int
+    shape: tuple[int, int]
+    pitch_m: float
+    stiffness: float
+    damping: float
+    depth_m: float
+    top_m: float
+
+
+def split_address(source: str) -> tuple[str, str]:
+    """Path and site of an address; SourceError if a part is missing."""
+    path, mark, site = source.removeprefix(MUJOCO).rpartition("#")
+    if not (path and mark and site):
+        raise SourceError(f"{source}: expected {FORM}, with the name of a box site of the model")
+    return path, site
+
+
+def check_model(source: str, n_rows: int | None, n_cols: int | None) -> int:
+    """Check a source by loading its model and computing its first state, in a process whose time
+    and memory are bounded; the number of taxels.
+
+    Raises
+    ------
+    SourceError
+        If MuJoCo is not installed, the file is missing or refused by it, has no such box site, no
+        geom can touch it, its number of taxels is not allowed or not the one that is stated, or
+        the process fails or takes too long.
+    """
+    path, site = split_address(source)
+    found = Path(path)
+    if not found.is_file():
+        what = "is a folder" if found.is_dir() else "no such file"
+        raise SourceError(f"{path}: {what}")
+    if found.suffix.lower() not in SUFFIXES:
+        raise SourceError(f"{path}: expected a MuJoCo model, {' or '.join(SUFFIXES)}")
+    if find_spec("mujoco") is None:
+        raise SourceError(f"{path}: {INSTALL}")
+    state = found.stat()
+    shape = _shape(path, site, (state.st_mtime_ns, state.st_size))
+    check_stated_shape(*shape, n_rows, n_cols, source)
+    return shape[0] * shape[1]
+
+
+@lru_cache(maxsize=8)
+def _shape(path: str, site: str, of: tuple[int, int]) -> tuple[int, int]:
+    """Rows and columns, of one form of the file: its time and size."""
+    n_rows, n_cols = in_child(_READ_SHAPE, f"{path}#{site}", of[1])["shape"].tolist()
+    return n_rows, n_cols
+
+
+def load_model(path: str) -> Any:
+    """Load a model; SourceError in one line if MuJoCo is not installed or refuses it."""
+    try:
+        import mujoco
+    except ImportError as error:
+        raise SourceError(f"{path}: {INSTALL}") from error
+    mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT here
+    try:
+        if path.lower().endswith(".mjb"):
+            return mujoco.MjModel.from_binary_path(path)
+        return mujoco.MjModel.from_xml_path(path)
+    except Exception as error:  # its own errors, and ValueError
+        text = " ".join(str(error).split())
+        raise SourceError(f"{path}: MuJoCo refuses it: {text[:300]}") from error
+
+
+def find_pad(model: Any, site: str, path: str) -> Pad:
+    """The skin at a site; its constants are numerics SITE_pitch_m, SITE_stiffness, SITE_damping and
+    SITE_depth_m of the model's section `custom`, else those of the scenes of this package.
+
+    Raises
+    ------
+    SourceError
+        If there is no such site, it is no box, or a constant or the number of taxels is not
+        allowed.
+    """
+    import mujoco
+
+    names = [model.site(k).name for k in range(model.nsite)]
+    is_box = np.asarray(model.site_type) == mujoco.mjtGeom.mjGEOM_BOX
+    boxes = [name for name, box in zip(names, is_box, strict=True) if box]
+    if site not in names:
+        hint = did_you_mean(site, boxes) or " (it has no box site)"
+        raise SourceError(f"{path}: has no site {site[:80]!r}{hint}")
+    if site not in boxes:
+        raise SourceError(f"{path}: site {site!r} is no box; a skin is the face of a box at its +z")
+    k = model.site(site).id
+
+    def constant(name: str, default: float, low: float, high: float) -> float:
+        numeric = f"{site}_{name}"
+        held = [model.numeric(i).name for i in range(model.nnumeric)]
+        if numeric not in held:
+            return default
+        data = np.ravel(model.numeric(numeric).data)
+        value = float(data[0]) if data.size == 1 else np.nan
+        if not is_real(value, low, high):
+            raise SourceError(
+                f"{path}: numeric {numeric!r}: expected one number in {low:g}..{high:g}"
+            )
+        return value
+
+    pitch = constant("pitch_m", SKIN.pitch_m, 1e-5, 1.0)
+    half_x, half_y, half_z = (float(side) for side in model.site_size[k])
+    sides = [2 * half / pitch for half in (half_y, half_x)]
+    shape = (round(sides[0]), round(sides[1]))
+    for what, side, whole in zip(("y", "x"), sides, shape, strict=True):
+        if not (1 <= whole <= MAX_SIDE and abs(side - whole) <= _WHOLE):
+            raise SourceError(
+                f"{path}: site {site!r} has {side:.2f} taxels of {1000 * pitch:g} mm along {what}; "
+                f"allowed is a whole number in 1..{MAX_SIDE} (size, or numeric {site}_pitch_m)"
+            )
+    check_grid(*shape, path)
+    return Pad(
+        site=k,
+        body=int(model.site_bodyid[k]),
+        shape=shape,
+        pitch_m=pitch,
+        stiffness=constant("stiffness", SKIN.stiffness, 1e-6, 1e9),
+        damping=constant("damping", SKIN.damping, 0.0, 1e9),
+        depth_m=constant("depth_m", MAX_DEPTH_M, 1e-5, 1.0),
+        top_m=half_z,
+    )
+
+
+def touching_geoms(model: Any, pad: Pad, path: str) -> Any:
+    """Ids of the geoms that can touch the skin: those that collide, of bodies that are not welded
+    to it or to its parent (which MuJoCo does not let collide either).
+
+    Raises
+    ------
+    SourceError
+        If there is none.
+    """
+    own = int(model.body_weldid[pad.body])
+    parent = int(model.body_weldid[model.body_parentid[own]]) if own else 0
+    bodies = model.body_weldid[model.geom_bodyid]
+    # The world is the parent of all that stands on it, and may still be touched.
+    other = (bodies != own) & ((bodies != parent) | (parent == 0))
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    found = np.flatnonzero(other & collides)
+    if own == 0:
+        found = found[bodies[found] != 0]
+    if not found.size:
+        raise SourceError(
+            f"{path}: no geom can touch site {model.site(pad.site).name!r}: expected a geom with "
+            "contype or conaffinity on a body that can move against it"
+        )
+    return found
+
+
+def bears_load(model: Any, pad: Pad) -> bool:
+    """True if a geom of the skin's body collides, so that MuJoCo's contact bears the load."""
+    own = model.geom_bodyid == pad.body
+    return bool(np.any(own & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))))
+
+
+def skin_of_pad(pad: Pad, f_max: float | None) -> Skin:
+    """The skin, in newtons."""
+    return Skin(*pad.shape, f_max=PAPER_F_MAX_N if f_max is None else f_max, pitch_m=pad.pitch_m)
+
+
+def name_of(source: str) -> str:
+    """Name for summaries: file without suffix, and site."""
+    path, site = split_address(source)
+    return re.sub(r"[^\x20-\x7e]", "?", f"{Path(path).stem}#{site}")[:200]

@@ -1,0 +1,189 @@
+"""A MuJoCo model as a source of true forces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import one_line
+from sparseskin.nodes.numerics.arrays import Doubles, Floats
+from sparseskin.nodes.sensor.files.parsed import check_stated_shape
+from sparseskin.nodes.sensor.source import Address, Source
+
+from .model import check_model, find_pad, load_model, name_of, skin_of_pad, split_address
+from .touch import Touch
+
+RATE_HZ = 1000.0
+"""Frames a second of simulated time; less where the model's time step is longer."""
+Control = Callable[[Any, Any, float], None]
+"""Called before each step with model, data and time in s; it may set ctrl, poses and forces."""
+
+
+class MujocoSource(Source):
+    """A simulation whose taxels are read 1000 times a second of its time.
+
+    Every iteration runs it from its beginning. Without `control`, the model's keyframes drive it
+    where their times rise: controls and mocap poses are interpolated between them, and the last one
+    ends it. The first keyframe is the initial state in any case.
+
+    Parameters
+    ----------
+    source : str
+        mujoco:MODEL.xml#SITE, or MODEL.xml#SITE.
+    f_max : float, optional
+        Upper end of the range, newtons; 2.5 by default. Greater forces are clipped, as a taxel
+        saturates; the body feels them in full.
+    n_rows, n_cols : int, optional
+        Shape that the skin must have.
+    control : callable, optional
+        A program for the actuators, called as `control(model, data, time_s)` before each step.
+    duration_s : float, optional
+        Simulated time after which it ends.
+
+    Raises
+    ------
+    SourceError
+        As `check_model`; while it runs, if the simulation diverges or `control` fails.
+    """
+
+    delivers = "truth"
+
+    def __init__(
+        self,
+        source: str,
+        *,
+        f_max: float | None = None,
+        n_rows: int | None = None,
+        n_cols: int | None = None,
+        control: Control | None = None,
+        duration_s: float | None = None,
+    ) -> None:
+        self._source = source
+        self.path, site = split_address(source)
+        if not Path(self.path).is_file():
+            check_model(source, n_rows, n_cols)
+        self.model = load_model(self.path)
+        self.pad = find_pad(self.model, site, self.path)
+        check_stated_shape(*self.pad.shape, n_rows, n_cols, source)
+        self.name = name_of(source)
+        self.skin = skin_of_pad(self.pad, f_max)
+        self._schedule = None if control is not None else _schedule(self.model)
+        self._control = control
+        self._every = max(1, round(1.0 / (RATE_HZ * self.model.opt.timestep)))
+        self.rate_hz: float | None = 1.0 / (self._every * self.model.opt.timestep)
+        if duration_s is None and self._schedule is not None:
+            duration_s = float(self._schedule[-1])
+        self.n_frames: int | None = (
+            None if duration_s is None else max(1, round(duration_s * self.rate_hz))
+        )
+        self.touch = Touch(self.model, self._reset(), self.pad, self.path)
+
+    def __iter__(self) -> Iterator[tuple[int, Floats]]:
+        """Yield (stamp_ns, forces): simulated nanoseconds since the first frame, and forces in N in
+        [0, f_max]; a fresh float32 array (n_rows, n_cols).
+        """
+        import mujoco
+
+        model, data = self.model, self._reset()
+        touch = Touch(model, data, self.pad, self.path)
+        self.touch, self.data = touch, data
+        f_max, step, n_frames = np.float32(self.skin.f_max), 0, 0
+        while self.n_frames is None or n_frames < self.n_frames:
+            self._drive(data)
+            mujoco.mj_step1(model, data)
+            frame_is_due = step % self._every == 0
+            if touch.presses:
+                forces = touch.press()
+            elif frame_is_due:
+                forces = touch.read()
+            mujoco.mj_step2(model, data)
+            self._check(data)
+            if frame_is_due:
+                stamp_ns = round(step * model.opt.timestep * 1e9)
+                yield stamp_ns, np.minimum(forces, f_max)
+                n_frames += 1
+            step += 1
+
+    def _reset(self) -> Any:
+        import mujoco
+
+        data = mujoco.MjData(self.model)
+        if self.model.nkey:
+            mujoco.mj_resetDataKeyframe(self.model, data, 0)
+            data.time = 0.0
+        mujoco.mj_forward(self.model, data)
+        return data
+
+    def _drive(self, data: Any) -> None:
+        if self._control is not None:
+            try:
+                self._control(self.model, data, float(data.time))
+            except Exception as error:
+                raise SourceError(f"{self._source}: control failed: {one_line(error)}") from error
+        elif self._schedule is not None:
+            _follow(self.model, data, self._schedule)
+
+    def _check(self, data: Any) -> None:
+        import mujoco
+
+        kinds = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL)
+        if any(data.warning[kind].number for kind in (*kinds, mujoco.mjtWarning.mjWARN_BADQACC)):
+            raise SourceError(
+                f"{self._source}: the simulation diverges at {data.time:.3f} s; allowed: a smaller "
+                "time step, or less stiffness or damping of the skin for the mass of its bodies"
+            )
+
+
+def _schedule(model: Any) -> Doubles | None:
+    """Times of the keyframes, if there are several and they rise; None otherwise."""
+    times = np.array(model.key_time, dtype=np.float64)
+    return times if len(times) > 1 and bool(np.all(np.diff(times) > 0)) else None
+
+
+def _follow(model: Any, data: Any, times: Doubles) -> None:
+    """Set controls and mocap poses between two keyframes."""
+    after = int(np.clip(np.searchsorted(times, data.time, side="right"), 1, len(times) - 1))
+    before = after - 1
+    share = np.clip((data.time - times[before]) / (times[after] - times[before]), 0.0, 1.0)
+
+    def between(values: Doubles) -> Doubles:
+        found: Doubles = (1.0 - share) * values[before] + share * values[after]
+        return found
+
+    data.ctrl[:] = between(model.key_ctrl)
+    if model.nmocap:
+        data.mocap_pos[:] = between(model.key_mpos).reshape(-1, 3)
+        quaternions = between(model.key_mquat).reshape(-1, 4)
+        lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+        data.mocap_quat[:] = quaternions / np.maximum(lengths, 1e-12)
+
+
+class MujocoAddress(Address):
+    """A model and the site of its skin."""
+
+    form = "mujoco:MODEL.xml#SITE"
+
+    def check(self) -> None:
+        self.n_taxels()
+
+    def n_taxels(self) -> int:
+        return check_model(self.source, self.n_rows, self.n_cols)
+
+    def open(self) -> MujocoSource:
+        self.check()
+        if self.unit not in (None, "N"):
+            raise SourceError(
+                f"{self.source}: unit = {self.unit} is stated, but a simulation has newtons"
+            )
+        stated: dict[str, Any] = {"n_rows": self.n_rows, "n_cols": self.n_cols}
+        return MujocoSource(self.rest, f_max=self.f_max, **stated)
+
+
+def read_shape(source: str, most: int) -> dict[str, npt.NDArray[Any]]:
+    """Rows and columns of the skin of a model, whose first state is computed; runs in a child."""
+    return {"shape": np.array(MujocoSource(source).pad.shape)}

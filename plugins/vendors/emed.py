@@ -1,0 +1,229 @@
+"""Novel emed platforms: the text export (.lst), one page a frame, pressure in kPa."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TypeAlias
+
+import numpy as np
+
+from sparseskin.messages.fields import MAX_SIDE
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Doubles
+from sparseskin.nodes.sensor.files.parsed import (
+    Head,
+    Lines,
+    Parsed,
+    Recording,
+    check_grid,
+    parse_number,
+    parse_reading,
+    parse_whole,
+    shown,
+    stack_frames,
+)
+
+_MATRIX = re.compile(r"Matrix:\s*(\S*)")
+_AREA = re.compile(r"Sensor area:\s*(\S+)\s*(\S*)")
+_PERIOD = re.compile(r"Time/picture:\s*(\S+)\s*(\S*)")
+_SIZE = re.compile(r"Sensor size:\s*([^x\s]+)x(\S+)\s*(\S*)")
+_PICTURE = re.compile(r"Pict-No\.:\s*(\S*)")
+
+Stated: TypeAlias = dict[re.Pattern[str], tuple[re.Match[str], str]]
+"""Properties of a page, each with its place: where one stands twice, the last."""
+_KPA_CM2_IN_NEWTONS = 0.1
+_SUM_ROUNDING_N = 0.0051
+"""Force sums are printed to 0.01 N."""
+_CELL_ROUNDING_KPA = 0.005
+"""Pressures are printed to 0.01 kPa."""
+
+
+@dataclass(frozen=True)
+class _Header:
+    """Properties of the platform, stated on each page."""
+
+    n_rows: int
+    n_cols: int
+    area_cm2: float
+    period_ms: float
+    pitch_m: float | None
+
+    @property
+    def newtons_per_kpa(self) -> float:
+        return self.area_cm2 * _KPA_CM2_IN_NEWTONS
+
+
+class EmedRecording(Recording):
+    """An emed text export.
+
+    A page lists only the rows and columns that were touched at some time, labelled from 1; they
+    are put in their places on the full matrix of the platform. Pages without a `Pict-No.`, or
+    where it is no number (the peak pictures MVP and MPP), are not frames. Where pages hold a
+    Force column and row, every sum is compared with the readings, which also verifies that the
+    pressures are in kPa: the file does not state their unit.
+
+    `forces` are float64, newtons: pressure times sensor area.
+
+    Raises
+    ------
+    SourceError
+        If a page is cut short or does not fit its header, a frame is missing, a reading is not
+        a finite number >= 0, or a Force sum is not the sum of its readings.
+    """
+
+    def __init__(self, lines: Lines) -> None:
+        self._lines = lines
+        first = self._next_page()
+        if first is None:
+            raise SourceError(
+                f"{lines.name}: no page with a line 'Pict-No.: 1'; not an emed text export"
+            )
+        self._header, self._first_number = first
+
+    def head(self) -> Head:
+        rows, cols = self._header.n_rows, self._header.n_cols
+        return Head(rows, cols, rows * cols, "N")
+
+    def read(self) -> Parsed:
+        header, first, name = self._header, self._first_number, self._lines.name
+        frames = [self._table(first)]
+        while (page := self._next_page()) is not None:
+            number, where = page[1], self._lines.where
+            if page[0] != header:
+                raise SourceError(
+                    f"{where}: the header of frame {number} differs from the first one"
+                )
+            if number != first + len(frames):
+                raise SourceError(
+                    f"{where}: frame {number} comes where frame {first + len(frames)} should; "
+                    "a recording is one measurement with no frame left out"
+                )
+            frames.append(self._table(number))
+        return Parsed(
+            forces=stack_frames(frames, name) * header.newtons_per_kpa,
+            unit="N",
+            rate_hz=1000.0 / header.period_ms,
+            stamp_ns=tuple(round(k * header.period_ms * 1e6) for k in range(len(frames))),
+            pitch_m=header.pitch_m,
+        )
+
+    def _next_page(self) -> tuple[_Header, int] | None:
+        """Read to the table of the next frame: its header and number; None at the end."""
+        stated: Stated = {}
+        for line in self._lines:
+            for pattern in (_MATRIX, _AREA, _PERIOD, _SIZE):
+                if match := pattern.search(line):
+                    stated[pattern] = match, self._lines.where
+            picture = _PICTURE.search(line)
+            if picture is None:
+                continue
+            if picture[1].isdigit():
+                where = self._lines.where
+                return _parse_header(stated, where), parse_whole(picture[1], where, 0, 999_999_999)
+            stated = {}
+        return None
+
+    def _table(self, number: int) -> Doubles:
+        """Read the table of a frame, kPa, onto the full matrix, float64 (n_rows, n_cols)."""
+        lines, header, start = self._lines, self._header, self._lines.where
+        line = next((line for line in lines if line.strip(" \t")), "\f")
+        if line.startswith("\f"):
+            raise SourceError(f"{start}: frame {number} has no table")
+        where = lines.where
+        corner, *labels = line.rstrip(" \t").split("\t")
+        if corner.strip():
+            raise SourceError(
+                f"{where}: {shown(corner)} stands where a row of column labels should"
+            )
+        has_sums = bool(labels) and labels[-1].strip() == "Force"
+        columns = [
+            parse_whole(label.strip(), f"{where}, column label", 1, header.n_cols) - 1
+            for label in labels[: len(labels) - has_sums]
+        ]
+        if any(after <= before for before, after in pairwise(columns)):
+            raise SourceError(f"{where}: the column labels do not rise")
+
+        kpa = np.zeros((header.n_rows, header.n_cols))
+        last_row, n_listed = -1, 0
+        for line in lines:
+            where = lines.where
+            if line.startswith("\f"):
+                if has_sums:
+                    break
+                lines.back()
+                return kpa
+            cells = [cell.strip() for cell in line.rstrip(" \t").split("\t")]
+            if len(cells) != 1 + len(columns) + has_sums:
+                raise SourceError(
+                    f"{where}: frame {number} has {len(cells)} cells in this row, "
+                    f"its header row {1 + len(columns) + has_sums}"
+                )
+            readings = cells[1 : 1 + len(columns)]
+            if cells[0] == "Force" and has_sums:
+                sums = [parse_number(cell, where) for cell in cells[1:]]
+                column_kpa = kpa[:, columns].sum(axis=0)
+                for label, stated, total in zip(labels, sums, column_kpa, strict=False):
+                    place = f"{where}, column {label.strip()}"
+                    _check_sum(stated, float(total), header, n_listed, place)
+                n_cells = n_listed * len(columns)
+                _check_sum(sums[-1], float(kpa.sum()), header, n_cells, f"{where}, column Force")
+                return kpa
+            row = parse_whole(cells[0], f"{where}, row label", 1, header.n_rows) - 1
+            if row <= last_row:
+                raise SourceError(f"{where}: row {row + 1} comes after row {last_row + 1}")
+            last_row, n_listed = row, n_listed + 1
+            place = f"{where}, frame {number}"
+            for col, token in zip(columns, readings, strict=True):
+                kpa[row, col] = parse_reading(token, place, row, col)
+            if has_sums:
+                stated_n = parse_number(cells[-1], where)
+                _check_sum(stated_n, float(kpa[row].sum()), header, len(columns), where)
+        raise SourceError(f"{where}: frame {number} is cut short before the end of its table")
+
+
+def _parse_header(stated: Stated, where: str) -> _Header:
+    """The header of the page whose `Pict-No.` stands at a place."""
+
+    def find(pattern: re.Pattern[str], wanted: str) -> tuple[re.Match[str], str]:
+        if pattern not in stated:
+            raise SourceError(f"{where}: the page before it states no '{wanted}'")
+        return stated[pattern]
+
+    def quantity(pattern: re.Pattern[str], wanted: str, what: str, unit: str) -> list[float]:
+        match, place = find(pattern, f"{wanted} {unit}")
+        *numbers, found = match.groups()
+        # A superscript two has one byte or two, by the encoding of the file.
+        if not re.fullmatch(unit.replace("2", r"\S*"), found):
+            raise SourceError(f"{place}: {what} in {shown(found)}; allowed is {unit}")
+        return [parse_number(number, place, 1e-6, 1e6) for number in numbers]
+
+    n_rows, n_cols = _shape(*find(_MATRIX, "Matrix: COLUMNSxROWS"))
+    (area_cm2,) = quantity(_AREA, "Sensor area: ...", "sensor area", "cm2")
+    (period_ms,) = quantity(_PERIOD, "Time/picture: ...", "time per picture", "ms")
+    width_cm, height_cm = quantity(_SIZE, "Sensor size: ...x...", "sensor size", "cm")
+    # A skin has one pitch; oblong sensors have two.
+    pitch_m = width_cm / 100 if width_cm == height_cm else None
+    return _Header(n_rows, n_cols, area_cm2, period_ms, pitch_m)
+
+
+def _shape(match: re.Match[str], where: str) -> tuple[int, int]:
+    n_cols_text, _, n_rows_text = match[1].partition("x")
+    n_rows = parse_whole(n_rows_text, f"{where}, Matrix", 1, MAX_SIDE)
+    n_cols = parse_whole(n_cols_text, f"{where}, Matrix", 1, MAX_SIDE)
+    check_grid(n_rows, n_cols, where)
+    return n_rows, n_cols
+
+
+def _check_sum(
+    stated_n: float, total_kpa: float, header: _Header, n_cells: int, where: str
+) -> None:
+    """Compare a Force sum with its `n_cells` readings, to the precision of the printed digits."""
+    scale = header.newtons_per_kpa
+    tolerance = _SUM_ROUNDING_N + n_cells * _CELL_ROUNDING_KPA * scale
+    if abs(stated_n - total_kpa * scale) > tolerance:
+        raise SourceError(
+            f"{where}: Force is {stated_n:g} N, but the readings add up to "
+            f"{total_kpa * scale:g} N (pressure in kPa times sensor area)"
+        )

@@ -1,0 +1,252 @@
+"""Tekscan sensors: the ASCII movie export (.csv, .asf), in its own unit."""
+
+from __future__ import annotations
+
+import re
+from itertools import islice, pairwise
+
+import numpy as np
+
+from sparseskin.messages.fields import MAX_SIDE
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.sensor.files.parsed import (
+    Head,
+    Lines,
+    Parsed,
+    Recording,
+    check_grid,
+    parse_number,
+    parse_reading,
+    parse_whole,
+    shown,
+    stack_frames,
+)
+
+_FRAME = re.compile(r"Frame\s+(\d+)\s*(?:,\s*([^,]*))?")
+_RAW_SUM = re.compile(r"Raw Sum=[\s,]*([^,\s]+)")
+_METRES = {
+    "mm": 1e-3,
+    "millimeters": 1e-3,
+    "cm": 1e-2,
+    "centimeters": 1e-2,
+    "m": 1.0,
+    "meters": 1.0,
+    "in": 0.0254,
+    "inches": 0.0254,
+}
+_N_HEADER_LINES = 100
+"""Lines searched for the end of the header, which has some 30 of them."""
+
+Header = dict[str, tuple[str, str]]
+"""From a keyword to its value and its place in the file, "FILE, line N, KEYWORD"."""
+
+
+def is_tekscan(raw: bytes) -> bool:
+    """True if the content has the keywords of a Tekscan header."""
+    head = raw[: 1 << 16].split(b"\n", _N_HEADER_LINES)[:_N_HEADER_LINES]
+    return any(line.lstrip().startswith((b"DATA_TYPE", b"ASCII_DATA")) for line in head)
+
+
+class TekscanRecording(Recording):
+    """A Tekscan ASCII movie export.
+
+    `B` marks a cell of the grid without a sensel: it is masked, and its value is 0. Raw counts
+    are compared with the `Raw Sum` of each frame. The times of the frames are used where all
+    differ; they are printed to 0.01 s, so for fast recordings `SECONDS_PER_FRAME` counts.
+
+    `forces` are float64, in the file's UNITS.
+
+    Raises
+    ------
+    SourceError
+        If a header or frame is missing, cut short or malformed, a reading is not a finite
+        number >= 0, the mask changes, or a raw sum is not the sum of its frame.
+    """
+
+    def __init__(self, lines: Lines) -> None:
+        self._lines = lines
+        header, self._terminator = _parse_header(lines)
+        self._shape = _shape(header, lines.name)
+        self._unit, _ = _entry(header, "UNITS", lines.name)
+        self._number, self._last = (
+            parse_whole(*header[keyword], 0, 999_999_999) if keyword in header else None
+            for keyword in ("START_FRAME", "END_FRAME")
+        )
+        self._period_s = None
+        if "SECONDS_PER_FRAME" in header:
+            self._period_s = parse_number(*header["SECONDS_PER_FRAME"], 1e-9, 1e6)
+        self._pitch_m = _pitch(header)
+        self._mask: Mask | None = None
+        self._times: list[float | None] = []
+        self._first = self._next_frame()
+
+    def head(self) -> Head:
+        return Head(*self._shape, None if self._mask is None else int(self._mask.sum()), self._unit)
+
+    def read(self) -> Parsed:
+        frames, frame = [], self._first
+        while frame is not None:
+            frames.append(frame)
+            frame = self._next_frame()
+        forces, mask = stack_frames(frames, self._lines.name), self._mask
+        assert self._number is not None
+        if self._last is not None and self._number - 1 != self._last:
+            raise SourceError(
+                f"{self._lines.name}: the last frame is {self._number - 1}, "
+                f"but END_FRAME is {self._last}"
+            )
+        return Parsed(
+            forces=forces,
+            unit=self._unit,
+            rate_hz=None if self._period_s is None else 1.0 / self._period_s,
+            stamp_ns=_stamps(self._times, self._lines.name),
+            pitch_m=self._pitch_m,
+            mask=None if mask is None or mask.all() else mask,
+        )
+
+    def _next_frame(self) -> Doubles | None:
+        """Read the next frame: its readings, and its time into `_times`; None at the end mark."""
+        for text in self._lines:
+            line, where = text.strip(", \t"), self._lines.where
+            if not line:
+                continue
+            if self._terminator and line == self._terminator:
+                self._check_end()
+                return None
+            match = _FRAME.match(line)
+            if match is None:
+                raise SourceError(f"{where}: {shown(line)} stands where 'Frame N' should")
+            number = parse_whole(match[1], where, 0, 999_999_999)
+            if self._number not in (None, number):
+                raise SourceError(
+                    f"{where}: frame {number} comes where frame {self._number} should"
+                )
+            self._number = number + 1
+            frame, exists = self._grid(f"frame {number}")
+            if self._mask is None:
+                self._mask = exists
+            elif not np.array_equal(self._mask, exists):
+                row, col = np.argwhere(self._mask != exists)[0]
+                raise SourceError(
+                    f"{where}: frame {number} has its 'B' cells (no sensel) elsewhere than the "
+                    f"first frame, e.g. at row {row}, column {col}; a mask must not change"
+                )
+            if self._unit.lower() == "raw":
+                _check_raw_sum(line, float(frame.sum()), where, number)
+            stated = (match[2] or "").strip()
+            self._times.append(parse_number(match[2], where) if stated else None)
+            return frame
+        if self._terminator:
+            raise SourceError(
+                f"{self._lines.name}: the file is cut short, "
+                f"its end mark '{self._terminator}' is missing"
+            )
+        return None
+
+    def _check_end(self) -> None:
+        """Raise SourceError if anything follows the end mark."""
+        for line in self._lines:
+            if line := line.strip(", \t"):
+                raise SourceError(
+                    f"{self._lines.where}: {shown(line)} comes after the end mark "
+                    f"'{self._terminator}'"
+                )
+
+    def _grid(self, label: str) -> tuple[Doubles, Mask]:
+        """Read the readings of a frame, and the mask of existing sensels, both of its shape."""
+        n_rows, n_cols = self._shape
+        frame, exists = np.zeros(self._shape), np.ones(self._shape, dtype=np.bool_)
+        for row in range(n_rows):
+            line = next(self._lines, None)
+            if line is None:
+                raise SourceError(
+                    f"{self._lines.where}: the file ends in {label}, which needs {n_rows} rows"
+                )
+            where = f"{self._lines.where}, {label}"
+            cells = [cell.strip() for cell in line.split(",")]
+            while len(cells) > n_cols and not cells[-1]:
+                cells.pop()
+            if len(cells) != n_cols:
+                raise SourceError(f"{where}: row {row} has {len(cells)} cells, COLS is {n_cols}")
+            for col, token in enumerate(cells):
+                if token in ("B", "b"):
+                    exists[row, col] = False
+                else:
+                    frame[row, col] = parse_reading(token, where, row, col)
+        return frame, exists
+
+
+def _shape(header: Header, name: str) -> tuple[int, int]:
+    n_rows = parse_whole(*_entry(header, "ROWS", name), 1, MAX_SIDE)
+    n_cols = parse_whole(*_entry(header, "COLS", name), 1, MAX_SIDE)
+    check_grid(n_rows, n_cols, name)
+    return n_rows, n_cols
+
+
+def _parse_header(lines: Lines) -> tuple[Header, str]:
+    """Read to the line before the frames: the keywords, and the end mark ("": none)."""
+    header: Header = {}
+    for line in islice(lines, _N_HEADER_LINES):
+        # A spreadsheet that saved the file again filled each line up with commas.
+        keyword, _, value = line.strip(", \t").partition(" ")
+        header[keyword] = (value.strip(", \t"), f"{lines.where}, {keyword}")
+        if keyword == "DATA_TYPE" and header[keyword][0] != "MOVIE":
+            raise SourceError(
+                f"{lines.where}: DATA_TYPE {shown(header[keyword][0])}; "
+                "allowed is MOVIE (export the whole recording)"
+            )
+        if keyword == "ASCII_DATA":
+            return header, header[keyword][0]
+    raise SourceError(f"{lines.name}: no line ASCII_DATA; not a Tekscan ASCII movie export")
+
+
+def _entry(header: Header, keyword: str, name: str) -> tuple[str, str]:
+    if not header.get(keyword, ("", ""))[0]:
+        raise SourceError(f"{name}: the header states no {keyword}")
+    return header[keyword]
+
+
+def _pitch(header: Header) -> float | None:
+    """Return the distance between sensels in m, or None if not stated, or not one for both axes."""
+    pitches = []
+    for keyword in ("ROW_SPACING", "COL_SPACING"):
+        if keyword not in header:
+            return None
+        text, where = header[keyword]
+        value, _, unit = text.partition(" ")
+        metres = _METRES.get(unit.strip().lower())
+        if metres is None:
+            raise SourceError(f"{where}: unit {shown(unit)}; allowed are {', '.join(_METRES)}")
+        pitches.append(parse_number(value, where) * metres)
+        if not 1e-6 <= pitches[-1] <= 10:
+            raise SourceError(f"{where}: {shown(text)} is outside 0.001 mm..10 m")
+    return pitches[0] if pitches[0] == pitches[1] else None
+
+
+def _check_raw_sum(line: str, total: float, where: str, number: int) -> None:
+    match = _RAW_SUM.search(line)
+    if match is None:
+        return
+    stated = parse_number(match[1], where)
+    if abs(stated - total) > 0.5:
+        raise SourceError(
+            f"{where}: frame {number} states Raw Sum {stated:g}, but its cells add up to {total:g}"
+        )
+
+
+def _stamps(times: list[float | None], name: str) -> tuple[int, ...] | None:
+    """Return nanoseconds since the first frame, or None if times are missing or repeated."""
+    known = [time for time in times if time is not None]
+    if not known or len(known) != len(times):
+        return None
+    if not all(abs(time) <= 1e9 for time in known):
+        raise SourceError(f"{name}: frame times lie outside 0..1e9 s")
+    stamps = tuple(round((time - known[0]) * 1e9) for time in known)
+    steps = [after - before for before, after in pairwise(stamps)]
+    if any(step < 0 for step in steps):
+        raise SourceError(
+            f"{name}: the time of frame {next(i for i, s in enumerate(steps) if s < 0) + 2} "
+            "(counted from 1) is before that of the frame before it"
+        )
+    return None if 0 in steps else stamps

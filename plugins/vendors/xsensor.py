@@ -1,0 +1,254 @@
+"""XSENSOR sensors: the text export (.csv) of their software, in its own unit."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from sparseskin.messages.fields import MAX_SIDE
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.sensor.files.parsed import (
+    Head,
+    Lines,
+    Parsed,
+    Recording,
+    check_grid,
+    parse_number,
+    parse_reading,
+    parse_whole,
+    shown,
+    stack_frames,
+)
+
+_N_HEAD_LINES = 100
+"""Lines searched for the keyword of the readings; header and first frame have some 65 before it."""
+_TIME = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d{1,9})?)")
+_DAY_S = 86400.0
+_PEAK_ROUNDING = 0.011
+"""Allowed difference of a stated peak, in the file's unit: both have two decimals."""
+_AREA_ROUNDING = 0.02
+"""Relative difference of a stated area that rounding explains: the side of a sensel has two
+decimals of some 0.5 to 2 cm."""
+
+
+def is_xsensor(raw: bytes) -> bool:
+    """True if the content begins as an export of XSENSOR does."""
+    lines = raw[: 1 << 16].removeprefix(b"\xef\xbb\xbf").split(b"\n", _N_HEAD_LINES)
+    if lines[0].startswith(b"File:"):
+        return True
+    return any(line.startswith(b"SENSELS") for line in lines[:_N_HEAD_LINES])
+
+
+@dataclass(frozen=True)
+class _Sensor:
+    """What each frame states about the sensor; lengths in cm."""
+
+    name: str
+    n_rows: int
+    n_cols: int
+    width_cm: float | None
+    height_cm: float | None
+    area_cm2: float | None
+
+
+class XsensorRecording(Recording):
+    """An XSENSOR text export; blank lines hold commas alone.
+
+    A frame holds one sensor or more (a pair of insoles), and groups of their sensels: the first
+    sensor is read. Its peak is compared with the one that the frame states. An empty cell is one
+    without a sensel. Where there is none, but the stated total area is less than that of the
+    grid, cells that read 0 in all frames are taken as such: an insole's export has zeros outside
+    its outline. The rate is the mean one by the times of the frames, which are printed to 1 ms.
+
+    `forces` are float64, in the file's Units.
+
+    Raises
+    ------
+    SourceError
+        If a header or frame is missing, cut short or malformed, a reading is not a finite
+        number >= 0, frames differ in sensor, grid or mask or one is left out, times fall, or a
+        peak is not the largest reading of its frame.
+    """
+
+    def __init__(self, lines: Lines) -> None:
+        self._lines = lines
+        self._unit = self._header_unit()
+        self._number = self._next_number() or 0
+        self._sensor, self._time_s, self._first, self._exists = self._frame()
+
+    def head(self) -> Head:
+        sensor, decided = self._sensor, not (self._exists.all() and _is_part(self._sensor))
+        n_taxels = int(self._exists.sum()) if decided else None
+        return Head(sensor.n_rows, sensor.n_cols, n_taxels, self._unit)
+
+    def read(self) -> Parsed:
+        first, mask, name = self._sensor, self._exists, self._lines.name
+        frames, times = [self._first], [self._time_s]
+        wanted = self._number
+        while (number := self._next_number()) is not None:
+            wanted += 1
+            where = self._lines.where
+            if number != wanted:
+                raise SourceError(f"{where}: frame {number} comes where frame {wanted} should")
+            self._number = number
+            sensor, time_s, frame, exists = self._frame()
+            if (sensor.name, frame.shape) != (first.name, (first.n_rows, first.n_cols)):
+                raise SourceError(
+                    f"{where}: frame {number} is {sensor.n_rows} x {sensor.n_cols} of sensor "
+                    f"{shown(sensor.name)}, the first one {first.n_rows} x {first.n_cols} of "
+                    f"{shown(first.name)}"
+                )
+            if not np.array_equal(mask, exists):
+                row, col = np.argwhere(mask != exists)[0]
+                raise SourceError(
+                    f"{where}: frame {number} has its empty cells (no sensel) elsewhere than the "
+                    f"first frame, e.g. at row {row}, column {col}; a mask must not change"
+                )
+            times.append(time_s)
+            frames.append(frame)
+        forces = stack_frames(frames, name)
+        if mask.all() and _is_part(first):
+            mask = forces.max(axis=0) > 0
+        stamps = _stamps(times, name)
+        side_cm = first.width_cm if first.width_cm == first.height_cm else None
+        return Parsed(
+            forces=forces,
+            unit=self._unit,
+            rate_hz=(len(stamps) - 1) * 1e9 / stamps[-1] if stamps and len(stamps) > 1 else None,
+            stamp_ns=stamps,
+            pitch_m=None if side_cm is None else side_cm / 100,
+            mask=None if mask.all() or not mask.any() else mask,
+        )
+
+    def _next(self) -> tuple[str, str] | None:
+        """First cell and rest of the next line that is not blank; None at the end."""
+        for text in self._lines:
+            if line := text.rstrip(", \t"):
+                keyword, _, rest = line.partition(",")
+                return keyword.strip(), rest.strip(", \t")
+        return None
+
+    def _header_unit(self) -> str:
+        """Read to the first frame; return the unit of the readings."""
+        unit = ""
+        while (entry := self._next()) is not None and entry[0] != "FRAME":
+            if entry[0] == "Units:":
+                unit = entry[1]
+        if entry is None:
+            raise SourceError(f"{self._lines.name}: holds no line FRAME; not an export of frames")
+        if not unit:
+            raise SourceError(f"{self._lines.name}: the header states no Units")
+        self._lines.back()
+        return unit
+
+    def _next_number(self) -> int | None:
+        """Read to the next line FRAME, over further sensors and groups; return its number."""
+        while (entry := self._next()) is not None:
+            if entry[0] == "FRAME":
+                return parse_whole(entry[1], self._lines.where, 0, 999_999_999)
+        return None
+
+    def _frame(self) -> tuple[_Sensor, float | None, Doubles, Mask]:
+        """Read the first sensor of a frame: what it states, time in s, readings and mask."""
+        number, begin = self._number, self._lines.where
+        stated: dict[str, tuple[str, str]] = {}
+        while (entry := self._next()) is not None and entry[0] != "SENSELS":
+            if entry[0] in ("FRAME", "GROUP") or (entry[0] == "SENSOR" and "SENSOR" in stated):
+                entry = None
+                break
+            # "Peak Pressure (mmHg)": without its unit.
+            stated.setdefault(entry[0].partition(" (")[0], (entry[1], self._lines.where))
+        if entry is None:
+            raise SourceError(f"{begin}: frame {number} has no line SENSELS with readings")
+        for keyword in ("SENSOR", "Rows", "Columns"):
+            if keyword not in stated:
+                raise SourceError(f"{begin}: frame {number} states no {keyword}")
+        n_rows = parse_whole(*stated["Rows"], 1, MAX_SIDE)
+        n_cols = parse_whole(*stated["Columns"], 1, MAX_SIDE)
+        check_grid(n_rows, n_cols, stated["Rows"][1])
+
+        def length(keyword: str) -> float | None:
+            return parse_number(*stated[keyword], 1e-4, 1e6) if keyword in stated else None
+
+        sensor = _Sensor(
+            stated["SENSOR"][0],
+            n_rows,
+            n_cols,
+            length("Sensel Width"),
+            length("Sensel Height"),
+            length("Total Area"),
+        )
+        time_s = _seconds(*stated["Time"]) if "Time" in stated else None
+        readings, exists = self._grid(n_rows, n_cols)
+        if "Peak Pressure" in stated:
+            peak = parse_number(*stated["Peak Pressure"])
+            if abs(peak - readings.max()) > _PEAK_ROUNDING:
+                raise SourceError(
+                    f"{stated['Peak Pressure'][1]}: frame {number} states a peak of {peak:g}, but "
+                    f"its largest reading is {readings.max():g}"
+                )
+        return sensor, time_s, readings, exists
+
+    def _grid(self, n_rows: int, n_cols: int) -> tuple[Doubles, Mask]:
+        readings, exists = np.zeros((n_rows, n_cols)), np.ones((n_rows, n_cols), dtype=np.bool_)
+        row, label = 0, f"frame {self._number}"
+        while row < n_rows:
+            line = next(self._lines, None)
+            if line is None:
+                raise SourceError(
+                    f"{self._lines.where}: the file ends in {label}, which needs {n_rows} rows"
+                )
+            cells = [cell.strip() for cell in line.split(",")]
+            if not any(cells):
+                continue  # a line between rows
+            where = f"{self._lines.where}, {label}"
+            while len(cells) > n_cols and not cells[-1]:
+                cells.pop()
+            if len(cells) != n_cols:
+                raise SourceError(f"{where}: row {row} has {len(cells)} cells, Columns is {n_cols}")
+            for col, token in enumerate(cells):
+                if token:
+                    readings[row, col] = parse_reading(token, where, row, col)
+                else:
+                    exists[row, col] = False
+            row += 1
+        return readings, exists
+
+
+def _is_part(sensor: _Sensor) -> bool:
+    """True if the stated area is less than that of the whole grid."""
+    if sensor.width_cm is None or sensor.height_cm is None or sensor.area_cm2 is None:
+        return False
+    grid_cm2 = sensor.n_rows * sensor.n_cols * sensor.width_cm * sensor.height_cm
+    return sensor.area_cm2 < (1 - _AREA_ROUNDING) * grid_cm2
+
+
+def _seconds(text: str, where: str) -> float:
+    """Return a time of day, HH:MM:SS.mmm, in seconds."""
+    match = _TIME.fullmatch(text)
+    hours, minutes, seconds = (float(part) for part in match.groups()) if match else (24, 0, 0)
+    if not (hours < 24 and minutes < 60 and seconds < 61):
+        raise SourceError(f"{where}: {shown(text)} is no time of day such as 08:21:17.982")
+    return 3600 * hours + 60 * minutes + seconds
+
+
+def _stamps(times: list[float | None], name: str) -> tuple[int, ...] | None:
+    """Return nanoseconds since the first frame, or None if times are missing or repeated."""
+    known = [time for time in times if time is not None]
+    if len(known) != len(times):
+        return None
+    stamps, days = [0], 0
+    for k, (before, time) in enumerate(pairwise(known), start=2):
+        # From the last minutes of a day to the first ones of the next.
+        days += before - time > _DAY_S / 2
+        stamps.append(round((time - known[0] + days * _DAY_S) * 1e9))
+        if stamps[-1] < stamps[-2]:
+            raise SourceError(
+                f"{name}: the time of frame {k} (counted from 1) is before that of the frame "
+                "before it"
+            )
+    return tuple(stamps) if len(set(stamps)) == len(stamps) else None

@@ -1,0 +1,128 @@
+"""Wires that a measurement matrix needs, by stated formulas."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.numerics.arrays import Indices, Mask
+
+_CHUNK = 256
+_OFF_GRID = np.array([0.31, 0.17])
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """Wires of a skin, and what its converters do.
+
+    Attributes
+    ----------
+    length : float
+        Length of all wires, in pitches (distances of neighbouring taxels).
+    crossings : int
+        Number of places where two wires cross.
+    wires_a_taxel : float
+        Wires that leave the skin or end in an amplifier, for each taxel.
+    conversions : int
+        Conversions from analog to digital a frame.
+    """
+
+    length: float
+    crossings: int
+    wires_a_taxel: float
+    conversions: int
+
+
+def star_wiring(groups: list[Indices], cells: Indices, n_cols: int, conversions: int) -> Wiring:
+    """Wires of a skin whose taxels are summed in groups, by one amplifier a group.
+
+    Each taxel has a wire of its own to the amplifier, which stands at the median row and column of
+    its group, where the sum of the lengths is least. A wire runs along rows and columns, so that
+    its length is |rows| + |columns|. Crossings are counted of straight wires: pairs of wires of
+    different groups that cross.
+
+    Parameters
+    ----------
+    groups : list of ndarray of intp
+        Numbers of the taxels of each group.
+    cells : ndarray of intp, shape (n,)
+        Cell of each taxel, row r and column c being r n_cols + c.
+    n_cols : int
+        Columns of the grid.
+    conversions : int
+        Conversions a frame.
+    """
+    places = np.stack(np.divmod(cells, n_cols), axis=1).astype(np.float64)
+    begins, ends, group_of = [], [], []
+    for number, group in enumerate(groups):
+        begins.append(places[group])
+        # Not on a grid point, so that no wire runs through the begin of another.
+        hub = np.median(places[group], axis=0) + _OFF_GRID
+        ends.append(np.broadcast_to(hub, (len(group), 2)))
+        group_of.append(np.full(len(group), number))
+    a, b, of = np.concatenate(begins), np.concatenate(ends), np.concatenate(group_of)
+    medians = b - _OFF_GRID
+    return Wiring(
+        length=float(np.abs(a - medians).sum()),
+        crossings=count_crossings(a, b, of),
+        wires_a_taxel=len(a) / len(cells),
+        conversions=conversions,
+    )
+
+
+def sbhe_wiring(phi: SbhePhi, exists: Mask) -> Wiring:
+    """Wires where each Hadamard block is a group of taxels, and its sums are made in analog: M
+    conversions a frame.
+    """
+    ends = np.cumsum(phi.hadamard.sizes)[:-1]
+    groups = np.split(phi.permutation, ends)
+    return star_wiring(groups, np.flatnonzero(exists), exists.shape[1], phi.m)
+
+
+def array_wiring(n_rows: int, n_cols: int, conversions: int) -> Wiring:
+    """Wires of a row-column array: a line along each row and each column.
+
+    Length n_rows (n_cols - 1) + n_cols (n_rows - 1); each row crosses each column, which is where
+    the taxel lies; (n_rows + n_cols) / n wires a taxel leave the skin.
+    """
+    n = n_rows * n_cols
+    return Wiring(
+        length=float(n_rows * (n_cols - 1) + n_cols * (n_rows - 1)),
+        crossings=n,
+        wires_a_taxel=(n_rows + n_cols) / n,
+        conversions=conversions,
+    )
+
+
+def count_crossings(
+    begins: npt.NDArray[np.float64], ends: npt.NDArray[np.float64], group_of: npt.NDArray[np.intp]
+) -> int:
+    """Number of pairs of straight lines of different groups that cross within both.
+
+    Parameters
+    ----------
+    begins, ends : ndarray of float64, shape (k, 2)
+    group_of : ndarray of int, shape (k,)
+    """
+    total = 0
+    for k in range(0, len(begins), _CHUNK):
+        part = slice(k, k + _CHUNK)
+        p, q, first = begins[part, None], ends[part, None], np.arange(k, k + len(begins[part]))
+        of_both = (_side(p, q, begins) * _side(p, q, ends) < 0) & (
+            _side(begins, ends, p) * _side(begins, ends, q) < 0
+        )
+        later = np.arange(len(begins)) > first[:, None]
+        total += int((of_both & later & (group_of[part, None] != group_of)).sum())
+    return total
+
+
+def _side(
+    p: npt.NDArray[np.float64], q: npt.NDArray[np.float64], r: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Sign of the side of the line p -> q on which r lies."""
+    d, e = q - p, r - p
+    sign: npt.NDArray[np.float64] = np.sign(d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0])
+    return sign

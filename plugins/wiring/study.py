@@ -1,0 +1,294 @@
+"""Study `wiring`: PSNR against the length of the wires, from local to scrambled sums."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sparseskin.nodes.compressor.divider import divided, undivided, with_crosstalk
+from sparseskin.nodes.compressor.phi.adaptive import layout
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.local import WIRED_BLOCK
+from sparseskin.nodes.compressor.phi.rotation import PAPER, ROTATING, m_of
+from sparseskin.nodes.compressor.phi.row_local import RowLocalPhi
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.numerics.arrays import Doubles, Floats
+from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.sensor.scenes.presses import N_BEFORE
+from sparseskin.studies.evaluate import Method, Scores, Solved, evaluate
+from sparseskin.studies.frames import Frames, PressFrames, SceneFrames, opened
+from sparseskin.studies.harness import (
+    SCORES,
+    Candidate,
+    Experiment,
+    Measurement,
+    method_rows,
+    unrefused,
+)
+from sparseskin.studies.points import compute
+from sparseskin.studies.report import Chart, Page, markdown, series_style
+
+from .model import Wiring, array_wiring, sbhe_wiring
+
+SHAPE = (64, 64)
+RATIO = 3
+BLOCK = WIRED_BLOCK
+"""Size of the Hadamard blocks, each the taxels of one amplifier."""
+SIDES = (4, 6, 8, 12, 16, 24, 32)
+LOCAL = tuple(f"local:{side}" for side in SIDES)
+ROW_LOCAL, SCRAMBLED, SINGLE = "row_local", "sbhe", "subsample"
+KINDS_OF_PHI = (*LOCAL, SCRAMBLED, ROW_LOCAL, SINGLE)
+DRAG = "drag_wrench_64"
+BODIES = ("wrench", "fingertips", "gaussian")
+N_FRAMES, QUICK_FRAMES = 120, 15
+#: Frames of the scene: from 0.24 s on, when the wrench has landed, 2 ms apart.
+DRAG_FIRST, DRAG_EVERY = 2400, 20
+PRESET_ROWS = {"skin": ROTATING, "paper": PAPER}
+CROSSTALK = (0.01, 0.03, 0.1)
+LOAD_N = 40.0
+"""Load of a row line: the conductance of taxels that bear so much together, newtons. Chosen: 16
+taxels at full scale."""
+ADC_BITS = 12
+
+
+def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
+    """Compute the study, write its page and return its conclusion; see `command.Study`."""
+    seeds = range(seed, seed + (1 if quick else 3))
+    n_frames = QUICK_FRAMES if quick else N_FRAMES
+    frames = frames_of(n_frames, quick)
+    rows = unrefused(experiment(frames, seeds).run(out, executor))
+    rows = rows.assign(body=named(rows), preset=rows["method"], kind=rows["phi"])
+    points = [{"seed": one} for one in seeds]
+    wires = method_rows(points, compute(wiring, points, out, executor, "wires"), "kind")
+    wires = wires.groupby("kind", sort=False).mean(numeric_only=True).drop(columns="seed")
+    rows = rows.join(wires, on="kind")
+    best = rows[rows["kind"] == SCRAMBLED].set_index(["preset", "body", "seed"])["mean_db"]
+    keys = pd.MultiIndex.from_frame(rows[["preset", "body", "seed"]])
+    rows["loss_db"] = best.loc[keys].to_numpy() - rows["mean_db"].to_numpy()
+    made = experiment(frames, seeds).points()
+    points = [{"frames": p["frames"], "seed": p["seed"]} for p in made]
+    points = list({str(point): point for point in points}.values())
+    read = compute(readout, points, out, executor, "readout")
+    circuits = method_rows(points, read, "circuit")
+    circuits = circuits.assign(body=named(pd.DataFrame(list(circuits["frames"]))))
+    page = Page(out, "wiring", Path(__file__).with_suffix(".md"), quick)
+    page.section(
+        "",
+        _draw(out, rows),
+        _table(rows),
+        **{"n_rows": SHAPE[0], "n_cols": SHAPE[1], "n": math.prod(SHAPE), "ratio": RATIO},
+        **{"m": m_of(math.prod(SHAPE), RATIO, ROTATING), "n_frames": n_frames},
+        **{"n_seeds": len(seeds), "scenes": ", ".join(rows["body"].unique())},
+    )
+    page.section("Circuits of row sums", _circuits(circuits), load_n=LOAD_N, adc_bits=ADC_BITS)
+    page.csv("wiring", rows.drop(columns="method"))
+    page.csv("readout", circuits.drop(columns="frames"))
+    lines = conclusion(rows)
+    page.write(lines)
+    return lines
+
+
+def frames_of(n_frames: int, quick: bool) -> list[Frames]:
+    """Bodies that press the skin, and a scene; a solver learns the noise of the first 10 frames."""
+    skip = N_BEFORE - 10
+    frames: list[Frames] = [
+        PressFrames(body, SHAPE, N_BEFORE + n_frames, skip=skip) for body in BODIES
+    ]
+    contact, _ = next(SceneFrames(DRAG, 0).windows(0))
+    first = DRAG_FIRST - contact
+    drag = SceneFrames(DRAG, first, first + n_frames * DRAG_EVERY, DRAG_EVERY)
+    return frames if quick else [*frames, drag]
+
+
+def named(rows: pd.DataFrame) -> pd.Series:
+    """Body or scene of each row."""
+    known = rows.reindex(columns=["body", "scene"])
+    return known["body"].fillna(known["scene"])
+
+
+def experiment(frames: list[Frames], seeds: range) -> Experiment:
+    """Each matrix with each preset, on the same readings."""
+    measurements = [Measurement(RATIO, phi=kind, block=BLOCK) for kind in KINDS_OF_PHI]
+    presets = {
+        name: Candidate(PRESETS[name], changes={"rows": rows}) for name, rows in PRESET_ROWS.items()
+    }
+    return Experiment(
+        "accuracy", frames, measurements, presets, ("mean_db", "min_db"), tuple(seeds)
+    )
+
+
+def conclusion(rows: pd.DataFrame) -> list[str]:
+    """Loss and length of wires of the shortest neighbourhood, of rows of an array, and of single
+    taxels, against rows over the whole skin, with the default solver.
+    """
+    some = rows[rows["preset"] == "skin"].groupby("kind")[["loss_db", "length"]].mean()
+    whole = some.loc[SCRAMBLED, "length"]
+    texts = {
+        LOCAL[0]: f"Rows over neighbourhoods ({LOCAL[0]})",
+        ROW_LOCAL: "Rows within the rows of an array",
+        SINGLE: "Single taxels",
+    }
+    return [
+        f"{text}: {100 * some.loc[kind, 'length'] / whole:.0f} % of the length of the wires of "
+        f"rows over the whole skin, for {some.loc[kind, 'loss_db']:.1f} dB."
+        for kind, text in texts.items()
+    ]
+
+
+class ReadRows:
+    """Estimator of a method with phi "row_local", whose sums are read by a stated circuit.
+
+    Parameters
+    ----------
+    method : Method
+    divider : "none", "ignored" or "undone"
+        Without one, sums are exact. With one, the output is converted by 12 bits of the supply; the
+        host takes it as linear (its gain at small forces), or undoes it by the reading of all
+        columns.
+    crosstalk : float
+        Share of a taxel's signal in the readings of its neighbours in the row.
+    """
+
+    def __init__(self, method: Method, divider: str = "none", crosstalk: float = 0.0) -> None:
+        self._method, self._divider, self._crosstalk = method, divider, crosstalk
+
+    def reconstruct(self, taxels: Floats) -> Solved:
+        """Measure and reconstruct a frame; see `Estimator`."""
+        phi: Any = self._method.phi
+        assert isinstance(phi, RowLocalPhi)
+        return self._method.solve(self.measured(phi, taxels.astype(np.float64)))
+
+    def measured(self, phi: RowLocalPhi, taxels: Doubles) -> Floats:
+        """Measurements that the circuit delivers: shape (n_rows, n_cols) to (m,)."""
+        n_rows, n_cols = phi.shape
+        forces = with_crosstalk(taxels.reshape(n_rows, n_cols), self._crosstalk)
+        driven = (phi.patterns > 0).astype(np.float64) @ forces.T  # patterns x rows
+        if self._divider != "none":
+            steps = 2**ADC_BITS - 1
+            v = np.rint(divided(driven, driven[0], LOAD_N) * steps) / steps
+            driven = undivided(v, v[0], LOAD_N) if self._divider == "undone" else v * LOAD_N
+        y = np.concatenate([driven[:1], 2 * driven[1:] - driven[:1]]) / math.sqrt(n_cols)
+        return y.reshape(-1)[phi.rows].astype(np.float32)
+
+
+def readout(point: dict[str, Any]) -> dict[str, Any]:
+    """Reconstruct frames from sums within rows that stated circuits read.
+
+    `point`: frames, as in `harness.scored`; seed.
+
+    Returns
+    -------
+    dict
+        methods: by circuit mean_db and min_db.
+    """
+    take = opened(point)
+    circuits: dict[str, dict[str, Any]] = {
+        "exact sums": {},
+        "divider, undone": {"divider": "undone"},
+        "divider, taken as linear": {"divider": "ignored"},
+        **{f"crosstalk {100 * c:g} %": {"crosstalk": c} for c in CROSSTALK},
+    }
+    skin = Candidate(PRESETS["skin"], changes={"rows": ROTATING})
+    estimators = {}
+    for name, circuit in circuits.items():
+        method = skin.make(Measurement(RATIO, phi=ROW_LOCAL, block=BLOCK), take, point["seed"])
+        assert isinstance(method, Method)
+        estimators[name] = ReadRows(method, **circuit)
+    scores = {name: Scores() for name in estimators}
+    for part in take.parts():
+        evaluate(estimators, part, scores)
+    return {
+        "methods": {
+            of: {name: SCORES[name](one) for name in ("mean_db", "min_db")}
+            for of, one in scores.items()
+        }
+    }
+
+
+def wiring(point: dict[str, Any]) -> dict[str, Any]:
+    """Wires of each matrix. `point`: seed."""
+    n, exists = math.prod(SHAPE), np.ones(SHAPE, dtype=np.bool_)
+    m = m_of(n, RATIO, ROTATING)
+    found: dict[str, Wiring] = {kind: array_wiring(*SHAPE, m) for kind in (ROW_LOCAL, SINGLE)}
+    for kind in (*LOCAL, SCRAMBLED):
+        phi = make_phi(kind, n, m, point["seed"], BLOCK)
+        layout(phi, exists)
+        assert isinstance(phi, SbhePhi)
+        found[kind] = sbhe_wiring(phi, exists)
+    return {"methods": {kind: vars(one) for kind, one in found.items()}}
+
+
+def _table(rows: pd.DataFrame) -> str:
+    by_kind = rows.groupby("kind", sort=False)
+    table = by_kind[["length", "crossings", "wires_a_taxel", "conversions"]].first()
+    table.insert(0, "kind", table.index)
+    for preset in PRESET_ROWS:
+        some = rows[rows["preset"] == preset].groupby("kind", sort=False)
+        table[f"{preset}: mean dB"] = some["mean_db"].mean()
+        table[f"{preset}: loss, dB"] = some["loss_db"].mean()
+        table[f"{preset}: loss, least .. most"] = [
+            f"{part['loss_db'].min():.1f} .. {part['loss_db'].max():.1f}" for _, part in some
+        ]
+    names = {"length": "length, pitches", "wires_a_taxel": "wires a taxel"}
+    forms = {
+        **{"length, pitches": ",.0f", "crossings": ",.0f", "wires a taxel": ".3f"},
+        **{"conversions": ".0f"},
+        **{f"{preset}: {what} dB": ".1f" for preset in PRESET_ROWS for what in ("mean", "loss,")},
+    }
+    return markdown(table.rename(columns=names), forms)
+
+
+def _circuits(circuits: pd.DataFrame) -> str:
+    found = circuits.groupby(["circuit", "body"], sort=False)["mean_db"].mean().unstack("body")
+    found.insert(0, "circuit", found.index)
+    return markdown(found, dict.fromkeys(found.columns[1:], ".1f"))
+
+
+def _draw(out: Path, rows: pd.DataFrame) -> str:
+    caption = (
+        f"Mean PSNR of contact frames against the length of all wires, {SHAPE[0]} x {SHAPE[1]}, "
+        f"N/{RATIO}; mean and range over the seeds"
+    )
+    n = len(PRESET_ROWS)
+    with Chart(out, "wiring", caption, n, n, size_in=(10.5, 5.2), sharey=True) as chart:
+        for axes, (preset, kept) in zip(chart.panels, PRESET_ROWS.items(), strict=True):
+            for k, body in enumerate(rows["body"].unique()):
+                some = rows[(rows["preset"] == preset) & (rows["body"] == body)]
+                along = some.groupby("kind", sort=False).agg(
+                    length=("length", "first"),
+                    mean=("mean_db", "mean"),
+                    low=("mean_db", "min"),
+                    high=("mean_db", "max"),
+                )
+                style = series_style(k)
+                line = along.loc[[*LOCAL, SCRAMBLED]]
+                axes.fill_between(
+                    line["length"], line["low"], line["high"], color=style["color"], alpha=0.15
+                )
+                axes.plot(line["length"], line["mean"], label=body, **style)
+                for kind, mark in ((ROW_LOCAL, "*"), (SINGLE, "x")):
+                    one = along.loc[kind]
+                    # Both have the wires of an array: apart, so that both are seen.
+                    shift = 0.94 if kind == ROW_LOCAL else 1.06
+                    lone = {"color": style["color"], "marker": mark, "linestyle": "", "ms": 8}
+                    axes.plot(one["length"] * shift, one["mean"], **lone)
+            axes.set_xscale("log")
+            lengths = rows.groupby("kind", sort=False)["length"].first()
+            shown = ("local:4", "local:8", "local:16", "local:32", SCRAMBLED, ROW_LOCAL)
+            names = {ROW_LOCAL: "array", SCRAMBLED: "all"}
+            labels = [
+                f"{names.get(kind, kind.removeprefix('local:'))}\n{lengths[kind] / 1000:.3g}"
+                for kind in shown
+            ]
+            axes.set_xticks([float(lengths[kind]) for kind in shown], labels)
+            axes.set_xticks([], minor=True)
+            axes.set_title(f"preset {preset}, rows {kept}")
+        for mark, label in (("*", ROW_LOCAL), ("x", SINGLE)):
+            black: Any = {"color": "black", "marker": mark, "linestyle": "", "ms": 8}
+            chart.panels[0].plot([], [], label=label, **black)
+        chart.label("side of a neighbourhood\nlength of wires, 1000 pitches (log)", "PSNR, dB")
+    return chart.markdown

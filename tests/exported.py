@@ -1,0 +1,79 @@
+"""Bags with all that exports must keep."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from bags import MASK, N_COLS, N_ROWS, PERIOD_NS, PHI, M, frame, make_bag, skin_state
+
+from sparseskin.messages import (
+    Calibration,
+    Message,
+    PhiState,
+    Resultant,
+    SkinState,
+    SolverState,
+)
+from sparseskin.messages.quantised import Quantised
+
+N_FRAMES = 12
+
+
+def rich_frames() -> list[Message]:
+    """Messages with all that exports must keep: each optional field both with and without."""
+    found: list[Message] = [
+        skin_state(),
+        PhiState(
+            stamp_ns=1, patch="skin", kind="sbhe", n=34, m=M, block=32, seed=7, fingerprint=PHI
+        ),
+        SolverState(
+            stamp_ns=1, patch="skin", solver="skin", basis="", preset="", iterations=3, lambda_n=0.0
+        ),
+    ]
+    for k in range(N_FRAMES):
+        taxels, truth, measurements, reconstruction = frame(k)
+        rng = np.random.default_rng(100 + k)
+        if k % 3 == 1:
+            codes = rng.integers(-7, 8, M).astype(np.int32)
+            measurements = replace(measurements, y=Quantised.of(codes, 4, 0.125))
+        if k % 3 == 2:
+            places = np.packbits(np.arange(N_ROWS * N_COLS) < M - k % 2)
+            y = rng.normal(size=M - k % 2).astype(np.float32)
+            measurements = replace(measurements, y=y, places=places)
+        if k % 2:
+            sd = rng.uniform(0, 0.1, (N_ROWS, N_COLS)).astype(np.float32)
+            reconstruction = replace(reconstruction, sd=sd, error=0.25, trusted=k != 3, skipped=k)
+        touched = {"row": 1.5, "col": 2.5, "row_sd": 0.1, "col_sd": 0.2} if k % 2 else {}
+        resultant = Resultant(
+            stamp_ns=k * PERIOD_NS, patch="skin", total=float(k), total_sd=0.5, done_ns=3, **touched
+        )
+        found += [taxels, truth, measurements, resultant, reconstruction]
+        if k == 5:
+            found.append(replace(skin_state(), stamp_ns=k * PERIOD_NS, rate_hz=50.0, mask=None))
+            gains = np.full((N_ROWS, N_COLS), 2.0, np.float32)
+            reading = np.arange(3, dtype=np.float32).reshape(3, 1, 1)
+            found.append(
+                Calibration(
+                    stamp_ns=k * PERIOD_NS,
+                    patch="skin",
+                    name="palm",
+                    baseline=None,
+                    gains=gains,
+                    response_reading=reading,
+                    response_force=reading.ravel(),
+                )
+            )
+    return [m.published("0123456789abcdef", seq) for seq, m in enumerate(found)]
+
+
+def points_bag(path: Path) -> SkinState:
+    """Make a bag of a skin of points from a file, whose order is not that of the grid."""
+    rng, n = np.random.default_rng(5), int(MASK.sum())
+    points = np.zeros((n, 6), np.float32)
+    points[:, :3], points[:, 5] = rng.normal(size=(n, 3)), 1
+    rows = rng.permutation(n).astype(np.int32)
+    state = replace(skin_state(), points=points, point_rows=rows)
+    make_bag(path, [state, *frame(0), *frame(1)])
+    return state

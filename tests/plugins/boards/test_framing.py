@@ -1,0 +1,346 @@
+"""Frames in a stream of bytes: found whatever is lost, extra or wrong, and however it is cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Items
+from itertools import pairwise
+from typing import ClassVar
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from sparseskin.plugins.boards.checksums import CHECKSUMS
+from sparseskin.plugins.boards.framing import (
+    MAX_CHECKS,
+    Counts,
+    Frame,
+    FrameParser,
+    Framing,
+    Sequence,
+    split_packet,
+)
+
+few = settings(max_examples=40)
+MARK = b"\xaa\x55"
+PLAIN = Framing(12, start=MARK)
+WITH_CRC = Framing(12, start=MARK, sequence_bytes=2, checksum="crc32")
+
+
+def parsed(framing: Framing, pieces: Items[bytes]) -> tuple[list[Frame], FrameParser]:
+    parser = FrameParser(framing)
+    return [frame for piece in pieces for frame in parser.feed(piece)], parser
+
+
+def cut(data: bytes, cuts: Items[int]) -> list[bytes]:
+    """Bytes in pieces, cut at some places."""
+    ends = sorted({min(one, len(data)) for one in cuts} | {0, len(data)})
+    return [data[a:b] for a, b in pairwise(ends)]
+
+
+def is_subsequence(part: Items[bytes], whole: Items[bytes]) -> bool:
+    left = iter(whole)
+    return all(one in left for one in part)
+
+
+cuts = st.lists(st.integers(0, 400), max_size=12)
+payloads = st.lists(st.binary(min_size=12, max_size=12), min_size=1, max_size=12)
+#: Readings that never hold the first start byte.
+plain_payloads = st.lists(
+    st.lists(st.integers(0, 0xA9), min_size=12, max_size=12).map(bytes), min_size=1, max_size=12
+)
+
+
+class TestChecksums:
+    #: The check values of the catalogue of CRCs: of the ASCII digits 1 to 9.
+    CHECK: ClassVar = {
+        "crc8": 0xF4,
+        "crc8_maxim": 0xA1,
+        "crc16": 0x29B1,
+        "crc16_xmodem": 0x31C3,
+        "crc16_modbus": 0x4B37,
+        "crc32": 0xCBF43926,
+        "sum8": sum(b"123456789") % 256,
+        "sum16": sum(b"123456789"),
+        "xor8": 0x31,
+        "none": 0,
+    }
+
+    @pytest.mark.parametrize("name", CHECKSUMS)
+    def test_a_checksum_of_the_digits_is_that_of_the_catalogue(self, name: str) -> None:
+        assert CHECKSUMS[name].compute(b"123456789") == self.CHECK[name]
+
+    @pytest.mark.parametrize("name", CHECKSUMS)
+    @few
+    @given(data=st.binary(max_size=40))
+    def test_a_checksum_fits_its_bytes(self, name: str, data: bytes) -> None:
+        assert 0 <= CHECKSUMS[name].compute(data) < 1 << 8 * CHECKSUMS[name].n_bytes
+
+    @few
+    @given(data=st.binary(max_size=40))
+    def test_xor8_is_the_exclusive_or_of_all_bytes(self, data: bytes) -> None:
+        expected = 0
+        for byte in data:
+            expected ^= byte
+        assert CHECKSUMS["xor8"].compute(data) == expected
+
+    @pytest.mark.parametrize("name", ["crc16", "crc16_modbus", "crc16_xmodem"])
+    @few
+    @given(
+        data=st.binary(min_size=3, max_size=60), at=st.integers(0, 59), burst=st.integers(1, 65535)
+    )
+    def test_a_crc_of_16_bits_finds_every_burst_of_16_bits(
+        self, name: str, data: bytes, at: int, burst: int
+    ) -> None:
+        at %= len(data) - 1
+        wrong = int.from_bytes(data[at : at + 2], "big") ^ burst
+        changed = data[:at] + wrong.to_bytes(2, "big") + data[at + 2 :]
+        assert CHECKSUMS[name].compute(changed) != CHECKSUMS[name].compute(data)
+
+
+framings = st.builds(
+    Framing,
+    payload_bytes=st.integers(1, 40),
+    start=st.binary(min_size=1, max_size=4),
+    end=st.binary(max_size=2),
+    sequence_bytes=st.sampled_from([0, 1, 2, 4]),
+    skip=st.integers(0, 5),
+    checksum=st.sampled_from(list(CHECKSUMS)),
+    checksum_from=st.sampled_from(["start", "sequence", "payload"]),
+    byte_order=st.sampled_from(["little", "big"]),
+)
+
+
+class TestWithoutErrors:
+    @few
+    @given(framing=framings, data=st.data())
+    def test_a_frame_has_its_stated_length_and_parts(
+        self, framing: Framing, data: st.DataObject
+    ) -> None:
+        n = framing.payload_bytes
+        payload = data.draw(st.binary(min_size=n, max_size=n))
+        raw = framing.encode(payload, 3)
+        assert len(raw) == framing.n_bytes
+        assert framing.is_whole(raw)
+        assert framing.split(raw) == (payload, 3 if framing.sequence_bytes else None)
+
+    @few
+    @given(payloads=payloads, cuts=cuts)
+    def test_all_frames_with_a_crc_are_found_however_the_stream_is_cut(
+        self, payloads: list[bytes], cuts: list[int]
+    ) -> None:
+        stream = b"".join(WITH_CRC.encode(p, k) for k, p in enumerate(payloads))
+        frames, parser = parsed(WITH_CRC, cut(stream, cuts))
+        assert [frame.payload for frame in frames] == payloads
+        assert [frame.sequence for frame in frames] == list(range(len(payloads)))
+        assert [frame.end for frame in frames] == [
+            (k + 1) * WITH_CRC.n_bytes for k in range(len(payloads))
+        ]
+        assert parser.counts == Counts(frames=len(payloads))
+
+    @few
+    @given(payloads=plain_payloads, cuts=cuts)
+    def test_without_a_checksum_all_frames_but_the_last_are_found(
+        self, payloads: list[bytes], cuts: list[int]
+    ) -> None:
+        # The last is not confirmed; two in a row are needed for the first.
+        stream = b"".join(PLAIN.encode(p) for p in payloads)
+        frames, parser = parsed(PLAIN, cut(stream, cuts))
+        found = len(payloads) - 1 if len(payloads) > 2 else 0
+        assert [frame.payload for frame in frames] == payloads[:found]
+        assert parser.n_waiting == (len(payloads) - found) * PLAIN.n_bytes
+
+    def test_without_confirmation_a_frame_is_accepted_at_its_last_byte(self) -> None:
+        framing = Framing(12, start=MARK, confirm=False)
+        sent = [framing.encode(bytes([k] * 12)) for k in range(6)]
+        frames, parser = parsed(framing, sent[:3])
+        assert [frame.payload[0] for frame in frames] == [0, 1, 2]
+        # A frame that lost a byte takes one of the next along; those after it are right again.
+        frames = parser.feed(b"".join([sent[3][:-1], *sent[0:5]]))
+        assert [frame.payload[0] for frame in frames] == [3, 1, 2, 3, 4]
+        assert frames[0].payload[-1] == MARK[0]
+
+    def test_a_static_pattern_that_looks_like_start_bytes_is_not_believed(self) -> None:
+        # Two places fit equally: none is taken until the readings change.
+        held = b"\x01\x02\x03" + MARK + b"\x04" * 7
+        static = PLAIN.encode(held)
+        frames, parser = parsed(PLAIN, [static[7:], *[static] * 20])
+        assert frames == []
+        frames = parser.feed(PLAIN.encode(b"\x05" * 12) * 4)
+        assert [frame.payload for frame in frames] == [held] + [b"\x05" * 12] * 3
+
+    def test_once_in_step_a_pattern_that_looks_like_start_bytes_drops_no_frame(self) -> None:
+        held = b"\x01\x02\x03" + MARK + b"\x04" * 7
+        stream = PLAIN.encode(b"\x05" * 12) * 3 + PLAIN.encode(held) * 5 + PLAIN.encode(bytes(12))
+        frames, parser = parsed(PLAIN, [stream])
+        assert [frame.payload for frame in frames] == [b"\x05" * 12] * 3 + [held] * 5
+        assert parser.counts == Counts(frames=8)
+
+
+def damaged(pieces: list[bytes], data: st.DataObject, safe: bool) -> list[bytes]:
+    """Frames with bytes lost, extra or wrong. `safe`: in one run a frame, shorter than a frame,
+    without start bytes, and each damaged frame is followed by a whole one.
+    """
+    out, k = [], 0
+    while k < len(pieces):
+        piece, n = pieces[k], len(pieces[k])
+        kind = data.draw(st.sampled_from(["none", "lost", "extra", "wrong"]))
+        at = data.draw(st.integers(0, n - 1))
+        run = data.draw(st.integers(1, n - 1))
+        noise = st.lists(st.integers(0, 0xA9 if safe else 0xFF), min_size=run, max_size=run)
+        if kind == "lost":
+            piece = piece[:at] + piece[at + run :]
+        elif kind == "extra":
+            piece = piece[:at] + bytes(data.draw(noise)) + piece[at:]
+        elif kind == "wrong" and not safe:
+            piece = (piece[:at] + bytes(data.draw(noise)) + piece[at + run :])[:n]
+        out.append(piece)
+        k += 1
+        if safe and kind != "none" and k < len(pieces):
+            out.append(pieces[k])
+            k += 1
+    return out
+
+
+class TestWithErrors:
+    @few
+    @given(payloads=payloads, cuts=cuts, data=st.data())
+    def test_with_a_crc_no_false_frame_whatever_happens_to_the_bytes(
+        self, payloads: list[bytes], cuts: list[int], data: st.DataObject
+    ) -> None:
+        sent = [WITH_CRC.encode(p, k) for k, p in enumerate(payloads)]
+        stream = b"".join(damaged(sent, data, safe=False))
+        frames, parser = parsed(WITH_CRC, cut(stream, cuts))
+        assert is_subsequence([WITH_CRC.encode(f.payload, f.sequence or 0) for f in frames], sent)
+        used = parser.counts.frames * WITH_CRC.n_bytes
+        assert len(stream) == used + parser.counts.dropped_bytes + parser.n_waiting
+
+    @few
+    @given(payloads=plain_payloads, cuts=cuts, data=st.data())
+    def test_without_a_checksum_no_false_frame_after_lost_or_extra_bytes(
+        self, payloads: list[bytes], cuts: list[int], data: st.DataObject
+    ) -> None:
+        sent = [PLAIN.encode(p) for p in payloads]
+        stream = b"".join(damaged(sent, data, safe=True))
+        frames, parser = parsed(PLAIN, cut(stream, cuts))
+        assert is_subsequence([frame.payload for frame in frames], payloads)
+        used = parser.counts.frames * PLAIN.n_bytes
+        assert len(stream) == used + parser.counts.dropped_bytes + parser.n_waiting
+
+    @pytest.mark.parametrize("framing", [PLAIN, WITH_CRC], ids=["plain", "crc32"])
+    @few
+    @given(garbage=st.binary(max_size=200), cuts=cuts)
+    def test_frames_are_found_again_after_any_garbage(
+        self, framing: Framing, garbage: bytes, cuts: list[int]
+    ) -> None:
+        sent = [bytes([k] * 12) for k in range(12)]
+        stream = garbage + b"".join(framing.encode(p, k) for k, p in enumerate(sent))
+        frames, _ = parsed(framing, cut(stream, cuts))
+        # Of the frames that follow, garbage may take the first along, and leave two to decide.
+        last = sent[-1:] if framing.is_strong else sent[-2:-1]
+        assert [frame.payload for frame in frames][-1:] == last
+        assert len(frames) >= 8
+
+    @few
+    @given(payloads=payloads, data=st.data())
+    def test_the_result_does_not_depend_on_how_the_stream_is_cut(
+        self, payloads: list[bytes], data: st.DataObject
+    ) -> None:
+        sent = [PLAIN.encode(p) for p in payloads]
+        stream = b"".join(damaged(sent, data, safe=False))
+        at_once, _ = parsed(PLAIN, [stream])
+        by_byte, _ = parsed(PLAIN, [stream[k : k + 1] for k in range(len(stream))])
+        assert at_once == by_byte
+
+    def test_a_wrong_byte_costs_one_frame_with_a_weak_checksum(self) -> None:
+        framing = Framing(12, start=MARK, checksum="sum8")
+        sent = [framing.encode(bytes([k] * 12)) for k in range(9)]
+        wrong = bytearray(sent[4])
+        wrong[5] ^= 1
+        frames, parser = parsed(framing, [b"".join([*sent[:4], bytes(wrong), *sent[5:]])])
+        assert [frame.payload[0] for frame in frames] == [0, 1, 2, 3, 5, 6, 7]
+        assert (parser.counts.bad_frames, parser.counts.dropped_bytes) == (1, framing.n_bytes)
+
+    def test_a_lost_byte_costs_one_frame_without_a_checksum(self) -> None:
+        sent = [PLAIN.encode(bytes([k] * 12)) for k in range(9)]
+        frames, parser = parsed(PLAIN, [b"".join([*sent[:4], sent[4][:-1], *sent[5:]])])
+        assert [frame.payload[0] for frame in frames] == [0, 1, 2, 3, 5, 6, 7]
+        assert (parser.counts.bad_frames, parser.counts.dropped_bytes) == (1, PLAIN.n_bytes - 1)
+
+    def test_bytes_that_begin_a_frame_at_every_place_are_checked_a_bounded_number_of_times(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        framing = Framing(1000, start=b"\x00", checksum="crc32")
+        checked: list[int] = []
+        whole = Framing.is_whole
+        monkeypatch.setattr(
+            Framing, "is_whole", lambda self, raw: checked.append(1) or whole(self, raw)
+        )
+        parser = FrameParser(framing)
+        for _ in range(100):
+            parser.feed(bytes(1000))
+        assert parser.counts.frames == 0
+        assert len(checked) < 100 * 2 * MAX_CHECKS
+
+    def test_a_parser_that_is_reset_takes_no_frame_from_both_sides(self) -> None:
+        parser = FrameParser(WITH_CRC)
+        first, second = WITH_CRC.encode(b"a" * 12, 1), WITH_CRC.encode(b"b" * 12, 900)
+        parser.feed(first[:9])
+        parser.reset()
+        assert [frame.payload for frame in parser.feed(second)] == [b"b" * 12]
+        assert parser.counts == Counts(frames=1, dropped_bytes=9)
+
+    def test_a_stream_without_start_bytes_is_refused(self) -> None:
+        with pytest.raises(ValueError, match="start bytes"):
+            FrameParser(Framing(12))
+
+
+class TestSequence:
+    @few
+    @given(
+        n_bytes=st.sampled_from([1, 2, 4]),
+        first=st.integers(0, 2**32),
+        gaps=st.lists(st.integers(0, 100), max_size=20),
+    )
+    def test_missing_numbers_are_counted_across_the_wrap(
+        self, n_bytes: int, first: int, gaps: list[int]
+    ) -> None:
+        counts = Counts()
+        sequence, number, modulus = Sequence(n_bytes, counts), first, 1 << 8 * n_bytes
+        assert sequence.admit(number % modulus)
+        for gap in gaps:
+            number += gap + 1
+            assert sequence.admit(number % modulus)
+        assert counts == Counts(missing_frames=sum(gaps))
+
+    def test_a_frame_that_comes_twice_or_late_is_not_used(self) -> None:
+        counts = Counts()
+        sequence = Sequence(2, counts)
+        assert [sequence.admit(k) for k in (5, 6, 6, 4, 7)] == [True, True, False, False, True]
+        assert counts == Counts(late_frames=2)
+
+    def test_a_board_that_starts_again_loses_no_frame(self) -> None:
+        counts = Counts()
+        sequence = Sequence(2, counts)
+        assert [sequence.admit(k) for k in (1000, 1001, 0, 1)] == [True] * 4
+        assert counts == Counts()
+
+
+class TestPackets:
+    @few
+    @given(payloads=payloads)
+    def test_a_packet_of_whole_frames_is_split(self, payloads: list[bytes]) -> None:
+        counts = Counts()
+        whole = split_packet(WITH_CRC, b"".join(map(WITH_CRC.encode, payloads)), counts)
+        assert [WITH_CRC.split(raw)[0] for raw in whole] == payloads
+        assert counts == Counts()
+
+    @few
+    @given(packet=st.binary(max_size=100))
+    def test_any_other_packet_is_counted(self, packet: bytes) -> None:
+        framing = Framing(12, start=MARK, checksum="crc32")
+        assume(len(packet) != framing.n_bytes)
+        counts = Counts()
+        assert split_packet(framing, packet, counts) == []
+        assert counts.bad_frames >= 1
+        assert counts.dropped_bytes == len(packet)

@@ -1,0 +1,80 @@
+"""Boards in the commands `sources` and `scope`."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import select
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from board_lines import a_line
+from conftest import COMMAND, PATIENCE_S, wait_until
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.plugins.boards.framing import Framing
+
+FLEXITAC = Framing(16 * 32, start=b"\xaa\x55")
+
+
+def test_sources_lists_profiles_with_a_line_on_each(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sources", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert "flexitac_16x32" in [one["name"] for one in found["profiles"]]
+    assert all(one["about"] for one in found["profiles"])
+
+
+def test_scope_refuses_a_board_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("serial")
+    assert main(["scope", "serial:/dev/no-board?profile=flexitac_16x32"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "there is no device" in line
+
+
+def test_scope_draws_in_a_terminal_and_leaves_it_as_it_was(tmp_path: Path) -> None:
+    pytest.importorskip("serial")
+    screen, terminal = pty.openpty()
+    with a_line(tmp_path) as line:
+        name = f"serial:{line.device}?profile=flexitac_16x32"
+        process = subprocess.Popen(
+            [sys.executable, *COMMAND, "scope", name],
+            stdin=terminal,
+            stdout=terminal,
+            stderr=terminal,
+            env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "300", "LINES": "24"},
+        )
+        os.close(terminal)
+        line.sending(FLEXITAC.encode(bytes([k % 160] * 512)) for k in range(10**9))
+        shown = bytearray()
+
+        def read() -> None:
+            if select.select([screen], [], [], 0.05)[0]:
+                try:
+                    shown.extend(os.read(screen, 65536))
+                except OSError:  # the other end is closed
+                    return
+
+        def has_drawn() -> bool:
+            read()
+            return shown.count(b"\x1b[H") >= 3 and "▀".encode() in shown
+
+        def has_ended() -> bool:
+            read()
+            return process.poll() is not None and b"frames; min" in shown
+
+        try:
+            wait_until(has_drawn, "three pictures")
+            os.write(screen, b"q")
+            wait_until(has_ended, "its end")
+            assert process.wait(timeout=PATIENCE_S) == 0
+        finally:
+            process.kill()
+            process.wait()
+            os.close(screen)
+    text = shown.decode()
+    assert "16 x 32 taxels, 0..255 raw" in text
+    # The other screen and the hidden cursor are left again, and the summary stands on the first.
+    assert text.index("\x1b[?1049h") < text.rindex("\x1b[?25h\x1b[?1049l") < text.rindex("frames;")

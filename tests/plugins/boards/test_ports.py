@@ -1,0 +1,321 @@
+"""Boards on a pseudo terminal, at a UDP port of the loopback interface and on a virtual CAN bus."""
+
+from __future__ import annotations
+
+import socket
+import uuid
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from board_lines import Line, a_line, send_packets
+from conftest import free_port, wait_until
+
+from sparseskin.messages import Taxels
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.sensor.node import Sensor
+from sparseskin.nodes.sensor.sources import open_source
+from sparseskin.plugins.boards import source as source_module
+from sparseskin.plugins.boards.framing import Framing
+from sparseskin.plugins.boards.source import BoardSource, dropped_text
+
+FLEXITAC = Framing(16 * 32, start=b"\xaa\x55")
+WAIT_S = 0.05
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Iterator[Line]:
+    pytest.importorskip("serial")
+    with a_line(tmp_path) as found:
+        yield found
+
+
+@pytest.fixture
+def opened() -> Iterator[Any]:
+    """Open a board; it is closed at the end."""
+    made: list[BoardSource] = []
+
+    def make(source: str) -> BoardSource:
+        found = open_source(source, seed=0)
+        assert isinstance(found, BoardSource)
+        made.append(found)
+        return found
+
+    yield make
+    for one in made:
+        one.close()
+
+
+def flexitac(value: int) -> bytes:
+    return FLEXITAC.encode(bytes([value]) * 512)
+
+
+def taken(source: BoardSource, n: int) -> list[tuple[int, np.ndarray[Any, Any]]]:
+    """The next frames of a board, waited for."""
+    frames: list[Any] = []
+
+    def enough() -> bool:
+        frame = source.next_frame(WAIT_S)
+        frames.extend([] if frame is None else [frame])
+        return len(frames) >= n
+
+    wait_until(enough, f"{n} frames")
+    return frames
+
+
+def logged(source: BoardSource, text: str) -> str:
+    """The next line of the log that holds a text."""
+    found: list[str] = []
+
+    def said() -> bool:
+        assert source.next_frame(WAIT_S) is None
+        found.extend(source.take_lines())
+        return any(text in one for one in found)
+
+    wait_until(said, text)
+    return next(one for one in found if text in one)
+
+
+class TestSerial:
+    def test_a_flood_of_frames_is_read_in_order_and_none_is_lost(
+        self, line: Line, opened: Any
+    ) -> None:
+        source = opened(f"serial:{line.device}?profile=flexitac_16x32")
+        line.sending(flexitac(k % 170) for k in range(1001))
+        frames = taken(source, 1000)
+        assert [int(forces[0, 0]) for _, forces in frames] == [k % 170 for k in range(1000)]
+        assert all(np.ptp(forces) == 0 and forces.shape == (16, 32) for _, forces in frames)
+        stamps = [stamp for stamp, _ in frames]
+        assert all(b > a for a, b in pairwise(stamps))
+        figures = source.figures()
+        assert figures.pop("frames") == 1000
+        assert not any(figures.values())
+
+    def test_what_is_dropped_is_counted_byte_by_byte(self, line: Line, opened: Any) -> None:
+        source = opened(f"serial:{line.device}?rows=16&cols=32&start=AA55&checksum=crc16")
+        framing = Framing(512, start=b"\xaa\x55", checksum="crc16")
+        good, noise = framing.encode(bytes(512)), b"\x01" * 777
+        wrong = good[:100] + b"\xff" + good[101:]
+        line.sending([noise, good, wrong, good, good[:50], good])
+        assert len(taken(source, 3)) == 3
+        counts = source.counts
+        assert (counts.frames, counts.bad_frames) == (3, 2)
+        assert counts.dropped_bytes == 777 + len(wrong) + 50
+        assert dropped_text(source.figures()) == f"2 bad frames, {777 + len(wrong) + 50} bytes"
+
+    def test_an_unplugged_board_is_one_line_and_comes_back(self, line: Line, opened: Any) -> None:
+        source = opened(f"serial:{line.device}?profile=flexitac_16x32")
+        line.sending([flexitac(1)] * 4)
+        taken(source, 3)
+        line.unplug()
+        gone = logged(source, "gone")
+        assert gone == f"serial:{line.device}: the device is gone; waiting for it"
+        assert not source.is_there
+        line.plug()
+        assert "is back after" in logged(source, "is back")
+        line.sending([flexitac(2)] * 4)
+        assert {int(forces.max()) for _, forces in taken(source, 3)} == {2}
+        assert source.figures()["gone"] == 1
+        assert not source.take_lines()
+
+    def test_a_silent_board_and_a_wrong_profile_are_told_apart(
+        self, line: Line, opened: Any, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(source_module, "SILENT_S", 0.05)
+        source = opened(f"serial:{line.device}?profile=flexitac_12x32")
+        assert logged(source, "came").endswith(": nothing came for 0.05 s")
+        source.close()
+        source = opened(f"serial:{line.device}?profile=flexitac_12x32")
+        line.sending([flexitac(3)] * 12)
+        text = logged(source, "came")
+        assert "no frame of 386 bytes: check start, rows, cols" in text
+        assert text.endswith(
+            "from AA 55 to AA 55 it is 514 bytes, 512 of readings, as of profile=flexitac_16x32"
+        )
+
+    def test_a_port_that_another_program_has_open_is_named(self, line: Line, opened: Any) -> None:
+        name = f"serial:{line.device}?profile=flexitac_16x32"
+        opened(name)
+        with pytest.raises(SourceError, match="another program has it open"):
+            opened(name)
+
+    def test_what_is_no_port_is_refused(self, tmp_path: Path, opened: Any) -> None:
+        pytest.importorskip("serial")
+        with pytest.raises(SourceError, match="is no serial port"):
+            opened(f"serial:{tmp_path}?profile=flexitac_16x32")
+
+
+class TestUdp:
+    NUMBERED = Framing(6 * 4, start=b"", sequence_bytes=2, checksum="crc32")
+    QUERY = "rows=2&cols=3&dtype=float32&sequence=u16&checksum=crc32&f_max=4&unit=N"
+
+    def frame(self, value: float, number: int) -> bytes:
+        return self.NUMBERED.encode(np.full(6, value, "<f4").tobytes(), number)
+
+    def test_packets_of_one_or_more_frames_are_read_and_others_counted(self, opened: Any) -> None:
+        port = free_port(socket.SOCK_DGRAM)
+        source = opened(f"udp:{port}?{self.QUERY}")
+        one, two, five = self.frame(1, 1), self.frame(2, 2), self.frame(9, 5)
+        wrong = bytes([one[0] ^ 1]) + one[1:]
+        send_packets(port, one + two, b"", one[:-1], wrong, one, self.frame(np.nan, 3), five)
+        frames = taken(source, 3)
+        # 9 N is clipped to the range; number 4 never came, number 1 came twice.
+        assert [float(forces[0, 0]) for _, forces in frames] == [1, 2, 4]
+        assert (source.clipped.n_above, source.clipped.n, source.clipped.highest) == (6, 6, 9.0)
+        figures = source.figures()
+        assert (figures["bad_frames"], figures["not_finite_frames"]) == (3, 1)
+        assert (figures["missing_frames"], figures["late_frames"]) == (1, 1)
+
+    def test_packets_of_another_sender_are_dropped(self, opened: Any) -> None:
+        port = free_port(socket.SOCK_DGRAM)
+        source = opened(f"udp:{port}?rows=2&cols=3&sender=127.0.0.2")
+        send_packets(port, bytes(6))
+        wait_until(
+            lambda: source.next_frame(WAIT_S) is not None or source.figures()["other_senders"] > 0,
+            "the packet",
+        )
+        assert source.counts.frames == 0
+
+    def test_what_the_kernel_drops_is_counted(self, opened: Any) -> None:
+        port = free_port(socket.SOCK_DGRAM)
+        source = opened(f"udp:{port}?rows=100&cols=100")
+        n_sent = 3000
+        send_packets(port, *[bytes(10_000)] * n_sent)
+        n = 0
+        while source.next_frame(0.2) is not None:
+            n += 1
+        send_packets(port, bytes(10_000))  # with it comes the number
+        n += len(taken(source, 1))
+        assert n + source.figures()["kernel_packets"] == n_sent + 1
+
+    def test_a_port_in_use_is_one_line(self, opened: Any) -> None:
+        port = free_port(socket.SOCK_DGRAM)
+        opened(f"udp:{port}?rows=2&cols=3")
+        with pytest.raises(SourceError, match=f"port {port} of 127.0.0.1 cannot be opened: Addr"):
+            opened(f"udp:{port}?rows=2&cols=3")
+
+
+class TestCan:
+    @pytest.mark.parametrize(
+        ("query", "fd"),
+        [
+            ("ids=0x100-0x10F&dtype=uint16", False),
+            ("ids=0x100&index=u8&counter=u8&dtype=uint16", False),
+            ("ids=0x18DA0001-0x18DA0002&fd=true&dtype=uint16", True),
+            ("ids=0x100&start=A55A&checksum=crc16&dtype=uint16", False),
+        ],
+        ids=["an id a chunk", "index and counter", "CAN-FD, extended ids", "stream"],
+    )
+    def test_frames_come_over_a_virtual_bus(self, opened: Any, query: str, fd: bool) -> None:
+        can = pytest.importorskip("can")
+        channel = uuid.uuid4().hex
+        source = opened(f"can:{channel}?rows=8&cols=8&{query}&interface=virtual")
+        port = source._port
+        chunks, framing = port._chunks, port._framing
+        size = chunks.chunk_bytes
+        with can.Bus(channel=channel, interface="virtual") as bus:
+            for number in range(20):
+                counts = np.arange(64, dtype="<u2") * 256 + number
+                raw = framing.encode(counts.tobytes(), number)
+                pieces = [raw[at : at + size] for at in range(0, len(raw), size)]
+                for k, piece in enumerate(pieces):
+                    head = bytes([k] * chunks.index_bytes + [number] * chunks.counter_bytes)
+                    one = chunks.ids[k if len(chunks.ids) > 1 else 0]
+                    bus.send(
+                        can.Message(
+                            arbitration_id=one,
+                            data=head + piece,
+                            is_fd=fd,
+                            is_extended_id=one > 0x7FF,
+                        )
+                    )
+                bus.send(can.Message(arbitration_id=0x7F0, data=b"other", is_extended_id=False))
+            frames = taken(source, 20)
+        for number, (_, forces) in enumerate(frames):
+            np.testing.assert_array_equal(forces.ravel(), np.arange(64) * 256 + number)
+        assert source.counts.frames == 20
+        assert not dropped_text(source.figures())
+
+
+def test_frames_come_over_socketcan(opened: Any) -> None:
+    can = pytest.importorskip("can")
+    if not Path("/sys/class/net/vcan0").exists():
+        pytest.skip("there is no interface vcan0")
+    source = opened("can:vcan0?rows=2&cols=4&ids=0x123")
+    with can.Bus(channel="vcan0", interface="socketcan") as bus:
+        bus.send(can.Message(arbitration_id=0x123, data=bytes(range(8)), is_extended_id=False))
+    ((_, forces),) = taken(source, 1)
+    np.testing.assert_array_equal(forces, np.arange(8).reshape(2, 4))
+
+
+class TestNode:
+    def sensor(self, line: Line, **settings: Any) -> Sensor:
+        name = f"serial:{line.device}?profile=flexitac_16x32"
+        made = Sensor.Settings(source=name, **settings)
+        return Sensor(made, Context("sensor", ManualClock(10**18)))
+
+    def test_frames_become_taxels_in_a_graph_and_the_figures_are_reported(self, line: Line) -> None:
+        name = f"serial:{line.device}?profile=flexitac_16x32&scale=0.01&unit=N"
+        bus = Bus({"sensor": (Sensor, Sensor.Settings(source=name))})
+        line.sending([b"\x01" * 7] + [flexitac(100)] * 12)
+        messages = [one for found in bus.frames(n_frames=10) for one in found]
+        bus.close()
+        taxels = [one for one in messages if isinstance(one, Taxels)]
+        assert len(taxels) == 10
+        assert all(np.allclose(one.forces, 1.0) for one in taxels)
+        assert len({one.stamp_ns for one in taxels}) == 10
+        board = bus.reports()["sensor"]["board"]
+        assert board["dropped_bytes"] == 7
+        assert board["frames"] == 10 + board["unused_frames"]
+
+    def test_frames_before_the_start_and_while_paused_are_counted_as_unused(
+        self, line: Line
+    ) -> None:
+        sensor = self.sensor(line)
+        board = sensor._source
+        assert isinstance(board, BoardSource)
+
+        def idle_until(n_unused: int) -> None:
+            def reached() -> bool:
+                sensor.idle()
+                return board.n_unused == n_unused
+
+            wait_until(reached, f"{n_unused} unused frames")
+
+        line.sending([flexitac(1)] * 4)
+        idle_until(3)
+        sensor.begin(10**18)
+        sensor.command("pause", True)
+        line.sending([flexitac(1)] * 4)
+        idle_until(7)
+        sensor.close({})
+
+    def test_with_a_stated_rate_the_newest_frame_is_taken(self, line: Line) -> None:
+        sensor = self.sensor(line, rate_hz=10.0)
+        board = sensor._source
+        assert isinstance(board, BoardSource)
+        line.sending(flexitac(k) for k in range(6))
+
+        def all_came() -> bool:
+            board.receive(WAIT_S)
+            return board.counts.frames == 5
+
+        wait_until(all_came, "5 frames")
+        frame = board.next_frame(WAIT_S, newest=True)
+        assert frame is not None
+        assert int(frame[1].max()) == 4
+        assert board.n_unused == 4
+        sensor.close({})
+
+    def test_a_sensor_does_not_wait_for_its_readers(self, line: Line) -> None:
+        # A board does not stop sending: what nobody reads would be lost uncounted.
+        sensor = self.sensor(line)
+        assert sensor.rate_hz == 0
+        assert not sensor.follows_readers
+        sensor.close({})

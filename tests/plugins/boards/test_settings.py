@@ -1,0 +1,195 @@
+"""Settings of boards: queries, profiles, and one line for each fault."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import free_port
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.sources import check_source
+from sparseskin.plugins.boards.board import Board, describe_board
+from sparseskin.plugins.boards.readings import DTYPES, Decoder, Layout, order_of
+from sparseskin.plugins.boards.settings import profile_names, read_profile
+
+PLAIN = "rows=2&cols=3&start=AA55"
+
+
+def serial(query: str, **stated: object) -> Board:
+    return describe_board(f"serial:/dev/ttyUSB0?{query}", **stated)  # type: ignore[arg-type]
+
+
+class TestProfiles:
+    @pytest.mark.parametrize(("name", "n_rows"), [("flexitac_16x32", 16), ("flexitac_12x32", 12)])
+    def test_flexitac_sends_a_mark_and_a_byte_a_taxel(self, name: str, n_rows: int) -> None:
+        board = serial(f"profile={name}")
+        assert board.skin.shape == (n_rows, 32)
+        assert (board.skin.f_max, board.skin.unit) == (255.0, "raw")
+        payload = bytes(n_rows * 32)
+        assert board.framing.encode(payload) == b"\xaa\x55" + payload
+        assert vars(board.settings)["baud"] == 2_000_000
+
+    def test_every_profile_is_complete_with_rows_and_columns(self) -> None:
+        for name in profile_names():
+            board = serial(f"profile={name}&rows=4&cols=5")
+            assert board.framing.is_whole(board.framing.encode(bytes(board.layout.n_bytes)))
+
+    def test_the_query_goes_before_the_profile(self) -> None:
+        assert serial("profile=flexitac_16x32&rows=8&baud=9600").skin.shape == (8, 32)
+
+    def test_a_file_of_ones_own_is_read(self, tmp_path: Path) -> None:
+        path = tmp_path / "own.toml"
+        path.write_text(
+            'about = "mine"\nstart = "A5"\nrows = 2\ncols = 3\nrow_order = [1, 0]\nscale = 0.5\n'
+            'unit = "N"\npitch_mm = 4\nbitrate = 500000\n'
+        )
+        board = serial(f"profile={path}")
+        assert (board.skin.shape, board.skin.unit, board.skin.f_max) == ((2, 3), "N", 127.5)
+        assert board.skin.pitch_m == pytest.approx(0.004)
+        assert board.layout.row_order == [1, 0]
+
+    @pytest.mark.parametrize(
+        ("text", "fault"),
+        [
+            ("rows =", "no TOML"),
+            ("rows = 2\nbaudd = 9600", "baudd: unknown key (did you mean 'baud'?)"),
+            ("rows = '2'", "rows: expected a whole number"),
+            ("checksum = 'crc17'", "did you mean 'crc16'?"),
+            ("rows = 99999", "rows: 99999 is outside 1..4096"),
+            ("\x00", "no TOML"),
+        ],
+    )
+    def test_a_fault_of_a_file_is_one_line(self, tmp_path: Path, text: str, fault: str) -> None:
+        path = tmp_path / "own.toml"
+        path.write_text(text)
+        with pytest.raises(SourceError) as caught:
+            read_profile(str(path))
+        assert fault in str(caught.value)
+        assert "\n" not in str(caught.value)
+        assert str(path) in str(caught.value)
+
+    @given(raw=st.binary(max_size=80))
+    @settings(max_examples=30)
+    def test_no_file_is_a_crash(self, tmp_path_factory: pytest.TempPathFactory, raw: bytes) -> None:
+        path = tmp_path_factory.getbasetemp() / "any.toml"
+        path.write_bytes(raw)
+        with contextlib.suppress(SourceError):
+            read_profile(str(path))
+
+
+FAULTS = [
+    ("serial:?x=1", "nothing follows"),
+    ("serial:/dev/ttyUSB0?profile=flexitac_16x23", "did you mean 'flexitac_16x32'?"),
+    ("serial:/dev/ttyUSB0?profile=../../../x", "no such file"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&bauds=1", "bauds: unknown key (did you mean 'baud'?)"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&baud=x", "baud: 'x' is no whole number"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&baud=1_0", "baud: '1_0' is no whole number"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&baud=0", "baud: 0 is outside"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&checksum=crc", "did you mean 'crc8'?"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&rows=3", "rows is stated twice"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&baud", "'baud' is no KEY=VALUE"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&row_order=0,0", "each of 0..1 once"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&zero=255", "leaves no range"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&dtype=float32", "f_max is not stated"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&scale=nan", "scale"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}", "there is no device /dev/ttyUSB0"),
+    ("serial:/dev/ttyUSB0?rows=2&start=AA", "cols is not stated"),
+    ("serial:/dev/ttyUSB0?rows=2&cols=3", "start is not stated"),
+    ("serial:/dev/ttyUSB0?rows=2&cols=3&start=A", "pairs of hexadecimal digits"),
+    ("serial:/dev/ttyUSB0?rows=4096&cols=4096&start=AA", "at most 1048576"),
+    ("udp:0?rows=2&cols=3", "1..65535"),
+    ("udp:99999999999?rows=2&cols=3", "1..65535"),
+    ("udp:5005?rows=2&cols=3&bind=here", "bind: 'here' is no IPv4 address"),
+    ("udp:5005?rows=2&cols=3&baud=9600", "baud: unknown key"),
+    ("can:can9?rows=2&cols=3", "ids is not stated"),
+    ("can:can9?rows=2&cols=4&ids=0x10", "there is no CAN interface can9"),
+    ("can:can9?rows=4&cols=4&ids=0x10", "index=u8"),
+    ("can:can9?rows=4&cols=4&ids=0x10-0x12", "3 ids, but a frame of 16 bytes has 2 chunks"),
+    ("can:can9?rows=4&cols=4&ids=0x10,0x10", "an id occurs twice"),
+    ("can:can9?rows=4&cols=4&ids=x", "no arbitration id"),
+    ("can:can9?rows=4&cols=4&ids=0x20000000", "the largest extended id"),
+    ("can:can9?rows=4&cols=4&ids=0x10-0x11&chunk=9", "do not fit"),
+    ("can:c?rows=4&cols=4&ids=1-2&interface=virtul", "did you mean 'virtual'?"),
+    ("serail:/dev/ttyUSB0", "did you mean 'serial'?"),
+]
+
+
+@pytest.mark.parametrize(("source", "fault"), FAULTS)
+def test_a_fault_of_a_source_is_one_line_that_names_it(source: str, fault: str) -> None:
+    pytest.importorskip("serial")
+    pytest.importorskip("can")
+    with pytest.raises(SourceError) as caught:
+        check_source(source)
+    assert fault in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_profile_of_any_size_asks_for_it() -> None:
+    with pytest.raises(SourceError) as caught:
+        describe_board("serial:/dev/ttyUSB0?profile=numbered")
+    assert str(caught.value) == (
+        "serial:/dev/ttyUSB0: profile numbered is for any size: add rows=NUMBER and cols=NUMBER, "
+        "as serial:/dev/ttyUSB0?profile=numbered&rows=8&cols=8"
+    )
+
+
+def test_a_missing_package_is_one_line_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    # As if it were not installed.
+    for name in ("serial", "can"):
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(SourceError, match=r"pip install 'sparseskin\[serial\]'"):
+        check_source(f"serial:/dev/null?{PLAIN}")
+    with pytest.raises(SourceError, match=r"pip install 'sparseskin\[can\]'"):
+        check_source("can:can0?rows=2&cols=3&ids=0x10&interface=virtual")
+
+
+def test_udp_needs_no_package_and_no_device() -> None:
+    check_source(f"udp:{free_port()}?rows=2&cols=3")
+
+
+def test_properties_may_be_stated_by_the_sensor_instead() -> None:
+    board = serial("start=AA", n_rows=2, n_cols=3, unit="N", f_max=4.0)
+    assert (board.skin.shape, board.skin.unit, board.skin.f_max) == ((2, 3), "N", 4.0)
+    for stated in ({"n_rows": 3}, {"f_max": 5.0}, {"unit": "kPa"}):
+        with pytest.raises(SourceError, match="is stated, but the"):
+            serial(f"{PLAIN}&f_max=4&unit=N", **stated)
+
+
+class TestReadings:
+    @given(
+        dtype=st.sampled_from(DTYPES),
+        byte_order=st.sampled_from(["little", "big"]),
+        order=st.sampled_from(["rows", "columns"]),
+        rows=st.permutations(range(3)),
+        cols=st.permutations(range(4)),
+        seed=st.integers(0, 99),
+    )
+    @settings(max_examples=60)
+    def test_each_count_comes_to_its_taxel(
+        self, dtype: str, byte_order: str, order: str, rows: list[int], cols: list[int], seed: int
+    ) -> None:
+        layout = Layout(3, 4, dtype, byte_order, order, rows, cols, scale=0.25, zero=3)
+        counts = np.random.default_rng(seed).integers(0, 100, (3, 4))
+        kind = np.dtype(dtype).newbyteorder("<" if byte_order == "little" else ">")
+        sent = bytearray()
+        outer, inner = (3, 4) if order == "rows" else (4, 3)
+        for k in range(outer):
+            for j in range(inner):
+                row, col = (k, j) if order == "rows" else (j, k)
+                sent += np.array(counts[rows[row], cols[col]], kind).tobytes()
+        readings = Decoder(layout)(bytes(sent))
+        assert readings.dtype == np.float32
+        np.testing.assert_array_equal(readings, (counts - 3) * 0.25)
+
+    def test_orders(self) -> None:
+        assert order_of("forward", 3) == [0, 1, 2]
+        assert order_of("reversed", 3) == [2, 1, 0]
+        assert order_of("1,0,2", 3) == [1, 0, 2]
+        for wrong in ("", "1,0", "0,1,3", "-1,0,1", "a,b,c", "0,1,2,"):
+            assert order_of(wrong, 3) is None

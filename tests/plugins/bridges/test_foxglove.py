@@ -1,0 +1,221 @@
+"""The bridge to Foxglove, seen by a client of its protocol that shares no code with its SDK."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import StartProgram, wait_until
+from foxglove_client import Data, FoxgloveClient, fields_of, pixels
+
+from sparseskin.messages import Reconstruction, SkinState, Taxels
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.node import Context
+
+pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
+from sparseskin.plugins.bridges.foxglove import FoxgloveBridge, FoxgloveSettings
+
+TOPIC = "/skin/taxels"
+ROWS, COLS = 5, 8
+"""Neither equal nor powers of two: a transposed or padded image is noticed."""
+
+
+def skin(pitch_m: float | None = 0.005) -> SkinState:
+    return SkinState(
+        stamp_ns=0, patch="skin", n_rows=ROWS, n_cols=COLS, f_max=2.5, unit="N", pitch_m=pitch_m,
+        mask=None, source="test", seed=0, rate_hz=0.0, has_truth=False, sigma_mid=0.0,
+        sigma_end=0.0,
+    )  # fmt: skip
+
+
+def taxels(k: int) -> Taxels:
+    forces = np.random.default_rng(k).random((ROWS, COLS)).astype(np.float32)
+    stamp_ns = 1_700_000_000_000_000_000 + k
+    return Taxels(stamp_ns=stamp_ns, patch="skin", forces=forces).published("0" * 16, k)
+
+
+@pytest.fixture
+def bridge() -> Iterator[FoxgloveBridge]:
+    asked: list[dict[str, Any]] = []
+    made = FoxgloveBridge(
+        FoxgloveSettings(port=0, allow_set=True),
+        Context("foxglove", ManualClock(0), ask=asked.append),
+    )
+    made.asked = asked  # type: ignore[attr-defined]
+    assert not list(made.start())
+    yield made
+    made.close({})
+
+
+def subscribed(bridge: FoxgloveBridge, *topics: str) -> FoxgloveClient:
+    client = FoxgloveClient(bridge.where())
+    client.wait_for_channels(*topics)
+    client.subscribe(*topics)
+    wait_until(lambda: all(bridge._channels[topic].has_sinks() for topic in topics), "sinks")
+    return client
+
+
+def test_each_frame_arrives_with_its_pixels_and_stamp(bridge: FoxgloveBridge) -> None:
+    sent = [taxels(k) for k in range(200)]
+    with subscribed(bridge, TOPIC) as client:
+        for message in (skin(), *sent):
+            list(bridge.step(message))
+        for message in sent:
+            got = client.receive()
+            while not isinstance(got, Data):
+                got = client.receive()
+            assert got.log_time_ns == message.stamp_ns
+            assert np.array_equal(pixels(got.payload), message.forces)
+            stamp = fields_of(fields_of(got.payload)[1][0])  # protobuf leaves zeros out
+            seconds, nanoseconds = (stamp.get(k, [0])[0] for k in (1, 2))
+            assert seconds * 10**9 + nanoseconds == message.stamp_ns
+
+
+@pytest.mark.parametrize(("pitch_m", "side_m"), [(0.005, 0.005), (None, 1.0)])
+def test_a_grid_has_the_pitch_as_its_cell_size(
+    bridge: FoxgloveBridge, pitch_m: float | None, side_m: float
+) -> None:
+    with subscribed(bridge, f"{TOPIC}/grid") as client:
+        for message in (skin(pitch_m), taxels(0)):
+            list(bridge.step(message))
+        got = client.receive()
+        while not isinstance(got, Data):
+            got = client.receive()
+        # foxglove.Grid: column_count 4, cell_size 5, row_stride 6, cell_stride 7, data 9.
+        grid = fields_of(got.payload)
+        assert fields_of(grid[5][0]) == {1: [side_m], 2: [side_m]}
+        columns, row_stride, cell_stride = (int.from_bytes(grid[k][0], "little") for k in (4, 6, 7))
+        assert (columns, row_stride, cell_stride) == (COLS, 4 * COLS, 4)
+        assert grid[9] == [taxels(0).forces.tobytes()]
+
+
+def test_figures_are_numbers_that_can_be_plotted(bridge: FoxgloveBridge) -> None:
+    forces = np.zeros((ROWS, COLS), np.float32)
+    forces[3, 5] = 2.0
+    made = Reconstruction(
+        stamp_ns=5, patch="skin", forces=forces, phi="0" * 16, iterations=7, residual=0.25,
+        solve_ns=1_500_000, done_ns=9, error=0.125, trusted=False,
+    )  # fmt: skip
+    topic = "/skin/reconstruction/figures"
+    with subscribed(bridge, topic) as client:
+        for message in (skin(), made):
+            list(bridge.step(message))
+        got = client.receive()
+        while not isinstance(got, Data):
+            got = client.receive()
+        figures = json.loads(got.payload)
+        assert client.channels[topic]["encoding"] == "json"
+    figures.pop("latency_ms")
+    assert figures == {
+        "seq": 0, "total": 2.0, "peak": 2.0, "row": 3.0, "col": 5.0, "residual": 0.25,
+        "iterations": 7, "solve_ms": 1.5, "trusted": False, "error": 0.125,
+    }  # fmt: skip
+
+
+def test_frames_before_the_skin_and_of_another_shape_are_not_sent(bridge: FoxgloveBridge) -> None:
+    list(bridge.step(taxels(0)))
+    list(bridge.step(skin()))
+    other = Taxels(stamp_ns=1, patch="skin", forces=np.zeros((COLS, ROWS), np.float32))
+    list(bridge.step(other))
+    assert bridge.n_sent == 0
+
+
+def test_a_port_that_is_taken_is_refused_in_one_line(bridge: FoxgloveBridge) -> None:
+    port = int(bridge.where().rpartition(":")[2])
+    with pytest.raises(SettingsError, match=rf"port: cannot listen at 127.0.0.1:{port}"):
+        FoxgloveBridge(FoxgloveSettings(port=port), Context("two", ManualClock(0)))
+
+
+STATE = {
+    "nodes": [
+        {
+            "name": "compressor",
+            "controls": [{"key": "ratio", "type": "float"}, {"key": "m", "type": "int | None"}],
+            "settings": {"ratio": 3.0, "m": None},
+        }
+    ]
+}
+
+
+def test_hostile_requests_end_neither_server_nor_bridge(bridge: FoxgloveBridge) -> None:
+    bridge.command("graph", STATE)
+    with FoxgloveClient(bridge.where()) as client:
+        for text in ("", "[]", "{", '{"op": 5}', '{"op": "subscribe", "subscriptions": 3}'):
+            client._socket.send(text)
+        client._socket.send(b"\xff" * 100)
+        client.send(op="subscribe", subscriptions=[{"id": 1, "channelId": 2**31}])
+        client.send(op="setParameters", parameters=[{"name": "x" * 5000, "value": [[[1]]]}])
+        client.send(op="setParameters", parameters=[{"name": "launch.record", "value": True}])
+        assert client.parameters("compressor.ratio") == {"compressor.ratio": 3.0}
+    assert bridge.asked == []  # type: ignore[attr-defined]
+
+
+def test_parameters_cannot_be_set_unless_that_is_allowed() -> None:
+    asked: list[dict[str, Any]] = []
+    made = FoxgloveBridge(FoxgloveSettings(port=0), Context("f", ManualClock(0), ask=asked.append))
+    made.command("graph", STATE)
+    try:
+        with FoxgloveClient(made.where()) as client:
+            assert client.set_parameters(compressor__ratio=4) == {"compressor.ratio": 3.0}
+            made.idle()
+            assert "read only" in client.until("status")["message"]
+    finally:
+        made.close({})
+    assert asked == []
+
+
+def test_a_client_reads_and_sets_parameters_of_a_running_graph(start: StartProgram) -> None:
+    graph = start("launch", "path_40", "--set", "monitor.page=false")
+    graph.wait_for("ready")
+    beside = start("bridge", "foxglove", "--port", "0", "--allow-set")
+    with FoxgloveClient(beside.wait_for("foxglove: ")) as client:
+        client.wait_for_channels("/skin/reconstruction")
+        while "compressor.ratio" not in client.parameters():
+            pass
+        assert client.parameters("compressor.ratio") == {"compressor.ratio": 3}
+        # A client sends whole numbers as it likes; the graph has the new matrix from then on.
+        assert client.set_parameters(compressor__ratio=8) == {"compressor.ratio": 8}
+        asked = start("param", "get", "compressor", "ratio")
+        assert asked.finish()[:2] == (0, "8.0\n")
+        assert client.set_parameters(compressor__ratio=-1) == {"compressor.ratio": 8}
+        assert "outside" in client.until("status")["message"]
+        client.set_parameters(compresor__ratio=4)
+        assert "did you mean" in client.until("status")["message"]
+        client.set_parameters(compressor__phi="full")
+        assert "cannot be changed while the graph runs" in client.until("status")["message"]
+        client.subscribe("/skin/reconstruction")
+        got = client.receive()
+        while not isinstance(got, Data):
+            got = client.receive()
+        assert pixels(got.payload).shape == (40, 40)
+
+
+def test_a_skin_of_points_is_a_point_cloud(bridge: FoxgloveBridge) -> None:
+    exists = np.ones((ROWS, COLS), dtype=np.bool_)
+    exists[2, 3] = False
+    points = np.random.default_rng(1).random((exists.sum(), 6)).astype(np.float32)
+    points[:, 3:] = (0, 0, 1)
+    rows = np.random.default_rng(2).permutation(len(points)).astype(np.int32)
+    state = dataclasses.replace(skin(), mask=exists, points=points, point_rows=rows)
+    topic = f"{TOPIC}/points"
+    for message in (state, taxels(0)):
+        list(bridge.step(message))
+    with subscribed(bridge, topic) as client:
+        list(bridge.step(taxels(1)))
+        got = client.receive()
+        while not isinstance(got, Data):
+            got = client.receive()
+    # foxglove.PointCloud: point_stride 4, fields 5, data 6.
+    cloud = fields_of(got.payload)
+    assert int.from_bytes(cloud[4][0], "little") == 20
+    names = [fields_of(field)[1][0].decode() for field in cloud[5]]
+    assert names == ["x", "y", "z", "force", "row"]
+    found = np.frombuffer(cloud[6][0], "<f4").reshape(-1, 5)
+    assert np.array_equal(found[:, 4].copy().view("<u4"), rows)
+    assert np.array_equal(found[:, :3], points[:, :3])
+    assert np.array_equal(found[:, 3], taxels(1).forces[exists])

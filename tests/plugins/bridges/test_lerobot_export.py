@@ -1,0 +1,156 @@
+"""The export to LeRobot, read by the rules of its layout v3.0 alone, with pandas and pyarrow."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from bags import N_COLS, N_ROWS, PERIOD_NS, frame, make_bag, skin_state
+
+pytest.importorskip("pyarrow", reason="pyarrow is not installed")
+from sparseskin.launch.commands.cli import main
+from sparseskin.messages import Reconstruction
+from sparseskin.nodes.recorder.bag.format import BagError
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.plugins.bridges.exports.lerobot import export_lerobot
+
+N_FRAMES, FPS, WINDOW = 60, 30, 5
+DTYPES = {"float32": np.float32, "int64": np.int64}
+
+
+class Dataset:
+    """What LeRobotDataset reads of a folder: its info, episodes, tasks, statistics and rows."""
+
+    def __init__(self, root: Path) -> None:
+        self.info = json.loads((root / "meta/info.json").read_text())
+        self.stats = json.loads((root / "meta/stats.json").read_text())
+        self.tasks = pd.read_parquet(root / "meta/tasks.parquet")
+        (path,) = root.glob("meta/episodes/*/*.parquet")
+        self.episode = pd.read_parquet(path).iloc[0]
+        data = self.info["data_path"].format(
+            chunk_index=self.episode["data/chunk_index"], file_index=self.episode["data/file_index"]
+        )
+        self.rows = pd.read_parquet(root / data)
+
+    def column(self, key: str) -> np.ndarray[Any, Any]:
+        """A feature as an array of its declared dtype and shape, a row each."""
+        feature = self.info["features"][key]
+        rows = [np.array(value.tolist() if hasattr(value, "tolist") else value)
+                for value in self.rows[key]]  # fmt: skip
+        shape = () if feature["shape"] == [1] else tuple(feature["shape"])
+        return np.stack(rows).astype(DTYPES[feature["dtype"]]).reshape(len(rows), *shape)
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    path = tmp_path / "some.mcap"
+    make_bag(path, [skin_state(), *(m for k in range(N_FRAMES) for m in frame(k))])
+    return path
+
+
+@pytest.fixture
+def exported(bag: Path, tmp_path: Path) -> Dataset:
+    with BagReader(bag) as reader:
+        export_lerobot(reader, tmp_path / "out", fps=FPS, window=WINDOW)
+    assert not list((tmp_path / "out").glob(".*"))
+    return Dataset(tmp_path / "out")
+
+
+KEY = "observation.tactile.skin"
+
+
+def test_rows_are_those_of_the_video_from_the_first_frame_to_the_last(exported: Dataset) -> None:
+    n = (N_FRAMES - 1) * PERIOD_NS * FPS // 10**9 + 1
+    info = exported.info
+    assert info["codebase_version"] == "v3.0"
+    assert (info["fps"], info["total_frames"], info["total_episodes"]) == (FPS, n, 1)
+    assert (info["total_tasks"], info["splits"]) == (1, {"train": "0:1"})
+    assert set(exported.rows) == set(info["features"])
+    assert np.array_equal(exported.column("index"), np.arange(n))
+    assert np.array_equal(exported.column("frame_index"), np.arange(n))
+    assert not exported.column("episode_index").any()
+    # LeRobot refuses timestamps that are more than 0.1 ms off the video's.
+    assert np.abs(exported.column("timestamp") - np.arange(n) / FPS).max() < 1e-5
+    assert exported.tasks.loc["touch", "task_index"] == 0
+    assert not exported.column("task_index").any()
+
+
+def test_each_row_holds_the_last_frames_at_or_before_its_time(exported: Dataset) -> None:
+    sent = [message for k in range(N_FRAMES) for message in frame(k)]
+    recorded = [message.forces for message in sent if isinstance(message, Reconstruction)]
+    windows, ages = exported.column(KEY), exported.column(f"{KEY}.age")
+    assert windows.shape == (len(exported.rows), WINDOW, N_ROWS * N_COLS)
+    for row in range(len(exported.rows)):
+        at_ns = row * 10**9 // FPS
+        for place in range(WINDOW):
+            k = max(0, at_ns // PERIOD_NS - (WINDOW - 1 - place))
+            assert np.array_equal(windows[row, place], recorded[k].ravel()), (row, place)
+            assert ages[row, place] == pytest.approx((at_ns - k * PERIOD_NS) / 1e9, abs=1e-6)
+
+
+def test_statistics_are_those_of_the_rows(exported: Dataset) -> None:
+    for key in exported.info["features"]:
+        rows = exported.column(key).astype(np.float64)
+        rows = rows[:, None] if rows.ndim == 1 else rows
+        found = exported.stats[key]
+        assert found["count"] == [len(rows)]
+        for name, value in (
+            ("min", rows.min(axis=0)), ("max", rows.max(axis=0)), ("mean", rows.mean(axis=0)),
+            ("std", rows.std(axis=0)), ("q50", np.median(rows, axis=0)),
+        ):  # fmt: skip
+            assert np.allclose(found[name], value, atol=1e-5), (key, name)
+            stored = exported.episode[f"stats/{key}/{name}"]
+            assert np.allclose(np.array(stored.tolist()).tolist(), value, atol=1e-5)
+
+
+def test_an_episode_names_its_rows_and_its_file(exported: Dataset) -> None:
+    episode, n = exported.episode, len(exported.rows)
+    assert (episode["dataset_from_index"], episode["dataset_to_index"]) == (0, n)
+    assert (episode["episode_index"], episode["length"]) == (0, n)
+    assert list(episode["tasks"]) == ["touch"]
+
+
+def test_the_window_is_by_default_as_many_frames_as_come_in_a_row(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "default"
+    assert main(["bag", "export", str(bag), "--to", "lerobot", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out.split()
+    assert sorted(printed) == sorted(str(path) for path in out.rglob("*") if path.is_file())
+    assert Dataset(out).info["features"][KEY]["shape"] == [4, N_ROWS * N_COLS]  # 100 Hz at 30
+
+
+@pytest.mark.parametrize(
+    ("more", "fault"),
+    [
+        (["--to", "csv", "--window", "3"], "--window: goes with --to lerobot"),
+        (["--to", "lerobot", "--fps", "5000"], "--fps: 5000 is outside 1..1000"),
+        (["--to", "lerobot", "--window", "9999"], "--window: 9999 is outside 1..4096"),
+        (["--to", "lerobot", "--topics", "/skin/measurements"], "measurements are no map"),
+    ],
+)
+def test_what_makes_no_sense_is_one_line(
+    bag: Path, more: list[str], fault: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bag", "export", str(bag), *more]) == 2
+    assert fault in capsys.readouterr().err
+    assert not list(bag.parent.glob("*_lerobot"))
+
+
+def test_other_maps_have_names_of_their_own(bag: Path, tmp_path: Path) -> None:
+    with BagReader(bag) as reader:
+        export_lerobot(reader, tmp_path / "o", ["/skin/truth", "/skin/taxels"], fps=10, window=1)
+    features = Dataset(tmp_path / "o").info["features"]
+    assert {"observation.tactile.skin_truth", "observation.tactile.skin_taxels"} <= set(features)
+
+
+def test_without_frames_there_is_nothing_to_export(tmp_path: Path) -> None:
+    bag = tmp_path / "none.mcap"
+    make_bag(bag, frame(0)[2:3])  # measurements alone
+    with BagReader(bag) as reader, pytest.raises(BagError, match="neither reconstructions nor"):
+        export_lerobot(reader, tmp_path / "o")
+    assert not (tmp_path / "o").exists()

@@ -1,0 +1,102 @@
+"""A bridge observes: whatever becomes of it, the graph runs as without it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+from conftest import StartProgram
+
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.network.sockets import Reader, Writer, make_context
+from sparseskin.plugins.bridges.base import BridgeSettings
+
+
+def test_a_writer_waits_for_the_presence_of_an_observer_but_not_for_its_answers(
+    tmp_path: Path,
+) -> None:
+    context = make_context()
+    try:
+        endpoint = f"ipc://{tmp_path / 'w'}"
+        writer = Writer(context, endpoint, "sensor")
+        readers = [
+            Reader(context, "solver", [endpoint], ["/skin/taxels"]),
+            Reader(context, "bridge", [endpoint], ["/skin/taxels"], observes=True),
+        ]
+        while writer.present != {"solver", "bridge"}:
+            writer.socket.poll(100)
+            writer.serve_subscriptions()
+        ask = writer.ask()
+        assert writer.awaits(ask)
+        note = None
+        while note is None:
+            note = readers[0].receive()
+        readers[0].answer(note[1])
+        while writer.awaits(ask):
+            writer.socket.poll(100)
+            writer.serve_subscriptions()
+        assert readers[1].receive() is None
+    finally:
+        context.destroy(linger=0)
+
+
+def test_a_stopped_bridge_holds_up_no_source_that_follows_its_readers(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
+    (tmp_path / "observed.toml").write_text(
+        """
+[nodes.sensor]
+type = "sensor"
+source = "scene:path_40"
+rate_hz = 0
+[nodes.compressor]
+type = "compressor"
+[nodes.reconstructor]
+type = "reconstructor"
+[nodes.monitor]
+type = "monitor"
+page = false
+[nodes.fox]
+type = "foxglove"
+port = 0
+"""
+    )
+    graph = start("launch", "observed.toml", "--frames", "1200", "--summary", "out.json")
+    graph.wait_for("ready")
+    os.kill(graph.pid_of("fox"), signal.SIGSTOP)
+    while "sensor ended" not in (line := _line(start)):
+        assert line
+    os.kill(graph.pid_of("fox"), signal.SIGCONT)
+    assert graph.finish()[0] == 0
+    summary = json.loads((tmp_path / "out.json").read_text())
+    assert summary["patches"]["skin"]["frames"]["reconstructed"] == 1200
+    fox = summary["nodes"]["fox"]
+    # Of each topic: what was sent, or dropped by the bridge, or by the queue of its writer.
+    for topic in ("/skin/taxels", "/skin/truth", "/skin/reconstruction"):
+        assert fox["received"][topic] + fox["lost"][topic] == 1200
+    streams = sum(fox["received"][topic] for topic in fox["received"] if topic != "/skin/skin")
+    assert fox["bridge"]["sent"] + fox["bridge"]["dropped"] == streams
+
+
+def _line(start: StartProgram) -> str:
+    listed = start("node", "list", "--json").finish()[1]
+    nodes = json.loads(listed)["nodes"]
+    return "; ".join(f"{node['name']} {node['condition']}" for node in nodes)
+
+
+@pytest.mark.parametrize(
+    ("values", "fault"),
+    [
+        ({"maps": ["taxel"]}, "did you mean 'taxels'"),
+        ({"maps": []}, "at least one"),
+        ({"patches": ["a b"]}, "patches"),
+        ({"depth": 0}, "depth: 0 is outside 1..1000"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(values: dict[str, object], fault: str) -> None:
+    with pytest.raises(SettingsError, match=fault):
+        BridgeSettings.from_mapping(values)

@@ -1,0 +1,197 @@
+"""The bridge to ROS 2, and ROS 2 as a source: against another process that has DDS alone."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
+from conftest import wait_until
+from ros2_peer import forces
+
+from sparseskin.messages import Message, SkinState, Taxels
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.errors import SettingsError, SourceError
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.sensor.sources import check_source, open_source
+from sparseskin.plugins.bridges import cdr
+from sparseskin.plugins.bridges.ros2 import Ros2Bridge, Ros2Settings
+from sparseskin.plugins.bridges.ros2_source import frames, parse
+
+PEER = Path(__file__).parents[1] / "ros2_peer.py"
+DOMAIN = 100 + hash(sys.executable + str(Path.cwd())) % 100
+"""Not that of another test run on this host."""
+MASK = np.ones((6, 9), bool)
+MASK[2, 3] = MASK[5, 8] = False
+
+
+class Peer:
+    """The other process; ends with its `with`."""
+
+    def __init__(self, action: str, topic: str, kind: str, n: int) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, str(PEER), action, topic, kind, str(n), str(DOMAIN)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+
+    def __enter__(self) -> Peer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+    def line(self) -> str:
+        assert self.process.stdout is not None
+        return self.process.stdout.readline().strip()
+
+
+def frame(k: int) -> Taxels:
+    made = forces(k)
+    made[~MASK] = 0
+    stamp_ns = 1_700_000_000_999_999_990 + k  # over the border of a second
+    return Taxels(stamp_ns=stamp_ns, patch="skin", forces=made)
+
+
+def sent(
+    messages: list[Message], kind: str, topic: str, **of_skin: Any
+) -> Iterator[dict[str, Any]]:
+    """What the other process received of these messages, of a skin with these properties, too."""
+    bridge = Ros2Bridge(
+        Ros2Settings(domain=DOMAIN, messages=(kind,), history=1000), Context("ros2", ManualClock(0))
+    )
+    list(bridge.start())
+    skin = SkinState(
+        stamp_ns=0, patch="skin", n_rows=6, n_cols=9, f_max=2.5, unit="N", pitch_m=0.25, mask=MASK,
+        source="test", seed=0, rate_hz=0.0, has_truth=False, sigma_mid=0.0, sigma_end=0.0,
+        **of_skin,
+    )  # fmt: skip
+    writer = bridge._writers[f"{kind} /skin/taxels"]
+    with Peer("read", topic, kind, len(messages)) as peer:
+        assert peer.line() == "MATCHED"
+        wait_until(lambda: bool(writer.get_matched_subscriptions()), "the reader")
+        for message in (skin, *messages):
+            list(bridge.step(message))
+        assert bridge.n_dropped == 0
+        for _ in messages:
+            yield json.loads(peer.line())
+    bridge.close({})
+
+
+def test_images_arrive_in_another_process_each_with_its_pixels_and_stamp() -> None:
+    messages = [frame(k) for k in range(200)]
+    for message, got in zip(messages, sent(list(messages), "image", "/skin/taxels"), strict=True):
+        assert got["stamp_ns"] == message.stamp_ns
+        assert (got["frame_id"], got["shape"]) == ("skin", [6, 9])
+        assert got["values"] == message.forces.ravel().tolist()
+
+
+def test_points_are_the_taxels_that_exist_at_the_pitch_of_the_skin() -> None:
+    (got,) = sent([frame(3)], "points", "/skin/taxels/points")
+    rows, cols = np.nonzero(MASK)
+    expected = np.stack(
+        [0.25 * cols, 0.25 * rows, 0 * rows, frame(3).forces[MASK]], axis=1
+    ).tolist()
+    assert got["points"] == expected
+    assert got["rows"] == []
+
+
+def test_points_of_a_file_have_their_place_and_row() -> None:
+    n = int(MASK.sum())
+    points = np.zeros((n, 6), np.float32)
+    points[:, :3], points[:, 5] = np.random.default_rng(0).normal(size=(n, 3)), 1
+    rows = np.random.default_rng(1).permutation(n).astype(np.int32)
+    rows[0] = 2**31 - 1
+    of_skin = {"points": points, "point_rows": rows}
+    (got,) = sent([frame(3)], "points", "/skin/taxels/points", **of_skin)
+    expected = np.column_stack([points[:, :3], frame(3).forces[MASK]])
+    assert got["points"] == expected.tolist()
+    assert got["rows"] == rows.tolist()
+
+
+def test_arrays_have_rows_and_columns() -> None:
+    (got,) = sent([frame(4)], "array", "/skin/taxels/array")
+    assert got == {"shape": [6, 9], "values": frame(4).forces.ravel().tolist()}
+
+
+@pytest.mark.parametrize("kind", ["image", "array"])
+def test_a_topic_of_another_process_is_a_source(kind: str) -> None:
+    n = 300
+    with Peer("write", f"/peer/{kind}", kind, n):
+        source = open_source(f"ros2:/peer/{kind}?domain={DOMAIN}&timeout_s=60", seed=0)
+        assert source.skin.shape == (6, 9)
+        for k, (_, got) in zip(range(n), source, strict=False):
+            assert np.array_equal(got, forces(k)), k
+        source.close()  # type: ignore[attr-defined]
+
+
+def test_a_topic_that_nobody_publishes_is_one_line() -> None:
+    with pytest.raises(SourceError, match=r"ros2:/none: nobody publishes there on DDS domain"):
+        next(frames(f"ros2:/none?domain={DOMAIN}&timeout_s=0.3"))
+
+
+@pytest.mark.parametrize(
+    ("source", "fault"),
+    [
+        ("ros2:tactile", "begins with /"),
+        ("ros2:/a?domian=3", "did you mean 'domain'"),
+        ("ros2:/a?domain=x", "are numbers"),
+        ("ros2:/a?domain=300", "outside 0..232"),
+        ("ros2:/a?timeout_s=-1", "outside 0..86400"),
+        ("ros2:/a?timeout_s=nan", "outside 0..86400"),
+    ],
+)
+def test_a_malformed_source_is_refused_before_any_node_starts(source: str, fault: str) -> None:
+    with pytest.raises(SourceError, match=fault):
+        check_source(source)
+
+
+def test_a_source_states_domain_interface_and_patience() -> None:
+    found = parse("ros2:/a/b?domain=7&interface=&timeout_s=2.5")
+    assert (found.topic, found.domain, found.interface, found.timeout_s) == ("/a/b", 7, "", 2.5)
+
+
+def test_an_unknown_kind_of_message_is_refused() -> None:
+    with pytest.raises(SettingsError, match="did you mean 'image'"):
+        Ros2Settings(messages=("imgae",))
+
+
+def test_an_interface_that_is_not_there_is_one_line() -> None:
+    with pytest.raises(SettingsError, match="cannot join DDS domain"):
+        Ros2Bridge(
+            Ros2Settings(domain=DOMAIN + 31, interface="nowhere0"), Context("r", ManualClock(0))
+        )
+
+
+IMAGE = cdr.image((3, 4), "skin", forces(0))
+ARRAY = cdr.array(forces(0))
+
+
+def test_what_is_written_is_read() -> None:
+    received = cdr.read_image(IMAGE)
+    assert received.stamp_ns == 3_000_000_004
+    assert np.array_equal(received.values, forces(0))
+    assert np.array_equal(cdr.read_array(ARRAY).values, forces(0))
+
+
+@given(st.binary(max_size=200), st.booleans(), st.data())
+def test_hostile_bytes_are_refused_or_read(data: bytes, begins: bool, draw: st.DataObject) -> None:
+    for whole, read in ((IMAGE, cdr.read_image), (ARRAY, cdr.read_array)):
+        mutated = bytearray(whole)
+        at = draw.draw(st.integers(0, len(whole) - 1))
+        mutated[at : at + len(data)] = data
+        for one in (bytes(mutated), data if not begins else cdr.HEAD + data, whole[:at]):
+            try:
+                received = read(one)
+            except SourceError:
+                continue
+            assert received.values.ndim == 2

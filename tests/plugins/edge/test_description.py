@@ -1,0 +1,117 @@
+"""The description of an edge: what is refused, and that its file is read back as it was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sparseskin.nodes.compressor.node import CompressorSettings
+from sparseskin.nodes.compressor.phi.base import RANDOM
+from sparseskin.plugins.edge.description import EdgeDescription, EdgeError
+
+MASK = np.array([[True, False, True], [True, True, True]])
+
+
+@pytest.mark.parametrize("mask", [None, MASK])
+def test_its_file_is_read_back_as_it_was_written(
+    mask: np.ndarray[Any, Any] | None, tmp_path: Path
+) -> None:
+    made = EdgeDescription.chosen(2, 3, ratio=2, mask=mask, bits=11, block=4, seed=3, adc_bits=9)
+    path = tmp_path / "edge.toml"
+    path.write_text(made.to_toml())
+    read = EdgeDescription.read(path)
+    assert read.to_toml() == made.to_toml()
+    assert read.phi.fingerprint == made.phi.fingerprint
+    assert read.tags == made.tags
+
+
+@pytest.mark.parametrize("ratio", [1, 2, 3, 3.5, 8])
+@pytest.mark.parametrize("rows", [None, "fixed", "rotating"])
+def test_rows_and_m_are_those_of_the_compressor(ratio: float, rows: str | None) -> None:
+    made = EdgeDescription.chosen(7, 9, ratio=ratio, rows=rows)
+    assert (made.rows, made.m) == CompressorSettings(ratio=ratio, rows=rows).rows_and_m(63)
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"n_rows": 0}, "n_rows: 0 is not allowed; allowed: 1..4096"),
+        ({"n_rows": 4096, "n_cols": 17}, "n_rows: 69632 cells; allowed: 65536 or fewer"),
+        ({"bits": 17}, "bits: 17 is not allowed; allowed: 4..16"),
+        ({"block": 48}, "block: 48 is not a power of two (1, 2, 4 ...)"),
+        ({"block": 512}, "block: 512 is not allowed; allowed: 1..256"),
+        ({"m": 13}, "m: 13 is not allowed; allowed: 1..12"),
+        ({"rows": "rotate"}, "rows: 'rotate' is not allowed (did you mean 'rotating'?)"),
+        ({"mask": np.zeros((3, 4), bool)}, "mask: leaves no taxel"),
+        ({"mask": np.ones((4, 3), bool)}, "mask: bool of shape (4, 3); expected bool of (3, 4)"),
+    ],
+)
+def test_values_that_are_not_allowed_are_refused_by_name(values: dict[str, Any], line: str) -> None:
+    with pytest.raises(EdgeError) as refused:
+        EdgeDescription(**{"n_rows": 3, "n_cols": 4, "m": 4, **values})
+    assert str(refused.value).startswith(line)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("n_rows = 6", "n_rows = ", "no TOML"),
+        ("n_rows = 6", "n_row = 6", "n_row: unknown key (did you mean 'n_rows'?)"),
+        ("n_rows = 6", "n_rows = 6.5", "n_rows: 6.5 is not allowed"),
+        ("n_rows = 6", "n_rows = 999999999", "n_rows: 999999999 is not allowed"),
+        ("m = 12", "m = true", "m: True is not allowed; allowed: a whole number"),
+        ("bits = 8\n", "", "bits: is missing"),
+        ("version = 1", "version = 2", "version: 2 is not allowed; allowed: 1"),
+        ('rows = "rotating"', "rows = [1]", "rows: [1] is not allowed"),
+        ("seed = 0", "seed = 1", "fingerprint: "),
+        ("seed = 0", 'seed = 0\nmask = ["10"]', "mask: bool of shape (1, 2)"),
+        ("seed = 0", 'seed = 0\nmask = ["1x"]', "mask: expected texts of 0 and 1"),
+        ("seed = 0", "seed = 0\nmask = 3", "mask: expected a list of texts"),
+    ],
+)
+def test_a_file_that_was_changed_is_refused_with_its_place(
+    old: str, new: str, line: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "edge.toml"
+    text = EdgeDescription.chosen(6, 6, ratio=3).to_toml()
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new))
+    with pytest.raises(EdgeError) as refused:
+        EdgeDescription.read(path)
+    assert str(refused.value).startswith(f"{path}: {line}")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_file_that_is_missing_or_no_text_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(EdgeError, match="cannot be read: No such file"):
+        EdgeDescription.read(tmp_path / "none.toml")
+    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(EdgeError, match="no TOML"):
+        EdgeDescription.read(tmp_path / "bytes.toml")
+
+
+EDGE = """
+version = 1
+n_rows = 9
+n_cols = 11
+m = 30
+bits = 8
+rows = "rotating"
+block = 32
+seed = 7
+adc_bits = 12
+fingerprint = "443e07fb12311131"
+mask = ["00011111111", {eight}]
+"""
+
+
+def test_the_description_of_an_edge_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "edge.toml"
+    path.write_text(EDGE.format(eight=", ".join(['"11111111111"'] * 8)), encoding="utf-8")
+    read = EdgeDescription.read(path)
+    assert (read.rule, len(read.subsets)) == (RANDOM, 4)
+    path.write_text(read.to_toml(), encoding="utf-8")
+    assert EdgeDescription.read(path).tags == read.tags

@@ -1,0 +1,85 @@
+"""The command `sparseskin edge`: what it writes, and how it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.plugins.edge.description import EdgeDescription
+
+EXPORT = ["edge", "export", "--rows", "6", "--cols", "8"]
+
+
+def test_it_writes_the_program_of_the_stated_matrix(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "edge"
+    options = ["--ratio", "4", "--bits", "10", "--rows-mode", "rotating", "--seed", "5"]
+    assert main([*EXPORT, *options, "--adc-bits", "14", "--out", str(out)]) == 0
+    made = EdgeDescription.read(out / "edge.toml")
+    stated = (made.n_rows, made.n_cols, made.m, made.bits, made.rows, made.seed, made.full_scale)
+    assert stated == (6, 8, 12, 10, "rotating", 5, 16383)
+    assert "12 of 48 taxels, rows rotating, 10 bits, 29 bytes a frame" in capsys.readouterr().out
+    assert "@" not in (out / "README.md").read_text()
+
+
+def test_rows_columns_and_mask_are_those_of_a_skin(tmp_path: Path) -> None:
+    skin, out = tmp_path / "skin.toml", tmp_path / "edge"
+    skin.write_text('rows = 2\ncols = 3\nf_max = 2.5\nmask = ["101", "111"]\n')
+    assert main(["edge", "export", "--skin", str(skin), "--m", "2", "--out", str(out)]) == 0
+    made = EdgeDescription.read(out / "edge.toml")
+    assert (made.n_rows, made.n_cols, made.n_taxels, made.m) == (2, 3, 5, 2)
+    assert made.mask is not None
+    assert made.mask.tolist() == [[True, False, True], [True, True, True]]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--bits", "3"], "--bits: 3 is not allowed; allowed: 4..16"),
+        (["--block", "33"], "--block: 33 is not a power of two (1, 2, 4 ...)"),
+        (["--ratio", "50"], "--ratio: 50 leaves no measurement of 48 taxels; allowed: 1..48"),
+        (["--m", "49"], "--m: 49 is not allowed; allowed: 1..48"),
+        (["--m", "4", "--ratio", "2"], "--m: states the number of measurements; leave out --ratio"),
+        (["--skin", "s.toml"], "--skin: states rows and columns; leave out --rows and --cols"),
+        (["--out", "."], ".: exists already, and is not written over"),
+        (["--out", "no/folder"], "no/folder: its folder does not exist"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(
+    words: list[str],
+    line: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = [] if "--out" in words else ["--out", "edge"]
+    assert main([*EXPORT, *words, *out]) == 2
+    assert capsys.readouterr().err == f"{line}\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["edge", "exprt"], "did you mean 'export'?"),
+        ([*EXPORT, "--out", "x", "--rows-mode", "rotatng"], "did you mean 'rotating'?"),
+        ([*EXPORT, "--out", "x", "--ratoi", "3"], "did you mean '--ratio'?"),
+        (["edge", "export", "--rows", "6", "--out", "x"], "--cols: is missing"),
+        (["edge", "cost", "--cols", "6"], "--rows: is missing"),
+    ],
+)
+def test_a_wrong_word_is_answered_by_the_nearest(
+    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        code = main(words)
+    except SystemExit as ended:
+        code = int(str(ended.code))
+    err = capsys.readouterr().err
+    assert code == 2
+    assert hint in err
+    assert err.count("\n") == 1

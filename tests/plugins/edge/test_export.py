@@ -1,0 +1,159 @@
+"""The exported program in C sends what the compressor in Python measures, bit for bit."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from edges import compiled, random_counts, sent
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sparseskin.messages import Measurements, SkinState, Taxels
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.node import Compressor, CompressorSettings
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.node import Context
+from sparseskin.plugins.boards.framing import FrameParser
+from sparseskin.plugins.edge.description import EdgeDescription
+from sparseskin.plugins.edge.export import COPIED, export
+from sparseskin.plugins.edge.frames import framing_of, read_frame
+from sparseskin.plugins.edge.twin import compressed
+
+
+def described(n_rows: int, n_cols: int, ratio: float = 3, holes: bool = False, **more: Any) -> Any:
+    mask = None
+    if holes:
+        mask = np.random.default_rng(1).random((n_rows, n_cols)) < 0.8
+        mask[0, 0] = False
+    return EdgeDescription.chosen(n_rows, n_cols, ratio=ratio, mask=mask, **more)
+
+
+CASES = {
+    "32x32": described(32, 32),
+    "one taxel": described(1, 1, 1, bits=16),
+    "all rows": described(8, 16, 1, bits=12),
+    "remainder of all sizes": described(5, 19, 2, bits=5, rows="rotating", seed=7),
+    "masked, not square": described(12, 32, 4, holes=True, bits=10, adc_bits=16),
+    "fixed, 8 bits of ADC": described(9, 7, 3, rows="fixed", adc_bits=8, bits=4),
+    "block 1": described(6, 6, 2, block=1, adc_bits=16, bits=16),
+    "block 2": described(6, 7, 3, block=2, adc_bits=10, bits=13),
+    "block 64": described(13, 17, 8, block=64, adc_bits=16, bits=7),
+    "block 256, many row subsets": described(20, 30, 40, block=256, adc_bits=16, bits=16),
+    "one bit of ADC": described(16, 32, 3, adc_bits=1, bits=9, holes=True),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_bytes_of_the_program_are_those_of_python(name: str, tmp_path: Path) -> None:
+    d = CASES[name]
+    builtins = ("-DEDGE_NO_BUILTINS",) if d.n_cells % 2 else ()
+    out = compiled(d, tmp_path, *builtins)
+    frames = random_counts(d, 6 * len(d.subsets) + 12)
+    assert sent(out, d, frames) == b"".join(compressed(d, frames))
+
+
+@pytest.mark.parametrize("name", ["one taxel", "masked, not square", "block 256, many row subsets"])
+def test_the_self_test_finds_its_frames_as_expected_and_a_changed_table_not(
+    name: str, tmp_path: Path
+) -> None:
+    d = CASES[name]
+    out = compiled(d, tmp_path, test=True)
+    test = subprocess.run([out / "edge_test"], capture_output=True, text=True, check=False)
+    n = len(d.subsets) + 6
+    assert (test.returncode, test.stdout) == (0, f"{n} of {n} test frames are as expected\n")
+    changed = out / "edge_vectors.h"
+    lines = changed.read_text().splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("    0x"))
+    first = lines[at].split(",")[0].strip()
+    lines[at] = lines[at].replace(first, f"0x{int(first.rstrip('u'), 16) ^ 1:08x}u", 1)
+    changed.write_text("\n".join([*lines, ""]))
+    command = ["make", "--silent", "test"]
+    wrong = subprocess.run(command, cwd=out, capture_output=True, text=True, check=False)
+    assert wrong.returncode != 0
+    assert wrong.stdout == f"{n - 1} of {n} test frames are as expected\n"
+
+
+@pytest.mark.parametrize("name", ["32x32", "masked, not square", "remainder of all sizes"])
+def test_its_frames_are_the_messages_of_a_compressor_node(name: str, tmp_path: Path) -> None:
+    d = CASES[name]
+    made = {"rows": d.rows, "m": d.m, "bits": d.bits, "block": d.block, "seed": d.seed}
+    node = Compressor(CompressorSettings(**made), Context("compressor", ManualClock(1)))
+    skin = SkinState(
+        stamp_ns=1,
+        patch="skin",
+        n_rows=d.n_rows,
+        n_cols=d.n_cols,
+        f_max=float(d.full_scale),
+        unit="counts",
+        pitch_m=None,
+        mask=d.mask,
+        source="x",
+        seed=0,
+        rate_hz=0.0,
+        has_truth=False,
+        sigma_mid=0.0,
+        sigma_end=0.0,
+    )
+    list(node.step(skin))
+    frames = random_counts(d, 3 * len(d.subsets) + 6)
+    arrived = FrameParser(framing_of(d)).feed(sent(compiled(d, tmp_path), d, frames))
+    assert [one.sequence for one in arrived] == list(range(len(frames)))
+    found = [read_frame(d, one.payload) for one in arrived]
+    for counts, frame in zip(frames, found, strict=True):
+        forces = counts.astype(np.float32)
+        if d.mask is not None:
+            forces[~d.mask] = 0
+        (message,) = node.step(Taxels(stamp_ns=2, patch="skin", forces=forces))
+        assert isinstance(message, Measurements)
+        assert frame is not None
+        assert frame.phi == message.phi
+        assert frame.measurements(d.bits, 1.0).tobytes() == message.y.tobytes()
+        assert frame.step == message.y.step  # type: ignore[attr-defined]
+
+
+SMALL = described(4, 7, 2, bits=6, adc_bits=16)
+
+
+@pytest.fixture(scope="module")
+def small_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled(SMALL, tmp_path_factory.mktemp("small"))
+
+
+@settings(max_examples=40)
+@given(data=st.data())
+def test_any_frame_is_the_same_in_c(data: st.DataObject, small_program: Path) -> None:
+    # Few different values: sums that cancel, and quotients that are ties.
+    values = data.draw(st.lists(st.integers(0, 65535), min_size=1, max_size=5))
+    counts = data.draw(st.lists(st.sampled_from(values), min_size=56, max_size=56))
+    frames = np.array(counts, np.uint16).reshape(2, 4, 7)
+    assert sent(small_program, SMALL, frames) == b"".join(compressed(SMALL, frames))
+
+
+def test_readings_above_full_scale_are_read_as_full_scale(tmp_path: Path) -> None:
+    d = described(4, 8, adc_bits=10)
+    frames = np.full((1, 4, 8), 65535, np.uint16)
+    full = np.full((1, 4, 8), 1023, np.uint16)
+    assert sent(compiled(d, tmp_path), d, frames) == b"".join(compressed(d, full))
+
+
+def test_a_folder_that_exists_is_not_written_over(tmp_path: Path) -> None:
+    d = described(2, 2)
+    (tmp_path / "there").mkdir()
+    with pytest.raises(SparseskinError, match="exists already, and is not written over"):
+        export(d, tmp_path / "there")
+    assert list((tmp_path / "there").iterdir()) == []
+
+
+def test_the_sources_use_neither_the_heap_nor_floating_point(tmp_path: Path) -> None:
+    export(described(3, 5), tmp_path / "edge")
+    texts = {name: (tmp_path / "edge" / name).read_text() for name in COPIED if name[-2:] == ".c"}
+    assert len(texts) == 5
+    for text in (texts["edge.c"], (tmp_path / "edge" / "edge_tables.c").read_text()):
+        code = [line.partition("/*")[0] for line in text.splitlines() if "*" not in line[:3]]
+        words = set(" ".join(code).replace("(", " ").replace(")", " ").split())
+        assert not words & {"malloc", "calloc", "free", "float", "double"}
+        assert not any("<" in line and line.startswith("#include") for line in code)

@@ -1,0 +1,205 @@
+"""The edge node: frames from a wire that loses, damages and invents bytes."""
+
+from __future__ import annotations
+
+import os
+import pty
+import socket
+import threading
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import free_port, wait_until
+from edges import random_counts
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparseskin.messages import Measurements, PhiState, SkinState
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.quantiser import quantised
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.node import Context, Tick
+from sparseskin.plugins.boards import source as boards
+from sparseskin.plugins.edge.description import EdgeDescription
+from sparseskin.plugins.edge.frames import framing_of, read_frame
+from sparseskin.plugins.edge.node import Edge
+from sparseskin.plugins.edge.twin import compressed
+
+pytest.importorskip("serial", reason="pyserial is not installed")
+
+D = EdgeDescription.chosen(6, 8, ratio=3, bits=10, rows="rotating")
+COUNTS = random_counts(D, 12)
+FRAMES = list(compressed(D, COUNTS))
+OTHER = list(compressed(EdgeDescription.chosen(6, 8, ratio=3, bits=10, seed=1), COUNTS))
+
+
+@pytest.fixture
+def described(tmp_path: Path) -> str:
+    path = tmp_path / "edge.toml"
+    path.write_text(D.to_toml())
+    return str(path)
+
+
+@pytest.fixture
+def line() -> Iterator[tuple[int, str]]:
+    """The board's end of a serial line, and the name of the host's."""
+    board, host = pty.openpty()
+    tty.setraw(host)
+    yield board, os.ttyname(host)
+    os.close(board)
+    os.close(host)
+
+
+def opened(lines: list[str] | None = None, **settings: Any) -> Edge:
+    log = (lines if lines is not None else []).append
+    return Edge(Edge.Settings(**settings), Context("edge", ManualClock(5), log))
+
+
+def received(node: Edge, n: int) -> list[Measurements]:
+    found: list[Any] = []
+    wait_until(lambda: len(found) >= n or bool(found.extend(node.tick(Tick(0, 0)))), "frames")
+    assert all(isinstance(message, Measurements) for message in found)
+    return found
+
+
+def write(board: int, *parts: bytes) -> threading.Thread:
+    thread = threading.Thread(target=lambda: [os.write(board, p) for p in parts], daemon=True)
+    thread.start()
+    return thread
+
+
+def test_skin_and_phi_are_those_of_the_description(described: str, line: tuple[int, str]) -> None:
+    node = opened(source=f"serial:{line[1]}", description=described)
+    skin, phi = node.start()
+    assert isinstance(skin, SkinState)
+    assert isinstance(phi, PhiState)
+    assert (skin.skin.shape, skin.f_max, skin.unit, skin.has_taxels) == (
+        (6, 8),
+        4095,
+        "counts",
+        False,
+    )
+    assert (phi.fingerprint, phi.m, phi.rows) == (D.phi.fingerprint, 16, "rotating")
+    node.close({})
+
+
+@pytest.mark.parametrize(("f_max", "unit"), [(None, None), (2.5, "N")])
+def test_measurements_are_codes_times_a_step_in_the_unit_of_the_forces(
+    f_max: float | None, unit: str | None, described: str, line: tuple[int, str]
+) -> None:
+    node = opened(source=f"serial:{line[1]}", description=described, f_max=f_max, unit=unit)
+    thread = write(line[0], *FRAMES)
+    messages = received(node, len(FRAMES))
+    thread.join()
+    node.close({})
+    for k, (message, counts) in enumerate(zip(messages, COUNTS, strict=True)):
+        phi = D.subsets[k % 3]
+        y = quantised(phi.forward(counts.reshape(-1).astype(np.float32)), 10)
+        assert message.phi == phi.fingerprint
+        if f_max is None:
+            assert message.y.tobytes() == y.tobytes()
+        else:
+            np.testing.assert_allclose(message.y, y * (f_max / 4095), rtol=3e-7)
+
+
+def test_lost_damaged_and_foreign_bytes_cost_themselves_alone(
+    described: str, line: tuple[int, str]
+) -> None:
+    lines: list[str] = []
+    node = opened(lines, source=f"serial:{line[1]}", description=described)
+    damaged = FRAMES[3][:20] + b"\x00\x01" + FRAMES[3][22:]
+    parts = [FRAMES[0][5:], b"\xaa", FRAMES[1], FRAMES[2][:7], damaged, b"\xaa\xaa\x55", FRAMES[5]]
+    thread = write(line[0], *parts, OTHER[6], FRAMES[7])
+    messages = received(node, 3)
+    thread.join()
+    node.close({})
+    assert [m.phi for m in messages] == [D.subsets[k % 3].fingerprint for k in (1, 5, 7)]
+    report = node.report()["board"]
+    assert (report["frames"], report["missing_frames"], report["other_matrix"]) == (3, 3, 1)
+    assert report["bad_frames"] >= 1
+    (stranger,) = (text for text in lines if "another matrix" in text)
+    tag = int.from_bytes(OTHER[6][4:8], "little")
+    assert f"the last {tag:08x}; described {D.phi.fingerprint[:8]}" in stranger
+
+
+@given(data=st.binary(min_size=8 + D.code_bytes, max_size=8 + D.code_bytes))
+def test_a_payload_of_any_bytes_is_refused_or_has_codes_of_its_bits(data: bytes) -> None:
+    for payload in (data, FRAMES[0][4:8] + data[4:]):
+        frame = read_frame(D, payload)
+        if frame is None:
+            continue
+        assert frame.phi in D.tags.values()
+        assert 0 < frame.step < np.inf
+        assert np.abs(frame.codes).max() <= 511
+
+
+def test_a_frame_is_as_long_as_its_description_states() -> None:
+    assert {len(frame) for frame in FRAMES} == {D.frame_bytes} == {framing_of(D).n_bytes}
+
+
+def test_packets_are_whole_frames_or_counted(described: str) -> None:
+    port = free_port(socket.SOCK_DGRAM)
+    node = opened(source=f"udp:{port}", description=described)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
+        for packet in (FRAMES[0], b"", FRAMES[1][:-1], FRAMES[1] + b"\0", OTHER[2], FRAMES[3]):
+            board.sendto(packet, ("127.0.0.1", port))
+        messages = received(node, 2)
+    node.close({})
+    assert [m.phi for m in messages] == [D.subsets[0].fingerprint] * 2
+    report = node.report()["board"]
+    assert (report["frames"], report["missing_frames"], report["other_matrix"]) == (2, 1, 1)
+    assert report["bad_frames"] >= 2
+
+
+def test_an_edge_that_falls_silent_is_named_and_waited_for(
+    described: str, line: tuple[int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(boards, "SILENT_S", 0.05)
+    lines: list[str] = []
+    node = opened(lines, source=f"serial:{line[1]}", description=described)
+    wait_until(lambda: bool(lines) or bool(list(node.tick(Tick(0, 0)))), "a line")
+    assert lines == [f"serial:{line[1]}: nothing came for 0.05 s"]
+    assert not node.acquired
+    thread = write(line[0], FRAMES[0])
+    assert len(received(node, 1)) == 1
+    thread.join()
+    node.close({})
+
+
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        ({"source": "serial"}, 'source: "serial": expected serial:DEVICE or udp:PORT'),
+        ({"source": "seral:/dev/x"}, "(did you mean 'serial'?)"),
+        ({"source": "can:can0"}, "expected serial:DEVICE or udp:PORT"),
+        ({"source": "serial:/dev/x?boud=9600"}, "boud: unknown key (did you mean 'baud'?)"),
+        ({"source": "serial:/dev/x?rows=9"}, "rows: unknown key"),
+        ({"source": "serial:/dev/x?baud=x"}, "baud"),
+        ({"source": "udp:x"}, "is no port"),
+        ({"source": "udp:70000"}, "is no port"),
+        ({"description": "none.toml"}, "description: none.toml: cannot be read"),
+        ({"f_max": 0.0}, "f_max: 0.0 is outside"),
+    ],
+)
+def test_settings_are_refused_by_name(settings: dict[str, Any], line: str, described: str) -> None:
+    with pytest.raises(SparseskinError) as refused:
+        Edge.Settings(**{"source": "udp:5", "description": described, **settings}).check()
+    assert line in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        ({"source": "serial:/dev/no-edge"}, "/dev/no-edge"),
+        ({"source": "serial:/dev/null"}, "/dev/null"),
+    ],
+)
+def test_a_device_that_cannot_be_opened_is_named(
+    settings: dict[str, Any], line: str, described: str
+) -> None:
+    with pytest.raises(SparseskinError, match=line):
+        opened(description=described, **settings)

@@ -1,0 +1,124 @@
+"""Points on a virtual grid: each has a cell of its own, and neighbours remain neighbours."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
+from sparseskin.plugins.points.examples import grip, torso, triangles
+from sparseskin.plugins.points.placing import Placement, place
+from sparseskin.plugins.points.points import Points, estimated_normals
+
+Array = npt.NDArray[np.float64]
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def points(places: Array, normals: Array | None = None) -> Points:
+    n = len(places)
+    return Points("test", places, estimated_normals(places) if normals is None else normals,
+                  np.arange(n), n)  # fmt: skip
+
+
+def adjacent(placement: Placement) -> Array:
+    """Distances in space of all pairs in neighbouring cells, in those of neighbours on the skin."""
+    number = np.full(placement.shape, -1)
+    number.reshape(-1)[placement.cells] = np.arange(placement.points.n)
+    found = []
+    for a, b in ((number[1:], number[:-1]), (number[:, 1:], number[:, :-1])):
+        both = (a >= 0) & (b >= 0)
+        steps = placement.points.places[a[both]] - placement.points.places[b[both]]
+        found.append(np.linalg.norm(steps, axis=1))
+    return np.concatenate(found) / placement.pitch_m
+
+
+def turned(places: Array, seed: int) -> Array:
+    axes = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    return places @ (axes * [np.sign(np.linalg.det(axes)), 1, 1]).T
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 120), st.integers(0, 1000), st.sampled_from(["line", "plane", "space"]))
+def test_each_point_has_a_cell_of_its_own(n: int, seed: int, form: str) -> None:
+    places = np.random.default_rng(seed).uniform(-0.1, 0.1, (n, 3))
+    places[:, {"line": [1, 2], "plane": [2], "space": []}[form]] = 0.0
+    places[n // 2] = places[0]  # two at one place
+    found = place(points(places))
+    assert len(np.unique(found.cells)) == n
+    skin = found.skin(2.5, "N")
+    assert skin.n_taxels == n
+    # The state's rows are those of the cells, in their order.
+    assert skin.points is not None
+    assert np.array_equal(skin.points[:, :3], places[np.argsort(found.cells)].astype(np.float32))
+    assert skin.point_rows is not None
+    assert np.array_equal(skin.points[:, :3], places[skin.point_rows].astype(np.float32))
+    values = np.arange(1.0, n + 1)
+    assert np.array_equal(found.on_grid(values).reshape(-1)[found.cells], values)
+    assert np.count_nonzero(found.on_grid(values)) == n
+
+
+@pytest.mark.parametrize("removed", [0.0, 0.1, 0.3])
+def test_a_grid_with_cells_removed_is_found_again(removed: float) -> None:
+    rng = np.random.default_rng(4)
+    rows, cols = np.nonzero(rng.random((24, 30)) >= removed)
+    places = np.stack([0.004 * cols, 0.004 * rows, 0.0 * rows], axis=1)
+    order = rng.permutation(len(rows))
+    found = place(points(turned(places[order], 5), np.tile(turned(UP[None], 5), (len(rows), 1))))
+    assert sorted(found.shape) == [24, 30]
+    assert np.allclose(adjacent(found), 1)
+    assert found.pitch_m == pytest.approx(0.004)
+
+
+@pytest.mark.parametrize("layout", [grip, triangles])
+def test_a_lattice_on_a_cylinder_is_found_again(layout: object) -> None:
+    places, normals = layout()  # type: ignore[operator]
+    found = place(points(places, normals))
+    assert found.n_parts == 1
+    assert np.abs(adjacent(found) - 1).max() < 0.01
+
+
+def test_neighbours_on_a_torso_are_near_each_other() -> None:
+    found = place(points(*torso(1200)))
+    away = adjacent(found)
+    assert found.n_parts == 1
+    assert away.mean() < 1.25
+    assert np.quantile(away, 0.9) < 1.6
+    # Row 0 is at the neck: seen from outside, the grid is upright.
+    rows = found.cells // found.shape[1]
+    assert np.corrcoef(rows, found.points.places[:, 2])[0, 1] < -0.95
+
+
+def test_the_sides_of_a_thin_plate_are_no_neighbours() -> None:
+    rows, cols = (k.ravel() for k in np.indices((12, 16)))
+    side = np.stack([0.005 * cols, 0.005 * rows, 0.0 * rows], axis=1)
+    places = np.concatenate([side, side - [0, 0, 0.001]])
+    normals = np.concatenate([np.tile(UP, (192, 1)), np.tile(-UP, (192, 1))])
+    found = place(points(places, normals))
+    assert found.n_parts == 2
+    assert np.allclose(adjacent(found), 1)
+
+
+def test_haar_is_orthonormal_on_the_taxels_of_a_virtual_grid() -> None:
+    found = place(points(*triangles(3, 4)))
+    mask = found.skin(2.5, "N").exists
+    basis = HaarBasis(*found.shape)
+    rng = np.random.default_rng(1)
+    x, y = (np.where(mask, rng.normal(size=mask.shape), 0).astype(np.float32) for _ in range(2))
+    a, b = np.zeros((2, *mask.shape), np.float32)
+    basis.analysis(x, a)
+    basis.analysis(y, b)
+    assert np.vdot(a, b) == pytest.approx(float(np.vdot(x, y)), abs=1e-4)
+    again = np.zeros_like(x)
+    basis.synthesis(a, again)
+    assert np.allclose(again, x, atol=1e-5)
+
+
+def test_readings_of_another_number_are_refused() -> None:
+    found = place(Points("hand", np.eye(3), np.eye(3), np.array([0, 2, 5]), 8))
+    assert found.on_grid(np.arange(8)).max() == 5
+    with pytest.raises(SourceError, match="hand: a frame has 4 readings; expected 3 or 8"):
+        found.on_grid(np.arange(4))

@@ -1,0 +1,156 @@
+"""Scenes on points: forces in balance with the push, where the body touches, and in the sensor."""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sparseskin.messages import SkinState, Taxels, Truth
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.errors import SettingsError, SourceError
+from sparseskin.nodes.node import Context, Tick
+from sparseskin.nodes.sensor.calibration.response import SkinFileError
+from sparseskin.nodes.sensor.calibration.skin_file import load_skin
+from sparseskin.nodes.sensor.calibration.skin_writer import save_skin
+from sparseskin.nodes.sensor.node import Sensor
+from sparseskin.nodes.sensor.scenes.scenes import SKIN
+from sparseskin.plugins.points.placing import placed
+from sparseskin.plugins.points.scenes import SCENES, PointScene
+
+
+def test_the_forces_of_a_ball_at_rest_are_those_of_its_depth() -> None:
+    """At rest k sum(d_i cos_i) is the push; each d_i is that of a ball at one place in space."""
+    placement = placed("example:grip")
+    scene = PointScene("ball_presses", placement, seed=2)
+    *_, (_, image) = islice(scene, 58)  # 0.58 s: just before it is lifted
+    forces = image.reshape(-1)[placement.cells].astype(np.float64)
+    points, radius = placement.points, 0.5 * placement.pitch_m
+    touched = np.flatnonzero(forces > 0)
+    assert touched.size > 4
+    middles = points.places - radius * points.normals
+    # The distances of the touched taxels to the middle of the ball follow from their forces: three
+    # and more spheres meet in that point.
+    away = SCENES["ball_presses"].radius_m + radius - forces[touched] / SKIN.stiffness
+    some = middles[touched]
+    a = np.concatenate([2 * some, np.ones((len(some), 1))], axis=1)
+    found = np.linalg.lstsq(a, (some**2).sum(axis=1) - away**2, rcond=None)[0][:3]
+    assert np.abs(np.linalg.norm(some - found, axis=1) - away).max() < 1e-4
+    push = (forces[touched, None] * (found - some) / away[:, None]).sum(axis=0)
+    assert np.linalg.norm(push) == pytest.approx(SCENES["ball_presses"].push_n, rel=0.05)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_presses_and_repeats_itself(name: str) -> None:
+    placement = placed("example:grip")
+    scene = PointScene(name, placement, seed=1)
+    frames = [(stamp, forces.copy()) for stamp, forces in islice(scene, 60)]
+    assert [stamp for stamp, _ in frames] == [k * 10_000_000 for k in range(60)]
+    pressed = [forces.max() for _, forces in frames]
+    assert 0.05 < max(pressed) <= 2.5
+    assert all(forces.dtype == np.float32 and forces.min() >= 0 for _, forces in frames)
+    for (_, a), (_, b) in zip(frames, islice(scene, 60), strict=True):
+        assert np.array_equal(a, b)
+
+
+class Run:
+    """A sensor with its settings checked, its log and what it publishes."""
+
+    def __init__(self, **values: Any) -> None:
+        self.log: list[str] = []
+        self.settings = Sensor.Settings(**values)
+        self.settings.check()
+        self.sensor = Sensor(self.settings, Context("s", ManualClock(), log=self.log.append))
+        (self.state,) = (m for m in self.sensor.start() if isinstance(m, SkinState))
+
+    def frame(self) -> list[Any]:
+        return list(self.sensor.tick(Tick(1, 0)))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Six taxels of 2 x 3, in the order of their file, and a recording of their readings."""
+    (tmp_path / "six.csv").write_text("x_mm,y_mm,z_mm\n4,0,0\n0,4,0\n8,0,0\n0,0,0\n8,4,0\n4,4,0\n")
+    np.save(tmp_path / "six.npy", np.arange(1.0, 7.0).reshape(1, 1, 6).repeat(5, axis=0))
+    (tmp_path / "six.toml").write_text(
+        'points = "six.csv"\nf_max = 10.0\ngains = [1, 2, 1, 1, 1, 1]\n'
+    )
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_sensor_publishes_places_and_forces_of_a_scene() -> None:
+    run = Run(source="scene:finger_path", points="example:grip")
+    state = run.state.skin
+    assert state.points is not None
+    assert state.n_taxels == 924
+    assert run.log[0] == "grip: 924 taxels on a virtual grid of 21 x 44, 4.99 mm apart"
+    taxels, truth = run.frame()
+    assert isinstance(taxels, Taxels)
+    assert isinstance(truth, Truth)
+    assert taxels.forces.shape == state.shape
+    facts = Sensor.facts(run.settings)
+    assert list(facts.values()) == [924]
+
+
+def test_readings_in_the_order_of_the_file_stand_on_the_grid(folder: Path) -> None:
+    run = Run(source="file:six.npy", points="six.csv", unit="N", f_max=10.0)
+    (taxels,) = run.frame()
+    assert taxels.forces.tolist() == [[2, 6, 5], [4, 1, 3]]
+    assert run.state.points is not None
+    assert np.allclose(run.state.points[0, :3], [0, 0.004, 0])
+    assert run.state.point_rows.tolist() == [1, 5, 4, 3, 0, 2]
+
+
+def test_a_skin_file_with_points_is_calibrated_in_their_order(folder: Path) -> None:
+    run = Run(source="file:six.npy", skin="six.toml", drift=0.0)
+    (taxels,) = run.frame()
+    assert taxels.forces.tolist() == [[4, 6, 5], [4, 1, 3]]
+    assert run.state.point_rows.tolist() == [1, 5, 4, 3, 0, 2]
+    again = folder / "again.toml"
+    save_skin(again, load_skin("six.toml"))
+    loaded = load_skin(again)
+    assert loaded.points is not None
+    assert np.array_equal(loaded.skin.points, run.state.points)
+
+
+@pytest.mark.parametrize(
+    ("values", "what"),
+    [
+        ({"source": "scene:path_40"}, "scene path_40 presses a flat grid; allowed on points: fin"),
+        ({"source": "scene:finger_pat"}, "no scene on points is called 'finger_pat'"),
+        ({"points": "", "source": "scene:limb_path"}, "limb_path presses a skin of points; state"),
+        ({"points": "none.csv"}, "points: none.csv: there is no such file"),
+        ({"skin": "six.toml"}, "points: the file of the skin has its own"),
+    ],
+)
+def test_settings_that_contradict_the_points_are_refused(
+    folder: Path, values: dict[str, Any], what: str
+) -> None:
+    settings = {"points": "six.csv", "source": "file:six.npy", **values}
+    with pytest.raises((SettingsError, SourceError), match=what):
+        Run(**settings)
+
+
+def test_a_source_with_other_readings_is_refused(folder: Path) -> None:
+    np.save("five.npy", np.ones((2, 1, 5)))
+    with pytest.raises(SourceError, match="six: a frame has 5 readings; expected 6, one a taxel"):
+        Run(source="file:five.npy", points="six.csv", unit="N", f_max=10.0)
+
+
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        ("rows = 2", "rows: is stated beside points"),
+        ("points = 3", "points: expected the name of a file"),
+        ("baseline = [1, 2]", "baseline: six: a frame has 2 readings"),
+    ],
+)
+def test_a_malformed_skin_file_with_points_is_refused(folder: Path, line: str, what: str) -> None:
+    lines = ["f_max = 1.0", *(['points = "six.csv"'] if "points" not in line else []), line]
+    (folder / "bad.toml").write_text("\n".join(lines))
+    with pytest.raises(SkinFileError, match=f"bad.toml: {what}"):
+        load_skin("bad.toml")

@@ -1,0 +1,331 @@
+"""MuJoCo models as sources: what the taxels read, and which models are refused."""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sparseskin
+from sparseskin.launch.commands import cli
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.scenes.bodies import Body, build_sole, slab
+from sparseskin.nodes.sensor.scenes.motion import Drag
+from sparseskin.nodes.sensor.scenes.scenes import SKIN
+from sparseskin.nodes.sensor.scenes.simulation import Scene, SceneSource
+from sparseskin.nodes.sensor.sources import check_source, open_source
+
+mujoco = pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
+
+from sparseskin.plugins.simulators.model import (  # noqa: E402
+    check_model,
+    find_pad,
+    load_model,
+)
+from sparseskin.plugins.simulators.source import MujocoSource, read_shape  # noqa: E402
+from sparseskin.plugins.simulators.touch import Touch  # noqa: E402
+
+MODELS = Path(__file__).parents[3] / "examples" / "models"
+PAD = f"{MODELS / 'pad.xml'}#pad"
+ARM = f"{MODELS / 'arm.xml'}#tip"
+G = 9.81
+ISOLATED = "sparseskin.nodes.sensor.files.isolated"
+
+
+@pytest.fixture(autouse=True)
+def direct(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check models in this process, without the start of another, unless a test is of that."""
+    if "isolated" not in request.keywords:
+        name = "sparseskin.plugins.simulators.model.in_child"
+        monkeypatch.setattr(name, lambda task, address, n_bytes: read_shape(address, 0))
+
+
+def model_of(
+    bodies: str, folder: Path, site: str = 'type="box" size="0.02 0.015 0.005"', more: str = ""
+) -> str:
+    """Write a model with a fixed skin of 8 x 6 taxels whose plane is z = 0; its address."""
+    path = folder / "model.xml"
+    path.write_text(
+        f"""<mujoco><option timestep="0.001"/>{more}<worldbody><body name="skin">
+        <geom type="box" size="0.02 0.015 0.005" pos="0 0 -0.005" contype="0" conaffinity="0"/>
+        <site name="pad" {site} pos="0 0 -0.005"/></body>{bodies}</worldbody></mujoco>"""
+    )
+    return f"{path}#pad"
+
+
+def read_once(address: str, move: Any = None) -> Any:
+    """Forces of the first state of a model, (n_rows, n_cols) in newtons; `move` changes it."""
+    path, _, site = address.rpartition("#")
+    model = load_model(path)
+    data = mujoco.MjData(model)
+    if move is not None:
+        move(data)
+    mujoco.mj_forward(model, data)
+    return Touch(model, data, find_pad(model, site, path)).read()
+
+
+BALL = '<body pos="0 0 {z}"><freejoint/><geom type="sphere" size="0.01" mass="0.1"/></body>'
+
+
+@pytest.mark.parametrize("depth_m", [0.0002, 0.001, 0.004])
+def test_a_ball_at_rest_is_read_as_deep_as_it_is(tmp_path: Path, depth_m: float) -> None:
+    forces = read_once(model_of(BALL.format(z=0.01 - depth_m), tmp_path))
+    assert forces.shape == (6, 8)
+    row, col = np.mgrid[:6, :8]
+    away2 = ((row - 2.5) ** 2 + (col - 3.5) ** 2) * SKIN.pitch_m**2
+    depth = depth_m - 0.01 + np.sqrt(np.maximum(0.01**2 - away2, 0.0))
+    expected = SKIN.stiffness * np.where(away2 < 0.01**2, np.maximum(depth, 0), 0)
+    assert forces == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("speed_m_s", [-0.05, 0.02, 0.5])
+def test_damping_acts_on_the_rate_of_penetration(tmp_path: Path, speed_m_s: float) -> None:
+    slab_ = (
+        '<body pos="0 0 0.009"><freejoint/><geom type="box" size="0.1 0.1 0.01" mass="1"/></body>'
+    )
+
+    def move(data: Any) -> None:
+        data.qvel[2] = speed_m_s
+
+    forces = read_once(model_of(slab_, tmp_path), move)
+    expected = max(0.0, SKIN.stiffness * 0.001 - SKIN.damping * speed_m_s)
+    assert forces == pytest.approx(np.full((6, 8), expected), abs=1e-4)
+
+
+def test_rotation_of_a_body_damps_where_its_points_move(tmp_path: Path) -> None:
+    slab_ = (
+        '<body pos="0 0 0.009"><freejoint/><geom type="box" size="0.1 0.1 0.01" mass="1"/></body>'
+    )
+
+    def move(data: Any) -> None:
+        data.qvel[4] = 2.0  # about y: points of positive x go down
+
+    forces = read_once(model_of(slab_, tmp_path), move)
+    x = (np.arange(8) - 3.5) * SKIN.pitch_m
+    expected = np.maximum(0, SKIN.stiffness * 0.001 + SKIN.damping * 2.0 * x)
+    assert forces == pytest.approx(np.tile(expected, (6, 1)), abs=1e-4)
+
+
+def test_rows_lie_along_y_and_columns_along_x(tmp_path: Path) -> None:
+    small = '<body pos="0.0125 -0.0075 0.003"><freejoint/><geom size="0.004" mass="0.1"/></body>'
+    forces = read_once(model_of(small, tmp_path))
+    assert np.argwhere(forces > 0).tolist() == [[1, 6]]
+
+
+def test_bodies_behind_the_skin_and_far_ones_are_not_felt(tmp_path: Path) -> None:
+    behind = '<body pos="0 0 -0.05"><freejoint/><geom size="0.01" mass="0.1"/></body>'
+    above = '<body pos="0 0 0.02"><freejoint/><geom size="0.01" mass="0.1"/></body>'
+    assert not read_once(model_of(behind + above, tmp_path)).any()
+
+
+def test_a_body_deeper_than_is_read_reads_the_deepest(tmp_path: Path) -> None:
+    deep = '<body pos="0 0 0.03"><freejoint/><geom type="box" size="0.1 0.1 0.06" mass="1"/></body>'
+    forces = read_once(model_of(deep, tmp_path))
+    assert forces == pytest.approx(np.full((6, 8), SKIN.stiffness * 0.02), rel=1e-5)
+
+
+def test_a_skin_may_lie_in_any_direction(tmp_path: Path) -> None:
+    path = tmp_path / "model.xml"
+    path.write_text(
+        """<mujoco><worldbody><body pos="1 2 3" euler="40 70 20"><site name="pad" type="box"
+        size="0.02 0.015 0.005" pos="0 0 -0.005"/><body pos="0 0 0.009"><joint axis="0 0 1"
+        type="slide"/><geom type="sphere" size="0.01" mass="1"/></body></body></worldbody>
+        </mujoco>"""
+    )
+    address = f"{path}#pad"
+    assert read_once(address).sum() == pytest.approx(
+        read_once(model_of(BALL.format(z=0.009), tmp_path)).sum(), rel=1e-4
+    )
+
+
+def test_a_dropped_box_comes_to_rest_at_its_weight() -> None:
+    frames = [forces for _, forces in islice(MujocoSource(PAD), 900)]
+    assert not frames[0].any()
+    assert frames[-1].sum() == pytest.approx(0.3 * G, rel=1e-3)
+    assert (frames[-1] > 0).sum() == 96  # 60 x 40 mm of 5 mm taxels
+
+
+def test_forces_in_mujoco_are_those_of_the_contact_model() -> None:
+    """The same box dropped on the same skin: sums within 1 %, footprints equal, 60 dB at rest."""
+    n_steps = 700
+    sides = (-0.03, 0.03, -0.02, 0.02)
+    scene = Scene(
+        name="box",
+        shape=(32, 32),
+        n_steps=n_steps,
+        dt_ns=1_000_000,
+        body=Body(build_sole([slab(*sides, 0.0)], sides, 0.0), 0.3, 1.0),
+        surface=SKIN,
+        drop_height_m=0.03,
+        motion=Drag(at_s=9.0, velocity_m_s=(0.0, 0.0)),
+        place_m=(-0.03, 0.0),
+    )
+    ours = np.zeros((n_steps, 32, 32), np.float32)
+    for frame, state in zip(ours, SceneSource(scene, 0).states(), strict=True):
+        state.write_forces(frame)
+    theirs = np.stack([forces for _, forces in islice(MujocoSource(PAD), n_steps)])
+    rest = slice(500, n_steps)
+    assert np.array_equal(ours[rest] > 0, theirs[rest] > 0)
+    assert theirs[rest].sum((1, 2)) == pytest.approx(ours[rest].sum((1, 2)), rel=0.01)
+    assert sparseskin.psnr_db(theirs[rest], ours[rest]).min() > 60
+    assert theirs.max() == pytest.approx(ours.max(), rel=0.05)  # of the impact
+
+
+def test_an_arm_presses_and_lets_go() -> None:
+    total = np.array([forces.sum() for _, forces in MujocoSource(ARM)])
+    assert total[500] == 0
+    assert total[1400] > 5
+    assert total[-1] == 0
+
+
+def test_a_source_runs_at_1_khz_and_anew_each_time() -> None:
+    source = open_source(f"mujoco:{PAD}", seed=0)
+    assert source.rate_hz == pytest.approx(1000)
+    assert (source.skin.shape, source.skin.pitch_m, source.n_frames) == ((32, 32), 0.005, 2000)
+    one, two = ([(t, f.tobytes()) for t, f in islice(source, 150)] for _ in range(2))
+    assert one == two
+    assert [t for t, _ in one[:3]] == [0, 1_000_000, 2_000_000]
+
+
+def test_a_short_time_step_is_read_each_millisecond(tmp_path: Path) -> None:
+    address = model_of(BALL.format(z=0.02), tmp_path)
+    path = Path(address.rpartition("#")[0])
+    path.write_text(path.read_text().replace('timestep="0.001"', 'timestep="0.00025"'))
+    assert [t for t, _ in islice(MujocoSource(address), 3)] == [0, 1_000_000, 2_000_000]
+
+
+def test_where_the_skin_collides_the_contact_of_mujoco_bears_the_load(tmp_path: Path) -> None:
+    address = model_of(BALL.format(z=0.011), tmp_path)
+    path = Path(address.rpartition("#")[0])
+    path.write_text(path.read_text().replace('contype="0" conaffinity="0"', ""))
+    source = MujocoSource(address)
+    for _ in islice(source, 800):
+        pass
+    assert not source.touch.presses
+    assert source.touch.contact_force() == pytest.approx(0.1 * G, rel=0.01)
+    assert not source.data.xfrc_applied.any()
+
+
+def test_a_control_of_your_own_drives_the_model() -> None:
+    seen: list[float] = []
+
+    def control(model: Any, data: Any, time_s: float) -> None:
+        seen.append(time_s)
+        data.ctrl[:] = 0.01
+
+    assert sum(1 for _ in MujocoSource(PAD, control=control, duration_s=0.05)) == 50
+    assert seen == pytest.approx([k * 1e-3 for k in range(50)])
+    with pytest.raises(SourceError, match="control failed: ZeroDivisionError"):
+        list(MujocoSource(PAD, control=lambda *_: 1 / 0, duration_s=0.05))
+
+
+def test_a_simulation_that_diverges_is_reported(tmp_path: Path) -> None:
+    stiff = '<custom><numeric name="pad_stiffness" data="1e9"/></custom>'
+    light = BALL.format(z=0.006).replace("0.1", "0.001")
+    address = model_of(light, tmp_path, more=stiff)
+    with pytest.raises(SourceError, match=r"diverges at 0\.[0-9]+ s; allowed: a smaller time step"):
+        list(islice(MujocoSource(address), 3000))
+
+
+@pytest.mark.parametrize(
+    ("bodies", "site", "more", "text"),
+    [
+        ("", "", "", "site 'pad' is no box"),
+        ("", 'type="box" size="0.02 0.013 0.005"', "", "has 5.20 taxels of 5 mm along y; allowed"),
+        ("", 'type="box" size="0.02 0.015 0.005"', "", "no geom can touch site 'pad'"),
+        (
+            BALL.format(z=1).replace("mass", 'contype="0" conaffinity="0" mass'),
+            'type="box" size="0.02 0.015 0.005"',
+            "",
+            "no geom can touch site 'pad'",
+        ),
+        (
+            BALL.format(z=1),
+            'type="box" size="0.02 0.015 0.005"',
+            '<custom><numeric name="pad_pitch_m" data="-1"/></custom>',
+            "numeric 'pad_pitch_m': expected one number in",
+        ),
+        (BALL.format(z=1).replace("mass", "mas"), "", "", "MuJoCo refuses it: "),
+    ],
+)
+def test_a_model_without_a_skin_or_contact_is_refused_in_one_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    bodies: str,
+    site: str,
+    more: str,
+    text: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    address = model_of(bodies, tmp_path, site, more)
+    with pytest.raises(SourceError) as refused:
+        check_source(f"mujoco:{address}")
+    assert text in str(refused.value)
+    assert str(refused.value).isprintable()
+    assert [path.name for path in tmp_path.iterdir()] == ["model.xml"]  # no log of MuJoCo
+
+
+@pytest.mark.parametrize(
+    ("source", "text"),
+    [
+        ("mujoco:none.xml#pad", "none.xml: no such file"),
+        ("mujoco:pad.xml", "expected mujoco:MODEL.xml#SITE"),
+        ("mujoco:pad.xml#", "expected mujoco:MODEL.xml#SITE"),
+        ("mujoco:pad.xml#pat", "has no site 'pat' (did you mean 'pad'?)"),
+        ("mujoco:a.txt#pad", "expected a MuJoCo model, .xml or .mjb"),
+    ],
+)
+def test_a_bad_address_ends_a_launch_with_one_line_before_any_process(
+    source: str,
+    text: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pad.xml").write_bytes((MODELS / "pad.xml").read_bytes())
+    (tmp_path / "a.txt").write_text("no model")
+    assert cli.main(["launch", "replay", "--set", f"sensor.source={source}"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert text in line
+
+
+def test_a_stated_shape_must_be_that_of_the_model() -> None:
+    with pytest.raises(SourceError, match="n_rows = 16 is stated, but the frames have 32"):
+        check_source(f"mujoco:{PAD}", n_rows=16)
+
+
+@pytest.mark.isolated
+def test_a_model_is_checked_in_a_process_whose_time_and_memory_are_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (MODELS / "pad.xml").read_text()
+    (tmp_path / "pad.xml").write_text(text)
+    assert check_model(f"{tmp_path / 'pad.xml'}#pad", None, None) == 1024
+    huge = tmp_path / "huge.xml"
+    huge.write_text(text.replace("<worldbody>", '<size memory="4000G"/><worldbody>'))
+    with pytest.raises(SourceError, match=r"huge\.xml: MuJoCo refuses it: .*allocate memory$"):
+        check_model(f"{huge}#pad", None, None)
+    many = '<worldbody><replicate count="1000000000"><body><geom size="1"/></body></replicate>'
+    endless = tmp_path / "endless.xml"
+    endless.write_text(text.replace("<worldbody>", many))
+    monkeypatch.setattr(f"{ISOLATED}.START_S", 1.0)
+    with pytest.raises(SourceError, match=r"endless\.xml#pad: not read within 1 s; a damaged or"):
+        check_model(f"{endless}#pad", None, None)
+
+
+@pytest.mark.isolated
+def test_a_model_on_which_mujoco_crashes_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    crashing = tmp_path / "python"
+    crashing.write_text("#!/bin/sh\nkill -SEGV $$\n")
+    crashing.chmod(0o755)
+    monkeypatch.setattr(f"{ISOLATED}.sys.executable", str(crashing))
+    path = tmp_path / "arm.xml"
+    path.write_bytes((MODELS / "arm.xml").read_bytes())
+    with pytest.raises(SourceError, match=r"#tip: its reader was ended by SIGSEGV; a damaged"):
+        check_model(f"{path}#tip", None, None)

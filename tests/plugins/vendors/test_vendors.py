@@ -1,0 +1,512 @@
+"""Recordings of vendors' formats: what the parsers read, and what they refuse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from recordings import recording
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.files.recorded import RecordedSource, open_file
+
+Opener = Callable[..., RecordedSource]
+
+
+def frames_of(source: RecordedSource) -> npt.NDArray[np.float32]:
+    return np.stack([forces for _, forces in source])
+
+
+def stamps_of(source: RecordedSource) -> list[int]:
+    return [stamp for stamp, _ in source]
+
+
+# A platform of 4 rows x 3 columns; columns 2, 3 and rows 2..4 were touched. 0.25 cm2: x 0.025.
+EMED_KPA = [
+    [[0.0, 10.0], [20.0, 40.0], [0.0, 0.0]],
+    [[0.0, 15.0], [100.0, 0.0], [5.0, 0.0]],
+]
+
+
+def emed_page(number: str, table: list[list[float]] | None) -> str:
+    page = (
+        f"\n\t\t\t\tPage 1\n\n\tFile: foot.dat \tMatrix: 3x4 \n"
+        "\tSensor area: 0.25 cm\xb2\tTime/picture:10.0 ms\n\tMV over frames\n"
+        "\tSensor size: 0.500x0.500 cm\n\tnovel munich\n"
+        f"\tPict-No.: {number}  Force[N]=sum*sensor_area in row/column\n\n"
+    )
+    if table is not None:
+        page += "\t2\t3\tForce\n"
+        for row, cells in enumerate(table, start=2):
+            force = 0.025 * sum(cells)
+            page += f"{row}\t" + "\t".join(f"{kpa:.2f}" for kpa in cells) + f"\t{force:.2f}\n"
+        sums = [0.025 * sum(column) for column in zip(*table, strict=True)]
+        page += "Force\t" + "\t".join(f"{n:.2f}" for n in [*sums, sum(sums)]) + "\n\f"
+    return page
+
+
+def emed_text() -> str:
+    frames = "".join(emed_page(str(k), table) for k, table in enumerate(EMED_KPA, start=1))
+    peaks = np.max(EMED_KPA, axis=0).tolist()
+    return frames + emed_page("MVP", peaks) + "\n\t\t\t\tPage 4\n\nno frame\n"
+
+
+TEKSCAN_ROWS = [
+    ["B,1,2", "0,3,B"],
+    ["B,0,5", "7,0,B"],
+    ["B,0,0", "0,9,B"],
+]
+
+
+def tekscan_text(unit: str = "raw", times: tuple[str, ...] = ("0", "0.1", "0.21")) -> str:
+    text = (
+        "DATA_TYPE MOVIE\nVERSION Tekscan 6.10I\nROWS 2\nCOLS 3\n"
+        "ROW_SPACING 0.127 centimeters\nCOL_SPACING 0.127 centimeters\n"
+        f"SECONDS_PER_FRAME 0.1\nSTART_FRAME 1\nEND_FRAME 3\nUNITS {unit}\nASCII_DATA @@\n"
+    )
+    for number, (rows, time) in enumerate(zip(TEKSCAN_ROWS, times, strict=True), start=1):
+        cells = ",".join(rows).split(",")
+        total = sum(int(cell) for cell in cells if cell != "B")
+        text += f"\nFrame {number}, {time},, 12/2/2019,,,Raw Sum=,,{total}\n"
+        text += "\n".join(rows) + "\n"
+    return text + "@@\n"
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Opener:
+    """Write a text to a file of the given name and open it."""
+
+    def write_and_open(name: str, text: str, **stated: Any) -> RecordedSource:
+        path = tmp_path / name
+        path.write_bytes(text.encode("latin-1"))
+        return open_file(path, **stated)
+
+    return write_and_open
+
+
+class TestRealEmed:
+    def test_size_rate_range_and_pitch(self) -> None:
+        source = open_file(recording("emed_test.lst"))
+        frames = frames_of(source)
+        assert frames.shape == (106, 95, 64)
+        assert frames.dtype == np.float32
+        assert source.n_frames == 106
+        assert source.rate_hz == pytest.approx(100.0)
+        assert source.skin.unit == "N"
+        assert source.skin.f_max == pytest.approx(9.25)
+        assert frames.max() == np.float32(9.25)
+        assert source.skin.pitch_m == pytest.approx(0.005)
+        assert source.skin.mask is None
+        assert source.delivers == "taxels"
+        assert stamps_of(source) == [k * 10_000_000 for k in range(106)]
+
+    def test_all_contact_lies_in_rows_19_to_82(self) -> None:
+        frames = frames_of(open_file(recording("emed_test.lst")))
+        touched = np.flatnonzero(frames.any(axis=(0, 2)))
+        assert touched.min() >= 19
+        assert touched.max() == 82
+
+    def test_crop_to_64_x_64_loses_no_force(self) -> None:
+        whole = frames_of(open_file(recording("emed_test.lst")))
+        cropped = open_file(recording("emed_test.lst"), crop=(19, 83, 0, 64))
+        assert (cropped.skin.n_rows, cropped.skin.n_cols) == (64, 64)
+        np.testing.assert_array_equal(
+            frames_of(cropped).sum(axis=(1, 2)), whole[:, 19:83].sum(axis=(1, 2))
+        )
+        assert whole.sum(dtype=np.float64) == frames_of(cropped).sum(dtype=np.float64)
+
+    def test_force_column_and_row_of_the_file_match_the_frames(self) -> None:
+        """Read with nothing of the parser: labels are places counted from 1, sums in newtons."""
+        path = recording("emed_test.lst")
+        frames = frames_of(open_file(path)).astype(np.float64)
+        frame, columns, n_compared = -1, [], 0
+        for line in path.read_bytes().decode("latin-1").split("\n"):
+            cells = line.split("\t")
+            if cells[-1] == "Force":
+                frame += 1
+                columns = [int(label) - 1 for label in cells[1:-1]]
+            elif cells[0] == "Force":
+                of_columns = frames[frame][:, columns].sum(axis=0)
+                stated = [float(cell) for cell in cells[1:-1]]
+                np.testing.assert_allclose(of_columns, stated, rtol=0, atol=0.0051)
+                assert frames[frame].sum() == pytest.approx(float(cells[-1]), abs=0.0051)
+            elif cells[0].isdigit():
+                row = int(cells[0]) - 1
+                assert frames[frame][row].sum() == pytest.approx(float(cells[-1]), abs=0.0051)
+                n_compared += 1
+        assert (frame, n_compared) == (105, 106 * 54)
+
+
+class TestRealTekscan:
+    def test_size_rate_range_unit_and_pitch(self) -> None:
+        source = open_file(recording("iscan_test.csv"))
+        frames = frames_of(source)
+        assert frames.shape == (309, 28, 28)
+        assert source.rate_hz == pytest.approx(10.0)
+        assert source.skin.unit == "raw"
+        assert (frames.min(), frames.max(), source.skin.f_max) == (0, 100, 100.0)
+        assert source.skin.pitch_m == pytest.approx(0.00127)
+
+    def test_four_pads_of_11_x_11_taxels_exist_and_masked_cells_are_0(self) -> None:
+        source = open_file(recording("iscan_test.csv"))
+        mask = source.skin.mask
+        assert mask is not None
+        assert source.skin.n_taxels == 484 == 4 * 11 * 11
+        np.testing.assert_array_equal(np.unique(mask.sum(axis=0)), [0, 22])
+        assert not frames_of(source)[:, ~mask].any()
+
+    def test_stamps_are_the_times_that_the_file_gives(self) -> None:
+        stamps = stamps_of(open_file(recording("iscan_test.csv")))
+        assert stamps[:6] == [0, 100_000_000, 200_000_000, 300_000_000, 400_000_000, 510_000_000]
+        assert stamps[-1] == 31_100_000_000
+        assert (np.diff(stamps) > 0).all()
+
+    def test_frames_add_up_to_the_raw_sums(self) -> None:
+        path = recording("iscan_test.csv")
+        sums = [
+            int(line.rpartition(",")[2])
+            for line in path.read_text().splitlines()
+            if line.startswith("Frame ")
+        ]
+        np.testing.assert_array_equal(frames_of(open_file(path)).sum(axis=(1, 2)), sums)
+
+
+class TestEmed:
+    def test_touched_cells_land_on_the_full_matrix_in_newtons(self, opened: Opener) -> None:
+        source = opened("foot.lst", emed_text())
+        frames = frames_of(source)
+        assert frames.shape == (2, 4, 3)
+        np.testing.assert_allclose(frames[:, 1:, 1:], 0.025 * np.array(EMED_KPA))
+        assert not frames[:, 0].any()
+        assert not frames[:, :, 0].any()
+        assert source.skin.f_max == pytest.approx(2.5)
+        assert (source.skin.unit, source.rate_hz) == ("N", 100.0)
+        assert stamps_of(source) == [0, 10_000_000]
+
+    @pytest.mark.parametrize(
+        ("size", "pitch_m"),
+        [("0.500x0.500", 0.005), ("0.4x0.4", 0.004), ("0.500x0.400", None), ("1x0.5", None)],
+    )
+    def test_the_pitch_is_the_size_of_a_square_sensor(
+        self, opened: Opener, size: str, pitch_m: float | None
+    ) -> None:
+        source = opened("foot.lst", emed_text().replace("0.500x0.500", size))
+        assert source.skin.pitch_m == (None if pitch_m is None else pytest.approx(pitch_m))
+
+    @pytest.mark.parametrize("unit", ["cm2", "cm^2", "cm\xc2\xb2"])
+    def test_the_area_may_be_written_with_any_square(self, opened: Opener, unit: str) -> None:
+        source = opened("foot.lst", emed_text().replace("cm\xb2", unit))
+        assert source.skin.f_max == pytest.approx(2.5)
+
+    def test_peak_pictures_are_no_frames(self, opened: Opener) -> None:
+        assert opened("foot.lst", emed_text()).n_frames == len(EMED_KPA)
+
+    def test_windows_line_ends_are_read_the_same(self, opened: Opener) -> None:
+        unix = frames_of(opened("a.lst", emed_text()))
+        np.testing.assert_array_equal(
+            unix, frames_of(opened("b.lst", emed_text().replace("\n", "\r\n")))
+        )
+
+    def test_a_file_cut_anywhere_in_its_frames_is_refused_or_loses_whole_frames(
+        self, opened: Opener
+    ) -> None:
+        text = emed_text()
+        whole = frames_of(opened("foot.lst", text))
+        n_complete = [text.index(f"Pict-No.: {k}") for k in ("1", "2", "MVP")]
+        refused = 0
+        for end in range(1, len(text)):
+            try:
+                cut = frames_of(opened("foot.lst", text[:end]))
+            except SourceError:
+                refused += 1
+                continue
+            np.testing.assert_array_equal(cut, whole[: len(cut)])
+            assert end > n_complete[len(cut) - 1]
+        assert refused > n_complete[1] // 2
+
+    @pytest.mark.parametrize(
+        ("old", "new", "message"),
+        [
+            ("Pict-No.: 2", "Pict-No.: 3", "line .*: frame 3 comes where frame 2 should"),
+            ("Pict-No.: 1", "Pict-No.: 2", "frame 2 comes where frame 3 should"),
+            ("\t100.00\t", "\t-100.00\t", "frame 2, row 2, column 1: '-100.00' is below 0"),
+            ("\t100.00\t", "\tnan\t", "frame 2, row 2, column 1: 'nan' is not a finite number"),
+            ("\t100.00\t", "\t1_0.0\t", "is not a finite number"),
+            ("\t100.00\t", "\tten\t", "'ten' is not a number"),
+            ("\t100.00\t", "\t10.00\t", "Force is 2.5 N, but the readings add up to 0.25 N"),
+            ("\t100.00\t", "\t", "frame 2 has 3 cells in this row, its header row 4"),
+            ("\t2\t3\tForce", "\t3\t4\tForce", "column label: 4 is outside 1..3"),
+            ("\t2\t3\tForce", "\t3\t2\tForce", "column labels do not rise"),
+            ("\n4\t", "\n3\t", "row 3 comes after row 3"),
+            ("\n4\t", "\n5\t", "row label: 5 is outside 1..4"),
+            ("Matrix: 3x4", "Matrix: 3", "Matrix: '' is not a whole number"),
+            ("Matrix: 3x4", "Matrx: 3x4", "states no 'Matrix: COLUMNSxROWS'"),
+            ("Matrix: 3x4", "Matrix: 4097x4", r"Matrix: 4097 is outside 1\.\.4096"),
+            ("Matrix: 3x4", "Matrix: 3x4097", r"Matrix: 4097 is outside 1\.\.4096"),
+            ("Sensor area:", "Area:", r"states no 'Sensor area: \.\.\. cm2'"),
+            ("Sensor size:", "Size:", r"states no 'Sensor size: \.\.\.x\.\.\. cm'"),
+            ("Time/picture:", "Time:", r"states no 'Time/picture: \.\.\. ms'"),
+            ("10.0 ms", "0.0 ms", "'0.0' is outside"),
+            ("10.0 ms", "10.0 h", "allowed is ms"),
+            ("0.25 cm", "0.25 mm", "allowed is cm2"),
+            ("Pict-No.: ", "Picture ", "no page with a line 'Pict-No.: 1'"),
+        ],
+    )
+    def test_a_broken_file_is_refused_with_its_line(
+        self, opened: Opener, old: str, new: str, message: str
+    ) -> None:
+        assert old in emed_text()
+        with pytest.raises(SourceError, match=message) as caught:
+            opened("foot.lst", emed_text().replace(old, new))
+        assert "foot.lst" in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+class TestTekscan:
+    @pytest.mark.parametrize("name", ["hand.csv", "hand.asf", "HAND.ASF"])
+    def test_cells_marked_b_are_masked_and_not_readings(self, opened: Opener, name: str) -> None:
+        source = opened(name, tekscan_text())
+        np.testing.assert_array_equal(source.skin.mask, [[False, True, True], [True, True, False]])
+        np.testing.assert_array_equal(
+            frames_of(source),
+            [[[0, 1, 2], [0, 3, 0]], [[0, 0, 5], [7, 0, 0]], [[0, 0, 0], [0, 9, 0]]],
+        )
+        assert source.skin.f_max == 9.0
+        assert stamps_of(source) == [0, 100_000_000, 210_000_000]
+
+    def test_times_that_do_not_tell_frames_apart_give_way_to_the_period(
+        self, opened: Opener
+    ) -> None:
+        source = opened("hand.csv", tekscan_text(times=("0", "0.01", "0.01")))
+        assert stamps_of(source) == [0, 100_000_000, 200_000_000]
+
+    def test_rate_and_unit_are_those_of_the_header(self, opened: Opener) -> None:
+        source = opened("hand.csv", tekscan_text())
+        assert source.rate_hz == pytest.approx(10.0)
+        assert source.skin.unit == "raw"
+        unpaced = opened("hand.csv", tekscan_text().replace("SECONDS_PER_FRAME 0.1\n", ""))
+        assert unpaced.rate_hz is None
+
+    @pytest.mark.parametrize(
+        ("rows", "cols", "pitch_m"),
+        [
+            ("0.127 centimeters", "0.127 centimeters", 0.00127),
+            ("0.127 cm", "0.127 CM", 0.00127),
+            ("2.5 mm", "2.5 mm", 0.0025),
+            ("1.27 millimeters", "1.27 millimeters", 0.00127),
+            ("0.01 m", "0.01 m", 0.01),
+            ("0.01 meters", "0.01 meters", 0.01),
+            ("0.1 in", "0.1 in", 0.00254),
+            ("0.05 inches", "0.05 inches", 0.00127),
+            ("2.5 mm", "1.25 mm", None),
+            ("2.5 mm", None, None),
+        ],
+    )
+    def test_the_pitch_is_the_spacing_where_rows_and_columns_agree(
+        self, opened: Opener, rows: str, cols: str | None, pitch_m: float | None
+    ) -> None:
+        text = tekscan_text().replace("ROW_SPACING 0.127 centimeters", f"ROW_SPACING {rows}")
+        of_cols = "" if cols is None else f"COL_SPACING {cols}\n"
+        text = text.replace("COL_SPACING 0.127 centimeters\n", of_cols)
+        found = opened("hand.csv", text).skin.pitch_m
+        assert found == (None if pitch_m is None else pytest.approx(pitch_m))
+
+    @pytest.mark.parametrize("spacing", ["0.0001 mm", "11 m"])
+    def test_a_pitch_out_of_reason_is_refused(self, opened: Opener, spacing: str) -> None:
+        with pytest.raises(SourceError, match=r"is outside 0\.001 mm\.\.10 m"):
+            opened("hand.csv", tekscan_text().replace("0.127 centimeters", spacing))
+
+    def test_a_grid_without_b_has_no_mask(self, opened: Opener) -> None:
+        assert opened("hand.csv", tekscan_text().replace("B", "0")).skin.mask is None
+
+    def test_a_file_that_a_spreadsheet_filled_with_commas_is_read_the_same(
+        self, opened: Opener
+    ) -> None:
+        filled = "\n".join(f"{line},,," for line in tekscan_text().split("\n"))
+        np.testing.assert_array_equal(
+            frames_of(opened("a.csv", filled)), frames_of(opened("b.csv", tekscan_text()))
+        )
+
+    def test_calibrated_units_are_kept_and_their_raw_sum_is_not_compared(
+        self, opened: Opener
+    ) -> None:
+        text = tekscan_text(unit="kPa").replace("B,0,5", "B,0,5.5")
+        source = opened("hand.csv", text)
+        assert source.skin.unit == "kPa"
+        assert frames_of(source)[1, 0, 2] == np.float32(5.5)
+
+    def test_a_movie_cut_anywhere_is_refused(self, opened: Opener) -> None:
+        text = tekscan_text().rstrip("\n")
+        for end in range(1, len(text)):
+            with pytest.raises(SourceError):
+                opened("hand.asf", text[:end])
+
+    @pytest.mark.parametrize(
+        ("old", "new", "message"),
+        [
+            ("Frame 2", "Frame 3", "line 17: frame 3 comes where frame 2 should"),
+            ("Frame 1,", "Frame 2,", "frame 2 comes where frame 1 should"),
+            ("END_FRAME 3", "END_FRAME 4", "the last frame is 3, but END_FRAME is 4"),
+            ("Raw Sum=,,12", "Raw Sum=,,13", "Raw Sum 13, but its cells add up to 12"),
+            ("B,0,5", "0,0,5", "frame 2 has its 'B' cells .* elsewhere"),
+            ("B,0,5", "B,0", "line 18, frame 2: row 0 has 2 cells, COLS is 3"),
+            ("B,0,5", "B,0,5,1", "row 0 has 4 cells, COLS is 3"),
+            ("B,0,5", "B,0,-5", "frame 2, row 0, column 2: '-5' is below 0"),
+            ("B,0,5", "B,0,inf", "is not a finite number"),
+            ("B,0,5", "B,0,x", "'x' is not a number"),
+            ("B,0,5", "B,0,\xff\x00", "is not a number"),
+            (", 0.21,", ", 0.05,", "the time of frame 3 .* is before"),
+            ("ROWS 2", "ROWS 0", "ROWS: 0 is outside 1..4096"),
+            ("ROWS 2", "ROWS two", "'two' is not a whole number"),
+            ("COLS 3\n", "", "the header states no COLS"),
+            ("UNITS raw\n", "", "the header states no UNITS"),
+            ("MOVIE", "FRAME", "DATA_TYPE 'FRAME'; allowed is MOVIE"),
+            ("0.127 centimeters", "0.127 feet", "unit 'feet'; allowed are mm"),
+            ("SECONDS_PER_FRAME 0.1", "SECONDS_PER_FRAME 0", "'0' is outside"),
+            ("\n@@", "", "cut short, its end mark '@@' is missing"),
+            ("\n@@", "\n@@\nFrame 4", "comes after the end mark"),
+        ],
+    )
+    def test_a_broken_file_is_refused_with_its_line(
+        self, opened: Opener, old: str, new: str, message: str
+    ) -> None:
+        assert old in tekscan_text()
+        with pytest.raises(SourceError, match=message) as caught:
+            opened("hand.csv", tekscan_text().replace(old, new))
+        assert "hand.csv" in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    def test_a_skin_of_b_alone_is_refused(self, opened: Opener) -> None:
+        text = "DATA_TYPE MOVIE\nROWS 1\nCOLS 2\nUNITS raw\nASCII_DATA @@\nFrame 1\nB,B\n@@\n"
+        with pytest.raises(SourceError, match="no cell of the skin is a taxel"):
+            opened("hand.csv", text)
+
+    def test_a_movie_without_frames_is_refused(self, opened: Opener) -> None:
+        with pytest.raises(SourceError, match="holds no frame"):
+            opened("h.csv", "DATA_TYPE MOVIE\nROWS 1\nCOLS 2\nUNITS raw\nASCII_DATA @@\n@@\n")
+
+
+class TestOpenFile:
+    def test_the_same_frames_come_every_time_even_if_a_reader_writes_into_them(
+        self, opened: Opener
+    ) -> None:
+        source = opened("hand.csv", tekscan_text())
+        first = frames_of(source)
+        for _, forces in source:
+            forces += 1
+        np.testing.assert_array_equal(frames_of(source), first)
+
+    def test_a_stated_rate_replaces_rate_and_stamps_of_the_file(self, opened: Opener) -> None:
+        source = opened("hand.csv", tekscan_text(), rate_hz=4)
+        assert source.rate_hz == 4
+        assert stamps_of(source) == [0, 250_000_000, 500_000_000]
+
+    def test_a_stated_range_is_kept(self, opened: Opener) -> None:
+        assert opened("hand.csv", tekscan_text(), f_max=255).skin.f_max == 255.0
+
+    def test_crop_cuts_the_mask_too_and_the_range_is_what_is_left(self, opened: Opener) -> None:
+        source = opened("hand.csv", tekscan_text(), crop=[0, 1, 0, 3])
+        np.testing.assert_array_equal(source.skin.mask, [[False, True, True]])
+        assert source.skin.f_max == 5.0
+
+    @pytest.mark.parametrize(
+        ("stated", "message"),
+        [
+            ({"f_max": 8.0}, "f_max = 8 is below the largest reading, 9"),
+            ({"f_max": float("nan")}, "f_max = 'nan'"),
+            ({"f_max": 0}, "f_max = '0'"),
+            ({"f_max": "9"}, "f_max = '9'"),
+            ({"rate_hz": -1.0}, "rate_hz = '-1.0'"),
+            ({"rate_hz": 10**400}, "rate_hz"),
+            ({"n_rows": 3}, "n_rows = 3 is stated, but the frames have 2"),
+            ({"n_cols": 0}, "n_cols = '0'; expected a whole number in 1..4096"),
+            ({"n_cols": True}, "n_cols = 'True'"),
+            ({"unit": "N"}, "unit = 'N' is stated, but the file states 'raw'"),
+            ({"unit": ""}, "unit = ''"),
+            ({"crop": (0, 3, 0, 3)}, "within 2 rows x 3 columns"),
+            ({"crop": (1, 1, 0, 3)}, "row_start, row_stop"),
+            ({"crop": (0, 1)}, "four whole numbers"),
+            ({"crop": (0, 1.5, 0, 3)}, "four whole numbers"),
+            ({"crop": (0, 1, 0, 1)}, "no cell of the skin is a taxel"),
+            ({"delivers": "noise"}, "allowed are truth, taxels"),
+        ],
+    )
+    def test_a_setting_that_cannot_hold_is_refused(
+        self, opened: Opener, stated: dict[str, Any], message: str
+    ) -> None:
+        with pytest.raises(SourceError, match=message):
+            opened("hand.csv", tekscan_text(), **stated)
+
+    def test_a_recording_of_zeros_needs_a_range(self, opened: Opener) -> None:
+        zeros = "0,0,0,0\n0,0,0,0\n"
+        with pytest.raises(SourceError, match=r"all readings are 0.*state f_max"):
+            opened("still.csv", zeros, n_rows=2, unit="N")
+        assert opened("still.csv", zeros, n_rows=2, unit="N", f_max=2.5).skin.f_max == 2.5
+
+    def test_missing_directory_empty_and_unknown_files_are_refused(
+        self, opened: Opener, tmp_path: Path
+    ) -> None:
+        with pytest.raises(SourceError, match=r"gone\.npy: there is no such file"):
+            open_file(tmp_path / "gone.npy")
+        (tmp_path / "folder.npz").mkdir()
+        with pytest.raises(SourceError, match=r"folder\.npz: is a directory"):
+            open_file(tmp_path / "folder.npz")
+        with pytest.raises(SourceError, match=r"empty\.lst: the file is empty"):
+            opened("empty.lst", "")
+        with pytest.raises(SourceError, match=r"'\.dat' is not known; allowed are \.csv, \.npy, "):
+            opened("skin.dat", "x")
+        with pytest.raises(SourceError, match=r"there is no such file|cannot be read"):
+            open_file("nul\0.lst")
+
+
+def refuse_or_check(path: Path) -> None:
+    """Any bytes either give frames that hold what a source promises, or a SourceError."""
+    try:
+        source = open_file(path)
+    except SourceError:
+        return
+    frames = frames_of(source)
+    assert np.isfinite(frames).all()
+    assert frames.min() >= 0
+    assert frames.max() <= np.float32(source.skin.f_max)
+    assert (np.diff(stamps_of(source)) > 0).all()
+
+
+MUTATION = settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+class TestAnyBytes:
+    @MUTATION
+    @given(raw=st.binary(max_size=300), suffix=st.sampled_from(["lst", "asf", "csv"]))
+    def test_random_bytes_never_raise_anything_else(
+        self, tmp_path: Path, raw: bytes, suffix: str
+    ) -> None:
+        path = tmp_path / f"random.{suffix}"
+        path.write_bytes(raw)
+        refuse_or_check(path)
+
+    @MUTATION
+    @given(data=st.data(), suffix=st.sampled_from(["lst", "csv"]))
+    def test_mutated_files_never_raise_anything_else(
+        self, tmp_path: Path, data: st.DataObject, suffix: str
+    ) -> None:
+        text = emed_text() if suffix == "lst" else tekscan_text()
+        raw = bytearray(text.encode("latin-1"))
+        for _ in range(data.draw(st.integers(1, 4))):
+            start = data.draw(st.integers(0, len(raw) - 1))
+            stop = start + data.draw(st.integers(0, 3))
+            raw[start:stop] = data.draw(
+                st.sampled_from([b"", b"9", b"-", b"\t", b",", b"\n", b"\f", b"\xb2", b"nan"])
+                | st.binary(max_size=3)
+            )
+        path = tmp_path / f"mutated.{suffix}"
+        path.write_bytes(raw)
+        refuse_or_check(path)

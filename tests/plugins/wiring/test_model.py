@@ -1,0 +1,88 @@
+"""Wires by their formulas, against cases that are counted by hand; models of the readout."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparseskin.nodes.compressor.divider import divided, undivided, with_crosstalk
+from sparseskin.nodes.compressor.phi.adaptive import layout
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.plugins.wiring.model import (
+    array_wiring,
+    count_crossings,
+    sbhe_wiring,
+    star_wiring,
+)
+
+
+def test_a_star_is_as_long_as_the_distances_from_its_median() -> None:
+    cells = np.arange(9)  # 3 x 3: the median is the middle
+    one = star_wiring([np.arange(9)], cells, 3, conversions=4)
+    assert (one.length, one.crossings, one.wires_a_taxel, one.conversions) == (12.0, 0, 1.0, 4)
+    rows = star_wiring([np.arange(3), np.arange(3, 6), np.arange(6, 9)], cells, 3, 9)
+    assert (rows.length, rows.crossings) == (6.0, 0)
+
+
+def test_crossings_of_a_grid_of_lines_are_counted() -> None:
+    k = np.arange(1.0, 5.0)
+    begins = np.concatenate([np.stack([k, 0 * k], 1), np.stack([0 * k, k + 0.5], 1)])
+    ends = np.concatenate([np.stack([k, 0 * k + 9], 1), np.stack([0 * k + 9, k + 0.5], 1)])
+    each_its_own = np.arange(8)
+    assert count_crossings(begins, ends, each_its_own) == 16
+    assert count_crossings(begins, ends, np.repeat([0, 1], 4)) == 16
+    assert count_crossings(begins, ends, np.zeros(8, np.intp)) == 0
+    assert count_crossings(begins[:4], ends[:4], each_its_own[:4]) == 0
+
+
+def test_a_row_column_array_is_as_its_formulas() -> None:
+    one = array_wiring(3, 5, 15)
+    assert (one.length, one.crossings, one.conversions) == (3 * 4 + 5 * 2, 15, 15)
+    assert one.wires_a_taxel == pytest.approx(8 / 15)
+
+
+def test_smaller_neighbourhoods_have_shorter_wires_that_cross_less() -> None:
+    exists = np.ones((32, 32), dtype=np.bool_)
+    found = []
+    for kind in ("local:4", "local:8", "local:16", "sbhe"):
+        phi = make_phi(kind, 1024, 341, 0)
+        layout(phi, exists)
+        found.append(sbhe_wiring(phi, exists))  # type: ignore[arg-type]
+    assert [w.length for w in found] == sorted(w.length for w in found)
+    assert [w.crossings for w in found] == sorted(w.crossings for w in found)
+    assert found[0].crossings == 0
+    assert {w.conversions for w in found} == {341}
+    # 8 x 4 cells about their middle: 2 columns of 4 and 1 row of 8 away in the mean.
+    assert found[0].length == 32 * (8 * 4 * (2 + 1))
+
+
+@given(
+    conductances=st.lists(st.floats(0, 1), min_size=4, max_size=4),
+    driven=st.lists(st.booleans(), min_size=4, max_size=4),
+    load=st.floats(0.01, 10),
+)
+def test_a_divider_is_undone_by_the_reading_of_all_columns(
+    conductances: list[float], driven: list[bool], load: float
+) -> None:
+    g, pattern = np.array(conductances), np.array(driven, dtype=float)
+    v, v_all = divided(pattern @ g, g.sum(), load), divided(g.sum(), g.sum(), load)
+    assert 0 <= v <= v_all < 1
+    assert undivided(v, v_all, load) == pytest.approx(pattern @ g, rel=1e-6, abs=1e-9)
+
+
+def test_a_divider_is_linear_where_its_load_is_large() -> None:
+    g = np.array([0.2, 0.5])
+    assert divided(g[0], g.sum(), 1e6) * 1e6 == pytest.approx(0.2, rel=1e-5)
+    # At a load as large as the row's conductance half of the signal is left.
+    assert divided(g.sum(), g.sum(), g.sum()) == 0.5
+
+
+def test_crosstalk_adds_both_neighbours_of_a_row() -> None:
+    press = np.zeros((2, 5))
+    press[1, 2] = 1.0
+    press[0, 0] = 2.0
+    read = with_crosstalk(press, 0.1)
+    assert read.tolist() == [[2.0, 0.2, 0, 0, 0], [0, 0.1, 1.0, 0.1, 0]]
+    assert with_crosstalk(press, 0.0).tolist() == press.tolist()

@@ -1,0 +1,107 @@
+"""What plug-ins bring: found by entry points, and named where it cannot be imported."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sparseskin.nodes import extensions
+from sparseskin.nodes.errors import SettingsError, SourceError
+from sparseskin.nodes.recorder.bag.format import BagError
+from sparseskin.nodes.recorder.convert.export import export_names, find_export
+from sparseskin.nodes.registry import node_class
+from sparseskin.nodes.sensor.files.format import suffixes
+from sparseskin.nodes.sensor.files.recorded import open_file
+from sparseskin.nodes.sensor.points import point_skins
+from sparseskin.nodes.tasks.executors import forms, make_executor
+
+BROUGHT = """
+import numpy as np
+from concurrent.futures import ThreadPoolExecutor
+from sparseskin.nodes.node import Node
+from sparseskin.nodes.recorder.convert.export import Export
+from sparseskin.nodes.sensor.files.format import Format
+from sparseskin.nodes.sensor.files.parsed import Head, Parsed, Recording
+from sparseskin.nodes.tasks.executors import Factory
+
+
+class Counted(Recording):
+    def __init__(self, file):
+        self.numbers = np.loadtxt(list(file.lines)[1:], ndmin=2)
+
+    def head(self):
+        return Head(1, 3, 3, "N")
+
+    def read(self):
+        return Parsed(self.numbers[:, None, :], "N")
+
+
+class Own(Node):
+    pass
+
+
+COUNTED = Format({".csv": "counts"}, Counted, lambda begin: begin.startswith(b"counts"))
+TEXT = Export(".txt", "brought:write")
+POOL = Factory("pool:N", lambda spec: ThreadPoolExecutor(int(spec.partition(":")[2])))
+"""
+
+
+@pytest.fixture
+def brought(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, offering: Callable[..., None]
+) -> Iterator[None]:
+    """A package that brings one of each, and in each group one that cannot be imported."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "brought.py").write_text(BROUGHT)
+    suffixes.cache_clear()
+    for group, name in (
+        (extensions.NODES, "Own"),
+        (extensions.FILES, "COUNTED"),
+        (extensions.EXPORTS, "TEXT"),
+        (extensions.EXECUTORS, "POOL"),
+        (extensions.POINTS, ""),
+    ):
+        one = {name.lower(): f"brought:{name}"} if name else {"points": "absent:POINTS"}
+        offering(group, broken="absent:THING", **one)
+    yield
+    sys.modules.pop("brought", None)
+    suffixes.cache_clear()
+
+
+@pytest.mark.usefixtures("brought")
+def test_what_another_package_brings_is_used(tmp_path: Path) -> None:
+    assert node_class("own").__module__ == "brought"
+    (tmp_path / "own.csv").write_text("counts\n1 2 3\n4 5 6\n")
+    read = open_file(tmp_path / "own.csv")
+    np.testing.assert_array_equal(read.frames, [[[1, 2, 3]], [[4, 5, 6]]])
+    assert suffixes()[".csv"].endswith(" or counts")
+    assert find_export("text").ending == ".txt"
+    assert "text" in export_names()
+    assert "pool:N" in forms()
+    with make_executor("pool:2") as executor:
+        assert executor.submit(abs, -1).result() == 1
+
+
+@pytest.mark.usefixtures("brought")
+def test_what_cannot_be_imported_is_named_in_one_line_and_stops_no_other(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="there is no module 'absent'"):
+        node_class("broken")
+    (tmp_path / "own.xyz").write_text("1")
+    with pytest.raises(SourceError, match=r"suffix '\.xyz' .*; cannot be imported: absent:THING"):
+        open_file(tmp_path / "own.xyz")
+    with pytest.raises(BagError, match=r"--to broken: plug-in absent:THING: ModuleNotFoundError"):
+        find_export("broken")
+    with pytest.raises(SettingsError, match=r"--executor broken:1: plug-in absent:THING"):
+        make_executor("broken:1")
+    with pytest.raises(SourceError, match=r"points: plug-in absent:POINTS: ModuleNotFoundError"):
+        point_skins()
+
+
+def test_without_the_plug_in_skins_of_points_are_refused(offering: Callable[..., None]) -> None:
+    offering(extensions.POINTS)
+    with pytest.raises(SourceError, match="need the plug-in points, which is not installed"):
+        point_skins()
