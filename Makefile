@@ -10,7 +10,7 @@ INSTALL_SOME := $(BIN)/pip install --quiet --disable-pip-version-check --no-comp
 PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder
 
 .PHONY: demo page-draw shots charts charts-quick stress stress-quick
-.PHONY: test test-all coverage test-kernels check mutants docs hooks clean
+.PHONY: test test-all test-core coverage test-kernels check mutants docs hooks clean
 .DELETE_ON_ERROR:
 
 # The main job: a wrench dragged over 64 x 64 taxels, streamed through four processes.
@@ -38,6 +38,10 @@ test: .venv/installed-dev
 # All tests, those that are slow by nature too (kills, soak, browser, network namespaces).
 test-all: .venv/installed-dev
 	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) --durations=20
+
+# All tests of the core, in a copy of the repository without the plug-ins.
+test-core: .venv/installed-dev
+	$(BIN)/python .ci/core.py all
 
 # Faults, fuzz, attacks, soak, endurance and the costs of bridges and of readers, at the sizes whose
 # figures are in docs/ (7 hours; the quick ones 5 minutes); some: make stress STRESS=test_soak.py.
@@ -73,6 +77,7 @@ check: .venv/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python .ci/typecheck.py
+	$(BIN)/python .ci/core.py
 
 .venv/python:
 	$(PYTHON) -m venv .venv

@@ -66,8 +66,8 @@ CORE = (
     "nodes/recorder/bag/writer.py",
     "nodes/recorder/convert/to_bag.py",
     "nodes/sensor/noise.py",
-    "nodes/sensor/files/emed.py",
-    "nodes/sensor/files/tekscan.py",
+    "plugins/vendors/emed.py",
+    "plugins/vendors/tekscan.py",
     "nodes/sensor/scenes/contact.py",
     "nodes/sensor/scenes/motion.py",
 )
