@@ -17,9 +17,6 @@ from sparseskin.launch.launchfile.check import GRAPH_KEYS, TRANSPORTS
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.registry import node_class, node_types
 
-BEGUN = "sensor.source=udp:1?rows=2&"
-C = ("checksum", "checksum_from", "confirm", "cols", "col_order")
-"""Keys of a board that begin with c."""
 CELLS = ["camera.n_rows=", "camera.n_cols="]
 OFFERED = ("key", "type", "doc", "choices", "known")
 SHELLS = ("bash", "zsh", "fish")
@@ -47,7 +44,6 @@ def no_graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("bag info my", ["my\\ skin.mcap"]),
         ("launch path_40 --set sensor.source=scene:x --fr", ["--frames"]),
         ("scope sc", ["scene:"]),
-        ("scope udp:5005?profile=nu", ["numbered"]),
         ("launch path_40 --set=mon", ["monitor.page="]),
         ("launch path_40 --set reconstructor.preset=pa", ["paper"]),
         ("launch path_40 --set sensor.source=scene:x --set compressor.bl", ["compressor.block="]),
@@ -81,11 +77,8 @@ def overrides(launch: str | None, begun: str) -> list[str]:
         ("path_40", "compressor.b", ["compressor.bits=", "compressor.block="]),
         ("path_40", "reconstructor.preset=", [f"reconstructor.preset={p}" for p in PRESETS]),
         ("path_40", "reconstructor.uncertainty=t", ["reconstructor.uncertainty=true"]),
-        ("path_40", "sensor.source=s", ["sensor.source=scene:", "sensor.source=serial:"]),
+        ("path_40", "sensor.source=sc", ["sensor.source=scene:"]),
         ("path_40", "sensor.source=scene:p", ["sensor.source=scene:path_40"]),
-        ("path_40", "sensor.source=serial:d?bau", ["sensor.source=serial:d?baud="]),
-        ("path_40", f"{BEGUN}c", [f"{BEGUN}{key}=" for key in C]),
-        ("path_40", "sensor.source=can:d?id", ["sensor.source=can:d?ids="]),
         ("path_40", "nothing.", []),
         ("path_40", "sensor.nothing=", []),
         ("no_such_file", "", []),

@@ -95,17 +95,6 @@ def test_frames_of_all_patches_reach_the_monitor(body: Path) -> None:
     assert patches["forearm"]["n"] == 69
 
 
-def test_patches_of_points_are_a_batch_of_their_own(body: Path) -> None:
-    points = 'points = "example:grip"'
-    body.write_text(GOOD.replace('skin = "sole.toml"', points))
-    launch = load("body", ["skin.body=body.toml"])
-    (sensor,) = (
-        spec.settings for spec in launch.nodes.values() if getattr(spec.settings, "points", "")
-    )
-    assert sensor.patches == ("sole",)
-    assert sensor.skin().points.shape == (924, 6)
-
-
 def test_pose_and_names_are_those_of_the_file(body: Path) -> None:
     faults: list[str] = []
     batches = read_skin({"body": "body.toml"}, Path(), lambda _, what: faults.append(what))
@@ -143,7 +132,6 @@ def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds() 
         ("ratio = 2.0", "ration = 2", "(sole).compressor.ration: unknown key"),
         ("ratio = 2.0", 'phi = "acts"', "(sole).compressor.phi: acts chooses other rows"),
         ('"sole.toml"', '"none.toml"', "none.toml: cannot be read"),
-        ('skin = "sole.toml"', 'points = "a.csv"', "a.csv: there is no such file"),
         ('skin = "sole.toml"', 'points = "a.csv"\nrows = 3', "rows: is stated beside points"),
         ('"sole.toml"', '"sole.toml"\nrows = 3', "(sole).rows: is stated beside skin"),
         ("[[patches]]", "[patches]", "body.toml: cannot be read"),

@@ -57,16 +57,6 @@ def write(text: str) -> str:
     return "f.toml"
 
 
-BOARD = "serial:/dev/a-board-of-the-edge?profile=flexitac_16x32"
-
-
-def test_a_board_of_another_host_need_not_be_here_but_is_described_rightly() -> None:
-    text = TWO.replace("scene:path_40", BOARD)
-    assert load(write(text)).nodes["sensor"].settings.source == BOARD
-    (fault,) = faults(text.replace("16x32", "16x23"))
-    assert "did you mean 'flexitac_16x32'?" in fault
-
-
 def faults(text: str, host: str | None = None) -> list[str]:
     with pytest.raises(LaunchError) as caught:
         load(write(text)).part(host)

@@ -142,13 +142,6 @@ def test_all_bundled_files_are_known() -> None:
             "f.toml:6: nodes.sensor.source: none.npz: there is no such file",
         ),
         (
-            "scene:path_40",
-            "path_40",
-            'f.toml:6: nodes.sensor.source: source "path_40": expected scene:NAME, file:PATH, '
-            "mujoco:MODEL.xml#SITE, serial:DEVICE, udp:PORT, can:CHANNEL, ros2:/TOPIC or "
-            'module:callable (did you mean "scene:path_40"?)',
-        ),
-        (
             'type = "monitor"',
             'type = "monitor"\npatches = ["left"]',
             None,
@@ -247,18 +240,6 @@ def test_what_nodes_can_use_is_not_refused(tmp_path, monkeypatch, overrides) -> 
     monkeypatch.chdir(tmp_path)
     Path("f.toml").write_text(GOOD)
     assert load("f.toml", overrides).links
-
-
-def test_of_an_invalid_points_file_no_fault_of_its_scene_follows(tmp_path: Path) -> None:
-    path = tmp_path / "points.csv"
-    path.write_text("x_mm,y_mm,z_mm\n1,2\n")
-    stated = f"sensor.points={path}"
-    with pytest.raises(LaunchError) as caught:
-        load("torso", [stated, "sensor.noise=-1"])
-    assert str(caught.value).splitlines() == [
-        "--set sensor.noise=-1: -1.0 is outside 0.0..100.0",
-        f"--set {stated}: {path}, line 2: 2 numbers; expected 3",
-    ]
 
 
 def test_all_faults_of_a_node_are_reported_but_none_that_follows_from_another(check) -> None:
@@ -578,12 +559,6 @@ def _write_recordings() -> None:
     np.save("whole.npy", frames)
     np.savez("masked.npz", forces=frames, mask=mask)
     np.savetxt("plain.csv", frames.reshape(2, -1), delimiter=",", fmt="%.2f")
-    cells = np.where(mask, "1", "B")
-    frame = "\n".join(",".join(row) for row in cells)
-    header = "DATA_TYPE MOVIE\nROWS 6\nCOLS 8\nUNITS N\nASCII_DATA @@\n"
-    Path("movie.asf").write_text(f"{header}Frame 1\n{frame}\n@@\n")
-    page = "Matrix: 8x6\nSensor area: 0.25 cm2\nTime/picture: 20 ms\nSensor size: 0.5x0.5 cm\n"
-    Path("emed.lst").write_text(f"{page}Pict-No.: 1\n\t1\n1\t10.0\n\f")
     Path("driver.py").write_text("def frames():\n    yield 0, [[0.0]]\n")
 
 
@@ -592,8 +567,6 @@ def _write_recordings() -> None:
     [
         ('file:whole.npy"\n#"', 48),
         ('file:masked.npz"\n#"', 40),
-        ('file:movie.asf"\n#"', 40),
-        ('file:emed.lst"\n#"', 48),
         ('file:plain.csv"\nn_rows = 6\nunit = "N', 48),
         ('driver:frames"\nn_rows = 6\nn_cols = 8\nunit = "N', 48),
     ],
@@ -621,7 +594,6 @@ def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
         ("file:flat.npy", "has 2 dimensions"),
         ("file:text.npz", "not a readable NumPy file"),
         ("file:empty.csv", "the file is empty"),
-        ("file:text.lst", "not an emed text export"),
     ],
 )
 def test_a_recording_with_a_faulty_begin_is_refused_before_the_start(
@@ -630,7 +602,6 @@ def test_a_recording_with_a_faulty_begin_is_refused_before_the_start(
     _write_recordings()
     np.save("flat.npy", np.zeros((4, 6)))
     Path("text.npz").write_text("no archive")
-    Path("text.lst").write_text("no export")
     Path("empty.csv").write_text("")
     (line,) = check(_graph_of(source))
     assert "nodes.sensor.source" in line

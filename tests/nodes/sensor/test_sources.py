@@ -140,3 +140,10 @@ def test_a_source_that_computes_its_frames_is_read_a_frame_at_a_time_and_ends() 
     while source.next_frame(0.0) is not None:
         assert not source.ended
     assert source.ended
+
+
+def test_what_is_no_address_is_refused_with_all_forms() -> None:
+    with pytest.raises(SourceError) as refused:
+        sources.find_address("path_40")
+    assert str(refused.value).startswith('source "path_40": expected scene:NAME, file:PATH')
+    assert str(refused.value).endswith('or module:callable (did you mean "scene:path_40"?)')

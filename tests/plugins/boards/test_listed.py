@@ -1,7 +1,8 @@
-"""Boards in the commands `sources` and `scope`."""
+"""Boards in the commands `sources` and `scope`, in shells and in launch files."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import pty
@@ -15,6 +16,9 @@ from board_lines import a_line
 from conftest import COMMAND, PATIENCE_S, wait_until
 
 from sparseskin.launch.commands.cli import main
+from sparseskin.launch.commands.completion import candidates
+from sparseskin.launch.launchfile.load import LaunchError, load
+from sparseskin.nodes.network.keys import make_key_files
 from sparseskin.plugins.boards.framing import Framing
 
 FLEXITAC = Framing(16 * 32, start=b"\xaa\x55")
@@ -25,6 +29,27 @@ def test_sources_lists_profiles_with_a_line_on_each(capsys: pytest.CaptureFixtur
     found = json.loads(capsys.readouterr().out)
     assert "flexitac_16x32" in [one["name"] for one in found["profiles"]]
     assert all(one["about"] for one in found["profiles"])
+
+
+KEYS = ("checksum", "checksum_from", "confirm", "cols", "col_order")
+"""Keys of a board that begin with c."""
+
+
+@pytest.mark.parametrize(
+    ("begun", "found"),
+    [
+        ("s", ["scene:", "serial:"]),
+        ("udp:5005?profile=nu", ["udp:5005?profile=numbered"]),
+        ("serial:d?bau", ["serial:d?baud="]),
+        ("udp:1?rows=2&c", [f"udp:1?rows=2&{key}=" for key in KEYS]),
+        ("can:d?id", ["can:d?ids="]),
+        ("no:d?", []),
+    ],
+)
+def test_addresses_are_completed(begun: str, found: list[str]) -> None:
+    action = argparse.Action([], "", metavar="SOURCE")
+    offered = candidates(prefix=begun, action=action, parsed_args=argparse.Namespace())
+    assert list(offered) == found
 
 
 def test_scope_refuses_a_board_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
@@ -78,3 +103,36 @@ def test_scope_draws_in_a_terminal_and_leaves_it_as_it_was(tmp_path: Path) -> No
     assert "16 x 32 taxels, 0..255 raw" in text
     # The other screen and the hidden cursor are left again, and the summary stands on the first.
     assert text.index("\x1b[?1049h") < text.rindex("\x1b[?25h\x1b[?1049l") < text.rindex("frames;")
+
+
+TWO_HOSTS = """
+[hosts.edge]
+address = "192.168.1.10"
+[hosts.desk]
+address = "192.168.1.20"
+[security]
+keys = "keys"
+[nodes.sensor]
+type = "sensor"
+source = "serial:/dev/a-board-of-the-edge?profile=flexitac_16x32"
+host = "edge"
+[nodes.compressor]
+type = "compressor"
+host = "edge"
+[nodes.reconstructor]
+type = "reconstructor"
+host = "desk"
+"""
+
+
+def test_a_board_of_another_host_need_not_be_here_but_is_described_rightly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("edge", "desk"):
+        make_key_files(name, tmp_path / "keys")
+    Path("f.toml").write_text(TWO_HOSTS)
+    assert load("f.toml").nodes["sensor"].settings.source.startswith("serial:")
+    Path("f.toml").write_text(TWO_HOSTS.replace("16x32", "16x23"))
+    with pytest.raises(LaunchError, match=r"did you mean 'flexitac_16x32'\?"):
+        load("f.toml").part(None)
