@@ -15,9 +15,9 @@ from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.settings import setting
-from sparseskin.plugins.bridges.exports.foxglove import grid, point_cloud, raw_image
 
 from .base import LOOPBACK, Bridge, BridgeSettings, Figures, Map, check_installed
+from .exports.foxglove import grid, numbers_schema, point_cloud, raw_image
 from .parameters import GraphParameters
 
 BACKLOG = 1024
@@ -124,7 +124,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
         channel = self._channels.get(message.topic)
         if channel is None:
             channel = self._fox.Channel(
-                message.topic, schema=_numbers(_RESULTANT), context=self._own
+                message.topic, schema=numbers_schema(_RESULTANT), context=self._own
             )
             self._channels[message.topic] = channel
         if channel.has_sinks():
@@ -159,7 +159,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
         self._channels[topic] = channels.RawImageChannel(topic, context=self._own)
         self._channels[f"{topic}/grid"] = channels.GridChannel(f"{topic}/grid", context=self._own)
         self._channels[f"{topic}/figures"] = self._fox.Channel(
-            f"{topic}/figures", schema=_numbers(_FIGURES), context=self._own
+            f"{topic}/figures", schema=numbers_schema(_FIGURES), context=self._own
         )
 
 
@@ -168,16 +168,6 @@ _FIGURES = (
     *("residual", "iterations", "solve_ms", "error"),
 )
 _RESULTANT = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
-
-
-def _numbers(names: Iterable[str]) -> dict[str, Any]:
-    """JSON Schema of an object of numbers, with `trusted` where it is known."""
-    fields: dict[str, Any] = {name: {"type": "number"} for name in names}
-    return {
-        "type": "object",
-        "title": "sparseskin.Figures",
-        "properties": {**fields, "trusted": {"type": "boolean"}},
-    }
 
 
 def _as_parameters(fox: Any, values: dict[str, Any]) -> list[Any]:

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import Measurements, Message, Reconstruction, SkinState
+from sparseskin.messages import Measurements, Message, Reconstruction, Resultant, SkinState
+from sparseskin.messages.base import wire_fields
+from sparseskin.messages.fields import Flag, Integer, Real
 from sparseskin.nodes.files import OutputError, whole_file
 from sparseskin.nodes.recorder.bag.format import GRAPH_RECORD, JSON_KEY, BagError
 from sparseskin.nodes.recorder.bag.frames import (
@@ -23,8 +25,6 @@ from sparseskin.nodes.recorder.bag.frames import (
     with_states,
 )
 from sparseskin.nodes.recorder.bag.reader import BagReader
-
-from .figures import descriptor, encoded, figure_values, has_figures, schema_name
 
 INSTALL = "writing for Foxglove needs foxglove-sdk; pip install 'sparseskin[foxglove]'"
 UNKNOWN_CELL_M = 1.0
@@ -46,8 +46,7 @@ def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = No
       normals and, where known, the row of each point in its file;
     - the standard deviations as a RawImage on /PATCH/reconstruction/sd, and as field `sd` of that
       grid;
-    - all numbers of the message, and the sum of the frame, as protobuf on /PATCH/SCHEMA/figures
-      (sparseskin.ReconstructionFigures ...);
+    - all numbers of the message, and the sum of the frame, as JSON on /PATCH/SCHEMA/figures;
     - skin, calibration, Phi and solver as JSON on /PATCH/skin, /PATCH/phi ...
 
     Stamps are those of the acquisition, log times those of the recording. The bag's metadata are
@@ -105,11 +104,8 @@ class _Channels:
             return getattr(channels, f"{schema}Channel")(topic, context=self._context)
         if schema == "json":
             return foxglove.Channel(topic, message_encoding="json", context=self._context)
-        described = foxglove.Schema(
-            name=schema_name(schema), encoding="protobuf", data=descriptor(schema)
-        )
         return foxglove.Channel(
-            topic, message_encoding="protobuf", schema=described, context=self._context
+            topic, schema=numbers_schema(figure_names(schema)), context=self._context
         )
 
 
@@ -130,8 +126,31 @@ def _messages(message: Message, skin: SkinState | None) -> Iterable[tuple[str, A
         yield f"{topic}/grid", "Grid", grid(message, layers, skin)
         if skin is not None and skin.points is not None:
             yield f"{topic}/points", "PointCloud", point_cloud(message, layers, skin, True)
-    if has_figures(cls):
-        yield f"{topic}/figures", cls, encoded(cls, figure_values(message))
+    if cls in (Reconstruction, Resultant) or "forces" in wire_fields(cls):
+        yield f"{topic}/figures", cls, figures_of(message)
+
+
+def figure_names(cls: type[Message]) -> list[str]:
+    """Names of the numbers of a message class; of frames the sum first."""
+    fields = wire_fields(cls)
+    names = [name for name, kind in fields.items() if isinstance(kind, Real | Integer | Flag)]
+    total = ["total_force"] if "forces" in fields else []
+    return total + [name for name in names if name not in ("run_id", "seq")]
+
+
+def figures_of(message: Message) -> dict[str, float]:
+    """The numbers of a message by name; without those that it does not have."""
+    values = {name: getattr(message, name, None) for name in figure_names(type(message))}
+    if (forces := getattr(message, "forces", None)) is not None:
+        values["total_force"] = float(forces.sum(dtype="f8"))
+    return {k: value for k, value in values.items() if value is not None}
+
+
+def numbers_schema(names: Iterable[str]) -> dict[str, Any]:
+    """JSON Schema of an object of numbers, with `trusted` where it is known."""
+    fields: dict[str, Any] = {name: {"type": "number"} for name in names}
+    properties = {**fields, "trusted": {"type": "boolean"}}
+    return {"type": "object", "title": "sparseskin.Figures", "properties": properties}
 
 
 def raw_image(message: Message, array: npt.NDArray[np.float32]) -> Any:
@@ -153,15 +172,7 @@ def grid(
     message: Message, layers: dict[str, npt.NDArray[np.float32]], skin: SkinState | None
 ) -> Any:
     """foxglove.Grid of the layers of a frame, each float32 (n_rows, n_cols)."""
-    from foxglove.messages import (
-        Grid,
-        PackedElementField,
-        PackedElementFieldNumericType,
-        Pose,
-        Quaternion,
-        Vector2,
-        Vector3,
-    )
+    from foxglove.messages import Grid, Vector2
 
     n_rows, n_cols = next(iter(layers.values())).shape
     side = (skin.pitch_m if skin is not None else None) or UNKNOWN_CELL_M
@@ -169,20 +180,12 @@ def grid(
     return Grid(
         timestamp=_timestamp(message.stamp_ns),
         frame_id=message.patch,
-        pose=Pose(
-            position=Vector3(x=-n_cols * side / 2, y=-n_rows * side / 2, z=0.0),
-            orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
-        ),
+        pose=_pose(-n_cols * side / 2, -n_rows * side / 2),
         column_count=n_cols,
         cell_size=Vector2(x=side, y=side),
         row_stride=FLOAT32_BYTES * len(layers) * n_cols,
         cell_stride=FLOAT32_BYTES * len(layers),
-        fields=[
-            PackedElementField(
-                name=name, offset=FLOAT32_BYTES * k, type=PackedElementFieldNumericType.Float32
-            )
-            for k, name in enumerate(layers)
-        ],
+        fields=_fields(layers),
         data=data.tobytes(),
     )
 
@@ -197,14 +200,7 @@ def point_cloud(
     layer, float32 (n_rows, n_cols), at the taxels that exist, where they are wanted the `normals`,
     and where it is known `row`, uint32, the row of the file of points.
     """
-    from foxglove.messages import (
-        PackedElementField,
-        PackedElementFieldNumericType,
-        PointCloud,
-        Pose,
-        Quaternion,
-        Vector3,
-    )
+    from foxglove.messages import PointCloud
 
     assert skin.points is not None
     exists = skin.skin.exists
@@ -222,23 +218,30 @@ def point_cloud(
     return PointCloud(
         timestamp=_timestamp(message.stamp_ns),
         frame_id=message.patch,
-        pose=Pose(
-            position=Vector3(x=0.0, y=0.0, z=0.0),
-            orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
-        ),
+        pose=_pose(0.0, 0.0),
         point_stride=FLOAT32_BYTES * len(names),
-        fields=[
-            PackedElementField(
-                name=name,
-                offset=FLOAT32_BYTES * k,
-                type=PackedElementFieldNumericType.Uint32
-                if name == ROW
-                else PackedElementFieldNumericType.Float32,
-            )
-            for k, name in enumerate(names)
-        ],
+        fields=_fields(names),
         data=table.tobytes(),
     )
+
+
+def _pose(x: float, y: float) -> Any:
+    from foxglove.messages import Pose, Quaternion, Vector3
+
+    orientation = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+    return Pose(position=Vector3(x=x, y=y, z=0.0), orientation=orientation)
+
+
+def _fields(names: Iterable[str]) -> list[Any]:
+    """Fields of four bytes each, one after the other: `ROW` uint32, others float32."""
+    from foxglove.messages import PackedElementField, PackedElementFieldNumericType
+
+    types = PackedElementFieldNumericType
+    kinds = {name: types.Uint32 if name == ROW else types.Float32 for name in names}
+    return [
+        PackedElementField(name=name, offset=FLOAT32_BYTES * k, type=kind)
+        for k, (name, kind) in enumerate(kinds.items())
+    ]
 
 
 def _timestamp(stamp_ns: int) -> Any:
