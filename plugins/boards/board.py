@@ -49,7 +49,8 @@ def describe_board(
     unit: str | None = None,
     f_max: float | None = None,
 ) -> Board:
-    """Read all that is stated of a board, without opening it.
+    """Read all that is stated of a board, without opening it. Raises SourceError if a key or value
+    is not allowed, one is missing, or two contradict each other.
 
     Parameters
     ----------
@@ -57,11 +58,6 @@ def describe_board(
         "serial:DEVICE?KEY=VALUE&...", "udp:PORT?..." or "can:CHANNEL?...".
     n_rows, n_cols, unit, f_max
         Properties that the source may leave out.
-
-    Raises
-    ------
-    SourceError
-        If a key or value is not allowed, one is missing, or two contradict each other.
     """
     kind, address, query = split_source(source)
     name = f"{kind}:{address}"

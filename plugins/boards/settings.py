@@ -211,12 +211,8 @@ def _bytes_of(key: str, text: str) -> bytes:
 
 
 def split_source(source: str) -> tuple[str, str, dict[str, str]]:
-    """Kind, address and query of "KIND:ADDRESS?KEY=VALUE&KEY=VALUE".
-
-    Raises
-    ------
-    SourceError
-        If a part of the query is no KEY=VALUE, or a key is stated twice.
+    """Kind, address and query of "KIND:ADDRESS?KEY=VALUE&KEY=VALUE". Raises SourceError if a part
+    of the query is no KEY=VALUE, or a key is stated twice.
     """
     kind, _, rest = source.partition(":")
     address, _, query = rest.partition("?")
@@ -232,12 +228,8 @@ def split_source(source: str) -> tuple[str, str, dict[str, str]]:
 
 
 def read_settings(kind: str, values: Mapping[str, str]) -> BoardSettings:
-    """Settings of a board of a kind of `KINDS`, from a query.
-
-    Raises
-    ------
-    SparseskinError
-        If a key or value of the query or of its profile is not allowed.
+    """Settings of a board of a kind of `KINDS`, from a query. Raises SparseskinError if a key or
+    value of the query or of its profile is not allowed.
     """
     cls = KINDS[kind]
     own = dict(values)
@@ -254,12 +246,8 @@ def read_settings(kind: str, values: Mapping[str, str]) -> BoardSettings:
 
 def read_profile(name: str) -> dict[str, Any]:
     """Keys and values of a profile: its name if it comes with the package, or the path of a file
-    that ends in .toml. `about`, one line on the board, is left out.
-
-    Raises
-    ------
-    SourceError
-        If there is none, or it is no TOML of known keys.
+    that ends in .toml. `about`, one line on the board, is left out. Raises SourceError if there is
+    none, or it is no TOML of known keys.
     """
     own = name.endswith(".toml") or "/" in name
     path = Path(name) if own else PROFILES / f"{name}.toml"

@@ -45,7 +45,7 @@ class BoardSource(LiveSource):
 
     What comes is checked: a frame that is not whole, or has a reading that is no number, is counted
     and dropped; readings outside [0, f_max] are clipped and counted (`clipped`). A device that goes
-    away is waited for.
+    away is waited for. Raises SourceError if its device is missing or cannot be opened.
 
     Parameters
     ----------
@@ -53,11 +53,6 @@ class BoardSource(LiveSource):
         Description of the board.
     raw : bool
         True: readings are not clipped, as a calibration converts them.
-
-    Raises
-    ------
-    SourceError
-        If its device is missing or cannot be opened.
     """
 
     arrives = True

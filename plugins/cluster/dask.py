@@ -66,13 +66,9 @@ def make_dask_executor(spec: str) -> DaskExecutor:
 
     "local" starts N workers (by default one for each core) as processes of this host, of one thread
     each; only this process can reach them, by a certificate of this run. An address is that of a
-    scheduler whose workers run the same code.
-
-    Raises
-    ------
-    SettingsError
-        If `spec` is none of these, the package is missing, no scheduler answers within 10 s, no
-        worker has joined after 60 s, or a worker runs another version.
+    scheduler whose workers run the same code. Raises SettingsError if `spec` is none of these, the
+    package is missing, no scheduler answers within 10 s, no worker has joined after 60 s, or a
+    worker runs another version.
     """
     place = spec.partition(":")[2]
     n_workers = _workers_of(spec, place)

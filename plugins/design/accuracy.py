@@ -71,12 +71,8 @@ def simulated(
     """Return rows with the accuracy of their strategies, each at the rate that it reaches.
 
     The strategies are simulated side by side, in a process each core. Progress is written to stderr
-    where that is a terminal. Parameters as those of `simulate`.
-
-    Raises
-    ------
-    SparseskinError
-        As `simulate` does.
+    where that is a terminal. Parameters as those of `simulate`. Raises SparseskinError as
+    `simulate` does.
     """
     mask = grid_of(design)
     tasks = {
@@ -124,7 +120,9 @@ def simulate(
     mask: Mask | None = None,
     n_scenes: int = FEW_SCENES,
 ) -> Accuracy:
-    """Simulate a strategy on a skin.
+    """Simulate a strategy on a skin. Raises SettingsError if an argument is not allowed, the
+    scene's skin is another one, or nothing touches it; SparseskinError if the strategy is not
+    possible on the skin, or the scene cannot be read.
 
     Parameters
     ----------
@@ -154,13 +152,6 @@ def simulate(
     -------
     Accuracy
         Band: `band` of the scenes; of one source, percentiles 5 and 95 of its contact frames.
-
-    Raises
-    ------
-    SettingsError
-        If an argument is not allowed, the scene's skin is another one, or nothing touches it.
-    SparseskinError
-        If the strategy is not possible on the skin, or the scene cannot be read.
     """
     one = strategy_of(strategy)
     check_conditions(noise, bits, rate_hz)

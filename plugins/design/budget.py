@@ -135,11 +135,7 @@ class Row:
 
 def budget(design: Design, only: Collection[str] | None = None) -> list[Row]:
     """Return the row of each strategy that is possible on the skin, or of those named in `only`.
-
-    Raises
-    ------
-    SettingsError
-        If only strategies are named that need a grid, and the skin has none.
+    Raises SettingsError if only strategies are named that need a grid, and the skin has none.
     """
     rows = [
         row_of(strategy, design)

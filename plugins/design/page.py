@@ -20,11 +20,7 @@ from .spec import KEYS, Design
 
 def write_page(out: Path, rows: Sequence[Row], design: Design) -> Path:
     """Write `design.html`, its charts as PNG and SVG, and `rows.csv` into an existing folder.
-
-    Raises
-    ------
-    StudyError
-        If a file cannot be written.
+    Raises StudyError if a file cannot be written.
     """
     charts = [
         draw(out, rows, design, narrow)

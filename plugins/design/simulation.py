@@ -127,7 +127,8 @@ def check_conditions(noise: float, bits: int, rate_hz: float) -> None:
 
 
 def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: int) -> Reader:
-    """Make the reader of a strategy.
+    """Make the reader of a strategy. Raises PhiError or SolverError if the strategy is not possible
+    on that skin.
 
     Parameters
     ----------
@@ -140,11 +141,6 @@ def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: i
         Of a value that is read or sent.
     seed : int
         Of Phi.
-
-    Raises
-    ------
-    PhiError, SolverError
-        If the strategy is not possible on that skin.
     """
     n = int(np.count_nonzero(mask))
     if strategy.phi == "full":
@@ -198,12 +194,8 @@ def presses(
 def contact_db(reader: Reader, frames: Iterable[tuple[Floats, Floats]]) -> list[float]:
     """PSNR of each contact frame in dB.
 
-    `frames`: (truth, readings), float32 of shape (n_rows, n_cols), newtons.
-
-    Raises
-    ------
-    SettingsError
-        If nothing touches the skin in any frame.
+    `frames`: (truth, readings), float32 of shape (n_rows, n_cols), newtons. Raises SettingsError if
+    nothing touches the skin in any frame.
     """
     dbs = [
         psnr_db(forces - truth, F_MAX_N)

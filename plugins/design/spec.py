@@ -129,12 +129,8 @@ class Design:
 
 
 def read_file(path: Path) -> dict[str, Any]:
-    """Return the keys of a design file; `make_design` checks them.
-
-    Raises
-    ------
-    SettingsError
-        If it cannot be read or is no TOML.
+    """Return the keys of a design file; `make_design` checks them. Raises SettingsError if it
+    cannot be read or is no TOML.
     """
     try:
         with path.open(encoding="utf-8") as file:
@@ -151,7 +147,8 @@ def read_file(path: Path) -> dict[str, Any]:
 
 
 def make_design(stated: Mapping[str, Any], place: Place = lambda key: f"{key}: ") -> Design:
-    """Check the keys of a design, each by itself and against the others.
+    """Check the keys of a design, each by itself and against the others. Raises SettingsError with
+    a line for each key that is not known or not allowed: key, value, and what is allowed.
 
     Parameters
     ----------
@@ -159,11 +156,6 @@ def make_design(stated: Mapping[str, Any], place: Place = lambda key: f"{key}: "
         Values by the names of `KEYS`; others have their defaults.
     place : callable
         What an error begins with, by the key that it is about.
-
-    Raises
-    ------
-    SettingsError
-        With a line for each key that is not known or not allowed: key, value, and what is allowed.
     """
     values = {key: one.default for key, one in KEYS.items()} | dict(stated)
     values = {key: v.strip() if isinstance(v, str) else v for key, v in values.items()}

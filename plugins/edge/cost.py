@@ -53,11 +53,7 @@ def missing_tools() -> list[str]:
 
 def measure_cost(description: EdgeDescription) -> EdgeCost:
     """Export an edge, compile it for a Cortex-M4, and run its self-test and 32 frames in QEMU.
-
-    Raises
-    ------
-    EdgeError
-        If a tool is missing or fails, or a frame has other bytes than expected.
+    Raises EdgeError if a tool is missing or fails, or a frame has other bytes than expected.
 
     Notes
     -----

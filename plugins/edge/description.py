@@ -39,7 +39,8 @@ class EdgeError(SparseskinError):
 
 @dataclass(frozen=True, eq=False)
 class EdgeDescription:
-    """The matrix, the quantiser and the input of an edge.
+    """The matrix, the quantiser and the input of an edge. Raises EdgeError if a value is not
+    allowed; the text begins with its name.
 
     Attributes
     ----------
@@ -61,11 +62,6 @@ class EdgeDescription:
         Bits of a reading, 1..16: counts are 0 .. 2^adc_bits - 1.
     mask : ndarray of bool, shape (n_rows, n_cols), or None
         True where a taxel exists; None if all do.
-
-    Raises
-    ------
-    EdgeError
-        If a value is not allowed; the text begins with its name.
     """
 
     n_rows: int
@@ -127,12 +123,8 @@ class EdgeDescription:
         **others: Any,
     ) -> Self:
         """Describe an edge by its compression ratio, or M, with the rows and M that the compressor
-        node chooses for them.
-
-        Raises
-        ------
-        EdgeError
-            As for the class, and if the compressor refuses ratio or rows.
+        node chooses for them. Raises EdgeError as for the class, and if the compressor refuses
+        ratio or rows.
         """
         made = cls(n_rows, n_cols, m=1, mask=mask, **others)
         try:
@@ -193,12 +185,8 @@ class EdgeDescription:
 
     @cached_property
     def tags(self) -> dict[int, str]:
-        """Fingerprint of each row subset's matrix, by its first 8 digits as a number.
-
-        Raises
-        ------
-        EdgeError
-            If two are the same.
+        """Fingerprint of each row subset's matrix, by its first 8 digits as a number. Raises
+        EdgeError if two are the same.
         """
         found = {int(phi.fingerprint[:8], 16): phi.fingerprint for phi in self.subsets}
         if len(found) < len(self.subsets):
@@ -228,13 +216,8 @@ class EdgeDescription:
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read an `edge.toml`.
-
-        Raises
-        ------
-        EdgeError
-            If it cannot be read, has unknown or missing keys or values that are not allowed, or its
-            seed gives another matrix here.
+        """Read an `edge.toml`. Raises EdgeError if it cannot be read, has unknown or missing keys
+        or values that are not allowed, or its seed gives another matrix here.
         """
         try:
             tree = tomllib.loads(path.read_text(encoding="utf-8"))

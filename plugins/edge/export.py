@@ -25,14 +25,8 @@ COPIED = (
 
 
 def export(description: EdgeDescription, out: Path) -> None:
-    """Write the program of an edge into a new folder.
-
-    Raises
-    ------
-    OutputError
-        If the folder exists or cannot be written.
-    EdgeError
-        If two row subsets have the same short fingerprint.
+    """Write the program of an edge into a new folder. Raises OutputError if the folder exists or
+    cannot be written; EdgeError if two row subsets have the same short fingerprint.
     """
     made = {
         DESCRIPTION: description.to_toml(),

@@ -19,7 +19,8 @@ KEYS = {"serial": ("baud",), "udp": ("bind", "sender")}
 
 
 def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Board:
-    """Describe the wire that a source names, without opening it.
+    """Describe the wire that a source names, without opening it. Raises SourceError if the source
+    has another form, or a key or value is not allowed.
 
     Parameters
     ----------
@@ -28,11 +29,6 @@ def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Boar
     description : EdgeDescription
     skin : Skin
         The skin whose forces are measured.
-
-    Raises
-    ------
-    SourceError
-        If the source has another form, or a key or value is not allowed.
     """
     kind, address, query = split_source(source)
     if kind not in KEYS or not address:

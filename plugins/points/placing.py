@@ -122,7 +122,8 @@ class Placement:
             )
 
     def on_grid(self, values: npt.NDArray[Any], unused: float = 0.0) -> npt.NDArray[Any]:
-        """Readings in the order of the layout on the grid.
+        """Readings in the order of the layout on the grid. Raises SourceError if their number is
+        another.
 
         Parameters
         ----------
@@ -135,11 +136,6 @@ class Placement:
         -------
         ndarray, shape `shape`
             Of the same dtype.
-
-        Raises
-        ------
-        SourceError
-            If their number is another.
         """
         flat = values.reshape(-1)
         points = self.points
@@ -169,12 +165,8 @@ def _placed(layout: str, _version: tuple[int, int]) -> Placement:
 
 
 def place(points: Points) -> Placement:
-    """Place points on a virtual grid.
-
-    Raises
-    ------
-    SourceError
-        If the grid would have more than 4096 rows or columns, or 2**20 cells.
+    """Place points on a virtual grid. Raises SourceError if the grid would have more than 4096 rows
+    or columns, or 2**20 cells.
     """
     # Several taxels may stand at one place; of these the first is a neighbour of others.
     _, first, of_place = np.unique(points.places, axis=0, return_index=True, return_inverse=True)

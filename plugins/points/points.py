@@ -21,7 +21,7 @@ all neighbours on a square grid."""
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Taxels at free places.
+    """Taxels at free places. Raises SourceError if there are none or too many, or one is far away.
 
     Attributes
     ----------
@@ -39,11 +39,6 @@ class Points:
         What was estimated or left out, a line each.
     layout : str
         Absolute path of the file, or `example:NAME`.
-
-    Raises
-    ------
-    SourceError
-        If there are none or too many, or one is far away.
     """
 
     name: str

@@ -68,14 +68,9 @@ def split_address(source: str) -> tuple[str, str]:
 
 def check_model(source: str, n_rows: int | None, n_cols: int | None) -> int:
     """Check a source by loading its model and computing its first state, in a process whose time
-    and memory are bounded; the number of taxels.
-
-    Raises
-    ------
-    SourceError
-        If MuJoCo is not installed, the file is missing or refused by it, has no such box site, no
-        geom can touch it, its number of taxels is not allowed or not the one that is stated, or
-        the process fails or takes too long.
+    and memory are bounded; the number of taxels. Raises SourceError if MuJoCo is not installed, the
+    file is missing or refused by it, has no such box site, no geom can touch it, its number of
+    taxels is not allowed or not the one that is stated, or the process fails or takes too long.
     """
     path, site = split_address(source)
     found = Path(path)
@@ -117,13 +112,9 @@ def load_model(path: str) -> Any:
 
 def find_pad(model: Any, site: str, path: str) -> Pad:
     """The skin at a site; its constants are numerics SITE_pitch_m, SITE_stiffness, SITE_damping and
-    SITE_depth_m of the model's section `custom`, else those of the scenes of this package.
-
-    Raises
-    ------
-    SourceError
-        If there is no such site, it is no box, or a constant or the number of taxels is not
-        allowed.
+    SITE_depth_m of the model's section `custom`, else those of the scenes of this package. Raises
+    SourceError if there is no such site, it is no box, or a constant or the number of taxels is not
+    allowed.
     """
     import mujoco
 
@@ -175,12 +166,8 @@ def find_pad(model: Any, site: str, path: str) -> Pad:
 
 def touching_geoms(model: Any, pad: Pad, path: str) -> Any:
     """Ids of the geoms that can touch the skin: those that collide, of bodies that are not welded
-    to it or to its parent (which MuJoCo does not let collide either).
-
-    Raises
-    ------
-    SourceError
-        If there is none.
+    to it or to its parent (which MuJoCo does not let collide either). Raises SourceError if there
+    is none.
     """
     own = int(model.body_weldid[pad.body])
     parent = int(model.body_weldid[model.body_parentid[own]]) if own else 0

@@ -29,7 +29,8 @@ class MujocoSource(Source):
 
     Every iteration runs it from its beginning. Without `control`, the model's keyframes drive it
     where their times rise: controls and mocap poses are interpolated between them, and the last one
-    ends it. The first keyframe is the initial state in any case.
+    ends it. The first keyframe is the initial state in any case. Raises SourceError as
+    `check_model`; while it runs, if the simulation diverges or `control` fails.
 
     Parameters
     ----------
@@ -44,11 +45,6 @@ class MujocoSource(Source):
         A program for the actuators, called as `control(model, data, time_s)` before each step.
     duration_s : float, optional
         Simulated time after which it ends.
-
-    Raises
-    ------
-    SourceError
-        As `check_model`; while it runs, if the simulation diverges or `control` fails.
     """
 
     delivers = "truth"

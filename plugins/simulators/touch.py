@@ -35,7 +35,7 @@ _SEEN, _UNSEEN = 5, 4
 
 
 class Touch:
-    """The taxels of one skin in a simulation.
+    """The taxels of one skin in a simulation. Raises SourceError if no geom can touch the skin.
 
     Parameters
     ----------
@@ -51,11 +51,6 @@ class Touch:
     ----------
     presses : bool
         True if the taxels bear the load: no geom of the skin's body collides.
-
-    Raises
-    ------
-    SourceError
-        If no geom can touch the skin.
     """
 
     def __init__(self, model: Any, data: Any, pad: Pad, path: str = "model") -> None:

@@ -64,13 +64,9 @@ class EmedRecording(Recording):
     Force column and row, every sum is compared with the readings, which also verifies that the
     pressures are in kPa: the file does not state their unit.
 
-    `forces` are float64, newtons: pressure times sensor area.
-
-    Raises
-    ------
-    SourceError
-        If a page is cut short or does not fit its header, a frame is missing, a reading is not
-        a finite number >= 0, or a Force sum is not the sum of its readings.
+    `forces` are float64, newtons: pressure times sensor area. Raises SourceError if a page is cut
+    short or does not fit its header, a frame is missing, a reading is not a finite number >= 0, or
+    a Force sum is not the sum of its readings.
     """
 
     def __init__(self, lines: Lines) -> None:

@@ -57,13 +57,9 @@ class PlianceRecording(Recording):
 
     Row 0 is the one of largest y. Cells of the grid without a sensor are masked.
 
-    `forces` are float64, newtons: pressure times sensor area.
-
-    Raises
-    ------
-    SourceError
-        If the file is no such export, its sensors form no grid (pedar), a line is malformed, or a
-        reading is not a finite number >= 0.
+    `forces` are float64, newtons: pressure times sensor area. Raises SourceError if the file is no
+    such export, its sensors form no grid (pedar), a line is malformed, or a reading is not a finite
+    number >= 0.
     """
 
     def __init__(self, lines: Lines) -> None:

@@ -55,13 +55,9 @@ class TekscanRecording(Recording):
     are compared with the `Raw Sum` of each frame. The times of the frames are used where all
     differ; they are printed to 0.01 s, so for fast recordings `SECONDS_PER_FRAME` counts.
 
-    `forces` are float64, in the file's UNITS.
-
-    Raises
-    ------
-    SourceError
-        If a header or frame is missing, cut short or malformed, a reading is not a finite
-        number >= 0, the mask changes, or a raw sum is not the sum of its frame.
+    `forces` are float64, in the file's UNITS. Raises SourceError if a header or frame is missing,
+    cut short or malformed, a reading is not a finite number >= 0, the mask changes, or a raw sum is
+    not the sum of its frame.
     """
 
     def __init__(self, lines: Lines) -> None:

@@ -64,14 +64,9 @@ class XsensorRecording(Recording):
     grid, cells that read 0 in all frames are taken as such: an insole's export has zeros outside
     its outline. The rate is the mean one by the times of the frames, which are printed to 1 ms.
 
-    `forces` are float64, in the file's Units.
-
-    Raises
-    ------
-    SourceError
-        If a header or frame is missing, cut short or malformed, a reading is not a finite
-        number >= 0, frames differ in sensor, grid or mask or one is left out, times fall, or a
-        peak is not the largest reading of its frame.
+    `forces` are float64, in the file's Units. Raises SourceError if a header or frame is missing,
+    cut short or malformed, a reading is not a finite number >= 0, frames differ in sensor, grid or
+    mask or one is left out, times fall, or a peak is not the largest reading of its frame.
     """
 
     def __init__(self, lines: Lines) -> None:

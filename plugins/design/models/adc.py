@@ -68,12 +68,8 @@ def settling_s_of(bits: int, ohm: float, farad: float) -> float:
 
 
 def read_adc(text: object, converters: int, settling_s: float) -> Adc:
-    """Return the converters that a text such as "10bit@200kS/s" states.
-
-    Raises
-    ------
-    SettingsError
-        If the text has another form.
+    """Return the converters that a text such as "10bit@200kS/s" states. Raises SettingsError if the
+    text has another form.
     """
     found = _ADC.fullmatch(text) if isinstance(text, str) and len(text) <= 40 else None
     if found is None:

@@ -196,12 +196,8 @@ _DEFAULTS = {"can": "1M", "can-fd": "1M/5M", "udp": "100M", "serial": "", "spi":
 
 
 def read_bus(text: object) -> Bus:
-    """Return the bus that a text states: see `FORMS`.
-
-    Raises
-    ------
-    SettingsError
-        If the text has another form.
+    """Return the bus that a text states: see `FORMS`. Raises SettingsError if the text has another
+    form.
     """
     kind, _, rate = text.partition(":") if isinstance(text, str) else ("", "", "")
     kind, rate = kind.strip(), rate.strip()

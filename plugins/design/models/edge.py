@@ -77,12 +77,8 @@ def instructions(readings: int, sums: int, n_bytes: int) -> int:
 
 
 def read_edge(text: object) -> Edge:
-    """Return the edge that a text states: "cortex-m4@168MHz" or "linux".
-
-    Raises
-    ------
-    SettingsError
-        If the text has another form.
+    """Return the edge that a text states: "cortex-m4@168MHz" or "linux". Raises SettingsError if
+    the text has another form.
     """
     if text == LINUX:
         return Edge(None)

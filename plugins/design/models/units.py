@@ -22,7 +22,8 @@ _MAX_CHARS = 40
 
 
 def quantity(text: object, units: dict[str, float], example: str, low: float, high: float) -> float:
-    """Return a quantity in SI units.
+    """Return a quantity in SI units. Raises SettingsError if the text has another form, another
+    unit, or is out of range.
 
     Parameters
     ----------
@@ -34,11 +35,6 @@ def quantity(text: object, units: dict[str, float], example: str, low: float, hi
         A quantity that is allowed, for the text of an error.
     low, high : float
         Smallest and largest allowed value in SI units.
-
-    Raises
-    ------
-    SettingsError
-        If the text has another form, another unit, or is out of range.
     """
     found = _QUANTITY.fullmatch(text) if isinstance(text, str) and len(text) <= _MAX_CHARS else None
     if found is None:
