@@ -14,7 +14,6 @@ import numpy as np
 from scipy.stats import t as student
 from tqdm import tqdm
 
-from sparseskin.messages.ranges import is_whole
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
@@ -27,17 +26,15 @@ from .models.wires import reads_single
 from .simulation import (
     F_MAX_N,
     FEW_SCENES,
-    MOST_TAXELS,
     N_SCENES,
-    check_conditions,
     contact_db,
     light_touch,
     make_reader,
     noise_model,
     presses,
-    strategy_of,
 )
 from .spec import Design
+from .strategies import Strategy
 
 MOST_SOURCE_FRAMES = 2000
 """Most frames of a stated scene that are simulated. Chosen: some seconds for each strategy."""
@@ -77,15 +74,13 @@ def simulated(
     mask = grid_of(design)
     tasks = {
         k: {
-            "strategy": row.strategy.name,
-            "n_rows": mask.shape[0],
-            "n_cols": mask.shape[1],
+            "strategy": row.strategy,
+            "mask": mask,
             "noise": design.noise,
             "bits": design.adc.bits if reads_single(row.strategy) else design.bits,
             "rate_hz": row.reached_hz,
             "seed": seed,
             "scene": scene,
-            "mask": mask,
             "n_scenes": n_scenes,
         }
         for k, row in enumerate(rows)
@@ -108,34 +103,29 @@ def _simulate(task: Mapping[str, Any]) -> Accuracy:
 
 
 def simulate(
-    strategy: str,
-    n_rows: int,
-    n_cols: int,
+    strategy: Strategy,
+    mask: Mask,
     noise: float,
     bits: int,
     rate_hz: float,
     seed: int,
     scene: str | None = None,
-    *,
-    mask: Mask | None = None,
     n_scenes: int = FEW_SCENES,
 ) -> Accuracy:
-    """Simulate a strategy on a skin. Raises SettingsError if an argument is not allowed, the
-    scene's skin is another one, or nothing touches it; SparseskinError if the strategy is not
-    possible on the skin, or the scene cannot be read.
+    """Simulate a strategy on a skin. Raises SettingsError if the scene's skin is another one, or
+    nothing touches it; SparseskinError if the strategy is not possible on the skin, or the scene
+    cannot be read.
 
     Parameters
     ----------
-    strategy : str
-        A name of `STRATEGIES`.
-    n_rows, n_cols : int
-        Grid of the taxels, at most 65536 cells.
+    strategy : Strategy
+    mask : ndarray of bool, shape (n_rows, n_cols)
+        True where a taxel exists.
     noise : float
-        Standard deviation of a taxel's noise, as a part of the range, 1e-6..0.3.
+        Standard deviation of a taxel's noise, as a part of the range.
     bits : int
-        Of a value that is read or sent, 2..24.
+        Of a value that is read or sent.
     rate_hz : float
-        Frame rate, 1..10000 Hz.
     seed : int
         Of scenes, noise and Phi.
     scene : str, optional
@@ -143,8 +133,6 @@ def simulate(
         takes it (scene:NAME, file:PATH, module:callable), whose frames are the true forces. Of
         its frames those next to the ticks of the rate are read, 2000 at most. None: the first
         scenes of `simulation`.
-    mask : ndarray of bool, shape (n_rows, n_cols), optional
-        True where a taxel exists. None: everywhere.
     n_scenes : int
         Number of scenes, 2..15.
 
@@ -153,37 +141,23 @@ def simulate(
     Accuracy
         Band: `band` of the scenes; of one source, percentiles 5 and 95 of its contact frames.
     """
-    one = strategy_of(strategy)
-    check_conditions(noise, bits, rate_hz)
-    if not (is_whole(n_rows, 1) and is_whole(n_cols, 1) and n_rows * n_cols <= MOST_TAXELS):
-        raise SettingsError(
-            f"taxels: {n_rows!r} x {n_cols!r} is not allowed; allowed: 1..{MOST_TAXELS} taxels"
-        )
-    if not is_whole(n_scenes, 2, N_SCENES):
-        raise SettingsError(f"scenes: {n_scenes!r} is not allowed; allowed: 2..{N_SCENES}")
-    if not is_whole(seed, 0, 2**31):
-        raise SettingsError(f"seed: {seed!r} is not allowed; allowed: a whole number from 0")
-    exists = np.ones((n_rows, n_cols), dtype=np.bool_) if mask is None else mask
-    if exists.shape != (n_rows, n_cols) or exists.dtype != np.bool_ or not exists.any():
-        raise SettingsError(f"mask: expected bool, {n_rows} x {n_cols}, and a taxel at least")
 
     def score(frames: Iterator[tuple[Floats, Floats]], k: int) -> list[float]:
-        reader = make_reader(one, exists, noise, bits, seed * N_SCENES + k)
+        reader = make_reader(strategy, mask, noise, bits, seed * N_SCENES + k)
         return contact_db(reader, frames)
 
     note = ""
     if scene is None or scene in BODIES:
         numbers = range(n_scenes if scene is None else len(COURSES))
         dbs = [
-            float(np.mean(score(presses(k, exists, noise, rate_hz, seed, scene), k)))
-            for k in numbers
+            float(np.mean(score(presses(k, mask, noise, rate_hz, seed, scene), k))) for k in numbers
         ]
         low, high = band(np.array(dbs))
     else:
-        frames, note = _of_source(scene, exists, noise, rate_hz, seed)
+        frames, note = _of_source(scene, mask, noise, rate_hz, seed)
         dbs = score(frames, 0)
         low, high = np.percentile(dbs, [5, 95])
-    touch = light_touch(make_reader(one, exists, noise, bits, seed), exists, noise, seed)
+    touch = light_touch(make_reader(strategy, mask, noise, bits, seed), mask, noise, seed)
     light = math.nan if touch is None else touch
     return Accuracy(float(np.mean(dbs)), float(low), float(high), light, note)
 

@@ -22,15 +22,12 @@ from typing import Protocol
 
 import numpy as np
 
-from sparseskin.messages.quantised import MAX_BITS, MIN_BITS
-from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -40,7 +37,7 @@ from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES, Timing, press_frames
 from sparseskin.studies.evaluate import Method, in_contact
 
-from .strategies import SINGLE, STRATEGIES, Strategy
+from .strategies import SINGLE, Strategy
 
 F_MAX_N = PAPER_F_MAX_N
 SPEED = 20.0
@@ -58,8 +55,6 @@ N_SCENES = len(BODIES) * len(COURSES)
 FEW_SCENES = len(BODIES)
 """Scenes that are simulated where their number is not stated: each body once, each course at least
 once. Chosen: all strategies in some 20 s on two cores."""
-MOST_TAXELS, LEAST_RATE_HZ, MOST_RATE_HZ = 65_536, 1.0, 10_000.0
-"""Sizes and rates that are simulated."""
 
 
 class Reader(Protocol):
@@ -103,27 +98,6 @@ class Sums:
         """See `Reader`."""
         y = quantised(self._method.measure(taxels), self._bits)
         return self._method.solve(np.asarray(y)).forces
-
-
-def strategy_of(name: str) -> Strategy:
-    """Return the strategy of a name; raises SettingsError if there is none."""
-    if name not in STRATEGIES:
-        raise SettingsError(f"strategy: {name!r} is not known{nearest_of(name, STRATEGIES)}")
-    return STRATEGIES[name]
-
-
-def check_conditions(noise: float, bits: int, rate_hz: float) -> None:
-    """Raise SettingsError, naming the value and what is allowed."""
-    if not is_real(noise, 1e-6, 0.3):
-        raise SettingsError(
-            f"noise: {noise!r} is not allowed; allowed: 1e-06..0.3 of the range (0.01: 1 %)"
-        )
-    if not is_whole(bits, MIN_BITS, MAX_BITS):
-        raise SettingsError(f"bits: {bits!r} is not allowed; allowed: {MIN_BITS}..{MAX_BITS}")
-    if not is_real(rate_hz, LEAST_RATE_HZ, MOST_RATE_HZ):
-        raise SettingsError(
-            f"rate: {rate_hz!r} Hz is not allowed; allowed: {LEAST_RATE_HZ:g}..{MOST_RATE_HZ:g} Hz"
-        )
 
 
 def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: int) -> Reader:
