@@ -64,7 +64,7 @@ def test_the_help_lists_every_study(capsys: pytest.CaptureFixture[str]) -> None:
 def test_an_option_that_a_study_has_not_is_refused_with_those_that_have(
     options: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["study", "wiring", "--out", str(tmp_path / "out"), *options]) == 2
+    assert main(["study", "stability", "--out", str(tmp_path / "out"), *options]) == 2
     error = capsys.readouterr().err
-    assert f"{options[0]}: study 'wiring' takes none; allowed: accuracy" in error
+    assert f"{options[0]}: study 'stability' takes none; allowed: accuracy" in error
     assert error.count("\n") == 1
