@@ -76,7 +76,8 @@ STUDIES = {
 
 def studies() -> dict[str, Study]:
     """Studies of the core, then those of plug-ins."""
-    return {**loaded(GROUP), **STUDIES}
+    offers = loaded(GROUP)
+    return STUDIES | {name: offers[name] for name in offers if name not in STUDIES}
 
 
 #: Packages of the extra `charts`, which each study needs.
