@@ -70,7 +70,7 @@ def find_address(source: str, **stated: Any) -> Address:
     Raises
     ------
     SourceError
-        If it has none of these forms, or the package of its kind cannot be imported.
+        If it has none of these forms, or the plug-in of its kind is missing, or cannot be imported.
     """
     kind, colon, rest = source.partition(":")
     if not (kind and colon and rest):
@@ -79,8 +79,15 @@ def find_address(source: str, **stated: Any) -> Address:
         hint = f' (did you mean "{SCENE}{source}"?)' if source in SCENES else ""
         raise SourceError(f'source "{source}": expected {forms()}{hint}')
     # Plug-ins are looked up for what is no kind of the core.
-    made = find_kind(kind, source) if kind in KINDS or kind in kinds() else DriverAddress
-    return made(source, **stated)
+    if kind in KINDS or kind in kinds():
+        return find_kind(kind, source)(source, **stated)
+    if not all(part.isidentifier() for part in rest.split(".")):
+        hint = did_you_mean(kind, kinds())
+        hint = hint if "did you mean" in hint else ""
+        raise SourceError(
+            f"{source}: no plug-in for sources {kind}: is installed{hint}; expected {forms()}"
+        )
+    return DriverAddress(source, **stated)
 
 
 def check_source(

@@ -147,3 +147,9 @@ def test_what_is_no_address_is_refused_with_all_forms() -> None:
         sources.find_address("path_40")
     assert str(refused.value).startswith('source "path_40": expected scene:NAME, file:PATH')
     assert str(refused.value).endswith('or module:callable (did you mean "scene:path_40"?)')
+
+
+def test_an_address_whose_plug_in_is_missing_names_it(offering: Callable[..., None]) -> None:
+    offering(extensions.ADDRESSES)
+    with pytest.raises(SourceError, match="no plug-in for sources serial: is installed; expected"):
+        sources.find_address("serial:/dev/ttyUSB0?baud=9600")
