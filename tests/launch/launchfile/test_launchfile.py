@@ -342,13 +342,6 @@ def test_a_topic_has_one_writer_and_every_reader_has_one(check) -> None:
     assert line.startswith("f.toml: compressor: reads /left/skin, which no node writes")
 
 
-@pytest.mark.parametrize(
-    "text", ["", "x", "nodes = 3", "[nodes]\n", "[nodes]\na = 3", "\x00", "[["]
-)
-def test_what_is_no_launch_file_is_said_in_a_line(check, text: str) -> None:
-    assert len(check(text)) >= 1
-
-
 def test_a_value_is_toml_or_else_a_text_as_it_stands() -> None:
     launch = load(
         "path_40", ["sensor.seed=7", "sensor.rate_hz=12.5", "reconstructor.basis=identity"]

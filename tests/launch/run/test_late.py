@@ -136,11 +136,6 @@ def test_a_player_that_has_sent_no_frame_reports_which_readers_it_waits_for(
     assert lacks_readers(node, "drag") == line
 
 
-def test_what_is_no_player_waits_for_nobody() -> None:
-    (node,) = nodes(Node("sensor", spec=Spec(None)))
-    assert lacks_readers(node, "drag") == ""
-
-
 def test_a_player_in_lockstep_without_a_reader_reports_it_once(
     start: StartProgram, tmp_path: Any
 ) -> None:
@@ -166,18 +161,3 @@ def test_who_holds_up_the_end_is_named_with_what_waits_for_it(start: StartProgra
     program.wait_for("[launch] compressor does not end: SIGKILL")
     program.finish()
     wait_until(lambda: program.survivors() == {}, "the end of all processes")
-
-
-@pytest.mark.slow
-def test_a_driver_that_takes_its_time_is_named(start: StartProgram, tmp_path: Any) -> None:
-    (tmp_path / "slow.py").write_text(
-        "import pathlib\nimport time\nimport numpy as np\ndef frames():\n"
-        "    while not pathlib.Path('is_open').exists(): time.sleep(0.01)\n"
-        "    yield 0, np.zeros((8, 8))\n"
-    )
-    (tmp_path / "g.toml").write_text('[nodes.sensor]\ntype = "sensor"\nsource = "slow:frames"\n')
-    program = start("launch", "g.toml")
-    program.wait_for("[launch] sensor has not started: it imports, or opens its device (5 s)")
-    (tmp_path / "is_open").touch()
-    program.wait_for("[launch] ready")
-    assert program.finish()[1] == ""  # no monitor, no table, not even an empty one

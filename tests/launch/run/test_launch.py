@@ -16,7 +16,6 @@ from conftest import StartProgram, wait_until
 from sparseskin.launch.launchfile.load import BUNDLED, load
 from sparseskin.messages import Reconstruction
 from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.process import proc
 
 slow = partial(pytest.param, marks=pytest.mark.slow)
 TAP = """
@@ -80,31 +79,6 @@ class Held(FistaSolver):
 """
 
 
-def test_not_one_of_the_first_thousand_frames_is_lost(start: StartProgram, tmp_path: Path) -> None:
-    # As fast as the sensor can: whatever is not joined at the start would be lost.
-    program = start(
-        *("launch", "lift_box_40", "--frames", "1000", "--summary", "out.json"),
-        *("--set", "sensor.source=scene:path_40", "--set", "sensor.rate_hz=0"),
-        *("--set", "reconstructor.iterations=1"),
-    )
-    code, stdout, stderr = program.finish()
-    assert code == 0, stderr
-    summary = json.loads((tmp_path / "out.json").read_text())
-    patch = summary["patches"]["skin"]
-    assert patch["frames"] == {
-        "sensed": 1000,
-        "reconstructed": 1000,
-        "skipped": 0,
-        "lost": 0,
-        "unpaired": 0,
-    }
-    for node in summary["nodes"].values():
-        assert not any(node["lost"].values())
-        assert not node["refused"]
-    assert "sensed 1000, reconstructed 1000, lost 0" in stdout
-    assert program.survivors() == {}
-
-
 def test_as_fast_as_it_is_read_nothing_is_lost_beyond_any_queue(
     start: StartProgram, tmp_path: Path
 ) -> None:
@@ -124,6 +98,9 @@ def test_as_fast_as_it_is_read_nothing_is_lost_beyond_any_queue(
     assert code == 0, stderr
     frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
     assert frames == {"sensed": 6000, "reconstructed": 6000, "skipped": 0, "lost": 0, "unpaired": 0}
+    for node in json.loads((tmp_path / "out.json").read_text())["nodes"].values():
+        assert not any(node["lost"].values())
+        assert not node["refused"]
 
 
 def test_the_summary_holds_what_it_promises(start: StartProgram, tmp_path: Path) -> None:
@@ -149,15 +126,13 @@ def test_the_summary_holds_what_it_promises(start: StartProgram, tmp_path: Path)
     assert patch["solve_ms"]["p50"] <= patch["latency_ms"]["p50"]
 
 
-@pytest.mark.parametrize("transport", ["ipc", slow("tcp")])
-def test_over_any_transport_and_in_one_process_the_forces_are_the_same_bits(
-    start: StartProgram, tmp_path: Path, transport: str
+def test_between_processes_and_in_one_the_forces_are_the_same_bits(
+    start: StartProgram, tmp_path: Path
 ) -> None:
     (tmp_path / "tap.py").write_text(TAP)
     bundled = BUNDLED / "lift_wrench_40.toml"
-    text = bundled.read_text().replace("[graph]", f'[graph]\ntransport = "{transport}"')
-    (tmp_path / "tapped.toml").write_text(text + '\n[nodes.tap]\ntype = "tap:Tap"\n')
-    code, _, stderr = start("launch", "tapped.toml", "--frames", "150").finish()
+    (tmp_path / "tapped.toml").write_text(bundled.read_text() + '\n[nodes.tap]\ntype = "tap:Tap"\n')
+    code, _, stderr = start("launch", "tapped.toml", "--frames", "80").finish()
     assert code == 0, stderr
     between_processes = np.load(tmp_path / "tap.npy")
 
@@ -165,17 +140,15 @@ def test_over_any_transport_and_in_one_process_the_forces_are_the_same_bits(
     bus = Bus({node.name: (node.cls, node.settings) for node in nodes})
     in_process = [
         message.forces
-        for messages in bus.frames(150)
+        for messages in bus.frames(80)
         for message in messages
         if isinstance(message, Reconstruction)
     ]
-    assert between_processes.shape == (150, 40, 40)
+    assert between_processes.shape == (80, 40, 40)
     assert between_processes.tobytes() == np.array(in_process).tobytes()
 
 
-@pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
-)
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGHUP, 129)])
 def test_an_interrupt_drains_the_graph_reports_and_leaves_nothing(
     start: StartProgram, tmp_path: Path, number: signal.Signals, code: int
 ) -> None:
@@ -191,14 +164,6 @@ def test_an_interrupt_drains_the_graph_reports_and_leaves_nothing(
     assert program.survivors() == {}
 
 
-def test_a_killed_launcher_leaves_nothing(start: StartProgram) -> None:
-    program = start("launch", "path_40")
-    program.wait_for("[launch] ready")
-    assert len(program.survivors()) == 5
-    program.process.kill()
-    wait_until(lambda: not program.survivors(), "the nodes to notice")
-
-
 def test_a_launcher_killed_before_its_nodes_are_ready_leaves_nothing(start: StartProgram) -> None:
     program = start("launch", "path_40")
     wait_until(lambda: len(program.survivors()) > 1, "the first node")
@@ -206,35 +171,14 @@ def test_a_launcher_killed_before_its_nodes_are_ready_leaves_nothing(start: Star
     wait_until(lambda: not program.survivors(), "the nodes to notice")
 
 
-@pytest.mark.parametrize(
-    "victim", [slow("sensor"), slow("compressor"), "reconstructor", slow("monitor")]
-)
-def test_a_node_that_dies_is_named_and_the_others_are_ended(
-    start: StartProgram, victim: str
-) -> None:
+def test_a_node_that_dies_is_named_and_the_others_are_ended(start: StartProgram) -> None:
     program = start("launch", "path_40")
     program.wait_for("[launch] ready")
-    for pid in program.survivors():
-        if pid != program.process.pid and proc.command(pid)[-1] == victim:
-            os.kill(pid, signal.SIGKILL)
+    os.kill(program.pid_of("reconstructor"), signal.SIGKILL)
     code, _, stderr = program.finish()
     assert code == 1
-    assert f"[launch] {victim} ended too early: killed by SIGKILL" in stderr
+    assert "[launch] reconstructor ended too early: killed by SIGKILL" in stderr
     assert "Traceback" not in stderr
-    assert program.survivors() == {}
-
-
-@pytest.mark.slow
-def test_a_node_that_hangs_is_ended_all_the_same(start: StartProgram) -> None:
-    program = start("launch", "path_40", limits=True)
-    program.wait_for("[launch] ready")
-    for pid in program.survivors():
-        if pid != program.process.pid and proc.command(pid)[-1] == "compressor":
-            os.kill(pid, signal.SIGSTOP)
-    program.process.terminate()
-    code, _, stderr = program.finish()
-    assert code == 143
-    assert "[launch] compressor does not end: SIGKILL" in stderr
     assert program.survivors() == {}
 
 
@@ -260,20 +204,10 @@ def test_a_driver_that_fails_ends_the_graph_with_its_reason(
     assert "sensed 20, reconstructed 20, lost 0" in stdout
 
 
-def test_settings_that_a_node_refuses_end_the_graph(start: StartProgram) -> None:
-    program = start("launch", "path_40", "--set", "compressor.m=5000")
-    code, _, stderr = program.finish()
-    assert code == 2
-    assert "m = 5000 is not allowed" in stderr
-    assert program.survivors() == {}
-
-
 def test_a_terminated_node_is_no_normal_end(start: StartProgram) -> None:
     program = start("launch", "path_40")
     program.wait_for("[launch] ready")
-    for pid in program.survivors():
-        if pid != program.process.pid and proc.command(pid)[-1] == "sensor":
-            os.kill(pid, signal.SIGTERM)
+    os.kill(program.pid_of("sensor"), signal.SIGTERM)
     code, _, stderr = program.finish()
     assert code == 1
     assert "[sensor] error: terminated (SIGTERM)" in stderr
@@ -379,16 +313,6 @@ def test_readings_outside_the_range_are_clipped_but_not_silently(
     assert summary["nodes"]["sensor"]["clipped"] == 200
     line = "20 above 2.5 N (highest 3.5), 180 below 0 N (lowest -10)"
     assert stdout.splitlines()[-1] == f"sensor: readings clipped to the range: {line}"
-
-
-@pytest.mark.slow
-def test_compiled_loops_serve_a_graph_from_its_first_frame(start: StartProgram) -> None:
-    pytest.importorskip("numba")
-    code, stdout, stderr = start(
-        *("launch", "path_40", "--frames", "50", "--set", "reconstructor.fast=on")
-    ).finish()
-    assert code == 0, stderr
-    assert "sensed 50, reconstructed 50, lost 0" in stdout
 
 
 def test_a_graph_that_reconstructs_nothing_has_failed(start: StartProgram, tmp_path: Path) -> None:

@@ -62,8 +62,9 @@ def test_a_line_without_an_end_takes_no_memory_without_end() -> None:
         assert len(log._rest) <= MAX_LINE_BYTES
 
 
-@pytest.mark.parametrize("text", [b"flood\n", b"flood"], ids=["lines", "one line"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("text", "number"), [(b"flood\n", signal.SIGINT), (b"flood", signal.SIGTERM)]
+)
 def test_a_launcher_hears_signals_while_a_node_floods_its_log(
     start: StartProgram, tmp_path: Path, text: bytes, number: signal.Signals
 ) -> None:

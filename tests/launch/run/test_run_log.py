@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 import pwd
 import re
 from pathlib import Path
 
 import pytest
-from conftest import MountDisk, StartProgram
+from conftest import StartProgram
 from other_user import give
 
 from sparseskin.launch.launchfile.load import LaunchError, load
@@ -171,29 +170,6 @@ def test_a_folder_that_another_has_put_there_is_not_used(tmp_path: Path) -> None
     with pytest.raises(LaunchError, match="File exists"):
         RunLog(tmp_path, "drag", NOW_S)
     assert folder.stat().st_mode & 0o077 == 0
-
-
-def test_a_full_disk_keeps_neither_table_nor_summary_back(
-    start: StartProgram, mount_disk: MountDisk, tmp_path: Path
-) -> None:
-    disk = mount_disk("64k")
-    (tmp_path / "wordy.py").write_text(
-        "import time\nimport numpy as np\ndef frames():\n"
-        "    for k in range(100):\n"
-        "        print('word ' * 1000)\n"
-        "        time.sleep(0.02)\n"
-        "        yield k, np.ones((8, 8))\n"
-    )
-    program = start(
-        *("launch", "replay", "--set", "sensor.source=wordy:frames", "--log-dir", str(disk)),
-        *("--set", "monitor.page=false", "--summary", "summary.json"),
-    )
-    code, stdout, stderr = program.finish()
-    assert code == 0, stderr
-    assert "no more logs: " in stderr
-    assert "Traceback" not in stderr
-    assert "sensed 100, reconstructed 100" in stdout
-    assert json.loads((tmp_path / "summary.json").read_text())["patches"]
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:

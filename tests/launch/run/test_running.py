@@ -104,12 +104,6 @@ def test_which_of_several_graphs_has_to_be_said() -> None:
             choose_graph("lft")
 
 
-def test_what_is_no_note_is_passed_over() -> None:
-    (runtime_folder() / "junk.json").write_text("{")
-    assert running_graphs() == []
-    assert runtime_folder().stat().st_mode & 0o077 == 0
-
-
 def test_writers_are_known_by_topic() -> None:
     assert graph().writers() == {"/skin/skin": "sensor", "/skin/taxels": "sensor"}
 
