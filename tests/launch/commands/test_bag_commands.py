@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import LAG_NS, MASK, N_COLS, N_ROWS, PERIOD_NS, M, frame, frames, make_bag, skin_state
-from recordings import NAMES, recording
 
 from sparseskin.launch.commands.cli import make_parser
 from sparseskin.messages import (
@@ -129,33 +128,6 @@ def test_recover_makes_a_whole_bag_of_what_survived(
 
 
 # --- import ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_an_imported_recording_is_what_the_sensor_reads_from_the_file(bag: Bag, name: str) -> None:
-    source = recording(name)
-    assert bag("import", source, "--out", "a.mcap") == 0
-    state, *taxels = decoded(Path("a.mcap"))
-    opened = open_file(source)
-    assert isinstance(state, SkinState)
-    assert (state.skin.shape, state.f_max, state.unit) == (
-        opened.skin.shape,
-        opened.skin.f_max,
-        opened.skin.unit,
-    )
-    assert state.pitch_m == opened.skin.pitch_m
-    assert np.array_equal(
-        np.ones(1) if state.mask is None else state.mask,
-        np.ones(1) if opened.skin.mask is None else opened.skin.mask,
-    )
-    assert state.rate_hz == opened.rate_hz
-    expected = list(opened)
-    assert len(taxels) == len(expected)
-    for seq, (message, (stamp_ns, forces)) in enumerate(zip(taxels, expected, strict=True)):
-        assert isinstance(message, Taxels)
-        assert (message.seq, message.stamp_ns, message.run_id) == (seq, stamp_ns, state.run_id)
-        assert np.array_equal(message.forces, forces)
-    assert len(state.run_id) == 16
 
 
 def test_several_files_become_one_bag_each_in_a_folder(bag: Bag) -> None:

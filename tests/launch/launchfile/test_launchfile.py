@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.launch.commands.cli import main
@@ -93,12 +93,6 @@ def test_all_bundled_files_are_known() -> None:
             "f.toml:13: nodes.reconstructor.iterations: 0 is outside 1..1000",
         ),
         (
-            "iterations = 20",
-            'iterations = "20"',
-            "f.toml:13: nodes.reconstructor.iterations: "
-            "expected a whole number or nothing, got '20'",
-        ),
-        (
             '"compressor"',
             '"compresor"',
             'f.toml:9: nodes.compressor.type: type "compresor" is not known '
@@ -117,11 +111,6 @@ def test_all_bundled_files_are_known() -> None:
         ),
         ("[graph]", "[grap]", "f.toml:1: grap: unknown table (did you mean 'graph'?)"),
         (
-            "[nodes.compressor]",
-            "[node.compressor]",
-            "f.toml:8: node: unknown table (did you mean 'nodes'?)",
-        ),
-        (
             "description",
             "descripton",
             "f.toml:2: graph.descripton: unknown key (did you mean 'description'?)",
@@ -130,11 +119,6 @@ def test_all_bundled_files_are_known() -> None:
             'description = "a test"',
             'transport = "udp"',
             "f.toml:2: graph.transport: 'udp' is not allowed (known: ipc, tcp)",
-        ),
-        (
-            "scene:path_40",
-            "scene:path_41",
-            None,
         ),
         (
             "scene:path_40",
@@ -148,25 +132,12 @@ def test_all_bundled_files_are_known() -> None:
             "mujoco:MODEL.xml#SITE, serial:DEVICE, udp:PORT, can:CHANNEL, ros2:/TOPIC or "
             'module:callable (did you mean "scene:path_40"?)',
         ),
-        (
-            'type = "monitor"',
-            'type = "monitor"\npatches = ["left"]',
-            None,
-        ),
-        (
-            "[nodes.sensor]",
-            "[nodes.Sensor]",
-            None,
-        ),
     ],
 )
-def test_a_fault_is_one_line_with_its_place(check, old: str, new: str, line: str | None) -> None:
+def test_a_fault_is_one_line_with_its_place(check, old: str, new: str, line: str) -> None:
     lines = check(GOOD.replace(old, new, 1))
     assert all("\n" not in each and "Traceback" not in each for each in lines)
-    if line is not None:
-        assert line in lines
-    else:
-        assert lines
+    assert line in lines
 
 
 RECONSTRUCTOR = "f.toml:11: nodes.reconstructor: "
@@ -352,7 +323,6 @@ def test_a_value_is_toml_or_else_a_text_as_it_stands() -> None:
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None)
 def test_a_mutated_launch_file_is_used_or_refused_in_lines(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
@@ -445,10 +415,6 @@ def test_a_dry_run_shows_the_graph_and_starts_nothing(capsys: pytest.CaptureFixt
     assert (code, err) == (0, "")
     assert out.rstrip() == graph_text(load("drag_wrench_64"))
     assert "compressor -- /skin/measurements" in out
-
-
-def test_bundled_files_are_beside_the_launcher() -> None:
-    assert (BUNDLED / "drag_wrench_64.toml").is_file()
 
 
 @pytest.mark.parametrize(
@@ -612,9 +578,6 @@ def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
     [
         ('file:whole.npy"\nn_rows = 7\nunit = "N', "n_rows = 7 is stated, but the frames have 6"),
         ("file:flat.npy", "has 2 dimensions"),
-        ("file:text.npz", "not a readable NumPy file"),
-        ("file:empty.csv", "the file is empty"),
-        ("file:text.lst", "not an emed text export"),
     ],
 )
 def test_a_recording_with_a_faulty_begin_is_refused_before_the_start(
@@ -622,9 +585,6 @@ def test_a_recording_with_a_faulty_begin_is_refused_before_the_start(
 ) -> None:
     _write_recordings()
     np.save("flat.npy", np.zeros((4, 6)))
-    Path("text.npz").write_text("no archive")
-    Path("text.lst").write_text("no export")
-    Path("empty.csv").write_text("")
     (line,) = check(_graph_of(source))
     assert "nodes.sensor.source" in line
     assert refused in line

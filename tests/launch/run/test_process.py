@@ -12,10 +12,17 @@ import pytest
 from conftest import StartProgram, note_of_graph, wait_until
 
 from sparseskin.launch.launchfile.load import load
-from sparseskin.launch.run.awake import MAX_STEP_S, AwakeClock, awake_s
 from sparseskin.launch.run.control_socket import ControlClient
 from sparseskin.launch.run.fleet import Fleet
-from sparseskin.launch.run.process import CHUNK_BYTES, LOG_BYTES, MAX_LINE_BYTES, LogLines
+from sparseskin.launch.run.process import (
+    CHUNK_BYTES,
+    LOG_BYTES,
+    MAX_LINE_BYTES,
+    MAX_STEP_S,
+    AwakeClock,
+    LogLines,
+    awake_s,
+)
 from sparseskin.launch.run.restarts import ON_FAILURE, RestartPolicy
 from sparseskin.launch.run.running import running_graphs
 from sparseskin.nodes.process.proc import n_files
