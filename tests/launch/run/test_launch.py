@@ -280,27 +280,16 @@ def test_one_that_takes_the_newest_alone_reports_how_many_it_skipped(
         assert not any(one["lost"].values())
 
 
-def test_a_driver_is_closed_when_the_graph_ends(start: StartProgram, tmp_path: Path) -> None:
-    (tmp_path / "polite.py").write_text(
-        "import itertools, numpy as np, pathlib\n"
-        "def frames():\n"
-        "    try:\n"
-        "        for k in itertools.count(): yield k, np.zeros((5, 4))\n"
-        "    finally:\n"
-        "        pathlib.Path('closed').touch()\n"
-    )
-    arguments = ("--set", "sensor.source=polite:frames", "--set", "sensor.rate_hz=100")
-    assert start("launch", "replay", *arguments, "--frames", "5").finish()[0] == 0
-    assert (tmp_path / "closed").exists()
-
-
-def test_readings_outside_the_range_are_clipped_but_not_silently(
+def test_readings_outside_the_range_are_reported_and_the_driver_is_closed(
     start: StartProgram, tmp_path: Path
 ) -> None:
     (tmp_path / "upside.py").write_text(
-        "import numpy as np\n"
+        "import numpy as np, pathlib\n"
         "def frames():\n"
-        "    for k in range(10): yield k, np.full((5, 4), 3.5 if k == 7 else -1.0 - k)\n"
+        "    try:\n"
+        "        for k in range(10): yield k, np.full((5, 4), 3.5 if k == 7 else -1.0 - k)\n"
+        "    finally:\n"
+        "        pathlib.Path('closed').touch()\n"
     )
     code, stdout, stderr = start(
         *("launch", "replay", "--set", "sensor.source=upside:frames", "--summary", "out.json"),
@@ -313,6 +302,7 @@ def test_readings_outside_the_range_are_clipped_but_not_silently(
     assert summary["nodes"]["sensor"]["clipped"] == 200
     line = "20 above 2.5 N (highest 3.5), 180 below 0 N (lowest -10)"
     assert stdout.splitlines()[-1] == f"sensor: readings clipped to the range: {line}"
+    assert (tmp_path / "closed").exists()
 
 
 def test_a_graph_that_reconstructs_nothing_has_failed(start: StartProgram, tmp_path: Path) -> None:
