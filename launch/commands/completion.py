@@ -7,8 +7,6 @@ recordings, and nodes, topics and parameters of the graph that runs as the key i
 from __future__ import annotations
 
 import argparse
-import ast
-import functools
 import glob
 import os
 from collections.abc import Mapping
@@ -22,6 +20,7 @@ if TYPE_CHECKING:
     from sparseskin.launch.run.running import RunningGraph
 
 # Imports of one kind of value stand where it is offered: a key is pressed, and a person waits.
+# Commands, options, files and names of a graph come without numpy, settings and sources with it.
 LAUNCH_FILES = Path(__file__).parent.parent
 FILES = ("FILE", "BAG", "NEW", "PATH", "OUT.json", "F.mcap", "G.mcap", "REC.mcap", "B.npz")
 FOLDERS = ("DIR", "D")
@@ -163,14 +162,15 @@ def sources(prefix: str) -> Words:
     """Sources that begin with what has been typed: kinds, then scenes, files, and what a plug-in
     offers of its kind.
     """
+    from sparseskin.nodes.sensor.scenes.scenes import SCENES
+
     kind, colon, rest = prefix.partition(":")
     offers = extensions.offered(extensions.ADDRESSES)
     if not colon:
         return _bare(f"{one}:" for one in ("scene", "file", *offers))
     match kind:
         case "scene":
-            scenes = _source("sparseskin.nodes.sensor.scenes.scenes")
-            return _bare(f"scene:{name}" for name in scenes["SCENES"])
+            return _bare(f"scene:{name}" for name in SCENES)
         case "file":
             return {f"file:{path}": "" for path in _paths(rest, folders_only=False)}
         case _ if kind in offers:
@@ -179,118 +179,24 @@ def sources(prefix: str) -> Words:
     return {}
 
 
-def declared_settings(type_name: str) -> list[dict[str, Any]]:
-    """Key, type, doc, choices and known values of the settings of a type of node, or of the table
-    "[graph]", read from their source: importing it takes longer than a person waits for a word.
-    None of a user's own type.
+def declared_settings(type_name: str) -> list[Mapping[str, Any]]:
+    """Descriptions of the settings of a type of node, or of the table "[graph]"; none of a user's
+    own type, whose code a key press does not run.
     """
     from sparseskin.nodes import registry
 
     if type_name == f"[{GRAPH}]":
-        source = _source("sparseskin.launch.launchfile.check")
-        choices = {
-            "transport": source["TRANSPORTS"],
-            "insecure": ("true", "false"),
-            "restart": _source("sparseskin.launch.run.restarts")["POLICIES"],
-        }
-        entry = {"type": "", "doc": "", "known": []}
-        return [
-            {**entry, "key": key, "choices": list(choices.get(key, ()))}
-            for key in source["GRAPH_KEYS"]
-        ]
+        from sparseskin.launch.launchfile.check import GRAPH_KEYS, TRANSPORTS
+        from sparseskin.launch.run.restarts import POLICIES
+
+        entry = {"type": "", "doc": "", "known": ()}
+        allowed = {"transport": TRANSPORTS, "insecure": ("true", "false"), "restart": POLICIES}
+        return [{**entry, "key": key, "choices": allowed.get(key, ())} for key in GRAPH_KEYS]
     target = registry.NODE_TYPES.get(type_name) or registry.node_types().get(type_name, "")
     if not target.startswith("sparseskin."):
         return []
-    module, _, name = target.partition(":")
-    source, node = _source(module)[name]
-    (settings,) = (
-        line.value.id
-        for line in node.body
-        if isinstance(line, ast.Assign) and isinstance(line.value, ast.Name)
-        if "Settings" in _assigned(line)
-    )
-    return _declared(*source[settings])
-
-
-def _declared(source: _Source, cls: ast.ClassDef) -> list[dict[str, Any]]:
-    inherited = [entry for base in cls.bases for entry in _declared(*source[ast.unparse(base)])]
-    entries = {entry["key"]: entry for entry in inherited}
-    for line in cls.body:
-        if isinstance(line, ast.AnnAssign) and isinstance(line.value, ast.Call):
-            given = {one.arg: one.value for one in line.value.keywords}
-            entry: dict[str, Any] = {
-                "key": ast.unparse(line.target),
-                "type": ast.unparse(line.annotation),
-            }
-            entry["doc"] = source.value(line.value.args[1])
-            for key in ("choices", "known"):
-                entry[key] = list(source.value(given[key])) if key in given else []
-            entries[entry["key"]] = entry
-    return list(entries.values())
-
-
-class _Source(dict[str, Any]):
-    """Names of a module of this package, found in its source when they are asked for: the value of
-    an assigned or imported name; of a class its module and its statement.
-    """
-
-    def __init__(self, module: str) -> None:
-        self._package, *_ = module.rpartition(".")
-        path = Path(__file__).parents[2].joinpath(*module.split(".")[1:])
-        self._lines = ast.parse(path.with_suffix(".py").read_text(encoding="utf-8")).body
-
-    def __missing__(self, name: str) -> Any:
-        for line in self._lines:
-            match line:
-                case ast.ImportFrom(module=str(module)) if name in (n.name for n in line.names):
-                    self[name] = _source(f"{self._package}.{module}" if line.level else module)[
-                        name
-                    ]
-                case ast.ClassDef() if line.name == name:
-                    self[name] = (self, line)
-                case ast.Assign() | ast.AnnAssign() if name in _assigned(line):
-                    assert line.value is not None
-                    names, value = _assigned(line), line.value
-                    parts = value.elts if isinstance(value, ast.Tuple) and names[1:] else [value]
-                    self[name] = self.value(parts[names.index(name)])
-                case _:
-                    continue
-            return self[name]
-        raise KeyError(name)
-
-    def value(self, node: ast.expr) -> Any:
-        """Value of an expression as settings are declared with; of a dict its keys."""
-        match node:
-            case ast.Constant():
-                return node.value
-            case ast.Name():
-                return self[node.id]
-            case ast.Tuple():
-                parts = [
-                    self.value(one.value) if isinstance(one, ast.Starred) else [self.value(one)]
-                    for one in node.elts
-                ]
-                return [one for part in parts for one in part]
-            case ast.Dict():
-                return [self.value(key) for key in node.keys if key is not None]
-            case ast.JoinedStr():
-                return "".join(self.value(part) for part in node.values)
-            case ast.FormattedValue():
-                return self.value(node.value)
-            case ast.Call(ast.Name("tuple"), [words]):
-                return tuple(self.value(words))
-            case ast.Call(ast.Attribute(between, "join"), [words]):
-                return self.value(between).join(self.value(words))
-        raise ValueError(f"{ast.unparse(node)}: not read from the source")
-
-
-_source = functools.cache(_Source)
-
-
-def _assigned(line: ast.stmt) -> list[str]:
-    return [
-        n.id for n in ast.walk(line) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
-    ]
+    described: list[Mapping[str, Any]] = registry.node_class(type_name).Settings.described()
+    return described
 
 
 def node_types(name: str) -> dict[str, str]:

@@ -1,4 +1,6 @@
-"""The command `sparseskin launch`: a graph of nodes from a launch file, until its streams end."""
+"""The commands `sparseskin launch`, a graph of nodes from a launch file until its streams end, and
+`keys`, the key pairs of graphs that others could reach.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .options import (
+    add_commands,
     add_page,
     add_set,
     add_summary,
@@ -151,3 +154,25 @@ def _run_log(launch: LaunchFile, stated: str | None) -> RunLog | None:
         reason = str(error).removeprefix("log_dir: ")
         print(f"warning: no log files: {reason}; --log-dir states another folder", file=sys.stderr)
         return None
+
+
+KEY_FOLDER = "keys"
+
+
+def configure_keys(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `keys`."""
+    about = "Key pairs, one a host: its secret stays there, its public key goes to the others."
+    make = add_commands(parser, about)("make", _make_keys, "make a key pair")
+    make.add_argument("name", metavar="NAME", help="name of the key, as a rule that of the host")
+    about = f"folder to write to (default: {KEY_FOLDER})"
+    make.add_argument("--dir", metavar="D", type=Path, default=Path(KEY_FOLDER), help=about)
+
+
+def _make_keys(arguments: argparse.Namespace) -> int:
+    """Write NAME.key, the secret, which only you can read, and NAME.pub."""
+    from sparseskin.nodes.network.keys import make_key_files
+
+    secret, public = make_key_files(arguments.name, arguments.dir)
+    print(f"{secret}: the secret key of {arguments.name}; it stays on that host")
+    print(f"{public}: its public key; copy it to the folder of keys of each peer")
+    return 0

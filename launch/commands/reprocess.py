@@ -112,7 +112,7 @@ def run_job(job: Job, progress: bool = False, how_cut: Any = None) -> Outcome:
             if how_cut is None:
                 patches = run_whole(local, source, progress)
             else:
-                from sparseskin.launch.offline.sliced import run_sliced
+                from sparseskin.launch.offline.slices import run_sliced
 
                 patches, notes = run_sliced(local, source, how_cut, progress)
         n_bytes = source.stat().st_size
@@ -191,7 +191,7 @@ def _run(jobs: Sequence[Job], arguments: argparse.Namespace) -> list[Outcome]:
     quiet, executor = not sys.stderr.isatty(), arguments.executor
     if arguments.slices is not None:
         from sparseskin.launch.offline.plan import WARM_UP
-        from sparseskin.launch.offline.sliced import Sliced
+        from sparseskin.launch.offline.slices import Sliced
 
         warm_up = WARM_UP if arguments.warm_up is None else arguments.warm_up
         parts = arguments.parts or ""

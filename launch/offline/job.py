@@ -48,14 +48,6 @@ class Outcome:
     seconds: float = 0.0
 
 
-@dataclass(frozen=True)
-class Span:
-    """Part of a recording: `start_s` after its first frame, for `duration_s` (None: to its end)."""
-
-    start_s: float
-    duration_s: float | None
-
-
 def run_whole(job: Job, source: Path, progress: bool) -> dict[str, Any]:
     """Reprocess a recording in one pass; return the monitor's summary by patch.
 
@@ -144,12 +136,16 @@ def start_of(job: Job, bag: BagReader) -> tuple[str, str]:
 
 
 def make_graph(
-    job: Job, source: Path, *, out: Path | None = None, span: Span | None = None
+    job: Job,
+    source: Path,
+    *,
+    out: Path | None = None,
+    span: tuple[float, float | None] = (0.0, None),
 ) -> LaunchFile:
     """The graph that reprocesses a recording: a launch file that is never written.
 
-    It has a recorder and a monitor if there is an `out`; it plays a `span` of the recording, by
-    default all of it.
+    It has a recorder and a monitor if there is an `out`; it plays a `span` of the recording: from
+    so many seconds after its first frame, for so many seconds (None: to its end).
     """
     from sparseskin.launch.launchfile.load import load_tables
     from sparseskin.messages import Calibration, Measurements, PhiState, SkinState, Taxels, Truth
@@ -168,9 +164,9 @@ def make_graph(
     else:
         tables["compressor"] = {"type": "compressor", "patch": patch}
     player = {"type": "player", "file": str(source), "schemas": schemas, "keep_stamps": True}
-    if span is not None:
-        player |= {"start_s": span.start_s}
-        player |= {} if span.duration_s is None else {"duration_s": span.duration_s}
+    start_s, duration_s = span
+    player |= {"start_s": start_s}
+    player |= {} if duration_s is None else {"duration_s": duration_s}
     tables = {
         "player": player,
         **tables,

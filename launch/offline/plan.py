@@ -56,6 +56,11 @@ class Slice:
     n_warm_up: int
     counts: dict[str, int] = field(default_factory=dict)
 
+    @property
+    def n_states_before(self) -> int:
+        """Number of states (skin, Phi) that were recorded before it."""
+        return sum(n for topic, n in self.counts.items() if is_latched(topic))
+
 
 @dataclass
 class Stamps:
@@ -161,11 +166,6 @@ def plan_slices(stamps: Stamps, slice_s: float | None, warm_up: int) -> list[Sli
             )
         )
     return found
-
-
-def n_states_before(one: Slice) -> int:
-    """Number of states (skin, Phi) that were recorded before a slice."""
-    return sum(n for topic, n in one.counts.items() if is_latched(topic))
 
 
 def _begin(skins: list[tuple[int, int]], frame: int) -> int:

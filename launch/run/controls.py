@@ -14,12 +14,10 @@ from sparseskin.nodes.errors import RefusedError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.control import MAX_DEPTH, is_shallow
 
-from .awake import awake_s
-from .control_server import ControlServer
-from .control_socket import ControlClient
+from .control_socket import ControlClient, ControlServer
 from .fleet import Fleet
 from .live_recording import LiveRecording
-from .process import NodeProcess
+from .process import NodeProcess, awake_s
 from .state import graph_description, graph_state, hosts_state
 
 NEWS_S = 0.5

@@ -12,9 +12,8 @@ from sparseskin.launch.launchfile.spec import LaunchFile, NodeSpec
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.graph import Link
 
-from .awake import awake_s
 from .configs import node_config, peer_of
-from .process import NodeProcess, exit_text
+from .process import NodeProcess, awake_s, exit_text
 from .restarts import Restarts
 from .running import RunningGraph
 

@@ -14,11 +14,10 @@ from sparseskin.launch.launchfile.load import LaunchFile
 from sparseskin.nodes.clock import wall_offset_ns
 from sparseskin.nodes.errors import SparseskinError
 
-from .awake import awake_s
 from .configs import note_of
 from .controls import Controls, RemoteControls
 from .fleet import EXIT_FAILED, EXIT_USAGE, START_S, Fleet
-from .process import NodeProcess
+from .process import NodeProcess, awake_s
 from .running import GraphError, Note, RunningGraph, announced, control_path, is_running
 from .state import hosts_state
 from .terminal import Terminal

@@ -1,4 +1,6 @@
-"""One node process as the launcher sees it: its pipes, its state, its end."""
+"""One node process as the launcher sees it: its pipes, its state, its end; and the clock by
+which the silence of a node is measured.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +10,12 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from typing import IO, Any
 
 from sparseskin.launch.launchfile.spec import NodeSpec
 from sparseskin.nodes.errors import SparseskinError
-
-from .awake import awake_s
 
 NEW_S = 8.0
 """Time that a log line is published as the latest one, seconds."""
@@ -216,3 +218,29 @@ def exit_text(code: int) -> str:
     if code < 0:
         return f"killed by {signal.Signals(-code).name}"
     return f"exit code {code}"
+
+
+MAX_STEP_S = 1.0
+"""Longest step of the clock; the loop of a launcher reads it ten times a second."""
+
+
+class AwakeClock:
+    """A monotonic clock, in seconds, that stands still while this process does: stopped, frozen
+    with its container, or held up. The silence of others is measured by it, for what they sent
+    meanwhile is still to be read. `now_s` is a clock that goes on.
+    """
+
+    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_s = now_s
+        self._read_s = now_s()
+        self._paused_s = 0.0
+
+    def __call__(self) -> float:
+        now_s = self._now_s()
+        self._paused_s += max(0.0, now_s - self._read_s - MAX_STEP_S)
+        self._read_s = now_s
+        return now_s - self._paused_s
+
+
+awake_s = AwakeClock()
+"""The clock of the launcher in this process."""

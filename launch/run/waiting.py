@@ -9,8 +9,7 @@ from sparseskin.launch.launchfile.spec import LaunchFile
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.host import is_latched
 
-from .awake import awake_s
-from .process import NodeProcess
+from .process import NodeProcess, awake_s
 
 SLOW_S = 5.0
 """Time of a start after which the late nodes are logged, seconds."""

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import PATIENCE_S, StartProgram, wait_until
 
-from sparseskin.launch.commands import tare
+from sparseskin.launch.commands import calibrate
 from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
@@ -194,8 +194,8 @@ def test_a_graph_without_a_calibration_is_not_tared(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     nodes = [{"name": "sensor", "type": "sensor", "state": {"paused": False}}]
-    monkeypatch.setattr(tare, "choose_graph", lambda name: SimpleNamespace(label="a (7)"))
-    monkeypatch.setattr(tare, "describe", lambda graph: {"nodes": nodes})
+    monkeypatch.setattr(calibrate, "choose_graph", lambda name: SimpleNamespace(label="a (7)"))
+    monkeypatch.setattr(calibrate, "describe", lambda graph: {"nodes": nodes})
     assert main(["tare"]) == 2
     assert capsys.readouterr().err == (
         "a (7): has no sensor with a calibration; state sensor.skin, or sensor.tare, in the launch "

@@ -12,10 +12,9 @@ import pytest
 from shells import COMMAND, words
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.commands.completion import candidates, declared_settings
+from sparseskin.launch.commands.completion import candidates
 from sparseskin.launch.launchfile.check import GRAPH_KEYS, TRANSPORTS
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.nodes.registry import node_class, node_types
 
 CELLS = ["camera.n_rows=", "camera.n_cols="]
 OFFERED = ("key", "type", "doc", "choices", "known")
@@ -108,22 +107,7 @@ def test_a_node_that_is_the_only_one_to_fit_is_completed_with_its_settings() -> 
     assert all(word.startswith("monitor.") for word in found)
 
 
-@pytest.mark.parametrize("type_name", node_types())
-def test_settings_read_from_the_source_are_those_of_the_class(type_name: str) -> None:
-    described = node_class(type_name).Settings.described()
-    offered = [{key: one[key] for key in OFFERED} for one in described]
-    assert declared_settings(type_name) == offered
-    assert offered
-
-
-@pytest.mark.parametrize(
-    "line",
-    ["to", "launch path", "launch --fr", "topic ", "topic echo --f"]
-    + [
-        f"launch two_patches --set {node}."
-        for node in ("graph", "monitor", "palm_reconstructor", "palm_sensor")
-    ],
-)
+@pytest.mark.parametrize("line", ["to", "launch path", "topic echo --f"])
 def test_a_key_press_imports_no_numpy(
     tmp_path: Path, line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

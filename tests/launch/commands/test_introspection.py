@@ -432,14 +432,12 @@ def test_two_graphs_are_named_and_one_is_chosen_by_name_or_process(
         assert refused("node", "list", "--graph", "7").startswith("/")  # no socket of its own
 
 
-@pytest.mark.parametrize("arguments", ["node list", "param list", "topic list", "topic hz a"])
 def test_where_no_graph_runs_it_is_reported_in_one_line(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-    arguments: str,
 ) -> None:
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path))
-    assert main(arguments.split()) == 2
+    assert main(["topic", "hz", "a"]) == 2
     error = capsys.readouterr().err
     assert error == "no graph runs on this host (start one: sparseskin launch NAME)\n"

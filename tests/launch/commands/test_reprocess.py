@@ -32,7 +32,7 @@ def maps(path: Path, kind: type[Reconstruction] | type[Taxels]) -> list[tuple[in
         return found
 
 
-@pytest.mark.parametrize("start_from", ["auto", "taxels", "measurements"])
+@pytest.mark.parametrize("start_from", ["auto", "taxels"])
 def test_the_same_settings_give_the_same_bits_and_stamps(
     recording: Path, tmp_path: Path, start_from: str
 ) -> None:

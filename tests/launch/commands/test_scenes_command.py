@@ -53,7 +53,7 @@ def test_a_scenario_is_small_whole_complete_and_in_contact(name: str, tmp_path: 
 
 def test_it_is_the_same_each_time(tmp_path: Path) -> None:
     def contents(folder: Path) -> list[bytes]:
-        with BagReader(make_scenario("big_wrench", folder)) as bag:
+        with BagReader(make_scenario("tap_peg", folder)) as bag:
             return [message.payload for message in bag.messages()]
 
     assert contents(tmp_path / "a") == contents(tmp_path / "b")

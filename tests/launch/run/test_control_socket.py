@@ -13,8 +13,13 @@ from typing import Any
 import pytest
 from conftest import wait_until
 
-from sparseskin.launch.run.control_server import MAX_CLIENTS, MAX_LINE_BYTES, ControlServer
-from sparseskin.launch.run.control_socket import MAX_QUEUED_BYTES, ControlClient
+from sparseskin.launch.run.control_socket import (
+    MAX_CLIENTS,
+    MAX_LINE_BYTES,
+    MAX_QUEUED_BYTES,
+    ControlClient,
+    ControlServer,
+)
 from sparseskin.nodes.errors import SparseskinError
 
 

@@ -12,10 +12,17 @@ import pytest
 from conftest import StartProgram, note_of_graph, wait_until
 
 from sparseskin.launch.launchfile.load import load
-from sparseskin.launch.run.awake import MAX_STEP_S, AwakeClock, awake_s
 from sparseskin.launch.run.control_socket import ControlClient
 from sparseskin.launch.run.fleet import Fleet
-from sparseskin.launch.run.process import CHUNK_BYTES, LOG_BYTES, MAX_LINE_BYTES, LogLines
+from sparseskin.launch.run.process import (
+    CHUNK_BYTES,
+    LOG_BYTES,
+    MAX_LINE_BYTES,
+    MAX_STEP_S,
+    AwakeClock,
+    LogLines,
+    awake_s,
+)
 from sparseskin.launch.run.restarts import ON_FAILURE, RestartPolicy
 from sparseskin.launch.run.running import running_graphs
 from sparseskin.nodes.process.proc import n_files
@@ -62,8 +69,9 @@ def test_a_line_without_an_end_takes_no_memory_without_end() -> None:
         assert len(log._rest) <= MAX_LINE_BYTES
 
 
-@pytest.mark.parametrize("text", [b"flood\n", b"flood"], ids=["lines", "one line"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("text", "number"), [(b"flood\n", signal.SIGINT), (b"flood", signal.SIGTERM)]
+)
 def test_a_launcher_hears_signals_while_a_node_floods_its_log(
     start: StartProgram, tmp_path: Path, text: bytes, number: signal.Signals
 ) -> None:

@@ -13,9 +13,9 @@ import pytest
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.commands.scenes import Scenario, _record
-from sparseskin.launch.offline.part import PART_NAME
+from sparseskin.launch.offline import slices
 from sparseskin.launch.offline.plan import Stamps, plan_slices
-from sparseskin.launch.offline.sliced import NOTES, PARTS_SUFFIX
+from sparseskin.launch.offline.slices import PARTS_SUFFIX
 from sparseskin.messages import Message, Reconstruction, decode
 from sparseskin.nodes.recorder.bag.reader import BagReader
 
@@ -122,49 +122,25 @@ class StopError(Exception):
     """Stands for whatever ends a run."""
 
 
-def interrupt(
-    recording: Path, out: Path, monkeypatch: pytest.MonkeyPatch, after: int = 2
-) -> list[Path]:
-    """Reprocess until some slices are done; return their files."""
-    from sparseskin.launch.offline import sliced as module
+def interrupt(recording: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """Reprocess until two slices are done; return their files."""
+    real, done = slices.run_slice, []
 
-    real, done = module._note, []
-
-    def noted(*arguments: Any) -> None:
-        real(*arguments)
-        done.append(arguments)
-        if len(done) == after:
+    def run(task: slices.Task) -> str:
+        if len(done) == 2:
             raise StopError
+        done.append(real(task))
+        return done[-1]
 
     with monkeypatch.context() as patch:
-        patch.setattr(module, "_note", noted)
-        with pytest.raises(StopError):
-            sliced(recording, out, *ALL)
+        patch.setattr(slices, "run_slice", run)
+        assert sliced(recording, out, *ALL) == 2
     assert not out.exists()
-    folder = Path(f"{out}{PARTS_SUFFIX}")
-    noted_names = [json.loads(line)["name"] for line in (folder / NOTES).read_text().splitlines()]
-    assert len(noted_names) == after
-    return [folder / name for name in noted_names]
+    return [Path(f"{out}{PARTS_SUFFIX}") / name for name in done]
 
 
-def test_a_second_call_continues_and_the_result_is_the_same(
-    recording: Path,
-    one_pass: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    out = tmp_path / "out.mcap"
-    first, _ = interrupt(recording, out, monkeypatch)
-    with (first.parent / NOTES).open("ab") as file:
-        file.write(b'{"fingerprint": "torn by the e')
-    assert sliced(recording, out, *ALL) == 0
-    assert "2 slices known from an earlier run" in capsys.readouterr().out
-    assert as_text(out) == as_text(one_pass)
-
-
-@pytest.mark.parametrize("change", ["flipped", "other", "link", "gone"])
-def test_a_part_that_was_changed_is_named_and_computed_again(
+@pytest.mark.parametrize("change", ["", "flipped", "torn", "other", "link", "gone"])
+def test_a_second_call_continues_with_the_parts_that_are_as_they_were_written(
     recording: Path,
     one_pass: Path,
     tmp_path: Path,
@@ -174,40 +150,25 @@ def test_a_part_that_was_changed_is_named_and_computed_again(
 ) -> None:
     out = tmp_path / "out.mcap"
     first, second = interrupt(recording, out, monkeypatch)
+    capsys.readouterr()
+    data = bytearray(first.read_bytes())
     if change == "flipped":
-        data = bytearray(first.read_bytes())
         data[len(data) // 2] ^= 1
         first.write_bytes(data)
+    elif change == "torn":
+        first.write_bytes(data[:-100])
     elif change == "other":  # whole, of the same recording, in the wrong place
         shutil.copy(second, first)
-    else:
+    elif change:
         first.unlink()
         if change == "link":
             first.symlink_to(second)
     assert sliced(recording, out, *ALL) == 0
     captured = capsys.readouterr()
-    assert str(first) in captured.err
-    assert captured.err.count("\n") == 1
-    assert "1 slices known" in captured.out
+    named = change in ("flipped", "torn")
+    assert captured.err.count("\n") == captured.err.count(str(first)) == named
+    assert f"{1 if change else 2} slices known from an earlier run" in captured.out
     assert as_text(out) == as_text(one_pass)
-
-
-@pytest.mark.parametrize("note", [
-    b"no json\n",
-    b"[1, 2]\n",
-    b'{"fingerprint": "%s", "number": 0, "name": "../../etc/passwd", "digest": "", "tally": {}}\n',
-    b'{"fingerprint": "%s", "number": 99, "name": "x", "digest": "", "tally": null}\n',
-])  # fmt: skip
-def test_notes_that_are_none_are_ignored(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, note: bytes
-) -> None:
-    out = tmp_path / "out.mcap"
-    first, *_ = interrupt(recording, out, monkeypatch)
-    notes = first.parent / NOTES
-    fingerprint = json.loads(notes.read_text().splitlines()[0])["fingerprint"].encode()
-    notes.write_bytes(note % fingerprint if b"%s" in note else note)
-    assert sliced(recording, out, *ALL) == 0
-    assert len(stamps(out)) == N_FRAMES
 
 
 def test_parts_of_other_settings_are_not_used_and_removed(
@@ -266,11 +227,6 @@ def test_slices_cover_each_frame_once_and_begin_with_the_first_row_subset() -> N
     # 6 and 15 are multiples of 3; 25 and 35 are 20 and a multiple of 5.
     assert [one.begin_ns // 10 for one in found] == [0, 6, 15, 25, 35]
     assert [one.n_warm_up for one in found] == [0, 4, 5, 5, 5]
-
-
-def test_names_of_parts_cannot_lead_out_of_their_folder() -> None:
-    for name in ("../x.mcap", "slice_00001_0123456789abcdef.mcap/..", "slice_1_.mcap"):
-        assert not PART_NAME.fullmatch(name)
 
 
 def test_recordings_at_addresses_are_read_and_written(
