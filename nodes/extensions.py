@@ -5,6 +5,7 @@ The core imports no plug-in by its name. What it needs it looks up here, when it
 
 from __future__ import annotations
 
+from collections.abc import Container
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +44,11 @@ def offered(group: str) -> dict[str, EntryPoint]:
 
     found = {point.name: point for point in entry_points(group=group)}
     return {name: found[name] for name in sorted(found)}
+
+
+def added(group: str, own: Container[str]) -> dict[str, EntryPoint]:
+    """Entry points of a group by name, without those that the core has itself: none replaces it."""
+    return {name: point for name, point in offered(group).items() if name not in own}
 
 
 def load(group: str, name: str, error: type[SparseskinError], where: str = "") -> Any:

@@ -72,21 +72,26 @@ def _is_installed(package: str) -> bool:
     return False
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Hint for an unknown word: ' (did you mean 'iterations'?)', else the list of known ones."""
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Hint for a word that is like a known one: ' (did you mean 'iterations'?)'; "" for others."""
     names = sorted(known)
     near = difflib.get_close_matches(word, names, n=max(1, len(names)), cutoff=0.6)
-    if near:
-        nearest = min(sorted(near), key=lambda name: _distance(word, name))
-        return f" (did you mean '{nearest}'?)"
-    return f" (known: {', '.join(names)})" if names else ""
+    if not near:
+        return ""
+    nearest = min(sorted(near), key=lambda name: _distance(word, name))
+    return f" (did you mean '{nearest}'?)"
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Hint for an unknown word: as `suggestion`, else the list of known ones."""
+    names = sorted(known)
+    return suggestion(word, names) or (f" (known: {', '.join(names)})" if names else "")
 
 
 def nearest_of(word: str, allowed: Iterable[str]) -> str:
     """Hint for a value: ' (did you mean 'skin'?); allowed: paper, skin'."""
     words = list(allowed)
-    hint = did_you_mean(word, words)
-    return (hint if "did you mean" in hint else "") + f"; allowed: {', '.join(words)}"
+    return f"{suggestion(word, words)}; allowed: {', '.join(words)}"
 
 
 def _distance(word: str, name: str) -> tuple[float, int, int]:

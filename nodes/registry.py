@@ -28,8 +28,8 @@ NODE_TYPES = {
 
 def node_types() -> dict[str, str]:
     """Class of each type, as "module:Class": those of the core, then those of plug-ins."""
-    offers = extensions.offered(extensions.NODES)
-    return NODE_TYPES | {n: point.value for n, point in offers.items() if n not in NODE_TYPES}
+    offers = extensions.added(extensions.NODES, NODE_TYPES)
+    return NODE_TYPES | {name: point.value for name, point in offers.items()}
 
 
 def node_class(type_name: str) -> type[Node[Any]]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sparseskin.launch.commands.cli import make_parser
 from sparseskin.messages import (
     Measurements,
     Message,
@@ -78,6 +80,20 @@ def record(writer: BagWriter, message: Message) -> bytes:
     """Write a message as the recorder does; its payload."""
     writer.record(message, message.stamp_ns + LAG_NS)
     return encode(message)[1]
+
+
+def of_kind(messages: list[Message], cls: type[Message], patch: str = "skin") -> list[Any]:
+    return [message for message in messages if type(message) is cls and message.patch == patch]
+
+
+Bag = Callable[..., int]
+
+
+def run_bag(*arguments: object) -> int:
+    """Run `sparseskin bag ARGUMENTS` in this process; its exit code."""
+    words = ["bag", *map(str, arguments)]
+    chosen = make_parser(words).parse_args(words)
+    return int(chosen.run(chosen))
 
 
 class FakeClock:

@@ -72,7 +72,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def _export_options() -> dict[str, tuple[list[str], str, str]]:
     """Options that exports have of their own: the exports, metavar and help of each."""
     found: dict[str, tuple[list[str], str, str]] = {}
-    for name, export in {**OWN, **loaded(EXPORTS)}.items():
+    for name, export in {**loaded(EXPORTS), **OWN}.items():
         for option, (metavar, about) in export.options.items():
             found.setdefault(option, ([], metavar, about))[0].append(name)
     return found

@@ -47,7 +47,7 @@ COMMANDS = {
 
 def plugins() -> list[str]:
     """Commands of plug-ins; none replaces a command of `COMMANDS`."""
-    return [name for name in extensions.offered(extensions.COMMANDS) if name not in COMMANDS]
+    return [*extensions.added(extensions.COMMANDS, COMMANDS)]
 
 
 def about(name: str) -> str:

@@ -188,17 +188,16 @@ def _unknown(name: str) -> ScenarioError:
 def _list(arguments: argparse.Namespace) -> int:
     """List scenes and recordings, one line each."""
     from sparseskin.nodes.sensor.scenes.scenes import SCENES
+    from sparseskin.nodes.sensor.source import about
 
-    def line(name: str, scene: Scene, n_frames: int, period_ns: int, about: str) -> str:
+    def line(name: str, scene: Scene, n_frames: int, period_ns: int, words: str) -> str:
         shape, period = "{} x {}".format(*scene.shape), f"{period_ns / 1e6:g} ms"
-        return f"  {name:<15} {shape:<8} {n_frames:>6} frames  {period:<7} {about}"
+        return f"  {name:<15} {shape:<8} {n_frames:>6} frames  {period:<7} {words}"
 
     print("scenes: sparseskin launch NAME")
     for name, make in SCENES.items():
         scene = make()
-        about = (make.__doc__ or "").partition("\n")[0].rstrip(".").partition(":")[0]
-        about = about.removeprefix("Return ")
-        print(line(name, scene, scene.n_steps, scene.dt_ns, about))
+        print(line(name, scene, scene.n_steps, scene.dt_ns, about(make)))
     print("recordings: sparseskin play NAME")
     for name, scenario in SCENARIOS.items():
         scene = SCENES[scenario.scene]()

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.extensions import POINTS, failures, load, loaded, offered
+from sparseskin.nodes.extensions import POINTS, load, loaded, offered
 
 from .placement import Placement
 from .source import Listing, Source
@@ -51,4 +51,5 @@ def point_skins() -> PointSkins:
 
 def point_scenes() -> Mapping[str, str]:
     """Scenes on skins of points; none without the plug-in."""
-    return loaded(POINTS)[NAME].scenes() if not failures(POINTS) and offered(POINTS) else {}
+    skins: PointSkins | None = loaded(POINTS).get(NAME)
+    return {} if skins is None else skins.scenes()

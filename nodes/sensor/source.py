@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -20,7 +20,7 @@ from .files.parsed import DEFAULT_POLICY, Policy
 if TYPE_CHECKING:
     from .calibration.description import SkinDescription
 
-__all__ = ["Address", "Listing", "LiveSource", "Skin", "Source"]
+__all__ = ["Address", "Listing", "LiveSource", "Skin", "Source", "about"]
 
 DEFAULT_RATE_HZ = 100.0
 """Frame rate of scenes and of recordings without a rate of their own."""
@@ -174,6 +174,14 @@ class Listing:
     key: str
     title: str
     entries: Sequence[Mapping[str, str]]
+
+
+def about(make: Callable[..., object]) -> str:
+    """A few words for a `Listing` on what a function makes: the first line of its docstring, to a
+    colon, without "Return".
+    """
+    words = (make.__doc__ or "").partition("\n")[0].rstrip(".").partition(":")[0]
+    return words.removeprefix("Return ")
 
 
 @dataclass(frozen=True, eq=False)

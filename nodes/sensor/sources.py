@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.extensions import ADDRESSES, failures, load, loaded, offered
+from sparseskin.nodes.extensions import ADDRESSES, added, failures, load, loaded
 from sparseskin.nodes.lookup import (
-    did_you_mean,
     find_callable,
     is_missing,
     note_import,
     one_line,
     search_here,
+    suggestion,
 )
 from sparseskin.nodes.sensor.files.parsed import DEFAULT_POLICY, Policy
 
@@ -34,20 +34,20 @@ KINDS = {
 
 def kinds() -> list[str]:
     """Kinds of the core, then those of plug-ins."""
-    return [*KINDS, *(kind for kind in offered(ADDRESSES) if kind not in KINDS)]
+    return [*KINDS, *added(ADDRESSES, KINDS)]
 
 
 def find_kind(kind: str, where: str = "") -> type[Address]:
     """Class of the addresses of one of `kinds`. Raises SourceError, after `where`, if its plug-in
     cannot be imported.
     """
-    found: Any = None
-    if kind in KINDS:
-        found = find_callable(KINDS[kind], SourceError)
-    else:
-        found = load(ADDRESSES, kind, SourceError, where)
-    made: type[Address] = found
-    return made
+    made: Any = (
+        find_callable(KINDS[kind], SourceError)
+        if kind in KINDS
+        else load(ADDRESSES, kind, SourceError, where)
+    )
+    found: type[Address] = made
+    return found
 
 
 def forms() -> str:
@@ -82,8 +82,7 @@ def find_address(source: str, **stated: Any) -> Address:
     if kind in KINDS or kind in kinds():
         return find_kind(kind, source)(source, **stated)
     if not all(part.isidentifier() for part in rest.split(".")):
-        hint = did_you_mean(kind, kinds())
-        hint = hint if "did you mean" in hint else ""
+        hint = suggestion(kind, kinds())
         raise SourceError(
             f"{source}: no plug-in for sources {kind}: is installed{hint}; expected {forms()}"
         )
@@ -144,13 +143,11 @@ def check_module(target: str) -> None:
         if package:
             raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause
     if found is None:
-        hint = did_you_mean(module, kinds()) if len(module) < 8 else ""
-        hint = hint if "did you mean" in hint else ""
+        hint = suggestion(module, kinds()) if len(module) < 8 else ""
         raise SourceError(f"{target}: there is no module {module!r}, installed or in {here}{hint}")
     names = _names_of(Path(found.origin)) if found.origin else None
     if names is not None and attribute.partition(".")[0] not in names:
-        near = did_you_mean(attribute, names)
-        hint = near if "did you mean" in near else "; allowed: a callable of that module"
+        hint = suggestion(attribute, names) or "; allowed: a callable of that module"
         raise SourceError(f"{target}: {module} has no {attribute!r}{hint}")
 
 

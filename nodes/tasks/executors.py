@@ -63,7 +63,6 @@ def make_executor(spec: str) -> Executor:
             raise SettingsError(f"--executor {spec}: expected 1..{MAX_WORKERS} workers")
         if kind == "thread":
             return ThreadPoolExecutor(int(rest))
-        # Read by the numeric libraries when a worker starts: one core each.
         for threads in SINGLE_THREADED:
             os.environ.setdefault(threads, "1")
         # Spawned: a forked worker would inherit locks held by threads of this process.

@@ -51,7 +51,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
             one.add_argument("--port", type=whole(0), help=stated)
         if "allow_set" in keys:
             stated = "let clients set parameters; pages in your browser are clients, too"
-            one.add_argument("--allow-set", action="store_true", help=stated)
+            one.add_argument("--allow-set", action="store_true", default=None, help=stated)
         add_stated(one, "another setting of the bridge, see docs/bridges.md")
         add_graph(one)
 
@@ -62,10 +62,8 @@ def _bridge(arguments: argparse.Namespace) -> int:
     cls = bridges()[arguments.bridge]
     values = stated_values(arguments.set, cls.Settings.described())
     for key in ("port", "allow_set"):
-        if stated := getattr(arguments, key, None):
+        if (stated := getattr(arguments, key, None)) is not None:
             values[key] = stated
-        elif stated == 0 and key == "port":
-            values[key] = 0
     graph = choose_graph(arguments.graph)
     writers = graph.writers()
     patches = values.setdefault("patches", patches_of(writers))

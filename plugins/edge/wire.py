@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.lookup import did_you_mean, suggestion
 from sparseskin.plugins.boards.board import Board, naming_board
 from sparseskin.plugins.boards.readings import Layout
 from sparseskin.plugins.boards.settings import read_settings, split_source
@@ -32,8 +32,7 @@ def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Boar
     """
     kind, address, query = split_source(source)
     if kind not in KEYS or not address:
-        hint = did_you_mean(kind, KEYS) if kind not in KEYS else ""
-        hint = hint if "did you mean" in hint else ""
+        hint = suggestion(kind, KEYS) if kind not in KEYS else ""
         raise SourceError(f'"{source}": expected serial:DEVICE or udp:PORT{hint}')
     name = f"{kind}:{address}"
     with naming_board(name):

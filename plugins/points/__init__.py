@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from sparseskin.nodes.sensor.placement import Placement
 from sparseskin.nodes.sensor.points import PointSkins
-from sparseskin.nodes.sensor.source import Listing, Source
+from sparseskin.nodes.sensor.source import Listing, Source, about
 
 # The modules of this package take SciPy, which a node without such a skin does not need.
 
@@ -37,10 +37,9 @@ class _Points(PointSkins):
         from .examples import EXAMPLES
         from .files import EXAMPLE
 
-        entries = []
-        for name, make in EXAMPLES.items():
-            about = (make.__doc__ or "").partition("\n")[0].rstrip(".").partition(":")[0]
-            entries.append({"name": f"{EXAMPLE}{name}", "about": about.removeprefix("Return ")})
+        entries = [
+            {"name": f"{EXAMPLE}{name}", "about": about(make)} for name, make in EXAMPLES.items()
+        ]
         title = "layouts: for sensor.points; or a file of places, .csv or an iCub's .txt"
         return (Listing("layouts", title, entries),)
 

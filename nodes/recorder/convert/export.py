@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.extensions import EXPORTS, load, offered
+from sparseskin.nodes.extensions import EXPORTS, added, load
 from sparseskin.nodes.recorder.bag.format import BagError
 
 
@@ -42,7 +42,7 @@ OWN = {
 
 def export_names() -> list[str]:
     """Exports of the core, then those of plug-ins."""
-    return [*OWN, *(name for name in offered(EXPORTS) if name not in OWN)]
+    return [*OWN, *added(EXPORTS, OWN)]
 
 
 def find_export(name: str, error: type[SparseskinError] = BagError) -> Export:

@@ -8,7 +8,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import POINTS, loaded
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.sensor.points import point_scenes, point_skins
-from sparseskin.nodes.sensor.source import Address, Listing, Source
+from sparseskin.nodes.sensor.source import Address, Listing, Source, about
 
 from .scenes import SCENES, check_scene, open_scene
 
@@ -56,10 +56,7 @@ class SceneAddress(Address):
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:
-        flat = {
-            name: (make.__doc__ or "").partition("\n")[0].rstrip(".").partition(":")[0]
-            for name, make in SCENES.items()
-        }
+        flat = {name: about(make) for name, make in SCENES.items()}
         title = "scenes that press a skin of points: add --set sensor.points=LAYOUT"
         return (
             Listing("scenes", "scenes", _entries(flat)),
@@ -69,7 +66,4 @@ class SceneAddress(Address):
 
 
 def _entries(scenes: Mapping[str, str]) -> list[dict[str, str]]:
-    return [
-        {"source": f"scene:{name}", "about": about.removeprefix("Return ")}
-        for name, about in scenes.items()
-    ]
+    return [{"source": f"scene:{name}", "about": words} for name, words in scenes.items()]

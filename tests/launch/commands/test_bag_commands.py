@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from bags import MASK, N_COLS, N_ROWS, PERIOD_NS, M, frame, frames, make_bag, skin_state
+from bags import (
+    MASK,
+    N_COLS,
+    N_ROWS,
+    PERIOD_NS,
+    Bag,
+    M,
+    frame,
+    frames,
+    make_bag,
+    of_kind,
+    run_bag,
+    skin_state,
+)
 from recordings import NAMES, recording
 
-from sparseskin.launch.commands.cli import make_parser
 from sparseskin.messages import (
     Measurements,
     Message,
@@ -29,29 +40,17 @@ from sparseskin.nodes.sensor.files.recorded import open_file
 
 N_FRAMES = 40
 
-Bag = Callable[..., int]
-
 
 @pytest.fixture
 def bag(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Bag:
-    """Run `sparseskin bag ARGUMENTS` in an empty folder; its exit code."""
+    """Runs `sparseskin bag ARGUMENTS` in an empty folder."""
     monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: object) -> int:
-        words = ["bag", *map(str, arguments)]
-        chosen = make_parser(words).parse_args(words)
-        return int(chosen.run(chosen))
-
-    return run
+    return run_bag
 
 
 def decoded(path: Path) -> list[Message]:
     with BagReader(path) as opened:
         return [decode(m.topic.encode(), m.payload) for m in opened.messages()]
-
-
-def of_kind(messages: list[Message], cls: type[Message], patch: str = "skin") -> list[Any]:
-    return [message for message in messages if type(message) is cls and message.patch == patch]
 
 
 # --- info ------------------------------------------------------------------------------------

@@ -4,40 +4,26 @@ from __future__ import annotations
 
 import builtins
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from bags import LAG_NS, MASK, frame, frames, make_bag
+from bags import LAG_NS, MASK, Bag, frame, frames, make_bag, of_kind, run_bag
 
-from sparseskin.launch.commands.cli import make_parser
-from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth
+from sparseskin.messages import Measurements, Reconstruction, Taxels, Truth
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.recorder.bag.format import BagError
 
 N_FRAMES = 40
 
-Bag = Callable[..., int]
-
 
 @pytest.fixture
 def bag(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Bag:
-    """Run `sparseskin bag ARGUMENTS` in an empty folder; its exit code."""
+    """Runs `sparseskin bag ARGUMENTS` in an empty folder."""
     monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: object) -> int:
-        words = ["bag", *map(str, arguments)]
-        chosen = make_parser(words).parse_args(words)
-        return int(chosen.run(chosen))
-
-    return run
-
-
-def of_kind(messages: list[Message], cls: type[Message], patch: str = "skin") -> list[Any]:
-    return [message for message in messages if type(message) is cls and message.patch == patch]
+    return run_bag
 
 
 def test_an_export_overwrites_nothing(bag: Bag) -> None:
