@@ -158,6 +158,12 @@ class Reconstructor(Node[ReconstructorSettings]):
         """True if a comparison that the last frame needs was put off."""
         return bool(getattr(self._solver, "put_off", False))
 
+    def trusts_again(self, measurements: Measurements) -> bool:
+        """Process measurements that are not solved; True if the last frame is trusted for them."""
+        assert self._solver is not None
+        self._watch.watch_repeats(measurements.phi, measurements.y)
+        return estimated_error(self._solver)[1] and not self._watch.frozen
+
     def state(self) -> dict[str, Any]:
         chosen, preset = self.settings.chosen(), self.settings.preset
         watch = self._watch
@@ -279,7 +285,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             given = y = measurements.y
             # If each frame chooses its taxels or rows anew, there are no rows to watch.
             watched = measurements.places is None and measurements.nodes is None
-            self._watch.watch_repeats(phi, y)
+            self._watch.watch_repeats(phi.fingerprint, y)
             if watched:
                 given, y = self._watch.cleaned(phi, given, self._last)
         except (PhiError, SolverError) as error:
@@ -290,7 +296,6 @@ class Reconstructor(Node[ReconstructorSettings]):
         try:
             forces, n_steps = self._solve(self._solver, y)
             estimated, trusted = estimated_error(self._solver)
-            trusted = trusted and not self._watch.frozen
         except SolverError as error:
             raise RefusedError(f"{measurements.topic}: {error}") from error
         solve_ns = time.perf_counter_ns() - begin_ns
@@ -312,7 +317,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             sd=None if self._uncertainty is None else self._uncertainty.update(forces, residual),
             skipped=self._skipped,
             error=estimated,
-            trusted=trusted,
+            trusted=trusted and not self._watch.frozen,
         )
         self._skipped = 0
         self._log_trust(measurements.stamp_ns, forces, estimated, trusted)

@@ -132,7 +132,8 @@ class ReconstructorBatch(BatchNode[ReconstructorBatchSettings]):
             last = self._last.get(name)
             # What is put off is not idle: it would be estimated by the wrong model for long.
             if last is not None and not solve[k] and name not in self._waiting:
-                answers[k] = self._unchanged(last, parts[k])
+                trusted = self._node(name).trusts_again(parts[k])
+                answers[k] = self._unchanged(last, parts[k], trusted)
                 continue
             (found,) = self.nodes[name].step(parts[k])
             assert isinstance(found, Reconstruction)
@@ -172,7 +173,7 @@ class ReconstructorBatch(BatchNode[ReconstructorBatchSettings]):
                 self._skipped = 0
             yield message
 
-    def _unchanged(self, last: Reconstruction, part: Measurements) -> Reconstruction:
+    def _unchanged(self, last: Reconstruction, part: Measurements, trusted: bool) -> Reconstruction:
         """The last frame of a patch, published again for new measurements."""
         now = {
             "stamp_ns": part.stamp_ns,
@@ -181,6 +182,7 @@ class ReconstructorBatch(BatchNode[ReconstructorBatchSettings]):
             "solve_ns": 0,
             "done_ns": self.context.clock.now_ns(),
             "unchanged": True,
+            "trusted": trusted,
         }
         made: Reconstruction = unchecked(Reconstruction, {**last.__dict__, **now})
         return made

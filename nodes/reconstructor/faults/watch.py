@@ -77,9 +77,9 @@ class FaultWatch:
             sigmas = state.sigma_mid, state.sigma_end
             self._taxels = TaxelWatch(mask, state.f_max, *sigmas, self._log)
 
-    def watch_repeats(self, phi: Phi, y: Floats) -> None:
-        """Process measurements as they were received, float32 (m,), by Phi."""
-        if not self._frozen.update(phi.fingerprint, y):
+    def watch_repeats(self, subset: str, y: Floats) -> None:
+        """Process measurements as they were received, float32 (m,), of the Phi of a fingerprint."""
+        if not self._frozen.update(subset, y):
             return
         if self.frozen:
             self._log(

@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 from stress.contacts import Watched, false_alarms, missed
 
-from sparseskin.messages import ReconstructionBatch, SkinState
+from sparseskin.messages import MeasurementsBatch, PhiState, ReconstructionBatch, SkinState
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.batch import CompressorBatch
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.node import Context
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.batch.idle import FALSE_ALARMS, REFRESH, IdleWatch
 from sparseskin.nodes.reconstructor.batch.node import ReconstructorBatch
+from sparseskin.nodes.reconstructor.faults.frozen import FRAMES
 from sparseskin.nodes.sensor.batch import SensorBatch
 from sparseskin.nodes.sensor.scenes.tiled import TiledScene
 
@@ -122,3 +124,43 @@ def test_the_skip_can_be_switched_while_the_graph_runs() -> None:
     node.change(ReconstructorBatch.Settings(**BATCH, skip_idle=False))
     assert node.state()["idle"] == 0
     assert node.settings.skip_idle is False
+
+
+def test_an_idle_patch_whose_board_hangs_is_not_trusted_until_it_changes() -> None:
+    """No change is no reason to solve it, so that its frames are published as unchanged."""
+    names, n, rng = ("left", "right"), SIDE * SIDE, np.random.default_rng(0)
+    lines: list[str] = []
+    node = ReconstructorBatch(
+        ReconstructorBatch.Settings(patch="body", patches=names),
+        Context("node", ManualClock(1), lines.append),
+    )
+    skin, phi = Skin(SIDE, SIDE, 2.5), make_phi("sbhe", n, n // 3, seed=0)
+    state = SkinState(stamp_ns=0, patch="body", **vars(skin), source="", seed=0, rate_hz=1.0,
+                      has_truth=False, sigma_mid=0.02, sigma_end=0.02)  # fmt: skip
+    phi_state = PhiState(
+        stamp_ns=0, patch="body", fingerprint=phi.fingerprint, rows="fixed", **phi.describe()
+    )
+    for message in (state, phi_state):
+        list(node.step(message))
+
+    def frame(hung: Floats | None) -> tuple[Floats, ReconstructionBatch]:
+        y = phi.forward(np.maximum(rng.normal(0, 0.02, (2, n)), 0).astype(np.float32))
+        y[0] = y[0] if hung is None else hung
+        made = list(node.step(MeasurementsBatch(
+            stamp_ns=1, patch="body", names=names, y=y, phi=phi.fingerprint
+        )))  # fmt: skip
+        found = made[-1]
+        assert isinstance(found, ReconstructionBatch)
+        return y[0], found
+
+    for _ in range(30):
+        hung, found = frame(None)
+    assert found.unchanged.all()
+    assert found.trusted.all()
+    trusted = [frame(hung)[1].trusted.tolist() for _ in range(REFRESH + 10)]
+    assert trusted[:10] == [[True, True]] * 10
+    assert trusted[FRAMES:] == [[False, True]] * (REFRESH + 10 - FRAMES)
+    (line,) = [line for line in lines if "does the board hang?" in line]
+    assert line.startswith("left: all measurements repeat exactly")
+    frame(None)
+    assert lines[-1] == "left: measurements change again"

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pressed import noisy as readings
+from pressed import sliding_disc
+from watched import DESK_SHAPE, Desk, N
 
+from sparseskin.messages import Reconstruction
 from sparseskin.messages.quantised import Quantised
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.faults.frozen import FRAMES, FrozenWatch
@@ -54,3 +59,32 @@ def test_measurements_in_steps_above_the_noise_may_repeat() -> None:
     watch = FrozenWatch(SIGMA)
     for _ in range(100):
         assert not watch.update("phi", coarse)
+
+
+@pytest.mark.parametrize("rows", ["fixed", "rotating"])
+@pytest.mark.parametrize("last_touch", [0, 15, 30])
+def test_its_frames_are_not_trusted_and_one_line_is_logged_before_in_and_after_a_contact(
+    last_touch: int, rows: str
+) -> None:
+    """The board hangs in frame 30 of 60: 15 frames after the contact has ended, in it, without."""
+    desk = Desk(make_phi("sbhe", N, N // 2, seed=0), rows=rows)
+    n_subsets = len(desk.subsets)
+    touched = sliding_disc(DESK_SHAPE, 65, touch_at=0)
+    touched[last_touch:60] = touched[last_touch] if last_touch == 30 else 0
+    frames = readings(touched)
+    frames[30:60] = frames[30]
+    y = np.array([desk.subsets[k % n_subsets].forward(f.reshape(-1)) for k, f in enumerate(frames)])
+
+    hung = [m for m in desk.messages(y[:60]) if isinstance(m, Reconstruction)]
+    assert all(m.trusted for m in hung[10:30])
+    assert not any(m.trusted for m in hung[30 + n_subsets + FRAMES :])
+    assert len([line for line in desk.lines if "does the board hang?" in line]) == 1
+    # Hung noise may look like forces to the solver; a contact is as it was.
+    assert last_touch < 30 or len(desk.lines) == 1
+    assert desk.node.state()["left_out"].startswith("all measurements repeat exactly")
+    assert "all measurements repeat exactly" in desk.node.status()
+
+    again = [m for m in desk.messages(y[60:]) if isinstance(m, Reconstruction)]
+    assert all(m.trusted for m in again)
+    assert desk.lines[-1] == "measurements change again"
+    assert desk.node.state()["left_out"] == ""
