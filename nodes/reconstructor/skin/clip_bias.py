@@ -95,7 +95,8 @@ class ClipBias:
     def add_back(self, forces: Floats) -> None:
         """Convert means above b to forces, in place, float32 of any shape."""
         if self.b:
-            share = forces * np.float32(-1 / self.b)
+            with np.errstate(over="ignore"):  # exp(-inf) is 0
+                share = forces * np.float32(-1 / self.b)
             np.exp(share, share)
             np.subtract(np.float32(1), share, share)
             np.multiply(share, np.float32(self.b), share)

@@ -16,6 +16,11 @@ VISIBLE = 1e4
 """Variance of the noise of a sensor, in that of the resolution. Derived: its steps are of 2^-16 of
 the range or more, 100 times the resolution."""
 
+MOST = 10.0
+"""Largest variance of the noise, in the mean square of the measurements, of which it is a part; far
+beyond what that differs by from frame to frame. Chosen: a single frame of garbage, however large,
+is forgotten with the next one."""
+
 
 class NoiseLevel:
     """Variance of the noise on a measurement, from differences between frames.
@@ -101,13 +106,17 @@ class NoiseLevel:
         """Update the level.
 
         e2 is the mean squared innovation; changed2 and second2 are as `changes` returned them;
-        `jumped` if the scene is known to have jumped. `power` is the mean square of y, whose
-        resolution in float32 bounds the level from below: exactly equal frames would halve it
-        without end, and no later frame would be believed.
+        `jumped` if the scene is known to have jumped. `power` is the mean square of y, which bounds
+        the level from above, and its resolution in float32 from below: exactly equal frames would
+        halve it without end, and no later frame would be believed. Frames of zeros leave both as
+        they are.
         """
-        self.floor = max(self.floor, RESOLUTION**2 * power)
+        if power > 0:
+            self.floor = RESOLUTION**2 * power
         was_hung, self._hangs = self._hangs and power > 0, changed2 == 0 < power
         self._follow(e2, changed2, second2, jumped, was_hung)
+        if power > 0:
+            self.s2 = min(self.s2, MOST * power)
         self.s2 = max(self.s2, self.floor)
 
     def _follow(

@@ -14,7 +14,7 @@ from sparseskin.nodes.reconstructor.bases.haar import haar_matrix
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, TILE
 
 from .clip_bias import DUST
-from .noise_level import RESOLUTION, VISIBLE
+from .noise_level import MOST, RESOLUTION, VISIBLE
 from .tuning import TUNING, SkinTuning
 
 N_SHIFTS = 4093
@@ -118,8 +118,11 @@ class ReferenceSolver:
         x_p, failed = self.predict(phi, y, changed2)
         e = y - phi @ x_p
         e2 = mean_square(e)
-        self.floor = max(self.floor, RESOLUTION**2 * mean_square(read))
+        if read.any():
+            self.floor = RESOLUTION**2 * mean_square(read)
         jumped = self.follow_noise(read, subset, e2, changed2, failed)
+        if read.any():
+            self.s2 = min(self.s2, MOST * mean_square(read))
         self.s2 = max(self.s2, self.floor)
         settling = self.since_jump <= t.settling
         gain, nis, r2 = self.follow_gain(e, phi @ self.correction, subset, settling)

@@ -169,8 +169,9 @@ class SmoothModel:
         used = self._used
         n_used = float(np.dot(used, used))
         scale = float(np.dot(self._known, self._known)) / max(n_used * variance, TINY)
+        scale = max(scale, TINY * max(1.0, float(self._variance.max())))
         solve = self._invert if self._direct else self._descend
-        field = solve(variance, self._variance * np.float32(1 / max(scale, TINY)))
+        field = solve(variance, self._variance * np.float32(1 / scale))
         x = np.maximum(self._start + field, 0)
         self.rounds_left -= 1
         if self.rounds_left:

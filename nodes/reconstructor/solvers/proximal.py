@@ -40,6 +40,9 @@ class ImageSolver(Solver):
         If a parameter is not allowed; and as in `Solver`.
     """
 
+    #: The sum of squares of larger ones could overflow float32.
+    y_max = 1e14
+
     def __init__(
         self, phi: Phi, basis: Basis, mask: Mask | None = None, *, iterations: int
     ) -> None:
