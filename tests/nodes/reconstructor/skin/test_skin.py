@@ -97,6 +97,21 @@ def test_tiny_skins_work(shape: tuple[int, int], m: int) -> None:
         assert np.isfinite(estimate).all()
 
 
+@pytest.mark.parametrize("shape", [(1, 16), (4, 4), (2, 128)])
+@pytest.mark.parametrize("seed", range(4))
+def test_fixed_rows_hold_the_total_of_a_press(shape: tuple[int, int], seed: int) -> None:
+    """By random rows of blocks of 32, 0.1 to 1 of it."""
+    n = shape[0] * shape[1]
+    phi = make_phi("sbhe", n, n // 3, seed)
+    rows, cols = np.indices(shape)
+    distance2 = (rows - shape[0] / 2) ** 2 + (cols - shape[1] / 2) ** 2
+    truth = np.exp(-distance2 / 6).astype(np.float32)
+    solver = make_solver("skin", phi, make_basis("haar", *shape))
+    for _ in range(30):
+        found = solver.solve(phi.forward(truth.reshape(-1)))
+    assert found.sum() == pytest.approx(truth.sum(), rel=0.01)
+
+
 def test_the_range_of_the_skin_does_not_matter() -> None:
     """Measurements times a power of two give the estimate times it, to the last bit."""
     phi = make_phi("sbhe", 784, 261, seed=0)
