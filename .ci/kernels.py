@@ -21,11 +21,11 @@ TESTS = (
     "tests/nodes/reconstructor/solvers",
 )
 IGNORED = (
-    *("*/test_fast_*.py", "*/test_reference.py"),
+    *("*/test_fast_operators.py", "*/test_reference.py"),
     *("*/phi/test_a*.py", "*/phi/test_quadtree.py", "*/phi/test_rotation.py"),
     *("*/phi/test_stored.py", "*/phi/test_wired.py", "*/skin/test_adaptive_skin.py"),
 )
-"""Tests of compiled loops and of the choice of rows, which call no BLAS, and of the reference,
+"""Tests of compiled operators and of the choice of rows, which call no BLAS, and of the reference,
 which rounds otherwise than the solver under every kernel.
 """
 
