@@ -102,7 +102,8 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
         Measurements of one frame or of k frames in order, newtons.
     solver : Solver
         It starts from what its last frame left; `solver.reset()` makes it start anew. If it was
-        made with rows="rotating", the first frame is one of the first row subset.
+        made with rows="rotating", the first of k frames is one of the first row subset; before a
+        single frame, `solver.use` states that of the frame.
 
     Returns
     -------
@@ -112,7 +113,8 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     Raises
     ------
     SolverError
-        If the measurements have another shape, or are not finite.
+        If the measurements have another shape, are not finite, or are a single frame of rotating
+        rows whose row subset is not stated.
 
     Examples
     --------
@@ -132,7 +134,8 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     y = np.asarray(measurements, dtype=np.float32)
     if y.ndim not in (1, 2):
         raise SolverError(f"measurements have shape {y.shape}; expected (m,) or (k, m)")
-    subsets = getattr(solver, "subsets", ())
+    # A single frame may be any of a stream.
+    subsets = getattr(solver, "subsets", ()) if y.ndim == 2 else ()
     made: list[Floats] = []
     for k, measured in enumerate(np.atleast_2d(y)):
         if subsets:

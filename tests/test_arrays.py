@@ -121,6 +121,20 @@ def test_arrays_give_the_bits_of_the_nodes_with_rows_that_rotate(solver: str) ->
     np.testing.assert_array_equal(sparseskin.reconstruct(y, made), forces)
 
 
+def test_a_single_frame_of_rotating_rows_is_refused_unless_its_row_subset_is_stated() -> None:
+    phi, basis = sparseskin.make_phi("sbhe", 64, 22, 0), sparseskin.make_basis("haar", 8, 8)
+    y = sparseskin.compress(np.ones((4, 8, 8), np.float32), phi, rows="rotating")
+    solver = sparseskin.make_solver("skin", phi, basis, rows="rotating")
+    with pytest.raises(SolverError, match=r"call solver\.use\(solver\.subsets\[k % "):
+        sparseskin.reconstruct(y[1], solver)
+    found = []
+    for k, one in enumerate(y):
+        solver.use(solver.subsets[k % len(solver.subsets)])
+        found.append(sparseskin.reconstruct(one, solver))
+    solver.reset()
+    np.testing.assert_array_equal(found, sparseskin.reconstruct(y, solver))
+
+
 def test_rows_that_cannot_rotate_are_refused_on_arrays() -> None:
     phi, basis = sparseskin.make_phi("gaussian", 64, 22, 0), sparseskin.make_basis("haar", 8, 8)
     with pytest.raises(PhiError, match='"rotating" is not allowed for phi "gaussian"'):
