@@ -72,6 +72,7 @@ class Chain:
         self.drift = Drift(d.shape, d.f_max, d.noise or 0.0, drift_rate)
         self._dead: Mask | None = None if self.skin.mask is None else ~self.skin.mask
         self.clipped = Clipped()
+        self._last: Doubles | None = None
         self._taring: list[npt.NDArray[Any]] = []
         self._n_tare = 0
 
@@ -92,8 +93,13 @@ class Chain:
         """
         d = self.description
         found = self.unclipped(raw)
+        # On a skin with noise, a frame that repeats the last one is of a board that hangs: what is
+        # followed meanwhile would be no drift, and its frames would differ.
+        hangs = self._last is not None and np.array_equal(found, self._last)
+        self._last = found.copy() if d.noise else None
         found -= self.drift.value
-        self.drift.update(found, stamp_ns)
+        if not hangs:
+            self.drift.update(found, stamp_ns)
         self.clipped.add(found, d.f_min - self.drift.threshold, d.f_max)
         return np.clip(found, d.f_min, d.f_max, out=found).astype(np.float32)
 

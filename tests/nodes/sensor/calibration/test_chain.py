@@ -242,6 +242,21 @@ def test_noise_alone_moves_the_baseline_by_a_twentieth_of_it() -> None:
     assert found < 1.6 * np.sqrt(0.05 / 20) * 0.0141
 
 
+@pytest.mark.parametrize("touched", [0.0, 1.0])
+def test_frames_of_a_board_that_hangs_repeat_exactly_and_show_no_drift(touched: float) -> None:
+    rng, chain = np.random.default_rng(0), Chain(skin(noise=0.0141))
+    for k in range(300):
+        raw = rng.normal(0.01, 0.0141, SHAPE)
+        raw[0, 0] += touched
+        chain.apply(raw, k * 10_000_000)
+    followed = chain.drift.value.copy()
+    assert followed.any()
+    hung = [chain.apply(raw.copy(), (300 + k) * 10_000_000) for k in range(500)]
+    np.testing.assert_array_equal(chain.drift.value, followed)
+    # The drift that is subtracted is that before each frame.
+    assert all(np.array_equal(one, hung[0]) for one in hung)
+
+
 def test_a_tare_forgets_the_drift() -> None:
     chain = Chain(skin())
     run(chain, -0.02, 60)
