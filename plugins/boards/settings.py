@@ -235,13 +235,21 @@ def read_settings(kind: str, values: Mapping[str, str]) -> BoardSettings:
     own = dict(values)
     profile = own.pop("profile", None)
     stated = {} if profile is None else read_profile(profile)
-    keys = [field.name for field in dataclasses.fields(cls)]
+    keys = {field.name for field in dataclasses.fields(cls)}
+    of_profile = {key: value for key, value in stated.items() if key in keys}
+    return cls.from_mapping(of_profile | typed(cls, own, "profile"))
+
+
+def typed(cls: type[Settings], values: Mapping[str, str], *more: str) -> dict[str, Any]:
+    """Texts of a query as the types of the settings of a class. Raises SourceError if a key is none
+    of them (`more`: others to propose), or a text cannot be of its type.
+    """
     hints = typing.get_type_hints(cls)
-    for key, text in own.items():
+    keys = [field.name for field in dataclasses.fields(cls)]
+    for key in values:
         if key not in keys:
-            raise SourceError(f"{key}: unknown key{did_you_mean(key, [*keys, 'profile'])}")
-        stated[key] = _value(key, text, hints[key])
-    return cls.from_mapping({key: value for key, value in stated.items() if key in keys})
+            raise SourceError(f"{key}: unknown key{did_you_mean(key, [*keys, *more])}")
+    return {key: _value(key, text, hints[key]) for key, text in values.items()}
 
 
 def read_profile(name: str) -> dict[str, Any]:

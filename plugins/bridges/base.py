@@ -68,15 +68,17 @@ class BridgeSettings(Settings):
 S = TypeVar("S", bound=BridgeSettings)
 
 
-def check_installed(module: str, package: str, extra: str, what: str) -> None:
-    """Raise SettingsError if a module that a bridge needs is not installed."""
-    if find_spec(module) is None:
-        raise SettingsError(f'{what} needs {package}; pip install "sparseskin[{extra}]"')
+PACKAGES = {"foxglove": {"foxglove": "foxglove-sdk"}, "ros2": {"cyclonedds": "", "rosbags": ""}}
+"""Modules that the bridges of an extra need, and their packages where these have other names."""
 
 
-def stamp_of(stamp_ns: int) -> tuple[int, int]:
-    """Seconds and nanoseconds of a stamp."""
-    return divmod(stamp_ns, 1_000_000_000)
+def check_installed(extra: str, what: str) -> None:
+    """Raise SettingsError if a module that the bridges of an extra need is not installed."""
+    for module, package in PACKAGES[extra].items():
+        if find_spec(module) is None:
+            raise SettingsError(
+                f'{what} needs {package or module}; pip install "sparseskin[{extra}]"'
+            )
 
 
 @lru_cache(maxsize=64)

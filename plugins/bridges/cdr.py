@@ -1,15 +1,11 @@
-"""Messages of ROS 2 in CDR, the form in which DDS sends them: written and read without a loop in
-Python over their bytes.
-
-Source: OMG DDS-XTypes 1.3, section 7.4 (plain CDR, little endian); definitions of the messages:
-common_interfaces of ROS 2.
+"""Messages of ROS 2 in CDR, the form in which DDS and bags hold them: definitions and bytes by
+rosbags, which needs no ROS.
 """
 
 from __future__ import annotations
 
-import struct
-from functools import lru_cache
-from typing import NamedTuple
+import functools
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,11 +13,9 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
 
-HEAD = b"\x00\x01\x00\x00"
-"""Encapsulation header: plain CDR, little endian."""
-MAX_STRING = 1 << 16
+IMAGE, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
+ARRAY = "std_msgs/msg/Float32MultiArray"
 MAX_SIDE = 4096
-MAX_DIMENSIONS = 8
 UINT32, FLOAT32 = 6, 7
 """Numbers of the types of a field in sensor_msgs/PointField."""
 FORMATS = {
@@ -37,89 +31,73 @@ FORMATS = {
 """Encodings of sensor_msgs/Image that hold one number a pixel, and the dtype of each."""
 
 
-class _Body:
-    """Bytes of a message behind its encapsulation header, aligned as CDR asks for."""
+@functools.cache
+def types() -> Any:
+    """Messages of ROS 2 Humble, a `Typestore` of rosbags. Raises ImportError without rosbags."""
+    from rosbags.typesys import Stores, get_typestore
 
-    def __init__(self) -> None:
-        self.data = bytearray()
-
-    def put(self, form: str, *values: object) -> None:
-        size = struct.calcsize(form[-1])
-        self.data += bytes(-len(self.data) % size)
-        self.data += struct.pack(f"<{form}", *values)
-
-    def text(self, value: str) -> None:
-        raw = value.encode() + b"\0"
-        self.put("I", len(raw))
-        self.data += raw
+    return get_typestore(Stores.ROS2_HUMBLE)
 
 
-@lru_cache(maxsize=64)
-def _image_middle(frame_id: str, n_rows: int, n_cols: int) -> bytes:
-    body = _Body()
-    body.put("iI", 0, 0)
-    body.text(frame_id)
-    body.put("II", n_rows, n_cols)
-    body.text("32FC1")
-    body.put("B", 0)
-    body.put("I", 4 * n_cols)
-    body.put("I", 4 * n_rows * n_cols)
-    return bytes(body.data[8:])
+def encoded(kind: str, **fields: object) -> bytes:
+    """CDR, little endian, of a message such as "std_msgs/msg/Bool" with the stated fields."""
+    store = types()
+    return bytes(store.serialize_cdr(store.types[kind](**fields), kind))
+
+
+def _header(stamp: tuple[int, int], frame_id: str) -> Any:
+    made = types().types
+    time = made["builtin_interfaces/msg/Time"](*stamp)
+    return made["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
+
+
+def _bytes_of(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    return np.ascontiguousarray(values, "<f4").reshape(-1).view(np.uint8)
 
 
 def image(stamp: tuple[int, int], frame_id: str, forces: Floats) -> bytes:
     """A sensor_msgs/Image in 32FC1 of forces (n_rows, n_cols), with its stamp in s and ns."""
-    middle = _image_middle(frame_id, *forces.shape)
-    data = np.ascontiguousarray(forces, "<f4").tobytes()
-    return b"".join((HEAD, struct.pack("<iI", *stamp), middle, data))
-
-
-@lru_cache(maxsize=64)
-def _cloud_middle(frame_id: str, n_points: int, has_rows: bool) -> bytes:
-    body = _Body()
-    body.put("iI", 0, 0)
-    body.text(frame_id)
-    body.put("II", 1, n_points)
-    fields = [(name, FLOAT32) for name in ("x", "y", "z", "force")]
-    fields += [("row", UINT32)] * has_rows
-    body.put("I", len(fields))
-    for k, (name, kind) in enumerate(fields):
-        body.text(name)
-        body.put("I", 4 * k)
-        body.put("B", kind)
-        body.put("I", 1)
-    step = 4 * len(fields)
-    body.put("B", 0)
-    body.put("II", step, step * n_points)
-    body.put("I", step * n_points)
-    return bytes(body.data[8:])
+    return encoded(
+        IMAGE,
+        header=_header(stamp, frame_id),
+        height=forces.shape[0],
+        width=forces.shape[1],
+        encoding="32FC1",
+        is_bigendian=0,
+        step=4 * forces.shape[1],
+        data=_bytes_of(forces),
+    )
 
 
 def cloud(stamp: tuple[int, int], frame_id: str, points: npt.NDArray[np.float32]) -> bytes:
     """A sensor_msgs/PointCloud2 of points (n, 4): x, y, z in metres, and the force; or (n, 5), the
     last being the bits of uint32, the row of a file of points.
     """
-    middle = _cloud_middle(frame_id, len(points), points.shape[1] == 5)
-    data = np.ascontiguousarray(points, "<f4").tobytes()
-    return b"".join((HEAD, struct.pack("<iI", *stamp), middle, data, b"\x01"))
-
-
-@lru_cache(maxsize=64)
-def _array_begin(n_rows: int, n_cols: int) -> bytes:
-    body = _Body()
-    body.put("I", 2)
-    for label, size, stride in (("rows", n_rows, n_rows * n_cols), ("cols", n_cols, n_cols)):
-        body.text(label)
-        body.put("II", size, stride)
-    body.put("I", 0)
-    body.put("I", n_rows * n_cols)
-    return bytes(body.data)
+    field = types().types["sensor_msgs/msg/PointField"]
+    n, n_fields = points.shape
+    kinds = {"x": FLOAT32, "y": FLOAT32, "z": FLOAT32, "force": FLOAT32, "row": UINT32}
+    named = list(kinds.items())[:n_fields]
+    return encoded(
+        CLOUD,
+        header=_header(stamp, frame_id),
+        height=1,
+        width=n,
+        fields=[field(name, 4 * k, kind, 1) for k, (name, kind) in enumerate(named)],
+        is_bigendian=False,
+        point_step=4 * n_fields,
+        row_step=4 * n_fields * n,
+        data=_bytes_of(points),
+        is_dense=True,
+    )
 
 
 def array(forces: Floats) -> bytes:
     """A std_msgs/Float32MultiArray of forces (n_rows, n_cols), row after row."""
-    data = np.ascontiguousarray(forces, "<f4").tobytes()
-    return b"".join((HEAD, _array_begin(*forces.shape), data))
+    made, (n_rows, n_cols) = types().types, forces.shape
+    dimension = made["std_msgs/msg/MultiArrayDimension"]
+    sides = [dimension("rows", n_rows, n_rows * n_cols), dimension("cols", n_cols, n_cols)]
+    layout = made["std_msgs/msg/MultiArrayLayout"](dim=sides, data_offset=0)
+    return encoded(ARRAY, layout=layout, data=np.ascontiguousarray(forces, "<f4").reshape(-1))
 
 
 class Received(NamedTuple):
@@ -131,38 +109,13 @@ class Received(NamedTuple):
     values: npt.NDArray[np.generic]
 
 
-class _Reader:
-    """Reads CDR of either byte order; SourceError where it is cut or states what is not there."""
+def _decoded(data: bytes, kind: str) -> Any:
+    from rosbags.serde import SerdeError
 
-    def __init__(self, data: bytes) -> None:
-        if len(data) < 4 or data[0] or data[1] > 1:
-            raise SourceError("not plain CDR")
-        self.order = "<" if data[1] else ">"
-        self._data = data
-        self._at = 4
-
-    def take(self, form: str) -> tuple[int, ...]:
-        self._at += -(self._at - 4) % struct.calcsize(form[-1])
-        size = struct.calcsize(f"={form}")
-        if self._at + size > len(self._data):
-            raise SourceError("is cut off")
-        found = struct.unpack_from(self.order + form, self._data, self._at)
-        self._at += size
-        return found
-
-    def text(self) -> str:
-        (size,) = self.take("I")
-        if size > MAX_STRING:
-            raise SourceError(f"a text of {size} bytes; at most {MAX_STRING}")
-        raw = self.raw(size)
-        return raw.rstrip(b"\0").decode(errors="replace")
-
-    def raw(self, size: int) -> bytes:
-        if self._at + size > len(self._data):
-            raise SourceError("is cut off")
-        found = self._data[self._at : self._at + size]
-        self._at += size
-        return found
+    try:
+        return types().deserialize_cdr(data, kind)
+    except (SerdeError, ValueError) as error:  # of texts that are no UTF-8, too
+        raise SourceError(f"no {kind}: {' '.join(str(error).split())[:200]}") from error
 
 
 def _check_grid(n_rows: int, n_cols: int) -> None:
@@ -174,22 +127,17 @@ def read_image(data: bytes) -> Received:
     """Read a sensor_msgs/Image of one number a pixel.
     Raises SourceError if it is none, or states sizes that do not fit together.
     """
-    body = _Reader(data)
-    seconds, nanoseconds = body.take("iI")
-    body.text()
-    n_rows, n_cols = body.take("II")
-    encoding = body.text()
-    (is_big,) = body.take("B")
-    step, size = body.take("II")
+    found = _decoded(data, IMAGE)
+    n_rows, n_cols, encoding = found.height, found.width, found.encoding
     _check_grid(n_rows, n_cols)
     if encoding not in FORMATS:
         raise SourceError(f"encoding {encoding[:32]!r}; allowed are {', '.join(FORMATS)}")
-    dtype = np.dtype((">" if is_big else "<") + FORMATS[encoding])
-    if step < n_cols * dtype.itemsize or size != step * n_rows:
-        raise SourceError(f"step {step} and {size} bytes for {n_rows} x {n_cols} of {encoding}")
-    lines = np.frombuffer(body.raw(size), np.uint8).reshape(n_rows, step)
-    values = np.ascontiguousarray(lines[:, : n_cols * dtype.itemsize]).view(dtype)
-    stamp_ns = seconds * 1_000_000_000 + nanoseconds
+    dtype = np.dtype((">" if found.is_bigendian else "<") + FORMATS[encoding])
+    used, size = n_cols * dtype.itemsize, len(found.data)
+    if found.step < used or size != found.step * n_rows:
+        raise SourceError(f"step {found.step}, {size} bytes for {n_rows} x {n_cols} of {encoding}")
+    values = np.ascontiguousarray(found.data.reshape(n_rows, -1)[:, :used]).view(dtype)
+    stamp_ns = found.header.stamp.sec * 1_000_000_000 + found.header.stamp.nanosec
     return Received(stamp_ns or None, values)
 
 
@@ -197,21 +145,14 @@ def read_array(data: bytes) -> Received:
     """Read a std_msgs/Float32MultiArray of two dimensions.
     Raises SourceError if it is none, or states sizes that do not fit together.
     """
-    body = _Reader(data)
-    (n_dimensions,) = body.take("I")
-    if n_dimensions > MAX_DIMENSIONS:
-        raise SourceError(f"{n_dimensions} dimensions; expected 2: rows, columns")
-    shape = []
-    for _ in range(n_dimensions):
-        body.text()
-        shape.append(body.take("II")[0])
-    (offset,) = body.take("I")
-    (size,) = body.take("I")
+    found = _decoded(data, ARRAY)
+    shape = [dimension.size for dimension in found.layout.dim]
     if len(shape) != 2:
         raise SourceError(f"{len(shape)} dimensions; expected 2: rows, columns")
-    n_rows, n_cols = shape
-    _check_grid(n_rows, n_cols)
-    if offset + n_rows * n_cols > size:
-        raise SourceError(f"{size} numbers, from {offset} on, for {n_rows} x {n_cols}")
-    values = np.frombuffer(body.raw(4 * size), f"{body.order}f4")
-    return Received(None, values[offset : offset + n_rows * n_cols].reshape(n_rows, n_cols))
+    _check_grid(*shape)
+    offset, n = found.layout.data_offset, shape[0] * shape[1]
+    if offset + n > len(found.data):
+        raise SourceError(
+            f"{len(found.data)} numbers, from {offset} on, for {shape[0]} x {shape[1]}"
+        )
+    return Received(None, found.data[offset : offset + n].reshape(shape))

@@ -1,11 +1,13 @@
 """Topics of ROS 2 on DDS by cyclonedds, with messages whose CDR is ready made.
 
-`cyclonedds` writes and reads sequences byte by byte in Python: 1 ms for 16 kB. These types state
+`cyclonedds` writes and reads sequences byte by byte in Python: 1 ms for 16 kB. Its types here state
 the members of a message to DDS, as it asks for, and carry its bytes as they are.
 """
 
-# mypy: disable-error-code="type-arg"
+from __future__ import annotations
 
+import functools
+import types
 from dataclasses import dataclass
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -13,11 +15,14 @@ from xml.sax.saxutils import quoteattr
 from cyclonedds.core import DDSException
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import float32, int32, sequence, uint8, uint32
+from cyclonedds.idl import types as idl
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.util import duration
+from rosbags.interfaces import Nodetype
 
 from sparseskin.nodes.errors import SettingsError, SparseskinError
+
+from . import cdr
 
 TOPIC_PREFIX = "rt"
 """Begins the DDS name of a ROS topic: /skin/taxels is rt/skin/taxels."""
@@ -27,84 +32,42 @@ WHC_HIGH = "16 MB"
 """Unacknowledged bytes of a writer beyond which a write waits: far more than any history here."""
 
 
-def ready(cls: type[Any], cdr: bytes) -> Any:
-    """A message of a type below of ready made CDR, its encapsulation header included."""
-    made = object.__new__(cls)
-    made.cdr = cdr
+@functools.cache
+def message_type(kind: str) -> type[Any]:
+    """Type of a message such as "sensor_msgs/msg/Image", by its definition of ROS 2; the bytes of
+    `ready` messages are written as they are, and received ones kept so.
+    """
+    made = _type_of(kind)
+    made.serialize = lambda self, *_, **__: self.cdr
+    made.deserialize = classmethod(lambda cls, data, *_, **__: ready(cls, bytes(data)))
     return made
 
 
-def _as_it_is(cls: type[Any]) -> type[Any]:
-    """Serialise the messages of a type by the bytes they were given, and deserialise into them."""
-    cls.serialize = lambda self, *_, **__: self.cdr
-    cls.deserialize = classmethod(lambda cls, data, *_, **__: ready(cls, bytes(data)))
-    return cls
+def ready(cls: type[Any], data: bytes) -> Any:
+    """A message of a `message_type` of ready made CDR, its encapsulation header included."""
+    made = object.__new__(cls)
+    made.cdr = data
+    return made
 
 
-@dataclass
-class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
-    sec: int32
-    nanosec: uint32
+@functools.cache
+def _type_of(kind: str) -> type[Any]:
+    """Type of cyclonedds with the members of a message, by which DDS joins readers and writers."""
+    package, _, name = kind.split("/")
+    members = {member: _member(form) for member, form in cdr.types().fielddefs[kind][1]}
+    form = {"typename": f"{package}::msg::dds_::{name}_"}
+    body = {"__annotations__": members, "__module__": __name__}
+    return dataclass(types.new_class(name, (IdlStruct,), form, lambda made: made.update(body)))
 
 
-@dataclass
-class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
-    stamp: Time
-    frame_id: str
-
-
-@_as_it_is
-@dataclass
-class Image(IdlStruct, typename="sensor_msgs::msg::dds_::Image_"):
-    header: Header
-    height: uint32
-    width: uint32
-    encoding: str
-    is_bigendian: uint8
-    step: uint32
-    data: sequence[uint8]
-
-
-@dataclass
-class PointField(IdlStruct, typename="sensor_msgs::msg::dds_::PointField_"):
-    name: str
-    offset: uint32
-    datatype: uint8
-    count: uint32
-
-
-@_as_it_is
-@dataclass
-class PointCloud2(IdlStruct, typename="sensor_msgs::msg::dds_::PointCloud2_"):
-    header: Header
-    height: uint32
-    width: uint32
-    fields: sequence[PointField]
-    is_bigendian: bool
-    point_step: uint32
-    row_step: uint32
-    data: sequence[uint8]
-    is_dense: bool
-
-
-@dataclass
-class MultiArrayDimension(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayDimension_"):
-    label: str
-    size: uint32
-    stride: uint32
-
-
-@dataclass
-class MultiArrayLayout(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayLayout_"):
-    dim: sequence[MultiArrayDimension]
-    data_offset: uint32
-
-
-@_as_it_is
-@dataclass
-class Float32MultiArray(IdlStruct, typename="std_msgs::msg::dds_::Float32MultiArray_"):
-    layout: MultiArrayLayout
-    data: sequence[float32]
+def _member(form: Any) -> Any:
+    """Type of cyclonedds of a member, by its form in a definition of rosbags."""
+    node, of = form
+    if node == Nodetype.SEQUENCE:
+        return idl.sequence[_member(of[0])]
+    if node == Nodetype.NAME:
+        return _type_of(of)
+    return {"string": str, "bool": bool}.get(of[0]) or getattr(idl, of[0])
 
 
 _domains: dict[int, tuple[str, Domain]] = {}

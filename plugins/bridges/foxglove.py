@@ -37,7 +37,7 @@ class FoxgloveSettings(BridgeSettings):
     )
 
     def check(self) -> None:
-        check_installed("foxglove", "foxglove-sdk", "foxglove", "type foxglove")
+        check_installed("foxglove", "type foxglove")
 
 
 class FoxgloveBridge(Bridge[FoxgloveSettings]):

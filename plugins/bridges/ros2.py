@@ -16,9 +16,10 @@ from sparseskin.nodes.node import Context
 from sparseskin.nodes.settings import setting
 
 from . import cdr
-from .base import Bridge, BridgeSettings, Map, check_installed, stamp_of
+from .base import Bridge, BridgeSettings, Map, check_installed
 
-KINDS = ("image", "points", "array")
+KINDS = {"image": ("", cdr.IMAGE), "points": ("/points", cdr.CLOUD), "array": ("/array", cdr.ARRAY)}
+"""Ending of the topic of each kind of message, and its type."""
 UNKNOWN_PITCH_M = 1.0
 """Distance of points where the pitch of the skin is not known: places then count taxels."""
 
@@ -28,7 +29,7 @@ class Ros2Settings(BridgeSettings):
     """Settings of the bridge `ros2`."""
 
     messages: tuple[str, ...] = setting(
-        KINDS,
+        tuple(KINDS),
         "image: sensor_msgs/Image on /PATCH/MAP; points: sensor_msgs/PointCloud2 on "
         "/PATCH/MAP/points; array: std_msgs/Float32MultiArray on /PATCH/MAP/array",
     )
@@ -48,7 +49,7 @@ class Ros2Settings(BridgeSettings):
                 )
 
     def check(self) -> None:
-        check_installed("cyclonedds", "cyclonedds", "ros2", "type ros2")
+        check_installed("ros2", "type ros2")
 
 
 class Ros2Bridge(Bridge[Ros2Settings]):
@@ -76,18 +77,13 @@ class Ros2Bridge(Bridge[Ros2Settings]):
         from cyclonedds.topic import Topic
 
         dds, settings = self._dds, self.settings
-        types = {
-            "image": ("", dds.Image),
-            "points": ("/points", dds.PointCloud2),
-            "array": ("/array", dds.Float32MultiArray),
-        }
         quality = dds.quality(settings.history, settings.reliable)
         for patch in settings.patches:
             for schema in settings.maps:
                 for kind in settings.messages:
-                    ending, cls = types[kind]
+                    ending, of = KINDS[kind]
                     name = dds.dds_name(topic_of(patch, schema) + ending)
-                    topic = Topic(self._participant, name, cls)
+                    topic = Topic(self._participant, name, dds.message_type(of))
                     self._writers[f"{kind} {topic_of(patch, schema)}"] = DataWriter(
                         self._participant, topic, qos=quality
                     )
@@ -101,7 +97,7 @@ class Ros2Bridge(Bridge[Ros2Settings]):
     def send(self, message: Map, skin: SkinState) -> None:
         from cyclonedds.core import DDSException
 
-        stamp = stamp_of(message.stamp_ns)
+        stamp = divmod(message.stamp_ns, 1_000_000_000)
         for kind in self.settings.messages:
             writer = self._writers[f"{kind} {message.topic}"]
             if not writer.get_matched_subscriptions():

@@ -7,66 +7,46 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
-from urllib.parse import parse_qsl
 
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.errors import SettingsError, SourceError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.sensor.driver import DriverSource
 from sparseskin.nodes.sensor.source import Address
+from sparseskin.nodes.settings import Settings, setting
+from sparseskin.plugins.boards.settings import split_source, typed
 
 from . import cdr
 from .base import check_installed
 
-SCHEME = "ros2:"
 WAIT_S = 0.1
 HISTORY = 1000
 """Samples that wait for a sensor that is behind: one second at 1 kHz."""
 BATCH = 256
-TYPES = {
-    "sensor_msgs::msg::dds_::Image_": "Image",
-    "std_msgs::msg::dds_::Float32MultiArray_": "Float32MultiArray",
-}
+READERS = {cdr.IMAGE: cdr.read_image, cdr.ARRAY: cdr.read_array}
+"""Types of messages that are frames, and what reads them."""
 
 
 @dataclass(frozen=True)
-class Ros2Topic:
-    """A topic of ROS 2 and how it is reached; `timeout_s` is the longest wait for a message."""
+class Ros2Query(Settings):
+    """How a topic is reached: the keys of a source."""
 
-    topic: str
-    domain: int = 0
-    interface: str = "lo"
-    timeout_s: float = 10.0
+    domain: int = setting(0, "DDS domain, ROS_DOMAIN_ID of the publisher", low=0, high=232)
+    interface: str = setting("lo", "network interface, as of the bridge")
+    timeout_s: float = setting(10.0, "longest wait for a message, seconds", low=0, high=86400)
 
 
-def parse(source: str) -> Ros2Topic:
-    """Read the text of a source.
-    Raises SourceError if it is not ros2:/TOPIC?KEY=VALUE&..., or cyclonedds is not installed.
-    """
-    topic, _, query = source.removeprefix(SCHEME).partition("?")
+def parse(source: str) -> tuple[str, Ros2Query]:
+    """Topic and query of a source. Raises SourceError if it is not ros2:/TOPIC?KEY=VALUE&..."""
+    _, topic, query = split_source(source)
     if not topic.startswith("/") or len(topic) < 2:
         raise SourceError(f"{source}: a topic of ROS 2 begins with /, as ros2:/tactile/image")
-    known = ("domain", "interface", "timeout_s")
-    values: dict[str, Any] = {}
-    for key, text in parse_qsl(query, keep_blank_values=True):
-        if key not in known:
-            raise SourceError(f"{source}: {key}: unknown key{did_you_mean(key, known)}")
-        values[key] = text
     try:
-        if "domain" in values:
-            values["domain"] = int(values["domain"])
-        if "timeout_s" in values:
-            values["timeout_s"] = float(values["timeout_s"])
-    except ValueError:
-        raise SourceError(f"{source}: domain and timeout_s are numbers") from None
-    found = Ros2Topic(topic, **values)
-    if not 0 <= found.domain <= 232:
-        raise SourceError(f"{source}: domain: {found.domain} is outside 0..232")
-    if not 0 < found.timeout_s <= 86400:
-        raise SourceError(f"{source}: timeout_s: {found.timeout_s:g} is outside 0..86400")
-    return found
+        return topic, Ros2Query(**typed(Ros2Query, query))
+    except SparseskinError as error:
+        raise SourceError(f"{source}: {error}") from error
 
 
 class Ros2Address(Address):
@@ -77,8 +57,8 @@ class Ros2Address(Address):
     def check(self) -> None:
         parse(self.source)
         try:
-            check_installed("cyclonedds", "cyclonedds", "ros2", f"source {self.source}")
-        except Exception as error:
+            check_installed("ros2", f"source {self.source}")
+        except SettingsError as error:
             raise SourceError(str(error)) from error
 
     def open(self) -> DriverSource:
@@ -103,12 +83,11 @@ def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
 
     from . import dds
 
-    address = parse(source)
-    member = dds.participant(address.domain, address.interface)
-    type_name, reliable = _publication(member, address)
-    cls = getattr(dds, TYPES[type_name])
-    read = cdr.read_image if cls is dds.Image else cdr.read_array
-    topic = Topic(member, dds.dds_name(address.topic), cls)
+    name, query = parse(source)
+    member = dds.participant(query.domain, query.interface)
+    kind, reliable = _publication(member, name, query)
+    read = READERS[kind]
+    topic = Topic(member, dds.dds_name(name), dds.message_type(kind))
     reader = DataReader(member, topic, qos=dds.quality(HISTORY, reliable))
     waiting = WaitSet(member)
     anything = SampleState.Any | ViewState.Any | InstanceState.Any
@@ -120,8 +99,8 @@ def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
         waiting.wait(duration(seconds=WAIT_S))
         samples = reader.take(N=BATCH)
         counted.lost(reader)
-        if not samples and time.monotonic() - heard_s > address.timeout_s:
-            raise SourceError(f"{source}: nothing came for {address.timeout_s:g} s")
+        if not samples and time.monotonic() - heard_s > query.timeout_s:
+            raise SourceError(f"{source}: nothing came for {query.timeout_s:g} s")
         for sample in samples:
             data = getattr(sample, "cdr", None)
             if data is None:  # a note that its writer is gone
@@ -140,35 +119,37 @@ def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
             yield time.monotonic_ns(), received.values
 
 
-def _publication(member: Any, address: Ros2Topic) -> tuple[str, bool]:
-    """Type of what is published on a topic, and True if it is sent reliably."""
+def _publication(member: Any, topic: str, query: Ros2Query) -> tuple[str, bool]:
+    """Type of the messages on a topic, of `READERS`, and True if they are sent reliably."""
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
     from cyclonedds.qos import Policy
 
-    wanted = "rt" + address.topic
+    from . import dds
+
+    types = {dds.message_type(kind).__idl_typename__: kind for kind in READERS}
+    wanted = dds.dds_name(topic)
     seen: set[str] = set()
     reader = BuiltinDataReader(member, BuiltinTopicDcpsPublication)
-    deadline_s = time.monotonic() + address.timeout_s
+    deadline_s = time.monotonic() + query.timeout_s
     while time.monotonic() < deadline_s:
         for found in reader.take(N=BATCH):
             name, type_name = getattr(found, "topic_name", None), getattr(found, "type_name", "")
             if name is None:
                 continue
             seen.add(name)
-            if name == wanted and type_name in TYPES:
+            if name == wanted and type_name in types:
                 best_effort = Policy.Reliability.BestEffort in found.qos
-                return type_name, not best_effort
+                return types[type_name], not best_effort
             if name == wanted:
                 raise SourceError(
-                    f"{SCHEME}{address.topic}: is of type {type_name[:80]}; allowed are "
-                    f"{', '.join(TYPES.values())}"
+                    f"ros2:{topic}: is of type {type_name[:80]}; allowed are {', '.join(READERS)}"
                 )
         time.sleep(0.01)
     topics = sorted(name.removeprefix("rt") for name in seen if name.startswith("rt/"))[:20]
-    hint = did_you_mean(address.topic, topics) if topics else ""
+    hint = did_you_mean(topic, topics) if topics else ""
     raise SourceError(
-        f"{SCHEME}{address.topic}: nobody publishes there on DDS domain {address.domain} "
-        f"({address.interface or 'any interface'}){hint}"
+        f"ros2:{topic}: nobody publishes there on DDS domain {query.domain} "
+        f"({query.interface or 'any interface'}){hint}"
     )
 
 

@@ -50,16 +50,16 @@ def ros2(address: str) -> Iterator[int]:
     from cyclonedds.util import duration
 
     from sparseskin.plugins.bridges import dds
+    from sparseskin.plugins.bridges.ros2 import KINDS
 
     member = dds.participant(int(address), "lo")
-    types: dict[str, Any] = {
-        "": dds.Image,
-        "/points": dds.PointCloud2,
-        "/array": dds.Float32MultiArray,
-    }
     readers: list[Any] = [
-        DataReader(member, Topic(member, f"rt{MAP}{ending}", cls), qos=dds.quality(HISTORY))
-        for ending, cls in types.items()
+        DataReader(
+            member,
+            Topic(member, f"rt{MAP}{ending}", dds.message_type(kind)),
+            qos=dds.quality(HISTORY),
+        )
+        for ending, kind in KINDS.values()
     ]
     while True:
         for image in readers[0].take_iter(timeout=duration(milliseconds=100)):

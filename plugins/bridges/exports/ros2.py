@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 import numpy as np
 import numpy.typing as npt
+from mcap.writer import Writer
 
 from sparseskin.messages import Measurements, Message, Reconstruction, Resultant
 from sparseskin.nodes.files import whole_folder
@@ -22,39 +24,12 @@ from sparseskin.nodes.recorder.bag.frames import (
     with_states,
 )
 from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.plugins.bridges import cdr
 
-INSTALL = 'writing for ROS 2 needs mcap-ros2-support; pip install "sparseskin[ros2]"'
+INSTALL = 'writing for ROS 2 needs rosbags; pip install "sparseskin[ros2]"'
 _MAX_SECONDS = (1 << 31) - 1
-BOOL = "std_msgs/msg/Bool"
-IMAGE = "sensor_msgs/msg/Image"
-FLOAT = "std_msgs/msg/Float32"
-STRING = "std_msgs/msg/String"
+BOOL, FLOAT, STRING = (f"std_msgs/msg/{name}" for name in ("Bool", "Float32", "String"))
 _RESULTANT = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
-_LINE = "=" * 80
-
-_MSGDEFS = {
-    IMAGE: f"""\
-std_msgs/Header header
-uint32 height
-uint32 width
-string encoding
-uint8 is_bigendian
-uint32 step
-uint8[] data
-{_LINE}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{_LINE}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-""",
-    FLOAT: "float32 data\n",
-    BOOL: "bool data\n",
-    STRING: "string data\n",
-}
-"""Definitions of the exported messages, as in common_interfaces of ROS 2."""
 
 
 def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
@@ -69,76 +44,87 @@ def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
     /PATCH/resultant/NAME. Skin (with its mask), calibration, Phi and solver are JSON in a
     std_msgs/msg/String on /PATCH/skin, /PATCH/phi ...
 
-    Raises BagError if mcap-ros2-support is not installed, the bag has no such frames, or a stamp
+    Raises BagError if rosbags is not installed, the bag has no such frames, or a stamp
     does not fit into ROS's 31 bits of seconds; OutputError if the folder exists or cannot be
     written.
     """
-    try:
-        from mcap_ros2.writer import Writer
-    except ImportError as error:
-        raise BagError(INSTALL) from error
+    if find_spec("rosbags") is None:
+        raise BagError(INSTALL)
     wanted = with_states(bag, stream_topics(bag, topics))
     counts: Counter[tuple[str, str]] = Counter()
     first_ns = last_ns = -1
     with whole_folder(out):
         path = out / f"{out.name}_0.mcap"
         with open(path, "xb") as file:
-            writer: Any = Writer(file)
-            schemas = {name: writer.register_msgdef(name, text) for name, text in _MSGDEFS.items()}
+            channels = _Channels(file)
             for message, log_time_ns in streams(bag, wanted, "export"):
-                for topic, kind, content in _messages(message, bag.path):
-                    writer.write_message(
-                        topic,
-                        schemas[kind],
-                        content,
-                        log_time=log_time_ns,
-                        publish_time=message.stamp_ns,
-                    )
+                for topic, kind, data in _messages(message, bag.path):
+                    channels.write(topic, kind, data, log_time_ns, message.stamp_ns)
                     counts[topic, kind] += 1
                 first_ns = log_time_ns if first_ns < 0 else min(first_ns, log_time_ns)
                 last_ns = max(last_ns, log_time_ns)
-            writer.finish()
+            channels.finish()
         described = out / "metadata.yaml"
         described.write_text(_metadata(path.name, counts, first_ns, last_ns), encoding="utf-8")
     return [path, described]
 
 
-def _messages(message: Message, path: Path) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    topic, patch, stamp_ns = message.topic, message.patch, message.stamp_ns
+class _Channels:
+    """Channels of an .mcap by topic, each made when it is first used."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._writer = Writer(file)
+        self._writer.start("ros2", "sparseskin")
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+
+    def write(self, topic: str, kind: str, data: bytes, log_time_ns: int, stamp_ns: int) -> None:
+        if kind not in self._schemas:
+            text = cdr.types().generate_msgdef(kind, ros_version=2)[0]
+            self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
+        if topic not in self._channels:
+            schema = self._schemas[kind]
+            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
+        self._writer.add_message(self._channels[topic], log_time_ns, data, stamp_ns)
+
+    def finish(self) -> None:
+        self._writer.finish()
+
+
+def _messages(message: Message, path: Path) -> Iterator[tuple[str, str, bytes]]:
+    """Topic, type and CDR of all that is written of one message."""
+    topic = message.topic
+
+    def image(array: npt.NDArray[np.float32]) -> tuple[str, bytes]:
+        stamp = divmod(message.stamp_ns, 1_000_000_000)
+        if stamp[0] > _MAX_SECONDS:
+            raise BagError(
+                f"{path}: stamp {message.stamp_ns} is beyond what ROS 2 can hold, 2**31 seconds"
+            )
+        return cdr.IMAGE, cdr.image(stamp, message.patch, array)
+
+    def one(kind: str, value: object) -> tuple[str, bytes]:
+        return kind, cdr.encoded(kind, data=value)
+
     if isinstance(message, STATES):
-        yield topic, STRING, {"data": json.dumps(state_json(message))}
+        yield topic, *one(STRING, json.dumps(state_json(message)))
     elif isinstance(message, Resultant):
         for name in _RESULTANT:
             if (value := getattr(message, name)) is not None:
-                yield f"{topic}/{name}", FLOAT, {"data": value}
+                yield f"{topic}/{name}", *one(FLOAT, value)
     elif isinstance(message, Measurements):
-        yield topic, IMAGE, _image(patch, stamp_ns, np.atleast_2d(np.asarray(message.y)), path)
+        yield topic, *image(np.atleast_2d(np.asarray(message.y)))
     elif (forces := getattr(message, "forces", None)) is not None:
-        yield topic, IMAGE, _image(patch, stamp_ns, forces, path)
-        yield f"{topic}/total_force", FLOAT, {"data": float(forces.sum(dtype=np.float64))}
+        yield topic, *image(forces)
+        yield f"{topic}/total_force", *one(FLOAT, float(forces.sum(dtype=np.float64)))
     if isinstance(message, Reconstruction):
-        yield f"{topic}/residual", FLOAT, {"data": message.residual}
+        yield f"{topic}/residual", *one(FLOAT, message.residual)
         if message.sd is not None:
-            yield f"{topic}/sd", IMAGE, _image(patch, stamp_ns, message.sd, path)
+            yield f"{topic}/sd", *image(message.sd)
         if message.error is not None:
-            yield f"{topic}/error", FLOAT, {"data": message.error}
+            yield f"{topic}/error", *one(FLOAT, message.error)
         if message.error is not None or not message.trusted:
-            yield f"{topic}/trusted", BOOL, {"data": message.trusted}
-
-
-def _image(patch: str, stamp_ns: int, array: npt.NDArray[np.float32], path: Path) -> dict[str, Any]:
-    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
-    if seconds > _MAX_SECONDS:
-        raise BagError(f"{path}: stamp {stamp_ns} is beyond what ROS 2 can hold, 2**31 seconds")
-    return {
-        "header": {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": patch},
-        "height": array.shape[0],
-        "width": array.shape[1],
-        "encoding": "32FC1",
-        "is_bigendian": 0,
-        "step": 4 * array.shape[1],
-        "data": array.astype("<f4").tobytes(),
-    }
+            yield f"{topic}/trusted", *one(BOOL, message.trusted)
 
 
 def _metadata(file_name: str, counts: Counter[tuple[str, str]], first_ns: int, last_ns: int) -> str:
