@@ -5,6 +5,7 @@ Source: github.com/foxglove/ws-protocol; the subprotocol of today's servers is f
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import json
 import struct
@@ -12,17 +13,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from mcap.records import Schema
+from mcap_protobuf.decoder import DecoderFactory
 from websockets.sync.client import connect
 
 MESSAGE_DATA = 1
 
 
 class Data(NamedTuple):
-    """A message of a subscription: the channel's topic, the time of the log in ns, its bytes."""
+    """A message of a subscription: the channel's topic, the time of the log in ns, its content by
+    the schema that the server advertises.
+    """
 
     topic: str
     log_time_ns: int
-    payload: bytes
+    content: Any
 
 
 class FoxgloveClient:
@@ -33,8 +38,8 @@ class FoxgloveClient:
         connecting = connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None)  # type: ignore[list-item]
         self._socket = self._stack.enter_context(connecting)
         self.channels: dict[str, dict[str, Any]] = {}
-        self.info: dict[str, Any] = {}
         self._topics: dict[int, str] = {}
+        self._factory = DecoderFactory()
 
     def __enter__(self) -> FoxgloveClient:
         return self
@@ -50,12 +55,26 @@ class FoxgloveClient:
                 found: dict[str, Any] = json.loads(got)
                 for channel in found.get("channels", ()):
                     self.channels[channel["topic"]] = channel
-                if found["op"] == "serverInfo":
-                    self.info = found
                 return found
             if got[0] == MESSAGE_DATA:
                 number, at_ns = struct.unpack_from("<IQ", got, 1)
-                return Data(self._topics[number], at_ns, got[13:])
+                return Data(self._topics[number], at_ns, self._content(number, got[13:]))
+
+    def _content(self, number: int, payload: bytes) -> Any:
+        channel = self.channels[self._topics[number]]
+        if channel["encoding"] == "json":
+            return json.loads(payload)
+        schema = base64.b64decode(channel["schema"])
+        described = Schema(channel["id"], schema, "protobuf", channel["schemaName"])
+        decode = self._factory.decoder_for("protobuf", described)
+        assert decode is not None
+        return decode(payload)
+
+    def data(self) -> Data:
+        """The next message of a subscription; all else is left out."""
+        while not isinstance(got := self.receive(), Data):
+            pass
+        return got
 
     def until(self, op: str) -> dict[str, Any]:
         """The next JSON object of this kind; all else is left out."""
@@ -100,44 +119,7 @@ class FoxgloveClient:
                 return {one["name"]: one.get("value") for one in found["parameters"]}
 
 
-def fields_of(payload: bytes) -> dict[int, list[Any]]:
-    """Values of the fields of a protobuf message, by number: bytes, integers or 8-byte numbers."""
-    found: dict[int, list[Any]] = {}
-    at = 0
-    while at < len(payload):
-        key, at = _varint(payload, at)
-        value: Any
-        match key & 7:
-            case 0:
-                value, at = _varint(payload, at)
-            case 1:
-                (value,), at = struct.unpack_from("<d", payload, at), at + 8
-            case 2:
-                size, at = _varint(payload, at)
-                value, at = payload[at : at + size], at + size
-            case 5:
-                value, at = payload[at : at + 4], at + 4
-            case kind:
-                raise ValueError(f"wire type {kind}")
-        found.setdefault(key >> 3, []).append(value)
-    return found
-
-
-def _varint(data: bytes, at: int) -> tuple[int, int]:
-    value = shift = 0
-    while True:
-        byte = data[at]
-        value |= (byte & 0x7F) << shift
-        at, shift = at + 1, shift + 7
-        if byte < 0x80:
-            return value, at
-
-
-def pixels(payload: bytes) -> npt.NDArray[np.float32]:
-    """Pixels of a foxglove.RawImage in 32FC1. Its fields: timestamp 1, width 2, height 3,
-    encoding 4, step 5, data 6, frame_id 7 (fixed32 width, height, step)."""
-    found = fields_of(payload)
-    width, height, step = (int.from_bytes(found[k][0], "little") for k in (2, 3, 5))
-    assert found[4] == [b"32FC1"]
-    assert step == 4 * width
-    return np.frombuffer(found[6][0], "<f4").reshape(height, width)
+def pixels(image: Any) -> npt.NDArray[np.float32]:
+    """Pixels of a foxglove.RawImage in 32FC1."""
+    assert (image.encoding, image.step) == ("32FC1", 4 * image.width)
+    return np.frombuffer(image.data, "<f4").reshape(image.height, image.width)

@@ -17,28 +17,19 @@ HISTORY = 1000
 """Samples that DDS keeps for this reader: more than come while it does not run."""
 CDR_HEAD = 4
 _STAMP = struct.Struct("<iI")  # of a header of ROS: seconds, nanoseconds
-_MESSAGE = struct.Struct("<BIQ")  # 1, number of the subscription, time in ns
 
 
 def foxglove(address: str) -> Iterator[int]:
     """Subscribe to image, grid and figures of the reconstruction; yield stamps of images, ns."""
-    from websockets.sync.client import connect
+    from foxglove_client import FoxgloveClient
 
-    options: dict[str, Any] = {"subprotocols": ["foxglove.sdk.v1"], "max_size": None}
-    with connect(address, **options) as socket:
-        channels: dict[str, int] = {}
+    with FoxgloveClient(address) as client:
         wanted = [MAP, f"{MAP}/grid", f"{MAP}/figures"]
-        while not set(wanted) <= channels.keys():
-            found = json.loads(socket.recv())
-            channels |= {one["topic"]: one["id"] for one in found.get("channels", ())}
-        asked = [{"id": k, "channelId": channels[name]} for k, name in enumerate(wanted, 1)]
-        socket.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+        client.wait_for_channels(*wanted)
+        client.subscribe(*wanted)
         while True:
-            data = socket.recv()
-            if isinstance(data, bytes):
-                _, number, stamp_ns = _MESSAGE.unpack_from(data)
-                if number == 1:
-                    yield stamp_ns
+            if (got := client.data()).topic == MAP:
+                yield got.log_time_ns
 
 
 def ros2(address: str) -> Iterator[int]:

@@ -37,6 +37,7 @@ RATE_HZ = 100.0
 FRESH_NS = 500_000_000
 """Age at which a frame that comes is one that did not wait for older ones."""
 TESTS = Path(__file__).resolve().parents[1]
+PYTHONPATH = f"{TESTS}{os.pathsep}{TESTS / 'plugins'}"
 _MARK = "SPARSESKIN_GRAPH_RUN"
 _PROGRAM = (sys.executable, "-m", "sparseskin.launch.commands.entry")
 _SENSED, _RECONSTRUCTED = "/skin/taxels", "/skin/reconstruction"
@@ -88,7 +89,7 @@ class GraphRun:
             _MARK: self._mark,
             "SPARSESKIN_RUNTIME_DIR": str(self.notes),
             "XDG_STATE_HOME": str(self.folder / "state"),
-            "PYTHONPATH": str(TESTS),
+            "PYTHONPATH": PYTHONPATH,
             **(environment or {}),
         }
         self.stack = contextlib.ExitStack()

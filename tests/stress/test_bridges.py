@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stress.graphs import FULL, TESTS, GraphError
+from stress.graphs import FULL, PYTHONPATH, GraphError
 from stress.observers import DOMAIN
 
 from sparseskin.messages import Reconstruction, SkinState
@@ -65,7 +65,7 @@ def connected(
         where = str(DOMAIN) if kind == "ros2" else node.where()
         client = subprocess.Popen(
             [sys.executable, "-m", "stress.clients", kind, where, *arguments],
-            env={**os.environ, "PYTHONPATH": str(TESTS)},
+            env={**os.environ, "PYTHONPATH": PYTHONPATH},
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import StartProgram, wait_until
-from foxglove_client import Data, FoxgloveClient, fields_of, pixels
+from foxglove_client import FoxgloveClient, pixels
 
 from sparseskin.messages import Reconstruction, SkinState, Taxels
 from sparseskin.nodes.clock import ManualClock
@@ -66,14 +65,11 @@ def test_each_frame_arrives_with_its_pixels_and_stamp(bridge: FoxgloveBridge) ->
         for message in (skin(), *sent):
             list(bridge.step(message))
         for message in sent:
-            got = client.receive()
-            while not isinstance(got, Data):
-                got = client.receive()
+            got = client.data()
             assert got.log_time_ns == message.stamp_ns
-            assert np.array_equal(pixels(got.payload), message.forces)
-            stamp = fields_of(fields_of(got.payload)[1][0])  # protobuf leaves zeros out
-            seconds, nanoseconds = (stamp.get(k, [0])[0] for k in (1, 2))
-            assert seconds * 10**9 + nanoseconds == message.stamp_ns
+            assert np.array_equal(pixels(got.content), message.forces)
+            stamp = got.content.timestamp
+            assert stamp.seconds * 10**9 + stamp.nanos == message.stamp_ns
 
 
 @pytest.mark.parametrize(("pitch_m", "side_m"), [(0.005, 0.005), (None, 1.0)])
@@ -83,15 +79,11 @@ def test_a_grid_has_the_pitch_as_its_cell_size(
     with subscribed(bridge, f"{TOPIC}/grid") as client:
         for message in (skin(pitch_m), taxels(0)):
             list(bridge.step(message))
-        got = client.receive()
-        while not isinstance(got, Data):
-            got = client.receive()
-        # foxglove.Grid: column_count 4, cell_size 5, row_stride 6, cell_stride 7, data 9.
-        grid = fields_of(got.payload)
-        assert fields_of(grid[5][0]) == {1: [side_m], 2: [side_m]}
-        columns, row_stride, cell_stride = (int.from_bytes(grid[k][0], "little") for k in (4, 6, 7))
-        assert (columns, row_stride, cell_stride) == (COLS, 4 * COLS, 4)
-        assert grid[9] == [taxels(0).forces.tobytes()]
+        got = client.data()
+        grid = got.content
+        assert (grid.cell_size.x, grid.cell_size.y) == (side_m, side_m)
+        assert (grid.column_count, grid.row_stride, grid.cell_stride) == (COLS, 4 * COLS, 4)
+        assert grid.data == taxels(0).forces.tobytes()
 
 
 def test_figures_are_numbers_that_can_be_plotted(bridge: FoxgloveBridge) -> None:
@@ -105,11 +97,8 @@ def test_figures_are_numbers_that_can_be_plotted(bridge: FoxgloveBridge) -> None
     with subscribed(bridge, topic) as client:
         for message in (skin(), made):
             list(bridge.step(message))
-        got = client.receive()
-        while not isinstance(got, Data):
-            got = client.receive()
-        figures = json.loads(got.payload)
-        assert client.channels[topic]["encoding"] == "json"
+        got = client.data()
+        figures = got.content
     figures.pop("latency_ms")
     assert figures == {
         "seq": 0, "total": 2.0, "peak": 2.0, "row": 3.0, "col": 5.0, "residual": 0.25,
@@ -189,10 +178,8 @@ def test_a_client_reads_and_sets_parameters_of_a_running_graph(start: StartProgr
         client.set_parameters(compressor__phi="full")
         assert "cannot be changed while the graph runs" in client.until("status")["message"]
         client.subscribe("/skin/reconstruction")
-        got = client.receive()
-        while not isinstance(got, Data):
-            got = client.receive()
-        assert pixels(got.payload).shape == (40, 40)
+        got = client.data()
+        assert pixels(got.content).shape == (40, 40)
 
 
 def test_a_skin_of_points_is_a_point_cloud(bridge: FoxgloveBridge) -> None:
@@ -207,15 +194,10 @@ def test_a_skin_of_points_is_a_point_cloud(bridge: FoxgloveBridge) -> None:
         list(bridge.step(message))
     with subscribed(bridge, topic) as client:
         list(bridge.step(taxels(1)))
-        got = client.receive()
-        while not isinstance(got, Data):
-            got = client.receive()
-    # foxglove.PointCloud: point_stride 4, fields 5, data 6.
-    cloud = fields_of(got.payload)
-    assert int.from_bytes(cloud[4][0], "little") == 20
-    names = [fields_of(field)[1][0].decode() for field in cloud[5]]
-    assert names == ["x", "y", "z", "force", "row"]
-    found = np.frombuffer(cloud[6][0], "<f4").reshape(-1, 5)
+        got = client.data()
+    cloud = got.content
+    assert [field.name for field in cloud.fields] == ["x", "y", "z", "force", "row"]
+    found = np.frombuffer(cloud.data, "<f4").reshape(-1, cloud.point_stride // 4)
     assert np.array_equal(found[:, 4].copy().view("<u4"), rows)
     assert np.array_equal(found[:, :3], points[:, :3])
     assert np.array_equal(found[:, 3], taxels(1).forces[exists])
