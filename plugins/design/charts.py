@@ -1,7 +1,6 @@
 """Charts of a design: rates of each stage, accuracy against rate, latency.
 
-An open mark is a rate below the one asked for, in all of them. Each is drawn twice: for a page, and
-for one as narrow as a phone (`NARROW`).
+An open mark is a rate below the one asked for, in all of them.
 """
 
 from __future__ import annotations
@@ -19,8 +18,6 @@ from .models.costs import HOP_S
 from .spec import Design
 from .text import hertz
 
-NARROW = "_narrow"
-"""Ending of the name of a chart that is as wide as a phone."""
 _COLOURS = dict(zip(STAGES, PALETTE, strict=False))
 _MARKS = dict(zip(STAGES, "osD^", strict=True))
 _HOP = "process to process"
@@ -29,14 +26,14 @@ _PALE = 0.35
 """Opacity of what the host takes longer under a dense press."""
 
 
-def draw_rates(out: Path, rows: Sequence[Row], design: Design, narrow: bool = False) -> Chart:
+def draw_rates(out: Path, rows: Sequence[Row], design: Design) -> Chart:
     """Frames a second that each stage allows, a line a strategy; the slowest is large."""
     caption = (
         "Frames a second that each stage allows (log); the large mark is the slowest stage, which "
         "limits the rate; open: below the rate asked for. Host: from a dense press (mark) to a "
         "calm frame (end of the bar)"
     )
-    with _StrategyChart(out, "rates", caption, rows, narrow) as chart:
+    with _StrategyChart(out, "rates", caption, rows) as chart:
         (axes,) = chart.panels
         for k, row in enumerate(rows):
             rates = row.stage_hz
@@ -56,14 +53,14 @@ def draw_rates(out: Path, rows: Sequence[Row], design: Design, narrow: bool = Fa
     return chart
 
 
-def draw_accuracy(out: Path, rows: Sequence[Row], design: Design, narrow: bool = False) -> Chart:
+def draw_accuracy(out: Path, rows: Sequence[Row], design: Design) -> Chart:
     """PSNR with its band, a line a strategy, and the rate at which it is reached."""
     caption = (
         "PSNR of contact frames and its band (90 % of scenes and seeds) at the rate that is "
         f"reached, which stands at the right; open: below the {hertz(design.rate_hz)} Hz asked "
         "for; mark and colour: the slowest stage"
     )
-    with _StrategyChart(out, "accuracy", caption, rows, narrow) as chart:
+    with _StrategyChart(out, "accuracy", caption, rows) as chart:
         (axes,) = chart.panels
         for k, row in enumerate(rows):
             a = row.accuracy
@@ -90,13 +87,13 @@ def draw_accuracy(out: Path, rows: Sequence[Row], design: Design, narrow: bool =
     return chart
 
 
-def draw_latency(out: Path, rows: Sequence[Row], design: Design, narrow: bool = False) -> Chart:
+def draw_latency(out: Path, rows: Sequence[Row], design: Design) -> Chart:
     """Latency of a frame by its stages."""
     caption = (
         "Time from the first conversion to the reconstruction, without queues; pale: what the host "
         "takes longer under a dense press than for a calm frame. The figures are of the dense press"
     )
-    with _StrategyChart(out, "latency", caption, rows, narrow) as chart:
+    with _StrategyChart(out, "latency", caption, rows) as chart:
         (axes,) = chart.panels
         for k, row in enumerate(rows):
             dense_s = row.stage_s["host"] - row.host_calm_s
@@ -120,13 +117,9 @@ def draw_latency(out: Path, rows: Sequence[Row], design: Design, narrow: bool = 
 class _StrategyChart(Chart):
     """A chart with a line a strategy, the first at the top."""
 
-    def __init__(
-        self, out: Path, name: str, caption: str, rows: Sequence[Row], narrow: bool
-    ) -> None:
-        size_in = (4.3, 0.34 * len(rows) + 2.4) if narrow else (8.5, 0.34 * len(rows) + 1.8)
-        columns = 2 if narrow else 4
-        name += NARROW if narrow else ""
-        super().__init__(out, name, caption, size_in=size_in, legend_columns=columns)
+    def __init__(self, out: Path, name: str, caption: str, rows: Sequence[Row]) -> None:
+        size_in = (8.5, 0.34 * len(rows) + 1.8)
+        super().__init__(out, name, caption, size_in=size_in, legend_columns=4)
         self.panels[0].set_yticks(range(len(rows)), [row.strategy.name for row in rows])
         self.panels[0].set_ylim(len(rows) - 0.5, -0.5)
 

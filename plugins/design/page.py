@@ -12,7 +12,7 @@ from sparseskin.studies.report import write_csv
 
 from . import text
 from .budget import STAGES, Row
-from .charts import NARROW, draw_accuracy, draw_latency, draw_rates
+from .charts import draw_accuracy, draw_latency, draw_rates
 from .models.costs import HOP_S
 from .models.rigs import RIGS
 from .spec import KEYS, Design
@@ -22,11 +22,7 @@ def write_page(out: Path, rows: Sequence[Row], design: Design) -> Path:
     """Write `design.html`, its charts as PNG and SVG, and `rows.csv` into an existing folder.
     Raises StudyError if a file cannot be written.
     """
-    charts = [
-        draw(out, rows, design, narrow)
-        for draw in (draw_rates, draw_accuracy, draw_latency)
-        for narrow in (False, True)
-    ]
+    charts = [draw(out, rows, design) for draw in (draw_rates, draw_accuracy, draw_latency)]
     write_csv(out, "rows", [record(row, design) for row in rows])
     environment = jinja2.Environment(
         undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=True
@@ -49,8 +45,7 @@ def write_page(out: Path, rows: Sequence[Row], design: Design) -> Path:
         ],
         legend=text.legend(rows),
         breaks=text.first_breaks(rows, design),
-        charts=[{"name": chart.name, "caption": chart.caption} for chart in charts[::2]],
-        narrow=NARROW,
+        charts=[{"name": chart.name, "caption": chart.caption} for chart in charts],
         stages=stages,
         latencies=[(row.strategy.name, _latencies(row)) for row in rows],
         sources=text.sources(rows, design),

@@ -32,7 +32,7 @@ class Adc:
     settling_s : float
         Time that a conversion waits after the multiplexer has switched, seconds. Where the signal
         settles through a resistance R into a capacitance C to half a step of B bits, it is
-        (B + 1) R C ln 2 (`settling_s_of`).
+        (B + 1) R C ln 2.
     """
 
     bits: int
@@ -57,14 +57,6 @@ SOURCE = (
     "ADC: conversions a second as its data sheet states them, and the settling time of the "
     "multiplexer that the design states; both in each conversion"
 )
-
-
-def settling_s_of(bits: int, ohm: float, farad: float) -> float:
-    """Time in which a step decays to half a step of the converter: (bits + 1) R C ln 2, seconds.
-
-    Source: exp(-t / RC) = 2^-(bits + 1), the charge of a capacitance through a resistance.
-    """
-    return (bits + 1) * ohm * farad * 0.6931471805599453
 
 
 def read_adc(text: object, converters: int, settling_s: float) -> Adc:

@@ -24,18 +24,20 @@ class Bus(ABC):
 
     Attributes
     ----------
+    bit_s : float
+        Bits a second: of UART its baud, of SPI its clock, of CAN FD the rate of the arbitration.
     source : str
         Where its model comes from, for pages and tables.
-    label : str
-        The bus in words.
     """
 
     source: ClassVar[str]
+    form: ClassVar[str]
+    bit_s: float
 
     @property
-    @abstractmethod
     def label(self) -> str:
         """The bus in words."""
+        return self.form.format(rate_text(self.bit_s))
 
     @abstractmethod
     def seconds(self, n_bytes: int) -> float:
@@ -52,14 +54,10 @@ class Serial(Bus):
     """
 
     source = "UART 8N1, 10 bits a byte: ATmega328P data sheet, frame formats of the USART"
-    baud: float
-
-    @property
-    def label(self) -> str:
-        return f"UART at {rate_text(self.baud)}baud"
+    form = "UART at {}baud"
 
     def seconds(self, n_bytes: int) -> float:
-        return 10 * n_bytes / self.baud
+        return 10 * n_bytes / self.bit_s
 
 
 CLASSIC_BYTES, FD_BYTES = 8, 64
@@ -84,11 +82,7 @@ class Can(Bus):
         "CAN, 11-bit identifiers, worst-case stuff bits: ISO 11898-1:2015; Davis et al., Real-Time "
         "Systems 35, 2007"
     )
-    bit_s: float
-
-    @property
-    def label(self) -> str:
-        return f"CAN at {rate_text(self.bit_s)}bit/s"
+    form = "CAN at {}bit/s"
 
     def frame_bits(self, n_bytes: int) -> int:
         """Bits of one frame of 0..8 data bytes, stuff bits at their worst."""
@@ -113,13 +107,12 @@ class CanFd(Bus):
     """
 
     source = "CAN FD, 11-bit identifiers, 64 data bytes, worst-case stuff bits: ISO 11898-1:2015"
-    arbitration_bit_s: float
+    form = "CAN FD at {}/{}bit/s"
     data_bit_s: float
 
     @property
     def label(self) -> str:
-        rates = f"{rate_text(self.arbitration_bit_s)}/{rate_text(self.data_bit_s)}"
-        return f"CAN FD at {rates}bit/s"
+        return self.form.format(rate_text(self.bit_s), rate_text(self.data_bit_s))
 
     def frame_bits(self, n_bytes: int) -> tuple[int, int]:
         """Bits of one frame at the arbitration rate and at the data rate, stuff bits at worst.
@@ -138,7 +131,7 @@ class CanFd(Bus):
         total = 0.0
         for length, count in lengths:
             slow, fast = self.frame_bits(length)
-            total += count * (slow / self.arbitration_bit_s + fast / self.data_bit_s)
+            total += count * (slow / self.bit_s + fast / self.data_bit_s)
         return total
 
 
@@ -151,14 +144,10 @@ class Spi(Bus):
     """
 
     source = "SPI, 8 clocks a byte without gaps: Motorola SPI Block Guide V03.06"
-    clock_hz: float
-
-    @property
-    def label(self) -> str:
-        return f"SPI at {rate_text(self.clock_hz)}Hz"
+    form = "SPI at {}Hz"
 
     def seconds(self, n_bytes: int) -> float:
-        return 8 * n_bytes / self.clock_hz
+        return 8 * n_bytes / self.bit_s
 
 
 MAX_DATAGRAM = 1472
@@ -174,11 +163,7 @@ class Udp(Bus):
     """
 
     source = "UDP over IPv4 and Ethernet, 1472 bytes a datagram: IEEE 802.3-2018; RFC 791; RFC 768"
-    bit_s: float
-
-    @property
-    def label(self) -> str:
-        return f"UDP over Ethernet at {rate_text(self.bit_s)}bit/s"
+    form = "UDP over Ethernet at {}bit/s"
 
     def wire_bytes(self, n_bytes: int) -> int:
         """Bytes on the wire for one datagram of 1..1472 data bytes, gap included."""
@@ -215,13 +200,8 @@ def read_bus(text: object) -> Bus:
         if rates[1] < rates[0]:
             raise SettingsError(f"{shown(text)}: data are slower than the arbitration")
         return CanFd(*rates)
-    made: dict[str, type[Serial | Can | Spi | Udp]] = {
-        "serial": Serial,
-        "can": Can,
-        "spi": Spi,
-        "udp": Udp,
-    }
-    return made[kind](_bit_s(rate, "2M"))
+    made = {"serial": Serial, "can": Can, "spi": Spi, "udp": Udp}[kind]
+    return made(_bit_s(rate, "2M"))
 
 
 def rate_text(rate: float) -> str:

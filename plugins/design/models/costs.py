@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sparseskin.messages import Message, SkinState, Taxels, encode
-from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, Timing, press_frames
 from sparseskin.plugins.design.strategies import SINGLE, STRATEGIES, Strategy
@@ -99,20 +99,10 @@ def measure(strategy: Strategy, shape: tuple[int, int], seed: int = 0) -> dict[s
         of `N_REPEATS`. Single taxels are used as they are read: their host decodes, and solves
         nothing.
     """
-    return {
-        key: round(min(values), 1)
-        for key, *values in zip(
-            FIGURES, *(_measured(strategy, shape, seed) for _ in range(N_REPEATS)), strict=True
-        )
-    }
-
-
-def _measured(strategy: Strategy, shape: tuple[int, int], seed: int) -> tuple[float, float, float]:
-    """`FIGURES` of all bodies, measured once."""
-    edge, calm, pressed = zip(
-        *(_measure(strategy, shape, body, seed) for body in BODIES), strict=True
-    )
-    return float(np.mean(edge)), min(calm), max(pressed)
+    runs = [[_measure(strategy, shape, body, seed) for body in BODIES] for _ in range(N_REPEATS)]
+    edge, calm, pressed = np.moveaxis(np.array(runs), -1, 0)  # each: repeats x bodies
+    of_run = (edge.mean(axis=1), calm.min(axis=1), pressed.max(axis=1))
+    return {key: round(float(us.min()), 1) for key, us in zip(FIGURES, of_run, strict=True)}
 
 
 def _measure(
@@ -121,32 +111,21 @@ def _measure(
     """Median processor time under one body, microseconds: of the edge in pressed frames, and of the
     host in untouched and in pressed ones.
     """
-    n_rows, n_cols = shape
+    noise = NoiseModel.for_range(PAPER_F_MAX_N)
+    skin = Skin(*shape, noise.f_max, "N", 0.004)
     settings: dict[str, Any] = {"phi": strategy.phi, "seed": seed, "rows": strategy.rows}
     if strategy.phi != "full":
-        settings["m"] = strategy.m(n_rows * n_cols, n_rows)
+        settings["m"] = strategy.m(skin.n_taxels, skin.n_rows)
     edge = made_node("compressor", settings)
     host = _Decoder() if strategy.sums == SINGLE else made_node("reconstructor", {})
-    noise = NoiseModel.for_range(PAPER_F_MAX_N)
-    skin = SkinState(
-        stamp_ns=0,
-        patch="skin",
-        n_rows=n_rows,
-        n_cols=n_cols,
-        f_max=noise.f_max,
-        unit="N",
-        pitch_m=0.004,
-        mask=None,
-        source="presses",
-        seed=seed,
-        rate_hz=1000.0,
-        has_truth=False,
-        sigma_mid=noise.sigma_mid,
-        sigma_end=noise.sigma_end,
+    state = SkinState(
+        **{"stamp_ns": 0, "patch": "skin", "source": "presses", "seed": seed, "rate_hz": 1000.0},
+        **{"has_truth": False, "sigma_mid": noise.sigma_mid, "sigma_end": noise.sigma_end},
+        **vars(skin),
     )
-    (phi,) = edge.step(skin)
-    for state in (skin, phi):
-        list(host.step(state))
+    (phi,) = edge.step(state)
+    for message in (state, phi):
+        list(host.step(message))
     spent: dict[str, list[float]] = {"edge": [], "host": []}
     before = WARM_UP + N_CALM
     frames = press_frames(
@@ -156,8 +135,8 @@ def _measure(
         timing=Timing(before),
     )
     for k, (_, forces) in enumerate(frames):
-        message: Message = Taxels(stamp_ns=1_000_000 * (k + 1), patch="skin", forces=forces)
-        measured = timed_step(edge, encode(message), spent["edge"])
+        taxels = Taxels(stamp_ns=1_000_000 * (k + 1), patch="skin", forces=forces)
+        measured = timed_step(edge, encode(taxels), spent["edge"])
         timed_step(host, measured[0], spent["host"])
 
     def median_us(station: str, first: int, last: int | None) -> float:

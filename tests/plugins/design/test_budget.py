@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -84,13 +83,6 @@ def test_the_slowest_stage_limits_the_rate_and_the_latency_is_their_sum() -> Non
         assert found.latency_s == pytest.approx(sum(found.stage_s.values()) + HOP_S)
         assert found.host_cores == pytest.approx(found.reached_hz * found.stage_s["host"])
         assert set(found.stage_hz) == set(STAGES)
-
-
-def test_a_rate_that_is_asked_for_is_not_exceeded() -> None:
-    found = row("full", bus="udp:1G", adc="10bit@10MS/s", edge="linux", rate="100")
-    assert found.is_met
-    assert found.reached_hz == 100.0
-    assert found.possible_hz > 100.0
 
 
 def test_a_skin_of_several_patches_uses_several_cores() -> None:
@@ -186,23 +178,6 @@ def test_a_design_that_holds_names_its_most_accurate_strategy() -> None:
     assert lines[2].startswith("Reading every taxel reaches 20 Hz; its slowest stage is ")
 
 
-def test_the_fewest_bytes_at_the_accuracy_of_the_full_reading_are_named() -> None:
-    design = make_design({"taxels": 4000, "bus": "udp", "adc": "10bit@1MS/s", "rate": 20})
-    rows = budget(design, ["full", "sbhe_3_rotating", "sbhe_16_rotating"])
-    rows = with_db(rows, full=50.0, sbhe_3_rotating=55.0, sbhe_16_rotating=42.0)
-    assert text.conclusions(rows, design)[1] == (
-        "Fewest bytes a frame: 264, sbhe_16_rotating (42.0 dB); of those no less accurate "
-        "than the full reading (50.0 dB): 1348, sbhe_3_rotating (55.0 dB)."
-    )
-
-
-def test_what_was_not_simulated_is_stated_as_not_known() -> None:
-    design = make_design({"rows": 16, "cols": 32})
-    (full,) = budget(design, ["full"])
-    assert math.isnan(full.accuracy.psnr_db)
-    assert text.cells(full)[8:11] == ("-", "-", "-")
-
-
 def test_the_host_has_a_band_whose_upper_end_limits() -> None:
     found = row("sbhe_4_rotating")
     stated = cost("sbhe_4_rotating", 4096)
@@ -210,17 +185,6 @@ def test_the_host_has_a_band_whose_upper_end_limits() -> None:
     assert found.host_rate_hz == pytest.approx(1 / stated.dense_s)
     calm, dense = (float(ms) for ms in text.host_ms(found).split(".."))
     assert (calm, dense) == pytest.approx((1e3 * stated.calm_s, 1e3 * stated.dense_s), rel=0.1)
-
-
-def test_the_terminal_shows_each_strategy_once_in_the_table(
-    palm: tuple[Design, list[Row]],
-) -> None:
-    design, rows = palm
-    lines = text.terminal(rows, design).splitlines()
-    for name in STRATEGIES:
-        (line,) = [one for one in lines if re.match(rf"{name} +\d", one)]
-        assert len(re.split(r" {2,}", line)) == len(text.COLUMNS), line
-    assert max(map(len, lines[2 : 4 + len(rows)])) <= 120
 
 
 class _Cells(HTMLParser):
@@ -264,9 +228,7 @@ def test_the_page_has_each_strategy_its_charts_and_the_rigs(
     assert [cells[1] for cells in table[1:]] == list(STRATEGIES)
     assert [tuple(cells[1:]) for cells in table[1:]] == [text.cells(one) for one in rows]
     assert len(page.images) == 3
-    drawn = {path.name for path in tmp_path.glob("*.png")}
-    assert drawn == set(page.images) | {f"{name[:-4]}_narrow.png" for name in page.images}
-    for name in drawn:
+    for name in page.images:
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
         assert (tmp_path / name).with_suffix(".svg").exists()
     assert any(cells[:1] == ["FlexiTac"] for cells in page.rows)
