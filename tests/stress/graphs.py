@@ -38,6 +38,12 @@ FRESH_NS = 500_000_000
 """Age at which a frame that comes is one that did not wait for older ones."""
 TESTS = Path(__file__).resolve().parents[1]
 PYTHONPATH = f"{TESTS}{os.pathsep}{TESTS / 'plugins'}"
+SECURITY = """
+[security]
+keys = "keys"
+key = "edge"
+"""
+"""Lines for a launch file: a graph with keys."""
 _MARK = "SPARSESKIN_GRAPH_RUN"
 _PROGRAM = (sys.executable, "-m", "sparseskin.launch.commands.entry")
 _SENSED, _RECONSTRUCTED = "/skin/taxels", "/skin/reconstruction"
@@ -385,6 +391,15 @@ class Probe:
                     self._seen[message.topic].append(Seen(message.stamp_ns, self.now_ns()))
 
 
+class Outcome(NamedTuple):
+    """Frames lost of those acquired, nodes that stopped, and what a graph has left behind."""
+
+    lost: int
+    of: int
+    stopped: list[str]
+    left: list[str]
+
+
 class ObservedGraph(GraphRun):
     """A graph with a probe beside it; arguments as those of `GraphRun`."""
 
@@ -397,23 +412,9 @@ class ObservedGraph(GraphRun):
         """Observe from now on: frames that are lost, nodes that stop."""
         self.began_ns, self._before = self.probe.now_ns(), self.nodes()
 
-    def outcome(self, finding: str, *but: str, recover_s: float | None = None) -> dict[str, Any]:
-        """End the graph; what was lost and what stopped, except nodes named; see `outcome_of`."""
+    def outcome(self, *but: str) -> Outcome:
+        """End the graph; what was lost and what stopped since `begin`, except nodes named."""
         lost, n_sensed = self.probe.lost(self.began_ns)
         stopped = self.stopped(self._before, *but)
         self.end()
-        return outcome_of(finding, self.left_behind(), recover_s, lost, n_sensed, stopped)
-
-
-def outcome_of(
-    finding: str,
-    left: list[str],
-    recover_s: float | None = None,
-    lost: int = 0,
-    of: int | None = None,
-    stopped: list[str] | None = None,
-) -> dict[str, Any]:
-    """Outcome of a fault: `finding` is free text, `of` the frames acquired."""
-    recover_s = None if recover_s is None else round(recover_s, 3)
-    found = {"recover_s": recover_s, "lost": lost, "of": of, "stopped": stopped or []}
-    return {**found, "left": left, "finding": finding}
+        return Outcome(lost, n_sensed, stopped, self.left_behind())

@@ -1,19 +1,141 @@
-"""Faults in a running graph, each really caused: killed, crashed and stopped nodes, and others.
+"""Faults in a running graph, each really caused: nodes, launcher, disk, clock, rate, readers.
 
 At full size each signal is sent to each node 3 times, in 7 graphs (25 minutes).
 """
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import math
+import os
+import signal
 import statistics
-from collections.abc import Callable
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from stress import cases, signals
+from stress.graphs import (
+    RATE_HZ,
+    SECURITY,
+    GraphRun,
+    ObservedGraph,
+    Outcome,
+    graph_text,
+    wait_until,
+)
 
-Note = Callable[..., None]
+from sparseskin.nodes.network.keys import KeyPair, make_key_files, read_key_pair
+from sparseskin.nodes.network.sockets import Reader, make_context
+from sparseskin.nodes.process.proc import cpu_s, own_bytes
+from sparseskin.nodes.recorder.bag.reader import BagReader
+
+STREAM = ("sensor", "compressor", "reconstructor")
+NODES = (*STREAM, "monitor", "recorder")
+SETTLE_S = 0.4
+"""Time for frames before and after a fault, to see that the graph runs as it should."""
+BEFORE_NS = 100_000_000
+"""Time before a fault from which frames are counted."""
+N_STALLED, N_KILLS = 100, 20
+STEP_NS = 3600 * 10**9
+GET_S = 1.0
+"""Time for which a refused reader goes on waiting for a message."""
+#: Found by Python before any module of its own: the wall clock of a process, an hour back once a
+#: file exists. The monotonic clock, which no step of the wall clock moves, is left as it is.
+STEPPED = """
+import os, time
+open({loaded!r} + str(os.getpid()), "w").close()
+_ns = time.time_ns
+def _now(): return _ns() - {step_ns} * os.path.exists({switch!r})
+time.time_ns = _now
+time.time = lambda: _now() / 1e9
+"""
+#: A driver whose own stamps step back after a second.
+DRIVER = """
+import time
+import numpy as np
+
+def frames():
+    for k in range(10**9):
+        time.sleep(0.01)
+        yield time.monotonic_ns() - (k > 100) * {step_ns}, np.zeros((40, 40))
+"""
+#: Subscribers of all topics of an endpoint that never read: once they are connected, which goes on
+#: in a thread of ZeroMQ's, the process stops itself, so that not even that thread reads.
+STALLED = """
+import os, signal, sys, time
+import zmq
+from sparseskin.nodes.network.sockets import make_context
+
+context = make_context()
+context.set(zmq.MAX_SOCKETS, 4096)
+sockets = [context.socket(zmq.SUB) for _ in range(int(sys.argv[1]))]
+for stalled in sockets:
+    stalled.setsockopt(zmq.RCVHWM, 1)
+    stalled.subscribe(b"")
+    stalled.connect(sys.argv[2])
+time.sleep(1.0)
+print("stalled", flush=True)
+os.kill(os.getpid(), signal.SIGSTOP)
+"""
+
+
+def strike(
+    graph: ObservedGraph, node: str, number: signal.Signals, stop_s: float, rate_hz: float
+) -> dict[str, Any]:
+    """Send a node a signal, and wait until the graph runs as before.
+
+    Returns
+    -------
+    dict
+        recover_s: from the signal, or from SIGCONT, until the reconstruction of a frame acquired
+        after it came, half a second old at most; of a monitor or recorder, until it runs again.
+        lost: frames acquired and not reconstructed. not_sensed: frames due by the sensor's rate
+        and not acquired. stopped: other nodes that stopped too.
+    """
+    probe, before = graph.probe, graph.nodes()
+    restarts = graph.state().get(node, {}).get("restarts", 0)
+    probe.wait_for_frame()
+    time.sleep(SETTLE_S)
+    began_ns = ended_ns = probe.now_ns()
+    os.kill(before[node], number)
+    if number == signal.SIGSTOP:
+        time.sleep(stop_s)
+        os.kill(before[node], signal.SIGCONT)
+        ended_ns = probe.now_ns()
+    if node in STREAM:
+        recover_s = probe.wait_for_frame(ended_ns)
+    if number != signal.SIGSTOP:
+        wait_until(lambda: graph.state()[node]["restarts"] > restarts, f"a restart of the {node}")
+    wait_until(lambda: graph.state()[node]["condition"] == "running", f"the {node} to run")
+    if node not in STREAM:
+        recover_s = (probe.now_ns() - ended_ns) / 1e9
+    probe.wait_for_frame()
+    time.sleep(SETTLE_S)
+    since_ns = began_ns - BEFORE_NS
+    until_ns = max(seen.stamp_ns for seen in list(probe.reconstructed))
+    lost, n_sensed = probe.lost(since_ns)
+    not_sensed = max(0, round((until_ns - since_ns) / 1e9 * rate_hz) - n_sensed)
+    return {
+        **{"recover_s": recover_s, "lost": lost, "stopped": graph.stopped(before, node)},
+        "not_sensed": not_sensed if node == "sensor" else 0,
+    }
+
+
+def not_recorded(folder: Path, sensed: set[int]) -> int:
+    """Number of frames that are in no recording, of those acquired between the first and the last
+    that is in one; recordings that a killed recorder has left are read too.
+    """
+    recorded: set[int] = set()
+    for path in folder.glob("run*.mcap*"):
+        with BagReader(path) as bag:
+            recorded |= {message.stamp_ns for message in bag.messages(["/skin/taxels"])}
+    inside = {stamp for stamp in sensed if min(recorded) <= stamp <= max(recorded)}
+    return len(inside - recorded)
 
 
 @pytest.mark.parametrize(
@@ -21,100 +143,262 @@ Note = Callable[..., None]
     [("SIGKILL", None), ("SIGKILL", "tcp"), ("SIGSEGV", None), ("SIGSTOP", None)],
 )
 def test_a_node_that_is_killed_crashes_or_stops_takes_no_other_with_it(
-    name: str, transport: str | None, full: bool, note: Note, tmp_path: Path
+    name: str, transport: str | None, full: bool, note: Any, tmp_path: Path
 ) -> None:
-    point = {"signal": name, "transport": transport}
-    point |= {"repeats": 3, "stop_s": 5.0} if full else {"repeats": 1, "stop_s": 1.0}
-    point["rate_hz"] = 100.0 if full else 20.0
-    runs = [signals.measure(point, tmp_path / str(k)) for k in range(7 if full else 1)]
+    n_graphs, repeats, stop_s, rate_hz = (7, 3, 5.0, 100.0) if full else (1, 1, 1.0, 20.0)
     dies = name != "SIGSTOP"
-    for node in signals.NODES:
-        struck = [one for run in runs for one in run["struck"][node]]
-        assert not any(one["stopped"] for one in struck), node
-        lost = statistics.median(one["lost"] for one in struck)
+    struck: dict[str, list[dict[str, Any]]] = {node: [] for node in NODES}
+    launch = graph_text({"transport": transport}, sensor={"rate_hz": rate_hz})
+    for k in range(n_graphs):
+        folder = tmp_path / str(k)
+        with ObservedGraph(launch, "--record", "run.mcap", folder=folder) as graph:
+            for node in NODES * repeats:
+                struck[node].append(strike(graph, node, signal.Signals[name], stop_s, rate_hz))
+            sensed = {seen.stamp_ns for seen in list(graph.probe.sensed)}
+            in_memory = graph.shared_memory()
+            graph.end()
+            left = graph.left_behind() + in_memory
+        assert all(what.endswith(".mcap.part") for what in left)
+        assert bool(not_recorded(folder, sensed)) == dies
+        recordings = sorted(path.name for path in folder.glob("run*"))
+        if not full:
+            assert recordings == (["run.mcap.part", "run.restart1.mcap"] if dies else ["run.mcap"])
+    for node, found in struck.items():
+        assert not any(one["stopped"] for one in found), node
+        lost = statistics.median(one["lost"] for one in found)
         # Monitor and recorder cost the stream nothing.
         assert bool(lost) == (dies and node in ("compressor", "reconstructor")), node
-        times_s = [one["recover_s"] for one in struck]
+        times_s = [one["recover_s"] for one in found]
         least, median, most = min(times_s), statistics.median(times_s), max(times_s)
         note(
             fault=f"{name} of the {node}",
             transport=transport or "default",
             lost=lost,
-            not_acquired=statistics.median(one["not_sensed"] for one in struck),
+            not_acquired=statistics.median(one["not_sensed"] for one in found),
             recovered_s=f"{median:.2f} ({least:.2f}..{most:.2f})",
         )
-    assert not any(run["left"] for run in runs)
-    assert all(bool(run["not_recorded"]) == dies for run in runs)
-    recordings = sorted(path.name for path in (tmp_path / "0").glob("run*"))
-    if not full:
-        assert recordings == (["run.mcap.part", "run.restart1.mcap"] if dies else ["run.mcap"])
 
 
 @pytest.fixture
-def caused(full: bool, note: Note, tmp_path: Path) -> Callable[..., dict[str, Any]]:
-    """Causes a fault by its name, and returns its outcome; the test is skipped where it cannot."""
+def begun(tmp_path: Path) -> Iterator[Callable[..., ObservedGraph]]:
+    """Start and observe a graph in an empty folder, from its first reconstruction on."""
+    with contextlib.ExitStack() as stack:
 
-    def cause(fault: str, **small: Any) -> dict[str, Any]:
-        point = {"seconds": 0.5, "delays_s": (0, 0.05), **small}
-        if full:
-            point = {"seconds": 3.0 if fault == "rate" else 10.0, "delays_s": (0.25, 2)}
-        case = cases.CASES[fault]
-        try:
-            found = case.make(point, tmp_path / "graph")
-        except cases.NotPermittedError as error:
-            pytest.skip(str(error))
-        note(fault=case.title, **found)
-        assert (found["stopped"], found["left"]) == ([], [])
+        def begin(launch: str, *arguments: str, **options: Any) -> ObservedGraph:
+            made = ObservedGraph(launch, *arguments, folder=tmp_path / "graph", **options)
+            graph = stack.enter_context(made)
+            graph.probe.wait_for_frame(max_age_ns=math.inf)
+            graph.begin()
+            return graph
+
+        yield begin
+
+
+@pytest.fixture
+def ended(note: Any) -> Callable[..., Outcome]:
+    """End a graph and note its figures under the name of its fault: no other node has ended, and
+    nothing is left behind.
+    """
+
+    def end(graph: ObservedGraph, fault: str, *but: str, **figures: Any) -> Outcome:
+        found = graph.outcome(*but)
+        note(fault=fault, **found._asdict(), **figures)
+        assert (found.stopped, found.left) == ([], [])
+        assert found.of > 0
         return found
 
-    return cause
+    return end
 
 
-def test_nothing_outlives_a_launcher_that_is_killed(caused: Any) -> None:
-    assert not caused("launcher")["finding"].startswith("0 messages")
+@pytest.fixture
+def held_s(full: bool) -> float:
+    """Time for which a fault lasts."""
+    return 10.0 if full else 0.5
 
 
-def test_a_node_that_is_killed_twenty_times_in_a_row_comes_back(caused: Any) -> None:
-    assert caused("in a row")["finding"].startswith("20 restarts")
+def test_nothing_outlives_a_launcher_that_is_killed(begun: Any, note: Any) -> None:
+    graph = begun(graph_text(), "--record", "run.mcap")
+    in_memory = graph.shared_memory()
+    graph.process.kill()
+    graph.process.wait()
+    took_s = wait_until(lambda: not graph.processes(), "the end of all nodes")
+    # A note that is not locked belongs to a graph that is gone; the next command removes it.
+    n_notes = len(list(graph.notes.iterdir()))
+    graph.start("monitor", stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).wait()
+    n_recorded = recorded(graph.folder / "run.mcap")
+    note(fault="kill -9 of the launcher", recover_s=took_s, notes=n_notes, recorded=n_recorded)
+    assert n_recorded > 0
+    assert graph.left_behind() + in_memory == []
 
 
-def test_by_default_a_node_that_is_killed_again_and_again_is_given_up(caused: Any) -> None:
-    finding = caused("given up")["finding"]
-    assert finding.startswith("exit code 1: ")
-    assert finding.endswith("(5 restarts within 60 s: given up)")
+def recorded(path: Path) -> int:
+    """Number of messages that can be read of a recording."""
+    with BagReader(path) as bag:
+        return sum(info.n_messages for info in bag.topics.values())
 
 
-def test_a_full_disk_costs_the_stream_no_frame(caused: Any) -> None:
-    found = caused("full disk")
-    assert found["lost"] == 0
-    assert found["of"] > 0
-    assert "No space left on device; recording ended" in found["finding"]
+def kill_again_and_again(graph: GraphRun) -> int:
+    """Kill the reconstructor `N_KILLS` times, each time as soon as its process runs; how often."""
+    killed: set[int] = set()
+    while graph.process.poll() is None and len(killed) < N_KILLS:
+        pid = graph.nodes().get("reconstructor")
+        if pid is None or pid in killed:
+            time.sleep(0.01)
+            continue
+        killed.add(pid)
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    return len(killed)
 
 
-def test_ten_times_the_rate_loses_what_is_counted_and_then_it_is_as_before(caused: Any) -> None:
-    found = caused("rate", rate_hz=20.0)  # slow enough for the solver on a busy host
-    assert found["of"] > 0
-    assert f"the graph itself counts {found['lost']};" in found["finding"]
+def test_a_node_that_is_killed_twenty_times_in_a_row_comes_back(
+    begun: Any, ended: Any, full: bool
+) -> None:
+    first_s, longest_s = (0.25, 2) if full else (0, 0.05)
+    delays = {"restart_delay_s": first_s, "restart_max_delay_s": longest_s}
+    graph = begun(graph_text({"max_restarts": 100, "restart_window_s": None, **delays}))
+    launcher_s = cpu_s(graph.process.pid)
+    assert kill_again_and_again(graph) == N_KILLS
+    last_ns = graph.probe.now_ns()
+    recover_s = graph.probe.wait_for_frame(last_ns, math.inf)
+    took_s = (graph.probe.now_ns() - graph.began_ns) / 1e9
+    cpu = 100 * (cpu_s(graph.process.pid) - launcher_s) / took_s
+    ended(
+        *(graph, "kill -9 of the reconstructor 20 times in a row", "reconstructor"),
+        finding=f"after {took_s:.0f} s, the launcher at {cpu:.0f} % of a core",
+        recover_s=recover_s,
+    )
 
 
-def test_a_clock_that_steps_back_is_not_noticed(caused: Any) -> None:
-    found = caused("clock")
-    assert found["lost"] == 0
-    assert found["finding"] == "in all 6 processes; 0 stamps of frames went back"
+def test_by_default_a_node_that_is_killed_again_and_again_is_given_up(tmp_path: Path) -> None:
+    launch = graph_text({"restart_delay_s": 0, "restart_window_s": None})
+    with GraphRun(launch, folder=tmp_path / "graph") as graph:
+        kill_again_and_again(graph)
+        assert graph.wait() == 1
+        assert graph.wait_for("given up").endswith("(5 restarts within 60 s: given up)")
+        assert graph.left_behind() == []
 
 
-def test_a_driver_whose_stamps_step_back_is_named_and_ends_the_graph(caused: Any) -> None:
-    finding = caused("driver")["finding"]
-    assert finding.startswith("exit code 2; ")
-    assert "stepping:frames, frame 101: stamp_ns" in finding
+def test_a_full_disk_costs_the_stream_no_frame(
+    begun: Any, ended: Any, held_s: float, mount_disk: Any
+) -> None:
+    out = mount_disk("1m") / "run.mcap"
+    graph = begun(graph_text(), "--record", str(out))
+    line = graph.wait_for("No space left on device")
+    time.sleep(held_s)
+    graph.probe.wait_for_frame(max_age_ns=math.inf)
+    found = ended(graph, "the recorder's disk (1 MB) is full", "recorder", finding=line)
+    assert found.lost == 0
+    assert recorded(out.with_name("run.mcap.part")) > 0
+    assert "No space left on device; recording ended" in line
 
 
-def test_subscribers_that_never_read_cost_the_stream_no_frame(caused: Any) -> None:
-    assert caused("subscribers")["lost"] == 0
+def test_ten_times_the_rate_loses_what_is_counted_and_then_it_is_as_before(
+    begun: Any, ended: Any, full: bool
+) -> None:
+    slow = {"preset": "paper", "iterations": 40, "fast": "off"}
+    rate_hz = RATE_HZ if full else 20.0  # slow enough for the solver on a busy host
+    graph = begun(graph_text(sensor={"rate_hz": rate_hz}, reconstructor=slow))
+    graph.ask("sensor", "set", {"rate_hz": 10 * rate_hz})
+    time.sleep(3.0 if full else 0.5)
+    graph.ask("sensor", "set", {"rate_hz": rate_hz})
+    recover_s = graph.probe.wait_for_frame()
+    oldest_ns = max(seen.came_ns - seen.stamp_ns for seen in list(graph.probe.reconstructed))
+    time.sleep(1.0)
+    finding = f"the oldest frame was {oldest_ns / 1e9:.1f} s old"
+    found = ended(graph, "10 times the rate", finding=finding, recover_s=recover_s)
+    assert graph.summary()["patches"]["skin"]["frames"]["lost"] == found.lost
 
 
-def test_refused_readers_are_named_get_nothing_and_disturb_nobody(caused: Any) -> None:
-    found = caused("keys")
-    assert found["lost"] == 0
-    assert found["of"] > 0
-    assert found["finding"].startswith("0 messages came to them; named after: an unlisted key ")
+def test_a_clock_that_steps_back_is_not_noticed(
+    begun: Any, ended: Any, held_s: float, tmp_path: Path
+) -> None:
+    modules, switch = tmp_path / "modules", tmp_path / "stepped"
+    modules.mkdir()
+    loaded = str(modules / "loaded-by-")
+    text = STEPPED.format(step_ns=STEP_NS, switch=str(switch), loaded=loaded)
+    (modules / "sitecustomize.py").write_text(text)
+    environment = {"PYTHONPATH": str(modules)}
+    graph = begun(graph_text(), "--record", "run.mcap", environment=environment)
+    reached = {int(path.name.rpartition("-")[2]) for path in modules.glob("loaded-by-*")}
+    assert set(graph.processes()) <= reached
+    switch.touch()
+    recover_s = graph.probe.wait_for_frame(graph.began_ns, math.inf)
+    time.sleep(held_s)
+    stamps = [seen.stamp_ns for seen in list(graph.probe.reconstructed)]
+    assert all(b > a for a, b in itertools.pairwise(stamps))
+    assert ended(graph, "the wall clock steps back by 1 h", recover_s=recover_s).lost == 0
+
+
+def test_a_driver_whose_stamps_step_back_is_named_and_ends_the_graph(tmp_path: Path) -> None:
+    (tmp_path / "stepping.py").write_text(DRIVER.format(step_ns=STEP_NS))
+    launch = graph_text(sensor={"source": "stepping:frames", "rate_hz": None})
+    with GraphRun(launch, folder=tmp_path) as graph:
+        assert graph.wait() == 2
+        assert "stepping:frames, frame 101: stamp_ns" in graph.wait_for("stamp_ns")
+        assert graph.left_behind() == []
+
+
+@contextlib.contextmanager
+def stalled(endpoint: str) -> Iterator[None]:
+    """`N_STALLED` subscribers of an endpoint that never read."""
+    command = [sys.executable, "-c", STALLED, str(N_STALLED), endpoint]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
+    try:
+        assert process.stdout is not None
+        process.stdout.readline()
+        yield
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_subscribers_that_never_read_cost_the_stream_no_frame(
+    begun: Any, ended: Any, held_s: float
+) -> None:
+    graph = begun(graph_text())
+    nodes = graph.nodes()
+    before = {name: own_bytes(pid) for name, pid in nodes.items()}
+    with contextlib.ExitStack() as stack:
+        for name in ("sensor", "reconstructor"):
+            stack.enter_context(stalled(graph.note()["nodes"][name]["endpoint"]))
+        time.sleep(held_s)
+        recover_s = graph.probe.wait_for_frame(max_age_ns=math.inf)
+        grew_mb = max((own_bytes(pid) - before[name]) / 1e6 for name, pid in nodes.items())
+        finding = f"memory grew by {grew_mb:.1f} MB at most"
+        found = ended(graph, "100 subscribers each", finding=finding, recover_s=recover_s)
+    assert found.lost == 0
+
+
+def test_refused_readers_are_named_get_nothing_and_disturb_nobody(
+    begun: Any, ended: Any, tmp_path: Path
+) -> None:
+    for name in ("edge", "lab"):
+        make_key_files(name, tmp_path / "graph/keys")
+    edge, lab = (read_key_pair(tmp_path / f"graph/keys/{name}.key") for name in ("edge", "lab"))
+    graph = begun(graph_text({"transport": "tcp"}) + SECURITY)
+    named_s = [
+        read_without_right(graph, own, server_key, words)
+        for own, server_key, words in (
+            (lab, edge.public, "its key is that of lab, and not on the list"),
+            (edge, lab.public, "it has a wrong key for this host"),
+            (None, "", "it uses no key"),
+        )
+    ]
+    graph.probe.wait_for_frame(max_age_ns=math.inf)
+    finding = f"named after: {', '.join(f'{seconds:.2f} s' for seconds in named_s)}"
+    assert ended(graph, "readers without a right", finding=finding).lost == 0
+
+
+def read_without_right(graph: GraphRun, own: KeyPair | None, server_key: str, words: str) -> float:
+    """Subscribe to the sensor, which must send nothing; seconds until the log holds `words`."""
+    context = make_context()
+    try:
+        reader = Reader(context, "stranger", (), ["/skin/taxels"], present=False, keys=own)
+        reader.connect(graph.note()["nodes"]["sensor"]["endpoint"], server_key)
+        seconds = wait_until(lambda: any(words in line for line in graph.log), repr(words))
+        time.sleep(GET_S)
+        assert reader.receive() is None
+        return seconds
+    finally:
+        context.destroy(linger=0)

@@ -1,75 +1,279 @@
 """Hostile bytes on the inputs of nodes: counted, and no node ends.
 
-At full size 200,000 messages to each node; `SPARSESKIN_FUZZ_MESSAGES` states another number.
+Sound messages, mutated, on the sockets of nodes that run, and sound ones after. At full size
+200,000 messages to each node; `SPARSESKIN_FUZZ_MESSAGES` states another number.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import selectors
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
-from stress import messages as fuzz_nodes
-from stress.messages import (
-    HOSTILE_RUN,
-    SOUND_RUN,
-    ends,
-    hostile_messages,
-    hostile_subscription,
-    sound_messages,
-)
+import zmq
+from stress.graphs import wait_until
 
-from sparseskin.messages import decode, encode
-from sparseskin.messages.wire import received
-from sparseskin.nodes.clock import ManualClock
+from sparseskin.launch.launchfile.spec import NodeSpec
+from sparseskin.launch.run.process import NodeProcess
+from sparseskin.messages import End, Message, encode
+from sparseskin.messages.topics import split_topic
+from sparseskin.messages.wire import wire_bytes
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import wall_offset_ns
+from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.host import NodeHost
-from sparseskin.nodes.node import Context
+from sparseskin.nodes.host import is_latched
+from sparseskin.nodes.network.sockets import Writer, make_context
+from sparseskin.nodes.node import Node
+from sparseskin.nodes.process.proc import resident_bytes
+from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.registry import make_settings, node_class, node_types
+from sparseskin.nodes.sensor.node import Sensor
+from sparseskin.nodes.settings import Settings
 
-N_MESSAGES = int(os.environ.get("SPARSESKIN_FUZZ_MESSAGES", "2000"))
+N_MESSAGES = int(os.environ.get("SPARSESKIN_FUZZ_MESSAGES", "0"))
 GROWTH_BYTES = 500
 """Bound on the growth of memory, bytes a message."""
+TYPES = ("compressor", "reconstructor", "monitor", "recorder")
+N_SOUND = 10
+N_PARTS = 10
+"""Equal parts of the messages; memory is measured after each."""
+SUBSCRIPTIONS = 0.1
+"""Hostile subscriptions to what the node writes, as a part of the messages it reads."""
+ANY = "tcp://127.0.0.1:*"
+SIDE = 8
+HOSTILE_RUN = "00000000000000aa"
+SOUND_RUN = "00000000000000bb"
+MAX_RANDOM_BYTES = 300
 
 
-def host_of(type_name: str, tmp_path: Path, lines: list[str]) -> NodeHost:
-    """A node as its process makes it, without process and sockets."""
-    values = fuzz_nodes.settings_of(type_name, tmp_path)
-    cls = node_class(type_name)
-    context = Context(type_name, ManualClock(), lines.append)
-    topics = fuzz_nodes.topics_of(type_name, sound_messages(SOUND_RUN, 1))
-    return NodeHost(cls(make_settings(cls, values), context), SOUND_RUN, lines.append, topics)
+class _Endless:
+    """Frames of true forces on a small skin, for a sensor."""
+
+    delivers = "truth"
+
+    def __iter__(self) -> Iterator[tuple[int, Any]]:
+        stamp_ns = 0
+        while True:
+            stamp_ns += 1_000_000
+            yield stamp_ns, np.linspace(0, 1, SIDE * SIDE, dtype=np.float32).reshape(SIDE, SIDE)
 
 
-@pytest.mark.parametrize("type_name", fuzz_nodes.TYPES)
-def test_hostile_messages_end_no_node(type_name: str, tmp_path: Path) -> None:
-    lines: list[str] = []
-    host = host_of(type_name, tmp_path, lines)
-    list(host.start())
+def small_skin() -> _Endless:
+    """The driver `stress.messages:small_skin`."""
+    return _Endless()
+
+
+class _Tap(Node[Settings]):
+    """Keeps all messages of a graph."""
+
+    def __init__(self, settings: Settings, context: Any) -> None:
+        super().__init__(settings, context)
+        self.kept: list[Message] = []
+
+    @classmethod
+    def inputs(cls, settings: Settings) -> tuple[str, ...]:
+        return ("*",)
+
+    def step(self, message: Message) -> Iterable[Message]:
+        self.kept.append(message)
+        return ()
+
+
+def sound_messages(run_id: str, n_frames: int) -> list[Message]:
+    """All messages that a graph of one small patch sends in some frames, as one run."""
+    bus = Bus(
+        {
+            "sensor": (Sensor, Sensor.Settings(source=f"{__name__}:small_skin")),
+            "compressor": (Compressor, Compressor.Settings()),
+            "reconstructor": (Reconstructor, Reconstructor.Settings()),
+            "tap": (_Tap, Settings()),
+        }
+    )
+    bus.run(n_frames)
+    tap = bus.hosts["tap"].node
+    assert isinstance(tap, _Tap)
+    return [message.published(run_id, message.seq) for message in tap.kept]
+
+
+def ends(topics: Iterable[str], run_id: str, n_messages: int) -> list[End]:
+    """The end of each topic."""
+    return [
+        End(stamp_ns=1, patch=patch, run_id=run_id, of=name, n_messages=n_messages)
+        for patch, name in map(split_topic, topics)
+    ]
+
+
+def hostile_messages(topics: Sequence[str], n: int, rng: np.random.Generator) -> Iterator[bytes]:
+    """`n` random or mutated messages under the topics that a node listens to."""
+    sound = [m for m in sound_messages(HOSTILE_RUN, 1) if m.topic in topics]
+    good = [b"\0".join(encode(message)) for message in sound]
+    frames = [wire_bytes(message) for message in sound if not message.latched]
+    for _ in range(n):
+        buffers = (good, frames)[rng.integers(2)]
+        topic, _, payload = buffers[rng.integers(len(buffers))].partition(b"\0")
+        other = buffers[rng.integers(len(buffers))].partition(b"\0")[2]
+        begin = topic + b"\0"
+        match rng.integers(6):
+            case 0:
+                yield begin + rng.bytes(int(rng.integers(0, MAX_RANDOM_BYTES)))
+            case 1:
+                yield begin + payload[: rng.integers(len(payload))]
+            case 2:
+                yield begin + other + rng.bytes(int(rng.integers(1, 9)))
+            case 3:
+                yield topic
+            case 4:
+                yield begin + other  # sound, but perhaps not here
+            case _:
+                yield begin + _mutated(payload, rng)
+
+
+def _mutated(payload: bytes, rng: np.random.Generator) -> bytes:
+    """A copy with up to five bytes changed."""
+    mutated = bytearray(payload)
+    for place in rng.integers(len(mutated), size=rng.integers(1, 6)):
+        mutated[place] = rng.integers(256)
+    return bytes(mutated)
+
+
+def hostile_subscription(rng: np.random.Generator) -> bytes:
+    """Random bytes from a reader to a writer: a subscription, an unasked answer, or anything."""
+    what = rng.bytes(int(rng.integers(0, MAX_RANDOM_BYTES)))
+    return (b"", b"\0", b"\x01", b"\x01@", b"\x01@probe#node:", b"\0@")[rng.integers(6)] + what
+
+
+class Harness:
+    """A node in a process of its own, joined to this program alone; to be used in a `with`.
+
+    It has the settings `values` and reads `topics` from `writer`; `streams` are those topics that
+    are not latched.
+    """
+
+    def __init__(self, type_name: str, values: dict[str, Any], topics: list[str]) -> None:
+        self.context = make_context()
+        self.writer = Writer(self.context, ANY)
+        # With one reader it is safe to wait for it instead of dropping what it has no room for.
+        self.writer.socket.setsockopt(zmq.XPUB_NODROP, 1)
+        self.topics = topics
+        self.streams = [topic for topic in topics if not is_latched(topic)]
+        cls = node_class(type_name)
+        spec = NodeSpec(type_name, type_name, cls, values, make_settings(cls, values))
+        settings = {"name": type_name, "type": type_name, "settings": values, "endpoint": ANY}
+        joined = {"readers": [], "inputs": topics, "offset_ns": wall_offset_ns()}
+        self.node = NodeProcess(spec, {**settings, **joined, "max_frames": None})
+        self.events: list[dict[str, Any]] = []
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self.node.pipes[0], selectors.EVENT_READ)
+
+    def __enter__(self) -> Self:
+        self.event("bound")
+        peers = [{"writer": "fuzzer", "endpoint": self.writer.endpoint}]
+        self.node.command("connect", peers=peers)
+        self.event("ready")
+
+        def present() -> bool:
+            self.writer.serve_subscriptions()
+            return self.node.name in self.writer.present
+
+        wait_until(present, "the subscription")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.node.command("stop")
+        self.node.close()
+        self._selector.close()
+        self.context.destroy(linger=0)
+
+    def event(self, name: str) -> dict[str, Any]:
+        """Wait for an event of the node; Raises GraphError if it does not come."""
+
+        def came() -> bool:
+            self._selector.select(0.05)
+            self.events += self.node.read()[0]
+            return any(event["event"] == name for event in self.events)
+
+        wait_until(came, f"the event {name} of the {self.node.name}")
+        return next(event for event in self.events if event["event"] == name)
+
+    def write(self, buffers: Iterable[bytes]) -> None:
+        """Publish messages as they stand; events of the node meanwhile are read."""
+        for k, buffer in enumerate(buffers):
+            self.writer.socket.send(buffer)
+            if k % 1000 == 0:
+                self.events += self.node.read()[0]
+
+    def send(self, messages: Iterable[Message]) -> None:
+        """Publish messages of its topics."""
+        self.write(wire_bytes(message) for message in messages if message.topic in self.topics)
+
+    def subscribe(self, notes: Iterable[bytes]) -> None:
+        """Send the node subscriptions, as they stand, over one connection."""
+        reader = self.context.socket(zmq.XSUB)
+        reader.connect(self.event("bound")["endpoint"])
+        for note in notes:
+            reader.send(note)
+        reader.close(linger=5000)
+
+    def drained(self) -> None:
+        """Wait until the node has read all that was published."""
+        ask = self.writer.ask()
+
+        def answered() -> bool:
+            self.writer.serve_subscriptions()
+            self.events += self.node.read()[0]
+            return not self.writer.awaits(ask)
+
+        wait_until(answered, f"the {self.node.name} to read everything", 600.0)
+
+    def memory_mb(self) -> float:
+        """Resident memory of the node, MB."""
+        return resident_bytes(self.node.pid) / 1e6
+
+
+@pytest.mark.parametrize("type_name", TYPES)
+def test_hostile_messages_and_subscriptions_end_no_process(
+    type_name: str, full: bool, note: Any, tmp_path: Path
+) -> None:
+    n = N_MESSAGES or (200_000 if full else 30_000)
     rng = np.random.default_rng(5)
-    for buffer in hostile_messages(host.inputs, N_MESSAGES, rng):
-        # As `Reader.receive` does.
-        list(host.receive_bytes(*received(buffer)))
-        host.idle()
-    refused = host.counts.refused
-    assert sum(refused.values()) > N_MESSAGES / 2
+    sound = sound_messages(SOUND_RUN, N_SOUND)
+    cls = node_class(type_name)
+    values = {"out": str(tmp_path / "fuzz.mcap")} if type_name == "recorder" else {}
+    topics = list(cls.inputs(make_settings(cls, {})))
+    if "*" in topics:
+        topics = list(dict.fromkeys(message.topic for message in sound))
+    with Harness(type_name, values, topics) as harness:
+        memory_mb = []
+        for _ in range(N_PARTS):
+            harness.write(hostile_messages(harness.topics, n // N_PARTS, rng))
+            harness.drained()
+            memory_mb.append(round(harness.memory_mb(), 2))
+        # Over one connection, and over another, which can use what the first has freed.
+        subscribed_mb = []
+        for _ in range(2 * bool(cls.outputs(harness.node.spec.settings))):
+            harness.subscribe(hostile_subscription(rng) for _ in range(round(SUBSCRIPTIONS * n)))
+            harness.drained()
+            subscribed_mb.append(round(harness.memory_mb(), 2))
+        harness.send(chain(sound, ends(harness.streams, SOUND_RUN, N_SOUND)))
+        counts = harness.event("ended")["counts"]
+        assert harness.node.exit_code() is None
+    refused = counts["refused"]
+    note(node=type_name, messages=n, refused=refused, MB=memory_mb, subscribed_mb=subscribed_mb)
+    assert sum(refused.values()) > n / 2
     assert {"truncated", "malformed", "bad field"} <= refused.keys()
-    assert not host.failure
-    # Each reason is logged the 1st, 10th, 100th ... time only.
-    assert len(lines) <= 10 + sum(len(str(n)) for n in refused.values())
-    # It still does its work: the sound frames are received, and results published.
-    sound = sound_messages(SOUND_RUN, fuzz_nodes.N_SOUND)
-    for message in (*sound, *ends(host.streams, SOUND_RUN, fuzz_nodes.N_SOUND)):
-        if message.topic in host.inputs:
-            list(host.receive_bytes(*encode(message)))
-    assert min(host.counts.inputs[t].received for t in host.streams) >= fuzz_nodes.N_SOUND
+    # A leak grows in each tenth of the messages. A late import, a cache that fills, and memory
+    # that is returned to the system change some of them only, so that the median is without them.
+    assert 1e6 * np.median(np.diff(memory_mb)) < GROWTH_BYTES * n / N_PARTS
+    assert min(counts["received"][topic] for topic in harness.streams) >= N_SOUND
     if type_name in ("compressor", "reconstructor"):
-        assert sum(host.counts.published.values()) > fuzz_nodes.N_SOUND
-        assert host.finished
-    host.close()
+        assert sum(counts["published"].values()) > N_SOUND
 
 
 def test_settings_of_any_value_are_accepted_or_refused() -> None:
@@ -81,46 +285,3 @@ def test_settings_of_any_value_are_accepted_or_refused() -> None:
             for value in (*values, rng.bytes(8).hex()):
                 with contextlib.suppress(SparseskinError):
                     make_settings(cls, {setting["key"]: value})
-
-
-@pytest.mark.slow  # real processes, tens of thousands of messages each
-@pytest.mark.parametrize("type_name", fuzz_nodes.TYPES)
-def test_hostile_messages_and_subscriptions_end_no_process(
-    type_name: str, full: bool, note: Any
-) -> None:
-    n_messages = max(N_MESSAGES, 200_000 if full else 30_000)
-    found = fuzz_nodes.measure({"type": type_name, "n": n_messages, "seed": 5})
-    note(node=type_name, messages=n_messages, **found)
-    assert found["alive"]
-    assert sum(found["refused"].values()) > n_messages / 2
-    # A leak grows in each tenth of the messages. A late import, a cache that fills, and memory
-    # that is returned to the system change some of them only, so that the median is without them.
-    growths_mb = np.diff(found["memory_mb"])
-    assert len(growths_mb) == fuzz_nodes.N_PARTS - 1
-    assert 1e6 * np.median(growths_mb) < GROWTH_BYTES * n_messages / fuzz_nodes.N_PARTS
-    assert found["received"] >= fuzz_nodes.N_SOUND
-    if type_name in ("compressor", "reconstructor"):
-        assert found["published"] > fuzz_nodes.N_SOUND
-
-
-def test_the_messages_that_are_mutated_are_sound_and_of_every_kind() -> None:
-    messages = sound_messages(HOSTILE_RUN, 2)
-    schemas = {"skin", "phi", "solver", "taxels", "truth", "measurements", "reconstruction"}
-    assert {message.schema for message in messages} == schemas
-    for message in messages:
-        topic, payload = encode(message)
-        assert decode(topic, payload).run_id == HOSTILE_RUN
-
-
-def test_one_seed_gives_the_same_hostile_messages() -> None:
-    topics = ["/skin/taxels", "/skin/skin"]
-    first, second = (
-        list(hostile_messages(topics, 50, np.random.default_rng(seed))) for seed in (3, 4)
-    )
-    again = list(hostile_messages(topics, 50, np.random.default_rng(3)))
-    # The stamps of sound messages are of the time at which they are made.
-    assert [len(buffer) for buffer in first] == [len(buffer) for buffer in again]
-    assert first != second
-    assert hostile_subscription(np.random.default_rng(1)) == hostile_subscription(
-        np.random.default_rng(1)
-    )

@@ -11,7 +11,6 @@ import time
 from typing import Any
 
 import numpy as np
-import pytest
 from stress.graphs import GraphRun, launch_text
 
 from sparseskin.nodes.compressor.phi.rotation import FIXED
@@ -107,21 +106,6 @@ def verdict(samples: dict[str, Any], name: str) -> dict[str, Any]:
     }
 
 
-def test_every_process_of_a_graph_is_sampled_and_nothing_is_lost() -> None:
-    found = measure(3.5, 50, 40)
-    samples = found["samples"]
-    assert samples.keys() == {"time_s", *NAMES}
-    assert len(samples["time_s"]) >= 2
-    for name in NAMES:
-        for values in samples[name].values():
-            assert len(values) == len(samples["time_s"])
-            assert min(values) > 0
-    assert found["frames"]["sensed"] == found["frames"]["reconstructed"] > 0
-    assert (found["frames"]["lost"], found["restarts"], found["exit_code"]) == (0, 0, 130)
-    assert found["lost"].keys() == NAMES - {LAUNCHER}
-    assert set(found["lost"].values()) == {0}
-
-
 def test_a_graph_that_runs_for_a_while_leaks_nothing_and_loses_nothing(
     full: bool, note: Any
 ) -> None:
@@ -138,37 +122,6 @@ def test_a_graph_that_runs_for_a_while_leaks_nothing_and_loses_nothing(
     note(process="frames", **found["frames"])
     assert found["frames"]["lost"] == found["restarts"] == 0
     assert set(found["lost"].values()) == {0}
-
-
-def samples(memory_mb: list[float], files: list[int]) -> dict[str, Any]:
-    n = len(memory_mb)
-    looked_at = {"memory_mb": memory_mb, "files": files, "cpu_s": [0.25 * k for k in range(n)]}
-    return {"time_s": [float(k) for k in range(n)], "x": looked_at}
-
-
-def test_memory_is_judged_after_the_warm_up_by_its_first_and_last_fifth() -> None:
-    n = 600
-    warm, flat = [float(k) for k in range(70)], [100.0] * (n - 70)
-    v = verdict(samples(warm + flat, [9] * n), "x")
-    assert (v["growth"], v["files_before"], v["files_after"]) == (0.0, 9, 9)
-    assert v["mb_per_hour"] == pytest.approx(0.0, abs=1e-6)
-    assert v["cpu"] == pytest.approx(0.25)
-    leaks = (100.0 + 0.01 * np.arange(n)).tolist()
-    v = verdict(samples(leaks, [9] * (n - 1) + [10]), "x")
-    assert v["mb_per_hour"] == pytest.approx(36.0)
-    assert v["growth"] > 0.02
-    assert (v["files_before"], v["files_after"]) == (9, 10)
-
-
-def test_a_queue_that_is_long_for_some_seconds_is_no_growth() -> None:
-    memory_mb = [100.0] * 600
-    memory_mb[560:590] = [180.0] * 30
-    v = verdict(samples(memory_mb, [9] * 600), "x")
-    assert (v["growth"], v["highest_mb"]) == (0.0, 180.0)
-
-
-def test_of_a_short_run_a_third_is_warm_up() -> None:
-    assert verdict(samples([1.0] * 31, [1] * 31), "x")["warm_up_s"] == 10.0
 
 
 def test_a_looped_source_repeats_its_frames_with_stamps_that_go_on() -> None:
