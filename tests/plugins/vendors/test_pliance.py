@@ -6,35 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from damaged import changed, refusal
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from vendor_texts import ASC
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.recorded import n_taxels, open_file
-
-SHARED = [HealthCheck.function_scoped_fixture]
-ASC = """file name: a.mat date/time 17.06.23 15.21
-mat type s2
-total times [secs]: 0.1 time per frame [secs]: 0.04 scanning rate [Hz]: 25
-pressure values in kPa
-
-electrical:
-time[secs]       4       5       7
-   0.04   10.000   0.000   20.000
-   0.08   11.000   5.000   20.000
-      MPP   11.000   5.000   20.000
-
- time[secs] force[N]   x[cm]   y[cm]
-   0.04    0.000       -       -
-
-sensor        4        5        7
-corner[cm]
-x[0]   0.0   1.0   0.0
-x[c]   0.5   1.5   0.5
-y[c]   1.5   1.5   0.5
-area   1.0   1.0   1.0
-"""
 
 
 def test_a_pliance_export_is_put_on_the_grid_of_its_corners(tmp_path: Path) -> None:
@@ -74,13 +49,3 @@ def test_another_asc_file_is_refused_with_its_place(
     with pytest.raises(SourceError) as refused:
         open_file(tmp_path / "a.asc")
     assert text in str(refused.value)
-
-
-@settings(max_examples=80, deadline=None, suppress_health_check=SHARED)
-@given(place=st.integers(0, 10**6), piece=st.text("0123456789.-e \n[]cx", min_size=1, max_size=6))
-def test_a_damaged_asc_file_is_read_or_refused_in_one_line(
-    tmp_path: Path, place: int, piece: str
-) -> None:
-    (tmp_path / "a.asc").write_bytes(changed(ASC.encode(), place, piece.encode()))
-    assert refusal(lambda: open_file(tmp_path / "a.asc")).isprintable()
-    assert refusal(lambda: n_taxels(str(tmp_path / "a.asc"))).isprintable()
