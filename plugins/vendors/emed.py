@@ -25,6 +25,8 @@ from sparseskin.nodes.sensor.files.parsed import (
     stack_frames,
 )
 
+from .movies import KPA_CM2_IN_NEWTONS, LARGEST_NUMBER
+
 _MATRIX = re.compile(r"Matrix:\s*(\S*)")
 _AREA = re.compile(r"Sensor area:\s*(\S+)\s*(\S*)")
 _PERIOD = re.compile(r"Time/picture:\s*(\S+)\s*(\S*)")
@@ -33,7 +35,6 @@ _PICTURE = re.compile(r"Pict-No\.:\s*(\S*)")
 
 Stated: TypeAlias = dict[re.Pattern[str], tuple[re.Match[str], str]]
 """Properties of a page, each with its place: where one stands twice, the last."""
-_KPA_CM2_IN_NEWTONS = 0.1
 _SUM_ROUNDING_N = 0.0051
 """Force sums are printed to 0.01 N."""
 _CELL_ROUNDING_KPA = 0.005
@@ -52,7 +53,7 @@ class _Header:
 
     @property
     def newtons_per_kpa(self) -> float:
-        return self.area_cm2 * _KPA_CM2_IN_NEWTONS
+        return self.area_cm2 * KPA_CM2_IN_NEWTONS
 
 
 class EmedRecording(Recording):
@@ -117,7 +118,9 @@ class EmedRecording(Recording):
                 continue
             if picture[1].isdigit():
                 where = self._lines.where
-                return _parse_header(stated, where), parse_whole(picture[1], where, 0, 999_999_999)
+                return _parse_header(stated, where), parse_whole(
+                    picture[1], where, 0, LARGEST_NUMBER
+                )
             stated = {}
         return None
 

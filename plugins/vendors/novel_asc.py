@@ -28,9 +28,10 @@ from sparseskin.nodes.sensor.files.parsed import (
     shown,
 )
 
+from .movies import KPA_CM2_IN_NEWTONS
+
 _RATE = re.compile(r"scanning rate \[Hz\]:\s*(\S+)")
 _UNIT = re.compile(r"pressure values in\s+(\S+)")
-_KPA_CM2_IN_NEWTONS = 0.1
 _HEAD_LINES = 20
 _TOLERANCE = 0.02
 """Allowed distance of a sensor's middle from its place on the grid, in cells: rounding of 1 um."""
@@ -88,7 +89,7 @@ class PlianceRecording(Recording):
                 parse_reading(token, where, int(row), int(col))
                 for token, row, col in zip(cells[1:], grid.rows, grid.cols, strict=True)
             ]
-            frames.append(np.array(kpa) * grid.area_cm2 * _KPA_CM2_IN_NEWTONS)
+            frames.append(np.array(kpa) * grid.area_cm2 * KPA_CM2_IN_NEWTONS)
         if not frames:
             raise SourceError(f"{name}: the recording holds no frame")
         stamps = tuple(round((time - times[0]) * 1e9) for time in times)

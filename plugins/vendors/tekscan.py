@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-from itertools import islice, pairwise
-
-import numpy as np
+from itertools import islice
 
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
@@ -17,11 +15,12 @@ from sparseskin.nodes.sensor.files.parsed import (
     Recording,
     check_grid,
     parse_number,
-    parse_reading,
     parse_whole,
     shown,
     stack_frames,
 )
+
+from .movies import LARGEST_NUMBER, check_mask, check_number, read_cells, stamps
 
 _FRAME = re.compile(r"Frame\s+(\d+)\s*(?:,\s*([^,]*))?")
 _RAW_SUM = re.compile(r"Raw Sum=[\s,]*([^,\s]+)")
@@ -66,7 +65,7 @@ class TekscanRecording(Recording):
         self._shape = _shape(header, lines.name)
         self._unit, _ = _entry(header, "UNITS", lines.name)
         self._number, self._last = (
-            parse_whole(*header[keyword], 0, 999_999_999) if keyword in header else None
+            parse_whole(*header[keyword], 0, LARGEST_NUMBER) if keyword in header else None
             for keyword in ("START_FRAME", "END_FRAME")
         )
         self._period_s = None
@@ -96,7 +95,7 @@ class TekscanRecording(Recording):
             forces=forces,
             unit=self._unit,
             rate_hz=None if self._period_s is None else 1.0 / self._period_s,
-            stamp_ns=_stamps(self._times, self._lines.name),
+            stamp_ns=stamps(self._times, self._lines.name),
             pitch_m=self._pitch_m,
             mask=None if mask is None or mask.all() else mask,
         )
@@ -113,21 +112,12 @@ class TekscanRecording(Recording):
             match = _FRAME.match(line)
             if match is None:
                 raise SourceError(f"{where}: {shown(line)} stands where 'Frame N' should")
-            number = parse_whole(match[1], where, 0, 999_999_999)
-            if self._number not in (None, number):
-                raise SourceError(
-                    f"{where}: frame {number} comes where frame {self._number} should"
-                )
+            number = parse_whole(match[1], where, 0, LARGEST_NUMBER)
+            check_number(number, number if self._number is None else self._number, where)
             self._number = number + 1
-            frame, exists = self._grid(f"frame {number}")
-            if self._mask is None:
-                self._mask = exists
-            elif not np.array_equal(self._mask, exists):
-                row, col = np.argwhere(self._mask != exists)[0]
-                raise SourceError(
-                    f"{where}: frame {number} has its 'B' cells (no sensel) elsewhere than the "
-                    f"first frame, e.g. at row {row}, column {col}; a mask must not change"
-                )
+            frame, exists = read_cells(self._lines, self._shape, number, "COLS", "B")
+            self._mask = exists if self._mask is None else self._mask
+            check_mask(self._mask, exists, number, where, "'B'")
             if self._unit.lower() == "raw":
                 _check_raw_sum(line, float(frame.sum()), where, number)
             stated = (match[2] or "").strip()
@@ -148,29 +138,6 @@ class TekscanRecording(Recording):
                     f"{self._lines.where}: {shown(line)} comes after the end mark "
                     f"'{self._terminator}'"
                 )
-
-    def _grid(self, label: str) -> tuple[Doubles, Mask]:
-        """Read the readings of a frame, and the mask of existing sensels, both of its shape."""
-        n_rows, n_cols = self._shape
-        frame, exists = np.zeros(self._shape), np.ones(self._shape, dtype=np.bool_)
-        for row in range(n_rows):
-            line = next(self._lines, None)
-            if line is None:
-                raise SourceError(
-                    f"{self._lines.where}: the file ends in {label}, which needs {n_rows} rows"
-                )
-            where = f"{self._lines.where}, {label}"
-            cells = [cell.strip() for cell in line.split(",")]
-            while len(cells) > n_cols and not cells[-1]:
-                cells.pop()
-            if len(cells) != n_cols:
-                raise SourceError(f"{where}: row {row} has {len(cells)} cells, COLS is {n_cols}")
-            for col, token in enumerate(cells):
-                if token in ("B", "b"):
-                    exists[row, col] = False
-                else:
-                    frame[row, col] = parse_reading(token, where, row, col)
-        return frame, exists
 
 
 def _shape(header: Header, name: str) -> tuple[int, int]:
@@ -229,20 +196,3 @@ def _check_raw_sum(line: str, total: float, where: str, number: int) -> None:
         raise SourceError(
             f"{where}: frame {number} states Raw Sum {stated:g}, but its cells add up to {total:g}"
         )
-
-
-def _stamps(times: list[float | None], name: str) -> tuple[int, ...] | None:
-    """Return nanoseconds since the first frame, or None if times are missing or repeated."""
-    known = [time for time in times if time is not None]
-    if not known or len(known) != len(times):
-        return None
-    if not all(abs(time) <= 1e9 for time in known):
-        raise SourceError(f"{name}: frame times lie outside 0..1e9 s")
-    stamps = tuple(round((time - known[0]) * 1e9) for time in known)
-    steps = [after - before for before, after in pairwise(stamps)]
-    if any(step < 0 for step in steps):
-        raise SourceError(
-            f"{name}: the time of frame {next(i for i, s in enumerate(steps) if s < 0) + 2} "
-            "(counted from 1) is before that of the frame before it"
-        )
-    return None if 0 in steps else stamps

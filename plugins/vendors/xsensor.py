@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from itertools import pairwise
-
-import numpy as np
 
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
@@ -18,16 +15,16 @@ from sparseskin.nodes.sensor.files.parsed import (
     Recording,
     check_grid,
     parse_number,
-    parse_reading,
     parse_whole,
     shown,
     stack_frames,
 )
 
+from .movies import LARGEST_NUMBER, check_mask, check_number, read_cells, stamps
+
 _N_HEAD_LINES = 100
 """Lines searched for the keyword of the readings; header and first frame have some 65 before it."""
 _TIME = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d{1,9})?)")
-_DAY_S = 86400.0
 _PEAK_ROUNDING = 0.011
 """Allowed difference of a stated peak, in the file's unit: both have two decimals."""
 _AREA_ROUNDING = 0.02
@@ -87,8 +84,7 @@ class XsensorRecording(Recording):
         while (number := self._next_number()) is not None:
             wanted += 1
             where = self._lines.where
-            if number != wanted:
-                raise SourceError(f"{where}: frame {number} comes where frame {wanted} should")
+            check_number(number, wanted, where)
             self._number = number
             sensor, time_s, frame, exists = self._frame()
             if (sensor.name, frame.shape) != (first.name, (first.n_rows, first.n_cols)):
@@ -97,24 +93,21 @@ class XsensorRecording(Recording):
                     f"{shown(sensor.name)}, the first one {first.n_rows} x {first.n_cols} of "
                     f"{shown(first.name)}"
                 )
-            if not np.array_equal(mask, exists):
-                row, col = np.argwhere(mask != exists)[0]
-                raise SourceError(
-                    f"{where}: frame {number} has its empty cells (no sensel) elsewhere than the "
-                    f"first frame, e.g. at row {row}, column {col}; a mask must not change"
-                )
+            check_mask(mask, exists, number, where, "empty")
             times.append(time_s)
             frames.append(frame)
         forces = stack_frames(frames, name)
         if mask.all() and _is_part(first):
             mask = forces.max(axis=0) > 0
-        stamps = _stamps(times, name)
+        stamp_ns = stamps(times, name, of_day=True)
         side_cm = first.width_cm if first.width_cm == first.height_cm else None
         return Parsed(
             forces=forces,
             unit=self._unit,
-            rate_hz=(len(stamps) - 1) * 1e9 / stamps[-1] if stamps and len(stamps) > 1 else None,
-            stamp_ns=stamps,
+            rate_hz=(
+                (len(stamp_ns) - 1) * 1e9 / stamp_ns[-1] if stamp_ns and len(stamp_ns) > 1 else None
+            ),
+            stamp_ns=stamp_ns,
             pitch_m=None if side_cm is None else side_cm / 100,
             mask=None if mask.all() or not mask.any() else mask,
         )
@@ -144,7 +137,7 @@ class XsensorRecording(Recording):
         """Read to the next line FRAME, over further sensors and groups; return its number."""
         while (entry := self._next()) is not None:
             if entry[0] == "FRAME":
-                return parse_whole(entry[1], self._lines.where, 0, 999_999_999)
+                return parse_whole(entry[1], self._lines.where, 0, LARGEST_NUMBER)
         return None
 
     def _frame(self) -> tuple[_Sensor, float | None, Doubles, Mask]:
@@ -178,7 +171,7 @@ class XsensorRecording(Recording):
             length("Total Area"),
         )
         time_s = _seconds(*stated["Time"]) if "Time" in stated else None
-        readings, exists = self._grid(n_rows, n_cols)
+        readings, exists = read_cells(self._lines, (n_rows, n_cols), number, "Columns", absent="")
         if "Peak Pressure" in stated:
             peak = parse_number(*stated["Peak Pressure"])
             if abs(peak - readings.max()) > _PEAK_ROUNDING:
@@ -187,31 +180,6 @@ class XsensorRecording(Recording):
                     f"its largest reading is {readings.max():g}"
                 )
         return sensor, time_s, readings, exists
-
-    def _grid(self, n_rows: int, n_cols: int) -> tuple[Doubles, Mask]:
-        readings, exists = np.zeros((n_rows, n_cols)), np.ones((n_rows, n_cols), dtype=np.bool_)
-        row, label = 0, f"frame {self._number}"
-        while row < n_rows:
-            line = next(self._lines, None)
-            if line is None:
-                raise SourceError(
-                    f"{self._lines.where}: the file ends in {label}, which needs {n_rows} rows"
-                )
-            cells = [cell.strip() for cell in line.split(",")]
-            if not any(cells):
-                continue  # a line between rows
-            where = f"{self._lines.where}, {label}"
-            while len(cells) > n_cols and not cells[-1]:
-                cells.pop()
-            if len(cells) != n_cols:
-                raise SourceError(f"{where}: row {row} has {len(cells)} cells, Columns is {n_cols}")
-            for col, token in enumerate(cells):
-                if token:
-                    readings[row, col] = parse_reading(token, where, row, col)
-                else:
-                    exists[row, col] = False
-            row += 1
-        return readings, exists
 
 
 def _is_part(sensor: _Sensor) -> bool:
@@ -229,21 +197,3 @@ def _seconds(text: str, where: str) -> float:
     if not (hours < 24 and minutes < 60 and seconds < 61):
         raise SourceError(f"{where}: {shown(text)} is no time of day such as 08:21:17.982")
     return 3600 * hours + 60 * minutes + seconds
-
-
-def _stamps(times: list[float | None], name: str) -> tuple[int, ...] | None:
-    """Return nanoseconds since the first frame, or None if times are missing or repeated."""
-    known = [time for time in times if time is not None]
-    if len(known) != len(times):
-        return None
-    stamps, days = [0], 0
-    for k, (before, time) in enumerate(pairwise(known), start=2):
-        # From the last minutes of a day to the first ones of the next.
-        days += before - time > _DAY_S / 2
-        stamps.append(round((time - known[0] + days * _DAY_S) * 1e9))
-        if stamps[-1] < stamps[-2]:
-            raise SourceError(
-                f"{name}: the time of frame {k} (counted from 1) is before that of the frame "
-                "before it"
-            )
-    return tuple(stamps) if len(set(stamps)) == len(stamps) else None

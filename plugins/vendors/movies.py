@@ -1,0 +1,90 @@
+"""What exports of grids, a frame after the other, have in common: cells, their mask, and times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.sensor.files.parsed import Lines, parse_reading
+
+LARGEST_NUMBER = 999_999_999
+"""Largest number of a frame."""
+KPA_CM2_IN_NEWTONS = 0.1
+_DAY_S = 86400.0
+
+
+def read_cells(
+    lines: Lines, shape: tuple[int, int], number: int, keyword: str, absent: str
+) -> tuple[Doubles, Mask]:
+    """Read the readings of a frame, and the mask of sensels that exist, both of its shape; blank
+    lines are skipped. SourceError if rows or cells are missing or too many, by the name of the
+    `keyword` that states their number, or a reading is malformed.
+
+    `absent`: what stands in a cell without a sensel, in upper case.
+    """
+    (n_rows, n_cols), label = shape, f"frame {number}"
+    readings, exists = np.zeros(shape), np.ones(shape, dtype=np.bool_)
+    row = 0
+    while row < n_rows:
+        line = next(lines, None)
+        if line is None:
+            raise SourceError(f"{lines.where}: the file ends in {label}, which needs {n_rows} rows")
+        cells = [cell.strip() for cell in line.split(",")]
+        if not any(cells):
+            continue
+        where = f"{lines.where}, {label}"
+        while len(cells) > n_cols and not cells[-1]:
+            cells.pop()
+        if len(cells) != n_cols:
+            raise SourceError(f"{where}: row {row} has {len(cells)} cells, {keyword} is {n_cols}")
+        for col, token in enumerate(cells):
+            if token.upper() == absent:
+                exists[row, col] = False
+            else:
+                readings[row, col] = parse_reading(token, where, row, col)
+        row += 1
+    return readings, exists
+
+
+def check_mask(first: Mask, exists: Mask, number: int, where: str, what: str) -> None:
+    """Raise SourceError if the cells of a frame that hold a sensel are others than the first's."""
+    if not np.array_equal(first, exists):
+        row, col = np.argwhere(first != exists)[0]
+        raise SourceError(
+            f"{where}: frame {number} has its {what} cells (no sensel) elsewhere than the first "
+            f"frame, e.g. at row {row}, column {col}; a mask must not change"
+        )
+
+
+def check_number(number: int, wanted: int, where: str) -> None:
+    """Raise SourceError if a frame does not follow the one before it."""
+    if number != wanted:
+        raise SourceError(f"{where}: frame {number} comes where frame {wanted} should")
+
+
+def stamps(
+    times: Sequence[float | None], name: str, of_day: bool = False
+) -> tuple[int, ...] | None:
+    """Nanoseconds since the first frame; None if times, in s, are missing or repeated. SourceError
+    if they fall, but for times of day at midnight.
+    """
+    known = [time for time in times if time is not None]
+    if not known or len(known) != len(times):
+        return None
+    if not all(abs(time) <= 1e9 for time in known):
+        raise SourceError(f"{name}: frame times lie outside 0..1e9 s")
+    found, days = [0], 0
+    for k, (before, time) in enumerate(pairwise(known), start=2):
+        # From the last minutes of a day to the first ones of the next.
+        days += of_day and before - time > _DAY_S / 2
+        found.append(round((time - known[0] + days * _DAY_S) * 1e9))
+        if found[-1] < found[-2]:
+            raise SourceError(
+                f"{name}: the time of frame {k} (counted from 1) is before that of the frame "
+                "before it"
+            )
+    return tuple(found) if len(set(found)) == len(found) else None
