@@ -232,10 +232,13 @@ class Page:
         follows it, come first. {name} stands for a value that the section is given.
     quick : bool
         True for a page that states that its figures are those of a quick run.
+    command : str
+        Command of `sparseskin` that computes it; by default the study.
     """
 
-    def __init__(self, out: Path, name: str, notes: Path, quick: bool) -> None:
+    def __init__(self, out: Path, name: str, notes: Path, quick: bool, command: str = "") -> None:
         self.out, self._name, self._quick = out, name, quick
+        self._command = command or f"study {name}{' --quick' if quick else ''}"
         first, *parts = notes.read_text(encoding="utf-8").removeprefix("# ").split("\n## ")
         self._title, _, opening = first.partition("\n")
         self._notes = dict(part.split("\n", 1) for part in parts) | {"": opening}
@@ -277,7 +280,7 @@ class Page:
             quick=self._quick,
             sections=self._sections,
             files=self._files,
-            command=f"{self._name}{' --quick' if self._quick else ''}",
+            command=self._command,
         )
         path = self.out / f"{self._name}.md"
         try:

@@ -1,14 +1,13 @@
-"""The page of a design: static HTML with tables and charts, and a CSV file."""
+"""The page of a design, as studies write theirs: tables and charts in Markdown, and a CSV file."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-import jinja2
+import pandas as pd
 
-from sparseskin.studies.points import StudyError
-from sparseskin.studies.report import write_csv
+from sparseskin.studies.report import Page
 
 from . import text
 from .budget import STAGES, Row
@@ -19,46 +18,33 @@ from .spec import KEYS, Design
 
 
 def write_page(out: Path, rows: Sequence[Row], design: Design) -> Path:
-    """Write `design.html`, its charts as PNG and SVG, and `rows.csv` into an existing folder.
+    """Write `design.md`, its charts as PNG and SVG, and `rows.csv` into an existing folder.
     Raises StudyError if a file cannot be written.
     """
-    charts = [draw(out, rows, design) for draw in (draw_rates, draw_accuracy, draw_latency)]
-    write_csv(out, "rows", [record(row, design) for row in rows])
-    environment = jinja2.Environment(
-        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=True
-    )
-    template = (Path(__file__).parent / "page.html").read_text(encoding="utf-8")
-    stages = (*STAGES, "process to process")
-    page = environment.from_string(template).render(
-        title=f"A skin of {design.size} at {text.hertz(design.rate_hz)} Hz",
-        stated=[(key, design.words[key]) for key in KEYS if key in design.words],
-        conclusions=text.conclusions(rows, design),
-        columns=("", *(column.replace("-\n", "").replace("\n", ", ") for column in text.COLUMNS)),
-        left=(1, 8),
-        rows=[
-            {
-                "met": row.is_met,
-                "about": row.strategy.label,
-                "cells": (str(k), *text.cells(row)),
-            }
-            for k, row in enumerate(rows, 1)
-        ],
-        legend=text.legend(rows),
-        breaks=text.first_breaks(rows, design),
-        charts=[{"name": chart.name, "caption": chart.caption} for chart in charts],
-        stages=stages,
-        latencies=[(row.strategy.name, _latencies(row)) for row in rows],
-        sources=text.sources(rows, design),
-        rig_columns=text.RIG_COLUMNS,
-        rig_left=(0, 1, 3),
-        rigs=list(zip(text.rig_rows(), [rig.reason for rig in RIGS], strict=True)),
-    )
-    path = out / "design.html"
-    try:
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise StudyError(f"{path}: {error.strerror}") from error
-    return path
+    page = Page(out, "design", Path(__file__).with_suffix(".md"), False, "design")
+    stated = ", ".join(f"{key} `{design.words[key]}`" for key in KEYS if key in design.words)
+    page.section("", size=design.size, rate=text.hertz(design.rate_hz), stated=stated)
+    heads = [column.replace("-\n", "").replace("\n", ", ") for column in text.COLUMNS]
+    table = pd.DataFrame([text.cells(row) for row in rows], columns=heads)
+    page.section("Strategies", table, _listed(text.legend(rows)))
+    broken = [(", ".join(names), line) for line, names in text.first_breaks(rows, design)]
+    page.section("What breaks first", pd.DataFrame(broken, columns=["strategies", "limit"]))
+    charts = (draw(out, rows, design) for draw in (draw_rates, draw_accuracy, draw_latency))
+    page.section("Charts", *(chart.markdown for chart in charts))
+    latencies = [(row.strategy.name, *_latencies(row)) for row in rows]
+    columns = ["strategy", *STAGES, "process to process", "sum"]
+    page.section("Latency of a frame, ms", pd.DataFrame(latencies, columns=columns))
+    page.section("Models and their sources", _listed(text.sources(design)))
+    rigs = pd.DataFrame(text.rig_rows(), columns=text.RIG_COLUMNS)
+    rigs["remark"] = [rig.reason for rig in RIGS]
+    page.section("The same models on rigs that were built", rigs)
+    page.csv("rows", [record(row, design) for row in rows])
+    page.write(text.conclusions(rows, design))
+    return out / "design.md"
+
+
+def _listed(lines: Sequence[str]) -> str:
+    return "\n".join(f"- {line}" for line in lines)
 
 
 def _latencies(row: Row) -> list[str]:

@@ -172,16 +172,16 @@ def aligned(columns: Sequence[str], rows: Sequence[Sequence[str]], left: Sequenc
     have two lines.
     """
     heads = [column.partition("\n")[::2] for column in columns]
-    above, below = ([head[k] for head in heads] for k in (0, 1))
-    lines = [above, *([below] if any(below) else []), *map(list, rows)]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(columns))]
-    return "\n".join(
+    lines = [*zip(*heads, strict=True), *rows]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    texts = [
         "  ".join(
             cell.ljust(width) if k in left else cell.rjust(width)
             for k, (cell, width) in enumerate(zip(line, widths, strict=True))
         ).rstrip()
         for line in lines
-    )
+    ]
+    return "\n".join(filter(None, texts))
 
 
 def terminal(rows: Sequence[Row], design: Design) -> str:
@@ -223,7 +223,7 @@ def legend(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-def sources(rows: Sequence[Row], design: Design) -> list[str]:
+def sources(design: Design) -> list[str]:
     """Where the figures of a design come from, a line each."""
     return [
         ADC_SOURCE,

@@ -39,10 +39,10 @@ def test_options_replace_what_a_file_states(
 def test_it_writes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "new" / "palm"
     assert main([*PAD, "--only", "full,sbhe_3_rotating", "--out", str(out)]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == str(out / "design.html")
+    assert capsys.readouterr().out.splitlines()[-1] == str(out / "design.md")
     written = {path.name for path in out.iterdir()}
     charts = {f"{k}.{form}" for k in ("rates", "accuracy", "latency") for form in ("png", "svg")}
-    assert written == {"design.html", "rows.csv", *charts}
+    assert written == {"design.md", "rows.csv", *charts}
 
 
 def test_it_prints_the_rigs(capsys: pytest.CaptureFixture[str]) -> None:
