@@ -7,6 +7,7 @@ takes some of them.
 from __future__ import annotations
 
 import base64
+import contextlib
 import io
 import os
 import re
@@ -14,6 +15,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,19 @@ DRAGGED_FROM = 1200
 CONTACT_HZ, CONTACT_FROM, CONTACT_S = 55, 300, 15.0
 """It touches the skin at frame 320, bounces twice, and lies on it from about frame 850 on."""
 CONTACT_FPS, COLOURS, MAX_BYTES = 8, 128, 2_000_000
+
+
+@contextlib.contextmanager
+def launched(page: Any, folder: Path, name: str, *settings: str) -> Iterator[Program]:
+    """A graph with its live page, which the browser shows."""
+    words = [word for one in (*settings, "monitor.port=0") for word in ("--set", one)]
+    program = Program("launch", name, *words, cwd=folder)
+    try:
+        page.get(program.wait_for("live page: "))
+        yield program
+    finally:
+        program.kill_all()
+        program.process.communicate()
 
 
 def text(page: Any, selector: str) -> str:
@@ -51,13 +66,8 @@ def touched(page: Any, n: int = 800) -> bool:
 
 def hero(page: Any, folder: Path) -> None:
     """A wrench is dragged over the skin, and the solver trusts what it makes of it."""
-    program = Program(
-        "launch", "drag_wrench_40", "--set", "sensor.rate_hz=50", "--set", "monitor.port=0",
-        cwd=folder,
-    )  # fmt: skip
     marks = "return document.querySelectorAll('[data-mark]:not([data-mark=\"\"])').length"
-    try:
-        page.get(program.wait_for("live page: "))
+    with launched(page, folder, "drag_wrench_40", "sensor.rate_hz=50"):
         wait_until(lambda: n_frames(page) >= DRAGGED_FROM, "the drag")
         wait_until(
             lambda: (
@@ -66,23 +76,15 @@ def hero(page: Any, folder: Path) -> None:
             "a trusted contact",
         )
         shoot(page, "live")
-    finally:
-        program.kill_all()
-        program.process.communicate()
 
 
 def contact(page: Any, folder: Path) -> None:
     """The first contact of a wrench, as an animated picture of the maps."""
     from PIL import Image
 
-    rate = f"sensor.rate_hz={CONTACT_HZ}"
-    program = Program(
-        "launch", "drag_wrench_40", "--set", rate, "--set", "monitor.port=0", cwd=folder
-    )
     frames: list[Image.Image] = []
     times_s: list[float] = []
-    try:
-        page.get(program.wait_for("live page: "))
+    with launched(page, folder, "drag_wrench_40", f"sensor.rate_hz={CONTACT_HZ}"):
         wait_until(lambda: n_frames(page) >= CONTACT_FROM, "the time before the contact")
         # A notice that comes or goes would move the maps.
         page.execute_script("document.querySelector('#notices').style.display = 'none'")
@@ -99,9 +101,6 @@ def contact(page: Any, folder: Path) -> None:
             times_s.append(now_s)
             # Pictures more often than that make the file larger, and nothing clearer.
             time.sleep(max(0.0, began_s + len(frames) / CONTACT_FPS - time.monotonic()))
-    finally:
-        program.kill_all()
-        program.process.communicate()
     path = DOCS / "contact.gif"
     ends_s = [*times_s[1:], CONTACT_S]
     durations = [round(1e3 * (b - a)) for a, b in zip(times_s, ends_s, strict=True)]
@@ -124,28 +123,18 @@ def n_frames(page: Any) -> int:
 
 def one_patch(page: Any, folder: Path) -> None:
     """A wrench is dragged over the skin; then the sensor hangs."""
-    program = Program(
-        "launch", "drag_wrench_64", "--set", "sensor.rate_hz=100", "--set", "monitor.port=0",
-        cwd=folder,
-    )  # fmt: skip
-    try:
-        page.get(program.wait_for("live page: "))
+    with launched(page, folder, "drag_wrench_64", "sensor.rate_hz=100") as program:
         wait_until(lambda: touched(page), "the wrench on the skin")
         sensor = program.pid_of("sensor")
         os.kill(sensor, signal.SIGSTOP)
         wait_until(lambda: "not answering" in text(page, "#nodes"), "the notice")
         shoot(page, "stale")
         os.kill(sensor, signal.SIGCONT)
-    finally:
-        program.kill_all()
-        program.process.communicate()
 
 
 def two_patches(page: Any, folder: Path) -> None:
     """The overview of two patches; then one of them on a phone in the dark."""
-    program = Program("launch", "two_patches", "--set", "monitor.port=0", cwd=folder)
-    try:
-        page.get(program.wait_for("live page: "))
+    with launched(page, folder, "two_patches"):
         wait_until(lambda: n_drawn(page) > 500, "frames of both")
         shoot(page, "overview")
         dark(page, True)
@@ -155,22 +144,15 @@ def two_patches(page: Any, folder: Path) -> None:
         before = n_drawn(page)
         wait_until(lambda: n_drawn(page) > before + 100, "frames of one")
         shoot(page, "phone")
-    finally:
-        program.kill_all()
-        program.process.communicate()
 
 
 def torso(page: Any, folder: Path) -> None:
     """A body is pressed all round: its taxels in 3-D, turned to the contact."""
-    program = Program(
-        "launch", "torso", "--set", "sensor.rate_hz=20", "--set", "monitor.port=0", cwd=folder
-    )
     dark(page, False)
     size = {"width": 1280, "height": 720, "deviceScaleFactor": 1, "mobile": False}
     page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     turn = "document.getElementById('turn-to-contact').click()"
-    try:
-        page.get(program.wait_for("live page: "))
+    with launched(page, folder, "torso", "sensor.rate_hz=20"):
         wait_until(lambda: n_drawn(page) > 120, "frames of history")
 
         def in_sight() -> bool:
@@ -184,9 +166,6 @@ def torso(page: Any, folder: Path) -> None:
         before = n_drawn(page)
         wait_until(lambda: n_drawn(page) > before + 10, "the picture in full")
         shoot(page, "torso")
-    finally:
-        program.kill_all()
-        program.process.communicate()
 
 
 def main() -> int:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import ast
+import re
 import subprocess
 import sys
 import tomllib
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,9 +17,6 @@ STATIONS = [
     f"sparseskin.nodes.{station}"
     for station in ("sensor", "compressor", "reconstructor", "monitor", "recorder", "player")
 ]
-UNSAFE_MODULES = {"pickle", "cPickle", "_pickle", "cloudpickle", "dill", "joblib", "jsonpickle"}
-UNSAFE_MODULES |= {"marshal", "shelve", "code", "codeop", "runpy"}
-UNSAFE_CALLS = {"eval", "exec", "compile", "__import__"}
 
 
 def test_every_folder_with_modules_or_launch_files_is_a_package_and_no_other() -> None:
@@ -77,74 +73,13 @@ def test_imports_run_one_way(module: str, strangers: list[str]) -> None:
     assert done.stdout.strip() == "[]"
 
 
-def unsafe(tree: ast.AST) -> Iterator[str]:
-    """Everything in a module that could execute what a file or a message holds."""
-    for node in ast.walk(tree):
-        names: list[str] = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
-        elif isinstance(node, ast.Attribute):
-            # Through another module: numpy.pickle, pandas.read_pickle, builtins.eval.
-            names = [node.attr] if "pickle" in node.attr else []
-            if isinstance(node.value, ast.Name) and node.value.id in ("builtins", "__builtins__"):
-                yield f"builtins.{node.attr}"
-            if isinstance(node.value, ast.Name) and node.value.id == "yaml":
-                yield from [] if node.attr in ("safe_load", "safe_dump") else [f"yaml.{node.attr}"]
-        elif isinstance(node, ast.Name) and node.id in UNSAFE_CALLS:
-            yield node.id
-        elif isinstance(node, ast.Call):
-            for word in node.keywords:
-                constant = isinstance(word.value, ast.Constant) and word.value.value is False
-                if word.arg == "allow_pickle" and not constant:
-                    yield "allow_pickle"
-                if word.arg == "shell" and not constant:
-                    yield "shell"
-        for name in names:
-            parts = name.split(".")
-            if parts[0] in UNSAFE_MODULES or "pickle" in parts[-1]:
-                yield name
-
-
 def test_nothing_in_the_package_unpickles_or_evaluates() -> None:
+    """Beside what ruff refuses (S, TID251): arrays of objects, and built-in functions."""
+    unsafe = r"allow_pickle=(?!False)|(?<![.\w])(?<!def )(eval|exec|compile|__import__)\("
     found = [
-        f"{path.relative_to(ROOT)}: {what}"
+        f"{path.relative_to(ROOT)}: {match[0]}"
         for top in CONFIG["package-dir"].values()
         for path in sorted((ROOT / top).rglob("*.py"))
-        for what in unsafe(ast.parse(path.read_text()))
+        for match in re.finditer(unsafe, path.read_text(encoding="utf-8"))
     ]
     assert found == []
-
-
-@pytest.mark.parametrize(
-    "code",
-    [
-        "import pickle",
-        "from pickle import loads",
-        "import pickle as p",
-        "import marshal",
-        "from marshal import loads",
-        "import shelve",
-        "import dill",
-        "from joblib import load",
-        "import numpy as np\nnp.load(path, allow_pickle=True)",
-        "import numpy as np\nnp.load(path, allow_pickle=flag)",
-        "import numpy\nnumpy.lib.format.read_array(file, allow_pickle=True)",
-        "import pandas\npandas.read_pickle(path)",
-        "from pandas import read_pickle",
-        "import yaml\nyaml.load(text)",
-        "import yaml\nyaml.unsafe_load(text)",
-        "eval(text)",
-        "run = exec",
-        "import builtins\nbuiltins.eval(text)",
-        "import subprocess\nsubprocess.run(text, shell=True)",
-    ],
-)
-def test_every_way_to_unpickle_or_evaluate_is_found(code: str) -> None:
-    assert list(unsafe(ast.parse(code)))
-
-
-def test_safe_code_is_not_reported() -> None:
-    code = "import re, yaml\nnp.load(p, allow_pickle=False)\nre.compile(p)\nyaml.safe_load(t)"
-    assert not list(unsafe(ast.parse(code)))
