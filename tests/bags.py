@@ -29,23 +29,12 @@ MASK = np.ones((N_ROWS, N_COLS), np.bool_)
 MASK[2, 3] = False
 
 
-def skin_state(patch: str = "skin") -> SkinState:
-    return SkinState(
-        stamp_ns=0,
-        patch=patch,
-        n_rows=N_ROWS,
-        n_cols=N_COLS,
-        f_max=2.5,
-        unit="N",
-        pitch_m=0.005,
-        mask=MASK,
-        source="test",
-        seed=3,
-        rate_hz=100.0,
-        has_truth=True,
-        sigma_mid=0.06,
-        sigma_end=0.01,
-    )
+def skin_state(patch: str = "skin", **changes: Any) -> SkinState:
+    """The state of a small skin, with changed fields."""
+    values: dict[str, Any] = {"stamp_ns": 0, "patch": patch, "n_rows": N_ROWS, "n_cols": N_COLS}
+    values |= {"f_max": 2.5, "unit": "N", "pitch_m": 0.005, "mask": MASK, "source": "test"}
+    values |= {"seed": 3, "rate_hz": 100.0, "has_truth": True, "sigma_mid": 0.06, "sigma_end": 0.01}
+    return SkinState(**values | changes)
 
 
 def frame(k: int, patch: str = "skin") -> list[Message]:

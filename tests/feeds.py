@@ -52,8 +52,7 @@ class Graph:
         self.feed.frame(message.patch, message, judged, metrics.latency_ns)
 
     def skin(self, patch: str = "skin", **changes: Any) -> SkinState:
-        values = {**skin_state(patch).__dict__, **changes}
-        state = SkinState(**values)
+        state = skin_state(patch, **changes)
         self.take(state)
         return state
 

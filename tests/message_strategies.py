@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -19,17 +21,43 @@ from sparseskin.messages import (
     Taxels,
     Truth,
 )
+from sparseskin.messages.base import wire_fields
 from sparseskin.messages.batches import BATCHES, MeasurementsBatch, ReconstructionBatch
-from sparseskin.messages.fields import MAX_ELEMENTS
+from sparseskin.messages.fields import FieldKind, Flag, Integer, Real, Text
 
-names = st.from_regex(r"[a-z][a-z0-9_]{0,31}", fullmatch=True)
-numbers = st.integers(0, 2**63 - 1)
-positive = st.floats(0, 1e30, allow_nan=False)
 texts = st.text(
     st.characters(codec="utf-8", exclude_categories=["Cs", "Cc"]), min_size=0, max_size=32
 )
-prints = st.from_regex(r"[0-9a-f]{16}", fullmatch=True)
-headers = {"stamp_ns": numbers, "patch": names, "run_id": prints | st.just(""), "seq": numbers}
+
+
+def of_kind(kind: FieldKind) -> st.SearchStrategy[Any] | None:
+    """Any value of a field; None for a field that is no number and no text."""
+    match kind:
+        case Integer():
+            return st.integers(kind.low, kind.high)
+        case Real():
+            within = max(kind.low, -1e30), min(kind.high, 1e30)
+            known = st.floats(*within, allow_nan=False)
+            return st.none() | known if kind.optional else known
+        case Flag():
+            return st.booleans()
+        case Text() if kind.pattern == Text.pattern:
+            return texts
+        case Text():
+            found = st.from_regex(kind.pattern, fullmatch=True)
+            return found.filter(lambda text: len(text) <= kind.longest)
+    return None
+
+
+def scalars(cls: type[Message]) -> dict[str, st.SearchStrategy[Any]]:
+    """Strategies of the fields of a class that are numbers and texts."""
+    found = {name: of_kind(kind) for name, kind in wire_fields(cls).items()}
+    return {name: strategy for name, strategy in found.items() if strategy is not None}
+
+
+def made(cls: type[Message], **others: st.SearchStrategy[Any]) -> st.SearchStrategy[Message]:
+    """Any message of a class; `others`: its arrays, and fields that depend on each other."""
+    return st.builds(cls, **scalars(cls) | others)
 
 
 def forces(ndim: int) -> st.SearchStrategy[np.ndarray]:
@@ -55,24 +83,10 @@ def skin_states(draw: st.DrawFn) -> SkinState:
     n = shape[0] * shape[1] if mask is None else int(mask.sum())
     placed = draw(st.none() | points(n))
     rows = st.none() | hnp.arrays(np.int32, n, elements=st.integers(0, 2**31 - 1))
-    return SkinState(
-        **{key: draw(value) for key, value in headers.items()},
-        n_rows=shape[0],
-        n_cols=shape[1],
-        f_max=draw(st.floats(1e-6, 1e6)),
-        unit=draw(texts),
-        pitch_m=draw(st.none() | positive),
-        mask=mask,
-        source=draw(texts),
-        seed=draw(numbers),
-        rate_hz=draw(positive),
-        has_truth=draw(st.booleans()),
-        sigma_mid=draw(positive),
-        sigma_end=draw(positive),
-        f_min=-draw(positive),
-        points=placed,
-        point_rows=None if placed is None else draw(rows),
-    )
+    values = {name: draw(strategy) for name, strategy in scalars(SkinState).items()}
+    values |= {"n_rows": shape[0], "n_cols": shape[1], "mask": mask, "points": placed}
+    values |= {"f_max": draw(st.floats(1e-6, 1e6)), "f_min": -draw(st.floats(0, 1e30))}
+    return SkinState(**values, point_rows=None if placed is None else draw(rows))
 
 
 @st.composite
@@ -83,8 +97,7 @@ def calibrations(draw: st.DrawFn) -> Calibration:
     grids = st.none() | hnp.arrays(np.float32, shape, elements=values)
     curves = draw(st.sampled_from([None, (k, 1, 1), (k, *shape)]))
     return Calibration(
-        **{key: draw(value) for key, value in headers.items()},
-        name=draw(texts),
+        **{name: draw(strategy) for name, strategy in scalars(Calibration).items()},
         baseline=draw(grids),
         gains=draw(grids),
         response_reading=None if curves is None else np.ones(curves, np.float32),
@@ -93,28 +106,22 @@ def calibrations(draw: st.DrawFn) -> Calibration:
 
 
 @st.composite
-def reconstructions_with_sd(draw: st.DrawFn) -> Reconstruction:
-    restored = draw(forces(2))
-    return Reconstruction(
-        **{key: draw(value) for key, value in headers.items()},
-        forces=restored,
-        phi=draw(prints),
-        iterations=3,
-        residual=draw(positive),
-        solve_ns=draw(numbers),
-        done_ns=draw(numbers),
-        sd=np.abs(restored),
-    )
+def with_sd(draw: st.DrawFn) -> Message:
+    found = draw(forces(2))
+    return draw(made(Reconstruction, forces=st.just(found), sd=st.just(np.abs(found))))
 
 
 @st.composite
 def batches(draw: st.DrawFn) -> Message:
     """A message of a batch, of any class."""
-    head = {key: draw(value) for key, value in headers.items()}
-    head["names"] = tuple(draw(st.lists(names, min_size=1, max_size=5, unique=True)))
-    n, cls = len(head["names"]), draw(st.sampled_from(list(BATCHES.values())))
+    cls = draw(st.sampled_from(list(BATCHES.values())))
+    head = {name: draw(strategy) for name, strategy in scalars(cls).items()}
+    one_name = of_kind(wire_fields(Taxels)["patch"])
+    assert one_name is not None
+    head["names"] = tuple(draw(st.lists(one_name, min_size=1, max_size=5, unique=True)))
+    n = len(head["names"])
     if cls is MeasurementsBatch:
-        return MeasurementsBatch(**head, y=np.tile(draw(forces(1)), (n, 1)), phi=draw(prints))
+        return MeasurementsBatch(**head, y=np.tile(draw(forces(1)), (n, 1)))
     maps = np.tile(draw(forces(2)), (n, 1, 1))
     if cls is not ReconstructionBatch:
         return cls(**head, forces=maps)
@@ -124,66 +131,26 @@ def batches(draw: st.DrawFn) -> Message:
         **head,
         **of,
         forces=changed if len(changed) else None,
-        phi=draw(prints),
         iterations=draw(hnp.arrays(np.int32, n, elements=st.integers(0, 1000))),
         residual=np.ones(n, np.float32),
         error=np.full(n, -1, np.float32),
-        solve_ns=draw(hnp.arrays(np.int64, n, elements=numbers)),
-        done_ns=draw(numbers),
-        skipped=draw(numbers),
+        solve_ns=draw(hnp.arrays(np.int64, n, elements=st.integers(0, 2**62))),
     )
 
 
-elements = st.integers(1, MAX_ELEMENTS)
+_centre = ("row", "col", "row_sd", "col_sd")
 messages: st.SearchStrategy[Message] = st.one_of(
-    st.builds(Taxels, **headers, forces=forces(2)),
-    st.builds(Truth, **headers, forces=forces(2)),
-    st.builds(Measurements, **headers, y=forces(1), phi=prints),
-    st.builds(
-        Reconstruction,
-        **headers,
-        forces=forces(2),
-        phi=prints,
-        iterations=st.integers(0, 1000),
-        residual=positive,
-        solve_ns=numbers,
-        done_ns=numbers,
-        skipped=numbers,
-        error=st.none() | positive,
-        trusted=st.booleans(),
-        unchanged=st.booleans(),
-    ),
+    made(Taxels, forces=forces(2)),
+    made(Truth, forces=forces(2)),
+    made(Measurements, y=forces(1)),
+    made(Reconstruction, forces=forces(2)),
+    with_sd(),
     batches(),
-    reconstructions_with_sd(),
-    st.builds(Resultant, **headers, total=positive, total_sd=positive, done_ns=numbers),
-    st.builds(
-        Resultant,
-        **headers,
-        **dict.fromkeys(("total", "total_sd", "row", "col", "row_sd", "col_sd"), positive),
-        done_ns=numbers,
-    ),
+    made(Resultant, **dict.fromkeys(_centre, st.none())),
+    made(Resultant, **dict.fromkeys(_centre, st.floats(0, 1e30))),
     skin_states(),
     calibrations(),
-    st.builds(
-        PhiState,
-        **headers,
-        kind=texts,
-        n=elements,
-        m=elements,
-        block=elements,
-        seed=numbers,
-        fingerprint=prints,
-        rows=st.sampled_from(["fixed", "rotating"]),
-    ),
-    st.builds(
-        SolverState,
-        **headers,
-        solver=texts,
-        basis=texts,
-        preset=texts,
-        iterations=st.integers(0, 1000),
-        lambda_n=positive,
-        max_iterations=st.integers(0, 1000),
-    ),
-    st.builds(End, **headers, of=names.filter(lambda name: name != "end"), n_messages=numbers),
+    made(PhiState),
+    made(SolverState),
+    made(End, of=st.sampled_from(["taxels", "truth", "x_1"])),
 )

@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bags import skin_state
 from stress.graphs import FULL, PYTHONPATH, GraphError
 from stress.observers import DOMAIN
 
-from sparseskin.messages import Reconstruction, SkinState
+from sparseskin.messages import Reconstruction
 from sparseskin.nodes.clock import SystemClock, wall_offset_ns
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.registry import make_settings, node_class
@@ -31,10 +32,7 @@ between two: a bridge that sends 30 frames a second sends each."""
 HISTORY = 1000
 """Samples that DDS keeps, so that a reader which does not run for a second loses none."""
 ENDS_S = 60.0
-SKIN = SkinState(
-    stamp_ns=0, patch="skin", n_rows=64, n_cols=64, f_max=2.5, unit="N", pitch_m=0.005, mask=None,
-    source="stress", seed=0, rate_hz=0.0, has_truth=False, sigma_mid=0.0, sigma_end=0.0,
-)  # fmt: skip
+SKIN = skin_state(n_rows=64, n_cols=64, mask=None)
 
 
 @contextlib.contextmanager

@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from bags import skin_state
 
-from sparseskin.messages import SkinState
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import RATIO, ROTATING, row_subsets, rows_and_m
@@ -29,17 +29,7 @@ class Watched:
     """Patches under constant forces and noise, watched frame by frame."""
 
     def __init__(self, n_patches: int, truth: Floats) -> None:
-        state = SkinState(
-            stamp_ns=0,
-            patch="skin",
-            **vars(SKIN),
-            source="study",
-            seed=0,
-            rate_hz=0.0,
-            has_truth=True,
-            sigma_mid=NOISE.sigma_mid,
-            sigma_end=NOISE.sigma_end,
-        )
+        state = skin_state(**vars(SKIN), sigma_mid=NOISE.sigma_mid, sigma_end=NOISE.sigma_end)
         rows, m = rows_and_m("sbhe", SKIN.n_taxels, rows=ROTATING, m=None, ratio=RATIO)
         self._phis = row_subsets(make_phi("sbhe", n=SKIN.n_taxels, m=m, seed=0), rows)
         self.watch = IdleWatch(n_patches, state, self._phis)

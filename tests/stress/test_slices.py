@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bags import skin_state
 from stress.graphs import FULL
 
 from sparseskin.launch.offline.plan import LEAST_FRAMES, WARM_UP
@@ -49,11 +50,13 @@ def seams(
     frames = scene_frames(scene, 0, begin, begin + n_frames * every, every)
     taxels = np.array([readings for _, readings in frames])
     noise = NoiseModel.for_range(2.5)
-    skin = SkinState(
-        stamp_ns=0, patch="skin", n_rows=taxels.shape[1], n_cols=taxels.shape[2], f_max=2.5,
-        unit="N", pitch_m=0.005, mask=None, source=scene, seed=0, rate_hz=100.0, has_truth=False,
-        sigma_mid=noise.sigma_mid, sigma_end=noise.sigma_end,
-    )  # fmt: skip
+    skin = skin_state(
+        n_rows=taxels.shape[1],
+        n_cols=taxels.shape[2],
+        mask=None,
+        sigma_mid=noise.sigma_mid,
+        sigma_end=noise.sigma_end,
+    )
     through = np.array(list(_reconstructed(skin, taxels, ratio, 0)))
     other = np.array(list(_reconstructed(skin, taxels, ratio, 1)))
     n_subsets = int(np.ceil(ratio))

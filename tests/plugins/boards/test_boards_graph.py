@@ -141,29 +141,6 @@ def test_frames_over_a_can_bus_of_several_processes_come_through_a_graph(
     assert board_of(tmp_path)[0] == 30
 
 
-def test_a_missing_device_ends_the_graph_before_any_process_starts(
-    start: StartProgram, tmp_path: Path
-) -> None:
-    pytest.importorskip("serial")
-    source = "serial:/dev/no-board?profile=flexitac_16x32"
-    code, _, stderr = launched(start, tmp_path, source).finish()
-    assert code == 2
-    (text,) = stderr.splitlines()
-    assert text.endswith("there is no device /dev/no-board")
-
-
-def test_a_port_that_is_taken_ends_the_graph_with_one_line(
-    start: StartProgram, tmp_path: Path
-) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.bind(("127.0.0.1", 0))
-        source = f"udp:{other.getsockname()[1]}?rows=4&cols=4"
-        code, _, stderr = launched(start, tmp_path, source).finish()
-    assert code == 2
-    assert "cannot be opened: Address already in use" in stderr
-    assert "Traceback" not in stderr
-
-
 def cpu_s(pid: int) -> float:
     """Processor time of a process, seconds."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()

@@ -52,13 +52,6 @@ def test_addresses_are_completed(begun: str, found: list[str]) -> None:
     assert list(offered) == found
 
 
-def test_scope_refuses_a_board_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("serial")
-    assert main(["scope", "serial:/dev/no-board?profile=flexitac_16x32"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "there is no device" in line
-
-
 def test_scope_draws_in_a_terminal_and_leaves_it_as_it_was(tmp_path: Path) -> None:
     pytest.importorskip("serial")
     screen, terminal = pty.openpty()

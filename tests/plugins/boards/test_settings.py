@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import free_port
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -26,15 +25,6 @@ def serial(query: str, **stated: object) -> Board:
 
 
 class TestProfiles:
-    @pytest.mark.parametrize(("name", "n_rows"), [("flexitac_16x32", 16), ("flexitac_12x32", 12)])
-    def test_flexitac_sends_a_mark_and_a_byte_a_taxel(self, name: str, n_rows: int) -> None:
-        board = serial(f"profile={name}")
-        assert board.skin.shape == (n_rows, 32)
-        assert (board.skin.f_max, board.skin.unit) == (255.0, "raw")
-        payload = bytes(n_rows * 32)
-        assert board.framing.encode(payload) == b"\xaa\x55" + payload
-        assert vars(board.settings)["baud"] == 2_000_000
-
     def test_every_profile_is_complete_with_rows_and_columns(self) -> None:
         for name in profile_names():
             board = serial(f"profile={name}&rows=4&cols=5")
@@ -99,6 +89,7 @@ FAULTS = [
     (f"serial:/dev/ttyUSB0?{PLAIN}&dtype=float32", "f_max is not stated"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&scale=nan", "scale"),
     (f"serial:/dev/ttyUSB0?{PLAIN}", "there is no device /dev/ttyUSB0"),
+    (f"serial:/dev?{PLAIN}", "is no serial port"),
     ("serial:/dev/ttyUSB0?rows=2&start=AA", "cols is not stated"),
     ("serial:/dev/ttyUSB0?rows=2&cols=3", "start is not stated"),
     ("serial:/dev/ttyUSB0?rows=2&cols=3&start=A", "pairs of hexadecimal digits"),
@@ -147,10 +138,6 @@ def test_a_missing_package_is_one_line_with_its_extra(monkeypatch: pytest.Monkey
         check_source(f"serial:/dev/null?{PLAIN}")
     with pytest.raises(SourceError, match=r"pip install 'sparseskin\[can\]'"):
         check_source("can:can0?rows=2&cols=3&ids=0x10&interface=virtual")
-
-
-def test_udp_needs_no_package_and_no_device() -> None:
-    check_source(f"udp:{free_port()}?rows=2&cols=3")
 
 
 def test_properties_may_be_stated_by_the_sensor_instead() -> None:

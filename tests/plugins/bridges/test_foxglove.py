@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bags import skin_state
 from conftest import StartProgram, wait_until
 from foxglove_client import FoxgloveClient, pixels
 
@@ -25,11 +26,7 @@ ROWS, COLS = 5, 8
 
 
 def skin(pitch_m: float | None = 0.005) -> SkinState:
-    return SkinState(
-        stamp_ns=0, patch="skin", n_rows=ROWS, n_cols=COLS, f_max=2.5, unit="N", pitch_m=pitch_m,
-        mask=None, source="test", seed=0, rate_hz=0.0, has_truth=False, sigma_mid=0.0,
-        sigma_end=0.0,
-    )  # fmt: skip
+    return skin_state(n_rows=ROWS, n_cols=COLS, pitch_m=pitch_m, mask=None)
 
 
 def taxels(k: int) -> Taxels:

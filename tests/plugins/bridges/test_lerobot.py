@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 import zmq
+from bags import skin_state
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.messages import Reconstruction, SkinState
+from sparseskin.messages import Reconstruction
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context
@@ -22,10 +23,7 @@ from sparseskin.plugins.bridges.lerobot import LeRobotBridge, LeRobotSettings
 from sparseskin.plugins.bridges.png import forces_of, greys, png
 
 ROWS, COLS = 6, 9
-SKIN = SkinState(
-    stamp_ns=0, patch="skin", n_rows=ROWS, n_cols=COLS, f_max=2.5, unit="N", pitch_m=None,
-    mask=None, source="test", seed=0, rate_hz=0.0, has_truth=False, sigma_mid=0.0, sigma_end=0.0,
-)  # fmt: skip
+SKIN = skin_state(n_rows=ROWS, n_cols=COLS, pitch_m=None, mask=None)
 
 
 def frame(stamp_ns: int) -> Reconstruction:

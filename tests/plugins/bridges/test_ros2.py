@@ -15,10 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
+from bags import skin_state
 from conftest import wait_until
 from ros2_peer import forces
 
-from sparseskin.messages import Message, SkinState, Taxels
+from sparseskin.messages import Message, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context
@@ -70,11 +71,7 @@ def sent(
         Ros2Settings(domain=DOMAIN, messages=(kind,), history=1000), Context("ros2", ManualClock(0))
     )
     list(bridge.start())
-    skin = SkinState(
-        stamp_ns=0, patch="skin", n_rows=6, n_cols=9, f_max=2.5, unit="N", pitch_m=0.25, mask=MASK,
-        source="test", seed=0, rate_hz=0.0, has_truth=False, sigma_mid=0.0, sigma_end=0.0,
-        **of_skin,
-    )  # fmt: skip
+    skin = skin_state(n_rows=6, n_cols=9, pitch_m=0.25, mask=MASK, **of_skin)
     writer = bridge._writers[f"{kind} /skin/taxels"]
     with Peer("read", topic, kind, len(messages)) as peer:
         assert peer.line() == "MATCHED"

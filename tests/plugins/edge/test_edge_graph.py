@@ -8,7 +8,6 @@ import pty
 import subprocess
 import threading
 import tty
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -55,16 +54,6 @@ def counts_of_scene(n: int, full_scale: int) -> npt.NDArray[np.uint16]:
     return np.array(found, dtype=np.uint16)
 
 
-@pytest.fixture
-def line() -> Iterator[tuple[int, str]]:
-    """The board's end of a serial line, and the name of the host's."""
-    board, host = pty.openpty()
-    tty.setraw(host)
-    yield board, os.ttyname(host)
-    os.close(board)
-    os.close(host)
-
-
 def _feed(edge: subprocess.Popen[bytes], counts: bytes) -> None:
     """Write counts to a program again and again, as fast as it reads them, until it ends."""
     assert edge.stdin is not None
@@ -106,19 +95,20 @@ def by_python(
 
 
 def test_its_frames_are_reconstructed_as_those_of_the_edge_in_python(
-    start: StartProgram, line: tuple[int, str], tmp_path: Path
+    start: StartProgram, tmp_path: Path
 ) -> None:
     d = EdgeDescription.chosen(40, 40, ratio=3, bits=8, rows="rotating")
     out = compiled(d, tmp_path)
     counts = counts_of_scene(N_FRAMES, d.full_scale)
-    board, device = line
+    board, host = pty.openpty()
+    tty.setraw(host)
     edge = subprocess.Popen([out / "edge_stream"], stdin=subprocess.PIPE, stdout=board)
     feed = threading.Thread(target=_feed, args=(edge, as_input(d, counts)), daemon=True)
     feed.start()
     try:
         program = start(
             *("launch", "edge", "--frames", str(N_FRAMES), "--record", "out.mcap"),
-            *("--set", f"edge.source=serial:{device}"),
+            *("--set", f"edge.source=serial:{os.ttyname(host)}"),
             *("--set", f"edge.description={out / 'edge.toml'}"),
             *("--set", "monitor.page=false"),
         )
@@ -128,6 +118,8 @@ def test_its_frames_are_reconstructed_as_those_of_the_edge_in_python(
         edge.kill()
         edge.wait()
         feed.join()
+        os.close(board)
+        os.close(host)
     assert code == 0, stderr
     recording = tmp_path / "out.mcap"
     (skin,), (phi,) = recorded(recording, SkinState), recorded(recording, PhiState)

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bags import skin_state
 from edges import compiled, random_counts, sent
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sparseskin.messages import Measurements, SkinState, Taxels
+from sparseskin.messages import Measurements, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor, CompressorSettings
 from sparseskin.nodes.errors import SparseskinError
@@ -82,21 +83,8 @@ def test_its_frames_are_the_messages_of_a_compressor_node(name: str, tmp_path: P
     d = CASES[name]
     made = {"rows": d.rows, "m": d.m, "bits": d.bits, "block": d.block, "seed": d.seed}
     node = Compressor(CompressorSettings(**made), Context("compressor", ManualClock(1)))
-    skin = SkinState(
-        stamp_ns=1,
-        patch="skin",
-        n_rows=d.n_rows,
-        n_cols=d.n_cols,
-        f_max=float(d.full_scale),
-        unit="counts",
-        pitch_m=None,
-        mask=d.mask,
-        source="x",
-        seed=0,
-        rate_hz=0.0,
-        has_truth=False,
-        sigma_mid=0.0,
-        sigma_end=0.0,
+    skin = skin_state(
+        n_rows=d.n_rows, n_cols=d.n_cols, f_max=float(d.full_scale), unit="counts", mask=d.mask
     )
     list(node.step(skin))
     frames = random_counts(d, 3 * len(d.subsets) + 6)

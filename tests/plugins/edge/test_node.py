@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import pty
 import socket
-import threading
-import tty
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from board_lines import Line, a_line, send_packets
 from conftest import free_port, wait_until
 from edges import random_counts
 from hypothesis import given
@@ -45,13 +42,9 @@ def described(tmp_path: Path) -> str:
 
 
 @pytest.fixture
-def line() -> Iterator[tuple[int, str]]:
-    """The board's end of a serial line, and the name of the host's."""
-    board, host = pty.openpty()
-    tty.setraw(host)
-    yield board, os.ttyname(host)
-    os.close(board)
-    os.close(host)
+def line(tmp_path: Path) -> Iterator[Line]:
+    with a_line(tmp_path) as found:
+        yield found
 
 
 def opened(lines: list[str] | None = None, **settings: Any) -> Edge:
@@ -66,14 +59,8 @@ def received(node: Edge, n: int) -> list[Measurements]:
     return found
 
 
-def write(board: int, *parts: bytes) -> threading.Thread:
-    thread = threading.Thread(target=lambda: [os.write(board, p) for p in parts], daemon=True)
-    thread.start()
-    return thread
-
-
-def test_skin_and_phi_are_those_of_the_description(described: str, line: tuple[int, str]) -> None:
-    node = opened(source=f"serial:{line[1]}", description=described)
+def test_skin_and_phi_are_those_of_the_description(described: str, line: Line) -> None:
+    node = opened(source=f"serial:{line.device}", description=described)
     skin, phi = node.start()
     assert isinstance(skin, SkinState)
     assert isinstance(phi, PhiState)
@@ -89,10 +76,10 @@ def test_skin_and_phi_are_those_of_the_description(described: str, line: tuple[i
 
 @pytest.mark.parametrize(("f_max", "unit"), [(None, None), (2.5, "N")])
 def test_measurements_are_codes_times_a_step_in_the_unit_of_the_forces(
-    f_max: float | None, unit: str | None, described: str, line: tuple[int, str]
+    f_max: float | None, unit: str | None, described: str, line: Line
 ) -> None:
-    node = opened(source=f"serial:{line[1]}", description=described, f_max=f_max, unit=unit)
-    thread = write(line[0], *FRAMES)
+    node = opened(source=f"serial:{line.device}", description=described, f_max=f_max, unit=unit)
+    thread = line.sending(FRAMES)
     messages = received(node, len(FRAMES))
     thread.join()
     node.close({})
@@ -106,14 +93,12 @@ def test_measurements_are_codes_times_a_step_in_the_unit_of_the_forces(
             np.testing.assert_allclose(message.y, y * (f_max / 4095), rtol=3e-7)
 
 
-def test_lost_damaged_and_foreign_bytes_cost_themselves_alone(
-    described: str, line: tuple[int, str]
-) -> None:
+def test_lost_damaged_and_foreign_bytes_cost_themselves_alone(described: str, line: Line) -> None:
     lines: list[str] = []
-    node = opened(lines, source=f"serial:{line[1]}", description=described)
+    node = opened(lines, source=f"serial:{line.device}", description=described)
     damaged = FRAMES[3][:20] + b"\x00\x01" + FRAMES[3][22:]
     parts = [FRAMES[0][5:], b"\xaa", FRAMES[1], FRAMES[2][:7], damaged, b"\xaa\xaa\x55", FRAMES[5]]
-    thread = write(line[0], *parts, OTHER[6], FRAMES[7])
+    thread = line.sending([*parts, OTHER[6], FRAMES[7]])
     messages = received(node, 3)
     thread.join()
     node.close({})
@@ -144,10 +129,9 @@ def test_a_frame_is_as_long_as_its_description_states() -> None:
 def test_packets_are_whole_frames_or_counted(described: str) -> None:
     port = free_port(socket.SOCK_DGRAM)
     node = opened(source=f"udp:{port}", description=described)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
-        for packet in (FRAMES[0], b"", FRAMES[1][:-1], FRAMES[1] + b"\0", OTHER[2], FRAMES[3]):
-            board.sendto(packet, ("127.0.0.1", port))
-        messages = received(node, 2)
+    packets = (FRAMES[0], b"", FRAMES[1][:-1], FRAMES[1] + b"\0", OTHER[2], FRAMES[3])
+    send_packets(port, *packets)
+    messages = received(node, 2)
     node.close({})
     assert [m.phi for m in messages] == [D.subsets[0].fingerprint] * 2
     report = node.report()["board"]
@@ -156,15 +140,15 @@ def test_packets_are_whole_frames_or_counted(described: str) -> None:
 
 
 def test_an_edge_that_falls_silent_is_named_and_waited_for(
-    described: str, line: tuple[int, str], monkeypatch: pytest.MonkeyPatch
+    described: str, line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(boards, "SILENT_S", 0.05)
     lines: list[str] = []
-    node = opened(lines, source=f"serial:{line[1]}", description=described)
+    node = opened(lines, source=f"serial:{line.device}", description=described)
     wait_until(lambda: bool(lines) or bool(list(node.tick(Tick(0, 0)))), "a line")
-    assert lines == [f"serial:{line[1]}: nothing came for 0.05 s"]
+    assert lines == [f"serial:{line.device}: nothing came for 0.05 s"]
     assert not node.acquired
-    thread = write(line[0], FRAMES[0])
+    thread = line.sending(FRAMES[:1])
     assert len(received(node, 1)) == 1
     thread.join()
     node.close({})
@@ -178,6 +162,7 @@ def test_an_edge_that_falls_silent_is_named_and_waited_for(
         ({"source": "can:can0"}, "expected serial:DEVICE or udp:PORT"),
         ({"source": "serial:/dev/x?boud=9600"}, "boud: unknown key (did you mean 'baud'?)"),
         ({"source": "serial:/dev/x?rows=9"}, "rows: unknown key"),
+        ({"source": "serial:/dev/x?a=1"}, "a: unknown key"),
         ({"source": "serial:/dev/x?baud=x"}, "baud"),
         ({"source": "udp:x"}, "is no port"),
         ({"source": "udp:70000"}, "is no port"),
@@ -191,15 +176,7 @@ def test_settings_are_refused_by_name(settings: dict[str, Any], line: str, descr
     assert line in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("settings", "line"),
-    [
-        ({"source": "serial:/dev/no-edge"}, "/dev/no-edge"),
-        ({"source": "serial:/dev/null"}, "/dev/null"),
-    ],
-)
-def test_a_device_that_cannot_be_opened_is_named(
-    settings: dict[str, Any], line: str, described: str
-) -> None:
-    with pytest.raises(SparseskinError, match=line):
-        opened(description=described, **settings)
+@pytest.mark.parametrize("device", ["/dev/no-edge", "/dev/null"])
+def test_a_device_that_cannot_be_opened_is_named(device: str, described: str) -> None:
+    with pytest.raises(SparseskinError, match=device):
+        opened(description=described, source=f"serial:{device}")
