@@ -45,13 +45,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         one = add(name, _bridge, cls.HELP)
         one.description = f"{cls.HELP[0].upper()}{cls.HELP[1:]}, until it ends or Ctrl-C."
         one.set_defaults(bridge=name)
-        keys = {entry["key"] for entry in cls.Settings.described()}
-        if "port" in keys:
+        if "port" in {entry["key"] for entry in cls.Settings.described()}:
             stated = "port of 127.0.0.1; 0: a free one"
             one.add_argument("--port", type=whole(0), help=stated)
-        if "allow_set" in keys:
-            stated = "let clients set parameters; pages in your browser are clients, too"
-            one.add_argument("--allow-set", action="store_true", default=None, help=stated)
         add_stated(one, "another setting of the bridge, see docs/bridges.md")
         add_graph(one)
 
@@ -61,9 +57,8 @@ def _bridge(arguments: argparse.Namespace) -> int:
 
     cls = bridges()[arguments.bridge]
     values = stated_values(arguments.set, cls.Settings.described())
-    for key in ("port", "allow_set"):
-        if (stated := getattr(arguments, key, None)) is not None:
-            values[key] = stated
+    if getattr(arguments, "port", None) is not None:
+        values["port"] = arguments.port
     graph = choose_graph(arguments.graph)
     writers = graph.writers()
     patches = values.setdefault("patches", patches_of(writers))

@@ -64,7 +64,8 @@ def _member(form: Any) -> Any:
     """Type of cyclonedds of a member, by its form in a definition of rosbags."""
     node, of = form
     if node == Nodetype.SEQUENCE:
-        return idl.sequence[_member(of[0])]
+        sequence: Any = idl.sequence
+        return sequence[_member(of[0])]
     if node == Nodetype.NAME:
         return _type_of(of)
     return {"string": str, "bool": bool}.get(of[0]) or getattr(idl, of[0])

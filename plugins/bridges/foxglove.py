@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from sparseskin.messages import Message, Resultant, SkinState
-from sparseskin.messages.text import printable
 from sparseskin.messages.topics import topic_of
-from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
+from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.settings import setting
 
 from .base import LOOPBACK, Bridge, BridgeSettings, Figures, Map, check_installed
 from .exports.foxglove import grid, numbers_schema, point_cloud, raw_image
-from .parameters import GraphParameters
 
 BACKLOG = 1024
 """Messages that the server keeps for a client that reads slowly; beyond it drops the oldest."""
@@ -32,9 +29,6 @@ class FoxgloveSettings(BridgeSettings):
 
     host: str = setting("127.0.0.1", "address to listen at; others let other hosts in, unprotected")
     port: int = setting(8765, "port of the server; 0: a free one", low=0, high=65535)
-    allow_set: bool = setting(
-        False, "let clients set parameters: every page that this browser opens is one, too"
-    )
 
     def check(self) -> None:
         check_installed("foxglove", "type foxglove")
@@ -61,8 +55,9 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
         self._fox = foxglove
         self._own = foxglove.Context()
         self._channels: dict[str, Any] = {}
-        self._parameters = GraphParameters(context.ask)
-        self._listener = _Listener(foxglove, self._parameters, settings.allow_set)
+        self._parameters: dict[str, Any] = {}
+        self._listener = _Listener(foxglove, self._parameters)
+        self._n_refused = 0
         try:
             self._server = foxglove.start_server(
                 name=f"sparseskin {context.name}",
@@ -133,20 +128,29 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
             channel.log(known, log_time=message.stamp_ns)
 
     def idle(self) -> None:
-        for text in self._listener.taken():
+        if self._listener.n_refused != self._n_refused:
+            self._n_refused = self._listener.n_refused
+            text = (
+                "parameters are read only here; sparseskin param set, or the live page, sets them"
+            )
             self._server.publish_status(text, self._fox.StatusLevel.Error, "parameters")
 
     def command(self, name: str, value: Any) -> str:
-        """Accept the state of the graph, and answers to requests, from the launcher."""
-        if name == "graph":
-            new = self._parameters.update(value)
-            if new:
-                self._server.publish_parameter_values(_as_parameters(self._fox, new))
-            return ""
-        if name == "answer":
-            self._parameters.answer(value)
-            return ""
-        return super().command(name, value)
+        """Accept the state of the graph from the launcher: its live settings are parameters."""
+        if name != "graph":
+            return super().command(name, value)
+        new = {
+            f"{node['name']}.{entry['key']}": node["settings"].get(entry["key"])
+            for node in value.get("nodes", ())
+            for entry in node["controls"]
+        }
+        changed = {k: v for k, v in new.items() if (k, v) not in self._parameters.items()}
+        for gone in self._parameters.keys() - new.keys():
+            del self._parameters[gone]
+        self._parameters.update(changed)
+        if changed:
+            self._server.publish_parameter_values(_as_parameters(self._fox, changed))
+        return ""
 
     def close(self, counts: dict[str, Any]) -> None:
         for channel in self._channels.values():
@@ -184,20 +188,11 @@ def _as_parameters(fox: Any, values: dict[str, Any]) -> list[Any]:
 class _Listener:
     """Answers clients on the threads of the server."""
 
-    def __init__(self, fox: Any, parameters: GraphParameters, allow_set: bool) -> None:
-        self._fox = fox
-        self._parameters = parameters
-        self._allow_set = allow_set
+    def __init__(self, fox: Any, parameters: dict[str, Any]) -> None:
+        self._fox, self._parameters = fox, parameters
         self._lock = threading.Lock()
         self._subscribed: set[tuple[int, int]] = set()
-        self._refused: deque[str] = deque(maxlen=MAX_NAMES)
-
-    def taken(self) -> list[str]:
-        """Refusals since the last call."""
-        with self._lock:
-            found = list(self._refused)
-            self._refused.clear()
-        return found
+        self.n_refused = 0
 
     @property
     def n_clients(self) -> int:
@@ -225,25 +220,13 @@ class _Listener:
         self, client: Any, param_names: list[str], request_id: str | None = None
     ) -> list[Any]:
         """Values of the named parameters, or of all."""
-        return _as_parameters(self._fox, self._parameters.get(param_names[:MAX_NAMES]))
+        known = dict(self._parameters)
+        wanted = param_names[:MAX_NAMES] or list(known)
+        return _as_parameters(self._fox, {name: known[name] for name in wanted if name in known})
 
     def on_set_parameters(
         self, client: Any, parameters: list[Any], request_id: str | None = None
     ) -> list[Any]:
-        """Set parameters; the values that they have then, refused ones as before."""
-        changes = {one.name: one.get_value() for one in parameters[:MAX_NAMES]}
-        try:
-            if not self._allow_set:
-                raise RefusedError(
-                    "parameters are read only; start the bridge with allow_set=true (--allow-set)"
-                )
-            self._parameters.set(changes)
-        except SparseskinError as error:
-            self._refuse(str(error))
-        except Exception as error:  # the thread is that of the server
-            self._refuse(one_line(error))
-        return _as_parameters(self._fox, self._parameters.get(changes))
-
-    def _refuse(self, text: str) -> None:
-        with self._lock:
-            self._refused.extend(printable(line) for line in text.splitlines())
+        """Refuse: every page that a browser opens can be a client. The values as they are."""
+        self.n_refused += 1
+        return self.on_get_parameters(client, [one.name for one in parameters])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -200,7 +201,7 @@ def read_bus(text: object) -> Bus:
         if rates[1] < rates[0]:
             raise SettingsError(f"{shown(text)}: data are slower than the arbitration")
         return CanFd(*rates)
-    made = {"serial": Serial, "can": Can, "spi": Spi, "udp": Udp}[kind]
+    made: Callable[[float], Bus] = {"serial": Serial, "can": Can, "spi": Spi, "udp": Udp}[kind]
     return made(_bit_s(rate, "2M"))
 
 

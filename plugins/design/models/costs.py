@@ -118,11 +118,9 @@ def _measure(
         settings["m"] = strategy.m(skin.n_taxels, skin.n_rows)
     edge = made_node("compressor", settings)
     host = _Decoder() if strategy.sums == SINGLE else made_node("reconstructor", {})
-    state = SkinState(
-        **{"stamp_ns": 0, "patch": "skin", "source": "presses", "seed": seed, "rate_hz": 1000.0},
-        **{"has_truth": False, "sigma_mid": noise.sigma_mid, "sigma_end": noise.sigma_end},
-        **vars(skin),
-    )
+    stated: dict[str, Any] = {"stamp_ns": 0, "patch": "skin", "source": "presses", "seed": seed}
+    stated |= {"rate_hz": 1000.0, "has_truth": False, **vars(skin)}
+    state = SkinState(**stated, sigma_mid=noise.sigma_mid, sigma_end=noise.sigma_end)
     (phi,) = edge.step(state)
     for message in (state, phi):
         list(host.step(message))

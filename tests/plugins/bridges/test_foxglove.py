@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
@@ -37,12 +36,7 @@ def taxels(k: int) -> Taxels:
 
 @pytest.fixture
 def bridge() -> Iterator[FoxgloveBridge]:
-    asked: list[dict[str, Any]] = []
-    made = FoxgloveBridge(
-        FoxgloveSettings(port=0, allow_set=True),
-        Context("foxglove", ManualClock(0), ask=asked.append),
-    )
-    made.asked = asked  # type: ignore[attr-defined]
+    made = FoxgloveBridge(FoxgloveSettings(port=0), Context("foxglove", ManualClock(0)))
     assert not list(made.start())
     yield made
     made.close({})
@@ -138,42 +132,23 @@ def test_hostile_requests_end_neither_server_nor_bridge(bridge: FoxgloveBridge) 
         client.send(op="setParameters", parameters=[{"name": "x" * 5000, "value": [[[1]]]}])
         client.send(op="setParameters", parameters=[{"name": "launch.record", "value": True}])
         assert client.parameters("compressor.ratio") == {"compressor.ratio": 3.0}
-    assert bridge.asked == []  # type: ignore[attr-defined]
+        assert client.set_parameters(compressor__ratio=4) == {"compressor.ratio": 3.0}
+        bridge.idle()
+        assert "read only" in client.until("status")["message"]
 
 
-def test_parameters_cannot_be_set_unless_that_is_allowed() -> None:
-    asked: list[dict[str, Any]] = []
-    made = FoxgloveBridge(FoxgloveSettings(port=0), Context("f", ManualClock(0), ask=asked.append))
-    made.command("graph", STATE)
-    try:
-        with FoxgloveClient(made.where()) as client:
-            assert client.set_parameters(compressor__ratio=4) == {"compressor.ratio": 3.0}
-            made.idle()
-            assert "read only" in client.until("status")["message"]
-    finally:
-        made.close({})
-    assert asked == []
-
-
-def test_a_client_reads_and_sets_parameters_of_a_running_graph(start: StartProgram) -> None:
+def test_a_client_reads_frames_and_parameters_of_a_running_graph(start: StartProgram) -> None:
     graph = start("launch", "path_40", "--set", "monitor.page=false")
     graph.wait_for("ready")
-    beside = start("bridge", "foxglove", "--port", "0", "--allow-set")
+    beside = start("bridge", "foxglove", "--port", "0")
     with FoxgloveClient(beside.wait_for("foxglove: ")) as client:
         client.wait_for_channels("/skin/reconstruction")
         while "compressor.ratio" not in client.parameters():
             pass
         assert client.parameters("compressor.ratio") == {"compressor.ratio": 3}
-        # A client sends whole numbers as it likes; the graph has the new matrix from then on.
-        assert client.set_parameters(compressor__ratio=8) == {"compressor.ratio": 8}
-        asked = start("param", "get", "compressor", "ratio")
-        assert asked.finish()[:2] == (0, "8.0\n")
-        assert client.set_parameters(compressor__ratio=-1) == {"compressor.ratio": 8}
-        assert "outside" in client.until("status")["message"]
-        client.set_parameters(compresor__ratio=4)
-        assert "did you mean" in client.until("status")["message"]
-        client.set_parameters(compressor__phi="full")
-        assert "cannot be changed while the graph runs" in client.until("status")["message"]
+        assert start("param", "set", "compressor", "ratio", "8").finish()[0] == 0
+        while client.parameters("compressor.ratio") != {"compressor.ratio": 8}:
+            pass
         client.subscribe("/skin/reconstruction")
         got = client.data()
         assert pixels(got.content).shape == (40, 40)
