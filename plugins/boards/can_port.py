@@ -11,7 +11,7 @@ from sparseskin.nodes.errors import NotHereError, SourceError
 from sparseskin.nodes.lookup import did_you_mean
 
 from .can_chunks import HIGHEST_STANDARD_ID, Assembler, chunks_of
-from .framing import Counts, Frame, FrameParser, Framing, Sequence, split_packet
+from .framing import Counts, FrameParser, Framing, PacketParser
 from .ports import Arrived, needed_module
 from .settings import CanSettings
 
@@ -29,12 +29,11 @@ class CanPort:
     def __init__(
         self, address: str, settings: CanSettings, framing: Framing, counts: Counts
     ) -> None:
-        self.address, self._settings, self._framing = address, settings, framing
-        self._counts = counts
+        self.address, self._settings = address, settings
         self._chunks = chunks_of(settings, framing)
-        self._sequence = Sequence(framing.sequence_bytes, counts)
         self._assembler = Assembler(self._chunks, counts)
-        self._parser = FrameParser(framing, counts) if self._chunks.is_stream else None
+        parser = FrameParser if self._chunks.is_stream else PacketParser
+        self._parser: FrameParser | PacketParser = parser(framing, counts)
         self.n_bytes = self._n_errors = 0
         self._bus: Any = None
 
@@ -43,9 +42,7 @@ class CanPort:
         settings, ids = self._settings, self._chunks.ids
         check_can(self.address, settings.interface)
         self._assembler.reset()
-        self._sequence.reset()
-        if self._parser is not None:
-            self._parser.reset()
+        self._parser.reset()
         options: dict[str, Any] = {} if settings.bitrate is None else {"bitrate": settings.bitrate}
         if len(ids) <= MAX_FILTERS:
             options["can_filters"] = [
@@ -86,18 +83,10 @@ class CanPort:
             return []
         self.n_bytes += len(data)
         now_ns = time.monotonic_ns()
-        if self._parser is not None:
-            return [(now_ns, frame) for frame in self._parser.feed(data)]
-        whole = self._assembler.add(arbitration_id, data)
-        if whole is None:
-            return []
-        for raw in split_packet(self._framing, whole, self._counts):
-            payload, number = self._framing.split(raw)
-            if self._sequence.admit(number):
-                self._counts.frames += 1
-                return [(now_ns, Frame(payload, number, self.n_bytes))]
-            self._counts.dropped_bytes += len(raw)
-        return []
+        whole: bytes | None = data
+        if not self._chunks.is_stream:
+            whole = self._assembler.add(arbitration_id, data)
+        return [] if whole is None else [(now_ns, frame) for frame in self._parser.feed(whole)]
 
     def close(self) -> None:
         if self._bus is not None:

@@ -7,7 +7,6 @@ CRC-16/IBM-3740 (also called CCITT-FALSE), crc16_xmodem, crc16_modbus, crc32 CRC
 
 from __future__ import annotations
 
-import functools
 from binascii import crc_hqx
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,27 +15,13 @@ from zlib import crc32
 
 @dataclass(frozen=True)
 class Checksum:
-    """A checksum: its size in bytes (0..4), and the function of the bytes that it covers."""
+    """A checksum: its size in bytes (0..4), and the function of the bytes that it covers.
+    `is_strong` is True for a CRC of 16 bits or more: one frame alone can be believed.
+    """
 
     n_bytes: int
     compute: Callable[[bytes], int]
-
-    @property
-    def is_strong(self) -> bool:
-        """True for a CRC of 16 bits or more: one frame alone can be believed."""
-        return self.n_bytes >= 2 and self.compute is not _sum16
-
-
-def _none(data: bytes) -> int:
-    return 0
-
-
-def _sum8(data: bytes) -> int:
-    return sum(data) & 0xFF
-
-
-def _sum16(data: bytes) -> int:
-    return sum(data) & 0xFFFF
+    is_strong: bool = False
 
 
 def _xor8(data: bytes) -> int:
@@ -49,38 +34,10 @@ def _xor8(data: bytes) -> int:
     return value
 
 
-def _crc16(data: bytes) -> int:
-    return crc_hqx(data, 0xFFFF)
-
-
-def _crc16_xmodem(data: bytes) -> int:
-    return crc_hqx(data, 0)
-
-
-def _crc8(data: bytes) -> int:
-    table, value = _table(0x07, 8, False), 0
-    for byte in data:
-        value = table[value ^ byte]
-    return value
-
-
-def _crc8_maxim(data: bytes) -> int:
-    table, value = _table(0x8C, 8, True), 0
-    for byte in data:
-        value = table[value ^ byte]
-    return value
-
-
-def _crc16_modbus(data: bytes) -> int:
-    table, value = _table(0xA001, 16, True), 0xFFFF
-    for byte in data:
-        value = table[(value ^ byte) & 0xFF] ^ (value >> 8)
-    return value
-
-
-@functools.cache
-def _table(polynomial: int, n_bits: int, reflected: bool) -> tuple[int, ...]:
-    """Remainders of all bytes; `polynomial` is in the order of bits that `reflected` states."""
+def _crc(polynomial: int, start: int, n_bits: int, reflected: bool) -> Callable[[bytes], int]:
+    """A reflected CRC, or one of 8 bits, by a table of the remainders of all bytes; `polynomial` is
+    in the order of bits that `reflected` states.
+    """
     top, mask, table = 1 << (n_bits - 1), (1 << n_bits) - 1, []
     for byte in range(256):
         value = byte if reflected else byte << (n_bits - 8)
@@ -90,18 +47,25 @@ def _table(polynomial: int, n_bits: int, reflected: bool) -> tuple[int, ...]:
             else:
                 value = ((value << 1) & mask) ^ (polynomial if value & top else 0)
         table.append(value)
-    return tuple(table)
+
+    def compute(data: bytes) -> int:
+        value = start
+        for byte in data:
+            value = table[(value ^ byte) & 0xFF] ^ (value >> 8)
+        return value
+
+    return compute
 
 
 CHECKSUMS = {
-    "none": Checksum(0, _none),
-    "sum8": Checksum(1, _sum8),
-    "sum16": Checksum(2, _sum16),
+    "none": Checksum(0, lambda data: 0),
+    "sum8": Checksum(1, lambda data: sum(data) & 0xFF),
+    "sum16": Checksum(2, lambda data: sum(data) & 0xFFFF),
     "xor8": Checksum(1, _xor8),
-    "crc8": Checksum(1, _crc8),
-    "crc8_maxim": Checksum(1, _crc8_maxim),
-    "crc16": Checksum(2, _crc16),
-    "crc16_xmodem": Checksum(2, _crc16_xmodem),
-    "crc16_modbus": Checksum(2, _crc16_modbus),
-    "crc32": Checksum(4, crc32),
+    "crc8": Checksum(1, _crc(0x07, 0, 8, reflected=False)),
+    "crc8_maxim": Checksum(1, _crc(0x8C, 0, 8, reflected=True)),
+    "crc16": Checksum(2, lambda data: crc_hqx(data, 0xFFFF), True),
+    "crc16_xmodem": Checksum(2, lambda data: crc_hqx(data, 0), True),
+    "crc16_modbus": Checksum(2, _crc(0xA001, 0xFFFF, 16, reflected=True), True),
+    "crc32": Checksum(4, crc32, True),
 }

@@ -306,15 +306,35 @@ class FrameParser:
         self.counts.dropped_bytes += n
 
 
-def split_packet(framing: Framing, packet: bytes, counts: Counts) -> list[bytes]:
-    """The whole frames of a packet that holds frames alone; what is not is counted."""
-    n = framing.n_bytes
-    if not packet or len(packet) % n:
-        counts.bad_frames += 1
-        counts.dropped_bytes += len(packet)
-        return []
-    parts = [packet[k : k + n] for k in range(0, len(packet), n)]
-    whole = [part for part in parts if framing.is_whole(part)]
-    counts.bad_frames += len(parts) - len(whole)
-    counts.dropped_bytes += n * (len(parts) - len(whole))
-    return whole
+class PacketParser:
+    """Finds the frames in packets that hold whole frames alone; what is not is counted."""
+
+    def __init__(self, framing: Framing, counts: Counts | None = None) -> None:
+        self._framing = framing
+        self.counts = Counts() if counts is None else counts
+        self._sequence = Sequence(framing.sequence_bytes, self.counts)
+        self._n_bytes = 0
+
+    def reset(self) -> None:
+        """Expect any number next: the board was unplugged."""
+        self._sequence.reset()
+
+    def feed(self, packet: bytes) -> list[Frame]:
+        """Return the frames of a packet that are accepted, in order."""
+        framing, counts, n = self._framing, self.counts, self._framing.n_bytes
+        self._n_bytes += len(packet)
+        if not packet or len(packet) % n:
+            counts.bad_frames += 1
+            counts.dropped_bytes += len(packet)
+            return []
+        frames = []
+        for raw in (packet[k : k + n] for k in range(0, len(packet), n)):
+            payload, number = framing.split(raw)
+            is_whole = framing.is_whole(raw)
+            if is_whole and self._sequence.admit(number):
+                counts.frames += 1
+                frames.append(Frame(payload, number, self._n_bytes))
+            else:
+                counts.bad_frames += not is_whole
+                counts.dropped_bytes += n
+        return frames

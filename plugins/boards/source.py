@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from .framing import Counts
 from .ports import Arrived, Port
 from .readings import Decoder
 from .serial_port import SerialPort
-from .settings import CanSettings, SerialSettings, UdpSettings
+from .settings import SerialSettings, UdpSettings
 from .udp_port import UdpPort
 
 RETRY_S = 0.25
@@ -30,14 +30,7 @@ MAX_WAITING = 1024
 """Most frames that wait to be used, chosen: 1 s at 1 kHz. No more are read while so many wait."""
 
 
-def _port_of(board: Board, counts: Counts) -> Port:
-    settings = board.settings
-    if isinstance(settings, UdpSettings):
-        return UdpPort(board.address, settings, board.framing, counts)
-    if isinstance(settings, CanSettings):
-        return CanPort(board.address, settings, board.framing, counts)
-    assert isinstance(settings, SerialSettings)
-    return SerialPort(board.address, settings, board.framing, counts)
+PORTS: dict[str, Callable[..., Port]] = {"serial": SerialPort, "udp": UdpPort, "can": CanPort}
 
 
 class BoardSource(LiveSource):
@@ -67,7 +60,7 @@ class BoardSource(LiveSource):
         self.n_unused = self.n_not_finite = self.n_gone = 0
         self._board = board
         self._decode = Decoder(board.layout)
-        self._port = _port_of(board, self.counts)
+        self._port = PORTS[board.kind](board.address, board.settings, board.framing, self.counts)
         self._waiting: deque[Arrived] = deque()
         self._last_ns = -1
         self._is_open = False

@@ -9,7 +9,7 @@ import time
 
 from sparseskin.nodes.errors import SourceError
 
-from .framing import Counts, Frame, Framing, Sequence, split_packet
+from .framing import Counts, Framing, PacketParser
 from .ports import MAX_READS, READ_BYTES, Arrived
 from .settings import UdpSettings
 
@@ -25,15 +25,14 @@ class UdpPort:
     def __init__(
         self, address: str, settings: UdpSettings, framing: Framing, counts: Counts
     ) -> None:
-        self.address, self._settings, self._framing = address, settings, framing
-        self._counts = counts
-        self._sequence = Sequence(framing.sequence_bytes, counts)
+        self.address, self._settings = address, settings
+        self._parser = PacketParser(framing, counts)
         self.n_bytes = 0
         self._socket: socket.socket | None = None
         self._n_dropped = self._n_strangers = self._last_bytes = 0
 
     def open(self) -> None:
-        self._sequence.reset()
+        self._parser.reset()
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
@@ -66,13 +65,7 @@ class UdpPort:
                 continue
             self.n_bytes += len(packet)
             self._last_bytes = len(packet)
-            for raw in split_packet(self._framing, packet, self._counts):
-                payload, number = self._framing.split(raw)
-                if self._sequence.admit(number):
-                    self._counts.frames += 1
-                    frames.append((now_ns, Frame(payload, number, self.n_bytes)))
-                else:
-                    self._counts.dropped_bytes += len(raw)
+            frames += [(now_ns, frame) for frame in self._parser.feed(packet)]
         return frames
 
     def close(self) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any, ClassVar, TypeVar
 
@@ -25,7 +24,6 @@ from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context, Node
-from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.settings import Settings, check_patch, setting
 
 Map = Taxels | Truth | Reconstruction
@@ -81,52 +79,31 @@ def check_installed(extra: str, what: str) -> None:
             )
 
 
-@lru_cache(maxsize=64)
-def _moments(n_rows: int, n_cols: int) -> tuple[Doubles, Doubles, tuple[Doubles, Doubles]]:
-    """Ones and numbers of the rows; ones and numbers of the columns."""
-    rows, cols = np.arange(n_rows, dtype=np.float64), np.arange(n_cols, dtype=np.float64)
-    return np.ones(n_rows), rows, (np.ones(n_cols), cols)
-
-
-@dataclass
-class Figures:
-    """Numbers of one map, as tools plot them; those that are not known are left out.
+def figures(message: Map, f_max: float, latency_ns: int) -> dict[str, float | int | bool]:
+    """Numbers of a map of a skin with range [0, f_max], as tools plot them; finite, and without
+    those that are not known. `latency_ns` is the time since the acquisition.
 
     `total` and `peak` are in the skin's unit, `row` and `col` the centre of pressure in taxels from
     the middle of the first.
     """
-
-    seq: int
-    total: float
-    peak: float
-    more: dict[str, float | int | bool] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, message: Map, f_max: float, latency_ns: int | None) -> Figures:
-        """Figures of a map of a skin with range [0, f_max]; `latency_ns` from the acquisition."""
-        forces = message.forces
-        ones, rows, cols = _moments(*forces.shape)
-        made = cls(message.seq, float(ones @ (sums := forces @ cols[0])), float(forces.max()))
-        if made.total > 0 and made.peak > CONTACT_FRACTION * f_max:
-            made.more["row"] = float(rows @ sums) / made.total
-            made.more["col"] = float(ones @ (forces @ cols[1])) / made.total
-        if latency_ns is not None:
-            made.more["latency_ms"] = latency_ns / 1e6
-        if isinstance(message, Reconstruction):
-            made.more |= {
-                "residual": message.residual,
-                "iterations": message.iterations,
-                "solve_ms": message.solve_ns / 1e6,
-                "trusted": message.trusted,
-            }
-            if message.error is not None:
-                made.more["error"] = message.error
-        return made
-
-    def as_dict(self) -> dict[str, float | int | bool]:
-        """All of them by name; finite, so that JSON can hold them."""
-        found = {"seq": self.seq, "total": self.total, "peak": self.peak, **self.more}
-        return {name: value for name, value in found.items() if math.isfinite(value)}
+    forces = message.forces
+    rows, cols = forces.sum(axis=1, dtype=np.float64), forces.sum(axis=0, dtype=np.float64)
+    total, peak = float(rows.sum()), float(forces.max())
+    found: dict[str, float | int | bool] = {"seq": message.seq, "total": total, "peak": peak}
+    if total > 0 and peak > CONTACT_FRACTION * f_max:
+        found["row"] = float(rows @ np.arange(len(rows))) / total
+        found["col"] = float(cols @ np.arange(len(cols))) / total
+    found["latency_ms"] = latency_ns / 1e6
+    if isinstance(message, Reconstruction):
+        found |= {
+            "residual": message.residual,
+            "iterations": message.iterations,
+            "solve_ms": message.solve_ns / 1e6,
+            "trusted": message.trusted,
+        }
+        if message.error is not None:
+            found["error"] = message.error
+    return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
 class Bridge(Node[S]):

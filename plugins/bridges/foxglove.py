@@ -14,7 +14,7 @@ from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.settings import setting
 
-from .base import LOOPBACK, Bridge, BridgeSettings, Figures, Map, check_installed
+from .base import LOOPBACK, Bridge, BridgeSettings, Map, check_installed, figures
 from .exports.foxglove import grid, numbers_schema, point_cloud, raw_image
 
 BACKLOG = 1024
@@ -93,7 +93,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
 
     def send(self, message: Map, skin: SkinState) -> None:
         topic = message.topic
-        image, cells, figures = (
+        image, cells, numbers = (
             self._channels[name] for name in (topic, f"{topic}/grid", f"{topic}/figures")
         )
         if image.has_sinks():
@@ -109,11 +109,9 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
             if self._channels[name].has_sinks():
                 cloud = point_cloud(message, {"force": message.forces}, skin)
                 self._channels[name].log(cloud, log_time=message.stamp_ns)
-        if figures.has_sinks():
+        if numbers.has_sinks():
             latency_ns = self.context.clock.now_ns() - message.stamp_ns
-            figures.log(
-                Figures.of(message, skin.f_max, latency_ns).as_dict(), log_time=message.stamp_ns
-            )
+            numbers.log(figures(message, skin.f_max, latency_ns), log_time=message.stamp_ns)
 
     def send_resultant(self, message: Resultant) -> None:
         channel = self._channels.get(message.topic)

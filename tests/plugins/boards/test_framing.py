@@ -17,8 +17,8 @@ from sparseskin.plugins.boards.framing import (
     Frame,
     FrameParser,
     Framing,
+    PacketParser,
     Sequence,
-    split_packet,
 )
 
 few = settings(max_examples=40)
@@ -299,17 +299,17 @@ class TestPackets:
     @few
     @given(payloads=payloads)
     def test_a_packet_of_whole_frames_is_split(self, payloads: list[bytes]) -> None:
-        counts = Counts()
-        whole = split_packet(WITH_CRC, b"".join(map(WITH_CRC.encode, payloads)), counts)
-        assert [WITH_CRC.split(raw)[0] for raw in whole] == payloads
-        assert counts == Counts()
+        parser = PacketParser(WITH_CRC)
+        packet = b"".join(WITH_CRC.encode(one, k) for k, one in enumerate(payloads))
+        assert [frame.payload for frame in parser.feed(packet)] == payloads
+        assert parser.counts == Counts(frames=len(payloads))
 
     @few
     @given(packet=st.binary(max_size=100))
     def test_any_other_packet_is_counted(self, packet: bytes) -> None:
         framing = Framing(12, start=MARK, checksum="crc32")
         assume(len(packet) != framing.n_bytes)
-        counts = Counts()
-        assert split_packet(framing, packet, counts) == []
-        assert counts.bad_frames >= 1
-        assert counts.dropped_bytes == len(packet)
+        parser = PacketParser(framing)
+        assert parser.feed(packet) == []
+        assert parser.counts.bad_frames >= 1
+        assert parser.counts.dropped_bytes == len(packet)

@@ -196,8 +196,7 @@ class TestCan:
         can = pytest.importorskip("can")
         channel = uuid.uuid4().hex
         source = opened(f"can:{channel}?rows=8&cols=8&{query}&interface=virtual")
-        port = source._port
-        chunks, framing = port._chunks, port._framing
+        chunks, framing = source._port._chunks, source._board.framing
         size = chunks.chunk_bytes
         with can.Bus(channel=channel, interface="virtual") as bus:
             for number in range(20):
