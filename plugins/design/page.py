@@ -12,7 +12,7 @@ from sparseskin.studies.report import Page
 from . import text
 from .budget import STAGES, Row
 from .charts import draw_accuracy, draw_latency, draw_rates
-from .models.costs import HOP_S
+from .models.costs import DENSE, HOP_S, stored
 from .models.rigs import RIGS
 from .spec import KEYS, Design
 
@@ -26,7 +26,7 @@ def write_page(out: Path, rows: Sequence[Row], design: Design) -> Path:
     page.section("", size=design.size, rate=text.hertz(design.rate_hz), stated=stated)
     heads = [column.replace("-\n", "").replace("\n", ", ") for column in text.COLUMNS]
     table = pd.DataFrame([text.cells(row) for row in rows], columns=heads)
-    page.section("Strategies", table, _listed(text.legend(rows)))
+    page.section("Strategies", table, "\n".join(f"- {line}" for line in text.legend(rows)))
     broken = [(", ".join(names), line) for line, names in text.first_breaks(rows, design)]
     page.section("What breaks first", pd.DataFrame(broken, columns=["strategies", "limit"]))
     charts = (draw(out, rows, design) for draw in (draw_rates, draw_accuracy, draw_latency))
@@ -34,17 +34,20 @@ def write_page(out: Path, rows: Sequence[Row], design: Design) -> Path:
     latencies = [(row.strategy.name, *_latencies(row)) for row in rows]
     columns = ["strategy", *STAGES, "process to process", "sum"]
     page.section("Latency of a frame, ms", pd.DataFrame(latencies, columns=columns))
-    page.section("Models and their sources", _listed(text.sources(design)))
+    page.section(
+        "Models and their sources",
+        edge=design.edge.source,
+        bus=design.bus.source,
+        dense=f"{DENSE:.0%}",
+        conditions=stored()["conditions"],
+        hop_ms=f"{1e3 * HOP_S:g}",
+    )
     rigs = pd.DataFrame(text.rig_rows(), columns=text.RIG_COLUMNS)
     rigs["remark"] = [rig.reason for rig in RIGS]
     page.section("The same models on rigs that were built", rigs)
     page.csv("rows", [record(row, design) for row in rows])
     page.write(text.conclusions(rows, design))
     return out / "design.md"
-
-
-def _listed(lines: Sequence[str]) -> str:
-    return "\n".join(f"- {line}" for line in lines)
 
 
 def _latencies(row: Row) -> list[str]:

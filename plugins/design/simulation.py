@@ -16,9 +16,10 @@ Converter
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterable, Iterator
-from typing import Protocol
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeAlias
 
 import numpy as np
 
@@ -57,47 +58,27 @@ FEW_SCENES = len(BODIES)
 once. Chosen: all strategies in some 20 s on two cores."""
 
 
-class Reader(Protocol):
-    """A strategy's edge and host: from a frame's readings to its reconstruction."""
-
-    def read(self, taxels: Floats) -> Floats:
-        """Forces from readings, both float32 of shape (n_rows, n_cols), newtons."""
+Reader: TypeAlias = "Callable[[Floats], Floats]"
+"""A strategy's edge and host: forces from a frame's readings, both float32 of shape (n_rows,
+n_cols), newtons."""
 
 
-class Raster:
-    """Reader of every taxel in every frame, or of some in turn, others keeping their last reading.
-
-    Parameters
-    ----------
-    phis : list of Phi, or None
-        Row subsets of kind "subsample". None: every taxel in every frame.
+def raster(mask: Mask, bits: int, phis: list[Phi] | None = None) -> Reader:
+    """Reader of every taxel in every frame, or of the row subsets `phis` of kind "subsample" in
+    turn, other taxels keeping their last reading.
     """
+    step = np.float32(F_MAX_N / (2**bits - 1))
+    taxels = np.flatnonzero(mask)
+    subsets = [taxels[getattr(phi, "rows")] for phi in phis] if phis else [taxels]  # noqa: B009
+    turns = itertools.cycle(subsets)
+    held = np.zeros(mask.size, dtype=np.float32)
 
-    def __init__(self, mask: Mask, bits: int, phis: list[Phi] | None = None) -> None:
-        self._step = np.float32(F_MAX_N / (2**bits - 1))
-        taxels = np.flatnonzero(mask)
-        self._read = [taxels[getattr(phi, "rows")] for phi in phis] if phis else [taxels]  # noqa: B009
-        self._held = np.zeros(mask.size, dtype=np.float32)
-        self._frame = 0
+    def read(readings: Floats) -> Floats:
+        now = next(turns)
+        held[now] = np.rint(readings.reshape(-1)[now] / step) * step
+        return held.reshape(readings.shape).copy()
 
-    def read(self, taxels: Floats) -> Floats:
-        """See `Reader`."""
-        read = self._read[self._frame % len(self._read)]
-        self._frame += 1
-        self._held[read] = np.rint(taxels.reshape(-1)[read] / self._step) * self._step
-        return self._held.reshape(taxels.shape).copy()
-
-
-class Sums:
-    """Reader of measurements in few bits, reconstructed by the default solver."""
-
-    def __init__(self, method: Method, bits: int) -> None:
-        self._method, self._bits = method, bits
-
-    def read(self, taxels: Floats) -> Floats:
-        """See `Reader`."""
-        y = quantised(self._method.measure(taxels), self._bits)
-        return self._method.solve(np.asarray(y)).forces
+    return read
 
 
 def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: int) -> Reader:
@@ -118,16 +99,21 @@ def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: i
     """
     n = int(np.count_nonzero(mask))
     if strategy.phi == "full":
-        return Raster(mask, bits)
+        return raster(mask, bits)
     phi = make_phi(strategy.phi, n, strategy.m(n, mask.shape[0]), seed)
     layout(phi, mask, noise * F_MAX_N, F_MAX_N)
     phis = row_subsets(phi, strategy.rows)
     if strategy.sums == SINGLE:
-        return Raster(mask, bits, phis)
+        return raster(mask, bits, phis)
     chosen = PRESETS["skin"]
     basis = make_basis(chosen["basis"], *mask.shape)
     solver = make_rotating_solver(chosen["solver"], phis, basis, mask)
-    return Sums(Method(solver, phis), bits)
+    method = Method(solver, phis)
+
+    def read(taxels: Floats) -> Floats:
+        return method.solve(np.asarray(quantised(method.measure(taxels), bits))).forces
+
+    return read
 
 
 def noise_model(noise: float) -> NoiseModel:
@@ -173,7 +159,7 @@ def contact_db(reader: Reader, frames: Iterable[tuple[Floats, Floats]]) -> list[
     """
     dbs = [
         psnr_db(forces - truth, F_MAX_N)
-        for truth, forces in ((truth, reader.read(taxels)) for truth, taxels in frames)
+        for truth, forces in ((truth, reader(taxels)) for truth, taxels in frames)
         if in_contact(truth, F_MAX_N)
     ]
     if not dbs:
@@ -218,7 +204,7 @@ def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float | 
     def frame(truth: Floats) -> Floats:
         taxels = model.apply(truth, rng)
         taxels[~mask] = 0
-        return reader.read(taxels)
+        return reader(taxels)
 
     def largest(forces: Floats) -> float:
         windows = np.lib.stride_tricks.sliding_window_view(forces, sides)

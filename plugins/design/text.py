@@ -6,8 +6,6 @@ import math
 from collections.abc import Sequence
 
 from .budget import STAGES, Row
-from .models.adc import SOURCE as ADC_SOURCE
-from .models.costs import COMMAND, DENSE, HOP_S, LATENCY_COMMAND, stored
 from .models.edge import instructions
 from .models.rigs import RIGS
 from .models.wires import reads_single
@@ -221,25 +219,6 @@ def legend(rows: Sequence[Row]) -> list[str]:
         named = "all" if len(names) == len(rows) else ", ".join(names)
         lines.append(f"*: {named}: {note}")
     return lines
-
-
-def sources(design: Design) -> list[str]:
-    """Where the figures of a design come from, a line each."""
-    return [
-        ADC_SOURCE,
-        design.edge.source,
-        f"bus: {design.bus.source}",
-        "host: processor time of the reconstructor node, from a frame that nothing presses to one "
-        f"of a body on {DENSE:.0%} of the taxels, the body that takes longest; "
-        f"{stored()['conditions']} ({COMMAND}); a skin of more than 4096 taxels is taken as "
-        "several patches",
-        f"latency: the sum of the stages, and {HOP_S * 1e3:g} ms from process to process "
-        f"({LATENCY_COMMAND}); queues and other programs of the host are left out",
-        "accuracy: simulations of this skin under several bodies; see What is simulated in the "
-        "documentation",
-        "wires: rows and columns of an array, or a wire a taxel to the amplifier of its block; see "
-        "Wires in the documentation",
-    ]
 
 
 def rig_rows() -> list[tuple[str, ...]]:

@@ -94,6 +94,7 @@ def _cost(arguments: argparse.Namespace) -> int:
     """Print instructions, flash and RAM of a frame on a Cortex-M4, for 16 x 32, 40 x 40 and 64 x 64
     taxels, or for --rows and --cols; gcc-arm-none-eabi and qemu-system-arm are needed.
     """
+    from sparseskin.launch.attach.text import table
     from sparseskin.nodes.errors import SettingsError
     from sparseskin.plugins.edge.cost import measure_cost
 
@@ -110,11 +111,8 @@ def _cost(arguments: argparse.Namespace) -> int:
         d = _described(arguments, n_rows, n_cols, None)
         c = measure_cost(d)
         costs = (c.instructions, c.most_instructions, c.code_bytes, c.table_bytes, c.ram_bytes)
-        numbers = (d.m, d.frame_bytes, *costs, c.stack_bytes)
-        rows.append((f"{n_rows} x {n_cols}", *map(str, numbers)))
-    widths = [max(len(row[k]) for row in [columns, *rows]) for k in range(len(columns))]
-    for row in [columns, *rows]:
-        print("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)))
+        rows.append((f"{n_rows} x {n_cols}", d.m, d.frame_bytes, *costs, c.stack_bytes))
+    print("\n".join(table(columns, rows)))
     print("a frame of a Cortex-M4 (gcc -O2): instructions counted by QEMU, memory in bytes")
     return 0
 

@@ -64,22 +64,8 @@ def config(description: EdgeDescription) -> str:
         "FRAME_BYTES": d.frame_bytes,
         "FIRST_CELL": int(d.cells[0]),
     }
-    return "\n".join(
-        [
-            "/* Sizes of this edge. */",
-            "#ifndef EDGE_CONFIG_H",
-            "#define EDGE_CONFIG_H",
-            "",
-            "#include <stdint.h>",
-            "",
-            *(f"#define EDGE_{name} {value}" for name, value in numbers.items()),
-            "",
-            f"typedef uint{8 * d.count_bytes}_t edge_count_t;",
-            "",
-            "#endif",
-            "",
-        ]
-    )
+    defines = "\n".join(f"#define EDGE_{name} {value}" for name, value in numbers.items())
+    return _filled("edge_config.h.in", defines=defines, count_bits=8 * d.count_bytes)
 
 
 def tables(description: EdgeDescription) -> str:
@@ -100,23 +86,12 @@ def tables(description: EdgeDescription) -> str:
         words = np.packbits(kept, bitorder="little").view("<u4")
         rows.append(_array(f"0x{word:08x}u" for word in words.tolist()))
     cells = d.cells[d.phi.permutation]
-    n_words = "(EDGE_N_TAXELS + 31) / 32"
-    return "\n".join(
-        [
-            '#include "edge_tables.h"',
-            "",
-            f"const edge_group_t edge_groups[EDGE_N_GROUPS] = {_array(groups)};",
-            "",
-            f"const uint16_t edge_cells[EDGE_N_TAXELS] = {_array(map(str, cells.tolist()))};",
-            "",
-            f"const uint32_t edge_rows[EDGE_N_SUBSETS][{n_words}] = {{",
-            ",\n".join(rows) + "};",
-            "",
-            "const uint32_t edge_phi[EDGE_N_SUBSETS] = "
-            + _array(f"0x{tag:08x}u" for tag in d.tags)
-            + ";",
-            "",
-        ]
+    return _filled(
+        "edge_tables.c.in",
+        groups=_array(groups),
+        cells=_array(map(str, cells.tolist())),
+        rows=",\n".join(rows),
+        tags=_array(f"0x{tag:08x}u" for tag in d.tags),
     )
 
 
@@ -125,23 +100,8 @@ def vectors(description: EdgeDescription) -> str:
     n_vectors = len(description.subsets) + 6
     frames = (check_counts(description, k) for k in range(n_vectors))
     hashes = [fnv1a(sent) for sent in compressed(description, frames)]
-    return "\n".join(
-        [
-            "/* FNV-1a of the bytes of each test frame, by the compressor in Python. */",
-            "#ifndef EDGE_VECTORS_H",
-            "#define EDGE_VECTORS_H",
-            "",
-            "#include <stdint.h>",
-            "",
-            f"#define EDGE_N_VECTORS {n_vectors}u",
-            "static const uint32_t edge_vectors[EDGE_N_VECTORS] = "
-            + _array(f"0x{value:08x}u" for value in hashes)
-            + ";",
-            "",
-            "#endif",
-            "",
-        ]
-    )
+    values = _array(f"0x{value:08x}u" for value in hashes)
+    return _filled("edge_vectors.h.in", n_vectors=n_vectors, hashes=values)
 
 
 def readme(description: EdgeDescription) -> str:
@@ -149,23 +109,28 @@ def readme(description: EdgeDescription) -> str:
     d = description
     masked = "" if d.mask is None else f", {d.n_taxels} of which hold a taxel"
     tags = ", ".join(f"`{tag:08x}`" for tag in d.tags)
-    text = (files(__package__) / "c" / "README.md.in").read_text(encoding="utf-8")
-    values = {
-        "n_rows": d.n_rows,
-        "n_cols": d.n_cols,
-        "masked": masked,
-        "m": d.m,
-        "rows": d.rows,
-        "n_subsets": len(d.subsets),
-        "bits": d.bits,
-        "full_scale": d.full_scale,
-        "code_bytes": d.code_bytes,
-        "frame_bytes": d.frame_bytes,
-        "top": largest_code(d.bits),
-        "tags": tags,
-    }
-    for name, value in values.items():
-        text = text.replace(f"@{name}@", str(value))
+    return _filled(
+        "README.md.in",
+        n_rows=d.n_rows,
+        n_cols=d.n_cols,
+        masked=masked,
+        m=d.m,
+        rows=d.rows,
+        n_subsets=len(d.subsets),
+        bits=d.bits,
+        full_scale=d.full_scale,
+        code_bytes=d.code_bytes,
+        frame_bytes=d.frame_bytes,
+        top=largest_code(d.bits),
+        tags=tags,
+    )
+
+
+def _filled(name: str, **values: object) -> str:
+    """A text of the folder `c` with its values, which stand there as @NAME@."""
+    text = (files(__package__) / "c" / name).read_text(encoding="utf-8")
+    for key, value in values.items():
+        text = text.replace(f"@{key}@", str(value))
     return text
 
 

@@ -14,9 +14,9 @@ import random
 import re
 import signal
 import subprocess
-import threading
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -37,34 +37,24 @@ _INTERRUPTED = 128 + signal.SIGINT
 _MAX_RUNS = 20
 
 
-def measure(point: dict[str, Any]) -> dict[str, Any]:
-    """List, start, end and kill for `point["seconds"]`, by a random generator of `point["seed"]`.
-
-    Returns
-    -------
-    dict
-        lists: commands that listed. graphs: short graphs, by how they ended. ready: those of them
-        that were ready before. frames: frames of the steady graph that were sensed, reconstructed
-        and lost. faults: one line for each thing that was not as it has to be. left: what is left
-        behind after the end of all.
+def measure(seconds: float, seed: int) -> dict[str, Any]:
+    """List, start, end and kill for some seconds: how many commands listed, graphs by how they
+    ended and those that were ready before, frames of the steady graph, one line for each thing that
+    was not as it has to be, and what is left behind after the end of all.
     """
     nodes: dict[str, dict[str, Any]] = {
         "sensor": {"source": "sparseskin.studies.looped:path_40", "rate_hz": STEADY_HZ},
         **{"compressor": {}, "reconstructor": {}, "monitor": {"port": 0}},
     }
     with GraphRun(launch_text(nodes)) as graph:
-        loop = _Loop(graph, point["seconds"])
-        threads = [threading.Thread(target=loop.list_again_and_again, daemon=True)]
-        for number in range(N_STARTERS):
-            generator = random.Random(f"{point['seed']} {number}")
-            arguments = (number, generator)
-            threads.append(
-                threading.Thread(target=loop.start_again_and_again, args=arguments, daemon=True)
-            )
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        loop = _Loop(graph, seconds)
+        with ThreadPoolExecutor() as threads:
+            running = [threads.submit(loop.list_again_and_again)]
+            for number in range(N_STARTERS):
+                generator = random.Random(f"{seed} {number}")
+                running.append(threads.submit(loop.start_again_and_again, number, generator))
+            for one in running:
+                one.result()
         return {
             "lists": loop.n_lists,
             "graphs": dict(sorted(loop.graphs.items())),
@@ -155,27 +145,21 @@ class _Loop:
                 stderr=err,
                 start_new_session=True,
             )
-        children: list[int] = []
         try:
             if how == "stop":
                 self._stop(process)
             elif how != "by itself":
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     process.wait(delay_s)
-                children = _children(process.pid)
-                if how == "Ctrl-C":
-                    process.send_signal(signal.SIGINT)
-                else:
-                    process.kill()
-                    for pid in children if how == "kill -9 of all" else ():
-                        with contextlib.suppress(ProcessLookupError):
-                            os.kill(pid, signal.SIGKILL)
+                children = _children(process.pid) if how == "kill -9 of all" else []
+                process.send_signal(signal.SIGINT if how == "Ctrl-C" else signal.SIGKILL)
+                for pid in children:
+                    with contextlib.suppress(ProcessLookupError):
+                        os.kill(pid, signal.SIGKILL)
             code = process.wait(PATIENCE_S)
         finally:
             process.kill()
             process.wait()
-        for pid in children:
-            wait_until(lambda pid=pid: not _is_alive(pid), f"the end of node {pid}")  # type: ignore[misc]
         text = log.read_text(errors="replace")
         self.n_ready += "[launch] ready" in text
         self._judge(name, how, code, text, summary)
@@ -253,12 +237,3 @@ def _children(pid: int) -> list[int]:
         tasks = Path(f"/proc/{pid}/task").iterdir()
         return [int(child) for task in tasks for child in (task / "children").read_text().split()]
     return []
-
-
-def _is_alive(pid: int) -> bool:
-    """True if a process runs; one that has ended and was not waited for does not."""
-    with contextlib.suppress(OSError):
-        text = Path(f"/proc/{pid}/stat").read_text()
-        found = re.search(r"\) (\S)", text)
-        return found is not None and found[1] not in "ZX"
-    return False

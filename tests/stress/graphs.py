@@ -234,15 +234,6 @@ class GraphRun:
             left += [f"file {path.name}" for path in self.folder.glob(pattern)]
         return left
 
-    def shared_memory(self) -> list[str]:
-        """Files in /dev/shm that processes of the graph have mapped, while it runs."""
-        found = []
-        for pid in self.processes():
-            with contextlib.suppress(OSError):
-                text = Path(f"/proc/{pid}/maps").read_text()
-                found += [line.split()[-1] for line in text.splitlines() if "/dev/shm/" in line]
-        return found
-
     def close(self) -> None:
         """Kill all processes that are left, and remove a temporary folder."""
         self.stack.close()

@@ -295,7 +295,7 @@ def test_open_pages_cost_a_graph_nothing_and_are_refused_in_order(
 def test_commands_beside_graphs_that_start_and_end_remove_nothing_that_is_used(
     full: bool, note: Any
 ) -> None:
-    found = commands.measure({"seconds": 3600.0 if full else 5.0, "seed": 1})
+    found = commands.measure(3600.0 if full else 5.0, 1)
     note(attack="commands in a loop", **found)
     assert found["faults"] == []
     assert found["left"] == []

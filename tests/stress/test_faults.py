@@ -155,9 +155,8 @@ def test_a_node_that_is_killed_crashes_or_stops_takes_no_other_with_it(
             for node in NODES * repeats:
                 struck[node].append(strike(graph, node, signal.Signals[name], stop_s, rate_hz))
             sensed = {seen.stamp_ns for seen in list(graph.probe.sensed)}
-            in_memory = graph.shared_memory()
             graph.end()
-            left = graph.left_behind() + in_memory
+            left = graph.left_behind()
         assert all(what.endswith(".mcap.part") for what in left)
         assert bool(not_recorded(folder, sensed)) == dies
         recordings = sorted(path.name for path in folder.glob("run*"))
@@ -218,7 +217,6 @@ def held_s(full: bool) -> float:
 
 def test_nothing_outlives_a_launcher_that_is_killed(begun: Any, note: Any) -> None:
     graph = begun(graph_text(), "--record", "run.mcap")
-    in_memory = graph.shared_memory()
     graph.process.kill()
     graph.process.wait()
     took_s = wait_until(lambda: not graph.processes(), "the end of all nodes")
@@ -228,7 +226,7 @@ def test_nothing_outlives_a_launcher_that_is_killed(begun: Any, note: Any) -> No
     n_recorded = recorded(graph.folder / "run.mcap")
     note(fault="kill -9 of the launcher", recover_s=took_s, notes=n_notes, recorded=n_recorded)
     assert n_recorded > 0
-    assert graph.left_behind() + in_memory == []
+    assert graph.left_behind() == []
 
 
 def recorded(path: Path) -> int:

@@ -53,12 +53,6 @@ class Adc:
         return each * (1 / self.rate_hz + self.settling_s)
 
 
-SOURCE = (
-    "ADC: conversions a second as its data sheet states them, and the settling time of the "
-    "multiplexer that the design states; both in each conversion"
-)
-
-
 def read_adc(text: object, converters: int, settling_s: float) -> Adc:
     """Return the converters that a text such as "10bit@200kS/s" states. Raises SettingsError if the
     text has another form.

@@ -45,7 +45,6 @@ HOW = (
 HOP_S = 0.28e-3
 """Time of a frame from one process to the next, seconds: half of the column "wires" of
 `sparseskin study speed`, 64 x 64 taxels at 1 kHz, every frame reconstructed."""
-LATENCY_COMMAND = "sparseskin study speed"
 
 
 @dataclass(frozen=True)

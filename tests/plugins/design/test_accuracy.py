@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.plugins.design.accuracy import band, simulated
 from sparseskin.plugins.design.accuracy import simulate as simulate_on
 from sparseskin.plugins.design.budget import Accuracy, budget
@@ -52,8 +51,8 @@ def test_readings_held_in_turn_are_those_of_a_raster_once_all_taxels_were_read()
     taxels = np.random.default_rng(0).uniform(0, F_MAX_N, ALL.shape).astype(np.float32)
     raster = make_reader(STRATEGIES["full"], ALL, 0.01, 8, seed=0)
     held = make_reader(STRATEGIES["one_hot_rotating"], ALL, 0.01, 8, seed=0)
-    whole = raster.read(taxels)
-    parts = [held.read(taxels) for _ in range(4)]
+    whole = raster(taxels)
+    parts = [held(taxels) for _ in range(4)]
     assert [np.count_nonzero(part) for part in parts] == [36, 72, 108, 144]
     np.testing.assert_array_equal(parts[-1], whole)
     # Steps of 1/255 of the range.
@@ -92,11 +91,7 @@ def test_the_light_touch_of_a_raster_grows_with_the_noise() -> None:
 
 
 def test_no_light_touch_is_found_by_a_reader_that_sees_nothing() -> None:
-    class Blind:
-        def read(self, taxels: Floats) -> Floats:
-            return np.zeros_like(taxels)
-
-    assert light_touch(Blind(), ALL, 0.01, seed=0) is None
+    assert light_touch(np.zeros_like, ALL, 0.01, seed=0) is None
 
 
 def test_the_full_raster_has_the_error_of_clipped_noise() -> None:
