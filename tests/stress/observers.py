@@ -126,7 +126,8 @@ def suspending(pids: Iterable[int]) -> Callable[[bool], None]:
 
     def suspend(suspended: bool) -> None:
         for pid in pids:
-            os.kill(pid, signal.SIGSTOP if suspended else signal.SIGCONT)
+            with contextlib.suppress(ProcessLookupError):  # it has ended with its graph
+                os.kill(pid, signal.SIGSTOP if suspended else signal.SIGCONT)
 
     return suspend
 
