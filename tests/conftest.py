@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import importlib.metadata
-import json
 import os
 import signal
 import socket
 import subprocess
 import sys
-import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import EntryPoint
@@ -19,25 +17,17 @@ from typing import Any
 
 import hypothesis
 import pytest
+from processes import PATIENCE_S, note_of_graph, processes_with, wait_until
 
 from sparseskin.nodes import extensions
+
+__all__ = ["note_of_graph", "wait_until"]
 
 # No test fails because the host is busy.
 hypothesis.settings.register_profile("busy host", deadline=None)
 hypothesis.settings.load_profile("busy host")
 # Numpy, the reference, in all processes, unless a test asks for compiled loops.
 os.environ.setdefault("SPARSESKIN_FAST", "off")
-
-PATIENCE_S = 300.0
-"""When a wait is given up: far beyond what anything here takes, so it is no claim on speed."""
-
-
-def wait_until(done: Callable[[], bool], what: str) -> None:
-    """Look again and again until something is so."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not done():
-        assert time.monotonic() < deadline, f"gave up waiting for {what}"
-        time.sleep(0.01)
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
@@ -49,20 +39,6 @@ def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
 
 COMMAND = ["-m", "sparseskin.launch.commands.entry"]
 PATIENT_COMMAND = [str(Path(__file__).with_name("patient.py"))]
-
-
-def note_of_graph(folder: Path) -> Path:
-    """The note of the graph whose runtime folder this is, once the graph can be joined."""
-    found: list[Path] = []
-
-    def is_there() -> bool:
-        for path in folder.glob("*.json"):
-            with contextlib.suppress(ValueError, OSError):  # it is being written
-                found.extend([path] if json.loads(path.read_text())["nodes"] else [])
-        return bool(found)
-
-    wait_until(is_there, "the note of the graph")
-    return found[0]
 
 
 class Program:
@@ -116,15 +92,7 @@ class Program:
 
     def survivors(self) -> dict[int, str]:
         """Command lines of all processes that carry this run's mark, by pid."""
-        found = {}
-        for folder in Path("/proc").iterdir():
-            if not folder.name.isdigit():
-                continue
-            with contextlib.suppress(OSError):
-                if self._mark.encode() in (folder / "environ").read_bytes().split(b"\0"):
-                    command = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
-                    found[int(folder.name)] = command.decode(errors="replace")
-        return found
+        return processes_with(self._mark)
 
     def pid_of(self, node: str) -> int:
         """Process number of a node."""

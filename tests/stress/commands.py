@@ -20,7 +20,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from stress.graphs import PATIENCE_S, GraphRun, launch_text, wait_until
+from processes import wait_until
+from stress.graphs import PATIENCE_S, GraphRun, launch_text
 
 STEADY_HZ = 20.0
 SHORT_HZ = 100.0

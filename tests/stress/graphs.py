@@ -12,14 +12,14 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import zmq
+from processes import note_of_graph, processes_with, wait_until
 
 from sparseskin.launch.run.control_socket import ControlClient
 from sparseskin.messages import MessageError, decode
@@ -32,7 +32,6 @@ FULL = bool(os.environ.get("SPARSESKIN_STRESS"))
 """True if tests run at the sizes whose figures stand in the documents: `make stress`."""
 PATIENCE_S = 120.0
 """Time after which a wait fails: far beyond what anything takes that goes well."""
-LOOK_S = 0.005
 RATE_HZ = 100.0
 FRESH_NS = 500_000_000
 """Age at which a frame that comes is one that did not wait for older ones."""
@@ -152,27 +151,12 @@ class GraphRun:
 
     def note(self) -> dict[str, Any]:
         """The launcher's note of the graph, by which other programs find it."""
-        found: list[dict[str, Any]] = []
-
-        def is_there() -> bool:
-            with contextlib.suppress(ValueError, OSError):
-                notes = [json.loads(path.read_text()) for path in self.notes.glob("*.json")]
-                found.extend(note for note in notes if note["nodes"])  # none while it starts
-            return bool(found)
-
-        wait_until(is_there, "the graph's note")
-        return found[0]
+        found: dict[str, Any] = json.loads(note_of_graph(self.notes).read_text())
+        return found
 
     def processes(self) -> dict[int, str]:
         """Command lines of all processes of this run, by process number."""
-        mark, found = f"{_MARK}={self._mark}".encode(), {}
-        for folder in Path("/proc").iterdir():
-            if folder.name.isdecimal():
-                with contextlib.suppress(OSError):
-                    if mark in (folder / "environ").read_bytes().split(b"\0"):
-                        line = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
-                        found[int(folder.name)] = line.decode(errors="replace")
-        return found
+        return processes_with(f"{_MARK}={self._mark}")
 
     def nodes(self) -> dict[str, int]:
         """Process numbers of the nodes that run, by name."""
@@ -259,22 +243,6 @@ def launch_text(
         )
         for table, values in {"graph": graph or {}, **tables}.items()
     )
-
-
-def wait_until(done: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> float:
-    """Poll a condition until it is true; the seconds that it took.
-
-    Raises
-    ------
-    GraphError
-        If it takes longer than `patience_s`.
-    """
-    began_s = time.monotonic()
-    while not done():
-        if time.monotonic() > began_s + patience_s:
-            raise GraphError(f"gave up waiting for {what}")
-        time.sleep(LOOK_S)
-    return time.monotonic() - began_s
 
 
 def graph_text(graph: Mapping[str, Any] | None = None, **changed: Mapping[str, Any]) -> str:

@@ -18,8 +18,9 @@ from typing import Any, NamedTuple, Self
 from urllib.parse import urlsplit
 
 import pytest
+from processes import wait_until
 from stress import commands
-from stress.graphs import PATIENCE_S, SECURITY, ObservedGraph, graph_text, wait_until
+from stress.graphs import PATIENCE_S, SECURITY, ObservedGraph, graph_text
 
 from sparseskin.nodes.monitor.live.server import MAX_PAGES
 from sparseskin.nodes.network.gate import MAX_PENDING

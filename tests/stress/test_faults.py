@@ -19,15 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stress.graphs import (
-    RATE_HZ,
-    SECURITY,
-    GraphRun,
-    ObservedGraph,
-    Outcome,
-    graph_text,
-    wait_until,
-)
+from processes import wait_until
+from stress.graphs import RATE_HZ, SECURITY, GraphRun, ObservedGraph, Outcome, graph_text
 
 from sparseskin.nodes.network.keys import KeyPair, make_key_files, read_key_pair
 from sparseskin.nodes.network.sockets import Reader, make_context

@@ -17,7 +17,7 @@ from typing import Any, Self
 import numpy as np
 import pytest
 import zmq
-from stress.graphs import wait_until
+from processes import wait_until
 
 from sparseskin.launch.launchfile.spec import NodeSpec
 from sparseskin.launch.run.process import NodeProcess
