@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import socket
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -139,41 +137,3 @@ def test_frames_over_a_can_bus_of_several_processes_come_through_a_graph(
         sending.stop()
     assert code == 0, stderr
     assert board_of(tmp_path)[0] == 30
-
-
-def cpu_s(pid: int) -> float:
-    """Processor time of a process, seconds."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-@pytest.mark.slow
-def test_ten_seconds_at_1_khz_lose_no_frame_that_is_not_counted(
-    start: StartProgram, tmp_path: Path, line: Line, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Prints what a frame costs the sensor."""
-    rate_hz, n_frames = 1000, 10_000
-    program = launched(start, tmp_path, f"serial:{line.device}?profile=flexitac_16x32")
-    program.wait_for("[launch] ready")
-    pid = program.pid_of("sensor")
-    frames = [flexitac(k) for k in range(170)]
-    before_s, begin_s = cpu_s(pid), time.monotonic()
-    for k in range(n_frames):
-        if (left_s := begin_s + k / rate_hz - time.monotonic()) > 0:
-            time.sleep(left_s)
-        line.send(frames[k % 170])
-    took_s, used_s = time.monotonic() - begin_s, cpu_s(pid) - before_s
-    line.send(FLEXITAC.start)  # confirms the last frame
-    program.process.terminate()
-    program.finish()
-    n_published, board = board_of(tmp_path)
-    with capsys.disabled():
-        print(
-            f"\n{n_frames} frames of 16 x 32 in {took_s:.2f} s over a pseudo terminal: "
-            f"{n_published} published, {board['unused_frames']} unused, "
-            f"{board['dropped_bytes']} bytes dropped; {1e6 * used_s / n_frames:.0f} us of the "
-            "sensor's processor time a frame"
-        )
-    assert board["dropped_bytes"] == 0
-    assert board["frames"] == n_frames
-    assert n_published + board["unused_frames"] == n_frames

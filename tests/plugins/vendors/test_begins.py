@@ -11,11 +11,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from vendor_texts import ASC, emed_text, tekscan_text, xsensor_text
 
+from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.recorded import RecordedSource, n_taxels, open_file
 
 TEXTS = {
     "foot.lst": emed_text(),
     "hand.asf": tekscan_text().rstrip("\n"),
+    "hand.csv": tekscan_text(),
     "sole.csv": xsensor_text(),
     "mat.asc": ASC,
 }
@@ -91,3 +93,103 @@ def test_damaged_files_give_what_a_source_promises_or_are_refused(
     assert source.frames.min() >= 0
     assert source.frames.max() <= np.float32(source.skin.f_max)
     assert (np.diff([stamp for stamp, _ in source]) > 0).all()
+
+
+BROKEN = {
+    "foot.lst": [
+        ("Pict-No.: 2", "Pict-No.: 3", "line .*: frame 3 comes where frame 2 should"),
+        ("Pict-No.: 1", "Pict-No.: 2", "frame 2 comes where frame 3 should"),
+        ("\t100.00\t", "\t-100.00\t", "frame 2, row 2, column 1: '-100.00' is below 0"),
+        ("\t100.00\t", "\tnan\t", "frame 2, row 2, column 1: 'nan' is not a finite number"),
+        ("\t100.00\t", "\t1_0.0\t", "is not a finite number"),
+        ("\t100.00\t", "\tten\t", "'ten' is not a number"),
+        ("\t100.00\t", "\t10.00\t", "Force is 2.5 N, but the readings add up to 0.25 N"),
+        ("\t100.00\t", "\t", "frame 2 has 3 cells in this row, its header row 4"),
+        ("\t2\t3\tForce", "\t3\t4\tForce", "column label: 4 is outside 1..3"),
+        ("\t2\t3\tForce", "\t3\t2\tForce", "column labels do not rise"),
+        ("\n4\t", "\n3\t", "row 3 comes after row 3"),
+        ("\n4\t", "\n5\t", "row label: 5 is outside 1..4"),
+        ("Matrix: 3x4", "Matrix: 3", "Matrix: '' is not a whole number"),
+        ("Matrix: 3x4", "Matrx: 3x4", "states no 'Matrix: COLUMNSxROWS'"),
+        ("Matrix: 3x4", "Matrix: 4097x4", r"Matrix: 4097 is outside 1\.\.4096"),
+        ("Matrix: 3x4", "Matrix: 3x4097", r"Matrix: 4097 is outside 1\.\.4096"),
+        ("Sensor area:", "Area:", r"states no 'Sensor area: \.\.\. cm2'"),
+        ("Sensor size:", "Size:", r"states no 'Sensor size: \.\.\.x\.\.\. cm'"),
+        ("Time/picture:", "Time:", r"states no 'Time/picture: \.\.\. ms'"),
+        ("10.0 ms", "0.0 ms", "'0.0' is outside"),
+        ("10.0 ms", "10.0 h", "allowed is ms"),
+        ("0.25 cm", "0.25 mm", "allowed is cm2"),
+        ("Pict-No.: ", "Picture ", "no page with a line 'Pict-No.: 1'"),
+    ],
+    "hand.csv": [
+        ("Frame 2", "Frame 3", "line 17: frame 3 comes where frame 2 should"),
+        ("Frame 1,", "Frame 2,", "frame 2 comes where frame 1 should"),
+        ("END_FRAME 3", "END_FRAME 4", "the last frame is 3, but END_FRAME is 4"),
+        ("Raw Sum=,,12", "Raw Sum=,,13", "Raw Sum 13, but its cells add up to 12"),
+        ("B,0,5", "0,0,5", "frame 2 has its 'B' cells .* elsewhere"),
+        ("B,0,5", "B,0", "line 18, frame 2: row 0 has 2 cells, COLS is 3"),
+        ("B,0,5", "B,0,5,1", "row 0 has 4 cells, COLS is 3"),
+        ("B,0,5", "B,0,-5", "frame 2, row 0, column 2: '-5' is below 0"),
+        ("B,0,5", "B,0,inf", "is not a finite number"),
+        ("B,0,5", "B,0,x", "'x' is not a number"),
+        ("B,0,5", "B,0,\xff\x00", "is not a number"),
+        (", 0.21,", ", 0.05,", "the time of frame 3 .* is before"),
+        ("ROWS 2", "ROWS 0", "ROWS: 0 is outside 1..4096"),
+        ("ROWS 2", "ROWS two", "'two' is not a whole number"),
+        ("COLS 3\n", "", "the header states no COLS"),
+        ("UNITS raw\n", "", "the header states no UNITS"),
+        ("MOVIE", "FRAME", "DATA_TYPE 'FRAME'; allowed is MOVIE"),
+        ("0.127 centimeters", "0.127 feet", "unit 'feet'; allowed are mm"),
+        ("SECONDS_PER_FRAME 0.1", "SECONDS_PER_FRAME 0", "'0' is outside"),
+        ("\n@@", "", "cut short, its end mark '@@' is missing"),
+        ("\n@@", "\n@@\nFrame 4", "comes after the end mark"),
+    ],
+    "sole.csv": [
+        ("Units:,mmHg", "", "the header states no Units"),
+        ("Rows,3", "Rows,3000000", "3000000 is outside 1..4096"),
+        ("Rows,3", "", "frame 1464 states no Rows"),
+        ("Columns,4", "Columns,3", "row 0 has 4 cells, Columns is 3"),
+        ("FRAME,1465", "FRAME,1466", "frame 1466 comes where frame 1465 should"),
+        ("FRAME,1465", "FRAME,x", "'x' is not a whole number"),
+        ("7.25", "-7.25", "frame 1464, row 1, column 2: '-7.25' is below 0"),
+        ("7.25", "nan", "row 1, column 2: 'nan' is not a finite number"),
+        ("7.25", "72.5", "states a peak of 20, but its largest reading is 72.5"),
+        ("08:21:17.995", "08:21:17.905", "time of frame 2 .* before that of the frame before"),
+        ("08:21:17.995", "8.21", "'8.21' is no time of day"),
+        ("SENSOR,LF", "SENSOR,LX", "frame 1465 is 3 x 4 of sensor 'LF', the first one"),
+        ("SENSELS", "SENSELLS", "frame 1464 has no line SENSELS"),
+    ],
+    "mat.asc": [
+        (
+            "corner[cm]",
+            "",
+            r"an insole \(pedar\) has them; allowed: an export whose sensors form a grid",
+        ),
+        ("x[c]   0.5   1.5   0.5", "x[c]   0.5   1.75  0.9", r"form no grid by their x\[c\]"),
+        ("x[c]   0.5   1.5   0.5", "x[c]   0.5   0.5   0.5", "two sensors at one place"),
+        ("area   1.0   1.0   1.0", "area   1.0   1.0   2.0", "sensors of different size"),
+        ("20.000\n   0.08", "-20.000\n   0.08", "is below 0; a range starts at 0"),
+        ("11.000   5.000   20.000\n", "11.000   5.000\n", "holds 3 numbers, its header 4"),
+        ("in kPa", "in psi", "pressures in 'psi'; allowed is kPa"),
+        ("   0.08", "   0.04", "the times of the frames do not rise"),
+        ("file name:", "name:", "not a pliance or pedar export"),
+    ],
+}
+"""Of each file what is replaced in its text, by what, and the line that refuses it."""
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [(name, *row) for name, rows in BROKEN.items() for row in rows],
+)
+def test_a_broken_file_is_refused_with_its_line(
+    name: str, old: str, new: str, message: str, tmp_path: Path
+) -> None:
+    text = TEXTS[name]
+    assert old in text
+    times = 1 if name in ("sole.csv", "mat.asc") else -1
+    (tmp_path / name).write_bytes(text.replace(old, new, times).encode("latin-1"))
+    with pytest.raises(SourceError, match=message) as caught:
+        open_file(tmp_path / name)
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)
