@@ -1,6 +1,6 @@
-"""Charts of a design: rates of each stage, accuracy against rate, latency.
+"""Charts of a design: rates of each stage, and accuracy against rate.
 
-An open mark is a rate below the one asked for, in all of them.
+An open mark is a rate below the one asked for.
 """
 
 from __future__ import annotations
@@ -14,13 +14,11 @@ from matplotlib.axes import Axes
 from sparseskin.studies.report import PALETTE, Chart
 
 from .budget import STAGES, Row
-from .models.costs import HOP_S
 from .spec import Design
 from .text import hertz
 
 _COLOURS = dict(zip(STAGES, PALETTE, strict=False))
 _MARKS = dict(zip(STAGES, "osD^", strict=True))
-_HOP = "process to process"
 _OPEN = "open: below the rate asked for"
 _PALE = 0.35
 """Opacity of what the host takes longer under a dense press."""
@@ -84,33 +82,6 @@ def draw_accuracy(out: Path, rows: Sequence[Row], design: Design) -> Chart:
                 axes.plot([], [], _MARKS[stage], ms=7, color=_COLOURS[stage], label=label)
         _open_entry(axes)
         axes.set_xlabel("PSNR, dB")
-    return chart
-
-
-def draw_latency(out: Path, rows: Sequence[Row], design: Design) -> Chart:
-    """Latency of a frame by its stages."""
-    caption = (
-        "Time from the first conversion to the reconstruction, without queues; pale: what the host "
-        "takes longer under a dense press than for a calm frame. The figures are of the dense press"
-    )
-    with _StrategyChart(out, "latency", caption, rows) as chart:
-        (axes,) = chart.panels
-        for k, row in enumerate(rows):
-            dense_s = row.stage_s["host"] - row.host_calm_s
-            parts = [(stage, row.stage_s[stage], 1.0) for stage in STAGES[:-1]]
-            parts += [(_HOP, HOP_S, 1.0), ("host", row.host_calm_s, 1.0), ("host", dense_s, _PALE)]
-            left = 0.0
-            for stage, width_s, alpha in parts:
-                label = "host, dense press" if alpha < 1 else stage
-                colour = _COLOURS.get(stage, "0.5")
-                axes.barh(
-                    k, 1e3 * width_s, left=left, color=colour, height=0.7, alpha=alpha, label=label
-                )
-                left += 1e3 * width_s
-            axes.text(left, k, f" {left:.2g}" if left < 10 else f" {left:.0f}", va="center")
-        axes.margins(x=0.1)
-        axes.set_axisbelow(True)
-        axes.set_xlabel("ms")
     return chart
 
 

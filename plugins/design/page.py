@@ -11,7 +11,7 @@ from sparseskin.studies.report import Page
 
 from . import text
 from .budget import STAGES, Row
-from .charts import draw_accuracy, draw_latency, draw_rates
+from .charts import draw_accuracy, draw_rates
 from .models.costs import DENSE, HOP_S, stored
 from .models.rigs import RIGS
 from .spec import KEYS, Design
@@ -29,7 +29,7 @@ def write_page(out: Path, rows: Sequence[Row], design: Design) -> Path:
     page.section("Strategies", table, "\n".join(f"- {line}" for line in text.legend(rows)))
     broken = [(", ".join(names), line) for line, names in text.first_breaks(rows, design)]
     page.section("What breaks first", pd.DataFrame(broken, columns=["strategies", "limit"]))
-    charts = (draw(out, rows, design) for draw in (draw_rates, draw_accuracy, draw_latency))
+    charts = (draw(out, rows, design) for draw in (draw_rates, draw_accuracy))
     page.section("Charts", *(chart.markdown for chart in charts))
     latencies = [(row.strategy.name, *_latencies(row)) for row in rows]
     columns = ["strategy", *STAGES, "process to process", "sum"]

@@ -3,45 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from .budget import STAGES, Row
+from .budget import STAGES, Accuracy, Row
 from .models.edge import instructions
 from .models.rigs import RIGS
 from .models.wires import reads_single
 from .spec import Design
-
-COLUMNS = (
-    *("strategy", "M", "wires", "cross-\nings", "conver-\nsions", "bytes", "Hz", "limit"),
-    *("PSNR\ndB", "band\ndB", "touch\nmN", "latency\nms", "host\nms", "host\ncores"),
-)
-"""Columns of the table of a design, in a terminal in two lines."""
-RIG_COLUMNS = ("rig", "reads", "predicted, Hz", "limit", "published, Hz", "ratio")
-"""Columns of the table of rigs; remarks follow it."""
-
-
-def cells(row: Row) -> tuple[str, ...]:
-    """A row of the table: one text for each of `COLUMNS`."""
-    a = row.accuracy
-    held = "" if row.is_met else "!"
-    has_figure = not math.isnan(a.psnr_db)
-    touch = f"{1e3 * row.light_touch_n:.3g}" if not math.isnan(a.light_touch) else "-"
-    return (
-        row.strategy.name,
-        str(row.m),
-        str(row.wires.lines),
-        "-" if row.wires.crossings is None else f"{row.wires.crossings}",
-        str(row.wires.conversions),
-        str(row.n_bytes),
-        f"{hertz(row.reached_hz)}{held}",
-        row.limit if not row.is_met else f"({row.limit})",
-        f"{a.psnr_db:.1f}{'*' if a.note else ''}" if has_figure else "-",
-        f"{a.low_db:.1f}..{a.high_db:.1f}" if has_figure else "-",
-        touch,
-        f"{row.latency_s * 1e3:.1f}",
-        host_ms(row),
-        f"{row.host_cores:.2f}",
-    )
 
 
 def hertz(rate: float) -> str:
@@ -55,6 +23,39 @@ def host_ms(row: Row) -> str:
         f"{ms:.{2 if ms < 1 else 1 if ms < 10 else 0}f}"
         for ms in (1e3 * row.host_calm_s, 1e3 * row.stage_s["host"])
     )
+
+
+def _db(text: Callable[[Accuracy], str]) -> Callable[[Row], str]:
+    """Cell of a figure of accuracy; "-" where nothing was simulated."""
+    return lambda row: "-" if math.isnan(row.accuracy.psnr_db) else text(row.accuracy)
+
+
+COLUMNS: dict[str, Callable[[Row], str]] = {
+    "strategy": lambda row: row.strategy.name,
+    "M": lambda row: str(row.m),
+    "wires": lambda row: str(row.wires.lines),
+    "cross-\nings": lambda row: "-" if row.wires.crossings is None else str(row.wires.crossings),
+    "conver-\nsions": lambda row: str(row.wires.conversions),
+    "bytes": lambda row: str(row.n_bytes),
+    "Hz": lambda row: f"{hertz(row.reached_hz)}{'' if row.is_met else '!'}",
+    "limit": lambda row: f"({row.limit})" if row.is_met else row.limit,
+    "PSNR\ndB": _db(lambda a: f"{a.psnr_db:.1f}{'*' if a.note else ''}"),
+    "band\ndB": _db(lambda a: f"{a.low_db:.1f}..{a.high_db:.1f}"),
+    "touch\nmN": lambda row: (
+        "-" if math.isnan(row.light_touch_n) else f"{1e3 * row.light_touch_n:.3g}"
+    ),
+    "latency\nms": lambda row: f"{row.latency_s * 1e3:.1f}",
+    "host\nms": host_ms,
+    "host\ncores": lambda row: f"{row.host_cores:.2f}",
+}
+"""Columns of the table of a design by their headings, of two lines in a terminal."""
+RIG_COLUMNS = ("rig", "reads", "predicted, Hz", "limit", "published, Hz", "ratio")
+"""Columns of the table of rigs; remarks follow it."""
+
+
+def cells(row: Row) -> tuple[str, ...]:
+    """A row of the table: one text for each of `COLUMNS`."""
+    return tuple(text(row) for text in COLUMNS.values())
 
 
 def breaks(row: Row, design: Design, stage: str | None = None) -> str:
@@ -141,16 +142,13 @@ def _fewest_bytes(met: Sequence[Row], full: Row | None) -> str:
     line = f"Fewest bytes a frame: {small.n_bytes}, {_named(small)}"
     if full is None or math.isnan(full.accuracy.psnr_db):
         return f"{line}."
+    line += f"; {{}} the full reading ({full.accuracy.psnr_db:.1f} dB)."
     as_good = [row for row in met if _accuracy(row) >= full.accuracy.psnr_db and row is not full]
     if not as_good:
-        return f"{line}; none is as accurate as the full reading ({full.accuracy.psnr_db:.1f} dB)."
+        return line.format("none is as accurate as")
     least = min(as_good, key=lambda row: row.n_bytes)
-    if least is small:
-        return f"{line}, no less accurate than the full reading ({full.accuracy.psnr_db:.1f} dB)."
-    return (
-        f"{line}; of those no less accurate than the full reading "
-        f"({full.accuracy.psnr_db:.1f} dB): {least.n_bytes}, {_named(least)}."
-    )
+    same = "it" if least is small else f"with {least.n_bytes}, {_named(least)}"
+    return line.format(f"{same} is no less accurate than")
 
 
 def _accuracy(row: Row) -> float:
@@ -188,7 +186,7 @@ def terminal(rows: Sequence[Row], design: Design) -> str:
         f"{design.size}, {design.pitch_m * 1e3:g} mm apart; ADC {design.adc.label}; "
         f"{design.bus.label}; edge {design.edge.label}; host {design.cores} cores; asked "
         f"{hertz(design.rate_hz)} Hz; noise {design.noise_n:g} N of {design.range_n:g} N",
-        aligned(COLUMNS, [cells(row) for row in rows], (0, 7)),
+        aligned(list(COLUMNS), [cells(row) for row in rows], (0, 7)),
         "\n".join(legend(rows)),
         "\n".join(conclusions(rows, design)),
         "What breaks first:",

@@ -41,7 +41,7 @@ def test_it_writes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert main([*PAD, "--only", "full,sbhe_3_rotating", "--out", str(out)]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == str(out / "design.md")
     written = {path.name for path in out.iterdir()}
-    charts = {f"{k}.{form}" for k in ("rates", "accuracy", "latency") for form in ("png", "svg")}
+    charts = {f"{k}.{form}" for k in ("rates", "accuracy") for form in ("png", "svg")}
     assert written == {"design.md", "rows.csv", *charts}
 
 
