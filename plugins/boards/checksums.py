@@ -7,6 +7,8 @@ CRC-16/IBM-3740 (also called CCITT-FALSE), crc16_xmodem, crc16_modbus, crc32 CRC
 
 from __future__ import annotations
 
+import functools
+import operator
 from binascii import crc_hqx
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,16 +24,6 @@ class Checksum:
     n_bytes: int
     compute: Callable[[bytes], int]
     is_strong: bool = False
-
-
-def _xor8(data: bytes) -> int:
-    # The exclusive or of all bytes, by halves: integers are as long as is needed.
-    value, n_bytes = int.from_bytes(data, "little"), len(data)
-    while n_bytes > 1:
-        half = (n_bytes + 1) // 2
-        value = (value >> 8 * half) ^ (value & ((1 << 8 * half) - 1))
-        n_bytes = half
-    return value
 
 
 def _crc(polynomial: int, start: int, n_bits: int, reflected: bool) -> Callable[[bytes], int]:
@@ -61,7 +53,7 @@ CHECKSUMS = {
     "none": Checksum(0, lambda data: 0),
     "sum8": Checksum(1, lambda data: sum(data) & 0xFF),
     "sum16": Checksum(2, lambda data: sum(data) & 0xFFFF),
-    "xor8": Checksum(1, _xor8),
+    "xor8": Checksum(1, lambda data: functools.reduce(operator.xor, data, 0)),
     "crc8": Checksum(1, _crc(0x07, 0, 8, reflected=False)),
     "crc8_maxim": Checksum(1, _crc(0x8C, 0, 8, reflected=True)),
     "crc16": Checksum(2, lambda data: crc_hqx(data, 0xFFFF), True),

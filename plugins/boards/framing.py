@@ -15,7 +15,7 @@ stream of bytes, of which some may be lost, extra or wrong:
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 from .checksums import CHECKSUMS, Checksum
@@ -51,10 +51,6 @@ class Counts:
     missing_frames: int = 0
     late_frames: int = 0
     dropped_bytes: int = 0
-
-    def as_dict(self) -> dict[str, int]:
-        """The counters by name."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)

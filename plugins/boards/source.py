@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -193,7 +194,7 @@ class BoardSource(LiveSource):
         and driver have dropped.
         """
         return {
-            **self.counts.as_dict(),
+            **asdict(self.counts),
             "unused_frames": self.n_unused,
             "not_finite_frames": self.n_not_finite,
             "gone": self.n_gone,

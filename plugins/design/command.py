@@ -52,14 +52,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _design(arguments: argparse.Namespace) -> int:
-    alone = [name for name in ("rigs", "measure_costs") if getattr(arguments, name)]
-    if alone:
-        _refuse_others(arguments, alone)
-        return _rigs() if alone == ["rigs"] else _measure_costs()
-    design = design_of(arguments)
     from . import text
     from .budget import budget
 
+    alone = [name for name in ("rigs", "measure_costs") if getattr(arguments, name)]
+    if alone:
+        _refuse_others(arguments, alone)
+        if alone == ["measure_costs"]:
+            return _measure_costs()
+        print(text.rig_table())
+        return 0
+    design = design_of(arguments)
     if arguments.out is not None:
         check_out(arguments.out)
     seed = _number("--seed", arguments.seed)
@@ -115,13 +118,6 @@ def _refuse_others(arguments: argparse.Namespace, alone: list[str]) -> None:
     given += [str(arguments.file)] if arguments.file else []
     if given:
         raise SettingsError(f"{option}: stands alone; leave out {given[0]}")
-
-
-def _rigs() -> int:
-    from .text import rig_table
-
-    print(rig_table())
-    return 0
 
 
 def _measure_costs() -> int:

@@ -48,7 +48,8 @@ class EdgeCost:
 
 def missing_tools() -> list[str]:
     """Return the programs of `TOOLS` that are not installed, with their packages."""
-    return [f"{tool} (Debian: {package})" for tool, package in TOOLS.items() if not _has(tool)]
+    absent = {tool: package for tool, package in TOOLS.items() if shutil.which(tool) is None}
+    return [f"{tool} (Debian: {package})" for tool, package in absent.items()]
 
 
 def measure_cost(description: EdgeDescription) -> EdgeCost:
@@ -88,7 +89,3 @@ def measure_cost(description: EdgeDescription) -> EdgeCost:
         ram_bytes=4 * d.m + 4 + d.n_cells * d.count_bytes + d.frame_bytes,
         stack_bytes=sum(int(line.split("\t")[1]) for line in stack.splitlines()),
     )
-
-
-def _has(tool: str) -> bool:
-    return shutil.which(tool) is not None

@@ -121,7 +121,8 @@ def flattened(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
     """
     n = len(places)
     if n < 4:
-        return np.stack([np.concatenate([[0.0], np.cumsum(_steps(places))]), np.zeros(n)], axis=1)
+        steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+        return np.stack([np.concatenate([[0.0], np.cumsum(steps)]), np.zeros(n)], axis=1)
     frames = _tangents(places, normals, edges)
     centred = places - places.mean(axis=0)
     _, size, axes = np.linalg.svd(centred, full_matrices=False)
@@ -139,11 +140,6 @@ def flattened(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
 def summed(at: Indices, values: Doubles, n: int) -> Doubles:
     """Sums of the rows of `values`, (n_edges, k), by their point: float64 (n, k)."""
     return np.stack([np.bincount(at, column, minlength=n) for column in values.T], axis=1)
-
-
-def _steps(places: Doubles) -> Doubles:
-    found: Doubles = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    return found
 
 
 def _tangents(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:

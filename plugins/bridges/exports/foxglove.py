@@ -70,18 +70,15 @@ def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = No
         except (OSError, ValueError, RuntimeError) as error:
             raise OutputError(f"{out}: {error}") from error
         with writer:
-            for name, record in ((GRAPH_RECORD, bag.metadata), ("counts", _counts(bag))):
-                if record:
-                    writer.write_metadata(name, record)
+            if bag.metadata:
+                writer.write_metadata(GRAPH_RECORD, bag.metadata)
+            if bag.counts is not None:
+                writer.write_metadata("counts", {JSON_KEY: json.dumps(bag.counts)})
             channels = _Channels(context)
             for message, log_time_ns in streams(bag, with_states(bag, wanted), "export"):
                 for topic, schema, content in _messages(message, skins[message.patch]):
                     channels.log(topic, schema, content, log_time_ns)
     return [out]
-
-
-def _counts(bag: BagReader) -> dict[str, str]:
-    return {} if bag.counts is None else {JSON_KEY: json.dumps(bag.counts)}
 
 
 class _Channels:

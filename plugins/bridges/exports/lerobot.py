@@ -7,8 +7,9 @@ lerobot 0.4.4 and 0.6.2.
 from __future__ import annotations
 
 import json
+import math
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -104,7 +105,8 @@ def export_lerobot(
             raise BagError(f"{bag.path}: its topics have no time in common")
         n = int((last_ns - first_ns) * fps // 1_000_000_000) + 1
         times_ns = first_ns + (np.arange(n, dtype=np.int64) * 1_000_000_000) // fps
-        windows = {s.name: window or _size(s, fps) for s in streams}
+        a_row = {s.name: max(1, math.ceil(s.rate_hz / fps - 1e-6)) for s in streams}
+        windows = {name: window or min(size, MAX_WINDOW) for name, size in a_row.items()}
         return _write(out, bag, streams, times_ns, fps, windows)
 
 
@@ -148,10 +150,6 @@ def _read(bag: BagReader, topic: str, folder: Path) -> _Stream:
     values = np.memmap(path, "<f4", "r", shape=(len(stamps), n_taxels))
     stamps_ns = np.array(stamps, np.int64)
     return _Stream(topic, name, (shape[0], shape[1]), skin_of(bag, patch), stamps_ns, values)
-
-
-def _size(stream: _Stream, fps: int) -> int:
-    return min(max(1, int(np.ceil(stream.rate_hz / fps - 1e-6))), MAX_WINDOW)
 
 
 def _write(
@@ -279,20 +277,16 @@ def _write_rows(
     path.parent.mkdir(parents=True)
     widest = sum(4 * windows[s.name] * s.values.shape[1] for s in streams)
     with pq.ParquetWriter(path, schema, compression="snappy") as writer:
-        for begin, end in _blocks(len(times_ns), max(1, BLOCK_BYTES // widest)):
-            times = times_ns[begin:end]
+        block = max(1, BLOCK_BYTES // widest)
+        for begin in range(0, len(times_ns), block):
+            times = times_ns[begin : begin + block]
             columns = []
             for stream in streams:
                 size = windows[stream.name]
                 columns.append(_nested(stream.values[stream.window(times, size)]))
                 columns.append(_nested(_ages(stream, times, size)))
-            columns += [pa.array(_index(name, begin, end, fps)) for name in INDICES]
+            columns += [pa.array(_index(name, begin, begin + len(times), fps)) for name in INDICES]
             writer.write_table(pa.Table.from_arrays(columns, schema=schema))
-
-
-def _blocks(n: int, size: int) -> Iterator[tuple[int, int]]:
-    for begin in range(0, n, size):
-        yield begin, min(n, begin + size)
 
 
 def _nested(values: Floats) -> Any:
