@@ -103,6 +103,18 @@ class Touch:
             self._apply(self._pad.body, -total, -moment, normal)
         return forces.reshape(self._pad.shape).astype(np.float32)
 
+    def contact_force(self) -> float:
+        """Sum of the normal forces of MuJoCo's own contacts on the skin's body, newtons."""
+        import mujoco
+
+        model, data, total, wrench = self._model, self._data, 0.0, np.zeros(6)
+        for k in range(data.ncon):
+            bodies = model.geom_bodyid[data.contact.geom[k]]
+            if self._pad.body in bodies:
+                mujoco.mj_contactForce(model, data, k, wrench)
+                total += float(wrench[0])
+        return total
+
     def _apply(self, body: int, total: float, moment: Doubles, normal: Doubles) -> None:
         """Apply forces along the normal; `moment` is the sum of force times place."""
         torque = _cross(moment - total * self._data.xipos[body], normal)
