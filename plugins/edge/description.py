@@ -14,13 +14,19 @@ import numpy.typing as npt
 
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.quantised import n_bytes
-from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import BLOCK, RANDOM, SPREAD
-from sparseskin.nodes.compressor.phi.rotation import ROTATING, ROWS, check_subsets, row_subsets
+from sparseskin.nodes.compressor.phi.rotation import (
+    FIXED,
+    ROTATING,
+    ROWS,
+    check_subsets,
+    row_subsets,
+)
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import PhiError, SettingsError, SparseskinError
-from sparseskin.nodes.lookup import did_you_mean, nearest_of
+from sparseskin.nodes.numerics.arrays import Mask
+from sparseskin.nodes.settings import Settings, setting
 
 FILE_VERSION = 1
 MAX_CELLS = 1 << 16
@@ -33,77 +39,47 @@ HEADER_BYTES = 12
 CRC_BYTES = 2
 
 
-class EdgeError(SparseskinError):
+class EdgeError(SettingsError):
     """An edge that cannot be described, exported or read as asked."""
 
 
-@dataclass(frozen=True, eq=False)
-class EdgeDescription:
-    """The matrix, the quantiser and the input of an edge. Raises EdgeError if a value is not
-    allowed; the text begins with its name.
+@dataclass(frozen=True)
+class EdgeDescription(Settings):
+    """The matrix, the quantiser and the input of an edge; SettingsError if a value is not allowed.
 
-    Attributes
-    ----------
-    n_rows, n_cols : int
-        Size of the grid of cells, at most 65536 cells.
-    m : int
-        Number of measurements a frame.
-    bits : int
-        Bits of a measurement, 4..16.
-    rows : "fixed" or "rotating"
-        As in the settings of the compressor.
-    block : int
-        Size of the Hadamard blocks, a power of two, 1..256.
-    seed : int
-        Seed of the matrix.
-    rule : int
-        Rule by which its rows are chosen, as in `SbhePhi`.
-    adc_bits : int
-        Bits of a reading, 1..16: counts are 0 .. 2^adc_bits - 1.
-    mask : ndarray of bool, shape (n_rows, n_cols), or None
-        True where a taxel exists; None if all do.
+    `rule` is the rule by which rows are chosen, as in `SbhePhi`.
     """
 
-    n_rows: int
-    n_cols: int
-    m: int
-    bits: int = 8
-    rows: str = "fixed"
-    block: int = BLOCK
-    seed: int = 0
-    rule: int = SPREAD
-    adc_bits: int = 12
-    mask: npt.NDArray[np.bool_] | None = None
+    n_rows: int = setting(1, "rows of the grid of cells", low=1, high=MAX_SIDE)
+    n_cols: int = setting(1, "its columns; at most 65536 cells", low=1, high=MAX_SIDE)
+    m: int = setting(1, "number of measurements a frame", low=1)
+    bits: int = setting(8, "bits of a measurement", low=4, high=16)
+    rows: str = setting(FIXED, "as in the settings of the compressor", choices=ROWS)
+    block: int = setting(
+        BLOCK, "size of the Hadamard blocks, a power of two", low=1, high=MAX_BLOCK
+    )
+    seed: int = setting(0, "seed of the matrix", low=0, high=2**32 - 1)
+    rule: int = setting(SPREAD, "rule by which its rows are chosen", low=RANDOM, high=SPREAD)
+    adc_bits: int = setting(12, "bits of a reading: counts are 0 .. 2^adc_bits - 1", low=1, high=16)
+    mask: tuple[str, ...] | None = setting(
+        None, "a text a row, 1 where a taxel exists and 0 where none does; all do by default"
+    )
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("n_rows", 1, MAX_SIDE),
-            ("n_cols", 1, MAX_SIDE),
-            ("bits", 4, 16),
-            ("block", 1, MAX_BLOCK),
-            ("seed", 0, 2**32 - 1),
-            ("rule", RANDOM, SPREAD),
-            ("adc_bits", 1, 16),
-        ):
-            value = getattr(self, name)
-            if not is_whole(value, low, high):
-                raise EdgeError(f"{name}: {value!r} is not allowed; allowed: {low}..{high}")
+        super().__post_init__()
         if self.block & (self.block - 1):
             raise EdgeError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
-        if self.rows not in ROWS:
-            raise EdgeError(f"rows: {self.rows!r} is not allowed{nearest_of(self.rows, ROWS)}")
         if self.n_cells > MAX_CELLS:
             raise EdgeError(f"n_rows: {self.n_cells} cells; allowed: {MAX_CELLS} or fewer")
         if self.mask is not None:
-            shape = (self.n_rows, self.n_cols)
-            if self.mask.shape != shape or self.mask.dtype != np.bool_:
-                raise EdgeError(
-                    f"mask: {self.mask.dtype} of shape {self.mask.shape}; expected bool of {shape}"
-                )
-            if not self.mask.any():
+            if len(self.mask) != self.n_rows or {len(row) for row in self.mask} != {self.n_cols}:
+                raise EdgeError(f"mask: expected {self.n_rows} texts of {self.n_cols} characters")
+            if set("".join(self.mask)) - {"0", "1"}:
+                raise EdgeError("mask: expected texts of 0 and 1")
+            if not self.n_taxels:
                 raise EdgeError("mask: leaves no taxel")
-        if not is_whole(self.m, 1, self.n_taxels):
-            raise EdgeError(f"m: {self.m!r} is not allowed; allowed: 1..{self.n_taxels}")
+        if self.m > self.n_taxels:
+            raise EdgeError(f"m: {self.m} is not allowed; allowed: 1..{self.n_taxels}")
         if self.rows == ROTATING:
             try:
                 check_subsets(self.n_taxels, self.m)
@@ -119,14 +95,17 @@ class EdgeDescription:
         ratio: float,
         m: int | None = None,
         rows: str | None = None,
-        mask: npt.NDArray[np.bool_] | None = None,
+        mask: Mask | None = None,
         **others: Any,
     ) -> Self:
         """Describe an edge by its compression ratio, or M, with the rows and M that the compressor
-        node chooses for them. Raises EdgeError as for the class, and if the compressor refuses
+        node chooses for them. Raises SettingsError as for the class, and if the compressor refuses
         ratio or rows.
         """
-        made = cls(n_rows, n_cols, m=1, mask=mask, **others)
+        texts = (
+            None if mask is None else tuple("".join("01"[cell] for cell in row) for row in mask * 1)
+        )
+        made = cls(n_rows, n_cols, m=1, mask=texts, **others)
         try:
             settings = CompressorSettings(phi="sbhe", ratio=ratio, m=m, rows=rows)
             resolved, n_measurements = settings.rows_and_m(made.n_taxels)
@@ -141,10 +120,15 @@ class EdgeDescription:
         return self.n_rows * self.n_cols
 
     @cached_property
+    def exists(self) -> Mask:
+        """True where a taxel exists, bool, shape (n_rows, n_cols)."""
+        texts = self.mask or ("1" * self.n_cols,) * self.n_rows
+        return np.array([[cell == "1" for cell in row] for row in texts])
+
+    @cached_property
     def cells(self) -> npt.NDArray[np.intp]:
         """Cell of each taxel, intp, shape (n_taxels,), ascending."""
-        exists = np.ones(self.n_cells, bool) if self.mask is None else self.mask.ravel()
-        return np.flatnonzero(exists)
+        return np.flatnonzero(self.exists)
 
     @property
     def n_taxels(self) -> int:
@@ -209,9 +193,8 @@ class EdgeDescription:
             *(f"{k} = {_quoted(v)}" for k, v in values.items()),
         ]
         if self.mask is not None:
-            rows = ("".join("01"[int(cell)] for cell in row) for row in self.mask)
             lines += ["# 1 where a taxel exists, a text a row.", "mask = ["]
-            lines += [*(f'    "{row}",' for row in rows), "]"]
+            lines += [*(f'    "{row}",' for row in self.mask), "]"]
         return "\n".join([*lines, ""])
 
     @classmethod
@@ -232,41 +215,21 @@ class EdgeDescription:
 
     @classmethod
     def _of(cls, tree: Mapping[str, Any]) -> Self:
-        names = [field.name for field in fields(cls)]
-        known = [*names, "version", "fingerprint"]
-        for key in tree:
-            if key not in known:
-                raise EdgeError(f"{key}: unknown key{did_you_mean(key, known)}")
-        tree = {"rule": RANDOM, **tree}  # files of version 0.1 state none
-        missing = [name for name in known if name not in tree and name != "mask"]
+        values = {"rule": RANDOM, **tree}  # files of version 0.1 state none
+        version, fingerprint = (values.pop(key, None) for key in ("version", "fingerprint"))
+        if version != FILE_VERSION:
+            raise EdgeError(f"version: {version!r} is not allowed; allowed: {FILE_VERSION}")
+        made = cls.from_mapping(values)
+        missing = [field.name for field in fields(cls) if field.name not in {*values, "mask"}]
         if missing:
             raise EdgeError(f"{missing[0]}: is missing")
-        if tree["version"] != FILE_VERSION:
-            raise EdgeError(f"version: {tree['version']!r} is not allowed; allowed: {FILE_VERSION}")
-        values = {name: tree[name] for name in names if name in tree}
-        for name, value in values.items():
-            if name not in ("rows", "mask") and not is_whole(value):
-                raise EdgeError(f"{name}: {value!r} is not allowed; allowed: a whole number")
-        if not isinstance(values["rows"], str):
-            raise EdgeError(f"rows: {values['rows']!r} is not allowed; allowed: {', '.join(ROWS)}")
-        if "mask" in values:
-            values["mask"] = _mask_of(values["mask"])
-        made = cls(**values)
-        if made.phi.fingerprint != tree["fingerprint"]:
+        if made.phi.fingerprint != fingerprint:
             raise EdgeError(
-                f"fingerprint: {tree['fingerprint']!r}, but seed {made.seed} gives Phi "
+                f"fingerprint: {fingerprint!r}, but seed {made.seed} gives Phi "
                 f"{made.phi.fingerprint} here: the file was changed, or the generators differ"
             )
         _ = made.tags
         return made
-
-
-def _mask_of(rows: Any) -> npt.NDArray[np.bool_]:
-    if not isinstance(rows, list) or not all(isinstance(row, str) for row in rows):
-        raise EdgeError("mask: expected a list of texts of 0 and 1")
-    if not rows or len({len(row) for row in rows}) > 1 or set("".join(rows)) - {"0", "1"}:
-        raise EdgeError("mask: expected texts of 0 and 1, all of one length")
-    return np.array([[cell == "1" for cell in row] for row in rows])
 
 
 def _quoted(value: Any) -> str:

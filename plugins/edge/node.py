@@ -49,7 +49,8 @@ class EdgeSettings(PatchSettings):
         """The skin whose forces are measured."""
         f_max = float(described.full_scale) if self.f_max is None else self.f_max
         shape = described.n_rows, described.n_cols
-        return Skin(*shape, f_max, self.unit or COUNTS, self.pitch_m, described.mask)
+        mask = None if described.mask is None else described.exists
+        return Skin(*shape, f_max, self.unit or COUNTS, self.pitch_m, mask)
 
 
 class Edge(SourceNode[EdgeSettings]):

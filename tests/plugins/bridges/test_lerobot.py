@@ -119,18 +119,6 @@ def test_frames_between_two_images_are_left_out_and_counted() -> None:
         bridge.close({})
 
 
-def test_a_frame_that_comes_before_its_skin_is_counted_as_dropped() -> None:
-    bridge = made(rate_hz=0.0)
-    try:
-        list(bridge.step(frame(7)))
-        assert (bridge.n_sent, bridge.n_dropped) == (0, 1)
-        list(bridge.step(SKIN))
-        list(bridge.step(frame(8)))
-        assert (bridge.n_sent, bridge.n_dropped) == (1, 1)
-    finally:
-        bridge.close({})
-
-
 def test_a_port_that_is_taken_is_refused(bridge: LeRobotBridge) -> None:
     port = int(bridge.where().rpartition(":")[2])
     with pytest.raises(SettingsError, match=rf"port: cannot bind 127.0.0.1:{port}"):

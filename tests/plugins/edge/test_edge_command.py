@@ -31,14 +31,13 @@ def test_rows_columns_and_mask_are_those_of_a_skin(tmp_path: Path) -> None:
     assert main(["edge", "export", "--skin", str(skin), "--m", "2", "--out", str(out)]) == 0
     made = EdgeDescription.read(out / "edge.toml")
     assert (made.n_rows, made.n_cols, made.n_taxels, made.m) == (2, 3, 5, 2)
-    assert made.mask is not None
-    assert made.mask.tolist() == [[True, False, True], [True, True, True]]
+    assert made.mask == ("101", "111")
 
 
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["--bits", "3"], "--bits: 3 is not allowed; allowed: 4..16"),
+        (["--bits", "3"], "--bits: 3 is outside 4..16"),
         (["--block", "33"], "--block: 33 is not a power of two (1, 2, 4 ...)"),
         (["--ratio", "50"], "--ratio: 50 leaves no measurement of 48 taxels; allowed: 1..48"),
         (["--m", "49"], "--m: 49 is not allowed; allowed: 1..48"),

@@ -84,7 +84,7 @@ def test_its_frames_are_the_messages_of_a_compressor_node(name: str, tmp_path: P
     made = {"rows": d.rows, "m": d.m, "bits": d.bits, "block": d.block, "seed": d.seed}
     node = Compressor(CompressorSettings(**made), Context("compressor", ManualClock(1)))
     skin = skin_state(
-        n_rows=d.n_rows, n_cols=d.n_cols, f_max=float(d.full_scale), unit="counts", mask=d.mask
+        n_rows=d.n_rows, n_cols=d.n_cols, f_max=float(d.full_scale), unit="counts", mask=d.exists
     )
     list(node.step(skin))
     frames = random_counts(d, 3 * len(d.subsets) + 6)
@@ -93,8 +93,7 @@ def test_its_frames_are_the_messages_of_a_compressor_node(name: str, tmp_path: P
     found = [read_frame(d, one.payload) for one in arrived]
     for counts, frame in zip(frames, found, strict=True):
         forces = counts.astype(np.float32)
-        if d.mask is not None:
-            forces[~d.mask] = 0
+        forces[~d.exists] = 0
         (message,) = node.step(Taxels(stamp_ns=2, patch="skin", forces=forces))
         assert isinstance(message, Measurements)
         assert frame is not None
