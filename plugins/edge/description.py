@@ -102,9 +102,7 @@ class EdgeDescription(Settings):
         node chooses for them. Raises SettingsError as for the class, and if the compressor refuses
         ratio or rows.
         """
-        texts = (
-            None if mask is None else tuple("".join("01"[cell] for cell in row) for row in mask * 1)
-        )
+        texts = None if mask is None else tuple(map("".join, np.where(mask, "1", "0")))
         made = cls(n_rows, n_cols, m=1, mask=texts, **others)
         try:
             settings = CompressorSettings(phi="sbhe", ratio=ratio, m=m, rows=rows)
