@@ -72,7 +72,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.sensor.calibration.fit import fit
     from sparseskin.nodes.sensor.calibration.frames import open_frames
     from sparseskin.nodes.sensor.calibration.response import SkinFileError
-    from sparseskin.nodes.sensor.calibration.skin_writer import save_skin
+    from sparseskin.nodes.sensor.calibration.skin_file import save_skin
 
     out: Path = arguments.out
     if out.suffix != ".toml":

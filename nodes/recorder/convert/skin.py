@@ -9,9 +9,9 @@ from sparseskin.messages import Calibration, MessageError, decode
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import patch_of, skin_of
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.sensor.calibration.carried import description_of
+from sparseskin.nodes.sensor.calibration.description import of_messages
 from sparseskin.nodes.sensor.calibration.response import SkinFileError
-from sparseskin.nodes.sensor.calibration.skin_writer import save_skin
+from sparseskin.nodes.sensor.calibration.skin_file import save_skin
 
 
 def export_skin(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
@@ -41,7 +41,7 @@ def export_skin(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
         try:
             if state is None:
                 raise SkinFileError("its skin is missing")
-            written += save_skin(path, description_of(state, message))
+            written += save_skin(path, of_messages(state, message))
         except SkinFileError as error:
             raise BagError(f"{bag.path}: {topic}: {error}") from error
     return written

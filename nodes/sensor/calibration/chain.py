@@ -3,37 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.sensor.clipped import Clipped
 
 from .description import SkinDescription
 from .drift import DRIFT_RATE, Drift
 
-TARE_FRAMES = 30
-"""Frames of a tare unless stated otherwise, chosen: their median has a quarter of their noise."""
-MAX_TARE_FRAMES = 10_000
-MAX_TARE_READINGS = 1 << 26
-"""Most readings of a tare, chosen: 256 MiB."""
 MOVED = 0.05
 """Change of a taxel's force by a tare above which it is reported, in parts of f_max; chosen."""
-
-
-@dataclass(frozen=True)
-class Tared:
-    """Result of a tare: the largest change of the force of an untouched taxel, in the skin's unit,
-    and the number of taxels whose force changed by more than `MOVED` f_max.
-    """
-
-    largest: float
-    n_moved: int
 
 
 class Chain:
@@ -70,11 +54,8 @@ class Chain:
         self.skin: Skin = description.skin
         d = description
         self.drift = Drift(d.shape, d.f_max, d.noise or 0.0, drift_rate)
-        self._dead: Mask | None = None if self.skin.mask is None else ~self.skin.mask
         self.clipped = Clipped()
         self._last: Doubles | None = None
-        self._taring: list[npt.NDArray[Any]] = []
-        self._n_tare = 0
 
     def apply(self, raw: npt.NDArray[Any], stamp_ns: int) -> Floats:
         """Return the forces of a frame.
@@ -113,48 +94,20 @@ class Chain:
             found *= d.gains
         if d.response is not None:
             found = d.response.forces(found)
-        if self._dead is not None:
-            found[..., self._dead] = 0.0
+        if self.skin.mask is not None:
+            found[..., ~self.skin.mask] = 0.0
         return found
 
-    def begin_tare(self, n_frames: int) -> None:
-        """Collect the next frames given to `collect`; a tare under way is forgotten.
-        Raises SourceError if they would not fit in memory.
+    def tare(self, frames: Sequence[npt.NDArray[Any]]) -> str:
+        """Take the median of one or more untouched frames for the baseline, and forget the drift;
+        return in words how much the forces of the untouched skin changed.
         """
-        if n_frames * self.skin.n_rows * self.skin.n_cols > MAX_TARE_READINGS:
-            most = MAX_TARE_READINGS // (self.skin.n_rows * self.skin.n_cols)
-            raise SourceError(f"tare: {n_frames} frames of this skin; at most {most}")
-        self._taring, self._n_tare = [], n_frames
-
-    @property
-    def tare_left(self) -> int:
-        """Number of frames that a tare still waits for; 0: none is under way."""
-        return self._n_tare - len(self._taring)
-
-    def collect(self, raw: npt.NDArray[Any]) -> Tared | None:
-        """Add a frame to the tare under way; return its result with the last one."""
-        if not self.tare_left:
-            return None
-        self._taring.append(np.array(raw, dtype=np.float32))
-        if self.tare_left:
-            return None
-        frames, self._taring, self._n_tare = self._taring, [], 0
-        return self.tare(frames)
-
-    def tare(self, frames: Sequence[npt.NDArray[Any]]) -> Tared:
-        """Take the median of untouched frames for the baseline, and forget the drift.
-
-        Raises
-        ------
-        SourceError
-            If there is no frame.
-        """
-        if not len(frames):
-            raise SourceError("tare: no frame")
         baseline = np.median(np.asarray(frames), axis=0).astype(np.float64)
-        before = self.unclipped(baseline) - self.drift.value
+        moved = np.abs(self.unclipped(baseline) - self.drift.value)[self.skin.exists]
         self.description = replace(self.description, baseline=baseline)
         self.drift.reset()
-        moved = np.abs(np.where(self.skin.exists, before, 0.0))
-        n_moved = int(np.count_nonzero(moved > MOVED * self.skin.f_max))
-        return Tared(float(moved.max()), n_moved)
+        line = f"forces changed by at most {moved.max():.3g} {self.skin.unit}"
+        if n_moved := np.count_nonzero(moved > MOVED * self.skin.f_max):
+            line += f", of {n_moved} taxels by more than {100 * MOVED:g} % of the range"
+            line += ": a touch while taring, or a baseline that was old"
+        return line

@@ -1,4 +1,4 @@
-"""The description of one skin: geometry, range and calibration."""
+"""The description of one skin: geometry, range and calibration, and its form as messages."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sparseskin.messages import Calibration, SkinState
 from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
 from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.messages.skin import Skin
@@ -109,11 +110,10 @@ class SkinDescription:
         self._check_number("f_min", -self.f_max, 0.0)
         if self.noise is None and self.noise_mid is not None:
             raise SkinFileError("noise_mid: is stated without noise")
-        self._check_array("mask", np.bool_)
-        self._check_array("baseline", np.float64)
-        self._check_array("gains", np.float64)
-        if self.points is not None and self.points.shape != (*self.shape, 6):
-            raise SkinFileError(f"points: shape {self.points.shape}; expected {(*self.shape, 6)}")
+        self._check_array("mask", np.bool_, self.shape)
+        self._check_array("baseline", np.float64, self.shape)
+        self._check_array("gains", np.float64, self.shape)
+        self._check_array("points", np.float32, (*self.shape, 6))
         if self.mask is not None and not self.mask.any():
             raise SkinFileError("mask: leaves no taxel")
         if self.baseline is not None and not (np.abs(self.baseline) <= MAX_NUMBER).all():
@@ -124,15 +124,17 @@ class SkinDescription:
                 raise SkinFileError(
                     f"gains: expected numbers of {MIN_SLOPE:g}..{MAX_SLOPE:g}, or below 0 the same"
                 )
-        if self.response is not None and self.response.reading.shape[1:] not in ((), self.shape):
-            raise SkinFileError(
-                f"response.reading: shape {self.response.reading.shape}; expected K numbers, "
-                f"or K grids of {self.shape}"
-            )
-        if self.response is not None and self.response.reading.size > MAX_CURVES:
-            raise SkinFileError(
-                f"response.reading: {self.response.reading.size} numbers; at most {MAX_CURVES}"
-            )
+        if self.response is not None:
+            reading = self.response.reading
+            if reading.shape[1:] not in ((), self.shape):
+                raise SkinFileError(
+                    f"response.reading: shape {reading.shape}; expected K numbers, or K grids of "
+                    f"{self.shape}"
+                )
+            if reading.size > MAX_CURVES:
+                raise SkinFileError(
+                    f"response.reading: {reading.size} numbers; at most {MAX_CURVES}"
+                )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -155,6 +157,26 @@ class SkinDescription:
         stated = (self.baseline, self.gains, self.response)
         return any(one is not None for one in stated)
 
+    def message(self, stamp_ns: int, patch: str) -> Calibration:
+        """The calibration as a message, in float32."""
+        reading = force = None
+        if self.response is not None:
+            reading, force = self.response.reading, self.response.force
+            reading = reading if reading.ndim == 3 else reading[:, None, None]
+
+        def single(array: Doubles | None) -> Floats | None:
+            return None if array is None else np.ascontiguousarray(array, dtype=np.float32)
+
+        return Calibration(
+            stamp_ns=stamp_ns,
+            patch=patch,
+            name=self.name,
+            baseline=single(self.baseline),
+            gains=single(self.gains),
+            response_reading=single(reading),
+            response_force=single(force),
+        )
+
     def _check_number(self, key: str, low: float, high: float) -> None:
         value = getattr(self, key)
         optional = key in ("pitch_mm", "noise", "noise_mid")
@@ -162,13 +184,45 @@ class SkinDescription:
             shown = ascii(value)[:40]
             raise SkinFileError(f"{key}: expected a number in {low:g}..{high:g}, got {shown}")
 
-    def _check_array(self, key: str, dtype: type[np.generic]) -> None:
+    def _check_array(self, key: str, dtype: type[np.generic], shape: tuple[int, ...]) -> None:
         array = getattr(self, key)
-        if array is not None and (array.shape != self.shape or array.dtype != dtype):
+        if array is not None and (array.shape != shape or array.dtype != dtype):
             raise SkinFileError(
                 f"{key}: {array.dtype} of shape {array.shape}; expected {np.dtype(dtype)} of "
-                f"shape {self.shape}"
+                f"shape {shape}"
             )
+
+
+def of_messages(state: SkinState, calibration: Calibration) -> SkinDescription:
+    """The skin that the messages of a patch describe, the inverse of `SkinDescription.message` up
+    to the rounding of float32.
+
+    Raises
+    ------
+    SkinFileError
+        If the messages, which may come from anywhere, contradict each other.
+    """
+
+    def double(array: Floats | None) -> Doubles | None:
+        return None if array is None else array.astype(np.float64)
+
+    response = None
+    reading, force = double(calibration.response_reading), double(calibration.response_force)
+    if reading is not None and force is not None:
+        shared = reading.shape[1:] == (1, 1) != (state.n_rows, state.n_cols)
+        response = Response(reading[:, 0, 0] if shared else reading, force)
+    return SkinDescription(
+        *(calibration.name, state.n_rows, state.n_cols, state.f_max, state.unit),
+        pitch_mm=1000 * state.pitch_m if state.pitch_m else None,
+        mask=state.mask,
+        baseline=double(calibration.baseline),
+        gains=double(calibration.gains),
+        response=response,
+        noise=state.sigma_end or None,
+        noise_mid=state.sigma_mid if state.sigma_mid and state.sigma_end else None,
+        f_min=state.f_min,
+        points=points_on_grid(state.skin),
+    )
 
 
 def points_on_grid(skin: Skin) -> Floats | None:

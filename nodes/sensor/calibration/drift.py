@@ -6,8 +6,14 @@ follows the smoothed force f that is left, with the time constant tau and at mos
     dw/dt = clip(f / tau, -r, r),    |w| <= w_max,
 
 so that a constant force loses at most r t in the time t. A press loses none: above a threshold a
-taxel counts as touched, and below it a press is told from drift by how fast it begins (module
-`steps`). What rises as slowly as a drift is one.
+taxel counts as touched, and below it a press is told from drift by how fast it begins. Two low
+passes of the force, of 0.5 s and 3 s, differ by
+
+    j(t) = h (exp(-t / 3 s) - exp(-t / 0.5 s)),    0.58 h at most,
+
+after a step of height h, and by 2.5 s times the rate under a drift. A press is a j above 5 standard
+deviations, of a taxel or of the mean of 3 x 3: the noise of a mean of nine is a third. What rises
+as slowly as a drift is one.
 """
 
 from __future__ import annotations
@@ -16,11 +22,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
-
-from .steps import LightPresses
 
 DRIFT_RATE = 1e-4
 """Largest rate of the drift that is followed, in parts of f_max a second: 0.6 % of f_max a minute.
@@ -29,7 +34,7 @@ Chosen: a force that rises unnoticed loses no more."""
 
 @dataclass(frozen=True)
 class DriftTuning:
-    """Constants of the drift that is followed; all chosen.
+    """Constants of the drift that is followed, and of light presses; all chosen.
 
     Attributes
     ----------
@@ -53,6 +58,19 @@ class DriftTuning:
     undo_s : float
         Time of which the drift of a taxel is undone where a press is noticed, seconds at least,
         and twice that at most: it began before.
+    fast_s, slow_s : float
+        Time constants of the low passes that find a step, seconds: a press is complete within the
+        first; the second leaves time to see it.
+    step_sigmas : float
+        Threshold of a step in standard deviations of j: of 10,000 taxels, noise passes it in one
+        of an hour.
+    step_least : float
+        Smallest threshold of a step, in parts of f_max: where the noise is not known.
+    step_drifts : float
+        Smallest threshold of a step, in what the bounded drift makes of j.
+    step_left : float
+        A press is over when its force falls as it rose, or less than this part of its largest rise
+        is left.
     """
 
     tau_s: float = 10.0
@@ -63,6 +81,15 @@ class DriftTuning:
     period_s: float = 0.05
     gap_s: float = 0.5
     undo_s: float = 1.5
+    fast_s: float = 0.5
+    slow_s: float = 3.0
+    step_sigmas: float = 5.0
+    step_least: float = 0.001
+    step_drifts: float = 2.0
+    step_left: float = 0.5
+
+
+TUNING = DriftTuning()
 
 
 class Drift:
@@ -85,39 +112,27 @@ class Drift:
     """
 
     def __init__(
-        self,
-        shape: tuple[int, int],
-        f_max: float,
-        noise: float,
-        rate: float = DRIFT_RATE,
-        tuning: DriftTuning = DriftTuning(),
+        self, shape: tuple[int, int], f_max: float, noise: float, rate: float = DRIFT_RATE
     ) -> None:
-        self._t = tuning
         self.rate = rate
-        self._f_max = f_max
-        self._most = tuning.most * f_max
-        self.threshold = max(tuning.sigmas * noise, CONTACT_FRACTION * f_max)
+        self._f_max, self._noise = f_max, noise
+        self._most = TUNING.most * f_max
+        self.threshold = max(TUNING.sigmas * noise, CONTACT_FRACTION * f_max)
         self.value: Doubles = np.zeros(shape)
-        self._touched_ns: Doubles = np.full(shape, -np.inf)
-        self._noise = noise
         self._last_ns: int | None = None
-        self._forget()
-
-    def _forget(self) -> None:
-        """Begin anew with the next frame."""
-        self._smooth: Doubles | None = None
-        self._light = LightPresses(self.value.shape, self._noise, self._f_max)
-        self._held: Mask = np.zeros(self.value.shape, np.bool_)
-        self._sum: Doubles = np.zeros(self.value.shape)
-        self._n = 0
-        self._before, self._earlier = self.value.copy(), self.value.copy()
-        self._since_s = 0.0
+        self.reset()
 
     def reset(self) -> None:
         """Forget the drift, as after a tare."""
+        shape = self.value.shape
         self.value[:] = 0.0
-        self._touched_ns[:] = -np.inf
-        self._forget()
+        self._touched_ns: Doubles = np.full(shape, -np.inf)
+        self._smooth: Doubles | None = None
+        self._light = LightPresses(shape, self._noise, self._f_max)
+        self._held: Mask = np.zeros(shape, np.bool_)
+        self._sum, self._before, self._earlier = np.zeros((3, *shape))
+        self._n = 0
+        self._since_s = 0.0
 
     def update(self, forces: Doubles, stamp_ns: int) -> None:
         """Follow the drift by one frame.
@@ -136,23 +151,24 @@ class Drift:
         dt_s = (stamp_ns - self._last_ns) / 1e9
         self._sum += forces
         self._n += 1
-        if 0 < dt_s < self._t.period_s:
+        if 0 < dt_s < TUNING.period_s:
             return
         self._last_ns = stamp_ns
         mean, n = self._sum / self._n, self._n
         self._sum, self._n = np.zeros_like(mean), 0
         if self._smooth is None:
             self._smooth = mean.copy()
-        self._smooth += (1 - math.exp(-dt_s / self._t.smooth_s)) * (mean - self._smooth)
-        light = spread(self._light.update(mean, n, dt_s, self.rate))
-        touched = spread((self._smooth > self.threshold) | (forces > 2 * self.threshold)) | light
+        self._smooth += (1 - math.exp(-dt_s / TUNING.smooth_s)) * (mean - self._smooth)
+        touched = (self._smooth > self.threshold) | (forces > 2 * self.threshold)
+        touched |= self._light.update(mean, n, dt_s, self.rate)
+        touched = of_nine(touched, np.logical_or)
         self._undo(touched & ~self._held, dt_s)
         self._held = touched
         self._touched_ns[touched] = stamp_ns
-        dt_s = min(dt_s, self._t.gap_s)
+        dt_s = min(dt_s, TUNING.gap_s)
         most = self.rate * self._f_max * dt_s
-        step = np.clip(self._smooth * (dt_s / self._t.tau_s), -most, most)
-        step[stamp_ns - self._touched_ns < self._t.hold_s * 1e9] = 0.0
+        step = np.clip(self._smooth * (dt_s / TUNING.tau_s), -most, most)
+        step[stamp_ns - self._touched_ns < TUNING.hold_s * 1e9] = 0.0
         self.value += step
         np.clip(self.value, -self._most, self._most, out=self.value)
 
@@ -160,17 +176,63 @@ class Drift:
         """Take back what was followed of presses that are noticed now."""
         self.value[new] = np.minimum(self.value, self._earlier)[new]
         self._since_s += dt_s
-        if self._since_s >= self._t.undo_s:
+        if self._since_s >= TUNING.undo_s:
             self._since_s = 0.0
             self._before, self._earlier = self.value.copy(), self._before
 
 
-def spread(touched: Mask) -> Mask:
-    """A mask and the eight neighbours of each of its cells."""
-    grown = touched.copy()
-    grown[1:] |= touched[:-1]
-    grown[:-1] |= touched[1:]
-    across = grown.copy()
-    grown[:, 1:] |= across[:, :-1]
-    grown[:, :-1] |= across[:, 1:]
-    return grown
+class LightPresses:
+    """The taxels under presses that may be too light to count as a touch.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns.
+    noise : float
+        Standard deviation of an untouched taxel's noise, 0 if not known.
+    f_max : float
+        Upper end of the range.
+    """
+
+    def __init__(self, shape: tuple[int, int], noise: float, f_max: float) -> None:
+        self._f_max, self._n = f_max, 0
+        # Of each taxel, and of the mean of it and its eight neighbours.
+        self._sigma = noise * np.array([1, 1 / 3]).reshape(2, 1, 1)
+        self._fast, self._slow, self._base, self._rise = np.zeros((4, 2, *shape))
+        self._risen: Mask = np.zeros((2, *shape), np.bool_)
+
+    def update(self, mean: Doubles, n: int, dt_s: float, rate: float) -> Mask:
+        """Process the mean of the n frames of the last dt_s seconds, of forces without drift, whose
+        rate is bounded by `rate`, in parts of f_max a second; the taxels pressed, a new array.
+        """
+        t = TUNING
+        self._n += 1
+        means = np.stack([mean, of_nine(mean, np.add) / 9])
+        # At first the mean of all: one frame would be believed for as long as the slow low pass.
+        fast = max(1 - math.exp(-dt_s / t.fast_s), 1 / self._n)
+        slow = max(1 - math.exp(-dt_s / t.slow_s), 1 / self._n)
+        self._fast += fast * (means - self._fast)
+        self._slow += slow * (means - self._slow)
+        # Variance of a first-order low pass of white noise: a / (2 - a) of it.
+        sigma = self._sigma * math.sqrt((fast / (2 - fast) + slow / (2 - slow)) / n)
+        least = max(t.step_least, t.step_drifts * rate * (t.slow_s - t.fast_s)) * self._f_max
+        least = np.maximum(t.step_sigmas * sigma, least)
+        step = self._fast - self._slow
+        self._risen &= step > -least
+        new = (step > least) & ~self._risen
+        self._base[new] = self._slow[new]
+        self._rise[new] = 0.0
+        self._risen |= new
+        rise = self._fast - self._base
+        np.maximum(self._rise, rise, out=self._rise)
+        self._risen &= rise >= t.step_left * self._rise
+        found: Mask = self._risen.any(axis=0)
+        return found
+
+
+def of_nine(field: npt.NDArray[np.generic], combine: np.ufunc) -> npt.NDArray[np.generic]:
+    """Each cell and its eight neighbours, combined; beyond the edge is 0."""
+    padded = np.pad(field, 1)
+    rows = combine(combine(padded[:-2], padded[1:-1]), padded[2:])
+    found: npt.NDArray[np.generic] = combine(combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
+    return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 
+from .chain import Chain
 from .description import SkinDescription
 from .press import CalibrationError, Press, PressResult
 from .response import MAX_KNOTS, MAX_NUMBER, Response
@@ -108,7 +109,7 @@ def fit(
                 f"{press.label}: frames of shape {press.frames.shape[1:]}; the untouched ones have "
                 f"{shape}, and at least one is needed"
             )
-    exists = np.ones(shape, np.bool_) if mask is None else mask.copy()
+    exists = np.ones(shape, np.bool_) if mask is None else mask
     baseline, noise = steady(untouched)
     stuck = exists & _stuck(untouched, presses)
     typical = float(np.median(noise[exists & ~stuck])) if (exists & ~stuck).any() else 0.0
@@ -128,42 +129,35 @@ def fit(
     dead = np.zeros(shape, np.bool_)
     gains: Doubles | None = None
     response: Response | None = None
-    even = [k for k, press in enumerate(presses) if press.area is not None]
+    even = [(p, rise) for p, rise in zip(presses, rises, strict=True) if p.area is not None]
     if even:
-        dead = works & _dead(presses, rises, works, even)
+        dead = works & _dead(even, works)
         works &= ~dead
-        gains, response = _even_fit(presses, rises, works, even, curve, remarks)
+        gains, response = _even_fit(even, works, curve, remarks)
     elif presses:
         floor = TOUCHED * noise
         gains = np.full(shape, _common_gain(presses, rises, works, floor, remarks))
     if not works.any():
         raise CalibrationError("no taxel works: none changes, or all are far noisier than half")
-    top = max((float(rise[works].max()) for rise in rises), default=0.0)
-    unclipped = SkinDescription(
+    skin = SkinDescription(
         *(name, *shape, MAX_NUMBER, "N" if presses else unit, pitch_mm),
         mask=None if works.all() else works,
         baseline=baseline,
         gains=gains,
         response=response,
     )
-    forces = [_forces(unclipped, rise) for rise in rises]
+    forces = [Chain(skin).unclipped(baseline + rise) for rise in rises]
     if f_max is None:
         if not presses:
             raise CalibrationError("the range is not known: state f_max, or add presses")
-        top = max(float(force[works].max()) for force in forces)
-        f_max = float(f"{HEADROOM * top:.2g}")
+        f_max = float(f"{HEADROOM * max(float(force[works].max()) for force in forces):.2g}")
         remarks.append(f"f_max = {f_max:g} N is {HEADROOM:g} times the largest force of a press")
-    slope = _slope_at_0(unclipped)
+    slope = np.ones(shape) if gains is None else np.abs(gains)  # newtons per raw reading at 0
+    if response is not None:
+        slope = slope * response.slopes[0]
     sigma = min(float(np.median((noise * slope)[works])), f_max)
-    skin = SkinDescription(
-        *(name, *shape, f_max, unclipped.unit, pitch_mm),
-        mask=unclipped.mask,
-        baseline=baseline,
-        gains=gains,
-        response=response,
-        noise=float(f"{sigma:.3g}"),
-        f_min=max(lower_end(sigma), -f_max) if keep_noise else 0.0,
-    )
+    f_min = max(lower_end(sigma), -f_max) if keep_noise else 0.0
+    skin = replace(skin, f_max=f_max, noise=float(f"{sigma:.3g}"), f_min=f_min)
     results = [_result(*each, works) for each in zip(presses, rises, forces, strict=True)]
     faulty = (int(stuck.sum()), int(noisy.sum()), int(dead.sum()))
     return Fit(skin, len(untouched), typical, *faulty, results, remarks)
@@ -175,23 +169,28 @@ def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles]:
     Readings further from the median than `OUTLIER` robust standard deviations, as of a short touch,
     are left out. Unlike the median, the mean resolves less than one count.
     """
-    values = np.asarray(frames, dtype=np.float64)
-    apart = values - np.median(values, axis=0)
-    spread = MAD_TO_SD * np.median(np.abs(apart), axis=0)
-    # Of a reading coarser than its noise, half of the frames are the median: none is left out.
-    kept = (np.abs(apart) <= OUTLIER * spread) | (spread == 0)
+    median, apart, kept, _ = _steady_readings(frames)
     n = np.maximum(kept.sum(axis=0), 1)
     mean = np.where(kept, apart, 0.0).sum(axis=0) / n
     variance = np.where(kept, np.square(apart - mean), 0.0).sum(axis=0) / n
-    return np.median(values, axis=0) + mean, np.sqrt(variance)
+    return median + mean, np.sqrt(variance)
+
+
+def _steady_readings(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles, Mask, Doubles]:
+    """Median of each taxel, readings from there, which of them are steady, robust deviation."""
+    values = np.asarray(frames, dtype=np.float64)
+    median = np.median(values, axis=0)
+    apart = values - median
+    spread = MAD_TO_SD * np.median(np.abs(apart), axis=0)
+    # Of a reading coarser than its noise, half of the frames are the median: none is left out.
+    return median, apart, (np.abs(apart) <= OUTLIER * spread) | (spread == 0), spread
 
 
 def _unsteady(frames: npt.NDArray[Any], exists: Mask) -> float:
     """Share of readings that `steady` leaves out."""
-    apart = np.abs(np.asarray(frames, dtype=np.float64) - np.median(frames, axis=0))
-    spread = MAD_TO_SD * np.median(apart, axis=0)
-    left_out = (apart > OUTLIER * spread)[:, exists & (spread > 0)]
-    return float(left_out.mean()) if left_out.size else 0.0
+    _, _, kept, spread = _steady_readings(frames)
+    looked_at = kept[:, exists & (spread > 0)]
+    return 1 - float(looked_at.mean()) if looked_at.size else 0.0
 
 
 def _check_still(
@@ -216,85 +215,59 @@ def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
     return still if still.mean() < 0.5 else np.zeros_like(still)
 
 
-def _dead(
-    presses: Sequence[Press], rises: Sequence[Doubles], works: Mask, even: Sequence[int]
-) -> Mask:
+def _dead(even: Sequence[tuple[Press, Doubles]], works: Mask) -> Mask:
     """Taxels that respond to no even load that is on them."""
-    answered = np.zeros(works.shape, np.bool_)
-    covered = np.zeros(works.shape, np.bool_)
-    for k in even:
-        cells = presses[k].cells(works.shape) & works
+    answered, covered = np.zeros((2, *works.shape), np.bool_)
+    for press, rise in even:
+        cells = press.cells(works.shape) & works
         if not cells.any():
-            raise CalibrationError(f"{presses[k].label}: no taxel under it works")
-        typical = float(np.median(rises[k][cells]))
+            raise CalibrationError(f"{press.label}: no taxel under it works")
+        typical = float(np.median(rise[cells]))
         covered |= cells
-        answered |= cells & (rises[k] * typical > DEAD * typical**2)
+        answered |= cells & (rise * typical > DEAD * typical**2)
     return covered & ~answered
 
 
 def _even_fit(
-    presses: Sequence[Press],
-    rises: Sequence[Doubles],
-    works: Mask,
-    even: Sequence[int],
-    curve: Curve,
-    remarks: list[str],
+    even: Sequence[tuple[Press, Doubles]], works: Mask, curve: Curve, remarks: list[str]
 ) -> tuple[Doubles, Response | None]:
     """Gains, and the response curve, of loads that press all taxels of an area evenly."""
-    shape = works.shape
-    levels: dict[float, list[tuple[Doubles, Mask]]] = {}
-    for k in even:
-        cells = presses[k].cells(shape)
-        force = presses[k].force / int(cells.sum())  # dead taxels carry their part of the load
-        key = next((one for one in levels if math.isclose(one, force, rel_tol=1e-6)), force)
-        levels.setdefault(key, []).append((rises[k], cells & works))
-    forces = np.array(sorted(levels))
-    # Of each level the mean rise of each taxel over its presses, NaN where none covers it.
-    rise = np.full((len(forces), *shape), np.nan)
-    for row, force in zip(rise, forces, strict=True):
-        total, times = np.zeros(shape), np.zeros(shape)
-        for one, cells in levels[force]:
-            total[cells] += one[cells]
-            times += cells
-        np.divide(total, times, out=row, where=times > 0)
-    middle = np.array([float(np.nanmedian(row)) for row in rise])
-    sign = math.copysign(1.0, middle[-1])
-    if not (np.diff(sign * middle, prepend=0) > 0).all():
+    areas = [press.cells(works.shape) for press, _ in even]
+    # Dead taxels carry their part of the load. Forces that differ by rounding are equal.
+    each = [press.force / area.sum() for (press, _), area in zip(even, areas, strict=True)]
+    forces, level = np.unique([float(f"{force:.6g}") for force in each], return_inverse=True)
+    # At each force the mean rise of each taxel over its presses, NaN where none covers it.
+    total, times = np.zeros((2, len(forces), *works.shape))
+    for k, (_, rise), area in zip(level, even, areas, strict=True):
+        total[k] += np.where(area & works, rise, 0.0)
+        times[k] += area & works
+    rise = np.divide(total, times, out=np.full(total.shape, np.nan), where=times > 0)
+    middle = np.nanmedian(rise.reshape(len(forces), -1), axis=1)
+    if not (np.diff(math.copysign(1.0, middle[-1]) * middle, prepend=0) > 0).all():
         read = ", ".join(f"{m:.4g} at {f:.3g} N" for m, f in zip(middle, forces, strict=True))
         raise CalibrationError(f"readings do not rise with the force of a taxel: {read}")
-    straight = curve == "linear" or len(forces) < 2
     if len(forces) > MAX_KNOTS:
         raise CalibrationError(f"{len(forces)} different loads; at most {MAX_KNOTS}")
     # Without a curve the target is the force itself, else the reading of the median taxel.
+    straight = curve == "linear" or len(forces) < 2
     scale = forces[0] / middle[0]
     target = (forces if straight else scale * middle).reshape(-1, 1, 1)
-    known = ~np.isnan(rise)
-    filled = np.where(known, rise, 0.0)
+    filled = np.nan_to_num(rise)
     energy = np.square(filled).sum(axis=0)
-    gains = np.full(shape, np.nan)
+    gains = np.full(works.shape, np.nan)
     np.divide((filled * target).sum(axis=0), energy, out=gains, where=works & (energy > 0))
-    unknown = works & ~np.isfinite(gains)
-    gains[~np.isfinite(gains) | ~works] = np.median(gains[np.isfinite(gains) & works])
-    if unknown.any():
-        remarks.append(
-            f"{int(unknown.sum())} taxels lay under no even load: they have the median gain"
-        )
+    known = np.isfinite(gains)
+    gains[~known] = np.median(gains[known])
+    if unknown := np.count_nonzero(works & ~known):
+        remarks.append(f"{unknown} taxels lay under no even load: they have the median gain")
     if straight:
         return gains, None
-    if curve == "taxel":
-        return _own_curves(rise, forces, works, scale)
-    return gains, Response(scale * middle, forces)
-
-
-def _own_curves(
-    rise: Doubles, forces: Doubles, works: Mask, scale: float
-) -> tuple[Doubles, Response]:
-    """One gain, and a curve of each taxel; that of the median taxel where one is not known."""
-    reading = scale * rise
-    middle = np.array([float(np.nanmedian(row)) for row in reading]).reshape(-1, 1, 1)
-    with np.errstate(invalid="ignore"):
-        sound = works & (np.diff(reading, axis=0, prepend=0) > 0).all(axis=0)
-    return np.full(works.shape, scale), Response(np.where(sound, reading, middle), forces)
+    if curve == "shared":
+        return gains, Response(scale * middle, forces)
+    # Of each taxel; that of the median taxel where its own is not known.
+    sound = works & (np.diff(scale * rise, axis=0, prepend=0) > 0).all(axis=0)
+    reading = np.where(sound, scale * rise, scale * middle.reshape(-1, 1, 1))
+    return np.full(works.shape, scale), Response(reading, forces)
 
 
 def _common_gain(
@@ -322,18 +295,6 @@ def _common_gain(
             "even loads over a stated area give each taxel its own"
         )
     return gain
-
-
-def _forces(skin: SkinDescription, rise: Doubles) -> Doubles:
-    """Forces of readings above the baseline."""
-    found = rise if skin.gains is None else rise * skin.gains
-    return found if skin.response is None else skin.response.forces(found)
-
-
-def _slope_at_0(skin: SkinDescription) -> Doubles:
-    """Force a raw reading at 0, of each taxel, at least 0."""
-    slope = np.ones(skin.shape) if skin.gains is None else np.abs(skin.gains)
-    return slope if skin.response is None else slope * skin.response.slopes[0]
 
 
 def _result(press: Press, rise: Doubles, forces: Doubles, works: Mask) -> PressResult:

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import Taxels, decode
-from sparseskin.messages.state import Calibration
+from sparseskin.messages import Calibration, Taxels
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.sensor.files.parsed import KEEP, Policy
 from sparseskin.nodes.sensor.files.recorded import RecordedSource, open_file
@@ -67,6 +66,7 @@ def file_frames(path: str, n_rows: int | None = None, n_cols: int | None = None)
 
 def _bag(path: str) -> tuple[list[int], Frames]:
     """Stamps and taxels of a bag of one patch."""
+    from sparseskin.nodes.recorder.bag.frames import decoded
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
     with BagReader(path) as bag:
@@ -77,18 +77,12 @@ def _bag(path: str) -> tuple[list[int], Frames]:
             raise CalibrationError(
                 f"{path}: its taxels are forces, of a calibrated skin; expected raw readings"
             )
-        stamps, found = [], []
-        for recorded in bag.messages(topics):
-            try:
-                message = decode(recorded.topic.encode(), recorded.payload)
-            except ValueError as error:
-                raise CalibrationError(f"{path}: {error}") from error
-            if isinstance(message, Taxels):
-                stamps.append(message.stamp_ns)
-                found.append(message.forces)
-    if len({frame.shape for frame in found}) != 1:
+        messages = [decoded(bag, one) for one in bag.messages(topics)]
+    found = [message for message in messages if isinstance(message, Taxels)]
+    if len({message.forces.shape for message in found}) != 1:
         raise CalibrationError(f"{path}: holds no frames of one shape")
-    return [stamp - stamps[0] for stamp in stamps], np.stack(found)
+    stamps = [message.stamp_ns - found[0].stamp_ns for message in found]
+    return stamps, np.stack([message.forces for message in found])
 
 
 class Recording:

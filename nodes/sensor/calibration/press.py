@@ -22,6 +22,9 @@ ALL = "all"
 LOADS = "500g, 0.5kg, 4.9N or 800mN"
 AREAS = "all, or ROWSxCOLUMNS as 4-11x8-15"
 
+Area = tuple[int, int, int, int]
+"""First and last row, first and last column, both included, from 0."""
+
 
 class CalibrationError(SparseskinError):
     """Frames from which no calibration follows."""
@@ -39,32 +42,23 @@ class Press:
         Total force, newtons, above 0.
     frames : ndarray, shape (n, rows, cols)
         Raw readings under the steady load.
-    area : (int, int, int, int) or None
-        First and last row, first and last column, both included, from 0, that carry the load
-        evenly; None: only the total is known.
+    area : Area or None
+        The cells that carry the load evenly; None: only the total is known.
     """
 
     label: str
     force: float
     frames: npt.NDArray[Any]
-    area: tuple[int, int, int, int] | None = None
+    area: Area | None = None
 
     def cells(self, shape: tuple[int, int]) -> Mask:
         """Cells of the area, bool (rows, cols).
-
-        Raises
-        ------
-        CalibrationError
-            If the area is not on the skin.
+        Raises CalibrationError if it is not on the skin.
         """
         found = np.zeros(shape, dtype=np.bool_)
         if self.area is not None:
+            _check_area(self.area, shape, self.label)
             top, bottom, left, right = self.area
-            if not (0 <= top <= bottom < shape[0] and 0 <= left <= right < shape[1]):
-                raise CalibrationError(
-                    f"{self.label}: rows {top}-{bottom}, columns {left}-{right} are not on a skin "
-                    f"of {shape[0]} x {shape[1]}"
-                )
             found[top : bottom + 1, left : right + 1] = True
         return found
 
@@ -103,17 +97,23 @@ def read_load(text: str) -> float:
     return force
 
 
-def read_area(text: str, shape: tuple[int, int]) -> tuple[int, int, int, int]:
+def read_area(text: str, shape: tuple[int, int]) -> Area:
     """Cells of an area such as "all" or "4-11x8-15", as of `Press`.
     Raises CalibrationError if it is none, or not on a skin of that shape.
     """
-    n_rows, n_cols = shape
-    found = _AREA.fullmatch(text.strip())
     if text.strip() == ALL:
-        return (0, n_rows - 1, 0, n_cols - 1)
+        return (0, shape[0] - 1, 0, shape[1] - 1)
+    found = _AREA.fullmatch(text.strip())
     if found is None:
         raise CalibrationError(f"{text[:40]!r} is no area; allowed are {AREAS}")
-    top, bottom, left, right = (int(one) for one in found.groups())
-    if not (top <= bottom < n_rows and left <= right < n_cols):
-        raise CalibrationError(f"{text}: is not on a skin of {n_rows} x {n_cols}")
+    top, bottom, left, right = map(int, found.groups())
+    _check_area((top, bottom, left, right), shape, text)
     return (top, bottom, left, right)
+
+
+def _check_area(area: Area, shape: tuple[int, int], where: str) -> None:
+    top, bottom, left, right = area
+    if not (0 <= top <= bottom < shape[0] and 0 <= left <= right < shape[1]):
+        raise CalibrationError(
+            f"{where}: {top}-{bottom}x{left}-{right} is not on a skin of {shape[0]} x {shape[1]}"
+        )

@@ -28,8 +28,8 @@ class Response:
     """The response curve of the taxels: force against reading, piecewise linear and rising.
 
     It passes through (0, 0) and the K knots. Below 0 it goes on with the slope of its first
-    segment, beyond the last knot with that of its last. The inverse is of the same kind, so that
-    each inverts the other up to rounding.
+    segment, beyond the last knot with that of its last. The inverse is of the same kind: a curve
+    of one for all taxels whose knots are exchanged.
 
     Attributes
     ----------
@@ -57,6 +57,8 @@ class Response:
                 f"response.reading: {len(self.reading)} knots, but response.force has {k}"
             )
         for name, values in (("reading", self.reading), ("force", self.force)):
+            if values.dtype != np.float64:
+                raise SkinFileError(f"response.{name}: {values.dtype}; expected float64")
             if not np.isfinite(values).all() or not (np.diff(values, axis=0, prepend=0) > 0).all():
                 raise SkinFileError(f"response.{name}: must be above 0 and rise from knot to knot")
             if values.max() > MAX_NUMBER:
@@ -70,7 +72,7 @@ class Response:
 
     @property
     def slopes(self) -> Doubles:
-        """Slopes of the K segments, shape of `reading`, in force a reading."""
+        """Slopes of the K segments, shape of `reading`, in force per reading."""
         rise = np.diff(self.force, prepend=0.0)
         shape = (-1, *(1,) * (self.reading.ndim - 1))
         slopes: Doubles = rise.reshape(shape) / np.diff(self.reading, axis=0, prepend=0.0)
@@ -82,12 +84,4 @@ class Response:
         found: Doubles = slopes[0] * np.asarray(readings, dtype=np.float64)
         for knot, change in zip(self.reading, np.diff(slopes, axis=0), strict=False):
             found += change * np.maximum(0.0, readings - knot)
-        return found
-
-    def readings(self, forces: npt.NDArray[Any]) -> Doubles:
-        """Readings of forces, the inverse of `forces`."""
-        slopes = 1.0 / self.slopes
-        found: Doubles = slopes[0] * np.asarray(forces, dtype=np.float64)
-        for knot, change in zip(self.force, np.diff(slopes, axis=0), strict=False):
-            found += change * np.maximum(0.0, forces - knot)
         return found

@@ -1,4 +1,4 @@
-"""Reader of skin.toml, the file that describes one skin, its calibration included.
+"""Reader and writer of skin.toml, the file that describes one skin, its calibration included.
 
 A file is untrusted until it has been checked: its size is bounded before it is read, and so are
 those of its arrays, which are numbers only and lie beside it.
@@ -6,22 +6,23 @@ those of its arrays, which are numbers only and lie beside it.
 
 from __future__ import annotations
 
+import json
 import os
-import stat
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.messages.errors import MessageError
-from sparseskin.messages.ranges import is_real
+from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.files import whole_file
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
-from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.sensor.placement import Placement
+from sparseskin.nodes.sensor.files.parsed import reading
 from sparseskin.nodes.sensor.points import point_skins
 from sparseskin.nodes.toml import parse_toml
 
@@ -30,19 +31,20 @@ from .response import MAX_KNOTS, Response, SkinFileError
 
 MAX_FILE_CHARS = 1 << 18
 """Longest skin.toml, chosen: eight thousand numbers, as a program writes them."""
+MAX_INLINE = 4096
+"""Most numbers of all arrays that are written into the file itself, chosen: baseline and gains of
+32 x 32 taxels, with a shared curve, are half of them."""
 ARRAYS_SUFFIX = ".npz"
 ARRAYS = "arrays"
 """Key that names the .npz with the large arrays."""
 KEYS = (*(f.name for f in fields(SkinDescription) if f.name != "placement"), ARRAYS)
 """Keys of a skin.toml."""
-REQUIRED = ("rows", "cols", "f_max")
-_RESPONSE_KEYS = ("reading", "force")
 OF_POINTS = ("rows", "cols", "pitch_mm", "mask")
 """Keys that are not stated beside `points`: they follow from these."""
-_ARRAY_NAMES = ("mask", "baseline", "gains", "response_reading", "points")
+CURVE_KEYS = ("reading", "force")
+"""Keys of the table `response`."""
+ARRAY_NAMES = ("mask", "baseline", "gains", "response_reading", "points")
 """Arrays of the .npz: those of the same names, and `response.reading`."""
-_DTYPES: dict[str, Any] = {"mask": np.bool_, "points": np.float32}
-"""Dtypes of these; float64 of the others."""
 
 
 def load_skin(path: str | os.PathLike[str]) -> SkinDescription:
@@ -94,143 +96,57 @@ def parse_skin(table: Mapping[str, Any], where: str, folder: Path) -> SkinDescri
         As `load_skin` does.
     """
     try:
-        for key in table:
-            if key not in KEYS:
-                raise SkinFileError(f"{key[:40]}: unknown key{did_you_mean(key[:40], KEYS)}")
-        if "points" in table:
-            table = {key: value for key, value in table.items() if key != "points"} | _placed(
-                table, folder
-            )
-        for key in ("name", *REQUIRED):
-            if key not in table:
-                raise SkinFileError(f"{key}: is missing")
-        values = {key: value for key, value in table.items() if key != ARRAYS}
-        # The shape is checked first: it bounds the size of all arrays.
-        plain = ("mask", "baseline", "gains", "response")
-        placement: Placement | None = values.pop("placement", None)
-        found = SkinDescription(**{key: v for key, v in values.items() if key not in plain})
-        arrays = _load_arrays(table[ARRAYS], folder, found.shape) if ARRAYS in table else {}
-        for key in arrays:
-            if key in values or (key == "response_reading" and "reading" in _response(values)):
-                raise SkinFileError(f"{key}: is stated in the file and in its {ARRAYS}")
-        mask = arrays.get("mask")
-        if "mask" in values:
-            mask = _mask(values["mask"], found.shape)
-        grids: dict[str, Any] = {
-            key: _grid(key, values[key], found.shape, placement)
-            if key in values
-            else arrays.get(key)
-            for key in ("baseline", "gains")
-        }
-        curve = None
-        if "response" in values or "response_reading" in arrays:
-            curve = _curve(_response(values), arrays.get("response_reading"), found.shape)
-        points = arrays.get("points")
-        if placement is not None:
-            skin = placement.skin(found.f_max, found.unit)
-            mask, points = skin.mask, points_on_grid(skin)
-        return replace(
-            found, mask=mask, response=curve, points=points, placement=placement, **grids
-        )
-    except SkinFileError as error:
-        raise SkinFileError(f"{where}: {error}") from error
-    except MessageError as error:
+        return _described(table, folder)
+    except (SkinFileError, MessageError) as error:
         raise SkinFileError(f"{where}: {error}") from error
 
 
-def _read(path: Path, most: int) -> bytes:
-    """The bytes of a regular file of at most `most`."""
-    try:
-        # A pipe would wait for its writer.
-        with open(path, "rb", opener=lambda p, flags: os.open(p, flags | os.O_NONBLOCK)) as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise SkinFileError(f"{path}: is no regular file")
-            raw = file.read(most + 1)
-    except (OSError, ValueError) as error:
-        why = error.strerror if isinstance(error, OSError) else str(error)
-        raise SkinFileError(f"{str(path)[:200]}: cannot be read ({why})") from error
-    if len(raw) > most:
-        raise SkinFileError(f"{path}: more than {most} bytes")
-    return raw
+def _described(table: Mapping[str, Any], folder: Path) -> SkinDescription:
+    _check_keys(table, KEYS)
+    values = _placed(table, folder) if "points" in table else dict(table)
+    for key in ("name", "rows", "cols", "f_max"):
+        if key not in values:
+            raise SkinFileError(f"{key}: is missing")
+    stated = {key: values.pop(key) for key in ("mask", "baseline", "gains") if key in values}
+    curve, beside = values.pop("response", None), values.pop(ARRAYS, None)
+    skin = SkinDescription(**values)  # its shape bounds the size of all arrays
+    arrays = {key: _array(key, value, skin) for key, value in stated.items()}
+    if curve is not None:
+        if not isinstance(curve, Mapping):
+            raise SkinFileError("response: expected a table of reading and force")
+        _check_keys(curve, CURVE_KEYS, "response.")
+        grid = replace(skin, placement=None)
+        arrays |= {f"response_{key}": _knots(key, value, grid) for key, value in curve.items()}
+    held = {} if beside is None else _load_arrays(beside, folder, skin.rows * skin.cols)
+    for key in held:
+        if key in arrays:
+            raise SkinFileError(f"{key}: is stated in the file and in its {ARRAYS}")
+    arrays |= held
+    response = None
+    if curve is not None or "response_reading" in arrays:
+        for key in reversed(CURVE_KEYS):
+            if f"response_{key}" not in arrays:
+                raise SkinFileError(f"response.{key}: is missing")
+        response = Response(*(arrays.pop(f"response_{key}") for key in CURVE_KEYS))
+    if skin.placement is not None:
+        placed = skin.placement.skin(skin.f_max, skin.unit)
+        arrays |= {"mask": placed.mask, "points": points_on_grid(placed)}
+    return replace(skin, response=response, **arrays)
 
 
-def _load_arrays(name: object, folder: Path, shape: tuple[int, int]) -> dict[str, Any]:
-    """The arrays of the .npz that a file names, each with its dtype checked."""
-    if not isinstance(name, str) or not name.endswith(ARRAYS_SUFFIX):
-        raise SkinFileError(f"{ARRAYS}: expected the name of an .npz, got {ascii(name)[:40]}")
-    path = folder / name
-    beside = name == Path(name).name and "\\" not in name and name.isprintable()
-    if not beside or path.resolve().parent != folder.resolve():
-        raise SkinFileError(f"{ARRAYS}: {ascii(name)[:80]} is not a file beside the skin's own")
-    size = shape[0] * shape[1]
-    most = size * (8 * (2 + MAX_KNOTS) + 4 * 6 + 1) + (1 << 16)
-    try:
-        raw = _read(path, most)
-        held = read_npz(raw, lambda names: _known_arrays(names), most)
-    except (ArrayFileError, SkinFileError) as error:
-        raise SkinFileError(f"{ARRAYS}: {name}: {error}") from error
-    found: dict[str, Any] = {}
-    for key, array in held.items():
-        wanted = np.dtype(_DTYPES.get(key, np.float64))
-        if array.dtype != wanted:
-            raise SkinFileError(f"{ARRAYS}: {name}: {key} is {array.dtype}; expected {wanted}")
-        fits = array.shape == (*shape, 6) if key == "points" else array.shape[-2:] == shape
-        if not fits or array.ndim != (3 if key in ("response_reading", "points") else 2):
-            raise SkinFileError(
-                f"{ARRAYS}: {name}: {key} has shape {array.shape}; the skin has {shape}"
-            )
-        found[key] = array.copy()  # aligned, and apart from the bytes of the file
-    return found
-
-
-def _known_arrays(names: list[str]) -> list[str]:
-    for name in names:
-        if name not in _ARRAY_NAMES:
-            hint = did_you_mean(name[:40], _ARRAY_NAMES)
-            raise ArrayFileError(f"{ascii(name)[:40]}: unknown array{hint}")
-    if len(set(names)) != len(names):
-        raise ArrayFileError("holds an array twice")
-    return names
-
-
-def _mask(value: Any, shape: tuple[int, int]) -> Mask:
-    rows, cols = shape
-    if not isinstance(value, list) or len(value) != rows:
-        raise SkinFileError(f"mask: expected a list of {rows} texts of {cols} characters 0 and 1")
-    for k, line in enumerate(value):
-        if not isinstance(line, str) or len(line) != cols or set(line) - {"0", "1"}:
-            raise SkinFileError(f"mask: row {k}: expected {cols} characters 0 and 1")
-    return np.array([[char == "1" for char in line] for line in value], dtype=np.bool_)
-
-
-def _grid(
-    key: str, value: Any, shape: tuple[int, int], placement: Placement | None = None
-) -> Doubles:
-    """One number for all taxels, or a list of rows; of points, a list in their order."""
-    if is_real(value):
-        return np.full(shape, float(value))
-    if placement is not None:
-        if not isinstance(value, list) or not all(map(is_real, value)):
-            raise SkinFileError(f"{key}: expected one number, or a list of one a taxel")
-        try:
-            return placement.on_grid(np.array(value, dtype=np.float64), unused=1.0)
-        except SourceError as error:
-            raise SkinFileError(f"{key}: {error}") from error
-    rows, cols = shape
-    if not isinstance(value, list) or len(value) != rows:
-        raise SkinFileError(f"{key}: expected one number, or a list of {rows} rows of {cols}")
-    for k, line in enumerate(value):
-        if not isinstance(line, list) or len(line) != cols or not all(map(is_real, line)):
-            raise SkinFileError(f"{key}: row {k}: expected {cols} finite numbers")
-    return np.array(value, dtype=np.float64)
+def _check_keys(table: Iterable[str], known: tuple[str, ...], before: str = "") -> None:
+    for key in table:
+        if key not in known:
+            raise SkinFileError(f"{before}{key[:40]}: unknown key{did_you_mean(key[:40], known)}")
 
 
 def _placed(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Grid and placement of the file with points that a table names."""
+    """A table with the grid and placement of the file with points that it names."""
     for key in OF_POINTS:
         if key in table:
             raise SkinFileError(f"{key}: is stated beside points, from which it follows")
-    name = table["points"]
+    values = dict(table)
+    name = values.pop("points")
     if not isinstance(name, str) or not name:
         raise SkinFileError("points: expected the name of a file")
     try:
@@ -238,39 +154,167 @@ def _placed(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     except SourceError as error:
         raise SkinFileError(f"points: {error}") from error
     rows, cols = found.shape
-    return {"rows": rows, "cols": cols, "pitch_mm": 1000 * found.pitch_m, "placement": found}
+    grid = {"rows": rows, "cols": cols, "pitch_mm": 1000 * found.pitch_m, "placement": found}
+    return values | grid
 
 
-def _response(values: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The table `response`, {} where there is none."""
-    table = values.get("response", {})
-    if not isinstance(table, Mapping):
-        raise SkinFileError("response: expected a table of reading and force")
-    for key in table:
-        if key not in _RESPONSE_KEYS:
-            hint = did_you_mean(key[:40], _RESPONSE_KEYS)
-            raise SkinFileError(f"response.{key[:40]}: unknown key{hint}")
-    return table
+def _read(path: Path, most: int) -> bytes:
+    """The bytes of a regular file of at most `most`."""
+    try:
+        with reading(str(path)) as file:
+            raw = file.read(most + 1)
+    except SourceError as error:
+        raise SkinFileError(str(error)) from error
+    if len(raw) > most:
+        raise SkinFileError(f"{path}: more than {most} bytes")
+    return raw
 
 
-def _curve(table: Mapping[str, Any], reading: Doubles | None, shape: tuple[int, int]) -> Response:
-    if "force" not in table:
-        raise SkinFileError("response.force: is missing")
-    force = _numbers("response.force", table["force"])
-    if reading is not None:
-        return Response(reading, force)
-    if "reading" not in table:
-        raise SkinFileError("response.reading: is missing")
-    value = table["reading"]
+def _load_arrays(name: object, folder: Path, n_cells: int) -> dict[str, npt.NDArray[Any]]:
+    """The arrays of the .npz that a file names."""
+    if not isinstance(name, str) or not name.endswith(ARRAYS_SUFFIX):
+        raise SkinFileError(f"{ARRAYS}: expected the name of an .npz, got {ascii(name)[:40]}")
+    path = folder / name
+    beside = name == Path(name).name and "\\" not in name and name.isprintable()
+    if not beside or path.resolve().parent != folder.resolve():
+        raise SkinFileError(f"{ARRAYS}: {ascii(name)[:80]} is not a file beside the skin's own")
+
+    most = n_cells * (8 * (2 + MAX_KNOTS) + 4 * 6 + 1) + (1 << 16)
+    try:
+        held = read_npz(_read(path, most), list, most)
+        _check_keys(held, ARRAY_NAMES)
+    except (ArrayFileError, SkinFileError) as error:
+        raise SkinFileError(f"{ARRAYS}: {name}: {error}") from error
+    return {key: array.copy() for key, array in held.items()}  # aligned
+
+
+def _array(key: str, value: Any, skin: SkinDescription) -> npt.NDArray[Any]:
+    """Mask, baseline or gains of a skin, as its file states them."""
+    if key == "mask":
+        return _rows(key, value, skin, "characters 0 and 1", lambda c: c in ("0", "1")) == "1"
+    if is_real(value):
+        return np.full(skin.shape, float(value))
+    if skin.placement is None:
+        rows = _rows(key, value, skin, "finite numbers", is_real, "one number, or ")
+        return rows.astype(np.float64)
+    if not isinstance(value, list) or not all(map(is_real, value)):
+        raise SkinFileError(f"{key}: expected one number, or a list of one a taxel")
+    try:
+        return skin.placement.on_grid(np.array(value, dtype=np.float64), unused=1.0)
+    except SourceError as error:
+        raise SkinFileError(f"{key}: {error}") from error
+
+
+def _rows(
+    key: str,
+    value: Any,
+    skin: SkinDescription,
+    what: str,
+    is_cell: Callable[[Any], bool],
+    also: str = "",
+) -> npt.NDArray[Any]:
+    """A list of rows, each of so many cells, as an array."""
+    if not isinstance(value, list) or len(value) != skin.rows:
+        raise SkinFileError(f"{key}: expected {also}a list of {skin.rows} rows of {skin.cols}")
+    for k, line in enumerate(value):
+        fits = isinstance(line, list | str) and len(line) == skin.cols and all(map(is_cell, line))
+        if not fits:
+            raise SkinFileError(f"{key}: row {k}: expected {skin.cols} {what}")
+    return np.array([list(line) for line in value])
+
+
+def _knots(key: str, value: Any, skin: SkinDescription) -> npt.NDArray[Any]:
+    """Readings or forces at the knots of the response curve."""
+    key = f"response.{key}"
+    if isinstance(value, list) and len(value) > MAX_KNOTS:
+        raise SkinFileError(f"{key}: {len(value)} knots; allowed are 1..{MAX_KNOTS}")
     if isinstance(value, list) and any(isinstance(one, list) for one in value):
-        grids = [_grid(f"response.reading, knot {k}", v, shape) for k, v in enumerate(value)]
-        return Response(np.stack(grids), force)
-    return Response(_numbers("response.reading", value), force)
-
-
-def _numbers(key: str, value: Any) -> Doubles:
+        return np.stack([_array(f"{key}, knot {k}", one, skin) for k, one in enumerate(value)])
     if not isinstance(value, list) or not all(map(is_real, value)):
         raise SkinFileError(f"{key}: expected a list of numbers")
-    if not 1 <= len(value) <= MAX_KNOTS:
-        raise SkinFileError(f"{key}: {len(value)} knots; allowed are 1..{MAX_KNOTS}")
     return np.array(value, dtype=np.float64)
+
+
+def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]:
+    """Write a skin.toml, and beside it an .npz where arrays are large; return both paths.
+
+    `load_skin` returns the same description, bit for bit.
+
+    Raises
+    ------
+    SkinFileError
+        If the name does not end in .toml.
+    OutputError
+        If one of the files exists, or cannot be written.
+    """
+    path = Path(path)
+    if path.suffix != ".toml":
+        raise SkinFileError(f"{path}: expected a name that ends in .toml")
+    large = _large_arrays(skin)
+    if skin.points is None and sum(array.size for array in large.values()) <= MAX_INLINE:
+        large = {}
+    arrays = path.with_suffix(ARRAYS_SUFFIX)
+    text = _text(skin, large, arrays.name)
+    # What cannot be read again is not written.
+    if len(text) > MAX_FILE_CHARS:
+        raise SkinFileError(f"{path}: would have {len(text)} characters; at most {MAX_FILE_CHARS}")
+    with whole_file(path) as draft:
+        draft.write_text(text, encoding="utf-8")
+        if not large:
+            return [path]
+        with whole_file(arrays) as arrays_draft, arrays_draft.open("wb") as file:
+            np.savez_compressed(file, **large)  # type: ignore[arg-type]
+    return [path, arrays]
+
+
+def _large_arrays(skin: SkinDescription) -> dict[str, npt.NDArray[Any]]:
+    """Arrays of a skin that are written beside its file: those that are not one number."""
+    curve = None if skin.response is None else skin.response.reading
+    found = {
+        "mask": skin.mask,
+        "points": skin.points,
+        "baseline": None if _is_one_number(skin.baseline) else skin.baseline,
+        "gains": None if _is_one_number(skin.gains) else skin.gains,
+        "response_reading": curve if curve is not None and curve.ndim == 3 else None,
+    }
+    return {key: array for key, array in found.items() if array is not None}
+
+
+def _is_one_number(grid: npt.NDArray[Any] | None) -> bool:
+    return grid is not None and bool((grid == grid.flat[0]).all())
+
+
+def _text(skin: SkinDescription, large: Mapping[str, Any], arrays_name: str) -> str:
+    """The content of a skin.toml."""
+    lines = ["# A skin of sparseskin: docs/calibration.md has the meaning of each key."]
+    plain = ("name", "rows", "cols", "pitch_mm", "unit", "f_max", "noise", "noise_mid", "f_min")
+    values = {key: getattr(skin, key) for key in plain}
+    lines += [f"{key} = {_value(value)}" for key, value in values.items() if value is not None]
+    if skin.mask is not None and "mask" not in large:
+        lines += _list("mask", ["".join("01"[cell] for cell in row) for row in skin.mask.tolist()])
+    for key in ("baseline", "gains"):
+        grid = getattr(skin, key)
+        if _is_one_number(grid):
+            lines.append(f"{key} = {_value(float(grid.flat[0]))}")
+        elif grid is not None and key not in large:
+            lines += _list(key, grid.tolist())
+    if large:
+        lines.append(f"{ARRAYS} = {_value(arrays_name)}")
+    if skin.response is not None:
+        lines += ["", "[response]", f"force = {_value(skin.response.force.tolist())}"]
+        if "response_reading" not in large:
+            lines.append(f"reading = {_value(skin.response.reading.tolist())}")
+    return "\n".join(lines) + "\n"
+
+
+def _list(key: str, rows: list[Any]) -> list[str]:
+    return [f"{key} = [", *(f"    {_value(row)}," for row in rows), "]"]
+
+
+def _value(value: Any) -> str:
+    """A number, list or printable text as TOML, which has the numbers and texts of JSON."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    return repr(int(value) if is_whole(value) else float(value))

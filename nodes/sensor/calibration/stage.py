@@ -15,11 +15,16 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import RefusedError, SourceError
 from sparseskin.nodes.numerics.arrays import Floats
 
-from .carried import message_of
-from .chain import MAX_TARE_FRAMES, MOVED, TARE_FRAMES, Chain, Tared
-from .description import SkinDescription, points_on_grid
+from .chain import Chain
+from .description import MAX_NAME, SkinDescription, points_on_grid
 from .drift import DRIFT_RATE
 from .zero import ZeroWatch
+
+TARE_FRAMES = 30
+"""Frames of a tare unless stated otherwise, chosen: their median has a quarter of their noise."""
+MAX_TARE_FRAMES = 10_000
+MAX_TARE_READINGS = 1 << 26
+"""Most readings of a tare, chosen: 256 MiB."""
 
 
 class Stage:
@@ -38,6 +43,11 @@ class Stage:
         True: look for noise around 0.
     log : callable
         Receives one line of text.
+
+    Raises
+    ------
+    RefusedError
+        If the frames of the tare would not fit in memory.
     """
 
     def __init__(
@@ -48,98 +58,84 @@ class Stage:
         notice: bool,
         log: Callable[[str], None],
     ) -> None:
-        self._calibrated = description.changes_readings
-        self.chain = Chain(description, self._rate(drift, tare > 0))
+        self._calibrated = description.changes_readings or tare > 0
+        self.chain = Chain(description)
+        self.set_drift(drift)
         self._log = log
-        self._watch = None
+        self._watch: ZeroWatch | None = None
         if notice and not description.f_min:
             self._watch = ZeroWatch(description.f_max, description.noise or 0.0)
-        self._starting = tare > 0
-        self.is_news = False
+        self.is_starting = tare > 0  # the tare at the start waits for frames
+        self.is_news = False  # the calibration has changed since it was published
         self._tared = ""
+        self._taring: list[npt.NDArray[Any]] = []
+        self._tare_left = 0
         if tare:
-            self._begin(tare)
+            self.tare(tare)
 
     @property
     def description(self) -> SkinDescription:
         """The skin, with the baseline in use."""
         return self.chain.description
 
-    @property
-    def is_starting(self) -> bool:
-        """True while the tare at the start waits for frames."""
-        return self._starting
-
     def set_drift(self, drift: float | None) -> None:
         """Change the largest rate of the drift that is followed."""
-        self.chain.drift.rate = self._rate(drift, self._calibrated)
+        default = DRIFT_RATE if self._calibrated else 0.0
+        self.chain.drift.rate = default if drift is None else drift
 
     def process(self, raw: npt.NDArray[Any], stamp_ns: int) -> Floats | None:
         """Return the forces of a frame; None for one of the tare at the start."""
-        if tared := self.chain.collect(raw):
-            self._report(tared)
-        if self._starting:
-            self._starting = self.chain.tare_left > 0
+        if self._tare_left:
+            self._collect(raw)
+        if self.is_starting:
+            self.is_starting = self._tare_left > 0
             return None
         if self._watch is not None:
-            self._look(raw)
+            if notice := self._watch.add(self.chain.unclipped(raw)[self.chain.skin.exists]):
+                self._log(notice)
+            if self._watch.done:
+                self._watch = None
         return self.chain.apply(raw, stamp_ns)
 
     def tare(self, value: Any) -> str:
-        """Begin a tare of `value` frames, `TARE_FRAMES` if None.
+        """Begin a tare of the next `value` frames, `TARE_FRAMES` if None; one under way is
+        forgotten.
 
         Raises
         ------
         RefusedError
-            If that is no number of frames allowed.
+            If that is no number of frames allowed, or they would not fit in memory.
         """
         n_frames = TARE_FRAMES if value is None else value
         if not is_whole(n_frames, 1, MAX_TARE_FRAMES):
             raise RefusedError(
                 f"tare: {str(value)[:40]!r} is no number of frames (allowed: 1..{MAX_TARE_FRAMES})"
             )
-        try:
-            self._begin(n_frames)
-        except SourceError as error:
-            raise RefusedError(str(error)) from error
+        most = MAX_TARE_READINGS // (self.description.rows * self.description.cols)
+        if n_frames > most:
+            raise RefusedError(f"tare: {n_frames} frames of this skin; at most {most}")
+        self._taring, self._tare_left = [], n_frames
         return f"the baseline becomes the median of the next {n_frames} frames"
 
     def state(self) -> dict[str, Any]:
         """State for the operator: frames that a tare waits for, largest drift, last tare."""
         drift = float(np.abs(self.chain.drift.value).max())
-        found = {"tare_left": self.chain.tare_left, "drift": float(f"{drift:.3g}")}
+        found = {"tare_left": self._tare_left, "drift": float(f"{drift:.3g}")}
         return {**found, "tared": self._tared} if self._tared else found
 
     def message(self, stamp_ns: int, patch: str) -> Calibration:
         """The calibration in use, as a message."""
-        return message_of(self.description, stamp_ns, patch)
+        return self.description.message(stamp_ns, patch)
 
-    def _rate(self, stated: float | None, calibrated: bool) -> float:
-        if stated is not None:
-            return stated
-        return DRIFT_RATE if calibrated or self._calibrated else 0.0
-
-    def _begin(self, n_frames: int) -> None:
-        self.chain.begin_tare(n_frames)
-
-    def _report(self, tared: Tared) -> None:
-        self.is_news = self._calibrated = True
-        skin = self.chain.skin
-        line = f"forces changed by at most {tared.largest:.3g} {skin.unit}"
-        if tared.n_moved:
-            line += f", of {tared.n_moved} taxels by more than {100 * MOVED:g} % of the range"
-            line += ": a touch while taring, or a baseline that was old"
-        self._tared = line
-        self._log(f"tared: {line}")
-
-    def _look(self, raw: npt.NDArray[Any]) -> None:
-        """Look for noise around 0, once."""
-        assert self._watch is not None
-        forces = self.chain.unclipped(raw)[self.chain.skin.exists]
-        if notice := self._watch.add(forces):
-            self._log(notice)
-        if self._watch.done:
-            self._watch = None
+    def _collect(self, raw: npt.NDArray[Any]) -> None:
+        """Add a frame to the tare under way."""
+        self._taring.append(np.array(raw, dtype=np.float32))
+        self._tare_left -= 1
+        if not self._tare_left:
+            self._tared = self.chain.tare(self._taring)
+            self._taring = []
+            self.is_news = self._calibrated = True
+            self._log(f"tared: {self._tared}")
 
 
 def fitted(description: SkinDescription, skin: Skin, where: str) -> SkinDescription:
@@ -164,12 +160,10 @@ def fitted(description: SkinDescription, skin: Skin, where: str) -> SkinDescript
 
 def described(name: str, skin: Skin) -> SkinDescription:
     """Description of a source that no file describes: its readings are forces."""
-    pitch_mm = None if skin.pitch_m is None else 1000 * skin.pitch_m
-    text = "".join(char for char in name if char.isprintable()).strip()[:64] or "skin"
+    text = "".join(char for char in name if char.isprintable()).strip()[:MAX_NAME] or "skin"
     return SkinDescription(
-        *(text, skin.n_rows, skin.n_cols, float(skin.f_max)),
-        unit=skin.unit,
-        pitch_mm=pitch_mm,
+        *(text, skin.n_rows, skin.n_cols, float(skin.f_max), skin.unit),
+        pitch_mm=None if skin.pitch_m is None else 1000 * skin.pitch_m,
         mask=skin.mask,
         points=points_on_grid(skin),
     )

@@ -131,7 +131,7 @@ def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds() 
         ("[1, 0, 0, 0]", "[1, 1, 0, 0]", "orientation: expected [w, x, y, z] of norm 1"),
         ("ratio = 2.0", "ration = 2", "(sole).compressor.ration: unknown key"),
         ("ratio = 2.0", 'phi = "acts"', "(sole).compressor.phi: acts chooses other rows"),
-        ('"sole.toml"', '"none.toml"', "none.toml: cannot be read"),
+        ('"sole.toml"', '"none.toml"', "none.toml: there is no such file"),
         ('skin = "sole.toml"', 'points = "a.csv"\nrows = 3', "rows: is stated beside points"),
         ('"sole.toml"', '"sole.toml"\nrows = 3', "(sole).rows: is stated beside skin"),
         ("[[patches]]", "[patches]", "body.toml: cannot be read"),

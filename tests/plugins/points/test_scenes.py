@@ -14,8 +14,7 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.sensor.calibration.response import SkinFileError
-from sparseskin.nodes.sensor.calibration.skin_file import load_skin
-from sparseskin.nodes.sensor.calibration.skin_writer import save_skin
+from sparseskin.nodes.sensor.calibration.skin_file import load_skin, save_skin
 from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.sensor.scenes.scenes import SKIN
 from sparseskin.plugins.points.placing import placed

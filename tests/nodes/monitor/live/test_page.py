@@ -23,7 +23,7 @@ from sparseskin.nodes.monitor.live.notices import Notices
 from sparseskin.nodes.monitor.live.server import PageServer
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
-from sparseskin.nodes.sensor.calibration.skin_writer import save_skin
+from sparseskin.nodes.sensor.calibration.skin_file import save_skin
 
 pytestmark = [
     pytest.mark.slow,

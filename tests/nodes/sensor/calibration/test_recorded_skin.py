@@ -17,11 +17,9 @@ from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.node import Recorder
-from sparseskin.nodes.sensor.calibration.carried import description_of, message_of
-from sparseskin.nodes.sensor.calibration.description import SkinDescription
+from sparseskin.nodes.sensor.calibration.description import SkinDescription, of_messages
 from sparseskin.nodes.sensor.calibration.response import Response
-from sparseskin.nodes.sensor.calibration.skin_file import load_skin
-from sparseskin.nodes.sensor.calibration.skin_writer import save_skin
+from sparseskin.nodes.sensor.calibration.skin_file import load_skin, save_skin
 from sparseskin.nodes.sensor.node import Sensor
 
 SHAPE = (8, 8)
@@ -122,7 +120,7 @@ def test_a_message_holds_a_description(own: bool) -> None:
         sigma_mid=0.5,
         sigma_end=0.5,
     )
-    found = description_of(state, message_of(skin, 0, "p"))
+    found = of_messages(state, skin.message(0, "p"))
     for field in fields(skin):
         if field.name not in ("response", "noise_mid"):
             assert getattr(found, field.name) == getattr(skin, field.name)

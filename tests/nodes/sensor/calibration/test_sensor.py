@@ -14,7 +14,8 @@ from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.calibration.response import Response
-from sparseskin.nodes.sensor.calibration.skin_writer import save_skin
+from sparseskin.nodes.sensor.calibration.skin_file import save_skin
+from sparseskin.nodes.sensor.calibration.stage import Stage
 from sparseskin.nodes.sensor.node import Sensor
 
 SHAPE = (3, 4)
@@ -127,6 +128,12 @@ def test_a_tare_is_refused_without_a_calibration_or_with_a_wrong_number() -> Non
     assert "next 30 frames" in sensor.command("tare", None)
 
 
+def test_a_tare_that_would_not_fit_in_memory_is_refused() -> None:
+    stage = Stage(SkinDescription("s", 1024, 1024, 1.0), 0, None, False, print)
+    with pytest.raises(RefusedError, match="65 frames of this skin; at most 64"):
+        stage.tare(65)
+
+
 @pytest.mark.usefixtures("folder")
 def test_a_recording_that_ends_before_its_tare_says_so() -> None:
     run = Run(tare=200)
@@ -138,7 +145,7 @@ def test_a_recording_that_ends_before_its_tare_says_so() -> None:
 @pytest.mark.parametrize(
     ("settings", "line"),
     [
-        ({"skin": "plam.toml"}, "skin: plam.toml: cannot be read"),
+        ({"skin": "plam.toml"}, "skin: plam.toml: there is no such file"),
         ({"skin": "palm.toml", "f_max": 1.0}, "f_max: the file of the skin has its own"),
         ({"skin": "palm.toml", "source": "scene:path_40"}, "skin: a scene has its own"),
         ({"tare": 10, "source": "scene:path_40"}, "tare: a scene has its own"),
