@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -159,7 +160,7 @@ class Drift:
         if self._smooth is None:
             self._smooth = mean.copy()
         self._smooth += (1 - math.exp(-dt_s / TUNING.smooth_s)) * (mean - self._smooth)
-        touched = (self._smooth > self.threshold) | (forces > 2 * self.threshold)
+        touched: Mask = (self._smooth > self.threshold) | (forces > 2 * self.threshold)
         touched |= self._light.update(mean, n, dt_s, self.rate)
         touched = of_nine(touched, np.logical_or)
         self._undo(touched & ~self._held, dt_s)
@@ -197,8 +198,9 @@ class LightPresses:
     def __init__(self, shape: tuple[int, int], noise: float, f_max: float) -> None:
         self._f_max, self._n = f_max, 0
         # Of each taxel, and of the mean of it and its eight neighbours.
-        self._sigma = noise * np.array([1, 1 / 3]).reshape(2, 1, 1)
-        self._fast, self._slow, self._base, self._rise = np.zeros((4, 2, *shape))
+        self._sigma: Doubles = noise * np.array([1, 1 / 3]).reshape(2, 1, 1)
+        zeros: Doubles = np.zeros((4, 2, *shape))
+        self._fast, self._slow, self._base, self._rise = zeros
         self._risen: Mask = np.zeros((2, *shape), np.bool_)
 
     def update(self, mean: Doubles, n: int, dt_s: float, rate: float) -> Mask:
@@ -215,24 +217,23 @@ class LightPresses:
         self._slow += slow * (means - self._slow)
         # Variance of a first-order low pass of white noise: a / (2 - a) of it.
         sigma = self._sigma * math.sqrt((fast / (2 - fast) + slow / (2 - slow)) / n)
-        least = max(t.step_least, t.step_drifts * rate * (t.slow_s - t.fast_s)) * self._f_max
-        least = np.maximum(t.step_sigmas * sigma, least)
-        step = self._fast - self._slow
+        drift = t.step_drifts * rate * (t.slow_s - t.fast_s)
+        least = np.maximum(t.step_sigmas * sigma, max(t.step_least, drift) * self._f_max)
+        step: Doubles = self._fast - self._slow
         self._risen &= step > -least
         new = (step > least) & ~self._risen
         self._base[new] = self._slow[new]
         self._rise[new] = 0.0
         self._risen |= new
-        rise = self._fast - self._base
+        rise: Doubles = self._fast - self._base
         np.maximum(self._rise, rise, out=self._rise)
         self._risen &= rise >= t.step_left * self._rise
-        found: Mask = self._risen.any(axis=0)
-        return found
+        return np.logical_or(*self._risen)
 
 
-def of_nine(field: npt.NDArray[np.generic], combine: np.ufunc) -> npt.NDArray[np.generic]:
+def of_nine(field: npt.NDArray[Any], combine: np.ufunc) -> npt.NDArray[Any]:
     """Each cell and its eight neighbours, combined; beyond the edge is 0."""
     padded = np.pad(field, 1)
     rows = combine(combine(padded[:-2], padded[1:-1]), padded[2:])
-    found: npt.NDArray[np.generic] = combine(combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
+    found: npt.NDArray[Any] = combine(combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
     return found

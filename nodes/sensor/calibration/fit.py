@@ -217,7 +217,8 @@ def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
 
 def _dead(even: Sequence[tuple[Press, Doubles]], works: Mask) -> Mask:
     """Taxels that respond to no even load that is on them."""
-    answered, covered = np.zeros((2, *works.shape), np.bool_)
+    answered: Mask = np.zeros(works.shape, np.bool_)
+    covered: Mask = np.zeros(works.shape, np.bool_)
     for press, rise in even:
         cells = press.cells(works.shape) & works
         if not cells.any():

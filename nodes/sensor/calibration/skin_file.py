@@ -110,7 +110,7 @@ def _described(table: Mapping[str, Any], folder: Path) -> SkinDescription:
     stated = {key: values.pop(key) for key in ("mask", "baseline", "gains") if key in values}
     curve, beside = values.pop("response", None), values.pop(ARRAYS, None)
     skin = SkinDescription(**values)  # its shape bounds the size of all arrays
-    arrays = {key: _array(key, value, skin) for key, value in stated.items()}
+    arrays: dict[str, Any] = {key: _array(key, value, skin) for key, value in stated.items()}
     if curve is not None:
         if not isinstance(curve, Mapping):
             raise SkinFileError("response: expected a table of reading and force")
@@ -191,7 +191,8 @@ def _load_arrays(name: object, folder: Path, n_cells: int) -> dict[str, npt.NDAr
 def _array(key: str, value: Any, skin: SkinDescription) -> npt.NDArray[Any]:
     """Mask, baseline or gains of a skin, as its file states them."""
     if key == "mask":
-        return _rows(key, value, skin, "characters 0 and 1", lambda c: c in ("0", "1")) == "1"
+        cells = _rows(key, value, skin, "characters 0 and 1", lambda c: c in ("0", "1"))
+        return np.asarray(cells == "1")
     if is_real(value):
         return np.full(skin.shape, float(value))
     if skin.placement is None:

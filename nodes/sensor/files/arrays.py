@@ -34,8 +34,8 @@ from .parsed import (
     check_grid,
     is_missing,
     is_number,
+    parse_frame,
     parse_number,
-    parse_reading,
     shown,
     stack_frames,
 )
@@ -239,11 +239,7 @@ class PlainCsvRecording(Recording):
                 f"{where}: holds {len(tokens)} cells, but n_rows x n_cols = "
                 f"{n_rows} x {n_cols} needs {n_rows * n_cols}"
             )
-        readings = [
-            parse_reading(token, where, *divmod(k, n_cols), self._policy)
-            for k, token in enumerate(tokens)
-        ]
-        return np.array(readings).reshape(n_rows, n_cols)
+        return parse_frame(tokens, where, self._shape, self._policy)
 
 
 def _vendor(line: str) -> str:

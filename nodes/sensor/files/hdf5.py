@@ -20,7 +20,6 @@ from .parsed import Head, Parsed, Recording, shown
 INSTALL = 'reading HDF5 needs h5py; pip install "sparseskin[files]"'
 _MOST_OBJECTS = 1000
 """Groups and datasets that are looked at; chosen, far above those of a recording."""
-_MOST_DEPTH = 8
 _FILTERS = {"gzip", "lzf", "szip", None}
 _MATLAB_CLASS = "MATLAB_class"
 
@@ -119,20 +118,18 @@ def _opened(name: str) -> Iterator[Any]:
 def _forces(file: Any, h5py: Any, name: str) -> Any:
     """The dataset of frames."""
     found: dict[str, Any] = {}
-    waiting, n_seen = [(file, "", 0)], 0
-    while waiting:
-        group, path, depth = waiting.pop()
-        for key in group:
-            n_seen += 1
-            if n_seen > _MOST_OBJECTS:
-                raise SourceError(f"{name}: holds more than {_MOST_OBJECTS} objects")
-            if not isinstance(group.get(key, getlink=True), h5py.HardLink):
-                continue
-            one = group[key]
-            if isinstance(one, h5py.Group) and depth < _MOST_DEPTH and not key.startswith("#"):
-                waiting.append((one, f"{path}/{key}", depth + 1))
-            elif isinstance(one, h5py.Dataset) and one.dtype.kind in "iufb":
-                found[f"{path}/{key}"] = one
+    n_seen = 0
+
+    def note(path: str, one: Any) -> None:
+        nonlocal n_seen
+        n_seen += 1
+        if n_seen > _MOST_OBJECTS:
+            raise SourceError(f"{name}: holds more than {_MOST_OBJECTS} objects")
+        hidden = any(part.startswith("#") for part in path.split("/"))  # of MATLAB's own
+        if isinstance(one, h5py.Dataset) and one.dtype.kind in "iufb" and not hidden:
+            found[f"/{path}"] = one
+
+    file.visititems(note)  # follows neither soft nor external links
     named = [path for path in found if path.endswith("/forces")]
     if len(named) == 1:
         return found[named[0]]

@@ -6,9 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-
-from sparseskin.messages.fields import MAX_ELEMENTS
 
 from .parsed import HOLD, KEEP, MASK, OFFSET, REFUSE, ZERO, Parsed, Policy
 
@@ -63,58 +60,33 @@ def treat(parsed: Parsed, policy: Policy) -> tuple[Parsed, Treated]:
     Those of a kind that is refused remain, for `check_readings` to name. Cells without a taxel are
     not looked at.
     """
-    if policy.refuses or not len(parsed.forces):
+    allowed = policy.nan == REFUSE and policy.negative in (REFUSE, KEEP)
+    if allowed or not len(parsed.forces):
         return parsed, Treated()
-    bad_nan, n_nan = _counted(parsed.forces, _not_finite)
-    bad_negative, n_negative = _counted(parsed.forces, _below_zero)
-    n_nan *= policy.nan != REFUSE
-    n_negative *= policy.negative not in (REFUSE, KEEP)
-    if not (n_nan or n_negative):
-        return parsed, Treated()
-    exists = np.ones(bad_nan.shape, np.bool_) if parsed.mask is None else parsed.mask
     forces = np.array(parsed.forces, dtype=np.result_type(parsed.forces.dtype, np.float32))
+    finite = np.isfinite(forces)
+    is_nan = ~finite & (policy.nan != REFUSE)
+    is_negative = finite & (forces < 0) & (policy.negative not in (REFUSE, KEEP))
+    exists = np.ones(forces.shape[1:], np.bool_) if parsed.mask is None else parsed.mask
     gone = np.zeros_like(exists)
-    if n_nan and policy.nan == MASK:
-        gone |= bad_nan
-    if n_negative and policy.negative == MASK:
-        gone |= bad_negative
+    for way, bad in ((policy.nan, is_nan), (policy.negative, is_negative)):
+        if way == MASK:
+            gone |= bad.any(axis=0)
     forces[:, gone] = 0
-    if n_nan and policy.nan in (ZERO, HOLD):
+    if policy.nan in (ZERO, HOLD):
         held = np.zeros(exists.shape, forces.dtype)
-        for frame in forces:
-            finite = np.isfinite(frame)
-            frame[~finite] = held[~finite]
+        for frame, bad in zip(forces, is_nan, strict=True):
+            frame[bad] = held[bad]
             if policy.nan == HOLD:
-                held = frame.copy()
+                held = frame
     offset = 0.0
-    if n_negative and policy.negative == ZERO:
-        np.maximum(forces, 0, out=forces, where=np.isfinite(forces))
-    if n_negative and policy.negative == OFFSET:
+    if policy.negative == ZERO:
+        forces[is_negative] = 0
+    elif policy.negative == OFFSET:
         offset = float(forces.min(initial=0.0, where=np.isfinite(forces)))
         forces[:, exists & ~gone] -= forces.dtype.type(offset)
-    mask = parsed.mask if not gone.any() else exists & ~gone
-    n_masked = int((gone & exists).sum())
+    mask = exists & ~gone if gone.any() else parsed.mask
+    n_bad = (int(np.count_nonzero(is_nan)), int(np.count_nonzero(is_negative)))
     f_max = None if parsed.f_max is None else parsed.f_max - offset
-    treated = Treated(n_nan, n_negative, n_masked, offset)
+    treated = Treated(*n_bad, int((gone & exists).sum()), offset)
     return replace(parsed, forces=forces, mask=mask, f_max=f_max), treated
-
-
-def _not_finite(values: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
-    bad: npt.NDArray[np.bool_] = ~np.isfinite(values)
-    return bad
-
-
-def _below_zero(values: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
-    bad: npt.NDArray[np.bool_] = np.isfinite(values) & (values < 0)
-    return bad
-
-
-def _counted(forces: npt.NDArray[Any], is_bad: Any) -> tuple[npt.NDArray[np.bool_], int]:
-    """Cells that are bad in some frame, bool (n_rows, n_cols), and the number of bad readings."""
-    cells, count = np.zeros(forces.shape[1:], np.bool_), 0
-    step = max(1, MAX_ELEMENTS // max(1, forces[0].size))
-    for first in range(0, len(forces), step):
-        bad = is_bad(forces[first : first + step])
-        cells |= bad.any(axis=0)
-        count += int(np.count_nonzero(bad))
-    return cells, count

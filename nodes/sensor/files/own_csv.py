@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 import math
 import re
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.messages.fields import MAX_SIDE
-from sparseskin.messages.ranges import INT64_MAX, is_real, is_whole
+from sparseskin.messages.ranges import INT64_MAX, is_real
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.arrays import Mask
 
+from .arrays import parsed_arrays
 from .parsed import (
     Head,
     Lines,
@@ -22,7 +22,7 @@ from .parsed import (
     Policy,
     Recording,
     check_grid,
-    parse_reading,
+    parse_frame,
     parse_whole,
     shown,
     stack_frames,
@@ -54,15 +54,15 @@ class OwnCsvRecording(Recording):
 
     def __init__(self, lines: Lines, policy: Policy) -> None:
         self._lines, self._policy = lines, policy
-        self._skin, self._columns, self._shape = _head(lines)
-        self._mask = _mask(self._skin, self._shape, lines.name)
+        self._stated, self._columns, self._shape = _head(lines)
 
     def head(self) -> Head:
-        n_taxels = math.prod(self._shape) if self._mask is None else int(self._mask.sum())
-        return Head(*self._shape, n_taxels, _text(self._skin, "unit"))
+        mask, unit = self._stated.get("mask"), self._stated.get("unit")
+        n_taxels = math.prod(self._shape) if mask is None else int(mask.sum())
+        return Head(*self._shape, n_taxels, None if unit is None else str(unit))
 
     def read(self) -> Parsed:
-        skin, columns, (n_rows, n_cols) = self._skin, self._columns, self._shape
+        columns, name = self._columns, self._lines.name
         first = columns.index("r0c0")
         at = columns.index("stamp_ns") if "stamp_ns" in columns else None
         frames, stamps = [], []
@@ -74,31 +74,15 @@ class OwnCsvRecording(Recording):
                 raise SourceError(f"{where}: holds {len(tokens)} cells, its header {len(columns)}")
             if at is not None:
                 stamps.append(_stamp(tokens[at], where))
-            cells = [
-                parse_reading(token, where, *divmod(k, n_cols), self._policy)
-                for k, token in enumerate(tokens[first : first + n_rows * n_cols])
-            ]
-            frames.append(np.array(cells).reshape(n_rows, n_cols))
-        for k, (before, stamp) in enumerate(pairwise(stamps), start=1):
-            if stamp <= before:
-                raise SourceError(
-                    f"{self._lines.name}: stamp {k} is {stamp}, not after the one before it, "
-                    f"{before}"
-                )
-        return Parsed(
-            forces=stack_frames(frames, self._lines.name),
-            unit=_text(skin, "unit"),
-            rate_hz=_number(skin, "rate_hz"),
-            stamp_ns=tuple(stamp - stamps[0] for stamp in stamps) if stamps else None,
-            pitch_m=_number(skin, "pitch_m"),
-            mask=self._mask,
-            f_max=_number(skin, "f_max"),
-        )
+            cells = tokens[first : first + math.prod(self._shape)]
+            frames.append(parse_frame(cells, where, self._shape, self._policy))
+        arrays = {**self._stated, "forces": stack_frames(frames, name)}
+        return parsed_arrays(arrays | ({"stamp_ns": np.array(stamps)} if stamps else {}), name)
 
 
-def _head(lines: Lines) -> tuple[dict[str, Any], list[str], tuple[int, int]]:
-    """Read to the first frame: what the file states of the skin, the names of its columns, and the
-    shape of a frame.
+def _head(lines: Lines) -> tuple[dict[str, npt.NDArray[Any]], list[str], tuple[int, int]]:
+    """Read to the first frame: what the file states of the skin, as arrays of an .npz, the names of
+    its columns, and the shape of a frame.
     """
     title, stated, names = (next(lines, "") for _ in range(3))
     if names.startswith(POINT_ROWS):
@@ -128,7 +112,7 @@ def _head(lines: Lines) -> tuple[dict[str, Any], list[str], tuple[int, int]]:
     if columns[first : first + len(expected)] != expected:
         fault = f"the columns are not r0c0..{last[0]}, row after row"
         raise SourceError(f"{lines.where}: {fault}")
-    return skin, columns, (n_rows, n_cols)
+    return _stated(skin, lines.name, (n_rows, n_cols)), columns, (n_rows, n_cols)
 
 
 def _stamp(token: str, where: str) -> int:
@@ -137,23 +121,19 @@ def _stamp(token: str, where: str) -> int:
     return int(token)
 
 
-def _text(skin: dict[str, Any], key: str) -> str | None:
-    value = skin.get(key)
-    return value if isinstance(value, str) and value else None
-
-
-def _number(skin: dict[str, Any], key: str) -> float | None:
-    value = skin.get(key)
-    return float(value) if is_real(value, 1e-9, 1e30) or is_whole(value, 1) else None
-
-
-def _mask(skin: dict[str, Any], shape: tuple[int, int], name: str) -> Mask | None:
-    rows = skin.get("mask")
-    if rows is None:
-        return None
-    right = isinstance(rows, list) and len(rows) == shape[0]
-    if not (right and all(isinstance(r, str) and re.fullmatch("[01]*", r) for r in rows)):
-        raise SourceError(f"{name}, line 2: mask; expected {shape[0]} texts of 0 and 1")
-    if any(len(row) != shape[1] for row in rows):
-        raise SourceError(f"{name}, line 2: mask; expected {shape[1]} of 0 and 1 in each row")
-    return np.array([[cell == "1" for cell in row] for row in rows], dtype=np.bool_)
+def _stated(skin: dict[str, Any], name: str, shape: tuple[int, int]) -> dict[str, npt.NDArray[Any]]:
+    """What a file states of its skin; a property that is not as written by an export is none."""
+    found: dict[str, npt.NDArray[Any]] = {}
+    for key in ("rate_hz", "pitch_m", "f_max"):
+        if is_real(skin.get(key), 1e-9, 1e30):
+            found[key] = np.array(float(skin[key]))
+    if isinstance(skin.get("unit"), str) and skin["unit"]:
+        found["unit"] = np.array(skin["unit"])
+    if (rows := skin.get("mask")) is not None:
+        right = isinstance(rows, list) and len(rows) == shape[0]
+        if not (right and all(isinstance(r, str) and re.fullmatch("[01]*", r) for r in rows)):
+            raise SourceError(f"{name}, line 2: mask; expected {shape[0]} texts of 0 and 1")
+        if any(len(row) != shape[1] for row in rows):
+            raise SourceError(f"{name}, line 2: mask; expected {shape[1]} of 0 and 1 in each row")
+        found["mask"] = np.array([[cell == "1" for cell in row] for row in rows])
+    return found

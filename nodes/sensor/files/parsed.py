@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,20 +20,14 @@ from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 
 MAX_READING = 1e30
 """Largest reading, chosen: float32 holds it, and the sum of a frame of such readings."""
-
-
 _MISSING = frozenset({"", "nan", "na", "n/a", "null", "none", "inf", "+inf", "-inf"})
 """Cells of a .csv that hold no finite number."""
 NAN_HINT = "; or set nan to zero, hold or mask"
 NEGATIVE_HINT = "; or set negative to zero, offset or mask"
-
-
 MAX_LINE_BYTES = 1 << 26
 """Longest line of a text file; chosen: a line of 2**20 readings has 20 MB."""
 NO_UNIT = ": a .csv of numbers does not state its unit; set unit, e.g. N"
 """Refusal of a plain .csv, after its name."""
-
-
 REFUSE, ZERO, HOLD, OFFSET, MASK = "refuse", "zero", "hold", "offset", "mask"
 NAN_WAYS = (REFUSE, ZERO, HOLD, MASK)
 """Readings that are NaN or infinite: the file is refused; they become 0, or the last finite reading
@@ -69,11 +63,6 @@ class Policy:
     def low(self) -> float:
         """Smallest reading that is not refused."""
         return {REFUSE: 0.0, KEEP: -MAX_READING}.get(self.negative, -math.inf)
-
-    @property
-    def refuses(self) -> bool:
-        """True if all invalid readings are refused."""
-        return self.nan == self.negative == REFUSE
 
 
 DEFAULT_POLICY = Policy()
@@ -348,6 +337,18 @@ def check_readings(forces: npt.NDArray[Any], where: str, low: float = 0.0) -> No
             for frame, row, col in np.argwhere(bad)[:1]:
                 place = f"{where}: frame {first + frame}, row {row}, column {col}"
                 raise SourceError(f"{place}: {values[frame, row, col]:g} {what}")
+
+
+def parse_frame(
+    tokens: Sequence[str], where: str, shape: tuple[int, int], policy: Policy
+) -> Doubles:
+    """Read the cells of a frame, row after row, float64 of that shape; raises as `parse_reading`,
+    by whose policy.
+    """
+    readings = [
+        parse_reading(token, where, *divmod(k, shape[1]), policy) for k, token in enumerate(tokens)
+    ]
+    return np.array(readings).reshape(shape)
 
 
 def stack_frames(frames: list[npt.NDArray[Any]], where: str) -> Doubles:
