@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,18 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sparseskin.launch.commands.cli import main
-from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.messages import (
     Measurements,
     MessageError,
-    Reconstruction,
-    Taxels,
-    decode,
-    encode,
 )
-from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.acts import (
     ActsPhi,
     ActsSearch,
@@ -165,105 +156,12 @@ def test_places_that_do_not_fit_are_refused(kind: str, places: Any, text: str) -
         follow(make_phi(kind, 100, 4, seed=0), places)
 
 
-def message(places: Any) -> Measurements:
-    y = np.ones(4, np.float32)
-    return Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16, places=places)
-
-
-def test_places_travel_and_are_absent_where_there_are_none() -> None:
-    sent = message(packed_places(np.array([1, 8, 30, 99]), 100))
-    assert decode(*encode(sent)) == sent
-    assert b"places" in encode(sent)[1]
-    assert b"places" not in encode(message(None))[1]
-    assert decode(*encode(message(None))).places is None  # type: ignore[attr-defined]
-
-
 def test_places_that_are_not_as_many_as_the_measurements_are_malformed() -> None:
     with pytest.raises(MessageError, match="places: 3 of them for 4 measurements"):
-        message(packed_places(np.arange(3), 100))
-
-
-def test_rows_that_are_chosen_anew_do_not_rotate() -> None:
-    with pytest.raises(LaunchError, match='"rotating" is not allowed for phi "acts"'):
-        load("path_40", [*ACTS, "compressor.rows=rotating"])
-    assert load("path_40", [*ACTS]).nodes["compressor"].settings.rows_and_m(1600)[0] == "fixed"
-
-
-def graph(*overrides: str, name: str = "path_40") -> Bus:
-    nodes = load(name, [*overrides]).nodes.values()
-    return Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
-
-
-def messages_of(bus: Bus, kind: type[Any], n_frames: int) -> list[Any]:
-    return [m for frame in bus.frames(n_frames) for m in frame if isinstance(m, kind)]
-
-
-def test_a_stream_reconstructs_readings_unchanged() -> None:
-    bus = graph(*ACTS, "compressor.bits=12")
-    frames = list(bus.frames(3))
-    for frame in frames:
-        (taxels,) = [m for m in frame if isinstance(m, Taxels)]
-        (made,) = [m for m in frame if isinstance(m, Measurements)]
-        (reconstructed,) = [m for m in frame if isinstance(m, Reconstruction)]
-        read = np.flatnonzero(np.unpackbits(made.places))
-        np.testing.assert_allclose(made.y, taxels.forces.reshape(-1)[read], atol=1e-3)
-        np.testing.assert_array_equal(reconstructed.forces.reshape(-1)[read], np.maximum(made.y, 0))
-        assert reconstructed.residual == 0
-
-
-@pytest.mark.parametrize("overrides", [ACTS, ("compressor.rows=fixed",)])
-def test_m_changes_while_the_graph_runs(overrides: tuple[str, ...]) -> None:
-    bus = graph(*overrides)
-    messages = []
-    for k, frame in enumerate(bus.frames(6), start=1):
-        messages += frame
-        if k == 3:
-            bus._deliver(bus.hosts["compressor"].change({"ratio": 8.0}))
-    sizes = [len(m.y) for m in messages if isinstance(m, Measurements)]
-    assert sizes == [533] * 3 + [200] * 3
-    reconstructed = [m.phi for m in messages if isinstance(m, Reconstruction)]
-    assert reconstructed == [m.phi for m in messages if isinstance(m, Measurements)]
-    # An untouched skin, before and after.
-    errors = [float(np.abs(m.forces).max()) for m in messages if isinstance(m, Reconstruction)]
-    assert max(errors) < 0.1
-    assert bus.hosts["reconstructor"].counts.refused == {}
-
-
-@pytest.mark.parametrize(
-    ("overrides", "text"),
-    [
-        (ACTS[:1], 'solver "skin": phi "acts" reads other taxels each frame'),
-        ((ACTS[0], "reconstructor.preset=paper"), 'solver "fista": phi "acts" reads other taxels'),
-        (ACTS[1:], 'solver "interpolation": phi "sbhe" mixes taxels; allowed: acts, subsample'),
-    ],
-)
-def test_solver_and_phi_that_do_not_go_together_are_refused_in_one_line(
-    overrides: tuple[str, ...], text: str
-) -> None:
-    with pytest.raises(LaunchError) as refused:
-        graph(*overrides)
-    (line,) = refused.value.lines
-    assert text in line
-
-
-def test_a_recording_replays_and_is_reprocessed_to_the_same_bits(tmp_path: Path) -> None:
-    bag = tmp_path / "acts.mcap"
-    nodes = load("path_40", [*ACTS], str(bag)).nodes.values()
-    bus = Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
-    streamed = messages_of(bus, Reconstruction, 6)
-    bus.close()
-    replay = graph(f"player.file={bag}", ACTS[1], name="replay_measurements")
-    replayed = messages_of(replay, Reconstruction, 6)
-    replay.close()
-    assert len(streamed) == len(replayed) == 6
-    for once, again in zip(streamed, replayed, strict=True):
-        np.testing.assert_array_equal(once.forces, again.forces)
-        assert once.phi == again.phi
-    # From the taxels, the edge chooses as it chose before.
-    out = tmp_path / "again.mcap"
-    changes = [argument for text in ACTS for argument in ("--set", text)]
-    assert main(["reprocess", str(bag), *changes, "--out", str(out)]) == 0
-    again_bus = graph(f"player.file={out}", ACTS[1], name="replay_measurements")
-    for once, again in zip(streamed, messages_of(again_bus, Reconstruction, 6), strict=True):
-        np.testing.assert_array_equal(once.forces, again.forces)
-    again_bus.close()
+        Measurements(
+            stamp_ns=1,
+            patch="skin",
+            y=np.ones(4, np.float32),
+            phi="0" * 16,
+            places=packed_places(np.arange(3), 100),
+        )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sparseskin.launch.commands.cli import main
-from sparseskin.launch.launchfile.load import LaunchError, load
-from sparseskin.messages import Measurements, Reconstruction, decode, encode
-from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.adaptive import (
     AdaptiveChoice,
     AdaptivePhi,
@@ -25,8 +19,6 @@ from sparseskin.nodes.compressor.phi.adaptive import (
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats
-
-ADAPTIVE = "compressor.phi=adaptive"
 
 
 def phi_of(exists: npt.NDArray[np.bool_], m: int) -> AdaptivePhi:
@@ -169,77 +161,3 @@ GRID = np.ones((16, 16), np.bool_)
 def test_nodes_that_do_not_fit_are_refused(phi: Phi, code: Any, text: str) -> None:
     with pytest.raises(PhiError, match=text):
         follow_nodes(phi, code)
-
-
-def test_nodes_travel_and_are_absent_where_there_are_none() -> None:
-    def message(nodes: Any) -> Measurements:
-        y = np.ones(4, np.float32)
-        return Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16, nodes=nodes)
-
-    sent = message(np.array([7, 9], np.uint8))
-    assert decode(*encode(sent)) == sent
-    assert b"nodes" not in encode(message(None))[1]
-
-
-def graph(*overrides: str, name: str = "path_40") -> Bus:
-    nodes = load(name, [*overrides]).nodes.values()
-    return Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
-
-
-def reconstructions(bus: Bus, n_frames: int) -> list[Reconstruction]:
-    return [m for frame in bus.frames(n_frames) for m in frame if isinstance(m, Reconstruction)]
-
-
-def test_a_stream_is_reconstructed_and_m_changes_while_it_runs() -> None:
-    bus = graph(ADAPTIVE, "compressor.bits=12")
-    messages = []
-    for k, frame in enumerate(bus.frames(6), start=1):
-        messages += frame
-        if k == 3:
-            bus._deliver(bus.hosts["compressor"].change({"ratio": 8.0}))
-    made = [m for m in messages if isinstance(m, Measurements)]
-    assert [len(m.y) for m in made] == [533] * 3 + [200] * 3
-    assert all(m.nodes is not None and m.nodes.size < len(m.y) / 4 for m in made)
-    assert len([m for m in messages if isinstance(m, Reconstruction)]) == 6
-    assert bus.hosts["reconstructor"].counts.refused == {}
-
-
-@pytest.mark.parametrize(
-    ("overrides", "text"),
-    [
-        (
-            ("reconstructor.preset=paper",),
-            'solver "fista": phi "adaptive" reads other rows each frame; allowed: skin',
-        ),
-        (("compressor.rows=rotating",), '"rotating" is not allowed for phi "adaptive"'),
-        (("reconstructor.resultant=true",), "resultant=true: is not available with phi adaptive"),
-    ],
-)
-def test_settings_that_do_not_go_together_are_refused_in_one_line(
-    overrides: tuple[str, ...], text: str
-) -> None:
-    with pytest.raises(LaunchError) as refused:
-        graph(ADAPTIVE, *overrides)
-    (line,) = refused.value.lines
-    assert text in line
-
-
-def test_a_recording_replays_and_is_reprocessed_to_the_same_bits(tmp_path: Path) -> None:
-    bag = tmp_path / "adaptive.mcap"
-    nodes = load("path_40", [ADAPTIVE], str(bag)).nodes.values()
-    bus = Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
-    streamed = reconstructions(bus, 6)
-    bus.close()
-    replay = graph(f"player.file={bag}", name="replay_measurements")
-    replayed = reconstructions(replay, 6)
-    replay.close()
-    # From the taxels, the edge chooses as it chose before.
-    out = tmp_path / "again.mcap"
-    assert main(["reprocess", str(bag), "--set", ADAPTIVE, "--out", str(out)]) == 0
-    again_bus = graph(f"player.file={out}", name="replay_measurements")
-    again = reconstructions(again_bus, 6)
-    again_bus.close()
-    assert len(streamed) == len(replayed) == len(again) == 6
-    for one, two, three in zip(streamed, replayed, again, strict=True):
-        np.testing.assert_array_equal(one.forces, two.forces)
-        np.testing.assert_array_equal(one.forces, three.forces)

@@ -12,6 +12,7 @@ import pytest
 import scipy.sparse
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from matrices import assert_operators
 
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.messages import Measurements, PhiState, Reconstruction
@@ -36,15 +37,10 @@ def test_operators_are_adjoint_and_are_those_of_the_file(m: int, n: int, tmp_pat
     matrix = matrix_of(m, n)
     scipy.sparse.save_npz(path, matrix)
     phi = make_phi(f"file:{path}", n, m, 0)
-    rng = np.random.default_rng(1)
-    u, v = rng.standard_normal(n).astype(np.float32), rng.standard_normal(m).astype(np.float32)
-    forward, back = phi.forward(u), phi.adjoint(v)
-    scale = np.linalg.norm(u) * np.linalg.norm(v) * np.sqrt(phi.lipschitz)
-    assert abs(float(forward.astype(float) @ v) - float(u.astype(float) @ back)) <= 2e-6 * scale
+    assert_operators(phi)
     np.testing.assert_allclose(phi.dense(), matrix.toarray())
-    np.testing.assert_allclose(forward, matrix @ u, atol=1e-5)
     largest = np.linalg.eigvalsh(phi.dense() @ phi.dense().T)[-1]
-    assert largest <= phi.lipschitz * (1 + 1e-6) <= 1.1 * largest * (1 + 1e-6)
+    assert phi.lipschitz <= 1.1 * largest * (1 + 1e-6)
     assert rows_and_m(phi.kind, n) == ("fixed", m)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matrices import assert_operators
 
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
@@ -27,20 +28,6 @@ def laid_out(kind: str, shape: tuple[int, int], m: int, seed: int = 0) -> Phi:
     phi = make_phi(kind, shape[0] * shape[1], m, seed)
     layout(phi, np.ones(shape, dtype=np.bool_))
     return phi
-
-
-def assert_operators(phi: Phi) -> None:
-    """The dot test, and agreement of both directions with the dense matrix."""
-    rng = np.random.default_rng(5)
-    u = rng.standard_normal(phi.n).astype(np.float32)
-    v = rng.standard_normal(phi.m).astype(np.float32)
-    ahead, back, dense = phi.forward(u), phi.adjoint(v), phi.dense()
-    scale = float(np.linalg.norm(u) * np.linalg.norm(v)) * np.sqrt(phi.lipschitz)
-    assert abs(float(ahead.astype(float) @ v) - float(u.astype(float) @ back)) <= 2e-6 * scale
-    np.testing.assert_allclose(ahead, dense @ u, atol=1e-5)
-    np.testing.assert_allclose(back, dense.T @ v, atol=1e-5)
-    largest = np.linalg.eigvalsh(dense @ dense.T)[-1]
-    assert phi.lipschitz >= largest * (1 - 1e-6)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
