@@ -57,5 +57,6 @@ def test_a_driver_is_looked_for_in_the_current_directory_where_it_is_not_install
     source: str, found: bool, tmp_path: Path
 ) -> None:
     (tmp_path / "own_driver.py").write_text("def frames(): yield\n")
-    code = f"from sparseskin.nodes.sensor.sources import check_source; check_source({source!r})"
+    code = "from sparseskin.nodes.sensor.sources import find_address; "
+    code += f"find_address({source!r}).check()"
     assert searched(code, tmp_path) == found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Iterator
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -40,7 +40,6 @@ class DriverSource(LiveSource):
         *,
         f_max: float | None,
         unit: str | None,
-        rate_hz: float | None,
         raw: bool = False,
     ) -> None:
         super().__init__()
@@ -53,17 +52,24 @@ class DriverSource(LiveSource):
         self._is_one_shot = False
         self._iterator: Iterator[object] | None = None
         try:
-            own_skin = getattr(driver, "skin", None)
-            own_name = getattr(driver, "name", None)
-            own_delivers = getattr(driver, "delivers", "taxels")
-            own_rate = getattr(driver, "rate_hz", None)
-            own_length = getattr(driver, "n_frames", None)
+            own_skin, own_name, delivers, own_rate, own_length = (
+                getattr(driver, key, None)
+                for key in ("skin", "name", "delivers", "rate_hz", "n_frames")
+            )
         except Exception as error:
             raise _failure(target, error) from error
+        if delivers not in (None, "truth", "taxels"):
+            raise SourceError(f"{target}: delivers = {shown(delivers)}; allowed are truth, taxels")
+        if own_length is not None and not is_whole(own_length, 0):
+            raise SourceError(
+                f"{target}: n_frames = {shown(own_length)}; expected a whole number, or None if "
+                "endless"
+            )
+        check_number(target, "rate_hz", own_rate)
         self.name: str = own_name if isinstance(own_name, str) and own_name else target
-        self.delivers: Literal["truth", "taxels"] = _delivers(own_delivers, target)
-        self.rate_hz: float | None = rate_hz if rate_hz is not None else _rate(own_rate, target)
-        self.n_frames: int | None = _length(own_length, target)
+        self.delivers: Literal["truth", "taxels"] = "truth" if delivers == "truth" else "taxels"
+        self.rate_hz: float | None = None if own_rate is None else float(own_rate)
+        self.n_frames: int | None = None if own_length is None else int(own_length)
         if own_skin is not None:
             self.skin: Skin = self._own_skin(own_skin, f_max, unit)
         else:
@@ -247,7 +253,6 @@ def open_callable(
     *,
     f_max: float | None = None,
     unit: str | None = None,
-    rate_hz: float | None = None,
     raw: bool = False,
 ) -> DriverSource:
     """Open a user's sensor driver.
@@ -262,8 +267,6 @@ def open_callable(
         frame is pulled at once, to learn the shape.
     f_max, unit : float, str, optional
         Upper end of the range and its unit; by default those of the driver's skin, or 2.5 N.
-    rate_hz : float, optional
-        Frame rate, in place of the driver's own.
     raw : bool
         True: readings are not clipped to the range.
 
@@ -274,7 +277,6 @@ def open_callable(
         out of range or contradicts the driver's skin. Iteration raises it for later frames.
     """
     check_number(target, "f_max", f_max)
-    check_number(target, "rate_hz", rate_hz)
     check_unit(target, unit)
     make = find_callable(target, SourceError)
     try:
@@ -286,29 +288,8 @@ def open_callable(
             f"{target}: returned {type(driver).__name__}; expected a generator or an iterable of "
             "(stamp_ns, forces)"
         )
-    return DriverSource(target, driver, f_max=f_max, unit=unit, rate_hz=rate_hz, raw=raw)
+    return DriverSource(target, driver, f_max=f_max, unit=unit, raw=raw)
 
 
 def _failure(target: str, error: Exception) -> SourceError:
     return SourceError(f"{target}: the driver failed: {one_line(error)}")
-
-
-def _delivers(value: object, target: str) -> Literal["truth", "taxels"]:
-    if value not in ("truth", "taxels"):
-        raise SourceError(f"{target}: delivers = {shown(value)}; allowed are truth, taxels")
-    return "truth" if value == "truth" else "taxels"
-
-
-def _rate(value: Any, target: str) -> float | None:
-    check_number(target, "rate_hz", value)
-    return None if value is None else float(value)
-
-
-def _length(value: Any, target: str) -> int | None:
-    if value is None:
-        return None
-    if not is_whole(value, 0):
-        raise SourceError(
-            f"{target}: n_frames = {shown(value)}; expected a whole number, or None if endless"
-        )
-    return int(value)

@@ -89,24 +89,6 @@ def find_address(source: str, **stated: Any) -> Address:
     return DriverAddress(source, **stated)
 
 
-def check_source(
-    source: str,
-    n_rows: int | None = None,
-    n_cols: int | None = None,
-    unit: str | None = None,
-    policy: Policy = DEFAULT_POLICY,
-) -> None:
-    """Check that a source exists, without opening it; of a file the begin is read. Arguments as of
-    `open_source`.
-
-    Raises
-    ------
-    SourceError
-        As `find_address` and `Address.check`.
-    """
-    find_address(source, n_rows=n_rows, n_cols=n_cols, unit=unit, policy=policy).check()
-
-
 class DriverAddress(Address):
     """A driver of a user's own: module:callable."""
 

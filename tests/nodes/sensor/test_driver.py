@@ -59,10 +59,10 @@ class TestFrames:
         with pytest.raises(SourceError, match="n_cols = 4 is stated, but the frames have 3"):
             open_source(f"{name}:frames", seed=0, n_rows=2, n_cols=4)
 
-    def test_settings_give_range_unit_and_rate(self, module: Writer) -> None:
+    def test_settings_give_range_and_unit(self, module: Writer) -> None:
         name = module("def frames():\n    yield 0, np.full((1, 2), 90)\n")
-        source = open_callable(f"{name}:frames", f_max=100, unit="raw", rate_hz=50)
-        assert (source.skin.f_max, source.skin.unit, source.rate_hz) == (100.0, "raw", 50)
+        source = open_callable(f"{name}:frames", f_max=100, unit="raw")
+        assert (source.skin.f_max, source.skin.unit) == (100.0, "raw")
         assert source.clipped.n == 0
 
     def test_readings_beyond_the_range_saturate_and_are_counted(self, module: Writer) -> None:
@@ -259,7 +259,7 @@ def test_a_frame_is_a_copy_of_what_was_delivered_clipped_and_finite(
 
     def source() -> DriverSource:
         frames = [(0, delivered)]
-        return DriverSource("skin:frames", frames, f_max=2.5, unit=None, rate_hz=None)
+        return DriverSource("skin:frames", frames, f_max=2.5, unit=None)
 
     if not np.isfinite(worst):
         with pytest.raises(SourceError, match="row 1, column 2"):

@@ -112,7 +112,7 @@ def test_what_such_a_kind_refuses_is_refused_before_a_graph_starts() -> None:
     with pytest.raises(SettingsError, match="n_rows: a glove has its own"):
         SensorSettings(source="glove:left", n_rows=2).check()
     with pytest.raises(SourceError, match=r"broken:x: plug-in no_such_package:Address: ModuleNot"):
-        sources.check_source("broken:x")
+        sources.find_address("broken:x").check()
 
 
 @pytest.mark.parametrize("kind", sources.kinds())

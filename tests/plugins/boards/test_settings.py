@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.sources import check_source
+from sparseskin.nodes.sensor.sources import find_address
 from sparseskin.plugins.boards.board import Board, describe_board
 from sparseskin.plugins.boards.readings import DTYPES, Decoder, Layout, order_of
 from sparseskin.plugins.boards.settings import profile_names, read_profile
@@ -116,7 +116,7 @@ def test_a_fault_of_a_source_is_one_line_that_names_it(source: str, fault: str) 
     pytest.importorskip("serial")
     pytest.importorskip("can")
     with pytest.raises(SourceError) as caught:
-        check_source(source)
+        find_address(source).check()
     assert fault in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -135,9 +135,9 @@ def test_a_missing_package_is_one_line_with_its_extra(monkeypatch: pytest.Monkey
     for name in ("serial", "can"):
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(SourceError, match=r"pip install 'sparseskin\[serial\]'"):
-        check_source(f"serial:/dev/null?{PLAIN}")
+        find_address(f"serial:/dev/null?{PLAIN}").check()
     with pytest.raises(SourceError, match=r"pip install 'sparseskin\[can\]'"):
-        check_source("can:can0?rows=2&cols=3&ids=0x10&interface=virtual")
+        find_address("can:can0?rows=2&cols=3&ids=0x10&interface=virtual").check()
 
 
 def test_properties_may_be_stated_by_the_sensor_instead() -> None:

@@ -23,7 +23,7 @@ from sparseskin.messages import Message, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context
-from sparseskin.nodes.sensor.sources import check_source, open_source
+from sparseskin.nodes.sensor.sources import find_address, open_source
 from sparseskin.plugins.bridges import cdr
 from sparseskin.plugins.bridges.ros2 import Ros2Bridge, Ros2Settings
 from sparseskin.plugins.bridges.ros2_source import frames, parse
@@ -149,7 +149,7 @@ def test_a_topic_that_nobody_publishes_is_one_line() -> None:
 )
 def test_a_malformed_source_is_refused_before_any_node_starts(source: str, fault: str) -> None:
     with pytest.raises(SourceError, match=fault):
-        check_source(source)
+        find_address(source).check()
 
 
 def test_a_source_states_domain_interface_and_patience() -> None:

@@ -16,7 +16,7 @@ from sparseskin.nodes.sensor.scenes.bodies import Body, build_sole, slab
 from sparseskin.nodes.sensor.scenes.motion import Drag
 from sparseskin.nodes.sensor.scenes.scenes import SKIN
 from sparseskin.nodes.sensor.scenes.simulation import Scene, SceneSource
-from sparseskin.nodes.sensor.sources import check_source, open_source
+from sparseskin.nodes.sensor.sources import find_address, open_source
 
 mujoco = pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
 
@@ -262,7 +262,7 @@ def test_a_model_without_a_skin_or_contact_is_refused_in_one_line(
     monkeypatch.chdir(tmp_path)
     address = model_of(bodies, tmp_path, site, more)
     with pytest.raises(SourceError) as refused:
-        check_source(f"mujoco:{address}")
+        find_address(f"mujoco:{address}").check()
     assert text in str(refused.value)
     assert str(refused.value).isprintable()
     assert [path.name for path in tmp_path.iterdir()] == ["model.xml"]  # no log of MuJoCo
@@ -295,7 +295,7 @@ def test_a_bad_address_ends_a_launch_with_one_line_before_any_process(
 
 def test_a_stated_shape_must_be_that_of_the_model() -> None:
     with pytest.raises(SourceError, match="n_rows = 16 is stated, but the frames have 32"):
-        check_source(f"mujoco:{PAD}", n_rows=16)
+        find_address(f"mujoco:{PAD}", n_rows=16).check()
 
 
 @pytest.mark.isolated

@@ -18,7 +18,7 @@ from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor.files.parsed import KEEP, ZERO, Policy
 from sparseskin.nodes.sensor.files.recorded import UNTIMED_PERIOD_NS, RecordedSource, open_file
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
-from sparseskin.nodes.sensor.sources import check_source
+from sparseskin.nodes.sensor.sources import find_address
 
 FORCES = np.arange(24, dtype=np.float64).reshape(2, 3, 4) / 10
 DTYPES = ["<f4", ">f4", "<f8", ">f8", "<f2", "u1", "<u2", ">i4", "<i8", "<u8"]
@@ -289,7 +289,7 @@ def test_a_reading_that_is_refused_is_named_by_the_sensor_with_its_place(
     )
     path = tmp_path / f"skin{suffix}"
     path.write_bytes(raw)
-    check_source(f"file:{path}")  # reads the begin alone
+    find_address(f"file:{path}").check()  # reads the begin alone
     settings = SensorSettings(source=f"file:{path}")
     with pytest.raises(SourceError) as refused:
         Sensor(settings, Context("sensor", ManualClock(0)))
