@@ -201,32 +201,23 @@ class DriverSource(LiveSource):
                 f"{where}: forces have shape {array.shape}; expected two dimensions: (rows, cols)"
             )
         check_grid(array.shape[0], array.shape[1], where)
-        mask = None
-        if self._skin is not None:
-            mask = self._skin.mask
-            if array.shape != self._skin.shape:
-                raise SourceError(
-                    f"{where}: forces have shape {array.shape}, but the skin has {self._skin.shape}"
-                )
-        is_float = array.dtype in (np.float32, np.float64)
-        # The common case; the comparison is false for a NaN.
-        if self._watch is not None:
-            exists = array if self._skin is None else array[self._skin.exists]
-            with np.errstate(all="ignore"):
-                self._look(exists.astype(np.float64).ravel())
-        if mask is None and is_float and 0 <= array.min() <= array.max() <= self._f_max:
-            return array.astype(np.float32)
+        skin = self._skin
+        if skin is not None and array.shape != skin.shape:
+            raise SourceError(
+                f"{where}: forces have shape {array.shape}, but the skin has {skin.shape}"
+            )
         with np.errstate(all="ignore"):
             values = array.astype(np.float64)
-        if mask is not None:
-            values[~mask] = 0
-        bad = ~np.isfinite(values)
-        if bad.any():
-            row, col = np.argwhere(bad)[0]
+        if skin is not None and skin.mask is not None:
+            values[~skin.mask] = 0
+        if not np.isfinite(values).all():
+            row, col = np.argwhere(~np.isfinite(values))[0]
             raise SourceError(
                 f"{where}, row {row}, column {col}: {values[row, col]} is no force; "
                 "a fault of the sensor or its driver"
             )
+        if self._watch is not None:
+            self._look(values.ravel() if skin is None else values[skin.exists])
         if self._raw:
             return values.astype(np.float32)
         self.clipped.add(values, 0.0, self._f_max)

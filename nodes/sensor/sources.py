@@ -18,7 +18,6 @@ from sparseskin.nodes.lookup import (
     search_here,
     suggestion,
 )
-from sparseskin.nodes.sensor.files.parsed import DEFAULT_POLICY, Policy
 
 from .driver import open_callable
 from .source import Address, Source
@@ -151,37 +150,12 @@ def _names_of(path: Path) -> set[str] | None:
     }
 
 
-def open_source(
-    source: str,
-    *,
-    seed: int,
-    n_rows: int | None = None,
-    n_cols: int | None = None,
-    unit: str | None = None,
-    f_max: float | None = None,
-    policy: Policy = DEFAULT_POLICY,
-    raw: bool = False,
-) -> Source:
-    """Open a source.
-
-    Parameters
-    ----------
-    source : str
-        One of `forms`.
-    seed : int
-        Seed of a scene; not used by files and drivers.
-    n_rows, n_cols, unit, f_max
-        Properties that a file, board or driver does not state, as in `open_file`, `describe_board`
-        and `open_callable`.
-    policy : Policy
-        What to do with readings of a file that are not finite or below 0.
-    raw : bool
-        True: readings may have any sign and size, as a calibration converts them.
+def open_source(source: str, **stated: Any) -> Source:
+    """Open a source: arguments as of `find_address`.
 
     Raises
     ------
     SourceError
         If the source is missing or malformed, or a setting contradicts it.
     """
-    stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": unit, "f_max": f_max}
-    return find_address(source, seed=seed, policy=policy, raw=raw, **stated).open()
+    return find_address(source, **stated).open()

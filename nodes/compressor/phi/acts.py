@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 
 from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.errors import PhiError
@@ -226,14 +227,9 @@ def _around(known: Floats) -> tuple[Floats, Floats]:
 
     -inf and +inf where none of them was read.
     """
-    n_rows, n_cols = known.shape
     high = np.pad(known, 1, constant_values=-np.inf)
     low = np.where(high == -np.inf, np.float32(np.inf), high)
-    for axis, size in ((0, n_rows), (1, n_cols)):
-        parts = [[slice(None), slice(None)] for _ in range(3)]
-        for shift, part in enumerate(parts):
-            part[axis] = slice(shift, shift + size)
-        first, second, third = (tuple(part) for part in parts)
-        high = np.maximum(np.maximum(high[first], high[second]), high[third])
-        low = np.minimum(np.minimum(low[first], low[second]), low[third])
+    for axis in (0, 1):
+        high = sliding_window_view(high, 3, axis=axis).max(axis=-1)
+        low = sliding_window_view(low, 3, axis=axis).min(axis=-1)
     return high, low

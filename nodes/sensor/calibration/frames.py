@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy.typing as npt
 from sparseskin.messages import Calibration, Taxels
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.sensor.files.parsed import KEEP, Policy
-from sparseskin.nodes.sensor.files.recorded import RecordedSource, open_file
+from sparseskin.nodes.sensor.files.recorded import open_file
 from sparseskin.nodes.sensor.source import Skin, Source
 from sparseskin.nodes.sensor.sources import FILE, open_source
 
@@ -90,11 +91,10 @@ class Recording:
 
     is_live = False
 
-    def __init__(self, source: Source) -> None:
-        self.skin: Skin = source.skin
-        stamps, frames = zip(*source, strict=True)
-        self._stamps_s = np.array(stamps, dtype=np.float64) / 1e9
-        self._frames = np.stack(frames)
+    def __init__(self, skin: Skin, stamps_ns: Sequence[int], frames: Frames) -> None:
+        self.skin = skin
+        self._stamps_s = np.array(stamps_ns, dtype=np.float64) / 1e9
+        self._frames = frames
 
     def part(self, start_s: float, stop_s: float) -> Frames:
         """Frames with stamps in [start_s, stop_s), seconds since the first.
@@ -185,11 +185,12 @@ def open_frames(
     if source.startswith(FILE) and source.endswith(".mcap"):
         stamps, frames = _bag(source.removeprefix(FILE))
         skin = Skin(frames.shape[1], frames.shape[2], max(1.0, float(frames.max())), "raw")
-        return Recording(RecordedSource(Path(source).stem, skin, frames, stamps))
+        return Recording(skin, stamps, frames)
     opened = open_source(source, seed=0, n_rows=n_rows, n_cols=n_cols, raw=True)
     if opened.delivers == "truth":
         opened.close()
         raise SourceError(f"{source}: delivers true forces, which need no calibration")
     if opened.is_live or opened.n_frames is None:
         return Live(opened)
-    return Recording(opened)
+    read_stamps, read_frames = zip(*opened, strict=True)
+    return Recording(opened.skin, read_stamps, np.stack(read_frames))
