@@ -228,7 +228,8 @@ class LightPresses:
         rise: Doubles = self._fast - self._base
         np.maximum(self._rise, rise, out=self._rise)
         self._risen &= rise >= t.step_left * self._rise
-        return np.logical_or(*self._risen)
+        found: Mask = np.logical_or(*self._risen)
+        return found
 
 
 def of_nine(field: npt.NDArray[Any], combine: np.ufunc) -> npt.NDArray[Any]:

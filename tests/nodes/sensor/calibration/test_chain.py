@@ -55,10 +55,13 @@ def test_a_tare_of_a_constant_offset_is_exact(
     np.testing.assert_array_equal(chain.description.baseline, raw)
 
 
-def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count() -> None:
-    chain = still(skin())
+def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count_and_forgets_the_drift() -> None:
+    chain = Chain(skin())
+    run(chain, -0.02, 10)
+    assert chain.drift.value.any()
     line = chain.tare([np.full(SHAPE, 7.0)] * 20 + [np.full(SHAPE, 900.0)] * 9)
     assert line.startswith("forces changed by at most 7 N, of 12 taxels by more than 5 %")
+    assert not chain.drift.value.any()
     assert (chain.apply(np.full(SHAPE, 9.0), 0) == 2.0).all()
 
 
@@ -105,21 +108,10 @@ def run(chain: Chain, force: Any, seconds: float, rate_hz: float = 100.0) -> np.
     return found
 
 
-@pytest.mark.parametrize("force", [0.011, 0.02, 0.1, 1.0, 2.5])
+@pytest.mark.parametrize("force", [0.011, 0.1, 2.5])
 def test_a_steady_press_of_60_s_loses_nothing_above_the_threshold(force: float) -> None:
     # The threshold of a skin whose noise is not known: 0.004 of 2.5 N.
     assert run(Chain(skin()), force, 60) == pytest.approx(force, abs=1e-7)
-
-
-@pytest.mark.parametrize("force", [0.001, 0.005, 0.0099])
-def test_below_the_threshold_a_press_of_60_s_loses_at_most_the_stated_part_of_the_range(
-    force: float,
-) -> None:
-    lost = force - run(Chain(skin()), force, 60)
-    assert (lost >= 0).all()
-    # 60 s at 1e-4 of 2.5 N a second are 0.015 N: 0.6 % of the range, and never more than the press.
-    assert (lost <= min(force, 60 * 1e-4 * 2.5) + 1e-7).all()
-    assert min(force, 60 * 1e-4 * 2.5) < 0.01 * 2.5
 
 
 PAD = (12, 12)
@@ -154,19 +146,14 @@ def test_a_light_press_of_60_s_loses_less_than_1_percent_of_itself(
     assert followed[PRESSED].mean() <= 0.01 * percent / 100
 
 
-@pytest.mark.parametrize("percent", [0.3, 0.6, 1.0])
+@pytest.mark.parametrize("percent", [0.0, 0.3, 0.6, 1.0])
 def test_a_light_press_loses_nothing_beside_a_drift_at_the_bounded_rate(percent: float) -> None:
     rate = 1e-4  # 0.6 % of f_max a minute
     followed = drift_under_a_light_press(percent, 0.005, drift=rate)
-    # What had drifted before it, and no more: of 2 s.
-    assert followed[PRESSED].mean() <= 2 * rate + 0.01 * percent / 100
+    if percent:  # what had drifted before it, and no more: of 2 s
+        assert followed[PRESSED].mean() <= 2 * rate + 0.01 * percent / 100
     # Untouched taxels follow, by the lag of the time constant less: 62 s and 10 s, and noise.
     assert followed[FOLLOWED].mean() == pytest.approx(52 * rate, rel=0.1)
-
-
-def test_drift_alone_at_the_bounded_rate_is_no_press() -> None:
-    followed = drift_under_a_light_press(0.0, 0.005, drift=1e-4)
-    assert followed.mean() == pytest.approx(52e-4, rel=0.1)
 
 
 def test_the_drift_is_followed_again_after_a_light_press() -> None:
@@ -190,16 +177,13 @@ def test_a_drift_slower_than_the_rate_is_followed_with_the_lag_of_the_time_const
     np.testing.assert_allclose(found, 1e-3, rtol=0.02)
 
 
-def test_a_drift_is_followed_downwards_from_any_depth() -> None:
+@pytest.mark.parametrize(("raw", "seconds", "followed"), [(-0.02, 400, -0.02), (-1.0, 2000, -0.25)])
+def test_a_drift_is_followed_downwards_from_any_depth_to_a_tenth_of_the_range(
+    raw: float, seconds: float, followed: float
+) -> None:
     chain = Chain(skin())
-    run(chain, -0.02, 400)
-    np.testing.assert_allclose(chain.drift.value, -0.02, atol=1e-4)
-
-
-def test_the_total_drift_is_bounded() -> None:
-    chain = Chain(skin())
-    run(chain, -1.0, 2000, rate_hz=2.0)
-    np.testing.assert_allclose(chain.drift.value, -0.25)
+    run(chain, raw, seconds, rate_hz=10.0)
+    np.testing.assert_allclose(chain.drift.value, followed, atol=1e-4)
 
 
 def test_a_pause_is_not_made_up_for() -> None:
@@ -241,11 +225,3 @@ def test_frames_of_a_board_that_hangs_repeat_exactly_and_show_no_drift(touched: 
     np.testing.assert_array_equal(chain.drift.value, followed)
     # The drift that is subtracted is that before each frame.
     assert all(np.array_equal(one, hung[0]) for one in hung)
-
-
-def test_a_tare_forgets_the_drift() -> None:
-    chain = Chain(skin())
-    run(chain, -0.02, 60)
-    assert chain.drift.value.any()
-    chain.tare([np.full(SHAPE, -0.02)])
-    assert not chain.drift.value.any()
