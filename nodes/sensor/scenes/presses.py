@@ -183,7 +183,27 @@ def press_frames(
     SettingsError
         If a parameter is not allowed, or the mask leaves no taxel.
     """
-    mask = _checked(body, shape, n_frames, course, speed, active, mask, f_max)
+    for what, name, known in (("body", body, BODIES), ("course", course, COURSES)):
+        if name not in known:
+            raise SettingsError(f"presses: {what} is {name!r}; allowed: {', '.join(known)}")
+    if len(shape) != 2 or not all(is_whole(side, 1, 4096) for side in shape):
+        raise SettingsError(f"presses: shape is {shape!r}; allowed: two whole numbers 1..4096")
+    if not is_whole(n_frames, 1, 2**31):
+        raise SettingsError(f"presses: n_frames is {n_frames!r}; allowed: a whole number from 1")
+    for what, value, low, high in (
+        ("speed", speed, 0.0, 1e3),
+        ("active", active, 0.01, 0.6),
+        ("f_max", f_max, 1e-9, 1e30),
+    ):
+        if not is_real(value, low, high):
+            raise SettingsError(f"presses: {what} is {value!r}; allowed: {low:g}..{high:g}")
+    if mask is None:
+        mask = np.ones(shape, dtype=np.bool_)
+    if mask.shape != tuple(shape) or mask.dtype != np.bool_ or not mask.any():
+        raise SettingsError(
+            f"presses: the mask is {mask.dtype} {list(mask.shape)} with {np.count_nonzero(mask)} "
+            f"taxels; allowed: bool {list(shape)} with one or more"
+        )
     frames = _Press(body, mask, seed, course, speed, active, f_max, timing).frames(n_frames)
     taxels = np.flatnonzero(mask)
     make = (errors or SkinErrors()).applied(taxels.size, seed, f_max)
@@ -203,40 +223,6 @@ def scattered_mask(shape: tuple[int, int], n: int, seed: int) -> Mask:
     mask = np.zeros(size, dtype=np.bool_)
     mask[np.random.default_rng([seed, 3]).permutation(size)[:n]] = True
     return mask.reshape(shape)
-
-
-def _checked(
-    body: str,
-    shape: tuple[int, int],
-    n_frames: int,
-    course: str,
-    speed: float,
-    active: float,
-    mask: Mask | None,
-    f_max: float,
-) -> Mask:
-    for what, name, known in (("body", body, BODIES), ("course", course, COURSES)):
-        if name not in known:
-            raise SettingsError(f"presses: {what} is {name!r}; allowed: {', '.join(known)}")
-    if len(shape) != 2 or not all(is_whole(side, 1, 4096) for side in shape):
-        raise SettingsError(f"presses: shape is {shape!r}; allowed: two whole numbers 1..4096")
-    if not is_whole(n_frames, 1, 2**31):
-        raise SettingsError(f"presses: n_frames is {n_frames!r}; allowed: a whole number from 1")
-    for what, value, low, high in (
-        ("speed", speed, 0.0, 1e3),
-        ("active", active, 0.01, 0.6),
-        ("f_max", f_max, 1e-9, 1e30),
-    ):
-        if not is_real(value, low, high):
-            raise SettingsError(f"presses: {what} is {value!r}; allowed: {low:g}..{high:g}")
-    if mask is None:
-        return np.ones(shape, dtype=np.bool_)
-    if mask.shape != tuple(shape) or mask.dtype != np.bool_ or not mask.any():
-        raise SettingsError(
-            f"presses: the mask is {mask.dtype} {list(mask.shape)} with {np.count_nonzero(mask)} "
-            f"taxels; allowed: bool {list(shape)} with one or more"
-        )
-    return mask
 
 
 class _Press:
@@ -409,8 +395,7 @@ def _dome(radius: float) -> Field:
     def field(u: Doubles, v: Doubles, size: float) -> Doubles:
         # Pressure under a sphere, Hertz 1881; at least half a taxel wide, so that it is not lost.
         r2 = (u * u + v * v) / max(radius * size, 0.75) ** 2
-        found: Doubles = np.sqrt(np.maximum(0, 1 - r2))
-        return found
+        return np.asarray(np.sqrt(np.maximum(0, 1 - r2)))
 
     return field
 
@@ -419,7 +404,6 @@ def _gaussian(a: float, b: float) -> Field:
     def field(u: Doubles, v: Doubles, size: float) -> Doubles:
         wide, high = max(a * size, 0.3), max(b * size, 0.3)
         bell = np.exp(-0.5 * ((u / wide) ** 2 + (v / high) ** 2))
-        found: Doubles = np.maximum(0, bell - _LEAST_GAUSSIAN) / (1 - _LEAST_GAUSSIAN)
-        return found
+        return np.asarray(np.maximum(0, bell - _LEAST_GAUSSIAN) / (1 - _LEAST_GAUSSIAN))
 
     return field

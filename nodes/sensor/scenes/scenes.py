@@ -52,8 +52,6 @@ from .terrain import Surface
 TAXEL_RADIUS_M = 0.0025
 SKIN = Surface(pitch_m=2 * TAXEL_RADIUS_M, stiffness=122.24, damping=0.4)
 SKIN_ON_GROUND = replace(SKIN, ground_drop_m=0.010, ground_stiffness=1.0e4, ground_damping=100.0)
-DROP_HEIGHT_M = 0.5
-MS = 1_000_000  # nanoseconds
 DRAG_M_S = 0.05
 """Speed of the wrench when dragged, in m/s. Source: paper, section II-B."""
 
@@ -68,14 +66,10 @@ def lift_box_40() -> Scene:
     """
     return Scene(
         name="lift_box_40",
-        shape=(40, 40),
         n_steps=700,
-        dt_ns=MS,
         body=wooden_cube(TAXEL_RADIUS_M),
         surface=SKIN,
-        drop_height_m=DROP_HEIGHT_M,
         motion=Lift(at_s=0.685),
-        dof=("z",),
     )
 
 
@@ -86,7 +80,7 @@ def lift_box_64() -> Scene:
         name="lift_box_64",
         shape=(64, 64),
         n_steps=7600,
-        dt_ns=MS // 10,
+        dt_ns=100_000,
         motion=Lift(at_s=0.755),
     )
 
@@ -105,12 +99,9 @@ def lift_wrench_40() -> Scene:
     """
     return Scene(
         name="lift_wrench_40",
-        shape=(40, 40),
         n_steps=3000,
-        dt_ns=MS,
         body=monkey_wrench(TAXEL_RADIUS_M),
         surface=SKIN_ON_GROUND,
-        drop_height_m=DROP_HEIGHT_M,
         motion=Lift(at_s=2.95),
         dof=("z", "pitch"),
         yaw_rad=math.pi / 4,
@@ -147,7 +138,7 @@ def drag_wrench_64() -> Scene:
         name="drag_wrench_64",
         shape=(64, 64),
         n_steps=12600,
-        dt_ns=MS // 10,
+        dt_ns=100_000,
         drop_height_m=0.2,
         motion=Drag(at_s=0.25, velocity_m_s=(-DRAG_M_S, 0.0)),
         place_m=(-0.128, 0.0),

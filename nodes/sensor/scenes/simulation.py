@@ -25,7 +25,7 @@ SMOOTHING_STEPS = 10
 """Width of the moving average over the forces, in time steps. Source: paper, section II-B."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Scene:
     """Parameters of a simulated scene.
 
@@ -57,12 +57,12 @@ class Scene:
     """
 
     name: str
-    shape: tuple[int, int]
+    shape: tuple[int, int] = (40, 40)
     n_steps: int
-    dt_ns: int
+    dt_ns: int = 1_000_000
     body: Body
     surface: Surface
-    drop_height_m: float
+    drop_height_m: float = 0.5
     motion: Lift | Drag | RandomPath
     dof: tuple[Literal["z", "pitch", "roll"], ...] = ("z",)
     place_m: Place = (0.0, 0.0)

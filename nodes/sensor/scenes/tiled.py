@@ -88,7 +88,8 @@ class TiledScene:
     def __init__(
         self, name: str, skin: Skin, n_patches: int, active: float | None = None, seed: int = 0
     ) -> None:
-        check_tiled(name)
+        if name not in TILED:
+            raise SourceError(f"no scene of a body is called {name!r}{did_you_mean(name, TILED)}")
         if skin.pitch_m is None or skin.unit != "N":
             raise SourceError(f"scene {name}: the skin's pitch and forces in N have to be known")
         self.name = name
@@ -138,12 +139,6 @@ class TiledScene:
     @property
     def _settle_s(self) -> float:
         return min(SETTLE_S, self._tiling.pressed_s - LIFT_S)
-
-
-def check_tiled(name: str) -> None:
-    """Raise SourceError if there is no scene of a body of that name."""
-    if name not in TILED:
-        raise SourceError(f"no scene of a body is called {name!r}{did_you_mean(name, TILED)}")
 
 
 @functools.lru_cache(maxsize=8)

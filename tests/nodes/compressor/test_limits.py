@@ -54,7 +54,7 @@ def test_few_bits_give_a_warning() -> None:
     assert compression_warnings("sbhe", 1600, 533, 32, bits=5) == []
 
 
-def lines_of(**compressor: Any) -> list[str]:
+def running(**compressor: Any) -> Bus:
     bus = Bus(
         {
             "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
@@ -62,23 +62,17 @@ def lines_of(**compressor: Any) -> list[str]:
         }
     )
     bus.run(n_frames=2)
-    return bus.lines
+    return bus
 
 
 def test_a_compressor_logs_a_warning_once_when_the_skin_is_known() -> None:
-    assert lines_of() == []
-    (line,) = lines_of(ratio=40)
+    (line,) = running(ratio=40).lines
     assert line.startswith("[compressor] m = 40 of n = 1600 taxels")
 
 
 def test_a_compressor_logs_a_warning_when_few_bits_are_set_while_it_runs() -> None:
-    bus = Bus(
-        {
-            "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
-            "compressor": (Compressor, Compressor.Settings()),
-        }
-    )
-    bus.run(n_frames=2)
+    bus = running()
+    assert bus.lines == []
     compressor = bus.hosts["compressor"].node
     list(compressor.change(compressor.settings.changed({"bits": 4})))
     (line,) = bus.lines

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matrices import grids
 
 from sparseskin.messages import (
     Measurements,
@@ -23,7 +24,7 @@ from sparseskin.nodes.compressor.phi.acts import (
 )
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Floats, Mask
 
 THRESHOLD = 0.05
 ACTS = ("compressor.phi=acts", "reconstructor.solver=interpolation")
@@ -42,12 +43,11 @@ def read_cells(image: Floats, m: int) -> npt.NDArray[np.bool_]:
 
 
 @settings(max_examples=60, deadline=None)
-@given(data=st.data())
-def test_m_existing_taxels_are_read_each_once_on_any_grid(data: st.DataObject) -> None:
-    rows, cols = (data.draw(st.integers(1, 40)) for _ in range(2))
+@given(exists=grids(), data=st.data())
+def test_m_existing_taxels_are_read_each_once_on_any_grid(
+    exists: Mask, data: st.DataObject
+) -> None:
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
-    exists = rng.random((rows, cols)) < data.draw(st.sampled_from([0.2, 0.8, 1.0]))
-    exists[rng.integers(rows), rng.integers(cols)] = True
     n = int(exists.sum())
     m = data.draw(st.integers(1, n))
     x = np.maximum(rng.normal(-0.5, 1, n), 0).astype(np.float32)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matrices import grids
 
 from sparseskin.nodes.compressor.phi.adaptive import (
     AdaptiveChoice,
@@ -18,7 +19,7 @@ from sparseskin.nodes.compressor.phi.adaptive import (
 )
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Floats, Mask
 
 
 def phi_of(exists: npt.NDArray[np.bool_], m: int) -> AdaptivePhi:
@@ -39,12 +40,11 @@ def press(n_rows: int, n_cols: int, row: int, col: int) -> Floats:
 
 
 @settings(max_examples=60, deadline=None)
-@given(data=st.data())
-def test_m_rows_are_read_each_once_and_are_those_of_the_code(data: st.DataObject) -> None:
-    rows, cols = (data.draw(st.integers(1, 24)) for _ in range(2))
+@given(exists=grids(), data=st.data())
+def test_m_rows_are_read_each_once_and_are_those_of_the_code(
+    exists: Mask, data: st.DataObject
+) -> None:
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
-    exists = rng.random((rows, cols)) < data.draw(st.sampled_from([0.2, 0.8, 1.0]))
-    exists[rng.integers(rows), rng.integers(cols)] = True
     n = int(exists.sum())
     m = data.draw(st.integers(min(n, 4), n))
     phi, other = phi_of(exists, m), phi_of(exists, m)

@@ -7,18 +7,12 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matrices import grids
 
 from sparseskin.nodes.compressor.phi.quadtree import COARSE_PART, Quadtree
+from sparseskin.nodes.numerics.arrays import Mask
 
 GRIDS = [(1, 1), (1, 16), (4, 4), (5, 7), (8, 8), (31, 11), (40, 40)]
-
-
-def some_grid(data: st.DataObject) -> npt.NDArray[np.bool_]:
-    rows, cols = (data.draw(st.integers(1, 20)) for _ in range(2))
-    rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
-    exists = rng.random((rows, cols)) < data.draw(st.sampled_from([0.1, 0.7, 1.0]))
-    exists[rng.integers(rows), rng.integers(cols)] = True
-    return exists
 
 
 def dense(tree: Quadtree) -> npt.NDArray[np.float64]:
@@ -26,23 +20,15 @@ def dense(tree: Quadtree) -> npt.NDArray[np.float64]:
 
 
 @settings(max_examples=60, deadline=None)
-@given(data=st.data())
-def test_rows_are_orthonormal_on_any_grid(data: st.DataObject) -> None:
-    exists = some_grid(data)
+@given(exists=grids(), data=st.data())
+def test_rows_are_orthonormal_and_synthesis_the_transpose_on_any_grid(
+    exists: Mask, data: st.DataObject
+) -> None:
     tree = Quadtree(exists, data.draw(st.integers(1, int(exists.sum()))))
     matrix = dense(tree)
-    assert matrix.shape == (tree.n, tree.n)
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(tree.n), atol=1e-12)
-
-
-@settings(max_examples=60, deadline=None)
-@given(data=st.data())
-def test_synthesis_is_the_transpose_of_analysis(data: st.DataObject) -> None:
-    exists = some_grid(data)
-    tree = Quadtree(exists, int(exists.sum()))
-    rng = np.random.default_rng(0)
-    x, rows = rng.standard_normal((2, tree.n))
-    assert rows @ tree.analysis(x) == pytest.approx(tree.synthesis(rows) @ x, abs=1e-10)
+    rows = np.random.default_rng(0).standard_normal(tree.n)
+    np.testing.assert_allclose(tree.synthesis(rows), matrix.T @ rows, atol=1e-10)
 
 
 @pytest.mark.parametrize("shape", GRIDS)
@@ -71,9 +57,8 @@ def test_tiles_take_at_most_a_quarter_of_the_measurements(m: int) -> None:
 
 
 @settings(max_examples=100, deadline=None)
-@given(data=st.data())
-def test_the_code_of_nodes_is_read_back(data: st.DataObject) -> None:
-    exists = some_grid(data)
+@given(exists=grids(), data=st.data())
+def test_the_code_of_nodes_is_read_back(exists: Mask, data: st.DataObject) -> None:
     tree = Quadtree(exists, int(exists.sum()))
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
     chosen = rng.random(tree.n_nodes) < data.draw(st.sampled_from([0.0, 0.05, 0.5, 1.0]))
