@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages.errors import MessageError
-from sparseskin.messages.ranges import is_real, is_whole
+from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.files import whole_file
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
+from sparseskin.nodes.numerics.arrays import Doubles, Mask
 from sparseskin.nodes.sensor.files.parsed import reading
 from sparseskin.nodes.sensor.points import point_skins
 from sparseskin.nodes.toml import parse_toml
@@ -107,16 +108,18 @@ def _described(table: Mapping[str, Any], folder: Path) -> SkinDescription:
     for key in ("name", "rows", "cols", "f_max"):
         if key not in values:
             raise SkinFileError(f"{key}: is missing")
-    stated = {key: values.pop(key) for key in ("mask", "baseline", "gains") if key in values}
+    grids = {key: values.pop(key) for key in ("baseline", "gains") if key in values}
     curve, beside = values.pop("response", None), values.pop(ARRAYS, None)
+    mask = values.pop("mask", None)
     skin = SkinDescription(**values)  # its shape bounds the size of all arrays
-    arrays: dict[str, Any] = {key: _array(key, value, skin) for key, value in stated.items()}
+    arrays: dict[str, Any] = {key: _grid(key, value, skin) for key, value in grids.items()}
+    if mask is not None:
+        arrays["mask"] = _mask(mask, skin.shape)
     if curve is not None:
         if not isinstance(curve, Mapping):
             raise SkinFileError("response: expected a table of reading and force")
         _check_keys(curve, CURVE_KEYS, "response.")
-        grid = replace(skin, placement=None)
-        arrays |= {f"response_{key}": _knots(key, value, grid) for key, value in curve.items()}
+        arrays |= {f"response_{k}": _numbers(f"response.{k}", v) for k, v in curve.items()}
     held = {} if beside is None else _load_arrays(beside, folder, skin.rows * skin.cols)
     for key in held:
         if key in arrays:
@@ -188,52 +191,38 @@ def _load_arrays(name: object, folder: Path, n_cells: int) -> dict[str, npt.NDAr
     return {key: array.copy() for key, array in held.items()}  # aligned
 
 
-def _array(key: str, value: Any, skin: SkinDescription) -> npt.NDArray[Any]:
-    """Mask, baseline or gains of a skin, as its file states them."""
-    if key == "mask":
-        cells = _rows(key, value, skin, "characters 0 and 1", lambda c: c in ("0", "1"))
-        return np.asarray(cells == "1")
-    if is_real(value):
-        return np.full(skin.shape, float(value))
+def _mask(value: Any, shape: tuple[int, int]) -> Mask:
+    rows, cols = shape
+    texts = isinstance(value, list) and all(isinstance(row, str) for row in value)
+    if not texts or len(value) != rows or any(len(r) != cols or set(r) - {"0", "1"} for r in value):
+        raise SkinFileError(f"mask: expected {rows} texts of {cols} characters 0 and 1")
+    return np.array([[cell == "1" for cell in row] for row in value])
+
+
+def _numbers(key: str, value: Any) -> Doubles:
+    """A number, or lists of them, as an array; its shape is checked with the others."""
+    try:
+        found = np.array(value)
+    except ValueError:  # lists of different lengths
+        found = np.array("")
+    if found.dtype.kind not in "iuf":
+        raise SkinFileError(f"{key}: expected numbers, in lists of one length each")
+    return found.astype(np.float64)
+
+
+def _grid(key: str, value: Any, skin: SkinDescription) -> Doubles:
+    """Baseline or gains: one number for all taxels, a list of rows, or of points in their order."""
+    found = _numbers(key, value)
+    if not found.ndim:
+        return np.full(skin.shape, found)
     if skin.placement is None:
-        rows = _rows(key, value, skin, "finite numbers", is_real, "one number, or ")
-        return rows.astype(np.float64)
-    if not isinstance(value, list) or not all(map(is_real, value)):
+        return found
+    if found.ndim != 1:
         raise SkinFileError(f"{key}: expected one number, or a list of one a taxel")
     try:
-        return skin.placement.on_grid(np.array(value, dtype=np.float64), unused=1.0)
+        return skin.placement.on_grid(found, unused=1.0)
     except SourceError as error:
         raise SkinFileError(f"{key}: {error}") from error
-
-
-def _rows(
-    key: str,
-    value: Any,
-    skin: SkinDescription,
-    what: str,
-    is_cell: Callable[[Any], bool],
-    also: str = "",
-) -> npt.NDArray[Any]:
-    """A list of rows, each of so many cells, as an array."""
-    if not isinstance(value, list) or len(value) != skin.rows:
-        raise SkinFileError(f"{key}: expected {also}a list of {skin.rows} rows of {skin.cols}")
-    for k, line in enumerate(value):
-        fits = isinstance(line, list | str) and len(line) == skin.cols and all(map(is_cell, line))
-        if not fits:
-            raise SkinFileError(f"{key}: row {k}: expected {skin.cols} {what}")
-    return np.array([list(line) for line in value])
-
-
-def _knots(key: str, value: Any, skin: SkinDescription) -> npt.NDArray[Any]:
-    """Readings or forces at the knots of the response curve."""
-    key = f"response.{key}"
-    if isinstance(value, list) and len(value) > MAX_KNOTS:
-        raise SkinFileError(f"{key}: {len(value)} knots; allowed are 1..{MAX_KNOTS}")
-    if isinstance(value, list) and any(isinstance(one, list) for one in value):
-        return np.stack([_array(f"{key}, knot {k}", one, skin) for k, one in enumerate(value)])
-    if not isinstance(value, list) or not all(map(is_real, value)):
-        raise SkinFileError(f"{key}: expected a list of numbers")
-    return np.array(value, dtype=np.float64)
 
 
 def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]:
@@ -287,35 +276,38 @@ def _is_one_number(grid: npt.NDArray[Any] | None) -> bool:
 
 def _text(skin: SkinDescription, large: Mapping[str, Any], arrays_name: str) -> str:
     """The content of a skin.toml."""
-    lines = ["# A skin of sparseskin: docs/calibration.md has the meaning of each key."]
     plain = ("name", "rows", "cols", "pitch_mm", "unit", "f_max", "noise", "noise_mid", "f_min")
-    values = {key: getattr(skin, key) for key in plain}
-    lines += [f"{key} = {_value(value)}" for key, value in values.items() if value is not None]
-    if skin.mask is not None and "mask" not in large:
-        lines += _list("mask", ["".join("01"[cell] for cell in row) for row in skin.mask.tolist()])
+    values: dict[str, Any] = {key: getattr(skin, key) for key in plain}
+    if skin.mask is not None:
+        values["mask"] = ["".join("01"[cell] for cell in row) for row in skin.mask.tolist()]
     for key in ("baseline", "gains"):
-        grid = getattr(skin, key)
-        if _is_one_number(grid):
-            lines.append(f"{key} = {_value(float(grid.flat[0]))}")
-        elif grid is not None and key not in large:
-            lines += _list(key, grid.tolist())
-    if large:
-        lines.append(f"{ARRAYS} = {_value(arrays_name)}")
+        if (grid := getattr(skin, key)) is not None:
+            values[key] = float(grid.flat[0]) if _is_one_number(grid) else grid.tolist()
+    values[ARRAYS] = arrays_name if large else None
+    curve = {}
     if skin.response is not None:
-        lines += ["", "[response]", f"force = {_value(skin.response.force.tolist())}"]
+        curve = {"force": skin.response.force.tolist()}
         if "response_reading" not in large:
-            lines.append(f"reading = {_value(skin.response.reading.tolist())}")
-    return "\n".join(lines) + "\n"
-
-
-def _list(key: str, rows: list[Any]) -> list[str]:
-    return [f"{key} = [", *(f"    {_value(row)}," for row in rows), "]"]
+            curve["reading"] = skin.response.reading.tolist()
+    lines = ["# A skin of sparseskin: docs/calibration.md has the meaning of each key."]
+    lines += [
+        f"{key} = {_value(value)}"
+        for key, value in values.items()
+        if value is not None and key not in large
+    ]
+    lines += ["", "[response]", *(f"{key} = {_value(value)}" for key, value in curve.items())]
+    return "\n".join(lines if curve else lines[:-2]) + "\n"
 
 
 def _value(value: Any) -> str:
-    """A number, list or printable text as TOML, which has the numbers and texts of JSON."""
+    """A number, list or printable text as TOML, which has the numbers and texts of JSON; a list of
+    lists or texts in one line each.
+    """
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    return repr(int(value) if is_whole(value) else float(value))
+    if not isinstance(value, list):
+        return repr(int(value) if is_whole(value) else float(value))
+    parts = [_value(one) for one in value]
+    if all(isinstance(one, int | float) for one in value):
+        return f"[{', '.join(parts)}]"
+    return "[\n" + "".join(f"    {part},\n" for part in parts) + "]"
