@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Sequence
 from copy import copy
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -133,18 +134,12 @@ class RotatingPhi(Phi):
         """
         return self._twins(split_rows(self._order, self.m))
 
-    def _twins(self, subsets: list[Indices]) -> list[Phi]:
-        """Return a matrix of each row subset."""
-        twins: list[Phi] = []
-        for rows in subsets:
-            twin = self._twin()
+    def _twins(self, subsets: Sequence[Indices]) -> list[Phi]:
+        """Return a matrix of each row subset; it shares the arrays of this one."""
+        twins = [copy(self) for _ in subsets]
+        for twin, rows in zip(twins, subsets, strict=True):
             twin._keep(rows)
-            twins.append(twin)
-        return twins
-
-    def _twin(self) -> Self:
-        """Return a matrix that shares the arrays of this one."""
-        return copy(self)
+        return list(twins)
 
 
 def row_subsets(phi: Phi, rows: str) -> list[Phi]:

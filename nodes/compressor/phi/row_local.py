@@ -104,13 +104,8 @@ class RowLocalPhi(RotatingPhi):
                 "one pattern of all columns"
             )
         all_columns, others = self._order[:n_rows], self._order[n_rows:]
-        twins: list[Phi] = []
         parts = split_rows(others, min(self.m - n_rows, others.size)) if others.size else [others]
-        for part in parts:
-            twin = self._twin()
-            twin._keep(np.concatenate([all_columns, part]))
-            twins.append(twin)
-        return twins
+        return self._twins([np.concatenate([all_columns, part]) for part in parts])
 
     @property
     def lipschitz(self) -> float:

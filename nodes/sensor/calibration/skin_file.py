@@ -22,8 +22,8 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.files import whole_file
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
-from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.sensor.files.parsed import reading
+from sparseskin.nodes.numerics.arrays import Doubles
+from sparseskin.nodes.sensor.files.parsed import parse_mask, reading
 from sparseskin.nodes.sensor.points import point_skins
 from sparseskin.nodes.toml import parse_toml
 
@@ -98,7 +98,7 @@ def parse_skin(table: Mapping[str, Any], where: str, folder: Path) -> SkinDescri
     """
     try:
         return _described(table, folder)
-    except (SkinFileError, MessageError) as error:
+    except (SkinFileError, SourceError, MessageError) as error:
         raise SkinFileError(f"{where}: {error}") from error
 
 
@@ -114,7 +114,7 @@ def _described(table: Mapping[str, Any], folder: Path) -> SkinDescription:
     skin = SkinDescription(**values)  # its shape bounds the size of all arrays
     arrays: dict[str, Any] = {key: _grid(key, value, skin) for key, value in grids.items()}
     if mask is not None:
-        arrays["mask"] = _mask(mask, skin.shape)
+        arrays["mask"] = parse_mask(mask, skin.shape, "mask")
     if curve is not None:
         if not isinstance(curve, Mapping):
             raise SkinFileError("response: expected a table of reading and force")
@@ -189,14 +189,6 @@ def _load_arrays(name: object, folder: Path, n_cells: int) -> dict[str, npt.NDAr
     except (ArrayFileError, SkinFileError) as error:
         raise SkinFileError(f"{ARRAYS}: {name}: {error}") from error
     return {key: array.copy() for key, array in held.items()}  # aligned
-
-
-def _mask(value: Any, shape: tuple[int, int]) -> Mask:
-    rows, cols = shape
-    texts = isinstance(value, list) and all(isinstance(row, str) for row in value)
-    if not texts or len(value) != rows or any(len(r) != cols or set(r) - {"0", "1"} for r in value):
-        raise SkinFileError(f"mask: expected {rows} texts of {cols} characters 0 and 1")
-    return np.array([[cell == "1" for cell in row] for row in value])
 
 
 def _numbers(key: str, value: Any) -> Doubles:

@@ -23,6 +23,7 @@ from .parsed import (
     Recording,
     check_grid,
     parse_frame,
+    parse_mask,
     parse_whole,
     shown,
     stack_frames,
@@ -130,10 +131,5 @@ def _stated(skin: dict[str, Any], name: str, shape: tuple[int, int]) -> dict[str
     if isinstance(skin.get("unit"), str) and skin["unit"]:
         found["unit"] = np.array(skin["unit"])
     if (rows := skin.get("mask")) is not None:
-        right = isinstance(rows, list) and len(rows) == shape[0]
-        if not (right and all(isinstance(r, str) and re.fullmatch("[01]*", r) for r in rows)):
-            raise SourceError(f"{name}, line 2: mask; expected {shape[0]} texts of 0 and 1")
-        if any(len(row) != shape[1] for row in rows):
-            raise SourceError(f"{name}, line 2: mask; expected {shape[1]} of 0 and 1 in each row")
-        found["mask"] = np.array([[cell == "1" for cell in row] for row in rows])
+        found["mask"] = parse_mask(rows, shape, f"{name}, line 2: mask")
     return found

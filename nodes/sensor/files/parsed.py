@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -277,6 +278,19 @@ def parse_whole(token: str, where: str, low: int, high: int) -> int:
     if not low <= value <= high:
         raise SourceError(f"{where}: {value} is outside {low}..{high}")
     return value
+
+
+def parse_mask(rows: Any, shape: tuple[int, int], where: str) -> Mask:
+    """Read a mask, a text a row of 1 (a taxel) and 0 (none); SourceError if it is none of that
+    shape.
+    """
+    n_rows, n_cols = shape
+    texts = isinstance(rows, list) and all(isinstance(row, str) for row in rows)
+    if not (texts and len(rows) == n_rows and all(re.fullmatch("[01]*", row) for row in rows)):
+        raise SourceError(f"{where}: expected {n_rows} texts of {n_cols} characters 0 and 1")
+    if any(len(row) != n_cols for row in rows):
+        raise SourceError(f"{where}: expected {n_cols} characters 0 and 1 in each row")
+    return np.array([[cell == "1" for cell in row] for row in rows], dtype=np.bool_)
 
 
 def check_number(

@@ -123,7 +123,7 @@ def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds() 
     [
         ("rows = 12", "rows = 0", "patches[2] (forearm): rows: expected a whole number in 1..4096"),
         ("rows = 12\n", "", "patches[2] (forearm): rows: is missing"),
-        ('"111100"', '"1111"', "patches[2] (forearm): mask: expected 12 texts of 6 characters 0"),
+        ('"111100"', '"1111"', "patches[2] (forearm): mask: expected 6 characters 0 and 1 in"),
         ("noise =", "nose =", "patches[2].nose: unknown key (did you mean 'noise'?)"),
         ('"left_palm"', '"Left palm"', "patches[0].name: 'Left palm' is no name"),
         ('"left_palm"', '"sole"', "patches[3].name: 'sole' occurs twice"),
