@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from typing import IO, Any
 
 import numpy as np
@@ -21,7 +20,7 @@ INSTALL = 'reading HDF5 needs h5py; pip install "sparseskin[files]"'
 _MOST_OBJECTS = 1000
 """Groups and datasets that are looked at; chosen, far above those of a recording."""
 _FILTERS = {"gzip", "lzf", "szip", None}
-_MATLAB_CLASS = "MATLAB_class"
+MATLAB_CLASS = "MATLAB_class"
 
 
 class Hdf5Recording(Recording):
@@ -42,34 +41,13 @@ class Hdf5Recording(Recording):
         self._name, self._n_bytes = name, file.seek(0, io.SEEK_END)
 
     def head(self) -> Head:
-        shape, has_mask = hdf5_shape(self._name, self._n_bytes)
-        _, n_rows, n_cols = checked_shape(shape, self._name)
-        return Head(n_rows, n_cols, None if has_mask else n_rows * n_cols)
+        found = in_child(f"{__name__}:read_shape", self._name, self._n_bytes)
+        _, n_rows, n_cols = checked_shape(tuple(found["shape"].tolist()), self._name)
+        return Head(n_rows, n_cols, None if found["has_mask"] else n_rows * n_cols)
 
     def read(self) -> Parsed:
-        arrays, _ = hdf5_arrays(self._name, self._n_bytes)
+        arrays = in_child(f"{__name__}:read_arrays", self._name, self._n_bytes)
         return parsed_arrays(arrays, self._name)
-
-
-def hdf5_arrays(name: str, n_bytes: int) -> tuple[dict[str, npt.NDArray[Any]], bool]:
-    """The dataset of frames of a file, and those that describe it; True if MATLAB wrote them, whose
-    dimensions stand in reverse order. `n_bytes` is the size of the file.
-    """
-    _check_installed(name)
-    arrays = in_child(f"{__name__}:read_arrays", name, n_bytes)
-    return arrays, bool(arrays.pop(_MATLAB_CLASS))
-
-
-def hdf5_shape(name: str, n_bytes: int) -> tuple[tuple[int, ...], bool]:
-    """Shape of the dataset of frames of a file, and True where a mask stands beside it."""
-    _check_installed(name)
-    found = in_child(f"{__name__}:read_shape", name, n_bytes)
-    return tuple(found["shape"].tolist()), bool(found["has_mask"])
-
-
-def _check_installed(name: str) -> None:
-    if find_spec("h5py") is None:
-        raise SourceError(f"{name}: {INSTALL}")
 
 
 def read_shape(name: str, most: int) -> dict[str, npt.NDArray[Any]]:
@@ -81,7 +59,9 @@ def read_shape(name: str, most: int) -> dict[str, npt.NDArray[Any]]:
 
 
 def read_arrays(name: str, most: int) -> dict[str, npt.NDArray[Any]]:
-    """The arrays of a file, of at most `most` bytes together; runs in a child."""
+    """The arrays of a file, of at most `most` bytes together, and whether MATLAB wrote them, whose
+    dimensions stand in reverse order; runs in a child.
+    """
     with _opened(name) as (file, h5py):
         return _arrays(_forces(file, h5py, name), h5py, name, most)
 
@@ -99,13 +79,15 @@ def _arrays(forces: Any, h5py: Any, name: str, most: int) -> dict[str, npt.NDArr
     for key in NPZ_NAMES[1:]:
         if key not in arrays and key in forces.attrs:
             arrays[key] = _text_or_number(forces.attrs[key])
-    return arrays | {_MATLAB_CLASS: np.array(_MATLAB_CLASS in forces.attrs)}
+    return arrays | {MATLAB_CLASS: np.array(MATLAB_CLASS in forces.attrs)}
 
 
 @contextmanager
 def _opened(name: str) -> Iterator[Any]:
-    import h5py
-
+    try:
+        import h5py
+    except ImportError as error:
+        raise SourceError(f"{name}: {INSTALL}") from error
     try:
         with h5py.File(name, "r") as file:
             yield file, h5py
@@ -143,7 +125,7 @@ def _read(dataset: Any, h5py: Any, name: str) -> npt.NDArray[Any]:
         raise SourceError(f"{where}: its numbers are in other files")
     if dataset.compression not in _FILTERS:
         raise SourceError(f"{where}: compression {shown(dataset.compression)} is not read")
-    if dataset.attrs.get(_MATLAB_CLASS) == b"char":
+    if dataset.attrs.get(MATLAB_CLASS) == b"char":
         return np.array("".join(map(chr, dataset[()].ravel())))
     if h5py.check_string_dtype(dataset.dtype) is not None:
         return _text_or_number(dataset[()])

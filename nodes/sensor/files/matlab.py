@@ -14,7 +14,7 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import SourceError
 
 from .arrays import NPZ_NAMES, forces_name, parsed_arrays
-from .hdf5 import hdf5_arrays, hdf5_shape
+from .hdf5 import MATLAB_CLASS, Hdf5Recording
 from .isolated import in_child
 from .parsed import Head, Parsed, Recording, shown
 
@@ -52,28 +52,26 @@ class MatRecording(Recording):
         self._n_bytes = file.seek(0, io.SEEK_END)
 
     def head(self) -> Head:
-        if self._is_hdf5:
-            shape, masked = hdf5_shape(self._name, self._n_bytes)
-            shape = shape[::-1]
-        else:
-            found = in_child(f"{__name__}:read_shape", self._name, self._n_bytes)
-            shape, masked = tuple(found["shape"].tolist()), bool(found["has_mask"])
+        found = self._in_child("read_shape")
+        shape = tuple(found["shape"].tolist())
+        shape = shape[::-1] if self._is_hdf5 else shape
         n_rows, n_cols = shape[:2] if self._frame_axis(shape) == 2 else shape[-2:]
-        return Head(n_rows, n_cols, None if masked else n_rows * n_cols)
+        return Head(n_rows, n_cols, None if found["has_mask"] else n_rows * n_cols)
 
     def read(self) -> Parsed:
-        name = self._name
-        if self._is_hdf5:
-            arrays, transposed = hdf5_arrays(name, self._n_bytes)
-            arrays = {key: array.T for key, array in arrays.items()} if transposed else arrays
-        else:
-            arrays = in_child(f"{__name__}:read_arrays", name, self._n_bytes)
+        name, arrays = self._name, self._in_child("read_arrays")
+        if arrays.pop(MATLAB_CLASS, False):
+            arrays = {key: array.T for key, array in arrays.items()}
         arrays = {key: _plain(key, array) for key, array in arrays.items()}
         key = forces_name({key: array.ndim for key, array in arrays.items()}, name)
         forces = arrays[key]
         axis = self._frame_axis(forces.shape)
         arrays[key] = np.moveaxis(forces[:, :, None] if forces.ndim == 2 else forces, axis, 0)
         return parsed_arrays(arrays, name)
+
+    def _in_child(self, function: str) -> dict[str, npt.NDArray[Any]]:
+        module = Hdf5Recording.__module__ if self._is_hdf5 else __name__
+        return in_child(f"{module}:{function}", self._name, self._n_bytes)
 
     def _frame_axis(self, shape: tuple[int, ...]) -> int:
         """Which dimension counts the frames: 2 or 0; 2 of one frame, whose array has two."""
