@@ -18,9 +18,7 @@ from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask
 
 from .base import BLOCK, Phi, fingerprint_of
-from .local import LocalSbhePhi
 from .quadtree import N_DETAILS, Quadtree
-from .row_local import RowLocalPhi
 
 CLIP_MEAN, CLIP_SD = 0.399, 0.584
 """Mean and standard deviation of an untouched taxel's noise clipped at 0, in standard deviations of
@@ -81,7 +79,7 @@ class AdaptivePhi(Phi):
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         self.exists: Mask | None = None
-        self._lay_out(np.ones((1, n), dtype=np.bool_))
+        self._arrange(np.ones((1, n), dtype=np.bool_))
         self.state_noise(0.0, PAPER_F_MAX_N)
 
     @classmethod
@@ -93,24 +91,12 @@ class AdaptivePhi(Phi):
                 f'phi "adaptive": m = {m} is not allowed; allowed: {least}..{n} (n = {n} taxels)'
             )
 
-    def lay_out(self, exists: Mask) -> None:
-        """Set the grid of the taxels, bool (n_rows, n_cols), True where one exists.
-
-        Raises
-        ------
-        PhiError
-            If they are not n taxels.
-        """
-        if self.exists is not None and np.array_equal(self.exists, exists):
-            return
-        if np.count_nonzero(exists) != self.n:
-            raise PhiError(
-                f"adaptive: the grid has {np.count_nonzero(exists)} taxels; expected n = {self.n}"
-            )
-        self.exists = exists.copy()
-        self._lay_out(self.exists)
-
     def _lay_out(self, exists: Mask) -> None:
+        if self.exists is None or not np.array_equal(self.exists, exists):
+            self.exists = exists.copy()
+            self._arrange(self.exists)
+
+    def _arrange(self, exists: Mask) -> None:
         self.tree = Quadtree(exists, self.m)
         shape = np.array(exists.shape, dtype=np.intp)
         self.fingerprint = fingerprint_of(
@@ -373,8 +359,10 @@ def layout(
     f_max: float = PAPER_F_MAX_N,
     clipped: bool = True,
 ) -> None:
-    """Lay out a matrix on a grid, and state its noise, where its kind depends on them."""
-    if isinstance(phi, AdaptivePhi | LocalSbhePhi | RowLocalPhi):
+    """Lay out a matrix on a grid, and state its noise, where its kind depends on them.
+    Raises PhiError as `Phi.lay_out`.
+    """
+    if isinstance(phi, Phi):
         phi.lay_out(exists)
     if isinstance(phi, AdaptivePhi):
         phi.state_noise(sigma_end, f_max, clipped)

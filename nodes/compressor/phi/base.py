@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.lookup import find_callable, find_class
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Floats, Mask
 
 KINDS = {
     "sbhe": "sparseskin.nodes.compressor.phi.sbhe:SbhePhi",
@@ -132,6 +132,28 @@ class Phi(ABC):
     def adjoint(self, y: Floats, out: Floats | None = None) -> Floats:
         """Return x = Phi^T y, as `forward`, with y and x of m and n numbers a frame."""
         return self._each(self._adjoint, "y", y, self.m, self.n, out)
+
+    def lay_out(self, exists: Mask) -> None:
+        """State the grid of the taxels, by which some kinds arrange their rows.
+
+        Parameters
+        ----------
+        exists : ndarray of bool, shape (n_rows, n_cols)
+            True where a taxel exists.
+
+        Raises
+        ------
+        PhiError
+            If there are more or fewer taxels than n, or the kind does not allow the grid.
+        """
+        if np.count_nonzero(exists) != self.n:
+            raise PhiError(
+                f"{self.kind}: n = {self.n}, but {np.count_nonzero(exists)} taxels exist"
+            )
+        self._lay_out(exists)
+
+    def _lay_out(self, exists: Mask) -> None:  # noqa: B027
+        """Arrange the rows by the grid, where the kind depends on it."""
 
     @abstractmethod
     def dense(self) -> npt.NDArray[np.float64]:

@@ -45,20 +45,9 @@ class LocalSbhePhi(SbhePhi):
     ) -> None:
         super().__init__(n, m, seed, block, rule)
         root = math.isqrt(n)
-        self.lay_out(np.ones((root, root) if root * root == n else (1, n), dtype=np.bool_))
+        self._lay_out(np.ones((root, root) if root * root == n else (1, n), dtype=np.bool_))
 
-    def lay_out(self, exists: Mask) -> None:
-        """State the grid of the taxels; `exists`: bool (n_rows, n_cols), n of them True.
-
-        Raises
-        ------
-        PhiError
-            If there are more or fewer taxels than n.
-        """
-        if np.count_nonzero(exists) != self.n:
-            raise PhiError(
-                f"{self.kind}: n = {self.n}, but {np.count_nonzero(exists)} taxels exist"
-            )
+    def _lay_out(self, exists: Mask) -> None:
         rng = np.random.default_rng(self.seed)
         self._arrange(neighbourhood_order(exists, self.side, rng))
         self._keep(np.sort(self._order[: self.m]))

@@ -42,7 +42,8 @@ class RowLocalPhi(RotatingPhi):
     Raises
     ------
     PhiError
-        If m is less than n_rows, once the grid is stated; and as in `Phi`.
+        If, once the grid is stated, a cell has no taxel, m is less than n_rows, or there are more
+        than 1024 columns; and as in `Phi`.
     """
 
     kind = "row_local"
@@ -52,17 +53,9 @@ class RowLocalPhi(RotatingPhi):
         root = math.isqrt(n)
         self._arrange(*((root, root) if root * root == n else (n, 1)))
 
-    def lay_out(self, exists: Mask) -> None:
-        """State the grid of the taxels; `exists`: bool (n_rows, n_cols), all True.
-
-        Raises
-        ------
-        PhiError
-            If a cell has no taxel, there are not n cells, fewer measurements than rows, or more
-            than 1024 columns.
-        """
+    def _lay_out(self, exists: Mask) -> None:
         n_rows, n_cols = exists.shape
-        if not exists.all() or exists.size != self.n:
+        if not exists.all():
             raise PhiError(f"row_local: allowed: a grid of n = {self.n} taxels without gaps")
         if n_cols > MAX_COLS:
             raise PhiError(f"row_local: {n_cols} columns; allowed: {MAX_COLS} or fewer")

@@ -133,13 +133,6 @@ def test_fewer_measurements_than_a_sum_and_a_node_are_refused(n: int, m: int, le
         make_phi("adaptive", n, m, seed=0)
 
 
-def test_a_grid_of_another_size_is_refused() -> None:
-    phi = make_phi("adaptive", 100, 20, seed=0)
-    assert isinstance(phi, AdaptivePhi)
-    with pytest.raises(PhiError, match="the grid has 99 taxels; expected n = 100"):
-        phi.lay_out(np.ones((9, 11), np.bool_))
-
-
 def code_of(phi: AdaptivePhi, n_nodes: int) -> npt.NDArray[np.uint8]:
     return phi.tree.coded(np.arange(phi.tree.n_nodes) < n_nodes)
 

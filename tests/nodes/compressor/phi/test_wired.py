@@ -95,8 +95,9 @@ def test_a_mask_is_laid_out_by_its_existing_taxels() -> None:
     phi = make_phi("local:4", 55, 20, 0)
     layout(phi, exists)
     assert_operators(phi)
-    with pytest.raises(PhiError, match="n = 55, but 64 taxels exist"):
-        layout(phi, np.ones((8, 8), dtype=np.bool_))
+    for kind in ("local:4", "adaptive", "row_local", "sbhe"):
+        with pytest.raises(PhiError, match="n = 55, but 64 taxels exist"):
+            layout(make_phi(kind, 55, 20, 0), np.ones((8, 8), dtype=np.bool_))
     with pytest.raises(PhiError, match="without gaps"):
         layout(make_phi("row_local", 55, 20, 0), exists)
 
