@@ -27,7 +27,7 @@ SMOOTHING_STEPS = 10
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scene:
-    """Parameters of a simulated scene.
+    """Parameters of a simulated scene; the defaults are those of most scenes of the paper.
 
     Attributes
     ----------
