@@ -62,44 +62,106 @@ def side_by_side(sizes: Sequence[int]) -> tuple[Indices, npt.NDArray[np.int64]]:
 class BlockHadamard:
     """W: block-diagonal, each block a Hadamard matrix of +1 and -1, not scaled; W W = diag(size).
 
-    Sums and differences only, always in the same order: the same bits on every BLAS. Vectors lie
-    in the order of `side_by_side`, so that each step adds and subtracts long runs.
+    Sums and differences only, always in the same order: the same bits on every BLAS. numpy is
+    quick where operands are one evenly spaced run of numbers, so the buffers are kept in orders
+    that make every step such a run; the order of the output differs from that of the input.
 
     Attributes
     ----------
     sizes : list of int
         Sizes of the blocks, in order.
-    order : ndarray of intp, shape (n,)
-        Place p of a vector belongs to column, and after the transform to row, order[p] of W.
-    groups : ndarray of int64, shape (k, 3)
-        Start, size and number of the blocks of each size.
+    order_in : ndarray of intp, shape (n,)
+        Place p of the input buffer belongs to column order_in[p] of W.
+    order_out : ndarray of intp, shape (n,)
+        Place p of the output buffer belongs to row order_out[p] of W.
+    size_at : ndarray of float32, shape (n,)
+        Size of the block that place p of the output belongs to.
     """
 
     def __init__(self, n: int, block: int) -> None:
         self.sizes = block_sizes(n, block)
-        self.order, self.groups = side_by_side(self.sizes)
+        self._groups: list[tuple[int, int, int]] = []  # start, stop, log2 of the block size
+        self.order_in: Indices = np.empty(n, dtype=np.intp)
+        self.order_out: Indices = np.empty(n, dtype=np.intp)
+        self.size_at: Floats = np.empty(n, dtype=np.float32)
+        start = 0
+        for size in dict.fromkeys(self.sizes):
+            count = self.sizes.count(size)
+            stop = start + size * count
+            order_in, order_out = _orders(size, count)
+            self.order_in[start:stop] = start + order_in
+            self.order_out[start:stop] = start + order_out
+            self.size_at[start:stop] = size
+            self._groups.append((start, stop, size.bit_length() - 1))
+            start = stop
 
-    def program(self, v: Floats, scratch: Floats, transposed: bool = False) -> list[Call]:
-        """Return the calls that transform v in place, contiguous float32, shape (n,), by W or W^T.
+    def program(self, a: Floats, b: Floats) -> tuple[list[Call], Floats]:
+        """Return the calls that transform buffer a, and the buffer of the result, a or b.
 
-        `scratch` is overwritten; it has the shape of v.
+        Parameters
+        ----------
+        a, b : ndarray of float32, shape (n,) or longer, contiguous
+            Input and scratch, both overwritten; places beyond n are left alone.
         """
         calls: list[Call] = []
-        for start, size, count in self.groups.tolist():
-            part = slice(start, start + size * count)
-            here, there = v[part], scratch[part]
-            # Places of a block whose sum and difference a step takes are 1 apart in the first step,
-            # then size / 2, ... 4, 2.
-            apart = [1 << k for k in range(size.bit_length() - 1)]
-            apart = apart[:1] + apart[:0:-1]
-            for step in reversed(apart) if transposed else apart:
-                low, high = here.reshape(-1, 2, step * count).swapaxes(0, 1)
-                sums, differences = there.reshape(-1, 2, step * count).swapaxes(0, 1)
-                calls += [(np.add, (low, high, sums)), (np.subtract, (low, high, differences))]
+        moves = self._moves(self._groups[0])
+        for group in self._groups:
+            start, stop, stages = group
+            here, there = a[start:stop], b[start:stop]
+            change = self._moves(group) % 2 != moves % 2
+            if stages == 0:
+                if change:
+                    calls.append((np.copyto, (there, here)))
+                continue
+            # Neighbours as one complex number: (p + iq)(1 + i) = (p - q) + i(p + q).
+            target = there if change else here
+            calls.append((np.multiply, (_pairs(here), _ONE_PLUS_I, _pairs(target))))
+            if change:
                 here, there = there, here
-            if len(apart) % 2:
-                calls.append((np.copyto, (there, here)))
+            for _ in range(stages - 2):
+                low, high = np.split(_pairs(here), 2)
+                calls.append((np.add, (low, high, _pairs(there)[0::2])))
+                calls.append((np.subtract, (low, high, _pairs(there)[1::2])))
+                here, there = there, here
+            if stages > 1:
+                calls += _halves(here, there)
+        return calls, (b if moves % 2 else a)
+
+    def transposed(self, a: Floats, b: Floats) -> list[Call]:
+        """Return the calls of the transposed transform, from `order_out` back to `order_in`.
+
+        With the buffers of `program`, they start in the one that holds its result, and leave
+        theirs in a.
+        """
+        calls: list[Call] = []
+        moves = self._moves(self._groups[0])
+        for group in self._groups:
+            start, stop, stages = group
+            here, there = a[start:stop], b[start:stop]
+            if moves % 2:
+                here, there = there, here
+            change = self._moves(group) % 2 != moves % 2
+            if stages == 0:
+                if change:
+                    calls.append((np.copyto, (there, here)))
+                continue
+            if stages > 1:
+                calls += _halves(here, there)
+                here, there = there, here
+            for _ in range(stages - 2):
+                low, high = np.split(_pairs(there), 2)
+                calls.append((np.add, (_pairs(here)[0::2], _pairs(here)[1::2], low)))
+                calls.append((np.subtract, (_pairs(here)[0::2], _pairs(here)[1::2], high)))
+                here, there = there, here
+            # (d + is)(1 - i) = (s + d) + i(s - d).
+            target = there if change else here
+            calls.append((np.multiply, (_pairs(here), _ONE_MINUS_I, _pairs(target))))
         return calls
+
+    @staticmethod
+    def _moves(group: tuple[int, int, int]) -> int:
+        """Return how often a group changes buffers; its first stage is done in place."""
+        return max(group[2] - 1, 0)
 
 
 class HadamardProducts:
@@ -118,11 +180,8 @@ class HadamardProducts:
 
     Attributes
     ----------
-    order_in, order_out : ndarray of intp, shape (n,)
-        Place p of a vector belongs to column order_in[p] of W, after the transform to row
-        order_out[p].
-    size_at : ndarray of float32, shape (n,)
-        Size of the block that place p belongs to.
+    order_in, order_out, size_at
+        As in `BlockHadamard`.
     """
 
     def __init__(self, sizes: list[int], orthonormal: bool = False) -> None:
@@ -143,11 +202,11 @@ class HadamardProducts:
         self._scratch: Floats = np.empty(sum(sizes), dtype=np.float32)
 
     def program(self, a: Floats, b: Floats) -> tuple[list[Call], Floats]:
-        """Return the calls that transform a to b by W, and b; float32, shape (n,) or longer."""
+        """As `BlockHadamard.program`; the input is left in a."""
         return self._calls(a, b, back=False), b
 
     def transposed(self, a: Floats, b: Floats) -> list[Call]:
-        """Return the calls that transform b to a by W^T."""
+        """As `BlockHadamard.transposed`."""
         return self._calls(b, a, back=True)
 
     def _calls(self, source: Floats, target: Floats, back: bool) -> list[Call]:
@@ -171,3 +230,34 @@ class HadamardProducts:
 def _rows(vector: Floats, matrix: Floats) -> Floats:
     """Return a vector as the columns that a matrix multiplies."""
     return vector.reshape(len(matrix), -1)
+
+
+_ONE_PLUS_I = np.array(1 + 1j, dtype=np.complex64)
+_ONE_MINUS_I = np.array(1 - 1j, dtype=np.complex64)
+
+
+def _pairs(run: Floats) -> npt.NDArray[np.complex64]:
+    pairs: npt.NDArray[np.complex64] = run.view(np.complex64)
+    return pairs
+
+
+def _halves(source: Floats, target: Floats) -> list[Call]:
+    half = source.size // 2
+    low, high = source[:half], source[half:]
+    return [
+        (np.add, (low, high, target[:half])),
+        (np.subtract, (low, high, target[half:])),
+    ]
+
+
+def _orders(size: int, count: int) -> tuple[Indices, Indices]:
+    """Return the orders of input and output of `count` blocks of one size."""
+    index = np.arange(size * count, dtype=np.intp).reshape(count, size)
+    if size == 1:
+        return index.ravel(), index.ravel()
+    # Neighbours are the last bit of the index within a block; the others come before the block.
+    order_in: Indices = index.reshape(count, size // 2, 2).transpose(1, 0, 2).reshape(-1, 2)
+    order_out = order_in
+    for _ in range(size.bit_length() - 3):
+        order_out = np.stack(np.split(order_out, 2), axis=1).reshape(-1, 2)
+    return order_in.ravel(), order_out[:, ::-1].ravel()

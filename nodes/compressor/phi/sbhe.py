@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
-from typing import Any, TypeGuard
+from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Floats, Indices
-from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.programs import run
 
 from .base import BLOCK, RANDOM, SPREAD, Phi, fingerprint_of
 from .hadamard import BlockHadamard, hadamard_matrix
 from .rotation import RotatingPhi, split_evenly
+
+if TYPE_CHECKING:
+    from .fast import CompiledForward
 
 
 class SbhePhi(RotatingPhi):
@@ -74,31 +76,38 @@ class SbhePhi(RotatingPhi):
             self._order: Indices = rng.permutation(n).astype(np.intp)
         else:
             self._order, self._by_block = spread_order(self.hadamard.sizes, rng)
-        self._v, scratch = np.zeros((2, n), dtype=np.float32)
-        self._transform = self.hadamard.program(self._v, scratch)
-        self._transposed = self.hadamard.program(self._v, scratch, transposed=True)
         self._arrange(permutation)
+        self._y_and_zero = np.zeros(m + 1, dtype=np.float32)
         self._keep(np.sort(self._order[:m]))
+
+        self._a = np.zeros(n, dtype=np.float32)
+        b = np.zeros(n, dtype=np.float32)
+        self._transform, self._result = self.hadamard.program(self._a, b)
+        self._transposed = self.hadamard.transposed(self._a, b)
 
     def _arrange(self, permutation: Indices) -> None:
         """Set P_N, intp, shape (n,)."""
         permutation.setflags(write=False)
         self.permutation: Indices = permutation
-        #: Taxel that belongs to each place of the transform, shape (n,).
-        self.scramble: Indices = permutation[self.hadamard.order]
+        #: Taxel that belongs to each place of the transform's input, shape (n,).
+        self.scramble: Indices = permutation[self.hadamard.order_in]
+        self._unscramble: Indices = np.argsort(self.scramble)
 
     def _keep(self, rows: Indices) -> None:
         rows.setflags(write=False)
         self.rows: Indices = rows
-        self._compiled: tuple[Any, ...] = ()
+        self._compiled: CompiledForward | None = None
         self.fingerprint = fingerprint_of(
             self.kind, self.n, self.m, self.block, self.permutation, rows
         )
-        #: Place of the transform where each measurement appears, shape (m,).
-        self.row_places: Indices = np.argsort(self.hadamard.order)[rows]
-        size_at = np.repeat(self.hadamard.sizes, self.hadamard.sizes).astype(np.float32)
+        place_of_row = np.argsort(self.hadamard.order_out)
+        #: Place of the transform's output where each measurement appears, shape (m,).
+        self.row_places: Indices = place_of_row[rows]
         #: 1 / sqrt(B) of each measurement's block, shape (m,).
-        self.scale: Floats = np.reciprocal(np.sqrt(size_at[rows]))
+        self.scale: Floats = np.reciprocal(np.sqrt(self.hadamard.size_at[self.row_places]))
+        # Places of rows that are not kept take the zero behind the last measurement.
+        self._spread: Indices = np.full(self.n, self.m, dtype=np.intp)
+        self._spread[self.row_places] = np.arange(self.m)
 
     def row_subsets(self) -> list[Phi]:
         """As in `RotatingPhi`; by rule 2, the first one is not this matrix."""
@@ -120,27 +129,26 @@ class SbhePhi(RotatingPhi):
 
     def compile(self) -> None:
         """Compute `forward` in compiled loops from now on: the same bits; needs numba."""
-        from sparseskin.nodes.numerics.kernels import measure
+        from .fast import CompiledForward
 
-        ready(measure)
-        places = self.scramble.astype(np.uint32), self.row_places.astype(np.uint32)
-        self._compiled = measure, places[0], self.hadamard.groups, places[1], self.scale, self._v
+        self._compiled = CompiledForward(
+            self.permutation, self.hadamard.sizes, self.rows, self.scale
+        )
 
     def _forward(self, x: Floats, out: Floats) -> None:
-        if self._compiled:
-            measure, *tables = self._compiled
-            measure(x, *tables, out)
+        if self._compiled is not None:
+            self._compiled(x, out)
             return
-        x.take(self.scramble, None, self._v, "clip")
+        x.take(self.scramble, None, self._a, "clip")
         run(self._transform)
-        self._v.take(self.row_places, None, out, "clip")
+        self._result.take(self.row_places, None, out, "clip")
         np.multiply(out, self.scale, out)
 
     def _adjoint(self, y: Floats, out: Floats) -> None:
-        self._v.fill(0)
-        self._v[self.row_places] = y * self.scale
+        np.multiply(y, self.scale, self._y_and_zero[:-1])
+        self._y_and_zero.take(self._spread, None, self._result, "clip")
         run(self._transposed)
-        out[self.scramble] = self._v
+        self._a.take(self._unscramble, None, out, "clip")
 
 
 def spread_order(sizes: Sequence[int], rng: np.random.Generator) -> tuple[Indices, Indices]:
