@@ -1,4 +1,4 @@
-"""Bases that are a matrix along each axis: the cosine transform and PyWavelets' families."""
+"""The cosine basis, and the wavelet families of PyWavelets."""
 
 from __future__ import annotations
 
@@ -10,30 +10,9 @@ import pywt
 from scipy.fft import dct
 
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Doubles, Floats
+from sparseskin.nodes.numerics.arrays import Doubles
 
-from .base import Basis
-
-
-class SeparableBasis(Basis):
-    """A matrix along each axis, at each level on the approximation of the last one.
-
-    `_levels` holds rows, columns and both matrices of each level; a subclass sets it.
-    """
-
-    _levels: list[tuple[int, int, Floats, Floats]]
-
-    def _analysis(self, image: Floats, out: Floats) -> None:
-        pyramid = out.reshape(self.n_rows, self.n_cols)
-        np.copyto(pyramid, image.reshape(pyramid.shape))
-        for rows, cols, along_rows, along_cols in self._levels:
-            pyramid[:rows, :cols] = along_rows @ pyramid[:rows, :cols] @ along_cols.T
-
-    def _synthesis(self, coefficients: Floats, out: Floats) -> None:
-        pyramid = out.reshape(self.n_rows, self.n_cols)
-        np.copyto(pyramid, coefficients.reshape(pyramid.shape))
-        for rows, cols, along_rows, along_cols in reversed(self._levels):
-            pyramid[:rows, :cols] = along_rows.T @ pyramid[:rows, :cols] @ along_cols
+from .haar import SeparableBasis
 
 
 class DctBasis(SeparableBasis):
@@ -44,15 +23,13 @@ class DctBasis(SeparableBasis):
     """
 
     def __init__(self, n_rows: int, n_cols: int) -> None:
-        super().__init__(n_rows, n_cols)
-        self._levels = [(n_rows, n_cols, _dct_matrix(n_rows), _dct_matrix(n_cols))]
+        super().__init__(n_rows, n_cols, _dct_matrix, n_levels=1)
 
 
 class WaveletBasis(SeparableBasis):
     """Psi = an orthonormal 2-D wavelet basis of PyWavelets, periodic, full depth, any size.
 
-    At each level one matrix acts along either axis on the approximation of the last level; the
-    last sample of an odd side goes on unchanged. Laid out as in `HaarBasis`.
+    The last sample of an odd side goes on unchanged. Laid out as in `SeparableBasis`.
 
     Parameters
     ----------
@@ -73,25 +50,18 @@ class WaveletBasis(SeparableBasis):
     """
 
     def __init__(self, n_rows: int, n_cols: int, wavelet: str) -> None:
-        super().__init__(n_rows, n_cols)
-        self._levels = []
-        rows, cols = self.n_rows, self.n_cols
-        while rows > 1 or cols > 1:
-            self._levels.append(
-                (rows, cols, _level_matrix(wavelet, rows), _level_matrix(wavelet, cols))
-            )
-            rows, cols = (rows + 1) // 2, (cols + 1) // 2
+        super().__init__(n_rows, n_cols, partial(_level_matrix, wavelet))
 
 
 @lru_cache(maxsize=64)
-def _dct_matrix(n: int) -> Floats:
-    matrix: Floats = dct(np.eye(n), norm="ortho", axis=0).astype(np.float32)
+def _dct_matrix(n: int) -> Doubles:
+    matrix: Doubles = dct(np.eye(n), norm="ortho", axis=0)
     return matrix
 
 
 @lru_cache(maxsize=256)
-def _level_matrix(wavelet: str, n: int) -> Floats:
-    """One level along a side of n: approximations first, float32 (n, n), orthonormal."""
+def _level_matrix(wavelet: str, n: int) -> Doubles:
+    """One level along a side of n, as `haar.level_matrix`."""
     n_paired = n - n % 2
     level: Doubles = np.eye(n)
     if n_paired:
@@ -102,7 +72,7 @@ def _level_matrix(wavelet: str, n: int) -> Floats:
         level[n - half :, :n_paired] = parts[1]
         if n % 2:
             level[half, n - 1] = 1.0
-    return level.astype(np.float32)
+    return level
 
 
 def _orthogonal(name: str) -> pywt.Wavelet:

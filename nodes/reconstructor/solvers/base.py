@@ -27,7 +27,6 @@ SOLVERS = {
     "fista_nonneg": "sparseskin.nodes.reconstructor.solvers.proximal:FistaNonnegSolver",
     "reweighted": "sparseskin.nodes.reconstructor.solvers.proximal:ReweightedSolver",
     "tv": "sparseskin.nodes.reconstructor.solvers.proximal:TvSolver",
-    "oamp": "sparseskin.nodes.reconstructor.solvers.oamp:OampSolver",
     "ista": "sparseskin.nodes.reconstructor.solvers.proximal:IstaSolver",
     "omp": "sparseskin.nodes.reconstructor.solvers.omp:OmpSolver",
     "interpolation": "sparseskin.nodes.reconstructor.solvers.interpolation:InterpolationSolver",

@@ -15,7 +15,6 @@ from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 
 from .base import MAX_ITERATIONS, Solver, newtons, whole_number
-from .sbhe_haar import SbheHaarFista
 
 if TYPE_CHECKING:
     from .fast import CompiledFista
@@ -35,8 +34,8 @@ class Fista:
         t_{k+1}   = (1 + sqrt(1 + 4 t_k^2)) / 2
         z_{k+1}   = theta_k + (t_k - 1) / t_{k+1} (theta_k - theta_{k-1})      (momentum)
 
-    with the constant step 1/L, L >= the largest eigenvalue of A A^T. `SbheHaarFista` and compiled
-    loops are tested against this class, and this class against the equations with a dense matrix.
+    with the constant step 1/L, L >= the largest eigenvalue of A A^T. Compiled loops are tested
+    against this class, and this class against the equations with a dense matrix.
 
     Parameters
     ----------
@@ -47,14 +46,15 @@ class Fista:
     """
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask, lambda_n: float) -> None:
-        self._phi, self._basis, self._mask = phi, basis, mask
+        self._phi, self._basis, self._taxels = phi, basis, np.flatnonzero(mask)
+        self._shape = mask.shape
         self._step = np.float32(1 / phi.lipschitz)
         self._limit = np.float32(lambda_n / phi.lipschitz)
         self.reset()
 
     def reset(self) -> None:
         """Forget the last frame."""
-        self._theta = self._before = np.zeros(self._mask.shape, dtype=np.float32)
+        self._theta = self._before = np.zeros(self._shape, dtype=np.float32)
 
     def begin(self, y: Floats, warm: Floats | None) -> None:
         """Begin a frame of measurements, float32 (m,).
@@ -78,12 +78,12 @@ class Fista:
 
     def _forward(self, theta: Floats) -> Floats:
         """A theta."""
-        return self._phi.forward(self._basis.synthesis(theta)[self._mask])
+        return self._phi.forward(self._basis.synthesis(theta).reshape(-1)[self._taxels])
 
     def _adjoint(self, residual: Floats) -> Floats:
         """A^T residual."""
-        image = np.zeros(self._mask.shape, dtype=np.float32)
-        image[self._mask] = self._phi.adjoint(residual)
+        image = np.zeros(self._shape, dtype=np.float32)
+        image.reshape(-1)[self._taxels] = self._phi.adjoint(residual)
         return self._basis.analysis(image)
 
 
@@ -152,17 +152,14 @@ class FistaSolver(Solver):
         self.lambda_n = newtons("fista", "lambda_n", lambda_n)
         self.n_steps = self.iterations
         self._momenta = np.array(momenta(self.iterations), dtype=np.float32)
-        self._fista: Fista | SbheHaarFista | CompiledFista
-        compiled = use_compiled(fast)
+        self._fista: Fista | CompiledFista
         # A subclass may have changed what the operators do.
-        if not is_sbhe(phi) or type(basis) is not HaarBasis:
-            self._fista = Fista(phi, basis, self.mask, self.lambda_n)
-        elif compiled:
+        if use_compiled(fast) and is_sbhe(phi) and type(basis) is HaarBasis:
             from .fast import CompiledFista  # needs numba
 
             self._fista = CompiledFista(phi, basis, self.mask, self.lambda_n)
         else:
-            self._fista = SbheHaarFista(phi, basis, self.mask, self.lambda_n)
+            self._fista = Fista(phi, basis, self.mask, self.lambda_n)
 
     @property
     def theta(self) -> Floats:

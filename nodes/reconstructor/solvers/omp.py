@@ -8,7 +8,7 @@ import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis
 
 from .base import MAX_ITERATIONS, Solver, whole_number
@@ -52,27 +52,19 @@ class OmpSolver(Solver):
         super().__init__(phi, basis, mask)
         self.iterations = whole_number("omp", "iterations", iterations, 1, MAX_ITERATIONS)
         self.n_steps = min(self.iterations, phi.m)
-        k, shape = self.n_steps, self.mask.shape
-        # QR decomposition of the atoms so far.
-        self._q = np.zeros((k, phi.m), dtype=np.float64)
-        self._triangle = np.zeros((k, k), dtype=np.float64)
-        self._projected = np.zeros(k, dtype=np.float64)
-        self._r = np.zeros(phi.m, dtype=np.float64)
-        self._x = np.zeros(phi.n, dtype=np.float32)
-        self._image: Floats = np.zeros(shape, dtype=np.float32)
-        self._theta: Floats = np.zeros(shape, dtype=np.float32)
-        self._support: list[int] = []
-        self._ended = False
         noise = 2 * math.log(max(basis.n_rows * basis.n_cols, 2)) * phi.m / phi.n
         self._stands_out = math.sqrt(noise)
+        self._theta: Floats = np.zeros(self.mask.shape, dtype=np.float32)
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         """Begin a frame; parameters and Raises as in `solve`. A warm start is not used."""
-        y = self._checked_y(y)
+        self._y = self._checked_y(y).astype(np.float64)
         if warm is not None:
             self._checked_warm(warm)
-        self._r[:] = y
-        self._support.clear()
+        self._residual = self._y
+        self._support: list[int] = []
+        self._atoms = np.empty((0, self.phi.m))
+        self._found = np.empty(0)
         self._ended = False
         self._steps_left = self.n_steps
 
@@ -83,34 +75,24 @@ class OmpSolver(Solver):
             return
         correlation = self._correlations()
         best = int(np.argmax(np.abs(correlation)))
-        rms = math.sqrt(float(np.mean(self._r**2)))
-        if abs(correlation[best]) <= self._stands_out * rms or best in self._support:
+        rms = math.sqrt(float(np.mean(self._residual**2)))
+        self._ended = abs(correlation[best]) <= self._stands_out * rms or best in self._support
+        if self._ended:
+            return
+        atoms = np.vstack([self._atoms, self._atom(best)])
+        try:
+            found = np.linalg.solve(atoms @ atoms.T, atoms @ self._y)
+        except np.linalg.LinAlgError:  # the atom is a sum of those before
             self._ended = True
             return
-        k = len(self._support)
-        atom = self._atom(best)
-        inside = self._q[:k] @ atom
-        atom -= inside @ self._q[:k]
-        again = self._q[:k] @ atom  # once is not accurate for nearly parallel atoms
-        atom -= again @ self._q[:k]
-        length = float(np.linalg.norm(atom))
-        if not length > 1e-6:
-            self._ended = True
-            return
-        self._q[k] = atom / length
-        self._triangle[:k, k] = inside + again
-        self._triangle[k, k] = length
-        self._projected[k] = self._q[k] @ self._r
-        self._r -= self._projected[k] * self._q[k]
+        self._atoms, self._found = atoms, found
         self._support.append(best)
+        self._residual = self._y - found @ atoms
 
     def finish(self) -> Floats:
         self._steps_left = 0
-        k = len(self._support)
         self._theta.fill(0)
-        if k:
-            found = np.linalg.solve(self._triangle[:k, :k], self._projected[:k])
-            self._theta.reshape(-1)[self._support] = found
+        self._theta.reshape(-1)[self._support] = self._found
         forces = np.maximum(self.basis.synthesis(self._theta), 0)
         forces[~self.mask] = 0
         if not np.isfinite(forces).all():
@@ -122,15 +104,13 @@ class OmpSolver(Solver):
 
     def _correlations(self) -> Floats:
         """Return A^T r, float32 (n_rows * n_cols,)."""
-        self.phi.adjoint(self._r.astype(np.float32), self._x)
-        flat = self._image.reshape(-1)
-        flat.fill(0)
-        flat[self.taxels] = self._x
-        return self.basis.analysis(self._image).reshape(-1)
+        image = np.zeros(self.mask.shape, dtype=np.float32)
+        image.reshape(-1)[self.taxels] = self.phi.adjoint(self._residual.astype(np.float32))
+        return self.basis.analysis(image).reshape(-1)
 
-    def _atom(self, index: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    def _atom(self, index: int) -> Doubles:
         """Return a column of A, float64 (m,)."""
-        self._theta.fill(0)
-        self._theta.reshape(-1)[index] = 1
-        image = self.basis.synthesis(self._theta).reshape(-1)
+        theta = np.zeros(self.mask.shape, dtype=np.float32)
+        theta.reshape(-1)[index] = 1
+        image = self.basis.synthesis(theta).reshape(-1)
         return self.phi.forward(image[self.taxels]).astype(np.float64)

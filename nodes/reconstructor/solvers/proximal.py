@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 
 import numpy as np
@@ -11,7 +10,6 @@ from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis
 
-from .backends import make_projection
 from .base import MAX_ITERATIONS, Solver, newtons, whole_number
 from .fista import momenta
 
@@ -24,82 +22,10 @@ DUAL_STEPS, DUAL_STEP = 2, 0.25
 TV_HALF = 5.0
 
 
-class ImageSolver(Solver):
-    """A constant number of iterations on an image, starting from the image of the last frame.
+class PenalisedSolver(Solver):
+    """A constant number of iterations on 1/2 ||Phi x - y||^2 + lambda R(x); a subclass defines R.
 
-    Parameters
-    ----------
-    phi, basis, mask
-        As in `Solver`.
-    iterations : int
-        1..1000.
-
-    Raises
-    ------
-    SolverError
-        If a parameter is not allowed; and as in `Solver`.
-    """
-
-    #: The sum of squares of larger ones could overflow float32.
-    y_max = 1e14
-
-    def __init__(
-        self, phi: Phi, basis: Basis, mask: Mask | None = None, *, iterations: int
-    ) -> None:
-        super().__init__(phi, basis, mask)
-        self.iterations = whole_number(self.name, "iterations", iterations, 1, MAX_ITERATIONS)
-        self.n_steps = self.iterations
-        self._projection = make_projection(phi)
-        n = phi.n
-        self._cell_of_place = self.taxels[self._projection.order]
-        self._place_of_cell = np.full(self.mask.size, n, dtype=np.intp)
-        self._place_of_cell[self._cell_of_place] = np.arange(n)
-        self._image, self._gradient = np.zeros((2, *self.mask.shape), dtype=np.float32)
-        self._places = np.zeros((1, n), dtype=np.float32)
-        self._back_and_zero = np.zeros(n + 1, dtype=np.float32)
-        self._y = np.zeros(self._projection.n_rows, dtype=np.float32)
-        self._r = np.zeros((1, self._projection.n_rows), dtype=np.float32)
-
-    def setup(self, y: Floats, warm: Floats | None = None) -> None:
-        self._projection.rows_of(self._checked_y(y), self._y)
-        if warm is not None:
-            np.multiply(self._checked_warm(warm), self._inside, self._image)
-        self._begin()
-        self._steps_left = self.n_steps
-
-    def step(self) -> None:
-        self._count_step()
-        self._iterate()
-
-    def finish(self) -> Floats:
-        return self._final_forces(self._image.copy())
-
-    def reset(self) -> None:
-        self._image.fill(0)
-
-    def _begin(self) -> None:
-        """Prepare a frame that starts from `_image`."""
-
-    @abstractmethod
-    def _iterate(self) -> None:
-        """Do one iteration; the estimate is left in `_image`."""
-
-    def _descend(self, image: Floats) -> float:
-        """Write Phi^T (y - Phi image) / L to `_gradient`; return the RMS of y - Phi image, newtons.
-
-        Cells without a taxel get 0.
-        """
-        image.reshape(-1).take(self._cell_of_place, None, self._places[0], "clip")
-        self._projection.forward(self._places, self._r)
-        np.subtract(self._y, self._r[0], self._r[0])
-        self._projection.adjoint(self._r[0], self._back_and_zero[:-1])
-        flat = self._gradient.reshape(-1)
-        self._back_and_zero.take(self._place_of_cell, None, flat, "clip")
-        return math.sqrt(float(np.dot(self._r[0], self._r[0])) / self.phi.m)
-
-
-class PenalisedSolver(ImageSolver):
-    """A solver of 1/2 ||Phi x - y||^2 + lambda R(x); a subclass defines R.
+    The first one starts from the image of the last frame.
 
     Parameters
     ----------
@@ -128,12 +54,47 @@ class PenalisedSolver(ImageSolver):
         iterations: int | None = None,
         lambda_n: float | None = None,
     ) -> None:
+        super().__init__(phi, basis, mask)
         iterations = self.default_iterations if iterations is None else iterations
-        super().__init__(phi, basis, mask, iterations=iterations)
         lambda_n = self.default_lambda_n if lambda_n is None else lambda_n
+        self.iterations = whole_number(self.name, "iterations", iterations, 1, MAX_ITERATIONS)
         self.lambda_n = newtons(self.name, "lambda_n", lambda_n)
-        self._lambda_step = self.lambda_n * self._projection.step_size
+        self.n_steps = self.iterations
+        self._step = np.float32(1 / phi.lipschitz)
+        self._lambda_step = np.float32(self.lambda_n / phi.lipschitz)
+        self._image: Floats = np.zeros(self.mask.shape, dtype=np.float32)
         self._allocate()
+
+    def setup(self, y: Floats, warm: Floats | None = None) -> None:
+        self._y = self._checked_y(y).copy()
+        if warm is not None:
+            np.multiply(self._checked_warm(warm), self._inside, self._image)
+        self._begin()
+        self._steps_left = self.n_steps
+
+    def step(self) -> None:
+        self._count_step()
+        self._iterate()
+
+    def finish(self) -> Floats:
+        return self._final_forces(self._image.copy())
+
+    def reset(self) -> None:
+        self._image.fill(0)
+
+    def _begin(self) -> None:
+        """Prepare a frame that starts from `_image`."""
+
+    @abstractmethod
+    def _iterate(self) -> None:
+        """Do one iteration; the estimate is left in `_image`."""
+
+    def _descended(self, image: Floats) -> Floats:
+        """Return image + Phi^T (y - Phi image) / L, float32 (n_rows, n_cols)."""
+        residual = self._y - self.phi.forward(image.reshape(-1)[self.taxels])
+        descended = image.copy()
+        descended.reshape(-1)[self.taxels] += self._step * self.phi.adjoint(residual)
+        return descended
 
     @abstractmethod
     def _allocate(self) -> None:
@@ -145,17 +106,12 @@ class L1Solver(PenalisedSolver):
 
     def _allocate(self) -> None:
         #: Threshold of all coefficients, or of each.
-        self._limit: Floats | np.float32 = np.float32(self._lambda_step)
-        self._theta, self._clipped = np.zeros((2, *self.mask.shape), dtype=np.float32)
+        self._limit: Floats | np.float32 = self._lambda_step
 
     def _soft_step(self, z: Floats) -> None:
         """Set `_image` to Psi soft(Psi^T (z - gradient / L), limit)."""
-        self._descend(z)
-        np.add(self._gradient, z, self._gradient)
-        self.basis.analysis(self._gradient, self._theta)
-        np.clip(self._theta, -self._limit, self._limit, out=self._clipped)
-        np.subtract(self._theta, self._clipped, self._theta)
-        self.basis.synthesis(self._theta, self._image)
+        theta = self.basis.analysis(self._descended(z))
+        self.basis.synthesis(theta - np.clip(theta, -self._limit, self._limit), self._image)
 
 
 class IstaSolver(L1Solver):
@@ -199,22 +155,19 @@ class FistaNonnegSolver(L1Solver):
 
     def _allocate(self) -> None:
         super()._allocate()
-        self._z, self._before = np.zeros((2, *self.mask.shape), dtype=np.float32)
+        self._z: Floats = np.zeros(self.mask.shape, dtype=np.float32)
         # After the last step a momentum is computed, too.
         self._momenta = np.array(momenta(self.iterations + 1), dtype=np.float32)
 
     def _begin(self) -> None:
-        np.copyto(self._z, self._image)
+        self._z = self._image.copy()
 
     def _iterate(self) -> None:
-        x, z = self._image, self._z
-        np.copyto(self._before, x)
-        self._soft_step(z)
+        before, x = self._image.copy(), self._image
+        self._soft_step(self._z)
         np.maximum(x, 0, out=x)
         np.multiply(x, self._inside, x)
-        np.subtract(x, self._before, z)
-        np.multiply(z, self._momenta[self.n_steps - self._steps_left], z)
-        np.add(z, x, z)
+        self._z = x + self._momenta[self.n_steps - self._steps_left] * (x - before)
 
 
 class ReweightedSolver(FistaNonnegSolver):
@@ -237,8 +190,8 @@ class ReweightedSolver(FistaNonnegSolver):
     def _begin(self) -> None:
         super()._begin()
         half = np.float32(REWEIGHTED_HALF * self.lambda_n + 1e-30)
-        last = np.abs(self.basis.analysis(self._image, self._theta))
-        self._limit = np.float32(self._lambda_step) * half / (half + last)
+        last = np.abs(self.basis.analysis(self._image))
+        self._limit = self._lambda_step * half / (half + last)
 
 
 class TvSolver(PenalisedSolver):
@@ -268,7 +221,6 @@ class TvSolver(PenalisedSolver):
         )
         self._limits: list[Floats] = [np.zeros_like(pairs) for pairs in self._pairs]
         self._duals: list[Floats] = [np.zeros_like(pairs) for pairs in self._pairs]
-        self._u: Floats = np.zeros_like(self._image)
 
     def reset(self) -> None:
         super().reset()
@@ -279,24 +231,21 @@ class TvSolver(PenalisedSolver):
         half = np.float32(TV_HALF * self.lambda_n + 1e-30)
         for axis, pairs in enumerate(self._pairs):
             difference = np.abs(np.diff(self._image, axis=axis))
-            self._limits[axis] = (
-                np.float32(self._lambda_step) * pairs * (half / (half + difference))
-            )
+            self._limits[axis] = self._lambda_step * pairs * (half / (half + difference))
 
     def _iterate(self) -> None:
-        self._descend(self._image)
-        np.add(self._gradient, self._image, self._u)
+        u = self._descended(self._image)
         for _ in range(DUAL_STEPS):
-            image = self._primal()
+            image = self._primal(u)
             for axis, (dual, limit) in enumerate(zip(self._duals, self._limits, strict=True)):
                 dual += np.float32(DUAL_STEP) * np.diff(image, axis=axis)
                 np.clip(dual, -limit, limit, out=dual)
-        np.copyto(self._image, self._primal())
+        self._image = self._primal(u)
 
-    def _primal(self) -> Floats:
+    def _primal(self, u: Floats) -> Floats:
         """Return the image of the dual variables: max(0, u - their divergence)."""
         down, right = self._duals
-        image = self._u.copy()
+        image = u.copy()
         image[:-1] += down
         image[1:] -= down
         image[:, :-1] += right

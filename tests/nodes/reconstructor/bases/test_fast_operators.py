@@ -1,19 +1,15 @@
-"""Compiled operators: what their numpy forms are, a frame or many, and nothing allocated."""
+"""Compiled operators: what their numpy forms are, a frame or many."""
 
 from __future__ import annotations
 
 import importlib.util
-import tracemalloc
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.numerics.programs import run
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
-from sparseskin.nodes.reconstructor.bases.shifted_haar import ShiftedHaar
 
 if importlib.util.find_spec("numba") is None:
     pytest.skip("numba is not installed (extra fast)", allow_module_level=True)
@@ -28,13 +24,6 @@ SHAPES = [
 
 def normal(*shape: int, seed: int = 5) -> Floats:
     return np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
-
-
-def assert_transposed(measured: Floats, v: Floats, u: Floats, spread: Floats) -> None:
-    """<A u, v> = <u, A^T v>."""
-    there = np.vdot(measured.astype(float), v.astype(float))
-    back = np.vdot(u.astype(float), spread.astype(float))
-    assert abs(there - back) <= 2e-6 * np.linalg.norm(u) * np.linalg.norm(v)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -74,38 +63,3 @@ def test_a_projection_is_phi_in_another_order_and_its_transpose(n: int, m: int, 
         np.testing.assert_allclose(result, expected, atol=2e-6)
     projection.adjoint(rows, back)
     np.testing.assert_allclose(back, phi.adjoint(y)[projection.order], atol=2e-6)
-
-
-def allocated_bytes(function: Callable[[], object]) -> int:
-    """The most that a thousand calls have at any time beyond what was there."""
-    function()
-    tracemalloc.start()
-    try:
-        before = tracemalloc.get_traced_memory()[0]
-        tracemalloc.reset_peak()
-        for _ in range(1000):
-            function()
-        return tracemalloc.get_traced_memory()[1] - before
-    finally:
-        tracemalloc.stop()
-
-
-def test_a_thousand_applications_allocate_no_arrays() -> None:
-    """The smallest array here is of 4 x 1365 bytes; views and numbers are a few hundred."""
-    n, m = 4096, 1365
-    phi, basis = SbhePhi(n, m, 0), HaarBasis(64, 64)
-    x, u, y = normal(1, n), normal(1, n), normal(1, m)
-    image, theta = x.reshape(64, 64), u.reshape(64, 64)
-    batch, thetas, measured = normal(4, 64, 64), normal(4, 64, 64), normal(4, m)
-    shifted = ShiftedHaar((64, 64), np.arange(n).reshape(64, 64), n)
-    shrink = shifted.shrinking(normal(n), np.array(0.01, np.float32))
-    for function in (
-        lambda: phi.forward(x[0], y[0]),
-        lambda: phi.adjoint(y[0], x[0]),
-        lambda: phi.forward(batch.reshape(4, n), measured),
-        lambda: basis.analysis(image, theta),
-        lambda: basis.synthesis(theta, image),
-        lambda: basis.analysis(batch, thetas),
-        lambda: run(shrink),
-    ):
-        assert allocated_bytes(function) < 4000

@@ -1,0 +1,150 @@
+"""Bases: orthonormal at any size, and what their definitions, PyWavelets and SciPy say."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import pywt
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.fft import dctn
+
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.numerics.arrays import Doubles
+from sparseskin.nodes.reconstructor.bases.base import BASES, make_basis
+from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
+from sparseskin.nodes.reconstructor.bases.separable import DctBasis, WaveletBasis
+
+SHAPES = [(1, 1), (1, 2), (3, 3), (1, 9), (31, 1), (5, 7), (12, 32), (33, 31), (40, 40), (1, 200)]
+
+
+def normal(shape: tuple[int, ...], seed: int = 5) -> npt.NDArray[np.float32]:
+    return np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
+
+
+def paired(samples: Doubles) -> tuple[Doubles, int]:
+    """One level along axis 0 from the definition; also how many approximations there are."""
+    pairs = len(samples) // 2
+    a, b = samples[0 : 2 * pairs : 2], samples[1 : 2 * pairs : 2]
+    approximations = np.concatenate([(a + b) / np.sqrt(2), samples[2 * pairs :]])
+    return np.concatenate([approximations, (a - b) / np.sqrt(2)]), len(approximations)
+
+
+def haar_by_definition(image: npt.NDArray[np.float32]) -> Doubles:
+    pyramid = image.astype(np.float64)
+    rows, cols = pyramid.shape
+    while rows > 1 or cols > 1:
+        by_rows, next_rows = paired(pyramid[:rows, :cols].copy())
+        by_both, next_cols = paired(by_rows.T)
+        pyramid[:rows, :cols] = by_both.T
+        rows, cols = next_rows, next_cols
+    return pyramid
+
+
+@given(
+    name=st.sampled_from(sorted(BASES)),
+    shape=st.tuples(st.integers(1, 40), st.integers(1, 40)),
+    seed=st.integers(0, 99),
+)
+@settings(max_examples=100, deadline=None)
+def test_every_basis_reconstructs_any_size_and_passes_the_dot_test(
+    name: str, shape: tuple[int, int], seed: int
+) -> None:
+    basis = make_basis(name, *shape)
+    image, theta = normal(shape, seed), normal(shape, seed + 1)
+    coefficients = basis.analysis(image)
+    np.testing.assert_allclose(basis.synthesis(coefficients), image, atol=2e-5)
+    assert np.linalg.norm(coefficients) == pytest.approx(np.linalg.norm(image), rel=1e-4)
+    left = float(np.vdot(coefficients.astype(float), theta))
+    right = float(np.vdot(image.astype(float), basis.synthesis(theta)))
+    assert left == pytest.approx(right, abs=1e-4 * max(1.0, float(np.linalg.norm(image))) ** 2)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_haar_is_its_definition(shape: tuple[int, int]) -> None:
+    image = normal(shape)
+    np.testing.assert_allclose(
+        HaarBasis(*shape).analysis(image), haar_by_definition(image), atol=3e-6
+    )
+
+
+@pytest.mark.filterwarnings("ignore:Level value of 5 is too high")
+@pytest.mark.parametrize("name", ["haar", "db2", "db4", "sym4", "coif1"])
+def test_where_sides_are_powers_of_two_it_is_the_periodic_transform_of_pywavelets(
+    name: str,
+) -> None:
+    image = normal((32, 32))
+    found = pywt.wavedec2(image.astype(float), name, mode="periodization", level=5)
+    expected, _ = pywt.coeffs_to_array(found)
+    np.testing.assert_allclose(make_basis(name, 32, 32).analysis(image), expected, atol=2e-5)
+
+
+def test_the_cosine_basis_is_the_transform_of_scipy() -> None:
+    image = normal((28, 33))
+    expected = dctn(image.astype(float), norm="ortho")
+    np.testing.assert_allclose(DctBasis(28, 33).analysis(image), expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (32, 8), (16, 16)])
+def test_an_even_pressure_is_one_coefficient(shape: tuple[int, int]) -> None:
+    coefficients = HaarBasis(*shape).analysis(np.ones(shape, dtype=np.float32))
+    assert coefficients[0, 0] == pytest.approx(np.sqrt(shape[0] * shape[1]), rel=1e-6)
+    coefficients[0, 0] = 0
+    np.testing.assert_allclose(coefficients, 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["haar", "identity"])
+def test_out_is_filled_and_returned_and_the_input_left_alone(name: str) -> None:
+    basis = make_basis(name, 5, 7)
+    image = normal((5, 7))
+    before = image.copy()
+    theta, back = np.full_like(image, 9), np.full_like(image, 9)
+    assert basis.analysis(image, theta) is theta
+    assert basis.synthesis(theta, back) is back
+    np.testing.assert_array_equal(theta, basis.analysis(image))
+    np.testing.assert_array_equal(image, before)
+    np.testing.assert_allclose(back, image, atol=2e-6)
+
+
+def test_wrong_shapes_and_types_are_named() -> None:
+    basis = make_basis("haar", 5, 7)
+    with pytest.raises(SolverError, match=r"image has shape \(7, 5\); expected \(5, 7\)"):
+        basis.analysis(normal((7, 5)))
+    with pytest.raises(SolverError, match=r"coefficients has shape \(35,\)"):
+        basis.synthesis(normal((35,)))
+    with pytest.raises(SolverError, match="out is float64"):
+        basis.analysis(normal((5, 7)), np.empty((5, 7)))  # type: ignore[arg-type]
+    with pytest.raises(SolverError, match="contiguous"):
+        basis.analysis(normal((5, 7)), np.empty((7, 5), dtype=np.float32).T)
+
+
+@pytest.mark.parametrize("name", ["bior2.2", "dmey", "nothing"])
+def test_what_is_no_orthogonal_wavelet_is_refused(name: str) -> None:
+    with pytest.raises(SolverError, match=f'basis "{name}": '):
+        WaveletBasis(8, 8, wavelet=name)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("harr", 'basis "harr" is not known.*haar'),
+        ("no_such_module:Basis", "no_such_module"),
+        ("collections:OrderedDict", "no basis: it lacks n_rows, n_cols, analysis"),
+        ("decimal:Decimal", "does not take n_rows, n_cols"),
+    ],
+)
+def test_what_cannot_be_made_is_named(name: str, said: str) -> None:
+    with pytest.raises(SolverError, match=said):
+        make_basis(name, 4, 4)
+
+
+def test_an_empty_grid_is_refused() -> None:
+    with pytest.raises(SolverError, match="0 x 4"):
+        make_basis("haar", 0, 4)
+
+
+@pytest.mark.parametrize("path", ["haar:HaarBasis", "separable:sym8"])
+def test_a_class_of_ones_own_is_made_by_its_path(path: str) -> None:
+    basis = make_basis(f"sparseskin.nodes.reconstructor.bases.{path}", 4, 6)
+    assert (basis.n_rows, basis.n_cols) == (4, 6)
