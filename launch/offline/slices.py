@@ -37,7 +37,6 @@ from sparseskin.nodes.monitor.metrics import PatchMetrics
 from sparseskin.nodes.monitor.tally import joined, tally
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.player.settings import renamed_topics
-from sparseskin.nodes.recorder.bag.checked import checked_once
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX, BagError, span_ns
 from sparseskin.nodes.recorder.bag.frames import decoded
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -107,28 +106,27 @@ def run_sliced(job: Job, source: Path, how_cut: Sliced, progress: bool) -> tuple
     if os.path.lexists(out):
         raise OutputError(f"{out}: {TAKEN}")
     folder = Path(how_cut.parts or f"{out}{PARTS_SUFFIX}").absolute()
-    with checked_once():
-        patch, slices, first_ns, made_by = _plan(job, source, how_cut)
-        command, _, rest = how(job, made_by).partition("\n")
-        launch = f"{command} (in {len(slices)} slices, warm-up {how_cut.warm_up} frames)\n{rest}"
-        fingerprint = fingerprint_of(job, source, how_cut)
-        with _locked(folder):
-            parts = _known(folder, fingerprint, len(slices))
-            missing = {
-                one.number: Task(job, how_cut, one, first_ns, str(folder), fingerprint, launch)
-                for one in slices
-                if one.number not in parts
-            }
-            try:
-                for number, path in _computed(missing, how_cut.executor, progress):
-                    parts[number] = path
-            except KeyboardInterrupt:
-                kept = f"{len(parts)} of {len(slices)} slices are kept in {folder}"
-                print(f"{kept}; the same command continues", file=sys.stderr)
-                raise
-            with whole_file(out) as draft, removing(draft, out):
-                tallies, seams = _join(parts, slices, patch, draft, fingerprint)
-            _remove(folder)
+    patch, slices, first_ns, made_by = _plan(job, source, how_cut)
+    command, _, rest = how(job, made_by).partition("\n")
+    launch = f"{command} (in {len(slices)} slices, warm-up {how_cut.warm_up} frames)\n{rest}"
+    fingerprint = fingerprint_of(job, source, how_cut)
+    with _locked(folder):
+        parts = _known(folder, fingerprint, len(slices))
+        missing = {
+            one.number: Task(job, how_cut, one, first_ns, str(folder), fingerprint, launch)
+            for one in slices
+            if one.number not in parts
+        }
+        try:
+            for number, path in _computed(missing, how_cut.executor, progress):
+                parts[number] = path
+        except KeyboardInterrupt:
+            kept = f"{len(parts)} of {len(slices)} slices are kept in {folder}"
+            print(f"{kept}; the same command continues", file=sys.stderr)
+            raise
+        with whole_file(out) as draft, removing(draft, out):
+            tallies, seams = _join(parts, slices, patch, draft, fingerprint)
+        _remove(folder)
     patches = untimed({patch: joined(tallies)})
     return patches, [_counted(slices, len(missing)), *seams]
 
@@ -198,8 +196,7 @@ def run_slice(task: Task) -> str:
     # A name for each attempt: one that was given up may still be running.
     name = f"slice_{task.slice.number:05d}_{secrets.token_hex(8)}{FILE_SUFFIX}"
     try:
-        with checked_once():
-            _reconstruct(task, source, folder / name)
+        _reconstruct(task, source, folder / name)
     except BaseException:
         for left in (folder / name, folder / f"{name}{PART_SUFFIX}"):
             left.unlink(missing_ok=True)

@@ -47,7 +47,7 @@ class Player(SourceNode[PlayerSettings]):
 
     def __init__(self, settings: PlayerSettings, context: Context) -> None:
         super().__init__(settings, context)
-        self._bag = BagReader(settings.file)
+        self._bag = BagReader(settings.file, whole=False)
         names = renamed_topics(settings)
         self._names = {topic: new for topic, new in names.items() if topic in self._bag.topics}
         if self._bag.recovered:

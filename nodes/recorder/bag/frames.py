@@ -68,20 +68,13 @@ class Frame(NamedTuple):
     array: npt.NDArray[np.float32]
 
 
-def frame_topics(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
+def frame_topics(
+    bag: BagReader, topics: Iterable[str] | None, schemas: tuple[str, ...] = FRAME_SCHEMAS
+) -> list[str]:
     """Names of the topics with frames: all of them, or those requested.
 
     Raises BagError if there is none, or if a requested topic is missing or holds no frames.
     """
-    return _topics_of(bag, topics, FRAME_SCHEMAS)
-
-
-def stream_topics(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
-    """As `frame_topics`, resultants included."""
-    return _topics_of(bag, topics, STREAM_SCHEMAS)
-
-
-def _topics_of(bag: BagReader, topics: Iterable[str] | None, schemas: tuple[str, ...]) -> list[str]:
     wanted = list(bag.topics) if topics is None else list(dict.fromkeys(topics))
     bag.messages(wanted)  # refuses a topic that the bag does not hold
     found = [topic for topic in wanted if bag.topics[topic].schema in schemas]
@@ -96,6 +89,11 @@ def _topics_of(bag: BagReader, topics: Iterable[str] | None, schemas: tuple[str,
     return found
 
 
+def stream_topics(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
+    """As `frame_topics`, resultants included."""
+    return frame_topics(bag, topics, STREAM_SCHEMAS)
+
+
 def with_states(bag: BagReader, topics: Iterable[str]) -> list[str]:
     """Topics, and those of the states (skin, calibration, Phi, solver) of their patches."""
     wanted = list(topics)
@@ -104,16 +102,18 @@ def with_states(bag: BagReader, topics: Iterable[str]) -> list[str]:
     return list(dict.fromkeys([*wanted, *held]))
 
 
+def last_messages(bag: BagReader, topics: Iterable[str]) -> dict[str, Message]:
+    """The last message on each of some topics that the bag holds; raises as `decoded`."""
+    last = {each.topic: each for each in bag.messages(t for t in topics if t in bag.topics)}
+    return {topic: decoded(bag, each) for topic, each in last.items()}
+
+
 def last_states(bag: BagReader, topics: Iterable[str]) -> dict[str, dict[str, Any]]:
     """The last state of each kind of the patches of some topics, by topic: fields as JSON has
     them, a mask as rows of 0 and 1; raises as `decoded`.
     """
     wanted = [t for t in with_states(bag, topics) if bag.topics[t].schema not in STREAM_SCHEMAS]
-    found: dict[str, dict[str, Any]] = {}
-    for recorded in bag.messages(wanted):
-        if not isinstance(message := decoded(bag, recorded), End):
-            found[recorded.topic] = state_json(message)
-    return found
+    return {topic: state_json(state) for topic, state in last_messages(bag, wanted).items()}
 
 
 def state_json(message: Message) -> dict[str, Any]:
@@ -140,14 +140,16 @@ def streams(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[tuple
 
 def frames(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[Frame]:
     """The frames on some topics in recorded order, with a progress bar; raises as `decoded`."""
-    wanted = list(topics)
-    total = sum(bag.topics[topic].n_messages for topic in wanted)
-    for recorded in progress(bag.messages(wanted), total, doing):
-        message = decoded(bag, recorded)
-        if isinstance(message, Measurements):
-            yield Frame(message, recorded.log_time_ns, message.y)
-        elif isinstance(message, Taxels | Truth | Reconstruction):
-            yield Frame(message, recorded.log_time_ns, message.forces)
+    for message, log_time_ns in streams(bag, topics, doing):
+        if (values := values_of(message)) is not None:
+            yield Frame(message, log_time_ns, values)
+
+
+def values_of(message: Message) -> npt.NDArray[np.float32] | None:
+    """The forces of a frame or its measurements; None of a message that is no frame."""
+    if isinstance(message, Measurements):
+        return message.y
+    return message.forces if isinstance(message, Taxels | Truth | Reconstruction) else None
 
 
 def decoded(bag: BagReader, recorded: BagMessage) -> Message:
@@ -162,10 +164,8 @@ def decoded(bag: BagReader, recorded: BagMessage) -> Message:
 
 def skin_of(bag: BagReader, patch: str) -> SkinState | None:
     """The last recorded state of a patch's skin, None if there is none; raises as `decoded`."""
-    topic = topic_of(patch, SkinState.schema)
-    recorded = bag.messages([topic]) if topic in bag.topics else ()
-    states = [message for each in recorded if isinstance(message := decoded(bag, each), SkinState)]
-    return states[-1] if states else None
+    state = last_messages(bag, [topic := topic_of(patch, SkinState.schema)]).get(topic)
+    return state if isinstance(state, SkinState) else None
 
 
 def patch_of(topic: str) -> str:

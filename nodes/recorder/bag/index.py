@@ -20,7 +20,6 @@ from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
 
-from .checked import is_checked, note_checked
 from .format import (
     ENCODING,
     GRAPH_RECORD,
@@ -262,10 +261,8 @@ def _read_summary(file: BinaryIO, name: str, whole: bool) -> tuple[BagIndex | No
         stated = parse(mcap.DataEnd.read, content(file, data_end), data_end_at).data_section_crc
     except Break:
         return None, _NO_INDEX
-    if stated and whole and not is_checked(file):
-        if crc_of(file, 0, data_end_at) != stated:
-            return None, "a record outside the messages is damaged"
-        note_checked(file)
+    if stated and whole and crc_of(file, 0, data_end_at) != stated:
+        return None, "a record outside the messages is damaged"
     if not (stated and footer.summary_crc):
         return None, ""
     try:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages import Measurements, Message, Reconstruction, SkinState
+from sparseskin.messages.base import wire_fields
 from sparseskin.messages.fields import Array
 from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.nodes.files import whole_folder
@@ -21,11 +22,10 @@ from sparseskin.nodes.recorder.bag.frames import (
     patch_of,
     stream_topics,
     streams,
+    values_of,
 )
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.files.own_csv import FIRST_LINE, POINT_ROWS
-
-from .columns import fields_of
 
 STAMPS = "stamps.csv"
 _SD = "sd"
@@ -113,18 +113,18 @@ def _point_rows(skin: Mapping[str, Any], columns: list[str]) -> str:
 def _figures(message: Message) -> dict[str, Any]:
     """All fields but arrays and the publisher's run; the bits of rows and tree as hexadecimals."""
     found: dict[str, Any] = {"stamp_ns": message.stamp_ns}
-    for name, kind in fields_of(message.schema).items():
+    for name, kind in wire_fields(type(message)).items():
         value = getattr(message, name)
         if isinstance(kind, Array):
             if name in ("places", "nodes") and value is not None:
                 found[name] = value.tobytes().hex()
-        elif name not in ("run_id", "stamp_ns"):
+        elif name not in ("patch", "run_id", "stamp_ns"):
             found[name] = value
     return found
 
 
 def _cells(message: Message) -> npt.NDArray[np.float32]:
-    values = message.y if isinstance(message, Measurements) else getattr(message, "forces", None)
+    values = values_of(message)
     return np.empty(0, np.float32) if values is None else np.asarray(values)
 
 

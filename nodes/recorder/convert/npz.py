@@ -1,44 +1,44 @@
-"""Export of a bag to .npz: arrays for NumPy, for the sensor's `file:` source, and back to a bag."""
+"""Export of a bag to .npz: arrays for NumPy, and for the sensor's `file:` source."""
 
 from __future__ import annotations
 
-import heapq
 import json
 import math
 import tempfile
 import zipfile
-from collections.abc import Iterable, Iterator
-from operator import itemgetter
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from sparseskin.messages import End, Measurements, Message, Taxels
-from sparseskin.messages.topics import topic_of
+from sparseskin.messages import Measurements, Message
+from sparseskin.messages.base import wire_fields
+from sparseskin.messages.fields import Array, FieldKind, Flag, Integer, Real, Samples, Text
 from sparseskin.messages.wire import SCHEMAS
-from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.files import os_errors, whole_file
-from sparseskin.nodes.numerics.array_files import ArrayFileError, npz_shapes, read_npz
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
+    array_names,
     described,
+    last_states,
     patch_of,
     skin_of,
     stream_topics,
     streams,
+    values_of,
     with_states,
 )
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.recorder.bag.writer import BagWriter
-
-from .columns import ColumnWriter, Layout, column_name, rebuilt
 
 MAX_PADDING = 8
 """Most numbers with padding, in those recorded, where M changes; up to `MAX_PADDED`, any."""
 MAX_PADDED = 1 << 20
-FORMAT = "sparseskin_format"
-"""Array with the version of the layout: a file that has it is an export of a bag."""
-VERSION = 1
+LOG_TIME = "log_time_ns"
+_DTYPES: dict[type[FieldKind], Any] = {Integer: np.int64, Real: np.float64, Flag: np.bool_}
+_FRAMES = ("forces", "sd")
+"""Arrays of the shape of the skin."""
 
 
 def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
@@ -52,12 +52,11 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     that is no flat grid), `point_rows` (int32, (n_taxels,): the row of each among those of the file
     of points), `pitch_m`, `rate_hz`, where known.
 
-    All other fields of all messages are arrays SCHEMA_FIELD with one entry a message, e.g.
-    `reconstruction_sd` (NaN in frames without one), `reconstruction_trusted`, `resultant_total`,
-    `phi_seed`; None is NaN. Arrays of any length (`skin_mask`, `measurements_places`) stand one
-    behind the other; SCHEMA_FIELD_end and SCHEMA_FIELD_shape have the end and shape of each.
-    `patch`, `metadata` and `counts` (JSON) are those of the bag. So `NpzExport` makes the same
-    messages of it again.
+    All other numbers and texts of all messages are arrays SCHEMA_FIELD with one entry a message,
+    e.g. `reconstruction_sd` (NaN in frames without one), `reconstruction_trusted`,
+    `resultant_total`, `phi_seed`; None is NaN. Other arrays (mask, calibration, tree) are those of
+    the last states, in `states`, as the comment of `export_csv` has them. `states`, `patch`,
+    `metadata` and `counts` are texts, JSON but for the patch.
 
     Raises BagError if the bag has no such frames or their shape changes, OutputError if a file
     exists or cannot be written.
@@ -73,8 +72,7 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
             os_errors(path),
             tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as scratch,
         ):
-            folder = Path(scratch)
-            members = [*_arrays(bag, ours, folder), *_described(bag, patch, folder)]
+            members = [*_arrays(bag, ours, Path(scratch)), *_described(bag, patch, Path(scratch))]
             with zipfile.ZipFile(draft, "x", allowZip64=True) as archive:
                 for member in members:
                     archive.write(member, member.name)
@@ -83,131 +81,103 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
 
 
 def _arrays(bag: BagReader, topics: list[str], folder: Path) -> list[Path]:
-    layouts = _layouts(bag, topics)
-    writers = {topic: ColumnWriter(layout, folder) for topic, layout in layouts.items()}
-    for message, log_time_ns in streams(bag, topics, "export"):
-        writers[message.topic].add(message, log_time_ns)
-    return [file for writer in writers.values() for file in writer.files]
-
-
-def _layouts(bag: BagReader, topics: list[str]) -> dict[str, Layout]:
-    """Sizes of the messages of each topic, as they are; the file may state others."""
-    layouts = {topic: Layout(bag.topics[topic].schema) for topic in topics}
+    """Write the messages of topics in two passes; the file may state other sizes than it has."""
+    columns = {topic: _Columns(bag.topics[topic].schema) for topic in topics}
     for message, _ in streams(bag, topics, "measure"):
-        layout = layouts[message.topic]
-        before = layout.shape
-        layout.add(message)
-        if before and len(before) == 2 and layout.shape != before:
+        of_topic = columns[message.topic]
+        before = of_topic.shape
+        of_topic.measure(message)
+        if len(before) == 2 and of_topic.shape != before:
             raise BagError(
                 f"{bag.path}: {message.topic}, stamp {message.stamp_ns}: a frame of "
-                f"{layout.shape[0]} x {layout.shape[1]} after some of {before[0]} x {before[1]}"
+                f"{of_topic.shape[0]} x {of_topic.shape[1]} after some of {before[0]} x {before[1]}"
             )
-    for topic, layout in layouts.items():
-        if not layout.n:
+    for topic, of_topic in columns.items():
+        if not of_topic.n:
             raise BagError(f"{bag.path}: {topic}: states messages, but holds none")
-        padded = layout.n * math.prod(layout.shape)
-        is_padded = layout.schema == Measurements.schema
-        if is_padded and padded > max(MAX_PADDED, MAX_PADDING * layout.n_elements):
+        padded = of_topic.n * math.prod(of_topic.shape)
+        if padded > max(MAX_PADDED, MAX_PADDING * of_topic.n_elements):
             raise BagError(
-                f"{bag.path}: {topic}: {layout.n_elements} numbers would be padded to {padded}; at "
-                f"most {MAX_PADDING} times as many are allowed; export to csv"
+                f"{bag.path}: {topic}: {of_topic.n_elements} numbers would be padded to {padded}; "
+                f"at most {MAX_PADDING} times as many are allowed; export to csv"
             )
-    return layouts
+        of_topic.open(folder)
+    for message, log_time_ns in streams(bag, topics, "export"):
+        columns[message.topic].add(message, log_time_ns)
+    return [path for of_topic in columns.values() for path in of_topic.paths]
+
+
+class _Columns:
+    """Messages of one topic as .npy files: a recording may be larger than the memory.
+
+    All messages are measured, then added. `shape` is that of the frames, with the largest M of
+    measurements. A field that no message has gets no file.
+    """
+
+    def __init__(self, schema: str) -> None:
+        self.n = self.n_elements = 0
+        self.shape: tuple[int, ...] = ()
+        self.paths: list[Path] = []
+        self._schema = schema
+        self._lengths: dict[str, int] = {}
+        self._columns: dict[str, npt.NDArray[Any]] = {}
+        self._n_added = 0
+
+    def measure(self, message: Message) -> None:
+        self.n += 1
+        for name in wire_fields(type(message)):
+            value = getattr(message, name)
+            if value is not None:
+                length = len(value) if isinstance(value, str) else 1
+                self._lengths[name] = max(self._lengths.get(name, 1), length)
+        if (values := values_of(message)) is not None:
+            self.n_elements += values.size
+            is_padded = isinstance(message, Measurements)
+            self.shape = max(self.shape, values.shape) if is_padded else values.shape
+
+    def open(self, folder: Path) -> None:
+        kinds = {**wire_fields(SCHEMAS[self._schema]), LOG_TIME: Integer()}
+        self._lengths[LOG_TIME] = 1
+        frames, stamps = array_names(self._schema)
+        short = {"forces": frames, "y": frames, "stamp_ns": stamps}
+        for name, kind in kinds.items():
+            if name not in self._lengths or name == "patch":
+                continue
+            shape: tuple[int, ...] = (self.n,)
+            if isinstance(kind, Samples) or name in _FRAMES:
+                dtype, shape = np.float32, (self.n, *self.shape)
+            elif isinstance(kind, Array):
+                continue
+            else:
+                is_text = isinstance(kind, Text)
+                dtype = f"<U{self._lengths[name]}" if is_text else _DTYPES[type(kind)]
+            path = folder / f"{short.get(name, f'{self._schema}_{name}')}.npy"
+            self.paths.append(path)
+            self._columns[name] = np.lib.format.open_memmap(path, "w+", dtype=dtype, shape=shape)
+
+    def add(self, message: Message, log_time_ns: int) -> None:
+        k, self._n_added = self._n_added, self._n_added + 1
+        for name, column in self._columns.items():
+            value = log_time_ns if name == LOG_TIME else getattr(message, name)
+            if name == "y":
+                column[k] = np.nan
+                column[k, : len(value)] = value
+            else:
+                column[k] = np.nan if value is None else value
 
 
 def _described(bag: BagReader, patch: str, folder: Path) -> list[Path]:
     skin = skin_of(bag, patch)
-    of_skin = {} if skin is None else described(skin, skin.rate_hz)
-    of_bag = {
-        FORMAT: VERSION,
-        "patch": patch,
-        "metadata": json.dumps(bag.metadata),
-        "counts": json.dumps(bag.counts),
+    topics = [topic for topic in bag.topics if patch_of(topic) == patch]
+    texts = {
+        "states": last_states(bag, topics),
+        "metadata": bag.metadata,
+        "counts": bag.counts,
     }
-    files = []
-    for name, value in {**of_skin, **of_bag}.items():
-        np.save(folder / f"{name}.npy", np.asarray(value))
-        files.append(folder / f"{name}.npy")
-    return files
-
-
-class NpzExport:
-    """An export of a bag, read back.
-
-    Attributes
-    ----------
-    patch : str
-        Name of the patch.
-    metadata : dict of str to str
-        Metadata of the bag.
-    counts : dict or None
-        Counters of its recorder.
-
-    Raises
-    ------
-    SourceError
-        If the file is malformed, or of a newer version.
-    """
-
-    def __init__(self, path: Path, raw: bytes) -> None:
-        self._path = path
-        try:
-            self._arrays = read_npz(raw, list)
-            version = self._arrays[FORMAT]
-            if version.shape != () or version != VERSION:
-                raise ValueError(f"array {FORMAT!r}: version {version}; {VERSION} can be read")
-            self.patch = self._text("patch")
-            metadata = json.loads(self._text("metadata"))
-            self.counts = json.loads(self._text("counts"))
-            texts = isinstance(metadata, dict) and all(
-                isinstance(text, str) for text in metadata.values()
-            )
-            if not texts or not isinstance(self.counts, dict | None):
-                raise ValueError("arrays 'metadata' and 'counts': expected JSON of a bag")
-            self.metadata: dict[str, str] = metadata
-        except (KeyError, ArrayFileError, ValueError, RecursionError) as error:
-            missing = f"holds no array {error}" if isinstance(error, KeyError) else str(error)
-            raise SourceError(f"{path}: {missing}") from error
-
-    def _text(self, name: str) -> str:
-        """Return an array that holds one text; raise KeyError or ValueError."""
-        array = self._arrays[name]
-        if array.shape != () or array.dtype.kind != "U":
-            raise ValueError(f"array {name!r}: {array.dtype} {array.shape}; expected one text")
-        return str(array)
-
-    def write(self, bag: BagWriter) -> int:
-        """Record its messages in the order of their times of recording; the number of taxels'
-        frames. Raises SourceError if a message cannot be made of its arrays.
-        """
-        n_frames = 0
-        schemas = [
-            one
-            for one in SCHEMAS
-            if one != End.schema and column_name(one, "stamp_ns") in self._arrays
-        ]
-        # States first: of equal times theirs is the first.
-        schemas.sort(key=lambda schema: not SCHEMAS[schema].latched)
-        sources = [self._messages(schema) for schema in schemas]
-        for log_time_ns, message in heapq.merge(*sources, key=itemgetter(0)):
-            bag.record(message, log_time_ns)
-            n_frames += isinstance(message, Taxels)
-        return n_frames
-
-    def _messages(self, schema: str) -> Iterator[tuple[int, Message]]:
-        try:
-            yield from rebuilt(schema, self.patch, self._arrays)
-        except (ValueError, TypeError, IndexError, OverflowError) as error:
-            topic = topic_of(self.patch, schema)
-            raise SourceError(f"{self._path}: {topic}: {error}") from error
-
-
-def is_export(path: Path) -> bool:
-    """True if a file is an .npz of a bag; False too where it cannot be read."""
-    if path.suffix.lower() != ".npz" or not path.is_file():
-        return False
-    try:
-        with open(path, "rb") as file:
-            return bool(npz_shapes(file, lambda held: [FORMAT] if FORMAT in held else []))
-    except (ArrayFileError, OSError):
-        return False
+    arrays = {"patch": patch, **{name: json.dumps(value) for name, value in texts.items()}}
+    arrays |= {} if skin is None else described(skin, skin.rate_hz)
+    paths = []
+    for name, value in arrays.items():
+        paths.append(folder / f"{name}.npy")
+        np.save(paths[-1], np.asarray(value))
+    return paths

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from sparseskin.messages import Calibration, MessageError, decode
+from sparseskin.messages import Calibration
 from sparseskin.nodes.recorder.bag.format import BagError
-from sparseskin.nodes.recorder.bag.frames import patch_of, skin_of
+from sparseskin.nodes.recorder.bag.frames import last_messages, patch_of, skin_of
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.calibration.description import of_messages
 from sparseskin.nodes.sensor.calibration.response import SkinFileError
@@ -25,16 +25,10 @@ def export_skin(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
     wanted = sorted(held if topics is None else held & set(topics))
     if not wanted:
         raise BagError(f"{bag.path}: holds no calibration of a skin")
-    last: dict[str, Calibration] = {}
-    for recorded in bag.messages(wanted):
-        try:
-            message = decode(recorded.topic.encode(), recorded.payload)
-        except MessageError as error:
-            raise BagError(f"{bag.path}: {recorded.topic}: {error}") from error
-        if isinstance(message, Calibration):
-            last[recorded.topic] = message
+    last = last_messages(bag, wanted)
     written = []
     for topic, message in last.items():
+        assert isinstance(message, Calibration)
         patch = patch_of(topic)
         path = out if len(last) == 1 else out.with_name(f"{out.stem}_{patch}{out.suffix}")
         state = skin_of(bag, patch)

@@ -14,11 +14,9 @@ from sparseskin.nodes.recorder.bag.frames import progress
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter, removing
 from sparseskin.nodes.recorder.node import metadata_of
-from sparseskin.nodes.sensor.files.parsed import REFUSE, Policy, read_bytes
+from sparseskin.nodes.sensor.files.parsed import REFUSE, Policy
 from sparseskin.nodes.sensor.files.recorded import open_file
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
-
-from .npz import NpzExport, is_export
 
 _RUN_ID_BYTES = 8
 
@@ -39,9 +37,6 @@ def import_file(
 ) -> int:
     """Write a recording, in any format that the sensor reads, as a bag.
 
-    Of an .npz that `export_npz` wrote the bag has all messages again, unless one of the properties
-    below is stated: then its readings alone are imported, as from any other file.
-
     The bag holds what a sensor would have published from the file: /PATCH/skin, then
     /PATCH/taxels, with stamps from 0. The run id is a hash of the file, so the same file gives
     the same bag.
@@ -53,11 +48,6 @@ def import_file(
     Raises SourceError if the recording is missing or malformed or a setting contradicts it,
     BagError if the bag exists or cannot be written.
     """
-    stated = (n_rows, n_cols, unit, f_max, rate_hz)
-    if all(value is None for value in stated) and is_export(source):
-        export = NpzExport(source, read_bytes(str(source)))
-        with _whole_bag(out, export.metadata, export.counts) as bag:
-            return export.write(bag)
     policy = Policy(nan, negative)
     frames = open_file(
         source,

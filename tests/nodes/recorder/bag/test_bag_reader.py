@@ -70,41 +70,22 @@ def chunk_ends(data: bytes) -> list[int]:
     return ends
 
 
-def test_a_file_cut_anywhere_gives_every_complete_chunk(
-    whole: tuple[bytes, list[bytes]], tmp_path: Path
+@pytest.mark.parametrize("cut", [True, False])
+def test_of_a_file_that_is_cut_or_has_a_flipped_byte_what_comes_before_is_delivered(
+    whole: tuple[bytes, list[bytes]], tmp_path: Path, cut: bool
 ) -> None:
     data, payloads = whole
     ends = chunk_ends(data)
     assert len(ends) > 8
     rng = random.Random(0)
     for _ in range(200):
-        at = rng.randrange(len(data))
-        n_read = check_damaged(tmp_path / "a.mcap", data[:at], payloads)
-        assert n_read == min(24 * sum(end <= at for end in ends), len(payloads))
-
-
-def test_a_flipped_byte_is_noticed_and_what_comes_before_it_is_delivered(
-    whole: tuple[bytes, list[bytes]], tmp_path: Path
-) -> None:
-    data, payloads = whole
-    ends = chunk_ends(data)
-    rng = random.Random(1)
-    for _ in range(200):
-        at = rng.randrange(600, len(data))
-        damaged = bytearray(data)
-        damaged[at] ^= rng.randrange(1, 256)
+        at = rng.randrange(0 if cut else 600, len(data))
+        damaged = bytearray(data[:at] if cut else data)
+        if not cut:
+            damaged[at] ^= rng.randrange(1, 256)
         n_read = check_damaged(tmp_path / "a.mcap", bytes(damaged), payloads)
-        assert n_read >= min(24 * sum(end <= at for end in ends), len(payloads))
-
-
-def test_a_flipped_byte_anywhere_in_front_is_noticed_or_the_file_refused(
-    whole: tuple[bytes, list[bytes]], tmp_path: Path
-) -> None:
-    data, payloads = whole
-    for at in range(300):
-        damaged = bytearray(data)
-        damaged[at] ^= 0x41
-        check_damaged(tmp_path / "a.mcap", bytes(damaged), payloads)
+        complete = min(24 * sum(end <= at for end in ends), len(payloads))
+        assert n_read == complete if cut else n_read >= complete
 
 
 def test_damage_to_the_metadata_does_not_cost_the_messages(
@@ -172,24 +153,6 @@ def test_a_length_that_is_far_too_large_takes_no_memory(
                 n_read = check_damaged(tmp_path / "a.mcap", damaged, payloads)
                 # The last of the three is not needed where a checksum proves the chunk.
                 assert n_read == 0 or at == length_of_data
-        assert tracemalloc.get_traced_memory()[1] < 10 * len(data)
-    finally:
-        tracemalloc.stop()
-
-
-def test_a_record_that_is_far_too_large_takes_no_memory(
-    whole: tuple[bytes, list[bytes]], tmp_path: Path
-) -> None:
-    data, _ = whole
-    path, at = tmp_path / "a.mcap", chunk_ends(data)[0]
-    size = 1 << 30
-    with open(path, "wb") as file:
-        file.write(data[:at] + b"\x06" + (size - at - 9).to_bytes(8, "little"))
-        file.truncate(size)  # a sparse file: the rest takes no room
-    tracemalloc.start()
-    try:
-        with BagReader(path) as bag:
-            assert f"up to byte {at} of {size}: a record of" in bag.recovered
         assert tracemalloc.get_traced_memory()[1] < 10 * len(data)
     finally:
         tracemalloc.stop()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +15,10 @@ from hypothesis import strategies as st
 
 from sparseskin.messages import (
     Measurements,
-    Message,
     Reconstruction,
     SkinState,
     Taxels,
-    decode,
 )
-from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.convert.csv import export_csv
 from sparseskin.nodes.recorder.convert.npz import export_npz
@@ -34,18 +32,6 @@ def rich(tmp_path: Path) -> Path:
     return tmp_path / "a.mcap"
 
 
-def by_topic(path: Path) -> dict[str, list[tuple[int, Message]]]:
-    found: dict[str, list[tuple[int, Message]]] = {}
-    with BagReader(path) as bag:
-        for one in bag.messages():
-            message = decode(one.topic.encode(), one.payload)
-            found.setdefault(one.topic, []).append((one.log_time_ns, message))
-    return found
-
-
-# --- points ----------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def on_points(tmp_path: Path) -> tuple[Path, SkinState]:
     return tmp_path / "a.mcap", points_bag(tmp_path / "a.mcap")
@@ -57,8 +43,6 @@ def test_an_npz_has_the_row_of_the_points_file_of_each_taxel(
     path, state = on_points
     with BagReader(path) as bag:
         (npz,) = export_npz(bag, path.with_name("a.npz"))
-    assert import_file(npz, path.with_name("b.mcap")) == 2
-    assert by_topic(path.with_name("b.mcap")) == by_topic(path)
     skin = open_file(npz).skin
     assert skin.point_rows is not None
     assert state.point_rows is not None
@@ -95,35 +79,6 @@ def test_a_csv_has_the_row_of_the_points_file_above_each_column(
     assert "# point_rows" not in measured
 
 
-# --- npz -------------------------------------------------------------------------------------
-
-
-def test_an_imported_export_has_every_message_of_the_bag_again(rich: Path) -> None:
-    with BagReader(rich) as bag:
-        (npz,) = export_npz(bag, rich.with_name("a.npz"))
-        metadata, counts = bag.metadata, bag.counts
-    assert import_file(npz, rich.with_name("b.mcap")) == N_FRAMES
-    assert by_topic(rich.with_name("b.mcap")) == by_topic(rich)
-    with BagReader(rich.with_name("b.mcap")) as again:
-        assert (again.metadata, again.counts) == (metadata, counts)
-        (second,) = export_npz(again, rich.with_name("b.npz"))
-    with np.load(npz) as one, np.load(second) as two:
-        assert set(one) == set(two)
-        for name in one:
-            assert (one[name].dtype, one[name].tobytes()) == (two[name].dtype, two[name].tobytes())
-
-
-def test_an_imported_export_has_quantised_measurements_in_their_bits(rich: Path) -> None:
-    with BagReader(rich) as bag:
-        (npz,) = export_npz(bag, rich.with_name("a.npz"))
-    import_file(npz, rich.with_name("b.mcap"))
-    sent = [message for _, message in by_topic(rich.with_name("b.mcap"))["/skin/measurements"]]
-    bits = [
-        m.y.bits if isinstance(m.y, Quantised) else 0 for m in sent if isinstance(m, Measurements)
-    ]
-    assert bits == [4 if k % 3 == 1 else 0 for k in range(N_FRAMES)]
-
-
 def test_an_npz_names_what_it_holds(rich: Path) -> None:
     with BagReader(rich) as bag:
         (npz,) = export_npz(bag, rich.with_name("a.npz"))
@@ -136,42 +91,14 @@ def test_an_npz_names_what_it_holds(rich: Path) -> None:
         assert arrays["resultant_total"].tolist() == [float(k) for k in range(N_FRAMES)]
         assert np.array_equal(np.isnan(arrays["resultant_row"]), np.arange(N_FRAMES) % 2 == 0)
         assert arrays["rate_hz"] == 50.0  # the last state
-
-
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(data=st.data())
-def test_an_export_with_any_array_changed_is_imported_or_refused_in_one_line(
-    rich: Path, data: st.DataObject
-) -> None:
-    npz = rich.with_name("a.npz")
-    if not npz.exists():
-        with BagReader(rich) as bag:
-            export_npz(bag, npz)
-    with np.load(npz) as held:
-        arrays = {name: held[name] for name in held}
-    name = data.draw(st.sampled_from(sorted(arrays.keys() - {"sparseskin_format"})))
-    value = data.draw(
-        st.sampled_from(
-            [None, np.nan, np.inf, -1, 2**62, "x", "[" * 9999, np.zeros((2, 2)), np.zeros(0)]
-        )
-    )
-    if value is None:
-        del arrays[name]
-    elif isinstance(value, np.ndarray):
-        arrays[name] = value
-    else:
-        arrays[name] = np.full(arrays[name].shape, value)
-    np.savez(changed := rich.with_name("changed.npz"), **arrays)
-    out = rich.with_name("changed.mcap")
-    line = refusal(lambda: import_file(changed, out))
-    assert line.isprintable()
-    assert out.exists() == (line == "")
-    out.unlink(missing_ok=True)
-
-
-# --- csv -------------------------------------------------------------------------------------
+        sent = [m for m in rich_frames() if isinstance(m, Measurements)]
+        for row, message in zip(arrays["measurements"], sent, strict=True):
+            assert np.array_equal(row[: len(message.y)], np.asarray(message.y))
+            assert np.isnan(row[len(message.y) :]).all()
+        states = json.loads(str(arrays["states"]))
+        assert states["/skin/calibration"]["name"] == "palm"
+        assert json.loads(str(arrays["metadata"]))["scene"] == "test"
+    assert import_file(npz, rich.with_name("b.mcap")) == N_FRAMES
 
 
 def test_an_exported_csv_states_its_skin_and_is_read_as_it_is(rich: Path) -> None:
