@@ -69,7 +69,7 @@ def psnr_db(error: Floats, f_max: float) -> float:
 
 @dataclass
 class Quality:
-    """PSNR over all frames and over contact frames alone."""
+    """A figure, as PSNR, over all frames and over contact frames alone."""
 
     every: Extent = field(default_factory=Extent)
     contact: Extent = field(default_factory=Extent)
@@ -77,66 +77,42 @@ class Quality:
     """True once there was a contact frame; `recent` is then of contact frames."""
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
 
-    def add(self, psnr: float, in_contact: bool) -> None:
-        self.every.add(psnr)
+    def add(self, value: float, in_contact: bool) -> None:
+        self.every.add(value)
         if in_contact:
-            self.contact.add(psnr)
+            self.contact.add(value)
             if not self.in_contact:
                 self._recent.clear()
                 self.in_contact = True
         if in_contact == self.in_contact:
-            self._recent.append(psnr)
+            self._recent.append(value)
 
     def recent(self) -> float | None:
-        """Mean PSNR of the last 100 contact frames, before the first one of all; None of none."""
+        """Mean over the last 100 contact frames, before the first one of all; None of none."""
         return sum(self._recent) / len(self._recent) if self._recent else None
 
     def summary(self) -> dict[str, Any]:
         return {"all": self.every.summary(), "contact": self.contact.summary()}
 
 
-@dataclass
-class TrustCount:
-    """Number of frames whose error the solver estimates, and of those not to be trusted."""
+class Trust(Quality):
+    """Trust of solvers that estimate their error: 1 for a frame to be trusted, 0 for another."""
 
-    n_frames: int = 0
-    n_untrusted: int = 0
-
-    def add(self, trusted: bool) -> None:
-        self.n_frames += 1
-        self.n_untrusted += not trusted
-
-    def summary(self) -> dict[str, Any] | None:
-        """Both numbers, and the share of trusted frames; None of no frame."""
-        if not self.n_frames:
-            return None
-        share = 1 - self.n_untrusted / self.n_frames
-        return {"frames": self.n_frames, "untrusted": self.n_untrusted, "trusted_share": share}
-
-
-@dataclass
-class Trust:
-    """Trust of solvers in their frames, over all frames and over contact frames alone."""
-
-    every: TrustCount = field(default_factory=TrustCount)
-    contact: TrustCount = field(default_factory=TrustCount)
-    _recent: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT))
-
-    def add(self, reconstruction: Reconstruction, in_contact: bool) -> None:
+    def add_frame(self, reconstruction: Reconstruction, in_contact: bool) -> None:
         """Count a frame, unless its solver estimates nothing."""
-        if reconstruction.error is None and reconstruction.trusted:
-            return
-        self.every.add(reconstruction.trusted)
-        if in_contact:
-            self.contact.add(reconstruction.trusted)
-            self._recent.append(reconstruction.trusted)
-
-    def recent(self) -> float | None:
-        """Share of trusted frames in the last 100 contact frames; None of none."""
-        return sum(self._recent) / len(self._recent) if self._recent else None
+        if reconstruction.error is not None or not reconstruction.trusted:
+            self.add(float(reconstruction.trusted), in_contact)
 
     def summary(self) -> dict[str, Any]:
-        return {"all": self.every.summary(), "contact": self.contact.summary()}
+        return {"all": trust_summary(self.every), "contact": trust_summary(self.contact)}
+
+
+def trust_summary(trusted: Extent) -> dict[str, Any] | None:
+    """Number of frames, of those not to be trusted, and the share of the others; None of none."""
+    if not trusted.count:
+        return None
+    untrusted, share = int(trusted.count - trusted.total), trusted.total / trusted.count
+    return {"frames": trusted.count, "untrusted": untrusted, "trusted_share": share}
 
 
 @dataclass
@@ -413,7 +389,7 @@ class PatchMetrics:
         f_max = self.skin.f_max
         if frame.taxels is None:  # nothing to compare with
             in_contact = float(forces.max()) > CONTACT_FRACTION * f_max
-            self.trust.add(frame.reconstruction, in_contact)
+            self.trust.add_frame(frame.reconstruction, in_contact)
             return frame
         taxels = frame.taxels.forces[cells]
         reference = taxels if frame.truth is None else frame.truth.forces[cells]
@@ -424,11 +400,24 @@ class PatchMetrics:
         error = forces - reference
         frame.psnr_db = psnr_db(error, f_max)
         self.reconstruction.add(frame.psnr_db, in_contact)
-        self.trust.add(frame.reconstruction, in_contact)
+        self.trust.add_frame(frame.reconstruction, in_contact)
         if in_contact:
             norm = float(np.linalg.norm(reference))
             self.relative_error.add(float(np.linalg.norm(error)) / norm)
         return frame
+
+    @property
+    def extents(self) -> dict[tuple[str, ...], Extent]:
+        """Means of the summary, by their place in it."""
+        qualities = {
+            ("psnr_db", "noisy"): self.noisy,
+            ("psnr_db", "reconstruction"): self.reconstruction,
+            ("trust",): self.trust,
+        }
+        found = {}
+        for place, quality in qualities.items():
+            found[*place, "all"], found[*place, "contact"] = quality.every, quality.contact
+        return found | {("relative_error",): self.relative_error}
 
     def summary(self) -> dict[str, Any]:
         """The patch's part of the summary; unknown figures are None."""

@@ -77,10 +77,11 @@ def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
     """The summary of every patch as text for a terminal of 80 columns."""
     if len(patches) > FEW:
         return _many_table(patches)
-    return "\n".join(_patch_table(name, patch) for name, patch in patches.items())
+    return "\n".join(patch_table(name, patch) for name, patch in patches.items())
 
 
-def _patch_table(name: str, patch: Mapping[str, Any]) -> str:
+def patch_table(name: str, patch: Mapping[str, Any]) -> str:
+    """The summary of one patch as text, `WIDTH` characters wide."""
     patch = {
         key: NONE if value is None else printable(value) if isinstance(value, str) else value
         for key, value in patch.items()

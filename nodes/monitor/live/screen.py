@@ -12,7 +12,7 @@ import numpy as np
 from sparseskin.messages import Reconstruction, Resultant, Taxels, Truth
 from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.monitor.statistics import SPAN_S
-from sparseskin.nodes.monitor.table import NONE, share_of, shown
+from sparseskin.nodes.monitor.table import NONE, patch_table
 
 from .feed import Feed, PatchFeed
 from .notices import BAD, Notices, host_lines
@@ -53,55 +53,21 @@ def _wrapped(parts: list[str]) -> list[str]:
 
 
 def _patch_lines(name: str, patch: PatchFeed, now_s: float) -> list[str]:
-    summary, skin = patch.summary, patch.skin
-    if skin is None or not summary:
+    if patch.skin is None or not patch.summary:
         return [f" {name} ".center(WIDTH, "-"), "no frame has arrived yet"]
-    title = f" {name}: {skin.source}, {skin.n_rows} x {skin.n_cols} "
-    psnr = summary["psnr_db"]
-    which = "contact" if psnr["reconstruction"]["contact"] else "all"
-    noisy, recon = psnr["noisy"][which], psnr["reconstruction"][which]
-    gain = shown(recon["mean"] - noisy["mean"], "+.1f") if noisy and recon else NONE
     rows = patch.history.since(0)[1]
     rows = rows[rows[:, 0] > now_s - SPAN_S]
     rate = int(np.count_nonzero(rows[:, 0] > now_s - 1.0))
-    latency, solve = summary["latency_ms"] or {}, summary["solve_ms"] or {}
-    frames = summary["frames"]
-    within = summary["latency_uncertainty_ms"]
-    lines = [
-        title.center(WIDTH, "-"),
-        f"compression  {shown(summary['ratio'], '.2f')} : 1 (N {summary['n']}, M {summary['m']}), "
-        f"sent {_bytes(summary['bytes_out'])}"
-        + (f" instead of {_bytes(summary['bytes_in'])}" if summary["bytes_in"] else ""),
-        f"frames       {frames['reconstructed']} of {frames['sensed']} reconstructed, "
-        + (f"{frames['skipped']} skipped, " if frames["skipped"] else "")
-        + f"{patch.lost} lost; {rate} Hz of {skin.rate_hz:g} Hz requested",
-        f"mean PSNR    taxels {_mean(noisy)}, reconstruction {_mean(recon)}, gain {gain} dB "
-        f"({which} frames)",
-        *_trust_line(patch, now_s),
-        f"time         latency p50 {shown(latency.get('p50'), '.1f')}, "
-        f"p99 {shown(latency.get('p99'), '.1f')}"
-        + (f" ± {within:.1f}" if within else "")
-        + f" ms; solve p50 {shown(solve.get('p50'), '.1f')} ms",
-    ]
+    lines = patch_table(name, patch.summary).split("\n")[:-1]
+    lines.append(f"rate        {rate} Hz of {patch.skin.rate_hz:g} Hz requested")
+    if not patch.trusted(now_s):
+        lines.append("!! NOT TRUSTED NOW")
     lines += _map_lines(patch)
     lines.append(f"{'':<8} {f'means of the last {SPAN_S:g} s':<{N_BARS}}  least .. largest")
-    for title, column in (("PSNR", 2), ("latency", 3)):
+    for title, column, unit in (("PSNR", 2, "dB"), ("latency", 3, "ms")):
         line, low, high = _sparkline(rows, column, now_s)
-        unit = "dB" if column == 2 else "ms"
         lines.append(f"{title:<8} {line}  {low} .. {high} {unit}")
     return lines
-
-
-def _trust_line(patch: PatchFeed, now_s: float) -> list[str]:
-    """Share of frames that the solver trusts, and a mark while it does not."""
-    trust = patch.summary["trust"]
-    which = "contact" if trust["contact"] else "all"
-    counts = trust[which]
-    if counts is None:
-        return []
-    mark = "" if patch.trusted(now_s) else " !! NOT TRUSTED NOW"
-    share = share_of(counts["trusted_share"])
-    return [f"trusted      {share} of {counts['frames']} {which} frames{mark}"]
 
 
 def _map_lines(patch: PatchFeed) -> list[str]:
@@ -153,14 +119,3 @@ def _sparkline(rows: np.ndarray[Any, Any], column: int, now_s: float) -> tuple[s
         for value in means
     )
     return line, f"{low:.1f}", f"{high:.1f}"
-
-
-def _mean(extent: dict[str, float] | None) -> str:
-    return shown(extent["mean"] if extent else None, ".1f")
-
-
-def _bytes(count: float) -> str:
-    for size, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
-        if count >= size:
-            return f"{count / size:.2f} {unit}"
-    return f"{count:.0f} B"

@@ -125,19 +125,6 @@ def test_lost_frames_are_reported_for_some_seconds(desk: Desk) -> None:
     assert desk.lose(4) == [(BAD, "1 frame lost just now.")]
 
 
-def test_losses_shortly_after_one_another_are_reported_together(desk: Desk) -> None:
-    desk.lose(0)
-    desk.lose(2)
-    desk.clock.advance(RECENT_S / 2)
-    assert desk.lose(5) == [(BAD, "5 frames lost just now.")]
-
-
-def test_what_was_lost_before_anybody_looked_is_no_news(monkeypatch: pytest.MonkeyPatch) -> None:
-    desk = Desk(FakeTime(monkeypatch))
-    desk.graph.skin()
-    assert desk.lose(7) == []
-
-
 def test_a_count_that_begins_again_is_no_loss(desk: Desk) -> None:
     assert desk.lose(9) != []
     assert desk.lose(0) == []
@@ -193,32 +180,9 @@ def test_old_news_of_the_graph_is_reported_with_its_age(desk: Desk) -> None:
     assert desk.look() == [(BAD, "No state of the nodes has arrived for 12 s.")]
 
 
-def test_where_there_is_no_graph_its_silence_is_no_fault(desk: Desk) -> None:
-    desk.clock.advance(100.0)
-    desk.graph.frame()
-    assert desk.look() == []
-
-
 def test_a_monitor_that_is_busy_reports_it_first(desk: Desk) -> None:
     now_s = desk.clock.advance(3.0)
     assert Notices(desk.feed).all(now_s)[0] == (BAD, "The monitor has not responded for 3.0 s.")
-
-
-def test_of_several_patches_each_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    desk = Desk(FakeTime(monkeypatch), "left", "right")
-    desk.graph.skin("left")
-    desk.graph.frame("left")
-    assert desk.look(1.0) == [
-        (BAD, "left: stale: no new frame for 1.0 s."),
-        (NOTE, "right: no frame has arrived yet."),
-    ]
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"), [(0.21, "0.2 s"), (9.94, "9.9 s"), (12.4, "12 s"), (600.0, "600 s")]
-)
-def test_a_span_of_time_in_words(seconds: float, text: str) -> None:
-    assert ago(seconds) == text
 
 
 def test_measurements_that_are_left_out_are_reported_while_they_are(desk: Desk) -> None:

@@ -188,47 +188,6 @@ def test_a_frame_that_is_not_to_be_trusted_is_marked_and_moves_nothing(page: Any
         )
 
 
-def test_the_mark_of_a_frame_lies_beside_its_value_at_any_width(page: Any) -> None:
-    graph = Graph()
-    graph.skin()
-    measure = """
-        const tile = document.querySelector('[data-tile=gain]'), box = tile.getBoundingClientRect();
-        tile.dataset.mark = 'not trusted';
-        tile.querySelector('strong').textContent = '\\u221210.5 dB';
-        const range = document.createRange();
-        range.selectNodeContents(tile.querySelector('strong'));
-        const value = range.getBoundingClientRect(), mark = getComputedStyle(tile, '::after');
-        const wide = ['width', 'paddingLeft', 'paddingRight']
-          .reduce((sum, side) => sum + parseFloat(mark[side]), 0);
-        const right = box.right - 1 - parseFloat(mark.right);
-        const top = box.top + 1 + parseFloat(mark.top);
-        return {gap: right - wide - value.right, edge: box.right - right,
-          above: top - value.top, below: value.bottom - top - parseFloat(mark.height)};
-    """
-    with contextlib.closing(
-        PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
-    ) as server:
-        page.get("about:blank")
-        page.get(server.url)
-        graph.frame(error=0.1, trusted=False)
-        graph.summarise()
-        wait_until(lambda: "dB" in text(page, '[data-tile="gain"] strong'), "the value")
-        try:
-            for width in (320, 361, 390, 521, 661, 900, 1000, 1241, 1440):
-                resize(page, width)
-                found = page.execute_script(measure)
-                assert found["gap"] >= 2, (width, found)
-                assert found["edge"] >= 4, (width, found)
-                assert min(found["above"], found["below"]) >= 0, (width, found)
-        finally:
-            resize(page, 1280)
-
-
-def resize(page: Any, width: int) -> None:
-    size = {"width": width, "height": 720, "deviceScaleFactor": 1, "mobile": False}
-    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-
-
 def test_the_overview_has_a_card_of_each_patch_with_its_map(page: Any) -> None:
     graph = Graph("left", "right")
     with contextlib.closing(
@@ -414,34 +373,6 @@ def test_the_address_with_its_token_opens_the_page_and_is_not_kept(
     start("launch", "path_40", "--set", f"monitor.port={port}").wait_for("ready:")
     asked = "this page asks for a token: open the address that the graph has printed"
     wait_until(lambda: asked in text(page, "#notices"), "the way to the next graph")
-
-
-def test_the_file_that_a_browser_is_given_leads_to_the_page_and_a_frame_does_not(
-    page: Any, tmp_path: Path
-) -> None:
-    graph = Graph()
-    graph.skin()
-    graph.frame()
-    notices = Notices(graph.feed)
-    with contextlib.closing(
-        PageServer(graph.feed, notices, 0, lambda request: None, "secret")
-    ) as server:
-        opener, frame = tmp_path / "opener.html", tmp_path / "frame.html"
-        opener.write_text(f'<meta http-equiv="refresh" content="0; url={server.url}">')
-        page.get(opener.as_uri())
-        wait_until(lambda: int(drawn(page)) > 0, "the first frame")
-        assert page.current_url.startswith(f"http://127.0.0.1:{server.port}/#")
-        assert page.execute_script("return document.cookie") == ""
-        page.get_log("browser")
-        frame.write_text(f'<iframe src="{server.url}"></iframe>')
-        page.get(frame.as_uri())
-        refused: list[str] = []
-
-        def is_refused() -> bool:
-            refused.extend(entry["message"] for entry in page.get_log("browser"))
-            return any("frame-ancestors" in line for line in refused)
-
-        wait_until(is_refused, "the refusal of a frame")
 
 
 def test_a_page_without_a_token_that_is_left_open_finds_the_next_graph(

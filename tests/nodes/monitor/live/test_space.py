@@ -286,37 +286,3 @@ def test_the_grid_of_the_same_skin_and_single_maps_can_be_shown(page: Any, graph
     run(page, CHOOSE, "shown-maps", "pair")
     settled(page)
     wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] > 20, "the frame in 3-D")
-
-
-def test_points_of_any_kind_are_drawn_in_bounded_time_and_wrong_ones_as_a_grid(
-    page: Any, graph: Graph
-) -> None:
-    """Points at one place, at two far apart, and one alone; then too few for the grid."""
-    drawn = page.execute_async_script(
-        """
-        const done = arguments[0];
-        (async () => {
-          const { Cloud, TAXELS, rasterise } = await import('./cloud.js');
-          const flat = (places) => Float32Array.from(places.flatMap((p) => [...p, 0, 0, 1]));
-          const skin = (side, places, pitch) =>
-            ({ n_rows: side, n_cols: side, pitch_m: pitch, data: { points: flat(places) } });
-          const one = [0.1, 0.2, 0.3], far = [999, -999, 0], n = 4096;
-          const skins = [
-            skin(64, Array(n).fill(one), 1e-9), skin(64, Array(n).fill(one), null),
-            skin(64, Array.from({ length: n }, (_, k) => (k % 2 ? one : far)), 1000),
-            skin(1, [[-1000, 0, 0]], null),
-          ];
-          const found = skins.map((each) => {
-            const size = 200, target = { width: size, height: size,
-              index: new Uint32Array(size * size), depth: new Float32Array(size * size) };
-            const cloud = new Cloud(each);
-            rasterise(cloud, { yaw: 0, pitch: Math.PI / 2, zoom: 1, x: 0, y: 0 }, target);
-            return Cloud.of(each) && target.index.some((value) => value >= TAXELS)
-              && cloud.spacing.every((value) => value > 0);
-          });
-          const none = { n_rows: 1, n_cols: 1, data: {} };
-          done([...found, Cloud.of(skin(64, [one], null)), Cloud.of(none)]);
-        })();
-        """
-    )
-    assert drawn == [True, True, True, True, False, False]

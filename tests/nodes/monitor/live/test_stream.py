@@ -6,7 +6,6 @@ import io
 import math
 import queue
 import threading
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,8 +13,6 @@ from bags import MASK, N_COLS, N_ROWS, frame
 from feeds import BEGIN_S, FakeTime, Graph, Record, graph_state, node_state, read_records
 
 from sparseskin.messages import Reconstruction, Resultant, Taxels, Truth
-from sparseskin.messages.errors import OversizedError
-from sparseskin.nodes.monitor.live.feed import MAX_ANSWERS
 from sparseskin.nodes.monitor.live.notices import Notices
 from sparseskin.nodes.monitor.live.stream import StreamReader
 from sparseskin.nodes.monitor.statistics import COLUMNS
@@ -88,18 +85,6 @@ def test_the_points_of_a_skin_come_once_row_by_row_of_its_taxels(clock: FakeTime
         assert "skin" not in page.kinds()
 
 
-def test_the_most_points_that_a_skin_may_have_are_one_record(clock: FakeTime) -> None:
-    graph = Graph()
-    page = Page(graph, clock)
-    sides = {"n_rows": 424, "n_cols": 412, "mask": None}
-    points = np.tile(np.float32([1000, -1000, 0, 0, 0, -1]), (424 * 412, 1))
-    with pytest.raises(OversizedError):
-        graph.skin(**sides | {"n_cols": 413}, points=points[:1].repeat(424 * 413, 0))
-    graph.skin(**sides, points=points)
-    _, arrays = only(page.pull(), "skin")
-    assert arrays["points"].nbytes == points.nbytes < 5e6
-
-
 def test_the_state_marks_frames_that_are_not_to_be_trusted(clock: FakeTime) -> None:
     graph = Graph()
     page = Page(graph, clock)
@@ -123,16 +108,6 @@ def test_the_state_marks_frames_that_are_not_to_be_trusted(clock: FakeTime) -> N
     graph.frame(error=0.1, trusted=False)
     graph.skin()
     assert trusted()
-
-
-def test_a_late_frame_that_is_not_to_be_trusted_is_marked(clock: FakeTime) -> None:
-    graph = Graph()
-    page = Page(graph, clock)
-    graph.skin()
-    late = replace(frame(0)[-1], trusted=False)
-    graph.feed.frame("skin", late, None)  # its taxels are dropped
-    header, _ = only(page.pull(), "state")
-    assert not header["patches"]["skin"]["trusted"]
 
 
 def test_maps_that_go_together_are_of_one_frame(clock: FakeTime) -> None:
@@ -222,15 +197,6 @@ def test_a_stalled_reader_holds_no_more_than_the_newest_frame(clock: FakeTime) -
     assert page.kinds() == ["state"]
 
 
-def test_a_page_opened_later_gets_the_figures_of_the_last_minute(clock: FakeTime) -> None:
-    graph = Graph()
-    graph.skin()
-    for _ in range(30):
-        graph.frame()
-    for _ in range(2):
-        assert len(only(Page(graph, clock).pull(), "rows")[1]["rows"]) == 30
-
-
 def test_an_overview_brings_the_reconstructed_maps_of_all_patches_and_no_rows(
     clock: FakeTime,
 ) -> None:
@@ -245,15 +211,6 @@ def test_an_overview_brings_the_reconstructed_maps_of_all_patches_and_no_rows(
         np.testing.assert_array_equal(maps[patch]["reconstruction"], forces)
 
 
-def test_a_page_of_one_patch_is_not_sent_the_maps_of_another(clock: FakeTime) -> None:
-    graph = Graph("left", "right")
-    page = Page(graph, clock, "left")
-    graph.skin("right")
-    graph.frame("right")
-    ((header, _),) = page.pull()
-    assert (header["kind"], set(header["patches"])) == ("state", {"left", "right"})
-
-
 def test_answers_are_sent_once_to_every_page_that_is_open(clock: FakeTime) -> None:
     graph = Graph()
     graph.answer("early")
@@ -264,15 +221,6 @@ def test_answers_are_sent_once_to_every_page_that_is_open(clock: FakeTime) -> No
         answers = [header for header, _ in page.pull() if header["kind"] == "answer"]
         assert [answer["id"] for answer in answers] == ["a", "b"]
         assert page.kinds() == ["state"]
-
-
-def test_of_a_flood_of_answers_the_newest_are_kept(clock: FakeTime) -> None:
-    graph = Graph()
-    page = Page(graph, clock)
-    for k in range(3 * MAX_ANSWERS):
-        graph.answer(k)
-    answers = [header["id"] for header, _ in page.pull() if header["kind"] == "answer"]
-    assert answers == list(range(2 * MAX_ANSWERS, 3 * MAX_ANSWERS))
 
 
 def test_graph_and_summaries_are_sent_only_when_they_are_new(clock: FakeTime) -> None:
