@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from conftest import StartProgram, wait_until
+from conftest import StartProgram, note_of_graph, wait_until
 from feeds import Graph, read_records
 
 from sparseskin.messages import Reconstruction, Taxels
