@@ -12,20 +12,14 @@ from .proc import resident_bytes
 
 GROWN_BYTES = 1_000_000
 """Growth of resident memory over its minimum that makes a trim worth its time."""
-STARTED_CALLS = 20
-"""Number of the call that trims once, when the memory of the start is free."""
-MOST_CALLS = 64
-"""Largest number of calls between trims that free nothing."""
+EVERY = 20
+"""Calls between two trims; memory of the start is free at the first of them."""
 
 
 @functools.cache
 def _trim() -> Callable[[int], int] | None:
     """`malloc_trim` of glibc; None where the C library has none."""
-    try:
-        trim: Callable[[int], int] = ctypes.CDLL(None).malloc_trim
-    except (OSError, AttributeError):
-        return None
-    return trim
+    return getattr(ctypes.CDLL(None), "malloc_trim", None)
 
 
 class FreeMemory:
@@ -36,30 +30,21 @@ class FreeMemory:
     """
 
     def __init__(self) -> None:
-        self._least = math.inf
-        self._pause = self._wait = 1
-        self._n_calls = 0
+        self._least, self._n_calls = math.inf, 0
 
     def trim(self) -> None:
-        """Trim if resident memory is above its minimum; takes a millisecond.
+        """Trim at the 20th call, and at every 20th where resident memory is above its minimum.
 
-        Call it periodically. While trims free nothing, they become ever less frequent.
+        Call it periodically; a trim takes a millisecond.
         """
-        trim = _trim()
-        if trim is None:
+        trim, self._n_calls = _trim(), self._n_calls + 1
+        if trim is None or self._n_calls % EVERY:
             return
-        self._n_calls += 1
-        if self._n_calls == STARTED_CALLS:
-            trim(0)
         try:
             resident = resident_bytes(os.getpid())
+            if self._n_calls == EVERY or resident > self._least + GROWN_BYTES:
+                trim(0)
+                resident = resident_bytes(os.getpid())
         except OSError:  # no descriptor is free
             return
-        if resident <= self._least + GROWN_BYTES:
-            self._least = min(self._least, resident)
-            self._pause = self._wait = 1
-            return
-        self._wait -= 1
-        if not self._wait:
-            trim(0)
-            self._pause = self._wait = min(2 * self._pause, MOST_CALLS)
+        self._least = min(self._least, resident)

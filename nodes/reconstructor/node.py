@@ -24,7 +24,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.acts import follow
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, layout
 from sparseskin.nodes.compressor.phi.base import Phi, is_built_in, make_phi
-from sparseskin.nodes.compressor.phi.rotation import block_and_rule, can_rotate, row_subsets
+from sparseskin.nodes.compressor.phi.rotation import block_and_rule, row_subsets
 from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import (
     PhiError,
@@ -215,7 +215,7 @@ class Reconstructor(Node[ReconstructorSettings]):
                     one.compile()
         self._subsets = {one.fingerprint: one for one in subsets}
         self._watch.set_up(self._subsets, state, solver.mask)
-        self._trust_log.begin(len(self._subsets), can_rotate(phi))
+        self._trust_log.begin(len(self._subsets))
         self._uncertainty = self._make_uncertainty(solver, phi, announced.rows)
         if self.settings.resultant:
             self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
@@ -342,7 +342,6 @@ class Reconstructor(Node[ReconstructorSettings]):
             trusted,
             n=self._solver.taxels.size,
             unit=self._skin.unit,
-            f_max=self._skin.f_max,
         )
 
     def _resultant_of(self, found: Estimate, stamp_ns: int) -> Resultant:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import pytest
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.commands.scenes import make_scenario
-from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, load
+from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.messages import (
     Measurements,
     Message,
@@ -23,7 +22,6 @@ from sparseskin.messages import (
 )
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import SparseskinError
@@ -125,56 +123,7 @@ def test_it_can_be_switched_on_and_off_while_the_graph_runs(solver: str) -> None
     assert all(only(m, Reconstruction).phi == p for m, p in zip(frames, prints, strict=True))
 
 
-def test_a_refused_rotation_changes_nothing() -> None:
-    bus = graph("compressor.ratio=200")
-    frames_of(bus, 1)
-    with pytest.raises(SparseskinError, match='"rotating" is not allowed for m = 8 of n = 1600'):
-        bus.hosts["compressor"].change({"rows": "rotating"})
-    compressor: Any = bus.hosts["compressor"].node
-    assert compressor.settings.rows is None
-    assert compressor.state()["rows"] == states_of(bus)[1].rows == "fixed"
-
-
-def test_rows_rotate_in_every_launch_file_that_has_a_compressor() -> None:
-    found = [
-        {key: value for key, value in node.items() if key != "type"}
-        for path in BUNDLED.glob("*.toml")
-        for node in tomllib.loads(path.read_text())["nodes"].values()
-        if node["type"] == "compressor"
-    ]
-    assert len(found) == 11
-    for values in found:
-        assert CompressorSettings.from_mapping(values).rows_and_m(1600)[0] == "rotating"
-
-
-@pytest.mark.parametrize(
-    ("settings", "rows"),
-    [
-        ([], "rotating"),
-        (["compressor.m=1600"], "fixed"),
-        (["compressor.phi=gaussian", "reconstructor.preset=paper"], "fixed"),
-        (["compressor.ratio=100"], "fixed"),
-    ],
-)
-def test_the_default_is_announced_and_reported_as_it_was_resolved(
-    settings: list[str], rows: str
-) -> None:
-    bus = graph(*settings)
-    frames_of(bus, 3)
-    assert states_of(bus)[1].rows == rows
-    assert bus.hosts["compressor"].node.state()["rows"] == rows
-    assert bus.hosts["reconstructor"].counts.refused == {}
-
-
 OWN = ["compressor.phi=sbhe", "reconstructor.phi=sbhe"]
-
-
-def test_a_phi_that_is_stated_twice_has_the_same_rows_in_both_nodes() -> None:
-    bus = graph(*OWN)
-    frames = frames_of(bus, 6)
-    assert bus.hosts["reconstructor"].counts.refused == {}
-    prints = [only(messages, Reconstruction).phi for messages in frames]
-    assert len(set(prints)) == 3
 
 
 def test_rows_that_are_stated_otherwise_are_refused_before_the_start() -> None:
@@ -279,3 +228,30 @@ def test_replayed_from_the_middle_it_is_reconstructed_as_by_a_reconstructor_that
     joined = [only(node.step(m), Reconstruction) for m in later]
     assert [m.forces.tobytes() for m in joined] == [m.forces.tobytes() for m in replayed]
     assert len({m.phi for m in replayed}) == 3
+
+
+@pytest.mark.parametrize(
+    ("settings", "rows"),
+    [
+        ([], "rotating"),
+        (["compressor.m=1600"], "fixed"),
+        (["compressor.phi=gaussian", "reconstructor.preset=paper"], "fixed"),
+        (["compressor.ratio=100"], "fixed"),
+    ],
+)
+def test_the_default_is_announced_and_reported_as_it_was_resolved(
+    settings: list[str], rows: str
+) -> None:
+    bus = graph(*settings)
+    frames_of(bus, 3)
+    assert states_of(bus)[1].rows == rows
+    assert bus.hosts["compressor"].node.state()["rows"] == rows
+    assert bus.hosts["reconstructor"].counts.refused == {}
+
+
+def test_a_phi_that_is_stated_twice_has_the_same_rows_in_both_nodes() -> None:
+    bus = graph(*OWN)
+    frames = frames_of(bus, 6)
+    assert bus.hosts["reconstructor"].counts.refused == {}
+    prints = [only(messages, Reconstruction).phi for messages in frames]
+    assert len(set(prints)) == 3

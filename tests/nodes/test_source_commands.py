@@ -61,16 +61,6 @@ def test_a_pause_is_true_or_false(value: object) -> None:
     assert not source.paused
 
 
-def test_to_go_on_where_nothing_was_paused_moves_no_tick() -> None:
-    clock = ManualClock()
-    source = sensor(clock)
-    for k in range(5):
-        list(source.acquire(Tick(k, k)))
-    clock.advance(51_000_000)
-    source.command("pause", False)
-    assert source.next_tick_ns() == 60_000_000
-
-
 def test_a_new_rate_counts_from_the_moment_of_the_change() -> None:
     clock = ManualClock()
     source = sensor(clock)

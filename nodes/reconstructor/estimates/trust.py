@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.numerics.arrays import Floats
 
 EVERY_NS = 10_000_000_000
@@ -18,10 +17,7 @@ RUN, WITHIN = 3, 10
 """Frames not to be trusted that make a run, and the number of the last frames that they are among.
 Chosen: the first frame or two of a stream or contact, of which the past says nothing, make none."""
 
-LASTING, LASTING_WITHIN, LASTING_SHARE = 50, 100, 0.5
-"""Frames in contact from which on a share of the last of them advises other settings, their number
-at most, and the share. Chosen: at N/3, where more measurements are not needed, the impact of a
-wrench is doubted for 23 of 50 frames, and 0.2 of all frames in contact; at N/20 nearly all are."""
+ADVICE = "; if that lasts, more measurements or rotating rows may help, see docs/method.md"
 
 FIRST = 2
 """First frames of a row subset, whose noise no earlier frame has shown."""
@@ -32,8 +28,7 @@ class TrustLog:
 
     A run is 3 of the last 10 frames or more. With P row subsets, the first 2 (P - 1) frames do not
     count: each subset begins with two frames of which the past says nothing. Time is that of the
-    stamps, so that a replay logs the same lines at any rate. Other settings are advised where
-    doubts last: half of the last 50 to 100 frames in contact.
+    stamps, so that a replay logs the same lines at any rate.
 
     Parameters
     ----------
@@ -43,21 +38,14 @@ class TrustLog:
 
     def __init__(self, log: Callable[[str], None]) -> None:
         self._log = log
-        self._rotating, self._n_early = False, 0
+        self._n_early = 0
         self._logged_ns: int | None = None
         self._n_frames = self._n_untrusted = 0
-        self._advised_ns: int | None = None
         self._latest: deque[bool] = deque(maxlen=WITHIN)
-        self._in_contact: deque[bool] = deque(maxlen=LASTING_WITHIN)
 
-    def begin(self, n_subsets: int, could_rotate: bool = True) -> None:
-        """Expect the frames of a new solver, measured by this many row subsets; 1: fixed rows.
-
-        `could_rotate` is False for a Phi whose rows cannot rotate.
-        """
-        self._rotating = n_subsets > 1 or not could_rotate
+    def begin(self, n_subsets: int) -> None:
+        """Expect the frames of a new solver, measured by this many row subsets; 1: fixed rows."""
         self._n_early = FIRST * (n_subsets - 1)
-        self._in_contact.clear()
 
     def update(
         self,
@@ -68,12 +56,10 @@ class TrustLog:
         *,
         n: int,
         unit: str,
-        f_max: float,
     ) -> None:
         """Process a frame: forces, 0 where no taxel exists, and what its solver estimates of them.
 
-        `error` and `trusted` are as in `Solver`; n is the number of taxels, f_max the upper end of
-        their range in `unit`.
+        `error` and `trusted` are as in `Solver`; n is the number of taxels, `unit` that of forces.
         """
         self._n_frames += 1
         self._n_untrusted += not trusted
@@ -81,37 +67,16 @@ class TrustLog:
             self._n_early -= 1
             return
         self._latest.append(not trusted)
-        if not trusted or forces.max(initial=0.0) > CONTACT_FRACTION * f_max:
-            self._in_contact.append(not trusted)
-        if trusted or sum(self._latest) < RUN:
+        # Stamps go back where a recording is played again.
+        is_due = self._logged_ns is None or abs(stamp_ns - self._logged_ns) >= EVERY_NS
+        if trusted or sum(self._latest) < RUN or not is_due:
             return
-        lasts = self._lasts and _is_due(self._advised_ns, stamp_ns)
-        if not (lasts or _is_due(self._logged_ns, stamp_ns)):
-            return
-        count = "" if self._logged_ns is None else self._count()
-        advice = ""
-        if lasts:
-            more = "more measurements" + ("" if self._rotating else ' or rows = "rotating"')
-            advice = f"; {more} may help, see docs/method.md"
-            self._advised_ns = stamp_ns
-        self._log(f"frames not to be trusted: {_described(error, forces, n, unit)}{count}{advice}")
+        count = f" ({self._n_untrusted} of the last {self._n_frames} frames)"
+        of_run = "" if self._logged_ns is None else count
+        estimate = _described(error, forces, n, unit)
+        self._log(f"frames not to be trusted: {estimate}{of_run}{ADVICE}")
         self._logged_ns = stamp_ns
         self._n_frames = self._n_untrusted = 0
-
-    @property
-    def _lasts(self) -> bool:
-        """True if doubts last beyond the begin or change of a contact."""
-        n = len(self._in_contact)
-        return n >= LASTING and sum(self._in_contact) >= LASTING_SHARE * n
-
-    def _count(self) -> str:
-        return f" ({self._n_untrusted} of the last {self._n_frames} frames)"
-
-
-def _is_due(last_ns: int | None, stamp_ns: int) -> bool:
-    """True if a line may follow that of another frame."""
-    # Stamps go back where a recording is played again.
-    return last_ns is None or abs(stamp_ns - last_ns) >= EVERY_NS
 
 
 def _described(error: float | None, forces: Floats, n: int, unit: str) -> str:

@@ -145,14 +145,6 @@ def test_who_sends_garbage_is_named_and_harms_nobody(
     station.until(lambda: "reader" in station.writer.present, "the reader")
 
 
-def test_a_handshake_may_take_two_seconds_on_either_side(
-    station: Station, context: zmq.Context[Any]
-) -> None:
-    reader = Reader(context, "reader", (), [TAXELS], keys=LISTED)
-    for side in (station.writer.socket, reader.socket):
-        assert side.getsockopt(zmq.HANDSHAKE_IVL) == 2000
-
-
 def test_a_silent_connection_is_closed(station: Station) -> None:
     if not station.writer.endpoint.startswith("tcp:"):
         pytest.skip("an address of a network is needed")
@@ -162,14 +154,6 @@ def test_a_silent_connection_is_closed(station: Station) -> None:
         stranger.settimeout(PATIENCE_S)
         while stranger.recv(100):  # ZeroMQ's greeting, then the end
             pass
-
-
-def test_a_flood_of_refusals_is_said_ever_less_often(station: Station) -> None:
-    for _ in range(1000):
-        station.gate._log_refusal("10.0.0.7:1234", "it uses no key")
-    assert [line.partition("(")[2] for line in station.lines] == [
-        *("", "10 times)", "100 times)", "1000 times)")
-    ]
 
 
 @pytest.mark.parametrize(

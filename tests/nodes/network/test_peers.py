@@ -9,8 +9,6 @@ from typing import Any
 import pytest
 import zmq
 from conftest import wait_until
-from hypothesis import given
-from hypothesis import strategies as st
 
 from sparseskin.nodes.network.peers import ASK_NS, FIRST_NS, N_FIRST, Peers
 from sparseskin.nodes.network.sockets import Peer, Reader, Writer, make_context, read_times
@@ -99,12 +97,6 @@ def test_a_writer_reports_the_time_to_those_alone_who_are_there(context: zmq.Con
     wait_until(is_there, "the reader")
     assert not stranger.poll(0)
     assert reader.receive() is None
-
-
-@given(st.binary(max_size=200))
-def test_what_is_no_time_is_none(note: bytes) -> None:
-    times = read_times(note)
-    assert times is None or (b"!" in note and all(t >= 0 for t in times[1:]))
 
 
 def test_a_time_is_read_as_it_was_written() -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from doubting import DOUBTING, ERROR
 
-from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth, decode, encode
 from sparseskin.nodes.bus import Bus
@@ -171,43 +170,6 @@ def test_a_wrong_setting_is_named(
 ) -> None:
     with pytest.raises(SparseskinError, match=text):
         Player.Settings(**({"file": str(recording[0])} | settings)).check()
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ("--rate 2000", "--rate: 2000.0 is outside 0.0..1000.0"),
-        ("--start 100", "--start: 100: the recording lasts 0."),
-        ("--topics /skin/foo", "--topics: /skin/foo: not in the file (known: /skin/"),
-        ("--remap /left:=/right", "--remap: /left: not in the file (known: /skin/"),
-    ],
-)
-def test_play_names_the_option_that_is_wrong(
-    recording: tuple[Path, list[Message]],
-    capsys: pytest.CaptureFixture[str],
-    options: str,
-    text: str,
-) -> None:
-    assert main(["play", str(recording[0]), *options.split()]) == 2
-    captured = capsys.readouterr()
-    assert captured.err.startswith(text)
-    assert (captured.out, captured.err.count("\n")) == ("", 1)
-
-
-@pytest.mark.parametrize(
-    ("command", "text"),
-    [
-        ("play a.mcap --rate -1", "--rate: '-1': expected a number, 0 or more"),
-        ("play a.mcap --wait -1", "--wait: '-1': expected a whole number, 0 or more"),
-        ("monitor --port abc", "--port: 'abc': expected a whole number, 0 or more"),
-    ],
-)
-def test_an_option_that_is_no_number_is_refused(
-    capsys: pytest.CaptureFixture[str], command: str, text: str
-) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main(command.split())
-    assert text in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -188,25 +188,12 @@ def test_another_rate_counts_from_where_it_is(bag: Path, rate: float, period_ns:
     assert deck.due_in_ns() == period_ns
 
 
-def test_faster_and_slower_undo_one_another(bag: Path) -> None:
-    deck = Deck(bag)
-    assert deck.press("faster") == "rate 1.1"
-    assert deck.press("slower") == "rate 1"
-    assert deck.press("slower") == "rate 0.909"
-
-
 @pytest.mark.parametrize("value", [0, 0.0009, 1001, -1, None, "2", True, float("inf")])
 def test_a_rate_that_is_not_allowed_changes_nothing(bag: Path, value: object) -> None:
     deck = Deck(bag)
     with pytest.raises(RefusedError, match=r"rate: .* is not allowed \(allowed: 0\.001\.\.1000\)"):
         deck.press("rate", value)
     assert deck.player.state()["rate"] == 1.0
-
-
-@pytest.mark.parametrize("command", ["rate", "faster", "slower"])
-def test_where_the_readers_set_the_pace_there_is_no_rate(bag: Path, command: str) -> None:
-    with pytest.raises(RefusedError, match="rate: at rate 0 the readers set the pace"):
-        Deck(bag, rate=0.0).press(command, 2.0)
 
 
 def test_a_pause_is_a_state_or_the_other_of_the_two(bag: Path) -> None:

@@ -90,25 +90,6 @@ def test_the_first_frame_is_the_definition_on_all_edges_of_the_skin(
     np.testing.assert_allclose(sd, expected, rtol=1e-4)
 
 
-def test_inside_of_a_flat_contact_is_more_certain_than_its_edge() -> None:
-    frame = np.zeros((12, 12), np.float32)
-    frame[2:10, 2:10] = 1
-    sd = Uncertainty(np.ones((12, 12), np.bool_), 3.0, "skin").update(frame, 0.01)
-    assert sd[2, 5] > 2 * sd[6, 6]
-    # Edges of the skin are none of the contact, and all four sides of that count alike.
-    np.testing.assert_allclose(sd[2, 4:8], sd[4:8, 2], rtol=1e-5)
-
-
-def test_more_pressure_of_the_whole_contact_is_no_uncertainty() -> None:
-    contact = np.zeros((12, 12), np.float32)
-    contact[3:9, 3:9] = np.linspace(0.4, 0.6, 36, dtype=np.float32).reshape(6, 6)
-    steady, pressed = (Uncertainty(np.ones((12, 12), np.bool_), 3.0, "skin") for _ in "ab")
-    for gain in np.linspace(1.0, 1.5, 120):
-        a = steady.update(1.5 * contact, 0.01)
-        b = pressed.update(np.float32(gain) * contact, 0.01)
-    np.testing.assert_allclose(a, b, rtol=0.01)
-
-
 def test_the_deviation_is_above_0_where_a_taxel_is_and_0_elsewhere() -> None:
     mask = np.ones((5, 7), np.bool_)
     mask[2, 3] = False

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pressed import noisy
 from watched import SKIN_SHAPE as SHAPE
 from watched import Skin, pad
 
@@ -138,14 +137,3 @@ def test_a_saturated_taxel_is_found_on_an_untouched_skin(phi: Phi) -> None:
         forces = skin.read(pad(), {(10, 14): 2.5})
     assert skin.lines == ["taxel (10, 14) is stuck at 2.5: left out"]
     assert forces[10, 14] < 0.05
-
-
-def test_the_hole_of_a_taxel_shows_in_reconstructed_frames(phi: Phi) -> None:
-    # What the watch rests on: sums alone tell that one taxel reads 0.
-    truth = np.repeat(block(10, 14)[None], 20, axis=0)
-    taxels = noisy(truth)
-    taxels[:, 10, 14] = 0
-    skin = Skin(phi)
-    for frame in taxels:
-        restored = skin.solver.solve(phi.forward(frame.reshape(-1)))
-    assert restored[10, 14] < 0.1

@@ -178,17 +178,6 @@ def test_a_faulty_row_is_found_by_its_innovation_where_the_frame_explains_it(
     assert tuple(np.flatnonzero(watch.left_out)) == pair
 
 
-def test_where_most_rows_disagree_none_is_blamed(phi: Phi) -> None:
-    rng = np.random.default_rng(0)
-    watch = RowWatch(phi)
-    for _ in range(30):
-        y = rng.normal(0, 0.01, M).astype(np.float32)
-        y[: M // 3] += rng.choice([-1, 1], M // 3)
-        watch.update(y, np.zeros(M, np.float32))
-    assert watch.swamped
-    assert not watch.left_out.any()
-
-
 @pytest.mark.parametrize(
     ("kind", "watches"), [("sbhe", True), ("full", False), ("subsample", False)]
 )
@@ -202,18 +191,6 @@ def test_a_row_that_reads_one_taxel_has_no_peers_and_is_not_judged(
         y[1] += 5.0  # of "sbhe", row 0 is the sum of the only block
         watch.update(y + 0.01, np.zeros_like(y))
     assert watch.left_out.any() == watches
-
-
-def test_faulty_measurements_are_replaced_from_the_last_frame(phi: Phi, truth: Floats) -> None:
-    watch = RowWatch(phi)
-    watch.left_out[[1, 5]] = True
-    y = np.full(M, 9.0, np.float32)
-    last = truth[-1].reshape(-1)
-    cleaned = watch.cleaned(y, last)
-    np.testing.assert_array_equal(cleaned[[1, 5]], phi.forward(last)[[1, 5]])
-    np.testing.assert_array_equal(np.delete(cleaned, [1, 5]), 9.0)
-    np.testing.assert_array_equal(watch.cleaned(y, None)[[1, 5]], 0)
-    np.testing.assert_array_equal(y, 9.0)
 
 
 def test_of_a_skin_that_does_not_state_its_noise_nothing_is_left_out(phi: Phi) -> None:
@@ -238,3 +215,26 @@ def test_a_row_subset_without_a_row_that_a_bias_shows_in_is_watched_all_the_same
             y[7] = 9.0
             watch.update(y, np.zeros(phi.m, np.float32))
         assert list(np.flatnonzero(watch.left_out)) == [7]
+
+
+def test_where_most_rows_disagree_none_is_blamed(phi: Phi) -> None:
+    rng = np.random.default_rng(0)
+    watch = RowWatch(phi)
+    for _ in range(30):
+        y = rng.normal(0, 0.01, M).astype(np.float32)
+        y[: M // 3] += rng.choice([-1, 1], M // 3)
+        watch.update(y, np.zeros(M, np.float32))
+    assert watch.swamped
+    assert not watch.left_out.any()
+
+
+def test_faulty_measurements_are_replaced_from_the_last_frame(phi: Phi, truth: Floats) -> None:
+    watch = RowWatch(phi)
+    watch.left_out[[1, 5]] = True
+    y = np.full(M, 9.0, np.float32)
+    last = truth[-1].reshape(-1)
+    cleaned = watch.cleaned(y, last)
+    np.testing.assert_array_equal(cleaned[[1, 5]], phi.forward(last)[[1, 5]])
+    np.testing.assert_array_equal(np.delete(cleaned, [1, 5]), 9.0)
+    np.testing.assert_array_equal(watch.cleaned(y, None)[[1, 5]], 0)
+    np.testing.assert_array_equal(y, 9.0)

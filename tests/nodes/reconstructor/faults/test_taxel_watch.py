@@ -71,10 +71,3 @@ def test_what_is_left_out_is_the_mean_of_the_neighbours_that_work(phi: Phi) -> N
     without = forces.copy()
     without.reshape(-1)[[0, 29, 30]] -= [1.0, 1.0, 1.5]
     np.testing.assert_allclose(watch.cleaned(phi, y), phi.forward(without.reshape(-1)), atol=1e-3)
-
-
-def test_a_force_beyond_the_range_has_the_noise_of_its_end() -> None:
-    watch = TaxelWatch(np.ones(SHAPE, np.bool_), 2.5, 0.0628, 0.0141, print)
-    forces = np.array([-0.5, 0, 1.25, 2.5, 2.6, 9], np.float32)
-    expected = [0.0141, 0.0141, 0.0628, 0.0141, 0.0141, 0.0141]
-    np.testing.assert_allclose(watch._sigma(forces), expected, rtol=1e-6)
