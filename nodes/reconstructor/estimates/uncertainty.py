@@ -12,10 +12,10 @@ from sparseskin.nodes.numerics.arrays import Floats, Mask
 
 #: Rates of the running mean of forces, and of squared changes: an estimate that lags behind a slow
 #: slide changes little from frame to frame.
-MEAN_RATE, RATE = 0.25, 0.2
+MEAN_RATE, RATE = np.float32(0.25), np.float32(0.2)
 #: Part of the RMS residual added to the change, squared, and to the force: taxels that stand still
 #: or are untouched are not certain.
-CHANGE_FLOOR, FORCE_FLOOR = 0.03, 0.3
+CHANGE_FLOOR, FORCE_FLOOR = np.float32(0.03), np.float32(0.3)
 #: By solver, rule of the rows of Phi, and fixed rows or rotating ones: factor a, and power b of
 #: N / M. Fitted on random scenes at N/3, N/4 and N/8, so that bands of 1.645 deviations hold 90 %
 #: of the touched taxels, by the geometric mean over the scenes.
@@ -64,14 +64,9 @@ class Uncertainty:
         self, mask: Mask, ratio: float, solver: str, rows: str = FIXED, rule: int = SPREAD
     ) -> None:
         factor, power = CALIBRATED[solver][rule][rows]
-        self._factor = factor * ratio**power
-        self._nowhere = None if mask.all() else ~mask
-        n_rows, n_cols = mask.shape
-        vectors = np.zeros((4, n_rows, n_cols), dtype=np.float32)
-        self._mean, self._changes, self._p, self._q = vectors
-        self._edged, self._rough, self._spare = np.zeros(
-            (3, n_rows + 2, n_cols + 2), dtype=np.float32
-        )
+        self._factor = np.float32(factor * ratio**power)
+        self._mask = mask
+        self._mean, self._changes = np.zeros((2, *mask.shape), dtype=np.float32)
 
     def update(self, forces: Floats, residual: float) -> Floats:
         """Process a reconstructed frame.
@@ -89,61 +84,29 @@ class Uncertainty:
             Standard deviation of each force, newtons; the caller's own. Forces are not normal:
             90 % of the true ones lie within 1.645 of it, not 68 % within one.
         """
-        r = max(residual, LEAST_RESIDUAL)
-        p = self._p
+        r = np.float32(max(residual, LEAST_RESIDUAL))
         self._add_change(forces)
-        np.add(self._changes, np.float32(CHANGE_FLOOR * r * r), out=p)
-        q = self._roughness(forces)
-        np.square(q, out=q)
-        q += np.float32(r * r)
-        np.sqrt(q, out=q)
-        p *= q
-        p /= np.add(forces, np.float32(FORCE_FLOOR * r), out=q)
-        np.sqrt(p, out=p)
-        p *= np.float32(self._factor**2 * r)
-        if self._nowhere is not None:
-            p[self._nowhere] = 0
-        sd: Floats = np.sqrt(p)
+        p = (self._changes + CHANGE_FLOOR * r * r) / (forces + FORCE_FLOOR * r)
+        q = np.sqrt(np.square(_roughness(forces)) + r * r)
+        sd: Floats = self._factor * np.sqrt(r * np.sqrt(p * q))
+        sd[~self._mask] = 0
         return sd
 
     def _add_change(self, forces: Floats) -> None:
         """Update both means, excluding a change of all forces by the same factor."""
-        mean, change, changes = self._mean, self._p, self._changes
-        power = float(np.vdot(mean, mean))
-        gain = float(np.vdot(forces, mean)) / power if power > 0 else 1.0
-        if not math.isfinite(gain):
-            gain = 1.0
-        mean *= np.float32(gain)
-        np.subtract(forces, mean, out=change)
-        mean += np.multiply(change, np.float32(MEAN_RATE), out=self._q)
-        np.square(change, out=change)
-        change -= changes
-        change *= np.float32(RATE)
-        changes += change
-
-    def _roughness(self, forces: Floats) -> Floats:
-        """Return the sum of both absolute differences to the next taxels, averaged over 3 x 3."""
-        # Flat rows with their edges: all sums but the last are of long vectors, which is faster.
-        edged, rough, spare = self._edged, self._rough, self._spare
-        width = edged.shape[1]
-        _fill(edged, forces)
-        flat, down, right = edged.reshape(-1), rough.reshape(-1), spare.reshape(-1)
-        np.subtract(flat[width:], flat[:-width], out=down[:-width])
-        np.subtract(flat[1:], flat[:-1], out=right[:-1])
-        np.abs(down, out=down)
-        down += np.abs(right, out=right)
-        _fill(rough, rough[1:-1, 1:-1])
-        three = right
-        np.add(down[: -2 * width], down[width:-width], out=three[width:-width])
-        three[width:-width] += down[2 * width :]
-        np.add(three[:-2], three[1:-1], out=down[1:-1])
-        down[1:-1] += three[2:]
-        np.multiply(rough[1:-1, 1:-1], np.float32(1 / 9), out=self._q)
-        return self._q
+        power = float(np.vdot(self._mean, self._mean))
+        gain = float(np.vdot(forces, self._mean)) / power if power > 0 else 1.0
+        mean = np.float32(gain if math.isfinite(gain) else 1.0) * self._mean
+        change = forces - mean
+        self._mean = mean + MEAN_RATE * change
+        self._changes += RATE * (np.square(change) - self._changes)
 
 
-def _fill(edged: Floats, middle: Floats) -> None:
-    """Set the inside of an array, and its edges to the values next to them."""
-    edged[1:-1, 1:-1] = middle
-    edged[0], edged[-1] = edged[1], edged[-2]
-    edged[:, 0], edged[:, -1] = edged[:, 1], edged[:, -2]
+def _roughness(forces: Floats) -> Floats:
+    """Return the sum of both absolute differences to the next taxels, averaged over 3 x 3."""
+    down = np.diff(forces, axis=0, append=forces[-1:])
+    right = np.diff(forces, axis=1, append=forces[:, -1:])
+    edged = np.pad(np.abs(down) + np.abs(right), 1, mode="edge")
+    three = edged[:-2] + edged[1:-1] + edged[2:]
+    rough: Floats = (three[:, :-2] + three[:, 1:-1] + three[:, 2:]) / 9
+    return rough
