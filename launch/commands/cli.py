@@ -30,7 +30,6 @@ COMMANDS = {
     "play": (".play", "play a recording"),
     "bag": (".bag", "look into a recording, repair it, convert it"),
     "reprocess": (".reprocess", "put recordings through other settings, offline"),
-    "learn-basis": (".learn_basis", "learn a basis from a recording"),
     "sources": (".sources", "list what a sensor of this host can read"),
     "scope": (".scope", "show the frames of a source in the terminal"),
     "calibrate": (".calibrate", "make the file of a skin: from counts to newtons"),

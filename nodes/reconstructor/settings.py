@@ -55,7 +55,7 @@ class ReconstructorSettings(PatchSettings):
     )
     basis: str | None = setting(
         None,
-        "basis Psi, in place of the preset's; or learned:FILE.npz, or module:Class",
+        "basis Psi, in place of the preset's; or module:Class",
         known=BASES,
         live=True,
     )

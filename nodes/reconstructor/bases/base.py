@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.lookup import find_callable, find_class
+from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.numerics.arrays import Floats
 
 BASES = {
@@ -23,9 +21,6 @@ BASES = {
     "dct": "sparseskin.nodes.reconstructor.bases.separable:DctBasis",
     "identity": "sparseskin.nodes.reconstructor.bases.base:IdentityBasis",
 }
-#: Prefix of the name of a basis from a file of `sparseskin learn-basis`; the path follows.
-LEARNED = "learned:"
-_LEARNED_MODULE = "sparseskin.nodes.reconstructor.bases.learned"
 _INTERFACE = ("n_rows", "n_cols", "analysis", "synthesis")
 
 
@@ -124,13 +119,7 @@ class IdentityBasis(Basis):
 
 def find_basis(name: str) -> Callable[..., Any]:
     """Return the callable that makes a basis of n_rows, n_cols; Raises as in `make_basis`."""
-    if not name.startswith(LEARNED):
-        return find_class("basis", name, BASES, SolverError)
-    path = name.removeprefix(LEARNED)
-    # By name: that module imports this one.
-    read_atoms = find_callable(f"{_LEARNED_MODULE}:read_atoms", SolverError)
-    made = find_callable(f"{_LEARNED_MODULE}:LearnedBasis", SolverError)
-    return partial(made, atoms=read_atoms(path), name=Path(path).stem)
+    return find_class("basis", name, BASES, SolverError)
 
 
 def make_basis(name: str, n_rows: int, n_cols: int) -> Basis:
@@ -140,16 +129,15 @@ def make_basis(name: str, n_rows: int, n_cols: int) -> Basis:
     ----------
     name : str
         "haar"; "db2", "db4", "sym4", "coif1" (PyWavelets' names); "dct"; "identity";
-        "learned:B.npz", the file of `sparseskin learn-basis`; or "module:Class" for your own:
-        called with the keywords n_rows, n_cols, it must offer what `Basis` does.
+        or "module:Class" for your own: called with the keywords n_rows, n_cols, it must offer what
+        `Basis` does.
     n_rows, n_cols : int
         Size of the grid of taxels.
 
     Raises
     ------
     SolverError
-        If the name is unknown, the grid is empty, a class of your own is not a basis, or the
-        file of a learned one is refused.
+        If the name is unknown, the grid is empty, or a class of your own is not a basis.
     """
     cls = find_basis(name)
     try:

@@ -16,11 +16,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.nodes.errors import SolverError, SourceError, SparseskinError
+from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.numerics import array_files
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npy, read_npz
-from sparseskin.nodes.reconstructor.bases.haar import haar_matrix
-from sparseskin.nodes.reconstructor.bases.learned import read_atoms
 from sparseskin.nodes.sensor.files.recorded import open_file
 
 MB = 1_000_000
@@ -114,26 +112,6 @@ def refusal(read: Callable[[Path], object], path: Path, error: type[SparseskinEr
     except error as refused:
         return str(refused)
     return ""
-
-
-def test_a_damaged_basis_is_one_line_or_none(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    path = tmp_path / "basis.npz"
-    np.savez(path, atoms=haar_matrix((2, 2)))
-    whole, n_refused = path.read_bytes(), 0
-    for _ in range(4000):
-        path.write_bytes(mutated(whole, rng))
-        line = refusal(lambda path: read_atoms(str(path)), path, SolverError)
-        n_refused += line.startswith('basis "learned:')
-        assert line.isprintable()
-    assert n_refused > 1000
-
-
-def test_a_basis_that_would_grow_too_far_is_not_unpacked(tmp_path: Path) -> None:
-    path = tmp_path / "bomb.npz"
-    path.write_bytes(npz(atoms=np.zeros((4096, 4096))))
-    with peak_below(20 * MB), pytest.raises(SolverError, match=r"no file of learn-basis"):
-        read_atoms(str(path))
 
 
 @pytest.mark.parametrize("raw", [npz(forces=np.ones((2, 3, 4)), unit=np.array("N")), b""])
