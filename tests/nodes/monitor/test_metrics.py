@@ -472,24 +472,24 @@ def reconstructed(stamp_ns: int, done_ns: int) -> Reconstruction:
     )
 
 
-@pytest.mark.parametrize("ahead_ms", [-5000, 0, 700])
-def test_an_offset_of_the_clock_of_the_sensor_is_subtracted(ahead_ms: int) -> None:
-    edge = ClockEstimate(ahead_ms * MS, MS // 2)
-    delay = Delay(lambda topic: edge if topic == "/skin/taxels" else SAME_CLOCK)
-    acquired_ns = 10_000 * MS  # on our clock
-    message = reconstructed(acquired_ns + ahead_ms * MS, acquired_ns + 4 * MS)
-    assert delay.of(message) == 4 * MS
-    assert delay.uncertainty_ns == MS // 2
-
-
-def test_two_hosts_that_are_not_ours_add_their_uncertainties() -> None:
+@pytest.mark.parametrize(
+    ("sensor_ms", "reconstructor_ms", "uncertainty_ms"),
+    [((-5000, 2), (0, 0), 2), ((700, 2), (0, 0), 2), ((0, 0), (3, 1), 1), ((5, 2), (-1, 1), 3)],
+)
+def test_offsets_of_clocks_are_subtracted_and_their_uncertainties_added(
+    sensor_ms: tuple[int, int], reconstructor_ms: tuple[int, int], uncertainty_ms: int
+) -> None:
     clocks = {
-        "/skin/taxels": ClockEstimate(5 * MS, 2 * MS),
-        "/skin/reconstruction": ClockEstimate(-MS, MS),
+        f"/skin/{schema}": ClockEstimate(ahead * MS, within * MS) if within else SAME_CLOCK
+        for schema, (ahead, within) in (
+            *(("taxels", sensor_ms), ("reconstruction", reconstructor_ms)),
+        )
     }
     delay = Delay(clocks.get)
-    assert delay.of(reconstructed(105 * MS, 109 * MS)) == 10 * MS
-    assert delay.uncertainty_ns == 3 * MS
+    acquired_ns = 10_000 * MS  # on our clock
+    done_ns = acquired_ns + (4 + reconstructor_ms[0]) * MS
+    assert delay.of(reconstructed(acquired_ns + sensor_ms[0] * MS, done_ns)) == 4 * MS
+    assert delay.uncertainty_ns == uncertainty_ms * MS
 
 
 @pytest.mark.parametrize("unknown", ["/skin/taxels", "/skin/reconstruction"])

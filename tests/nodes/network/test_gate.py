@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import zmq
 from conftest import PATIENCE_S, wait_until
+from zmq_contexts import context as context
 
 from sparseskin.messages import Taxels, decode
 from sparseskin.nodes.network import gate as gate_module
@@ -70,13 +71,6 @@ def station(endpoint: str) -> Iterator[Station]:
     made = Station(endpoint, SERVER)
     yield made
     made.context.destroy(linger=0)
-
-
-@pytest.fixture
-def context() -> Iterator[zmq.Context[Any]]:
-    made = make_context()
-    yield made
-    made.destroy(linger=0)
 
 
 def listen(

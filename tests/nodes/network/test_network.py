@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import zmq
 from conftest import wait_until
+from zmq_contexts import context as context
+from zmq_contexts import wait_for_reader
 
 from sparseskin.nodes.clock import SAME_CLOCK
 from sparseskin.nodes.network.network import END_RECEIVED_NS, Network
-from sparseskin.nodes.network.sockets import Peer, Reader, Writer, make_context
+from sparseskin.nodes.network.sockets import Peer, Reader, Writer
 
 LEFT, RIGHT, HERE = "/left/taxels", "/right/taxels", "/here/taxels"
 SECURITY = {"own": [k.decode() for k in zmq.curve_keypair()], "allowed": {}, "known": {}}
 AHEAD_NS = {"left": 7_000_000_000, "right": -3_000_000_000}
-
-
-@pytest.fixture
-def context() -> Iterator[zmq.Context[Any]]:
-    made = make_context()
-    yield made
-    made.destroy(linger=0)
 
 
 def network(context: zmq.Context[Any], **config: Any) -> tuple[Network, list[str]]:
@@ -99,11 +93,7 @@ def test_the_end_is_received_once_every_distant_reader_has_answered(
     node, lines = network(context, endpoint="inproc://end", distant_readers=["desk"])
     reader = Reader(context, "desk", [node.writer.endpoint], [HERE])
 
-    def present() -> bool:
-        node.writer.serve_subscriptions()
-        return "desk" in node.writer.present
-
-    wait_until(present, "the reader")
+    wait_for_reader(node.writer, "desk")
     assert not node.end_received()
 
     def answered() -> bool:

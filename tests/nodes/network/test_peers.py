@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import zmq
 from conftest import wait_until
+from zmq_contexts import context as context
+from zmq_contexts import wait_for_reader
 
 from sparseskin.nodes.network.peers import ASK_NS, FIRST_NS, N_FIRST, Peers
-from sparseskin.nodes.network.sockets import Peer, Reader, Writer, make_context, read_times
+from sparseskin.nodes.network.sockets import Peer, Reader, Writer, read_times
 
 TAXELS = "/skin/taxels"
 AHEAD_NS = 7_000_000_000
-
-
-@pytest.fixture
-def context() -> Iterator[zmq.Context[Any]]:
-    made = make_context()
-    yield made
-    made.destroy(linger=0)
 
 
 def there_ns() -> int:
@@ -90,11 +84,7 @@ def test_a_writer_reports_the_time_to_those_alone_who_are_there(context: zmq.Con
         stranger.send(b"\x01" + note)
     reader = Reader(context, "reader", [writer.endpoint], [TAXELS])
 
-    def is_there() -> bool:
-        writer.serve_subscriptions()
-        return "reader" in writer.present
-
-    wait_until(is_there, "the reader")
+    wait_for_reader(writer, "reader")
     assert not stranger.poll(0)
     assert reader.receive() is None
 

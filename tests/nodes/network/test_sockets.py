@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 import zmq
 from conftest import wait_until
+from zmq_contexts import context as context
+from zmq_contexts import wait_for_reader
 
 from sparseskin.messages import Message, PhiState, Taxels, TruncatedError, decode
 from sparseskin.messages.wire import Payload, wire_bytes
-from sparseskin.nodes.network.sockets import Reader, Writer, make_context
+from sparseskin.nodes.network.sockets import Reader, Writer
 
 TAXELS, PHI = "/skin/taxels", "/skin/phi"
-
-
-@pytest.fixture
-def context() -> Iterator[zmq.Context[Any]]:
-    made = make_context()
-    yield made
-    made.destroy(linger=0)
 
 
 @pytest.fixture(params=["inproc://writer", "tcp://127.0.0.1:*", "ipc://{}/s"])
@@ -167,10 +161,6 @@ def test_junk_subscriptions_do_no_harm(context: zmq.Context[Any]) -> None:
         junk.send(note)
     reader = Reader(context, "reader", [writer.endpoint], [TAXELS])
 
-    def is_present() -> bool:
-        writer.serve_subscriptions()
-        return "reader" in writer.present
-
-    wait_until(is_present, "the reader")
+    wait_for_reader(writer, "reader")
     writer.send(taxels(0))
     wait_until(lambda: reader.receive() is not None, "a frame")

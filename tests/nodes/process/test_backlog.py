@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-import pytest
 import zmq
 from conftest import wait_until
 from hypothesis import given
 from hypothesis import strategies as st
+from zmq_contexts import context as context
+from zmq_contexts import wait_for_reader
 
 from sparseskin.messages import End, Message, PhiState, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.host import NodeHost
-from sparseskin.nodes.network.sockets import Reader, Writer, make_context
+from sparseskin.nodes.network.sockets import Reader, Writer
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.process.backlog import Backlog
 from sparseskin.nodes.settings import Settings
@@ -72,13 +73,6 @@ def test_as_many_of_each_stream_are_left_as_may_wait(topics: list[str], depth: i
     assert not any(overtaken for topic, overtaken in found if topic in ("state", "@"))
 
 
-@pytest.fixture
-def context() -> Iterator[zmq.Context[Any]]:
-    made = make_context()
-    yield made
-    made.destroy(linger=0)
-
-
 def taxels(seq: int) -> Taxels:
     forces = np.ones((2, 2), np.float32)
     return Taxels(stamp_ns=seq, patch="skin", run_id="0" * 16, seq=seq, forces=forces)
@@ -110,11 +104,7 @@ def test_what_is_skipped_on_a_socket_is_counted_and_an_end_ends(
     writer = Writer(context, "inproc://writer")
     reader = Reader(context, "reader", [writer.endpoint], [TAXELS, PHI])
 
-    def is_present() -> bool:
-        writer.serve_subscriptions()
-        return "reader" in writer.present
-
-    wait_until(is_present, "the reader")
+    wait_for_reader(writer, "reader")
     for seq in (0, 1, 2, 4, 5, 6, 7):  # 3 is lost
         writer.send(taxels(seq))
     phi = PhiState(

@@ -1,0 +1,29 @@
+"""Contexts of ZeroMQ for tests, and writers that wait for their readers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import zmq
+from conftest import wait_until
+
+from sparseskin.nodes.network.sockets import Writer, make_context
+
+
+@pytest.fixture
+def context() -> Iterator[zmq.Context[Any]]:
+    made = make_context()
+    yield made
+    made.destroy(linger=0)
+
+
+def wait_for_reader(writer: Writer, name: str) -> None:
+    """Serve the subscriptions of a writer until a reader is present."""
+
+    def is_present() -> bool:
+        writer.serve_subscriptions()
+        return name in writer.present
+
+    wait_until(is_present, f"the reader {name}")
