@@ -512,3 +512,11 @@ def test_a_late_monitor_that_stops_early_counts_no_frame_under_way_as_lost() -> 
     metrics.end("taxels", 10)
     metrics.end("reconstruction", 7)
     assert metrics.lost == 3
+
+
+def test_an_end_that_counts_fewer_frames_than_arrived_removes_none() -> None:
+    messages = [message for seq in range(4) for message in frame(seq, 1.0, 1.0, 1.0)]
+    metrics = metrics_of(skin(), *messages)
+    metrics.end("taxels", 2)
+    metrics.end("reconstruction", 2)
+    assert (metrics.sensed, metrics.reconstructed) == (4, 4)

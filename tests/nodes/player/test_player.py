@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from doubting import DOUBTING, ERROR
 
+from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth, decode, encode
 from sparseskin.nodes.bus import Bus
@@ -280,3 +281,24 @@ def test_a_number_of_frames_is_played_with_all_their_messages(
     }
     assert bus.reports()["player"]["played"]["frames"] == n_frames
     assert bus.hosts["player"].counts.published["/skin/measurements"] == n_frames
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ("--rate 2000", "--rate: 2000.0 is outside 0.0..1000.0"),
+        ("--start 100", "--start: 100: the recording lasts 0."),
+        ("--topics /skin/foo", "--topics: /skin/foo: not in the file (known: /skin/"),
+        ("--remap /left:=/right", "--remap: /left: not in the file (known: /skin/"),
+    ],
+)
+def test_play_names_the_option_that_is_wrong(
+    recording: tuple[Path, list[Message]],
+    capsys: pytest.CaptureFixture[str],
+    options: str,
+    text: str,
+) -> None:
+    assert main(["play", str(recording[0]), *options.split()]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith(text)
+    assert (captured.out, captured.err.count("\n")) == ("", 1)

@@ -6,6 +6,7 @@ import io
 import math
 import queue
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from bags import MASK, N_COLS, N_ROWS, frame
 from feeds import BEGIN_S, FakeTime, Graph, Record, graph_state, node_state, read_records
 
 from sparseskin.messages import Reconstruction, Resultant, Taxels, Truth
+from sparseskin.nodes.monitor.live.feed import MAX_ANSWERS
 from sparseskin.nodes.monitor.live.notices import Notices
 from sparseskin.nodes.monitor.live.stream import StreamReader
 from sparseskin.nodes.monitor.statistics import COLUMNS
@@ -291,3 +293,22 @@ def test_a_reader_that_waits_is_woken_by_a_frame_an_answer_and_the_end() -> None
         news()
         while kinds.get(timeout=60.0) != kind:
             pass
+
+
+def test_a_late_frame_that_is_not_to_be_trusted_is_marked(clock: FakeTime) -> None:
+    graph = Graph()
+    page = Page(graph, clock)
+    graph.skin()
+    late = replace(frame(0)[-1], trusted=False)
+    graph.feed.frame("skin", late, None)  # its taxels are dropped
+    header, _ = only(page.pull(), "state")
+    assert not header["patches"]["skin"]["trusted"]
+
+
+def test_of_a_flood_of_answers_the_newest_are_kept(clock: FakeTime) -> None:
+    graph = Graph()
+    page = Page(graph, clock)
+    for k in range(3 * MAX_ANSWERS):
+        graph.answer(k)
+    answers = [header["id"] for header, _ in page.pull() if header["kind"] == "answer"]
+    assert answers == list(range(2 * MAX_ANSWERS, 3 * MAX_ANSWERS))
