@@ -143,9 +143,10 @@ class _Columns:
         for name, kind in kinds.items():
             if name not in self._lengths or name == "patch":
                 continue
+            dtype: Any = np.float32
             shape: tuple[int, ...] = (self.n,)
             if isinstance(kind, Samples) or name in _FRAMES:
-                dtype, shape = np.float32, (self.n, *self.shape)
+                shape = (self.n, *self.shape)
             elif isinstance(kind, Array):
                 continue
             else:
@@ -158,7 +159,7 @@ class _Columns:
     def add(self, message: Message, log_time_ns: int) -> None:
         k, self._n_added = self._n_added, self._n_added + 1
         for name, column in self._columns.items():
-            value = log_time_ns if name == LOG_TIME else getattr(message, name)
+            value: Any = log_time_ns if name == LOG_TIME else getattr(message, name)
             if name == "y":
                 column[k] = np.nan
                 column[k, : len(value)] = value
