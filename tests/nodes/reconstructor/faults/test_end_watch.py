@@ -52,27 +52,33 @@ def test_a_hole_that_stays_while_the_contact_moves_is_a_dead_taxel() -> None:
     assert [dead for dead in found if dead] == [[DEAD]]
 
 
-def test_a_hole_that_moves_with_its_body_is_none() -> None:
+def ring(col: int) -> Floats:
+    """A square with a hole in its middle."""
+    frame = block(10, col)
+    frame[10, col] = 0
+    return frame
+
+
+def lying(end: int) -> Floats:
+    """Pressed around the hole from column 10 up to this one."""
+    frame = pad((slice(6, 15), slice(10, end)))
+    frame[10, 14] = 0
+    return frame
+
+
+@pytest.mark.parametrize(
+    ("frames", "n_looks"),
+    [
+        ([ring(col) for col in range(10, 18)], ENOUGH),  # the hole moves with its body
+        ([holed(10, 13), holed(10, 14)] * 10 * ENOUGH, 1),  # it rests or rocks by a taxel
+        ([lying(end) for end in (17, 23, 30)], 2 * ENOUGH),  # a body lies down around it
+        ([2.5 * block(10, 14)], 2 * FULL_LOOKS),  # a contact at the end of the range
+    ],
+)
+def test_what_a_body_may_do_is_no_fault(frames: list[Floats], n_looks: int) -> None:
     one = watch()
-    for col in range(10, 18):
-        ring = block(10, col)
-        ring[10, col] = 0
-        for _ in range(ENOUGH):
-            assert one.look(ring, {}) == ([], [], [])
-
-
-def test_a_hole_that_rests_or_rocks_by_less_than_three_taxels_is_none() -> None:
-    one = watch()
-    for k in range(20 * ENOUGH):
-        assert one.look(holed(10, 13 + k % 2), {}) == ([], [], [])
-
-
-def test_the_hole_of_a_body_that_lies_down_around_it_is_none() -> None:
-    one = watch()
-    for end in (17, 23, 30):  # pressed from column 10 up to this one
-        frame = pad((slice(6, 15), slice(10, end)))
-        frame[10, 14] = 0
-        for _ in range(2 * ENOUGH):
+    for frame in frames:
+        for _ in range(n_looks):
             assert one.look(frame, {}) == ([], [], [])
 
 
@@ -100,12 +106,6 @@ def test_one_taxel_alone_at_the_end_of_its_range_for_long_is_saturated() -> None
     frame[10, 14] = 2.5
     found = [one.look(frame, {})[1] for _ in range(FULL_LOOKS)]
     assert found == [*[[]] * (FULL_LOOKS - 1), [DEAD]]
-
-
-def test_a_contact_at_the_end_of_the_range_is_not_saturated() -> None:
-    one = watch()
-    for _ in range(2 * FULL_LOOKS):
-        assert one.look(2.5 * block(10, 14), {}) == ([], [], [])
 
 
 def test_a_dead_taxel_is_logged_filled_in_and_used_again(phi: Phi) -> None:
