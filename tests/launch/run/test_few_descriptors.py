@@ -12,7 +12,7 @@ import pytest
 from conftest import StartProgram, note_of_graph
 
 from sparseskin.launch.run.running import running_graphs
-from sparseskin.nodes.process.memory import STARTED_CALLS, FreeMemory
+from sparseskin.nodes.process.memory import EVERY, FreeMemory
 
 GRAPH = """
 [graph]
@@ -38,7 +38,7 @@ def test_memory_is_not_looked_through_while_no_file_can_be_opened() -> None:
     free.trim()
     resource.setrlimit(resource.RLIMIT_NOFILE, (0, limits[1]))
     try:
-        for _ in range(STARTED_CALLS):
+        for _ in range(EVERY):
             free.trim()
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
