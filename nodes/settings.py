@@ -7,7 +7,7 @@ import math
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -162,8 +162,10 @@ def _checked(name: str, value: Any, hint: Any) -> Any:
             if value is None:
                 return None
         elif typing.get_origin(option) is tuple:
-            if isinstance(value, list | tuple) and all(isinstance(v, str) for v in value):
-                return tuple(value)
+            if isinstance(value, list | tuple):
+                with suppress(SettingsError):
+                    kind = typing.get_args(option)[0]
+                    return tuple(_checked(name, one, kind) for one in value)
         elif typing.get_origin(option) is dict:
             if isinstance(value, Mapping):
                 return dict(value)
@@ -188,12 +190,17 @@ _TYPE_NAMES: dict[Any, str] = {
     str: "a text",
     type(None): "nothing",
     tuple[str, ...]: "a list of texts",
+    tuple[int, ...]: "a list of whole numbers",
+    tuple[float, ...]: "a list of numbers",
     dict[str, Any]: "a table",
 }
 
 
 def _check_range(name: str, value: Any, allowed: Range) -> None:
-    if isinstance(value, float) or is_whole(value):
+    if isinstance(value, tuple):
+        for one in value:
+            _check_range(name, one, allowed)
+    elif isinstance(value, float) or is_whole(value):
         if not is_real(value, allowed.low, allowed.high):
             shown = f"{value!r}"[:40]
             raise SettingsError(f"{name}: {shown} is outside {allowed.low}..{allowed.high}")

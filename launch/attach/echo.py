@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.launch.run.running import RunningGraph
 from sparseskin.messages import Message, MessageError, decode
 from sparseskin.messages.base import wire_fields
 from sparseskin.messages.quantised import Quantised
@@ -18,7 +17,7 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 
 from .formats import formatted
-from .stream import EXIT_NOTHING, PATIENCE_S, Losses, TopicStream, quiet_reason
+from .stream import PATIENCE_S, Arrival, Losses
 from .text import flowing, width, wrapped
 
 INDENT = "    "
@@ -108,84 +107,71 @@ def _dtype(value: Any) -> str:
     return f"{value.dtype}{bits}"
 
 
-class _Printer:
-    """Prints messages, at most `max_hz` a second; 0: all."""
+class Echo:
+    """Prints messages, at most `max_hz` a second, 0: all; None: `MAX_HZ` for a person who asked
+    for no number `n`. `full`: all elements of arrays.
+    """
 
-    def __init__(self, max_hz: float, field: FieldPath | None, in_json: bool, full: bool) -> None:
+    def __init__(
+        self,
+        topic: str,
+        field: FieldPath | None,
+        *,
+        n: int | None,
+        max_hz: float | None,
+        in_json: bool,
+        full: bool,
+    ) -> None:
+        if max_hz is None:
+            max_hz = 0.0 if in_json or n is not None else MAX_HZ
+        self._topic, self._field, self._n = topic, field, n
+        self._in_json, self._full = in_json, full
         self._period_ns = round(1e9 / max_hz) if max_hz else 0
         self.patience_s = min(PATIENCE_S, self._period_ns / 1e9 or PATIENCE_S)
-        self._field, self._in_json, self._full = field, in_json, full
-        self._due_ns = 0
-        self.shown = self.skipped = 0
-        self._skipped_since = 0
+        self._losses = Losses()
+        self._due_ns = self._shown = self._skipped = self._skipped_since = 0
 
-    def wants(self, stamp_ns: int) -> bool:
-        """True if a message of that stamp is printed; it is counted otherwise."""
+    def take(self, arrival: Arrival) -> bool:
+        """Print a message; False if it is not shown."""
+        self._losses.add(arrival)
+        if arrival.ends:
+            return False
         # Stamps go back where a recording is played again.
-        if not self._due_ns - self._period_ns <= stamp_ns < self._due_ns:
-            self._due_ns = stamp_ns + self._period_ns
-            return True
-        self.skipped += 1
-        self._skipped_since += 1
-        return False
-
-    def print(self, message: Message) -> None:
-        names = list(wire_fields(type(message)))
-        if self._in_json and self._field is not None:
-            line = json.dumps(plain(self._field.of(message), self._full))
-        elif self._in_json:
-            values = {name: plain(getattr(message, name), self._full) for name in names}
-            line = json.dumps(formatted("topic-echo", {"topic": message.topic, **values}))
-        elif self._field is not None:
-            line = text(self._field.of(message), self._full)
-        else:
-            more = f" ({self._skipped_since} not shown)" if self._skipped_since else ""
-            rows = [f"---{more}"]
-            for name in names:
-                first, *rest = text(getattr(message, name), self._full).split("\n")
-                rows += [*wrapped(f"{name}: ", first, INDENT), *(INDENT + one for one in rest)]
-            line = "\n".join(rows)
-        print(line, flush=True)
-        self.shown += 1
+        if self._due_ns - self._period_ns <= arrival.stamp_ns < self._due_ns:
+            self._skipped += 1
+            self._skipped_since += 1
+            return False
+        self._due_ns = arrival.stamp_ns + self._period_ns
+        try:
+            print(self._text(decode(arrival.topic, arrival.payload)), flush=True)
+        except MessageError as error:
+            print(f"{self._topic}: {printable(str(error))}", file=sys.stderr)
+            return False
+        self._shown += 1
         self._skipped_since = 0
+        return True
 
+    def tick(self) -> None:
+        """Do nothing: messages are printed as they come."""
 
-def echo(
-    graph: RunningGraph,
-    topic: str,
-    *,
-    n: int | None,
-    duration_s: float | None,
-    max_hz: float | None,
-    field: FieldPath | None,
-    in_json: bool,
-    full: bool,
-) -> int:
-    """Print the messages of a topic until `n` are printed, `duration_s` seconds are over or its
-    stream ends; return the exit code. `max_hz` messages a second at most; 0: all; None: `MAX_HZ`
-    for a person who asked for no number. `full`: all elements of arrays.
-    """
-    if max_hz is None:
-        max_hz = 0.0 if in_json or n is not None else MAX_HZ
-    printer, losses = _Printer(max_hz, field, in_json, full), Losses()
-    ended = False
-    with TopicStream(graph, topic, printer.patience_s if n is None else 0.0) as stream:
-        for arrival in stream.arrivals(duration_s):
-            losses.add(arrival)
-            ended = arrival.ends
-            if not ended and printer.wants(arrival.stamp_ns):
-                try:
-                    printer.print(decode(arrival.topic, arrival.payload))
-                except MessageError as error:
-                    print(f"{topic}: {printable(str(error))}", file=sys.stderr)
-            if ended or printer.shown == n:
-                break
-    if ended:
-        print(f"{topic}: the stream has ended", file=sys.stderr)
-    if not printer.shown:
-        print(f"{topic}: no message came{quiet_reason(graph, topic)}", file=sys.stderr)
-        return EXIT_NOTHING
-    if n is None:
-        counts = f"{printer.shown} shown, {printer.skipped} not shown, {losses.n} lost"
-        print(f"{topic}: {counts}", file=sys.stderr)
-    return 0
+    def finish(self) -> None:
+        """Print how many messages were shown, where no number was asked for."""
+        if self._n is None:
+            counts = f"{self._shown} shown, {self._skipped} not shown, {self._losses.n} lost"
+            print(f"{self._topic}: {counts}", file=sys.stderr)
+
+    def _text(self, message: Message) -> str:
+        if self._field is not None:
+            value = self._field.of(message)
+            return (
+                json.dumps(plain(value, self._full)) if self._in_json else text(value, self._full)
+            )
+        values = {name: getattr(message, name) for name in wire_fields(type(message))}
+        if self._in_json:
+            found = {name: plain(value, self._full) for name, value in values.items()}
+            return json.dumps(formatted("topic-echo", {"topic": message.topic, **found}))
+        lines = ["---" + (f" ({self._skipped_since} not shown)" if self._skipped_since else "")]
+        for name, value in values.items():
+            first, *rest = text(value, self._full).split("\n")
+            lines += [*wrapped(f"{name}: ", first, INDENT), *(INDENT + one for one in rest)]
+        return "\n".join(lines)

@@ -7,11 +7,12 @@ from __future__ import annotations
 import math
 import os
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import msgpack
 import zmq
@@ -148,11 +149,6 @@ class TopicStream:
                 time.sleep(min(self._patience_s, left_s))
             yield self._read()
 
-    def arrivals(self, duration_s: float | None) -> Iterator[Arrival]:
-        """The messages of `batches`, one by one."""
-        for batch in self.batches(duration_s):
-            yield from batch
-
     def _read(self) -> list[Arrival]:
         read: list[Arrival | None] = []
         while len(read) < BATCH:
@@ -179,6 +175,54 @@ class TopicStream:
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.interrupted = True
+
+
+class Display(Protocol):
+    """What a command shows of the messages of a topic.
+
+    Attributes
+    ----------
+    patience_s : float
+        As of `TopicStream`.
+    """
+
+    patience_s: float
+
+    def take(self, arrival: Arrival) -> bool:
+        """Take a message, or the end of the stream; True if it counts."""
+
+    def tick(self) -> None:
+        """Called after each batch, ten times a second at least."""
+
+    def finish(self) -> None:
+        """Called at the end, if a message counted."""
+
+
+def observe(
+    graph: RunningGraph, topic: str, display: Display, n: int | None, duration_s: float | None
+) -> int:
+    """Show the messages of a topic until `n` counted, `duration_s` seconds are over or its stream
+    ends; return the exit code.
+    """
+    n_counted, ended = 0, False
+    # Of a stated number of messages, the last ones are not to wait for more.
+    with TopicStream(graph, topic, display.patience_s if n is None else 0.0) as stream:
+        for arrivals in stream.batches(duration_s):
+            for arrival in arrivals:
+                n_counted += display.take(arrival)
+                ended = arrival.ends
+                if ended or n_counted == n:
+                    break
+            if ended or n_counted == n:
+                break
+            display.tick()
+    if ended:
+        print(f"{topic}: the stream has ended", file=sys.stderr)
+    if not n_counted:
+        print(f"{topic}: no message came{quiet_reason(graph, topic)}", file=sys.stderr)
+        return EXIT_NOTHING
+    display.finish()
+    return 0
 
 
 def observer(

@@ -186,12 +186,9 @@ def declared_settings(type_name: str) -> list[Mapping[str, Any]]:
     from sparseskin.nodes import registry
 
     if type_name == f"[{GRAPH}]":
-        from sparseskin.launch.launchfile.check import GRAPH_KEYS, TRANSPORTS
-        from sparseskin.launch.run.restarts import POLICIES
+        from sparseskin.launch.launchfile.check import GRAPH_TABLES
 
-        entry = {"type": "", "doc": "", "known": ()}
-        allowed = {"transport": TRANSPORTS, "insecure": ("true", "false"), "restart": POLICIES}
-        return [{**entry, "key": key, "choices": allowed.get(key, ())} for key in GRAPH_KEYS]
+        return [entry for cls in GRAPH_TABLES for entry in cls.described()]
     target = registry.NODE_TYPES.get(type_name) or registry.node_types().get(type_name, "")
     if not target.startswith("sparseskin."):
         return []

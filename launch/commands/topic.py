@@ -16,7 +16,7 @@ from sparseskin.launch.attach.text import flowing, table, wrapped
 from sparseskin.launch.run.running import choose_graph
 from sparseskin.nodes.process.control import COUNTED
 
-from .options import add_commands, add_graph, real, show, whole
+from .options import Run, add_commands, add_graph, real, show, whole
 
 if TYPE_CHECKING:
     from sparseskin.messages import Message
@@ -26,6 +26,24 @@ WINDOW = 1000
 FEW_MESSAGES = 100
 """So many messages are over before reading them could disturb a graph."""
 OVER = "A line a second, over the last messages; at the end, or with Ctrl-C, one over all."
+MEASURES = {
+    "hz": (
+        "print the rate of messages, sent and arriving",
+        "Print the rate at which messages are sent and the interval between two, by their numbers "
+        "and stamps, the rate at which they arrive here, and how many were lost on the way.",
+    ),
+    "bw": (
+        "print the bytes a second that arrive",
+        "Print the bytes a second that arrive here, and the size of a message on the wire.",
+    ),
+    "delay": (
+        "print the age of messages as they arrive",
+        "Print the time from a message's stamp, the acquisition of its frame, to its arrival here, "
+        "on the clock of this host. It reads as a node does, and competes with the graph for the "
+        "processor as a node does.",
+    ),
+}
+"""Of each measure its line of help and its description."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -38,16 +56,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     listing = add("list", _list, "list the topics")
     info = add("info", _info, "describe one topic")
     echo = add("echo", _echo, "print messages")
-    rates = [
-        add("hz", _hz, "print the rate of messages, sent and arriving"),
-        add("bw", _bw, "print the bytes a second that arrive"),
-        add("delay", _delay, "print the age of messages as they arrive"),
-    ]
+    rates = [add(name, _measure(name, text), help) for name, (help, text) in MEASURES.items()]
     for one in (info, echo, *rates):
         one.add_argument("topic", metavar="TOPIC", help="the topic, /PATCH/SCHEMA")
     echo.add_argument("--once", action="store_true", help="end after one message")
     for one in rates:
-        one.description = f"{one.description} {OVER}"
         about = f"how many messages a line is over, at most (default: {WINDOW})"
         one.add_argument("--window", metavar="K", type=whole(2), default=WINDOW, help=about)
     for one in (echo, *rates):
@@ -117,7 +130,8 @@ def _info(arguments: argparse.Namespace) -> int:
 
 def _echo(arguments: argparse.Namespace) -> int:
     """Print the messages of a topic, of arrays a summary. Those that are not shown are counted."""
-    from sparseskin.launch.attach.echo import FieldPath, echo
+    from sparseskin.launch.attach.echo import Echo, FieldPath
+    from sparseskin.launch.attach.stream import observe
     from sparseskin.messages.wire import SCHEMAS
 
     graph = choose_graph(arguments.graph)
@@ -127,55 +141,26 @@ def _echo(arguments: argparse.Namespace) -> int:
     n = 1 if arguments.once else arguments.n
     if n is None or n > FEW_MESSAGES:
         give_way()
-    return echo(
-        graph,
-        topic,
-        n=n,
-        duration_s=arguments.duration,
-        max_hz=arguments.max_hz,
-        field=field,
-        in_json=arguments.json,
-        full=arguments.full,
-    )
+    options = {"max_hz": arguments.max_hz, "in_json": arguments.json, "full": arguments.full}
+    return observe(graph, topic, Echo(topic, field, n=n, **options), n, arguments.duration)
 
 
-def _hz(arguments: argparse.Namespace) -> int:
-    """Print the rate at which messages are sent and the interval between two, by their numbers and
-    stamps, the rate at which they arrive here, and how many were lost on the way.
-    """
-    return _measure(arguments, "hz")
+def _measure(name: str, text: str) -> Run:
+    """The function of `topic NAME`, which `text` describes."""
 
+    def run(arguments: argparse.Namespace) -> int:
+        from sparseskin.launch.attach.rates import Meter
+        from sparseskin.launch.attach.stream import observe
 
-def _bw(arguments: argparse.Namespace) -> int:
-    """Print the bytes a second that arrive here, and the size of a message on the wire."""
-    return _measure(arguments, "bw")
+        graph = choose_graph(arguments.graph)
+        topic = find_topic(graph, arguments.topic)
+        meter = Meter(graph, topic, name, window=arguments.window, in_json=arguments.json)
+        if meter.patience_s:  # the delay is that of a node, which competes with the others
+            give_way()
+        return observe(graph, topic, meter, arguments.n, arguments.duration)
 
-
-def _delay(arguments: argparse.Namespace) -> int:
-    """Print the time from a message's stamp, the acquisition of its frame, to its arrival here, on
-    the clock of this host. It reads as a node does, and competes with the graph for the processor
-    as a node does.
-    """
-    return _measure(arguments, "delay")
-
-
-def _measure(arguments: argparse.Namespace, name: str) -> int:
-    from sparseskin.launch.attach.rates import MEASURES, measure
-
-    graph = choose_graph(arguments.graph)
-    topic = find_topic(graph, arguments.topic)
-    what = MEASURES[name]
-    if what.patience_s:
-        give_way()
-    return measure(
-        graph,
-        topic,
-        what,
-        window=arguments.window,
-        n=arguments.n,
-        duration_s=arguments.duration,
-        in_json=arguments.json,
-    )
+    run.__doc__ = f"{text} {OVER}"
+    return run
 
 
 def about(cls: type[Message]) -> str:

@@ -10,22 +10,25 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from sparseskin.messages.batches import MAX_NAMES, MAX_PATCHES
 from sparseskin.messages.errors import MessageError
-from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.messages.topics import check_name
 from sparseskin.nodes.compressor.batch import CompressorBatchSettings
-from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.sensor.batch import MAX_TAXELS
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.calibration.skin_file import MAX_FILE_CHARS, load_skin, parse_skin
+from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import parse_toml
+
+from .tables import Fault, read_table
 
 SKIN = "skin"
 """Name of the table."""
@@ -33,42 +36,60 @@ MAX_BODY = 4096
 """Most patches of a body."""
 PITCH_MM = 5.0
 """Distance of taxels where none is stated, in mm: that of the paper's skin."""
-_SKIN_KEYS = ("body", "patches", "rows", "cols", "pitch_mm", "f_max", "batch")
-_POSE_KEYS = ("position_mm", "orientation")
-_OWN_KEYS = ("name", "skin", "host", "compressor", *_POSE_KEYS)
 _OF_SKIN = ("rows", "cols", "points", "pitch_mm", "f_max", "unit", "mask", "noise", "noise_mid")
 _UNIT_NORM = 1e-3
 """Allowed difference of the norm of an orientation from 1."""
 
-Fault = Callable[[tuple[str, ...], str], None]
+
+@dataclass(frozen=True)
+class SkinTable(Settings):
+    """The table [skin]: `body`, or `patches` equal ones."""
+
+    body: str = setting("", "name of a body file, in place of patches")
+    patches: int | None = setting(None, "number of equal patches", low=1, high=MAX_BODY)
+    rows: int = setting(64, "rows of taxels of a patch")
+    cols: int = setting(64, "columns of taxels of a patch")
+    pitch_mm: float = setting(PITCH_MM, "distance of neighbouring taxels, mm")
+    f_max: float = setting(PAPER_F_MAX_N, "upper end of the range of a taxel, N")
+    batch: int = setting(MAX_PATCHES, "most patches of one batch", low=1, high=MAX_PATCHES)
+
+
+@dataclass(frozen=True)
+class PatchTable(Settings):
+    """A table [[patches]] of a body file, beside the keys of its skin."""
+
+    name: str = setting("", "the patch in topics, on the page and in summaries")
+    skin: str = setting("", "name of its skin.toml, in place of keys of the skin")
+    host: str = setting("", "host of its nodes; by default as they state")
+    compressor: dict[str, Any] | None = setting(None, "settings of its compressor")
+    position_mm: tuple[float, ...] = setting((0.0, 0.0, 0.0), "middle of the patch on the body, mm")
+    orientation: tuple[float, ...] = setting(
+        (1.0, 0.0, 0.0, 0.0),
+        "unit quaternion from the patch's frame (columns, rows, outward normal) to the body's",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for key, n in (("position_mm", 3), ("orientation", 4)):
+            if len(getattr(self, key)) != n:
+                value = list(getattr(self, key))
+                raise SettingsError(f"{key}: expected {n} finite numbers, got {value}")
+        if abs(math.hypot(*self.orientation) - 1) > _UNIT_NORM:
+            raise SettingsError("orientation: expected [w, x, y, z] of norm 1")
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """One patch of a body.
-
-    Attributes
-    ----------
-    name : str
-        The patch in topics, on the page and in summaries.
-    skin : SkinDescription
-        Its geometry, range and noise.
-    position_mm : (x, y, z)
-        Middle of the patch on the body, mm.
-    orientation : (w, x, y, z)
-        Unit quaternion that turns the patch's frame (columns, rows, outward normal) to the body's.
-    host : str
-        Host of its sensor, compressor and reconstructor; "": as their nodes state.
-    compressor : dict
-        Settings of its compressor, in place of the node's.
-    """
+    """One patch of a body: its name, its skin, and what the body file states of it."""
 
     name: str
     skin: SkinDescription
-    position_mm: tuple[float, ...] = (0.0, 0.0, 0.0)
-    orientation: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
-    host: str = ""
-    compressor: Mapping[str, Any] = field(default_factory=dict)
+    stated: PatchTable = PatchTable()
+
+    @property
+    def compressor(self) -> dict[str, Any]:
+        """Settings of its compressor, in place of the node's."""
+        return self.stated.compressor or {}
 
     @property
     def kind(self) -> tuple[Any, ...]:
@@ -78,7 +99,7 @@ class Patch:
         settings = repr(sorted(self.compressor.items()))
         layout = None if s.placement is None else s.placement.layout
         of_skin = (*s.shape, s.pitch_mm, s.f_max, mask, s.noise, s.noise_mid, layout)
-        return (*of_skin, self.host, settings)
+        return (*of_skin, self.stated.host, settings)
 
     def sensor_values(self) -> dict[str, Any]:
         """Settings of a sensor node of a batch for such patches."""
@@ -113,66 +134,33 @@ class Batch:
 
 
 def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
-    """Check the table [skin] of a launch file and the body file that it names.
-
-    Parameters
-    ----------
-    table : object
-        The table: `body`, or `patches` with rows, cols (64), pitch_mm (5) and f_max (2.5 N) of all;
-        `batch` is the most patches of one batch.
-    folder : path
-        Folder in which a relative `body` is searched.
-    fault : callable
-        Receives the place and text of each error.
-
-    Returns
-    -------
-    list of Batch
-        None if there was an error.
+    """Check the table [skin] of a launch file and the body file that it names, which is searched
+    in `folder`; none if there is an error, each of which is noted.
     """
-    if not isinstance(table, dict):
-        fault((SKIN,), "expected a table [skin]")
-        return []
     n_faults = 0
 
-    def note(key: str, what: str) -> None:
+    def note(place: tuple[str, ...], what: str) -> None:
         nonlocal n_faults
         n_faults += 1
-        fault((SKIN, key) if key else (SKIN,), what)
+        fault(place, what)
 
-    for key in table:
-        if key not in _SKIN_KEYS:
-            note(key, f"unknown key{did_you_mean(key, _SKIN_KEYS)}")
-    most = table.get("batch", MAX_PATCHES)
-    if not is_whole(most, 1, MAX_PATCHES):
-        note("batch", f"expected a whole number in 1..{MAX_PATCHES}, got {most!r}")
-    body = table.get("body", "")
-    if body:
-        if not isinstance(body, str):
-            note("body", f"expected the name of a file, got {body!r}")
-            return []
-        patches = read_body(folder / body, lambda what: note("body", what))
+    (stated,), _ = read_table(table, (SKIN,), note, SkinTable())
+    if stated.body:
+        patches = read_body(folder / stated.body, partial(note, (SKIN, "body")))
+    elif stated.patches is None:
+        if not n_faults:
+            note((SKIN, "patches"), f"is missing, and body too; allowed: 1..{MAX_BODY}")
     else:
-        patches = _equal_patches(table, note)
-    return [] if n_faults else list(batches_of(patches, int(most)))
-
-
-def _equal_patches(table: Mapping[str, Any], note: Callable[[str, str], None]) -> list[Patch]:
-    n = table.get("patches")
-    if not is_whole(n, 1, MAX_BODY):
-        shown = "is missing, and body too" if n is None else f"got {n!r}"
-        note("patches", f"{shown}; expected a whole number in 1..{MAX_BODY}")
-        return []
-    values: dict[str, Any] = {"rows": 64, "cols": 64, "pitch_mm": PITCH_MM, "f_max": PAPER_F_MAX_N}
-    values |= {key: table[key] for key in values if key in table}
-    try:
-        skin = SkinDescription(name=SKIN, **values)
-    except SparseskinError as error:
-        key, _, what = str(error).partition(": ")
-        note(key if key in values else "", what)
-        return []
-    width = len(str(n - 1))
-    return [Patch(f"p{k:0{width}d}", skin) for k in range(n)]
+        values = {key: getattr(stated, key) for key in ("rows", "cols", "pitch_mm", "f_max")}
+        try:
+            skin = SkinDescription(name=SKIN, **values)
+        except SparseskinError as error:
+            key, _, what = str(error).partition(": ")
+            note((SKIN, key), what)
+        else:
+            width = len(str(stated.patches - 1))
+            patches = [Patch(f"p{k:0{width}d}", skin) for k in range(stated.patches)]
+    return [] if n_faults else list(batches_of(patches, stated.batch))
 
 
 def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:
@@ -218,7 +206,7 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
     """One table [[patches]]; SparseskinError with its place if it is not as stated."""
     if not isinstance(table, dict):
         raise SparseskinError(f"{where}: expected a table [[patches]]")
-    known = (*_OWN_KEYS, *_OF_SKIN)
+    known = (*(field.name for field in dataclasses.fields(PatchTable)), *_OF_SKIN)
     for key in table:
         if key not in known:
             raise SparseskinError(f"{where}.{key[:40]}: unknown key{did_you_mean(key, known)}")
@@ -228,43 +216,29 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
         raise SparseskinError(f"{where}.{error}") from error
     where = f"{where} ({name})"
     own = {key: table[key] for key in _OF_SKIN if key in table}
-    if "skin" in table:
+    try:
+        stated = PatchTable(**{key: value for key, value in table.items() if key not in own})
+    except SparseskinError as error:
+        raise SparseskinError(f"{where}.{error}") from error
+    if stated.skin:
         if own:
             raise SparseskinError(f"{where}.{next(iter(own))}: is stated beside skin")
-        if not isinstance(table["skin"], str):
-            raise SparseskinError(f"{where}.skin: expected the name of a file")
-        skin = load_skin(folder / table["skin"])
+        skin = load_skin(folder / stated.skin)
     else:
-        stated = {"name": name, "f_max": PAPER_F_MAX_N, **own}
-        if "points" not in own:
-            stated.setdefault("pitch_mm", PITCH_MM)
-        skin = parse_skin(stated, where, folder)
+        flat = {} if "points" in own else {"pitch_mm": PITCH_MM}
+        values = {"name": name, "f_max": PAPER_F_MAX_N, **flat, **own}
+        skin = parse_skin(values, where, folder)
     if skin.unit != "N":
         raise SparseskinError(f"{where}.unit: '{skin.unit}'; allowed for a simulated body: N")
-    pose = {key: _numbers(table[key], key, where) for key in _POSE_KEYS if key in table}
-    if "orientation" in pose and abs(math.hypot(*pose["orientation"]) - 1) > _UNIT_NORM:
-        raise SparseskinError(f"{where}.orientation: expected [w, x, y, z] of norm 1")
-    host, settings = table.get("host", ""), table.get("compressor", {})
-    if not isinstance(host, str):
-        raise SparseskinError(f"{where}.host: expected a name, got {host!r}")
-    if not isinstance(settings, dict):
-        raise SparseskinError(f"{where}.compressor: expected a table of settings")
+    found = Patch(name, skin, stated)
     for key in ("patch", "patches"):
-        if key in settings:
+        if key in found.compressor:
             raise SparseskinError(f"{where}.compressor.{key}: is given by the body")
     try:
-        CompressorBatchSettings.from_mapping({**settings, "patches": [name]}).check()
+        CompressorBatchSettings.from_mapping({**found.compressor, "patches": [name]}).check()
     except SparseskinError as error:
         raise SparseskinError(f"{where}.compressor.{error}") from error
-    return Patch(name, skin, host=host, compressor=settings, **pose)
-
-
-def _numbers(value: object, key: str, where: str) -> tuple[float, ...]:
-    """A list of finite numbers, 3 of a position and 4 of an orientation."""
-    wanted = len(getattr(Patch, key))
-    if not isinstance(value, list) or len(value) != wanted or not all(map(is_real, value)):
-        raise SparseskinError(f"{where}.{key}: expected {wanted} finite numbers, got {value!r}")
-    return tuple(map(float, value))
+    return found
 
 
 def batches_of(patches: list[Patch], most: int) -> Iterator[Batch]:
@@ -309,8 +283,8 @@ def expand(
             values |= first.sensor_values()
         if "ratio" in fields:
             values |= first.compressor
-        if first.host:
-            values["host"] = first.host
+        if first.stated.host:
+            values["host"] = first.stated.host
         found[name if len(batches) == 1 else f"{name}_{k}"] = {**table, **values}
     return found
 

@@ -5,32 +5,29 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from sparseskin.launch.run.restarts import RESTART_KEYS, RestartPolicy
-from sparseskin.messages.errors import MessageError
-from sparseskin.messages.topics import check_name
+from sparseskin.launch.run.restarts import RestartPolicy
 from sparseskin.nodes.errors import NotHereError, SparseskinError
 from sparseskin.nodes.graph import Link, join
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.process.scheduling import SCHEDULING_KEYS, Scheduling
+from sparseskin.nodes.process.scheduling import Scheduling
 from sparseskin.nodes.registry import make_settings, node_class
-from sparseskin.nodes.settings import Settings
+from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import parse_toml
 
-from .hosts import check_exposure, give_ports, read_hosts, read_place, read_security
+from .hosts import Place, check_exposure, check_place, give_ports, read_hosts, read_security
 from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
+from .tables import read_table, read_tables
 
-TRANSPORTS = ("ipc", "tcp")
 RECORDER = "recorder"
 SKIN = "skin"
 """Table of the patches of a body."""
 GRAPH = "graph"
 """Table of what holds for all nodes."""
-INSECURE = "insecure"
 TO_NAME = "RECORDING"
 """Placeholder in a launch file for a recording that the user has to name."""
 TABLES = (GRAPH, "nodes", "hosts", "security", SKIN)
@@ -40,9 +37,20 @@ MAX_ERRORS = 50
 """Errors of one file that are reported."""
 MAX_ERROR = 1000
 """Characters of one error that are reported."""
-GRAPH_KEYS = ("description", "transport", "log_dir", INSECURE, *RESTART_KEYS, *SCHEDULING_KEYS)
 
-Stated = TypeVar("Stated", RestartPolicy, Scheduling)
+
+@dataclass(frozen=True)
+class GraphTable(Settings):
+    """The table [graph], beside the keys of `RestartPolicy` and `Scheduling`."""
+
+    description: str = setting("", "one line about the graph")
+    transport: str = setting("ipc", "how its nodes are joined", choices=("ipc", "tcp"))
+    log_dir: str = setting("", "folder of the log files of each run")
+    insecure: bool = setting(False, "true: whoever reaches its addresses may read it")
+
+
+GRAPH_TABLES = (GraphTable, RestartPolicy, Scheduling)
+"""Settings that the table [graph] states; the last two also of each node."""
 
 
 class Checker:
@@ -60,9 +68,8 @@ class Checker:
         self.overridden: dict[tuple[str, ...], str] = {}
         self.launched = text
         self.templates: dict[str, str] = {}
-        self.restart = RestartPolicy()
-        self.scheduling = Scheduling()
-        self.places: dict[str, Any] = {}
+        self.supervision: list[Settings] = []
+        self.places: dict[str, Place] = {}
 
     def check(self, overrides: Sequence[str], record: str | None) -> LaunchFile:
         for key in self.tree:
@@ -71,23 +78,25 @@ class Checker:
         tables = self.node_tables()
         for override in overrides:
             self.override(override, tables)
-        graph = self.graph_table()
+        (graph, *self.supervision), _ = read_table(
+            self.tree.get(GRAPH, {}), (GRAPH,), self.fault, *(cls() for cls in GRAPH_TABLES)
+        )
         hosts = read_hosts(self.tree, self.fault)
         security = read_security(self.tree, hosts, self.folder, self.fault)
-        insecure = graph.get(INSECURE) is True
-        check_exposure(hosts.values(), security, insecure, self.fault)
-        self.restart = self.stated((GRAPH,), graph, RESTART_KEYS, RestartPolicy())
-        self.scheduling = self.stated((GRAPH,), graph, SCHEDULING_KEYS, Scheduling())
+        check_exposure(hosts, security, graph.insecure, self.fault)
         changes = "".join(f"# --set {override}\n" for override in overrides)
         self.launched = changes + self.text
         tables = self.expanded(tables)
         if record is not None:
             tables[RECORDER] = {"type": "recorder", "out": record}
             self.overridden[RECORDER, "out"] = f"{RECORDER}.out={record}"
-        places = self.places
-        for node_name, table in tables.items():
-            if hosts and not (node_name == RECORDER and record is not None):
-                places[node_name] = read_place(node_name, table, hosts, self.fault)
+        for node_name, table in tables.items() if hosts else ():
+            if node_name != RECORDER or record is None:
+                (place,), tables[node_name] = read_table(
+                    table, ("nodes", node_name), self.fault, Place(), more=True
+                )
+                check_place(node_name, place, hosts, self.fault)
+                self.places[node_name] = place
         nodes: dict[str, NodeSpec] = {}
         for node_name, table in tables.items():
             spec = self.node(node_name, table)
@@ -110,88 +119,40 @@ class Checker:
             # All that publish, read or not: a recorder more on one host moves no port of another.
             publish = {
                 name: place
-                for name, place in places.items()
+                for name, place in self.places.items()
                 if nodes[name].cls.outputs(nodes[name].settings)
             }
             endpoints = give_ports(publish, hosts, self.fault)
-            for node_name, (host, _) in places.items():
-                public = endpoints.get(node_name, "")
-                nodes[node_name] = replace(nodes[node_name], host=host, public=public)
+            for name, place in self.places.items():
+                public = endpoints.get(name, "")
+                nodes[name] = replace(nodes[name], host=place.host, public=public)
         if self.errors:
             raise LaunchError(self.errors[:MAX_ERRORS])
         return LaunchFile(
             self.name,
-            graph.get("description", ""),
-            graph.get("transport", "ipc"),
+            graph.description,
+            graph.transport,
             nodes,
             links,
             self.launched,
             hosts,
             security,
-            insecure,
-            log_dir=graph.get("log_dir", ""),
+            graph.insecure,
+            log_dir=graph.log_dir,
             shown=self.shown,
         )
 
-    def graph_table(self) -> dict[str, Any]:
-        graph = self.tree.get(GRAPH, {})
-        if not isinstance(graph, dict):
-            self.fault((GRAPH,), "expected a table [graph]")
-            return {}
-        for key, value in graph.items():
-            if key not in GRAPH_KEYS:
-                self.fault((GRAPH, key), f"unknown key{did_you_mean(key, GRAPH_KEYS)}")
-            elif key in (*RESTART_KEYS, *SCHEDULING_KEYS):
-                continue
-            elif key == INSECURE:
-                if not isinstance(value, bool):
-                    self.fault((GRAPH, key), f"expected true or false, got {value!r}")
-            elif not isinstance(value, str):
-                self.fault((GRAPH, key), f"expected a text, got {value!r}")
-            elif key == "transport" and value not in TRANSPORTS:
-                hint = did_you_mean(value, TRANSPORTS)
-                self.fault((GRAPH, key), f"{value!r} is not allowed{hint}")
-        return graph
-
-    def stated(
-        self, place: tuple[str, ...], table: dict[str, Any], keys: Sequence[str], default: Stated
-    ) -> Stated:
-        """A policy, or a scheduling, with those of its keys that a table states."""
-        found = default
-        for key in keys:
-            if key in table:
-                try:
-                    found = found.stated(key, table[key])
-                except SparseskinError as error:
-                    self.fault((*place, key), str(error))
-        return found
-
     def node_tables(self) -> dict[str, dict[str, Any]]:
-        tables = self.tree.get("nodes")
-        if not isinstance(tables, dict) or not tables:
+        if not self.tree.get("nodes"):
             self.errors.append(f"{self.shown}: nodes: expected at least one table [nodes.NAME]")
             return {}
-        if len(tables) > MAX_NODES:
-            self.errors.append(
-                f"{self.shown}: {len(tables)} nodes; at most {MAX_NODES} are allowed"
-            )
-            return {}
-        good: dict[str, dict[str, Any]] = {}
-        for name, table in tables.items():
-            try:
-                check_name(f"nodes.{name}", name)
-            except MessageError as error:
-                self.errors.append(f"{self.shown}: {error}")
-                continue
-            if not isinstance(table, dict):
-                self.fault(("nodes", name), f"expected a table [nodes.{name}]")
-                continue
+        tables = read_tables(self.tree, "nodes", MAX_NODES, self.fault)
+        for name in [*tables]:
             if name == LAUNCHER or name.startswith(LIVE_RECORDER):
                 own = f"'{LAUNCHER}' and '{LIVE_RECORDER}...' are names of the launcher's own"
                 self.fault(("nodes", name), own)
-                continue
-            good[name] = dict(table)
-        return good
+                del tables[name]
+        return tables
 
     def expanded(self, tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
         """The tables with the nodes that serve the body of the table [skin], where there is one."""
@@ -259,10 +220,9 @@ class Checker:
         except SparseskinError as error:
             self.fault(("nodes", name, "type"), str(error))
             return None
-        place, common = ("nodes", name), (*RESTART_KEYS, *SCHEDULING_KEYS)
-        restart = self.stated(place, values, RESTART_KEYS, self.restart)
-        scheduling = self.stated(place, values, SCHEDULING_KEYS, self.scheduling)
-        values = {key: value for key, value in values.items() if key not in common}
+        (restart, scheduling), values = read_table(
+            values, ("nodes", name), self.fault, *self.supervision, more=True
+        )
         # A recorder, recognised by its settings: importing its class loads the writers of files.
         if {"launch", "source", "out"} <= {f.name for f in dataclasses.fields(cls.Settings)}:
             values = {"launch": self.launched, "source": self.name} | values

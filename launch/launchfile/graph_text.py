@@ -36,9 +36,9 @@ def graph_text(launch: LaunchFile) -> str:
         lines.append(
             f"  {node.name:<{name_width}} {node.type_name:<{type_width}} {settings}".rstrip()
         )
-    for host in launch.hosts.values():
-        here = [node for node in launch.nodes.values() if node.host == host.name]
-        lines += ["", f"host {host.name}", f"  {host.address}"]
+    for name, host in launch.hosts.items():
+        here = [node for node in launch.nodes.values() if node.host == name]
+        lines += ["", f"host {name}", f"  {host.address}"]
         lines += [f"  {node.name} at {node.public}" for node in here if node.public]
     lines += ["", "links"]
     width = max((len(link.writer) + len(link.topic) for link in launch.links), default=0) + 9

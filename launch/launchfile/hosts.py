@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sparseskin.messages.errors import MessageError
-from sparseskin.messages.topics import check_name
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.network.keys import (
@@ -20,26 +18,35 @@ from sparseskin.nodes.network.keys import (
     read_key_pair,
     read_public_key,
 )
+from sparseskin.nodes.settings import Settings, setting
 
-HOST_KEYS = ("address", "base_port", "key")
-SECURITY_KEYS = ("keys", "key", "allow")
-BASE_PORT = 5700
+from .tables import Fault, bad_name, read_table, read_tables
+
 PORTS = range(1024, 65536)
 MAX_HOSTS = 32
-HOST_KEY, PORT_KEY = "host", "publish_port"
-"""Keys of [nodes.NAME] for its host and its port, in a graph of several hosts."""
-
-Fault = Callable[[tuple[str, ...], str], None]
 
 
 @dataclass(frozen=True)
-class Host:
-    """One host of a graph: nodes that others read are bound to `address`, from `base_port` on."""
+class Host(Settings):
+    """The table [hosts.NAME]: nodes that other hosts read are bound there."""
 
-    name: str
-    address: str
-    base_port: int = BASE_PORT
-    key: str = ""
+    address: str = setting("", "IPv4 address of the host")
+    base_port: int = setting(5700, "port of its first node", low=PORTS.start, high=PORTS.stop - 1)
+    key: str = setting("", "name of its key; that of the host by default")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.address:  # is reported as missing
+            return
+        allowed = "(allowed: the IPv4 address of one host, as 192.168.1.10)"
+        try:
+            parsed = ipaddress.IPv4Address(self.address)
+        except ValueError as error:
+            text = f"address: {self.address!r} is no address {allowed}"
+            raise SettingsError(text) from error
+        if parsed.is_unspecified or parsed.is_multicast:
+            text = f"address: {self.address!r} is not the address of a host {allowed}"
+            raise SettingsError(text)
 
     @property
     def is_loopback(self) -> bool:
@@ -48,38 +55,38 @@ class Host:
 
 
 @dataclass(frozen=True)
-class Security:
-    """Folder of the keys, name of the own key of a graph of one host, names of readers' keys."""
+class Security(Settings):
+    """The table [security]."""
 
-    folder: Path
-    key: str
-    allow: tuple[str, ...]
+    keys: str = setting("", "folder of the key files")
+    key: str = setting("", "name of the own key of a graph of one host")
+    allow: tuple[str, ...] = setting((), "names of the keys of readers; by default all hosts'")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if any(map(bad_name, self.allow)):
+            raise SettingsError(f"allow: expected a list of names of keys, got {self.allow}")
+
+
+@dataclass(frozen=True)
+class Place(Settings):
+    """Keys of [nodes.NAME] in a graph of several hosts."""
+
+    host: str = setting("", "host on which the node runs")
+    publish_port: int | None = setting(
+        None, "port at which it publishes", low=PORTS.start, high=PORTS.stop - 1
+    )
 
 
 def read_hosts(tree: Mapping[str, Any], fault: Fault) -> dict[str, Host]:
     """The hosts of a launch file; none where it has no [hosts.NAME]."""
-    tables = tree.get("hosts", {})
-    if not isinstance(tables, dict) or not all(isinstance(t, dict) for t in tables.values()):
-        fault(("hosts",), "expected tables [hosts.NAME]")
-        return {}
-    if len(tables) > MAX_HOSTS:
-        fault(("hosts",), f"{len(tables)} hosts, at most {MAX_HOSTS}")
-        return {}
     hosts = {}
-    for name, table in tables.items():
-        try:
-            check_name("name", name)
-            host = Host(name, _address(table), _port(table, "base_port", BASE_PORT), name)
-        except MessageError as error:
-            fault(("hosts", name), str(error))
-            continue
-        except _KeyedError as error:
-            fault(("hosts", name, error.key), str(error))
-            continue
-        for key in table:
-            if key not in HOST_KEYS:
-                fault(("hosts", name, key), f"unknown key{did_you_mean(key, HOST_KEYS)}")
-        hosts[name] = Host(name, host.address, host.base_port, str(table.get("key", name)))
+    for name, table in read_tables(tree, "hosts", MAX_HOSTS, fault).items():
+        if "address" not in table:
+            fault(("hosts", name), "the key 'address' is missing")
+        (host,), _ = read_table(table, ("hosts", name), fault, Host(key=name))
+        if host.address:
+            hosts[name] = host
     return hosts
 
 
@@ -89,118 +96,61 @@ def read_security(
     """The table [security], its folder of keys relative to that of the launch file; or None."""
     if "security" not in tree:
         return None
-    table = tree["security"]
-    if not isinstance(table, dict):
-        fault(("security",), "expected a table [security]")
-        return None
-    for key in table:
-        if key not in SECURITY_KEYS:
-            fault(("security", key), f"unknown key{did_you_mean(key, SECURITY_KEYS)}")
-    keys = table.get("keys")
-    if not isinstance(keys, str):
-        fault(("security", "keys"), "expected the folder of the key files, a text")
-        return None
-    own = table.get("key", "")
-    if hosts and own:
-        fault(("security", "key"), "with several hosts each has its own: hosts.NAME.key")
-    elif not hosts and not _is_name(own):
-        fault(("security", "key"), "expected the name of this graph's key, a text")
-        return None
-    listed = table.get("allow", [host.key for host in hosts.values()] or [own])
-    if not isinstance(listed, list) or not all(_is_name(name) for name in listed):
-        fault(("security", "allow"), "expected a list of names of keys")
-        return None
-    return Security(folder / keys, own if isinstance(own, str) else "", tuple(listed))
+    place, table = ("security",), tree["security"]
+    (found,), _ = read_table(table, place, fault, Security())
+    if isinstance(table, dict) and "keys" not in table:
+        fault((*place, "keys"), "expected the folder of the key files, a text")
+    if hosts and found.key:
+        fault((*place, "key"), "with several hosts each has its own: hosts.NAME.key")
+    elif not hosts and bad_name(found.key):
+        fault((*place, "key"), "expected the name of this graph's key, a text")
+    allow = found.allow or tuple(host.key for host in hosts.values() if host.key)
+    allow = allow or tuple(filter(None, (found.key,)))
+    return replace(found, keys=str(folder / found.keys), allow=allow)
 
 
 def check_exposure(
-    hosts: Iterable[Host], security: Security | None, insecure: bool, fault: Fault
+    hosts: Mapping[str, Host], security: Security | None, insecure: bool, fault: Fault
 ) -> None:
     """Refuse hosts whose topics anyone on the network could read, unless the file states it."""
-    for host in hosts:
+    for name, host in hosts.items():
         if not host.is_loopback and security is None and not insecure:
             fault(
-                ("hosts", host.name, "address"),
+                ("hosts", name, "address"),
                 f"{host.address} can be reached from other computers, and there are no keys "
                 "(state [security] keys, or insecure = true in [graph])",
             )
 
 
-def read_place(
-    name: str, values: dict[str, Any], hosts: Mapping[str, Host], fault: Fault
-) -> tuple[str, int]:
-    """Remove a node's host and its port, 0 where none is stated, from its values; return them."""
-    host = values.pop(HOST_KEY, None)
-    try:
-        port = _port(values, PORT_KEY, 0) if PORT_KEY in values else 0
-    except _KeyedError as error:
-        fault(("nodes", name, error.key), str(error))
-        port = 0
-    values.pop(PORT_KEY, None)
-    if host is None:
+def check_place(name: str, place: Place, hosts: Mapping[str, Host], fault: Fault) -> None:
+    """Check that the host of a node is one of the graph."""
+    if not place.host:
         fault(("nodes", name), f"the key 'host' is missing (hosts: {', '.join(hosts)})")
-    elif host not in hosts:
-        fault(("nodes", name, HOST_KEY), f"{host!r} is no host{did_you_mean(str(host), hosts)}")
-    return str(host), port
+    elif place.host not in hosts:
+        hint = did_you_mean(place.host, hosts)
+        fault(("nodes", name, "host"), f"{place.host!r} is no host{hint}")
 
 
 def give_ports(
-    places: Mapping[str, tuple[str, int]], hosts: Mapping[str, Host], fault: Fault
+    places: Mapping[str, Place], hosts: Mapping[str, Host], fault: Fault
 ) -> dict[str, str]:
-    """Public endpoint of each node that publishes, by its host and stated port (0: none); the n-th
-    node of a host without a stated port, in the order of the launch file, gets its base port + n.
+    """Public endpoint of each node that publishes, by its place; the n-th node of a host without a
+    stated port, in the order of the launch file, gets its base port + n.
     """
     endpoints: dict[str, str] = {}
     next_port = {name: host.base_port for name, host in hosts.items()}
-    for node, (host, stated) in places.items():
-        port = stated or next_port[host]
-        next_port[host] += not stated
-        endpoint = f"tcp://{hosts[host].address}:{port}"
+    for node, place in places.items():
+        port = place.publish_port or next_port[place.host]
+        next_port[place.host] += place.publish_port is None
+        endpoint = f"tcp://{hosts[place.host].address}:{port}"
         if port not in PORTS:
-            fault(("nodes", node, PORT_KEY), f"port {port} is outside {_PORTS_TEXT}")
+            text = f"port {port} is outside {PORTS.start}..{PORTS.stop - 1}"
+            fault(("nodes", node, "publish_port"), text)
         for other, taken in endpoints.items():
             if endpoint == taken:
                 fault(("nodes", node), f"publishes at {endpoint}, where {other} does too")
         endpoints[node] = endpoint
     return endpoints
-
-
-_PORTS_TEXT = f"{PORTS.start}..{PORTS.stop - 1}"
-
-
-class _KeyedError(SettingsError):
-    """A value of one key that is not allowed."""
-
-    def __init__(self, key: str, text: str) -> None:
-        super().__init__(text)
-        self.key = key
-
-
-def _address(table: Mapping[str, Any]) -> str:
-    address = table.get("address")
-    allowed = "(allowed: the IPv4 address of one host, as 192.168.1.10)"
-    try:
-        parsed = ipaddress.IPv4Address(address if isinstance(address, str) else "")
-    except ValueError as error:
-        raise _KeyedError("address", f"{address!r} is no address {allowed}") from error
-    if parsed.is_unspecified or parsed.is_multicast:
-        raise _KeyedError("address", f"{address!r} is not the address of a host {allowed}")
-    return str(parsed)
-
-
-def _port(table: Mapping[str, Any], key: str, default: int) -> int:
-    port = table.get(key, default)
-    if type(port) is not int or port not in PORTS:
-        raise _KeyedError(key, f"{port!r} is not allowed (allowed: {_PORTS_TEXT})")
-    return port
-
-
-def _is_name(name: object) -> bool:
-    try:
-        check_name("key", name)
-    except MessageError:
-        return False
-    return True
 
 
 @dataclass(frozen=True)
@@ -220,7 +170,7 @@ def read_credentials(security: Security, key: str, hosts: Mapping[str, Host]) ->
     """Read the key files that the host with a key needs.
     Raises KeyFileError if one is missing or cannot be used.
     """
-    folder = security.folder
+    folder = Path(security.keys)
 
     def public(name: str) -> str:
         return read_public_key(folder / f"{name}{PUBLIC_SUFFIX}")

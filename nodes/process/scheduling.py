@@ -5,14 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
-from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.settings import Settings, setting
 
-SCHEDULING_KEYS = ("cpus", "priority")
-"""Keys of [graph], for all nodes, and of [nodes.NAME]."""
 MAX_CPU = 1023
 """Largest number of a CPU (CPU_SETSIZE of sched_setaffinity(2))."""
 MAX_PRIORITY = 98
@@ -20,34 +17,19 @@ MAX_PRIORITY = 98
 
 
 @dataclass(frozen=True)
-class Scheduling:
-    """How the kernel schedules a node.
+class Scheduling(Settings):
+    """How the kernel schedules a node: keys of [graph], for all nodes, and of [nodes.NAME]."""
 
-    Attributes
-    ----------
-    cpus : tuple of int
-        Numbers of the CPUs on which it may run; none: all of the launcher.
-    priority : int
-        Real-time priority (SCHED_FIFO, sched(7)), 1..98; 0: it shares the CPUs with all others.
-    """
+    cpus: tuple[int, ...] = setting(
+        (), "CPUs on which a node may run, as [0, 1]; []: all of the launcher", low=0, high=MAX_CPU
+    )
+    priority: int = setting(
+        0, "real-time priority (SCHED_FIFO); 0: it shares the CPUs", low=0, high=MAX_PRIORITY
+    )
 
-    cpus: tuple[int, ...] = ()
-    priority: int = 0
-
-    def stated(self, key: str, value: Any) -> Scheduling:
-        """The same with one key of a launch file.
-        Raises SettingsError if the value is not allowed.
-        """
-        if key == "priority":
-            if not is_whole(value, 0, MAX_PRIORITY):
-                allowed = f"allowed: a whole number, 0..{MAX_PRIORITY}"
-                raise SettingsError(f"{value!r} is not allowed ({allowed})")
-            return replace(self, priority=value)
-        numbers = value if isinstance(value, list) else []
-        if not numbers or not all(is_whole(number, 0, MAX_CPU) for number in numbers):
-            allowed = f"allowed: a list of numbers of CPUs, 0..{MAX_CPU}, as [0, 1]"
-            raise SettingsError(f"{value!r} is not allowed ({allowed})")
-        return replace(self, cpus=tuple(sorted(set(numbers))))
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "cpus", tuple(sorted(set(self.cpus))))
 
     def check_permitted(self) -> None:
         """Raise SettingsError, which begins with the key, if this process must not run so."""

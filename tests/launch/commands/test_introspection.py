@@ -359,8 +359,11 @@ def test_of_a_latched_topic_one_message_comes_and_no_rate(run: Run) -> None:
     assert out == "all 1: too few messages for a rate | lost 0\n"
 
 
-def test_delay_of_a_latched_topic_is_named_an_age(run: Run) -> None:
-    note, figures = run("topic", "delay", "skin/solver", "-n", "1").splitlines()
+def test_delay_of_a_latched_topic_is_named_an_age(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["topic", "delay", "skin/solver", "-n", "1"]) == 0
+    (note,), (figures,) = (text.splitlines() for text in reversed(capsys.readouterr()))
     assert note.endswith("is the age of its last message (latched: sent when it changes)")
     assert figures.startswith("all 1: delay p50 ")
 
@@ -372,7 +375,7 @@ def test_where_nothing_comes_it_reports_why(
     assert ask_node(graph, "sensor", "pause", True) == Answer(True, "paused")
     try:
         main(["topic", "hz", "skin/taxels", "--duration", "3"])
-        assert re.search(r"no message for \d+ s \(sensor: paused\)", capsys.readouterr().out)
+        assert re.search(r"no message for \d+ s \(sensor: paused\)", capsys.readouterr().err)
         assert main(["topic", "echo", "skin/taxels", "--duration", "0.2"]) == 1
         assert capsys.readouterr().err == "/skin/taxels: no message came (sensor: paused)\n"
     finally:

@@ -100,8 +100,8 @@ def test_pose_and_names_are_those_of_the_file(body: Path) -> None:
     batches = read_skin({"body": "body.toml"}, Path(), lambda _, what: faults.append(what))
     assert faults == []
     first, second = batches[0].patches
-    assert first.position_mm == (0.0, 10.5, 20.0)
-    assert second.orientation == (1.0, 0.0, 0.0, 0.0)
+    assert first.stated.position_mm == (0.0, 10.5, 20.0)
+    assert second.stated.orientation == (1.0, 0.0, 0.0, 0.0)
 
 
 def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds() -> None:
@@ -154,10 +154,10 @@ def test_all_faults_of_a_body_file_are_reported_at_once(body: Path) -> None:
 @pytest.mark.parametrize(
     ("overrides", "line"),
     [
-        (["skin.patches=0"], "--set skin.patches=0: got 0; expected a whole number in 1..4096"),
+        (["skin.patches=0"], "--set skin.patches=0: 0 is outside 1..4096"),
         (["skin.patchs=3"], "unknown key (did you mean 'patches'?)"),
         (["skin.rows=5000"], "--set skin.rows=5000: expected a whole number in 1..4096, got 5000"),
-        (["skin.batch=0"], "--set skin.batch=0: expected a whole number in 1..256"),
+        (["skin.batch=0"], "--set skin.batch=0: 0 is outside 1..256"),
         (["skin.patches=200", "skin.batch=2"], "301 nodes; at most 256 are allowed"),
         (["sensor.rate_hz=-1"], "--set sensor.rate_hz=-1: -1.0 is outside 0.0..100000.0"),
         (["sensor.source=scene:hugs"], "'scene:hugs' is not available for a batch"),

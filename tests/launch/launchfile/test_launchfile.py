@@ -129,7 +129,7 @@ def test_all_bundled_files_are_known() -> None:
         (
             'description = "a test"',
             'transport = "udp"',
-            "f.toml:2: graph.transport: 'udp' is not allowed (known: ipc, tcp)",
+            "f.toml:2: graph.transport: 'udp' is not allowed; allowed: ipc, tcp",
         ),
         (
             "scene:path_40",
@@ -501,19 +501,19 @@ def test_set_states_the_keys_of_the_graph(tmp_path: Path) -> None:
     assert (launch.transport, launch.insecure, launch.log_dir) == ("tcp", True, "logs")
     assert launch.description == "two words"
     for node in launch.nodes.values():
-        assert node.restart == RestartPolicy("on-failure", 2, delay_s=1, hang_s=3)
+        assert node.restart == RestartPolicy("on-failure", 2, restart_delay_s=1, hang_s=3)
 
 
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        ("transport=unix", "'unix' is not allowed (known: ipc, tcp)"),
+        ("transport=unix", "'unix' is not allowed; allowed: ipc, tcp"),
         ("transprt=tcp", "unknown key (did you mean 'transport'?)"),
         ("transport.x=tcp", "expected a text, got {'x': 'tcp'}"),
         ("insecure=1", "expected true or false, got 1"),
-        ("max_restarts=0", "0 is not allowed (allowed: a whole number, 1..1000)"),
-        ("priority=99", "99 is not allowed (allowed: a whole number, 0..98)"),
-        ("cpus=0", "0 is not allowed (allowed: a list of numbers of CPUs, 0..1023, as [0, 1])"),
+        ("max_restarts=0", "0 is outside 1..1000"),
+        ("priority=99", "99 is outside 0..98"),
+        ("cpus=0", "expected a list of whole numbers, got 0"),
     ],
 )
 def test_a_wrong_set_of_the_graph_is_refused(check, change: str, what: str) -> None:

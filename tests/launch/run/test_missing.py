@@ -20,7 +20,7 @@ def spec(name: str, host: str) -> NodeSpec:
 
 PART = LaunchFile(
     *("two", "", "ipc", {}, []),
-    hosts={name: Host(name, "127.0.0.1") for name in ("edge", "desk", "wall")},
+    hosts={name: Host("127.0.0.1") for name in ("edge", "desk", "wall")},
     host="edge",
     elsewhere={"echo": spec("echo", "desk"), "screen": spec("screen", "wall")},
 )

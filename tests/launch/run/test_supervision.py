@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, load
 from sparseskin.launch.run.control_socket import ControlClient
 from sparseskin.launch.run.restarts import NEVER, ON_FAILURE, RestartPolicy, Restarts
-from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.errors import SparseskinError
 
 GRAPH = (BUNDLED / "path_40.toml").read_text()
 
@@ -41,7 +41,9 @@ def test_without_a_policy_nothing_is_started_again() -> None:
 
 
 def test_each_restart_waits_twice_as_long_up_to_the_longest() -> None:
-    policy = RestartPolicy(ON_FAILURE, max_restarts=10, delay_s=0.5, max_delay_s=5.0)
+    policy = RestartPolicy(
+        ON_FAILURE, max_restarts=10, restart_delay_s=0.5, restart_max_delay_s=5.0
+    )
     restarts = Restarts(policy)
     due_s = [restarts.next_s(100.0 + k) for k in range(7)]
     assert [due - 100.0 - k for k, due in enumerate(due_s) if due is not None] == [
@@ -51,7 +53,7 @@ def test_each_restart_waits_twice_as_long_up_to_the_longest() -> None:
 
 
 def test_beyond_the_most_within_the_window_it_is_given_up() -> None:
-    restarts = Restarts(RestartPolicy(ON_FAILURE, max_restarts=2, window_s=10.0))
+    restarts = Restarts(RestartPolicy(ON_FAILURE, max_restarts=2, restart_window_s=10.0))
     assert restarts.next_s(0.0) is not None
     assert restarts.next_s(9.0) is not None
     assert restarts.next_s(9.9) is None
@@ -60,7 +62,8 @@ def test_beyond_the_most_within_the_window_it_is_given_up() -> None:
 
 
 def test_the_window_slides() -> None:
-    restarts = Restarts(RestartPolicy(ON_FAILURE, max_restarts=2, window_s=10.0, delay_s=1.0))
+    policy = RestartPolicy(ON_FAILURE, 2, restart_window_s=10.0, restart_delay_s=1.0)
+    restarts = Restarts(policy)
     assert [restarts.next_s(s) for s in (0.0, 9.0)] == [1.0, 11.0]
     assert restarts.next_s(10.0) == 12.0  # the first is out, the second still counts
     assert restarts.next_s(18.0) is None
@@ -76,7 +79,7 @@ def test_the_window_slides() -> None:
 def test_no_window_holds_more_restarts_than_are_allowed(
     max_restarts: int, window_s: float, gaps_s: list[float]
 ) -> None:
-    policy = RestartPolicy(ON_FAILURE, max_restarts=max_restarts, window_s=window_s)
+    policy = RestartPolicy(ON_FAILURE, max_restarts=max_restarts, restart_window_s=window_s)
     restarts, done_s, now_s = Restarts(policy), [], 0.0
     for gap_s in gaps_s:
         now_s += gap_s
@@ -84,7 +87,9 @@ def test_no_window_holds_more_restarts_than_are_allowed(
         recent = [s for s in done_s if s > now_s - window_s]
         assert (due_s is None) == (len(recent) >= max_restarts)
         if due_s is not None:
-            assert policy.delay_s <= due_s - now_s + 1e-9 <= policy.max_delay_s + 1e-6
+            assert (
+                policy.restart_delay_s <= due_s - now_s + 1e-9 <= policy.restart_max_delay_s + 1e-6
+            )
             done_s.append(now_s)
 
 
@@ -105,15 +110,15 @@ def test_what_the_graph_states_holds_for_all_nodes_that_state_nothing(tmp_path: 
 @pytest.mark.parametrize(
     ("key", "value", "allowed"),
     [
-        ("restart", '"always"', "(allowed: never, on-failure)"),
-        ("restart", '["never"]', "(allowed: never, on-failure)"),
-        ("max_restarts", "0", "(allowed: a whole number, 1..1000)"),
-        ("max_restarts", "2.5", "(allowed: a whole number, 1..1000)"),
-        ("restart_window_s", "0.5", "(allowed: a number, 1..86400)"),
-        ("restart_delay_s", "-1", "(allowed: a number, 0..60)"),
-        ("restart_delay_s", "nan", "(allowed: a number, 0..60)"),
-        ("restart_max_delay_s", "inf", "(allowed: a number, 0..3600)"),
-        ("hang_s", '"10"', "(allowed: a number, 0..3600)"),
+        ("restart", '"always"', "'always' is not allowed; allowed: never, on-failure"),
+        ("restart", '["never"]', "expected a text, got ['never']"),
+        ("max_restarts", "0", "0 is outside 1..1000"),
+        ("max_restarts", "2.5", "expected a whole number, got 2.5"),
+        ("restart_window_s", "0.5", "0.5 is outside 1.0..86400.0"),
+        ("restart_delay_s", "-1", "-1.0 is outside 0.0..60.0"),
+        ("restart_delay_s", "nan", "nan is outside 0.0..60.0"),
+        ("restart_max_delay_s", "inf", "inf is outside 0.0..3600.0"),
+        ("hang_s", '"10"', "expected a number, got '10'"),
     ],
 )
 def test_a_wrong_key_is_named_with_its_line_and_what_is_allowed(
@@ -127,18 +132,10 @@ def test_a_wrong_key_is_named_with_its_line_and_what_is_allowed(
         with pytest.raises(LaunchError) as caught:
             load("f.toml")
         (error,) = caught.value.lines
-        assert error.startswith(f"f.toml:{line}: {place}.{key}: ")
-        assert error.endswith(f"is not allowed {allowed}")
+        assert error == f"f.toml:{line}: {place}.{key}: {allowed}"
     with pytest.raises(LaunchError) as caught:
         load("path_40", [f"sensor.{key}={value}"])
     assert caught.value.lines[0].startswith(f"--set sensor.{key}={value}: ")
-
-
-def test_a_policy_takes_its_values_one_by_one() -> None:
-    policy = RestartPolicy().stated("restart", ON_FAILURE).stated("restart_delay_s", 2)
-    assert (policy.policy, policy.delay_s, policy.restarts) == (ON_FAILURE, 2, True)
-    with pytest.raises(SettingsError, match="1001 is not allowed"):
-        policy.stated("max_restarts", 1001)
 
 
 def launched(start: StartProgram, tmp_path: Path, keys: str, *arguments: str) -> Program:

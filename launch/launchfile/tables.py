@@ -1,0 +1,71 @@
+"""Tables of a launch file as settings: one reader of types, ranges and unknown keys for all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
+from typing import Any
+
+from sparseskin.messages.errors import MessageError
+from sparseskin.messages.topics import check_name
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.settings import Settings
+
+Fault = Callable[[tuple[str, ...], str], None]
+"""Called with the place and the text of each error."""
+
+
+def read_table(
+    table: object, place: tuple[str, ...], fault: Fault, *defaults: Settings, more: bool = False
+) -> tuple[list[Any], dict[str, Any]]:
+    """The settings `defaults` with the values that a table states; with `more`, the values of other
+    keys too, which are refused otherwise.
+    """
+    found, others = list(defaults), dict[str, Any]()
+    known = {field.name: k for k, one in enumerate(found) for field in fields(one)}
+    if not isinstance(table, dict):
+        fault(place, f"expected a table [{'.'.join(place)}]")
+        return found, others
+    for key, value in table.items():
+        if key not in known:
+            others[key] = value
+            if not more:
+                fault((*place, key), f"unknown key{did_you_mean(key, known)}")
+            continue
+        try:
+            found[known[key]] = replace(found[known[key]], **{key: value})
+        except SettingsError as error:
+            fault((*place, key), str(error).removeprefix(f"{key}: "))
+    return found, others
+
+
+def read_tables(
+    tree: Mapping[str, Any], kind: str, most: int, fault: Fault
+) -> dict[str, dict[str, Any]]:
+    """The tables [KIND.NAME] whose names are allowed, `most` at most."""
+    tables = tree.get(kind, {})
+    if not isinstance(tables, dict):
+        fault((kind,), f"expected tables [{kind}.NAME]")
+        return {}
+    if len(tables) > most:
+        fault((kind,), f"{len(tables)} {kind}; at most {most} are allowed")
+        return {}
+    good = {}
+    for name, table in tables.items():
+        if not isinstance(table, dict):
+            fault((kind, name), f"expected a table [{kind}.{name}]")
+        elif why := bad_name(name):
+            fault((kind, name), why)
+        else:
+            good[name] = dict(table)
+    return good
+
+
+def bad_name(name: object) -> str:
+    """Why a text cannot name a node, a host or a key; "" if it can."""
+    try:
+        check_name("name", name)
+    except MessageError as error:
+        return str(error).removeprefix("name: ")
+    return ""
