@@ -37,13 +37,10 @@ def flowing(text: str) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]], indent: str = "") -> list[str]:
-    """Lines of a table, each after `indent`; columns of whole numbers are flush right."""
-    shown = [[flowing(str(cell)) for cell in row] for row in rows]
+    """Lines of a table, each after `indent`; columns of numbers, None: not known, flush right."""
+    shown = [[flowing(_cell(cell)) for cell in row] for row in rows]
     widths = [max(len(line[k]) for line in [head, *shown]) for k in range(len(head))]
-    right = [
-        bool(rows) and all(isinstance(row[k], int) and not isinstance(row[k], bool) for row in rows)
-        for k in range(len(head))
-    ]
+    right = [bool(rows) and all(_is_number(row[k]) for row in rows) for k in range(len(head))]
     lines: list[str] = []
     for cells in [list(head), *shown]:
         start = indent + "".join(
@@ -53,6 +50,16 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]], indent: str = "
         last = cells[-1]
         lines += [start + last.rjust(widths[-1])] if right[-1] else wrapped(start, last)
     return lines
+
+
+def _is_number(cell: object) -> bool:
+    return cell is None or (isinstance(cell, int | float) and not isinstance(cell, bool))
+
+
+def _cell(cell: object) -> str:
+    if cell is None:
+        return "-"
+    return f"{cell:.2f}" if isinstance(cell, float) else str(cell)
 
 
 def wrapped(start: str, text: str, continued: str | None = None) -> list[str]:

@@ -6,13 +6,12 @@ import argparse
 import json
 import re
 import sys
-import textwrap
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sparseskin.launch.attach.formats import formatted
-from sparseskin.launch.attach.text import flowing
+from sparseskin.launch.attach.text import flowing, table, wrapped
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import EXPORTS, loaded
 from sparseskin.nodes.files import make_folder
@@ -22,22 +21,19 @@ from sparseskin.nodes.recorder.bag.format import (
     FILE_SUFFIX,
     PART_SUFFIX,
     BagError,
-    TopicInfo,
     span_ns,
 )
 from sparseskin.nodes.recorder.convert.export import OWN, export_names, find_export
 from sparseskin.nodes.sensor.files.format import suffixes
 from sparseskin.nodes.sensor.files.parsed import NAN_WAYS, NEGATIVE_WAYS, REFUSE
 
-from .options import add_commands, whole
+from .options import add_commands, show, whole
 
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
 READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz", "nan", "negative")
 """Options of `import` on how a file is read."""
-WIDTH = 80
-_MAX_TOPIC = 40
 _MAX_SHOWN = 2000
 """Characters of one value that the table shows at most."""
 _OF_TOPIC = ("schema", "version", "n_messages", "first_ns", "last_ns", "rate_hz")
@@ -103,8 +99,8 @@ def _info(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.remote import local_path
 
     with BagReader(local_path(arguments.bag)) as bag:
-        print(info_json(bag, arguments.bag) if arguments.json else info_table(bag, arguments.bag))
-    return 0
+        name = arguments.bag
+        return show(arguments, "bag-info", info_document(bag, name), info_lines(bag, name))
 
 
 def _recover(arguments: argparse.Namespace) -> int:
@@ -194,80 +190,72 @@ def _count(n: int, what: str) -> str:
     return f"{n} {what}" if n == 1 else f"{n} {what}s"
 
 
-def info_json(bag: BagReader, name: str = "") -> str:
-    """All facts of the table, and the metadata in full, as JSON."""
-    topics = {
-        topic: {key: getattr(info, key) for key in _OF_TOPIC} for topic, info in bag.topics.items()
+def info_document(bag: BagReader, name: str = "") -> dict[str, Any]:
+    """The file or its `name`, its topics, counts of its recorder and its metadata in full."""
+    return {
+        "bag": name or str(bag.path),
+        "size_bytes": bag.path.stat().st_size,
+        "recovered": bag.recovered,
+        "duration_s": _seconds(span_ns(bag.topics.values())),
+        "topics": {
+            topic: {key: getattr(info, key) for key in _OF_TOPIC}
+            for topic, info in bag.topics.items()
+        },
+        "counts": bag.counts,
+        "metadata": bag.metadata,
     }
-    first_ns, last_ns = span_ns(bag.topics.values()) or (0, 0)
-    return json.dumps(
-        formatted(
-            "bag-info",
-            {
-                "bag": name or str(bag.path),
-                "size_bytes": bag.path.stat().st_size,
-                "recovered": bag.recovered,
-                "duration_s": (last_ns - first_ns) / 1e9,
-                "topics": topics,
-                "counts": bag.counts,
-                "metadata": bag.metadata,
-            },
-        ),
-        indent=2,
-    )
 
 
-def info_table(bag: BagReader, name: str = "") -> str:
-    """A table of at most 80 columns: the file or its `name`, its topics, its metadata."""
-    first_ns, last_ns = span_ns(bag.topics.values()) or (0, 0)
+def info_lines(bag: BagReader, name: str = "") -> list[str]:
+    """The same for a terminal, long values cut."""
     n_messages = sum(info.n_messages for info in bag.topics.values())
-    lines = _entry("bag", name or str(bag.path))
-    lines += _entry("size", f"{bag.path.stat().st_size / 1e6:.3f} MB, {n_messages} messages")
-    lines += _entry("duration", f"{(last_ns - first_ns) / 1e9:.3f} s")
-    lines += _entry("state", bag.recovered or "whole")
-    lines += ["", *_topic_lines(bag)]
-    for name, counted in (bag.counts or {}).items():
-        if name not in _NOT_SHOWN and (text := _flat(_without_zeros(counted))) != "none":
-            lines += _entry(name, text)
-    if bag.counts is None:
-        lines.append("lost messages are not known: the recorder did not get to write them")
-    lines.append("")
-    for key, value in bag.metadata.items():
-        if value:
-            lines += _entry(key, _shown(key, value))
-    return "\n".join(lines).rstrip()
+    counts = bag.counts or {}
+    facts = {
+        "bag": name or str(bag.path),
+        "size": f"{bag.path.stat().st_size / 1e6:.3f} MB, {n_messages} messages",
+        "duration": f"{_seconds(span_ns(bag.topics.values())):.3f} s",
+        "state": bag.recovered or "whole",
+    }
+    lost = counts.get("lost", {}) if bag.counts is not None else None
+    rows = [
+        [
+            info.n_messages,
+            info.rate_hz or None,
+            _seconds((info.first_ns, info.last_ns)),
+            lost.get(topic, 0) if isinstance(lost, dict) else None,
+            topic,
+        ]
+        for topic, info in bag.topics.items()
+    ]
+    counted = {
+        key: text
+        for key, value in counts.items()
+        if key not in _NOT_SHOWN and (text := _flat(_without_zeros(value))) != "none"
+    }
+    unknown = ["lost messages are not known: the recorder did not get to write them"]
+    return [
+        *_entries(facts),
+        "",
+        *table(["MESSAGES", "HZ", "SECONDS", "LOST", "TOPIC"], rows),
+        *_entries(counted),
+        *(unknown if bag.counts is None else []),
+        "",
+        *_entries({key: _shown(key, value) for key, value in bag.metadata.items() if value}),
+    ]
 
 
-def _topic_lines(bag: BagReader) -> list[str]:
-    width = max([5, *(len(topic) for topic in bag.topics if len(topic) <= _MAX_TOPIC)])
-    lost = (bag.counts or {}).get("lost")
-    lines = [f"{'topic':<{width}} {'messages':>9} {'rate Hz':>9} {'seconds':>9} {'lost':>7}"]
-    for topic, info in bag.topics.items():
-        if len(topic) > width:
-            lines.append(topic)
-        n_lost = flowing(_flat(lost.get(topic, 0)))[:20] if isinstance(lost, dict) else "-"
-        lines.append(f"{topic if len(topic) <= width else '':<{width}} {_row(info)} {n_lost:>7}")
+def _seconds(span: tuple[int, int] | None) -> float:
+    return 0.0 if span is None else (span[1] - span[0]) / 1e9
+
+
+def _entries(entries: Mapping[str, str]) -> list[str]:
+    """A line for each, wrapped; texts of a file cannot move the cursor."""
+    lines: list[str] = []
+    for key, value in entries.items():
+        if len(value) > _MAX_SHOWN:
+            value = f"{value[:_MAX_SHOWN]}... ({len(value)} characters, --json shows them)"
+        lines += wrapped(f"{flowing(key[:16]):<10} ", flowing(value))
     return lines
-
-
-def _row(info: TopicInfo) -> str:
-    seconds = (info.last_ns - info.first_ns) / 1e9
-    rate = f"{info.rate_hz:.2f}" if info.rate_hz else "-"
-    return f"{info.n_messages:>9} {rate:>9} {seconds:>9.3f}"
-
-
-def _entry(key: str, value: str) -> list[str]:
-    """`key  value`, wrapped; texts of a file cannot move the cursor."""
-    key = flowing(key[:16])
-    if len(value) > _MAX_SHOWN:
-        value = f"{value[:_MAX_SHOWN]}... ({len(value)} characters, --json shows them)"
-    return textwrap.wrap(
-        flowing(value),
-        WIDTH,
-        initial_indent=f"{key:<10} ",
-        subsequent_indent=" " * 11,
-        break_on_hyphens=False,
-    ) or [key]
 
 
 def _shown(key: str, value: str) -> str:

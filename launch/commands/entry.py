@@ -7,7 +7,6 @@ Ctrl-C; one before that, while Python itself starts, is Python's to report.
 from __future__ import annotations
 
 import os
-import stat
 import sys
 
 
@@ -66,37 +65,24 @@ def keep_bytecode() -> None:
         if (spec := importlib.util.find_spec(name))
     ]
     cache_home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    folder = f"{cache_home}/sparseskin/bytecode"
     # Where no home is known, "~" stays.
-    if os.path.isabs(folder) and not all(path and os.path.exists(path) for path in stored):
-        if not is_own(folder):  # what is in it is run
-            return
-        sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = folder
-        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-        sys.dont_write_bytecode = False
+    if not os.path.isabs(cache_home) or all(path and os.path.exists(path) for path in stored):
+        return
+    from pathlib import Path
 
+    from sparseskin.nodes.errors import SparseskinError
+    from sparseskin.nodes.files import check_private
 
-def is_own(folder: str) -> bool:
-    """True if no other user, except root, can write into a folder or put another in its place; its
-    group is trusted. It need not be there yet.
-    """
-    while not os.path.lexists(folder):
-        folder = os.path.dirname(folder)
+    folder = Path(cache_home) / "sparseskin" / "bytecode"
     try:
-        found = os.stat(folder)
-        if found.st_uid != os.geteuid() or found.st_mode & stat.S_IWOTH:
-            return False
-        while folder != os.path.dirname(folder):
-            folder = os.path.dirname(folder)
-            found = os.stat(folder)
-            sticky = found.st_mode & stat.S_ISVTX
-            if found.st_uid not in (0, os.geteuid()):
-                return False
-            if found.st_mode & stat.S_IWOTH and not sticky:
-                return False
-    except OSError:
-        return False
-    return True
+        for made in (folder.parent, folder):
+            made.mkdir(mode=0o700, parents=True, exist_ok=True)
+            check_private(made)  # what is in it is run
+    except (OSError, SparseskinError):
+        return
+    sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = str(folder)
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
 
 
 if __name__ == "__main__":

@@ -163,53 +163,39 @@ class View:
             self._times.popleft()
         return len(self._times) / span_s
 
-    def dropped(self) -> str:
-        """What was dropped, in words; "" of a source that drops nothing."""
+    def _line(self, first: str, *figures: str) -> str:
+        """Figures in one line, with what was dropped."""
         dropped = self._source.dropped()
-        return "" if dropped is None else f"dropped: {dropped or 'nothing'}"
+        last = "" if dropped is None else f"dropped: {dropped or 'nothing'}"
+        return "; ".join(filter(None, (first, *figures, last)))
 
     def head(self, now_s: float) -> list[str]:
         """Name, figures, what was dropped, and the last line of the source."""
         skin, forces = self._source.skin, self.forces
         self.take_lines()
-        lines = [
-            f"{printable(self._source.name)}   {skin.n_rows} x {skin.n_cols} taxels, "
-            f"0..{skin.f_max:g} {printable(skin.unit)}   (q: quit)"
-        ]
-        if forces is None:
-            lines.append("no frame yet")
-        else:
-            lines.append(
-                f"{self.rate_hz(now_s):.1f} Hz   frame {self.n_frames}   min {forces.min():.4g}   "
-                f"max {forces.max():.4g}   mean {forces.mean():.4g}   brightest {self.top:.4g}"
-            )
-        return [*lines, *filter(None, (self.dropped(), self._last_line))]
+        title = f"{printable(self._source.name)}   {skin.n_rows} x {skin.n_cols} taxels, "
+        title += f"0..{skin.f_max:g} {printable(skin.unit)}   (q: quit)"
+        scale = "" if forces is None else f"mean {forces.mean():.4g}, brightest {self.top:.4g}"
+        return [*filter(None, (title, self.text(now_s), scale, self._last_line))]
 
     def text(self, now_s: float) -> str:
-        """Figures in one line."""
-        forces = self.forces
-        since_s = now_s - self._begin_s
+        """Figures of the last frame."""
+        since, forces = f"{now_s - self._begin_s:.0f} s: ", self.forces
         if forces is None:
-            return f"{since_s:.0f} s: no frame yet"
-        parts = [
-            f"{since_s:.0f} s: {self.rate_hz(now_s):.1f} Hz",
-            f"frame {self.n_frames}",
-            f"min {forces.min():.4g}, max {forces.max():.4g} {printable(self._source.skin.unit)}",
-            self.dropped(),
-        ]
-        return "; ".join(filter(None, parts))
+            return f"{since}no frame yet"
+        extent = self._extent(forces.min(), forces.max())
+        return self._line(f"{since}{self.rate_hz(now_s):.1f} Hz", f"frame {self.n_frames}", extent)
 
     def summary(self) -> str:
         """Figures of all frames, in one line."""
         name = printable(self._source.name)
         if not self.n_frames:
-            return "; ".join(filter(None, (f"{name}: no frame came", self.dropped())))
-        parts = [
-            f"{name}: {self.n_frames} frames",
-            f"min {self.lowest:.4g}, max {self.highest:.4g} {printable(self._source.skin.unit)}",
-            self.dropped(),
-        ]
-        return "; ".join(filter(None, parts))
+            return self._line(f"{name}: no frame came")
+        extent = self._extent(self.lowest, self.highest)
+        return self._line(f"{name}: {self.n_frames} frames", extent)
+
+    def _extent(self, low: float, high: float) -> str:
+        return f"min {low:.4g}, max {high:.4g} {printable(self._source.skin.unit)}"
 
 
 def _picture(view: View, now_s: float, size: os.terminal_size) -> str:

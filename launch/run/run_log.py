@@ -6,9 +6,9 @@ import contextlib
 import logging
 import os
 import re
+import shutil
 import stat
 import time
-from collections.abc import Iterator
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
@@ -21,9 +21,6 @@ MAX_RUNS = 20
 MARK = ".sparseskin"
 """File of a run whose text is the name of its folder: without it none is removed."""
 _FILE = re.compile(r"[A-Za-z0-9_.-]+\.log(\.1)?")
-_RUN = re.compile(r".+-\d{8}-\d{6}-\d+")
-_READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
-_MAX_NAME = 4096
 _NAMED = re.compile(r"\[([A-Za-z0-9_.-]+)\] (.*)", re.DOTALL)
 
 
@@ -76,7 +73,7 @@ class RunLog:
         try:
             # Of this user alone: the address of the live page is logged with its token.
             self.folder.mkdir(mode=0o700, parents=True)
-            self._fd = os.open(self.folder, _READ | os.O_DIRECTORY)
+            self._fd = os.open(self.folder, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
         except OSError as error:
             raise LaunchError([f"log_dir: {parent}: {error.strerror}"]) from error
         if os.fstat(self._fd).st_uid != os.geteuid():
@@ -115,33 +112,18 @@ class RunLog:
 
 
 def _clear(parent: Path) -> None:
-    """Remove the log files of the oldest runs, and their folders where nothing else is in them."""
-    runs = [path for path in parent.iterdir() if _RUN.fullmatch(path.name) and _is_run(path)]
-    for run in sorted(runs, key=lambda run: run.lstat().st_mtime)[:-MAX_RUNS]:
-        with contextlib.suppress(OSError), _opened(run) as folder:
-            for name in os.listdir(folder):
-                found = os.stat(name, dir_fd=folder, follow_symlinks=False)
-                if _FILE.fullmatch(name) and stat.S_ISREG(found.st_mode):
-                    os.unlink(name, dir_fd=folder)
-            if os.listdir(folder) == [MARK]:
-                os.unlink(MARK, dir_fd=folder)
-                run.rmdir()
+    """Remove the oldest runs; of one that a link has replaced meanwhile, nothing."""
+    runs = sorted(filter(_is_run, parent.iterdir()), key=lambda run: run.lstat().st_mtime)
+    for run in runs[:-MAX_RUNS]:
+        shutil.rmtree(run, ignore_errors=True)
 
 
 def _is_run(path: Path) -> bool:
-    """True if a folder is that of a run, of this user."""
-    with contextlib.suppress(OSError, UnicodeDecodeError), _opened(path) as folder:
-        if os.fstat(folder).st_uid == os.geteuid():
-            with open(os.open(MARK, _READ, dir_fd=folder), encoding="utf-8") as file:
-                return file.read(_MAX_NAME) == path.name
+    """True if a folder is that of a run, of this user, and nothing else is in it."""
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        found = path.lstat()
+        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid():
+            names = set(os.listdir(path))
+            own = all(_FILE.fullmatch(name) for name in names - {MARK})
+            return own and (path / MARK).read_text(encoding="utf-8") == path.name
     return False
-
-
-@contextlib.contextmanager
-def _opened(folder: Path) -> Iterator[int]:
-    """A folder itself, whatever is put in its place meanwhile; no link to one."""
-    fd = os.open(folder, _READ | os.O_DIRECTORY)
-    try:
-        yield fd
-    finally:
-        os.close(fd)

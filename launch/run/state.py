@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import socket
 from collections.abc import Iterable
@@ -47,66 +46,62 @@ def _present(fleet: Fleet) -> list[NodeProcess]:
     return [node for node in fleet if not (node.ended and node.name.startswith(LIVE_RECORDER))]
 
 
-def _node_description(fleet: Fleet, node: NodeProcess, in_full: bool) -> dict[str, Any]:
-    published = node.counts.get("published", {})
-    outputs = node.spec.cls.outputs(node.spec.settings)
-    described = {
+def _common(fleet: Fleet, node: NodeProcess) -> dict[str, Any]:
+    """What state and description of a node share."""
+    return {
         "name": node.name,
         "type": node.spec.type_name,
         "condition": fleet.condition(node),
-        "pid": node.pid,
         "restarts": fleet.n_restarts(node.name),
-        "transport": node.endpoint.partition(":")[0],
         "line": node.line,
-        "state": node.state,
-        "refused": node.counts.get("refused", {}),
         "refusal": node.refusal,
-        "inputs": [
-            {"topic": topic, "latched": is_latched(topic)}
-            | {what: node.counts.get(what, {}).get(topic, 0) for what in COUNTED}
-            for topic in node.config["inputs"]
-        ],
-        "outputs": [
-            {"topic": topic, "latched": is_latched(topic), "sent": published.get(topic, 0)}
-            for topic in outputs
-        ],
+        "state": node.state,
         "commands": dict(node.spec.cls.commands),
     }
+
+
+def _node_description(fleet: Fleet, node: NodeProcess, in_full: bool) -> dict[str, Any]:
+    spec, counts = node.spec, node.counts
+
+    def counted(topic: str, **keys: str) -> dict[str, Any]:
+        numbers = {name: counts.get(key, {}).get(topic, 0) for name, key in keys.items()}
+        return {"topic": topic, "latched": is_latched(topic), **numbers}
+
+    described = {
+        **_common(fleet, node),
+        "pid": node.pid,
+        "transport": node.endpoint.partition(":")[0],
+        "refused": counts.get("refused", {}),
+        "inputs": [
+            counted(topic, **{what: what for what in COUNTED}) for topic in node.config["inputs"]
+        ],
+        "outputs": [counted(topic, sent="published") for topic in spec.cls.outputs(spec.settings)],
+    }
     if in_full:
-        settings = node.spec.settings
-        values = {f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)}
-        values |= node.settings
+        values = {**vars(spec.settings), **node.settings}
         described["settings"] = [
             {
                 **entry,
                 "value": value,
                 "in_force": node.state.get(entry["key"]) if value is None else value,
             }
-            for entry in node.spec.cls.Settings.described()
+            for entry in spec.cls.Settings.described()
             for value in (values[entry["key"]],)
         ]
     return described
 
 
 def _node_state(fleet: Fleet, node: NodeProcess) -> dict[str, Any]:
-    cls, settings = node.spec.cls, node.spec.settings
-    counts = node.counts
+    cls, settings, counts = node.spec.cls, node.spec.settings, node.counts
     return {
-        "name": node.name,
-        "type": node.spec.type_name,
+        **_common(fleet, node),
         "patch": getattr(settings, "patch", None),
         "patches": list(getattr(settings, "patches", ())),
-        "condition": fleet.condition(node),
-        "restarts": fleet.n_restarts(node.name),
-        "line": node.line,
         "refused": sum(counts.get("refused", {}).values()),
-        "refusal": node.refusal,
         "said": node.said if not cls.watches else "",
         "lost": sum(counts.get("lost", {}).values()),
-        "state": node.state,
         "settings": node.settings,
         "controls": [entry for entry in cls.Settings.described() if entry["live"]],
-        "commands": dict(cls.commands),
     }
 
 

@@ -6,6 +6,7 @@ import json
 import os
 import pwd
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -104,7 +105,7 @@ def test_folders_that_only_look_like_runs_stay_and_so_do_files_of_others_in_them
     assert there == {
         look: {"data.csv", "sensor.log"},
         copied: {"data.csv", "sensor.log", MARK},
-        kept: {"data.csv", MARK},
+        kept: {"data.csv", "sensor.log", MARK},
         "elsewhere": {MARK, "sensor.log"},
         linked: {MARK, "sensor.log"},
         log.folder.name: {MARK},
@@ -148,19 +149,16 @@ def test_a_link_in_the_place_of_a_run_is_not_followed_as_old_runs_are_removed(
     run = tmp_path / "logs" / "drag-20240101-000000-1"
     run.mkdir(parents=True)
     (tmp_path / "sensor.log").write_text("mine\n")
-    is_run = run_log._is_run
+    (run / MARK).write_text(run.name)
+    rmtree = shutil.rmtree
 
-    def replaced(path: Path) -> bool:
+    def replaced(path: Path, ignore_errors: bool) -> None:
         """The other user waits until the folder was looked at."""
-        if path == run and not run.is_symlink():
-            (run / MARK).write_text(run.name)
-            assert is_run(run)
-            run.rename(tmp_path / "was")
-            run.symlink_to(tmp_path)
-            return True
-        return is_run(path)
+        path.rename(tmp_path / "was")
+        path.symlink_to(tmp_path)
+        rmtree(path, ignore_errors=ignore_errors)
 
-    monkeypatch.setattr(run_log, "_is_run", replaced)
+    monkeypatch.setattr(run_log.shutil, "rmtree", replaced)
     RunLog(tmp_path / "logs", "drag", NOW_S).close()
     assert run.is_symlink()
     assert (tmp_path / "sensor.log").read_text() == "mine\n"

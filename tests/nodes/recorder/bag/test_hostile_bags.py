@@ -15,7 +15,7 @@ from bags import N_COLS, N_ROWS, PHI, frames, make_bag, record, skin_state
 from mcap.records import ChunkIndex, MetadataIndex
 from mcap.writer import Writer
 
-from sparseskin.launch.commands.bag import info_json, info_table
+from sparseskin.launch.commands.bag import info_document, info_lines
 from sparseskin.messages import Measurements
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.recorder.bag.format import BagError
@@ -57,8 +57,8 @@ def look(path: Path, out: Path) -> None:
     """All that a user does with a bag; what is refused is one line that can be printed."""
     try:
         with BagReader(path) as bag:
-            assert all(line.isprintable() for line in info_table(bag).split("\n"))
-            json.loads(info_json(bag))
+            assert all(line.isprintable() for line in info_lines(bag))
+            json.dumps(info_document(bag))
             for written in export_npz(bag, out):
                 written.unlink()
     except SparseskinError as error:
@@ -174,7 +174,7 @@ def test_texts_of_any_length_and_kind_are_a_short_printable_table(tmp_path: Path
         record(writer, skin_state())
         writer.close({foreign: {foreign: 1}, "lost": {"/skin/skin": foreign}})
     with BagReader(path) as bag:
-        table = info_table(bag)
+        table = "\n".join(info_lines(bag))
     assert len(table) < 10_000
     assert all(line.isprintable() for line in table.split("\n"))
 
