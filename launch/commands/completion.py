@@ -101,7 +101,7 @@ def _values(prefix: str, metavar: str, typed: argparse.Namespace) -> Words:
             bundled = sorted(path.stem for path in LAUNCH_FILES.glob("*.toml"))
             return _bare(bundled) | _paths(prefix, folders_only=False)
         case "F.mcap|NAME":
-            from .scenes import SCENARIOS
+            from sparseskin.launch.offline.scenarios import SCENARIOS
 
             about = {name: scenario.about for name, scenario in SCENARIOS.items()}
             return about | _paths(prefix, folders_only=False)

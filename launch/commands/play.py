@@ -1,4 +1,6 @@
-"""The command `sparseskin play`: publishes a recording, and shows it on a live page."""
+"""The commands `sparseskin play`, which publishes a recording and shows it on a live page, and
+`scenes`, which lists and makes short recordings.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +9,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sparseskin.launch.offline.scenarios import (
+    FILE_SUFFIX,
+    PERIOD_NS,
+    SCENARIOS,
+    data_folder,
+    make_scenario,
+    resolve_recording,
+    unknown_scenario,
+)
 from sparseskin.nodes.errors import SettingsError
 
-from .options import add_page, naming_options, print_ends, real, whole
-from .scenes import SCENARIOS, resolve_recording
+from .options import add_commands, add_page, naming_options, print_ends, real, whole
 
 if TYPE_CHECKING:
     from sparseskin.launch.launchfile.spec import LaunchFile
+    from sparseskin.nodes.sensor.scenes.simulation import Scene
 
 PLAY_KEYS = {
     " ": ("player", "pause"),
@@ -22,13 +33,31 @@ PLAY_KEYS = {
     "down": ("player", "slower"),
 }
 STEP_KEYS = PLAY_KEYS | {" ": ("player", "step"), "\n": ("player", "step")}
-PLAY_OPTIONS = {
-    "rate": "--rate",
-    "start_s": "--start",
-    "duration_s": "--duration",
-    "topics": "--topics",
-    "remap": "--remap",
-    "wait": "--wait",
+PLAY_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
+    "rate": (
+        "--rate",
+        {
+            "type": real(False),
+            "metavar": "R",
+            "help": "times the recorded speed; 0: as fast as it is read",
+        },
+    ),
+    "loop": ("--loop", {"action": "store_true", "help": "start again at the end"}),
+    "start_s": ("--start", {"type": real(False), "metavar": "S", "help": "seconds to skip"}),
+    "duration_s": ("--duration", {"type": real(False), "metavar": "S", "help": "seconds to play"}),
+    "topics": ("--topics", {"nargs": "+", "metavar": "T", "help": "topics to play"}),
+    "remap": (
+        "--remap",
+        {"nargs": "+", "metavar": "A:=B", "help": "other names for topics or patches"},
+    ),
+    "lockstep": (
+        "--lockstep",
+        {
+            "action": "store_true",
+            "help": "send no frame before all readers have handled the last",
+        },
+    ),
+    "wait": ("--wait", {"type": whole(0), "metavar": "K", "help": "wait for K readers first"}),
 }
 """Settings of the player, and the options that state them."""
 
@@ -41,23 +70,10 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
     )
     about = f"recording, or an address of one; or {', '.join(SCENARIOS)}"
     parser.add_argument("file", metavar="F.mcap|NAME", help=about)
-    about = "times the recorded speed; 0: as fast as it is read"
-    parser.add_argument("--rate", type=real(False), default=1.0, metavar="R", help=about)
-    parser.add_argument("--loop", action="store_true", help="start again at the end")
-    parser.add_argument(
-        "--start", type=real(False), default=0.0, metavar="S", help="seconds to skip"
-    )
-    parser.add_argument("--duration", type=real(False), metavar="S", help="seconds to play")
+    for key, (option, how) in PLAY_OPTIONS.items():
+        parser.add_argument(option, dest=key, default=None, **how)
     parser.add_argument("--pause", action="store_true", help="start paused")
     parser.add_argument("--step", action="store_true", help="play one frame a key")
-    parser.add_argument("--topics", nargs="+", default=[], metavar="T", help="topics to play")
-    about = "other names for topics or patches"
-    parser.add_argument("--remap", nargs="+", default=[], metavar="A:=B", help=about)
-    about = "send no frame before all readers have handled the last"
-    parser.add_argument("--lockstep", action="store_true", help=about)
-    parser.add_argument(
-        "--wait", type=whole(0), default=0, metavar="K", help="wait for K readers first"
-    )
     add_page(parser, "open a live page that shows it, again and again")
     parser.set_defaults(run=_play)
 
@@ -70,21 +86,14 @@ def _play(arguments: argparse.Namespace) -> int:
     if arguments.no_token and not arguments.open:
         raise SettingsError("--no-token: goes with --open: without it there is no page")
     path = resolve_recording(arguments.file)
+    stated = {key: getattr(arguments, key) for key in PLAY_OPTIONS}
     values: dict[str, Any] = {
+        **{key: value for key, value in stated.items() if value is not None},
         "file": str(path),
-        "rate": arguments.rate,
-        "loop": arguments.loop,
-        "start_s": arguments.start,
         "paused": arguments.pause or arguments.step,
-        "topics": arguments.topics,
-        "remap": arguments.remap,
-        "lockstep": arguments.lockstep,
-        "wait": arguments.wait,
         "verbatim": not (arguments.loop or arguments.remap),
     }
-    if arguments.duration is not None:
-        values["duration_s"] = arguments.duration
-    with naming_options(PLAY_OPTIONS):
+    with naming_options({key: option for key, (option, _) in PLAY_OPTIONS.items()}):
         launch = _with_page(arguments, path, values) if arguments.open else _alone(path, values)
     keys = STEP_KEYS if arguments.step else PLAY_KEYS
     launcher = Launcher(launch, Terminal(), keys=keys)
@@ -162,3 +171,54 @@ def schemas_of(path: Path) -> dict[str, set[str]]:
                 patch, schema = split_topic(topic)
                 found.setdefault(patch, set()).add(schema)
     return found
+
+
+_DATA_FOLDER = "$XDG_DATA_HOME/sparseskin or ~/.local/share/sparseskin"
+
+
+def configure_scenes(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `scenes`."""
+    about = "The scenes that can be launched, and short recordings that can be played."
+    add = add_commands(parser, about)
+    add("list", _list, "list scenes and recordings, one line each")
+    make = add("make", _make, "make short recordings of scenes")
+    make.description = f"{make.description} Scenes: {', '.join(SCENARIOS)}."
+    make.add_argument("names", metavar="NAME", nargs="*", help="which; all by default")
+    make.add_argument(
+        "--out", metavar="DIR", type=Path, help=f"folder to write to (default: {_DATA_FOLDER})"
+    )
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    """List scenes and recordings, one line each."""
+    from sparseskin.nodes.sensor.scenes.scenes import SCENES
+    from sparseskin.nodes.sensor.source import about
+
+    def line(name: str, scene: Scene, n_frames: int, period_ns: int, words: str) -> str:
+        shape, period = "{} x {}".format(*scene.shape), f"{period_ns / 1e6:g} ms"
+        return f"  {name:<15} {shape:<8} {n_frames:>6} frames  {period:<7} {words}"
+
+    print("scenes: sparseskin launch NAME")
+    for name, make in SCENES.items():
+        scene = make()
+        print(line(name, scene, scene.n_steps, scene.dt_ns, about(make)))
+    print("recordings: sparseskin play NAME")
+    for name, scenario in SCENARIOS.items():
+        scene = SCENES[scenario.scene]()
+        print(line(name, scene, scenario.n_frames, PERIOD_NS, scenario.about))
+    return 0
+
+
+def _make(arguments: argparse.Namespace) -> int:
+    """Make short recordings of scenes."""
+    names = list(dict.fromkeys(arguments.names or SCENARIOS))
+    for name in names:
+        if name not in SCENARIOS:
+            raise unknown_scenario(name)
+    folder = arguments.out if arguments.out is not None else data_folder()
+    for name in names:
+        there = (folder / f"{name}{FILE_SUFFIX}").exists()
+        path = make_scenario(name, folder)
+        note = "is there already" if there else f"{SCENARIOS[name].n_frames} frames"
+        print(f"{path}: {note}, {path.stat().st_size / 1e6:.1f} MB")
+    return 0

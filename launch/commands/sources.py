@@ -1,18 +1,47 @@
-"""The command `sparseskin sources`: what a sensor of this host can read."""
+"""The commands `sparseskin sources`, what a sensor of this host can read, and `scope`, the frames
+of a source live in the terminal, without a graph.
+"""
 
 from __future__ import annotations
 
 import argparse
+import os
+import shutil
+import signal
+import sys
+import time
+from collections import deque
 from collections.abc import Iterable, Iterator
+from typing import Any
 
+import numpy as np
+
+from sparseskin.launch.attach.heat_map import heat_map
+from sparseskin.launch.run.terminal import Terminal
+from sparseskin.messages.text import printable
 from sparseskin.nodes.extensions import ADDRESSES, DRIVERS, failures, loaded, offered
-from sparseskin.nodes.sensor.source import Listing
-from sparseskin.nodes.sensor.sources import KINDS, find_kind
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.settings import SensorSettings
+from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Listing, Source
+from sparseskin.nodes.sensor.sources import KINDS, find_kind, open_source
 
-from .options import show
+from .options import add_stated, naming_options, real, show, stated_values, whole
+
+WAIT_S = 0.05
+DRAW_S = 1 / 15
+"""Time between two pictures, seconds; chosen: it looks live, and leaves the terminal time."""
+TEXT_S = 1.0
+"""The same where the output is no terminal: one line a second."""
+RATE_S = 2.0
+"""Span over which the rate is measured, seconds."""
+LEAST_TOP = 0.02
+"""Least share of the range that the brightest colour stands for; chosen: noise alone stays dark."""
+PEAK_S = 5.0
+"""Time in which the scale of the colours follows a falling peak, seconds; chosen."""
+KEYS = ("n_rows", "n_cols", "unit", "f_max")
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
+def configure_sources(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `sources`."""
     parser.description = (
         "List what a sensor of this host can read. sparseskin scope SOURCE shows the frames of a "
@@ -53,3 +82,175 @@ def drivers() -> list[dict[str, str]]:
         }
         for point in offered(DRIVERS).values()
     ]
+
+
+def configure_scope(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `scope`."""
+    parser.description = (
+        "Show the frames of a source as they come, before anything else is configured: a map, the "
+        "rate, least and largest reading, and what was dropped. q or Ctrl-C ends it. Where the "
+        "output is no terminal, one line a second."
+    )
+    parser.add_argument("source", metavar="SOURCE", help="one of sparseskin sources")
+    parser.add_argument("--frames", type=whole(1), metavar="N", help="end after so many frames")
+    parser.add_argument("--seconds", type=real(True), metavar="S", help="end after so long")
+    add_stated(parser, f"state what the source does not: {', '.join(KEYS)}")
+    parser.set_defaults(run=_scope)
+
+
+def _scope(arguments: argparse.Namespace) -> int:
+    source = open_source(arguments.source, seed=0, **_stated(arguments.set))
+    view = View(source)
+    terminal = Terminal()
+    lively = sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
+    end_s = None if arguments.seconds is None else time.monotonic() + arguments.seconds
+    next_s, drawn = time.monotonic(), False
+    interrupted = False
+
+    def interrupt(*_: object) -> None:
+        nonlocal interrupted
+        interrupted = True
+
+    before = [signal.signal(one, interrupt) for one in (signal.SIGINT, signal.SIGTERM)]
+    try:
+        with terminal.keyboard(lively):
+            if lively:
+                sys.stdout.write("\x1b[?1049h\x1b[?25l")
+            for frame in _frames(source):
+                now_s = time.monotonic()
+                if frame is not None:
+                    view.add(frame, now_s)
+                if not lively:
+                    for line in view.take_lines():
+                        print(line, flush=True)
+                if now_s >= next_s and (lively or drawn):
+                    size = shutil.get_terminal_size()
+                    text = _picture(view, now_s, size) if lively else view.text(now_s)
+                    print(text, end="" if lively else "\n", flush=True)
+                if now_s >= next_s:
+                    next_s, drawn = now_s + (DRAW_S if lively else TEXT_S), True
+                ended = view.n_frames == arguments.frames or (end_s and now_s >= end_s)
+                if ended or interrupted or "q" in terminal.pressed():
+                    break
+    finally:
+        if lively:
+            sys.stdout.write("\x1b[0m\x1b[?25h\x1b[?1049l")
+        for one, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
+            signal.signal(one, handler)
+        source.close()
+    print(view.summary())
+    return 0 if view.n_frames else 1
+
+
+def _stated(words: list[str]) -> dict[str, Any]:
+    """Properties of a source from KEY=VALUE."""
+    entries = [entry for entry in SensorSettings.described() if entry["key"] in KEYS]
+    values = stated_values(words, entries)
+    with naming_options({key: f"--set {key}" for key in KEYS}):
+        SensorSettings.from_mapping(values)  # checks types and ranges
+    return values
+
+
+def _frames(source: Source) -> Iterator[Floats | None]:
+    """Frames in the time of the source, None while there is none."""
+    if source.arrives:
+        while True:
+            frame = source.next_frame(WAIT_S)
+            yield None if frame is None else frame[1]
+    period_s = 1 / (source.rate_hz or DEFAULT_RATE_HZ)
+    paced = source.n_frames is not None  # a driver has its own pace
+    begin_s = time.monotonic()
+    for k, (_, forces) in enumerate(source):
+        while paced and (left_s := begin_s + k * period_s - time.monotonic()) > 0:
+            time.sleep(min(left_s, WAIT_S))
+            if left_s > WAIT_S:
+                yield None
+        yield forces
+
+
+class View:
+    """What is shown of a source: the last frame and its figures."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self.n_frames = 0
+        self.forces: Floats | None = None
+        self.lowest, self.highest = np.inf, -np.inf
+        self._times: deque[float] = deque()
+        self._begin_s = time.monotonic()
+        self._peak, self._peak_s = 0.0, self._begin_s
+        self._last_line = ""
+
+    def add(self, forces: Floats, now_s: float) -> None:
+        """Add a frame."""
+        self.forces = forces
+        self.n_frames += 1
+        self._times.append(now_s)
+        low, high = float(forces.min()), float(forces.max())
+        self.lowest, self.highest = min(self.lowest, low), max(self.highest, high)
+        self._peak = max(high, self._peak * float(np.exp((self._peak_s - now_s) / PEAK_S)))
+        self._peak_s = now_s
+
+    def take_lines(self) -> list[str]:
+        """Lines that the source has logged since the last call."""
+        found = [printable(line) for line in self._source.take_lines()]
+        self._last_line = found[-1] if found else self._last_line
+        return found
+
+    @property
+    def top(self) -> float:
+        """Reading of the brightest colour."""
+        return max(self._peak, LEAST_TOP * self._source.skin.f_max)
+
+    def rate_hz(self, now_s: float) -> float:
+        """Frames a second of late."""
+        span_s = min(RATE_S, max(now_s - self._begin_s, 1e-3))
+        while self._times and self._times[0] < now_s - RATE_S:
+            self._times.popleft()
+        return len(self._times) / span_s
+
+    def _line(self, first: str, *figures: str) -> str:
+        """Figures in one line, with what was dropped."""
+        dropped = self._source.dropped()
+        last = "" if dropped is None else f"dropped: {dropped or 'nothing'}"
+        return "; ".join(filter(None, (first, *figures, last)))
+
+    def head(self, now_s: float) -> list[str]:
+        """Name, figures, what was dropped, and the last line of the source."""
+        skin, forces = self._source.skin, self.forces
+        self.take_lines()
+        title = f"{printable(self._source.name)}   {skin.n_rows} x {skin.n_cols} taxels, "
+        title += f"0..{skin.f_max:g} {printable(skin.unit)}   (q: quit)"
+        scale = "" if forces is None else f"mean {forces.mean():.4g}, brightest {self.top:.4g}"
+        return [*filter(None, (title, self.text(now_s), scale, self._last_line))]
+
+    def text(self, now_s: float) -> str:
+        """Figures of the last frame."""
+        since, forces = f"{now_s - self._begin_s:.0f} s: ", self.forces
+        if forces is None:
+            return f"{since}no frame yet"
+        extent = self._extent(forces.min(), forces.max())
+        return self._line(f"{since}{self.rate_hz(now_s):.1f} Hz", f"frame {self.n_frames}", extent)
+
+    def summary(self) -> str:
+        """Figures of all frames, in one line."""
+        name = printable(self._source.name)
+        if not self.n_frames:
+            return self._line(f"{name}: no frame came")
+        extent = self._extent(self.lowest, self.highest)
+        return self._line(f"{name}: {self.n_frames} frames", extent)
+
+    def _extent(self, low: float, high: float) -> str:
+        return f"min {low:.4g}, max {high:.4g} {printable(self._source.skin.unit)}"
+
+
+def _picture(view: View, now_s: float, size: os.terminal_size) -> str:
+    """All that is shown, as it is written to a terminal of a size."""
+    head = [line[: size.columns - 1] for line in view.head(now_s)]
+    lines = head[: max(1, size.lines - 1)]
+    room = size.lines - len(lines) - 1
+    if view.forces is not None and room > 0:
+        coloured = "NO_COLOR" not in os.environ
+        lines += heat_map(view.forces, view.top, size.columns - 1, room, coloured)
+    # Each line is written over the one before it, and the rest of the screen is cleared.
+    return "\x1b[H" + "".join(f"{line}\x1b[K\n" for line in lines) + "\x1b[J"

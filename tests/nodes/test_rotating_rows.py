@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.commands.scenes import make_scenario
-from sparseskin.launch.launchfile.load import LaunchError, load
+from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, load
+from sparseskin.launch.offline.scenarios import make_scenario
 from sparseskin.messages import (
     Measurements,
     Message,

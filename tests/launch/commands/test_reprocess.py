@@ -8,7 +8,7 @@ import pytest
 from conftest import MountDisk
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.commands.scenes import make_scenario
+from sparseskin.launch.offline.scenarios import make_scenario
 from sparseskin.messages import Reconstruction, Taxels, decode
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.recorder.bag.reader import BagReader

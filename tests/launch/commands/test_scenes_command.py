@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.commands.scenes import (
+from sparseskin.launch.offline.scenarios import (
     SCENARIOS,
     ScenarioError,
     data_folder,

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.commands.scenes import Scenario, _record
 from sparseskin.launch.offline import slices
 from sparseskin.launch.offline.plan import Stamps, plan_slices
+from sparseskin.launch.offline.scenarios import Scenario, record_scenario
 from sparseskin.launch.offline.slices import PARTS_SUFFIX
 from sparseskin.messages import Message, Reconstruction, decode
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -29,7 +29,7 @@ ALL = ("--warm-up", "1000")
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recording") / "box.mcap"
-    _record("box", Scenario("lift_box_40", 320, N_FRAMES, 8, "a cube lands"), path)
+    record_scenario("box", Scenario("lift_box_40", 320, N_FRAMES, 8, "a cube lands"), path)
     return path
 
 

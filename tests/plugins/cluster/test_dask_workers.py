@@ -12,8 +12,8 @@ from conftest import PATIENCE_S, free_port
 from dask_processes import Cluster
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.commands.scenes import Scenario, _record
 from sparseskin.launch.offline import slices
+from sparseskin.launch.offline.scenarios import Scenario, record_scenario
 from sparseskin.launch.offline.slices import PARTS_SUFFIX
 from sparseskin.messages import Reconstruction, decode
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -42,7 +42,7 @@ def test_a_worker_that_is_killed_in_the_middle_loses_nothing(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording, whole, out = (tmp_path / f"{name}.mcap" for name in ("box", "whole", "out"))
-    _record("box", Scenario("lift_box_40", 320, 90, 4, "a cube lands"), recording)
+    record_scenario("box", Scenario("lift_box_40", 320, 90, 4, "a cube lands"), recording)
     assert main(["reprocess", str(recording), "--out", str(whole)]) == 0
     for _ in range(2):
         cluster.add_worker()
@@ -74,7 +74,7 @@ def test_a_run_whose_scheduler_dies_ends_in_one_line_and_is_continued_elsewhere(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     recording, out = tmp_path / "box.mcap", tmp_path / "out.mcap"
-    _record("box", Scenario("lift_box_40", 320, 40, 4, "a cube lands"), recording)
+    record_scenario("box", Scenario("lift_box_40", 320, 40, 4, "a cube lands"), recording)
     cluster.add_worker()
     real, finished = slices.computed, []
 
@@ -103,7 +103,7 @@ def test_a_scheduler_that_does_not_answer_is_one_line(
 ) -> None:
     monkeypatch.setattr(dask_cluster, "CONNECT_S", 0.2)
     recording = tmp_path / "box.mcap"
-    _record("box", Scenario("lift_box_40", 320, 4, 1, ""), recording)
+    record_scenario("box", Scenario("lift_box_40", 320, 4, 1, ""), recording)
     where = f"dask:tcp://127.0.0.1:{free_port()}"
     arguments = ["reprocess", str(recording), "--out", str(tmp_path / "o.mcap")]
     assert main([*arguments, "--executor", where]) == 2

@@ -1,8 +1,7 @@
-"""The command `sparseskin scenes`, and short recordings that are made when they are first used."""
+"""Short recordings of scenes, which are made when they are first used."""
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections import deque
@@ -15,12 +14,9 @@ from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.remote import is_remote, local_path
 
-from .options import add_commands
-
 if TYPE_CHECKING:
     from sparseskin.messages import Message
     from sparseskin.nodes.sensor.node import Sensor
-    from sparseskin.nodes.sensor.scenes.simulation import Scene
 
 FILE_SUFFIX = ".mcap"
 PERIOD_NS = 10_000_000
@@ -52,22 +48,6 @@ SCENARIOS = {
 }
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `scenes`."""
-    about = "The scenes that can be launched, and short recordings that can be played."
-    add = add_commands(parser, about)
-    add("list", _list, "list scenes and recordings, one line each")
-    make = add("make", _make, "make short recordings of scenes")
-    make.description = f"{make.description} Scenes: {', '.join(SCENARIOS)}."
-    make.add_argument("names", metavar="NAME", nargs="*", help="which; all by default")
-    make.add_argument(
-        "--out", metavar="DIR", type=Path, help=f"folder to write to (default: {_DATA_FOLDER})"
-    )
-
-
-_DATA_FOLDER = "$XDG_DATA_HOME/sparseskin or ~/.local/share/sparseskin"
-
-
 def data_folder() -> Path:
     """Folder of the recordings that are made on first use: in
     $XDG_DATA_HOME, ~/.local/share where that is not an absolute path.
@@ -96,7 +76,7 @@ def resolve_recording(name_or_path: str) -> Path:
         return path
     if path.suffix or (name_or_path and path.exists()):
         return path
-    raise _unknown(name_or_path)
+    raise unknown_scenario(name_or_path)
 
 
 def make_scenario(name: str, folder: Path) -> Path:
@@ -110,7 +90,7 @@ def make_scenario(name: str, folder: Path) -> Path:
     from sparseskin.nodes.recorder.bag.writer import removing
 
     if name not in SCENARIOS:
-        raise _unknown(name)
+        raise unknown_scenario(name)
     path = folder / f"{name}{FILE_SUFFIX}"
     if path.exists():
         return path
@@ -120,7 +100,7 @@ def make_scenario(name: str, folder: Path) -> Path:
         raise ScenarioError(f"{folder}: {error.strerror}") from error
     try:
         with whole_file(path) as draft, removing(draft, path):
-            _record(name, SCENARIOS[name], draft)
+            record_scenario(name, SCENARIOS[name], draft)
     except OutputError:
         # Another process that made the same was done first.
         if not path.is_file():
@@ -128,7 +108,8 @@ def make_scenario(name: str, folder: Path) -> Path:
     return path
 
 
-def _record(name: str, scenario: Scenario, out: Path) -> None:
+def record_scenario(name: str, scenario: Scenario, out: Path) -> None:
+    """Record a scenario into a new file; ScenarioError if a node fails."""
     from sparseskin.messages import Reconstruction
     from sparseskin.nodes.bus import Bus
     from sparseskin.nodes.clock import ManualClock
@@ -177,44 +158,10 @@ def _skip(sensor: Sensor, n_steps: int) -> None:
         deque(sensor.acquire(Tick(0, step)), maxlen=0)
 
 
-def _unknown(name: str) -> ScenarioError:
+def unknown_scenario(name: str) -> ScenarioError:
+    """The error for a name that is no scenario, with the nearest ones."""
     known = ", ".join(SCENARIOS)
     # Where one is near, it is named first; the list is there in any case.
     hint = did_you_mean(name, SCENARIOS)
     listed = "" if "known:" in hint else f"; there are {known}"
     return ScenarioError(f"{name!r}: no file and no recorded scenario of that name{hint}{listed}")
-
-
-def _list(arguments: argparse.Namespace) -> int:
-    """List scenes and recordings, one line each."""
-    from sparseskin.nodes.sensor.scenes.scenes import SCENES
-    from sparseskin.nodes.sensor.source import about
-
-    def line(name: str, scene: Scene, n_frames: int, period_ns: int, words: str) -> str:
-        shape, period = "{} x {}".format(*scene.shape), f"{period_ns / 1e6:g} ms"
-        return f"  {name:<15} {shape:<8} {n_frames:>6} frames  {period:<7} {words}"
-
-    print("scenes: sparseskin launch NAME")
-    for name, make in SCENES.items():
-        scene = make()
-        print(line(name, scene, scene.n_steps, scene.dt_ns, about(make)))
-    print("recordings: sparseskin play NAME")
-    for name, scenario in SCENARIOS.items():
-        scene = SCENES[scenario.scene]()
-        print(line(name, scene, scenario.n_frames, PERIOD_NS, scenario.about))
-    return 0
-
-
-def _make(arguments: argparse.Namespace) -> int:
-    """Make short recordings of scenes."""
-    names = list(dict.fromkeys(arguments.names or SCENARIOS))
-    for name in names:
-        if name not in SCENARIOS:
-            raise _unknown(name)
-    folder = arguments.out if arguments.out is not None else data_folder()
-    for name in names:
-        there = (folder / f"{name}{FILE_SUFFIX}").exists()
-        path = make_scenario(name, folder)
-        note = "is there already" if there else f"{SCENARIOS[name].n_frames} frames"
-        print(f"{path}: {note}, {path.stat().st_size / 1e6:.1f} MB")
-    return 0
