@@ -106,28 +106,6 @@ def test_packets_of_a_wrong_size_are_counted_and_left_out(
     assert "packets of a wrong size, 0 dropped by the kernel" in capsys.readouterr().out
 
 
-def test_a_flood_of_packets_is_dropped_by_the_kernel_and_counted(
-    opened: Open, capsys: pytest.CaptureFixture[str]
-) -> None:
-    skin = UdpSkin(udp_frame(5))
-    source = opened("udp_skin", PORT=skin.port)  # it is bound, and reads no more for now
-    skin.stop()
-    flood = [udp_frame(9)] * 2000
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        for packet in flood:
-            sender.sendto(packet, ("127.0.0.1", skin.port))
-        reader = iter(source)
-        n_read = 0
-        printed = ""
-        while "dropped" not in printed:  # the kernel reports it with the first packet after the gap
-            sender.sendto(udp_frame(11), ("127.0.0.1", skin.port))
-            next(reader)
-            n_read += 1
-            assert n_read < len(flood)
-            printed += capsys.readouterr().out
-    assert "0 packets of a wrong size" in printed
-
-
 @pytest.fixture
 def line() -> Iterator[tuple[int, str]]:
     """The skin's end of a serial line, and the name of the other."""
@@ -174,22 +152,6 @@ def test_a_serial_skin_that_falls_silent_is_named(opened: Open, line: tuple[int,
     source = opened("serial_skin", DEVICE=device, SILENT_S=0.2)
     with pytest.raises(SourceError, match=f"{device}: nothing came for 0.2 s"):
         taken(source, 10**9)
-
-
-def test_a_serial_flood_is_taken_as_fast_as_it_comes(opened: Open, line: tuple[int, str]) -> None:
-    # A line holds the writer up; what a real device's buffer loses shows as wrong sums.
-    skin, device = line
-    data = serial_frame(51) * 300
-    writer = threading.Thread(target=lambda: _write_all(skin, data), daemon=True)
-    writer.start()
-    frames = taken(opened("serial_skin", DEVICE=device), 300)
-    writer.join()
-    assert len(frames) == 300
-
-
-def _write_all(fd: int, data: bytes) -> None:
-    while data:
-        data = data[os.write(fd, data) :]
 
 
 def test_a_device_that_is_not_there_is_named(opened: Open) -> None:

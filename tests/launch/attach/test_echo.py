@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sparseskin.launch.attach.echo import FieldPath, plain, text
-from sparseskin.messages import PhiState, Taxels
+from sparseskin.messages import Taxels
 from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.errors import SettingsError
 
@@ -73,10 +73,3 @@ def test_a_field_that_is_not_there_is_refused_with_a_hint() -> None:
 def test_an_element_that_is_not_there_is_refused(path: str) -> None:
     with pytest.raises(SettingsError, match=r"is 3 x 4|is no array"):
         FieldPath(path, Taxels).of(TAXELS)
-
-
-def test_every_field_of_a_message_without_arrays_is_plain_json() -> None:
-    state = PhiState(
-        stamp_ns=1, patch="skin", kind="sbhe", n=64, m=32, block=32, seed=0, fingerprint="0" * 16
-    )
-    assert [plain(value, full=False) for value in (state.n, state.kind)] == [64, "sbhe"]

@@ -12,14 +12,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from conftest import PATIENCE_S, PATIENT_COMMAND, Program, wait_until
 from shells import words
 
 from sparseskin.launch.attach.client import Answer, ask_node
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.run.running import RunningGraph, RunningNode, announced, choose_graph
+from sparseskin.launch.run.running import choose_graph
 from sparseskin.messages import PhiState, decode
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -295,19 +294,6 @@ def test_echo_of_a_latched_topic_shows_its_last_message_at_once(run: Run) -> Non
     assert run("topic", "echo", "/skin/skin", "--once", "--field", "n_rows") == "40\n"
 
 
-def test_what_echo_shows_of_many_is_evenly_spaced(run_json: RunJson) -> None:
-    command = ("topic", "echo", "skin/taxels", "-n", "5", "--max-hz", "8")
-    stamps_ns = [shown["stamp_ns"] for shown in run_json(*command, lines=True)]
-    assert len(stamps_ns) == 5
-    assert min(np.diff(stamps_ns)) >= 125_000_000
-
-
-def test_echo_of_so_many_shows_them_one_after_the_other(run: Run) -> None:
-    out = run("topic", "echo", "skin/taxels", "--field", "seq", "-n", "20")
-    seqs = [int(line) for line in out.splitlines() if line.isdigit()]
-    assert seqs == list(range(seqs[0], seqs[0] + 20))
-
-
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -418,29 +404,3 @@ def test_a_shell_completes_names_of_the_running_graph(folder: Path) -> None:
     assert words("topic hz --graph ") == ["path_40"]
     assert words("topic hz --graph=pa") == ["path_40"]
     assert words("node info --graph=none ") == []
-
-
-def test_two_graphs_are_named_and_one_is_chosen_by_name_or_process(
-    graph: Program, folder: Path, run_json: RunJson, refused: Run
-) -> None:
-    label = f"path_40-{graph.process.pid}"
-    nodes = {
-        "sensor": RunningNode("sensor", "ipc://nowhere", [])
-    }  # without one it cannot be joined
-    with announced(RunningGraph("other", 7, 0, "", nodes)):
-        line = refused("node", "list")
-        assert line == f"several graphs run; choose one with --graph: other-7, {label}"
-        for chosen in ("path_40", label, str(graph.process.pid)):
-            assert run_json("node", "list", "--graph", chosen)["graph"] == label
-        assert refused("node", "list", "--graph", "7").startswith("/")  # no socket of its own
-
-
-def test_where_no_graph_runs_it_is_reported_in_one_line(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path))
-    assert main(["topic", "hz", "a"]) == 2
-    error = capsys.readouterr().err
-    assert error == "no graph runs on this host (start one: sparseskin launch NAME)\n"

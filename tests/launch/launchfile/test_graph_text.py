@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -39,26 +37,6 @@ host = "desk"
 """
 
 
-def launched(name: str, tmp_path: Path) -> Any:
-    if name != "many":
-        return load(name, record=str(tmp_path / "out.mcap"))
-    path = tmp_path / "many.toml"
-    path.write_text("".join(many(tmp_path)))
-    return load(str(path), record=str(tmp_path / "out.mcap"))
-
-
-def many(folder: Path) -> Iterator[str]:
-    """Two patches, two monitors and two recorders of each, and all that a recorder more reads."""
-    yield "[graph]\n"
-    for patch in ("left_palm", "forearm"):
-        for node in ("sensor", "compressor", "reconstructor"):
-            yield f'[nodes.{node}_of_the_{patch}]\ntype = "{node}"\npatch = "{patch}"\n'
-        for k in range(2):
-            yield f'[nodes.monitor_{patch}_{k}]\ntype = "monitor"\npatches = ["{patch}"]\n'
-            yield f'[nodes.recorder_{patch}_{k}]\ntype = "recorder"\n'
-            yield f'out = "{folder}/{patch}{k}.mcap"\ntopics = ["/{patch}/{"t*" if k else "*"}"]\n'
-
-
 def boxes_and_links(dot: str) -> tuple[dict[str, str], dict[tuple[str, str], str]]:
     """Label of each node and of each link of a text in DOT."""
     text = r'("(?:[^"\\]|\\.)*")'
@@ -70,11 +48,11 @@ def boxes_and_links(dot: str) -> tuple[dict[str, str], dict[tuple[str, str], str
     )
 
 
-@pytest.mark.parametrize("name", ["path_40", "two_patches", "many"])
+@pytest.mark.parametrize("name", ["path_40", "two_patches"])
 def test_dot_has_every_node_and_every_topic_on_the_link_of_its_ends(
     name: str, tmp_path: Path
 ) -> None:
-    launch = launched(name, tmp_path)
+    launch = load(name, record=str(tmp_path / "out.mcap"))
     boxes, links = boxes_and_links(dot_of(launch))
     assert list(boxes) == list(launch.nodes)
     assert set(links) == {(link.writer, link.reader) for link in launch.links}
@@ -88,10 +66,8 @@ def test_dot_has_every_node_and_every_topic_on_the_link_of_its_ends(
         assert schema in line.removeprefix(f"/{patch}/ ").split(", ")
 
 
-def test_a_box_has_the_type_of_its_node_and_the_setting_that_tells_it_from_others(
-    tmp_path: Path,
-) -> None:
-    boxes, _ = boxes_and_links(dot_of(launched("two_patches", tmp_path)))
+def test_a_box_has_the_type_of_its_node_and_the_setting_that_tells_it_from_others() -> None:
+    boxes, _ = boxes_and_links(dot_of(load("two_patches")))
     assert boxes["palm_sensor"] == "palm_sensor\nsensor\nscene:lift_box_64"
     assert boxes["monitor"] == "monitor"
 
@@ -131,18 +107,6 @@ def test_a_dry_run_writes_dot_without_graphviz(
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith(f"--{form}: drawn by the program dot, which is not installed")
         assert "graphviz" in line
-
-
-def test_the_columns_of_a_dry_run_hold_names_of_any_length(tmp_path: Path) -> None:
-    lines = graph_text(launched("many", tmp_path)).splitlines()
-    nodes = lines[lines.index("nodes") + 1 : lines.index("links") - 1]
-    names = [line.split()[0] for line in nodes]
-    types = [line.split()[1] for line in nodes]
-    place = 2 + max(map(len, names)) + 1
-    assert max(map(len, names)) == len("reconstructor_of_the_left_palm")
-    for line, kind in zip(nodes, types, strict=True):
-        assert line[place - 1 :].startswith(f" {kind}")
-        assert line[place:].ljust(len("reconstructor") + 1)[len("reconstructor")] == " "
 
 
 def test_a_picture_that_cannot_be_written_is_one_line(

@@ -435,10 +435,6 @@ def test_a_dry_run_shows_the_graph_and_starts_nothing(capsys: pytest.CaptureFixt
     assert "compressor -- /skin/measurements" in out
 
 
-def test_bundled_files_are_beside_the_launcher() -> None:
-    assert (BUNDLED / "drag_wrench_64.toml").is_file()
-
-
 @pytest.mark.parametrize(
     ("name", "hint"),
     [

@@ -107,13 +107,6 @@ def test_a_request_goes_there_and_its_answer_back(line: Line) -> None:
     assert second.receive() == []
 
 
-def test_many_requests_in_one_go_are_answered_in_order(line: Line) -> None:
-    client = line.client()
-    for k in range(100):
-        assert client.send({"id": k})
-    assert [news["answer"]["id"] for news in line.receive(client, 100)] == list(range(100))
-
-
 def test_a_request_may_come_in_pieces(line: Line) -> None:
     client = line.client()
     data = json.dumps({"id": "ä"}, ensure_ascii=False).encode() + b"\n"

@@ -18,8 +18,6 @@ from sparseskin.launch.run.process import (
     CHUNK_BYTES,
     LOG_BYTES,
     MAX_LINE_BYTES,
-    MAX_STEP_S,
-    AwakeClock,
     LogLines,
     awake_s,
 )
@@ -87,18 +85,6 @@ def test_a_launcher_hears_signals_while_a_node_floods_its_log(
     assert code == 128 + number
     assert "Traceback" not in stderr
     wait_until(lambda: not program.survivors(), "the end of all processes")
-
-
-def test_a_pause_of_the_launcher_is_no_silence_of_others() -> None:
-    now_s = 100.0
-    clock = AwakeClock(lambda: now_s)
-    heard_s = clock()
-    now_s += 0.5
-    assert clock() - heard_s == 0.5
-    now_s += 14.0  # stopped, with all its nodes
-    assert clock() - heard_s == 0.5 + MAX_STEP_S
-    now_s += 0.25
-    assert clock() - heard_s == 0.75 + MAX_STEP_S
 
 
 def test_nodes_that_were_stopped_with_their_launcher_are_not_killed(

@@ -83,14 +83,6 @@ def test_a_request_reaches_its_node_and_the_answer_who_asked(desk: Desk) -> None
     assert desk.answers == [{"id": "page-1", "node": "sensor", "done": True, "text": "paused"}]
 
 
-def test_settings_are_changed_by_the_same_way(desk: Desk) -> None:
-    desk.ask("compressor", "set", {"ratio": 4})
-    assert desk.nodes["compressor"].told[0][0::2] == ("set", {"ratio": 4})
-    desk.reply("compressor", done=False, text="ratio: 0.5 is outside 1..1e6")
-    assert desk.answers[0]["done"] is False
-    assert desk.answers[0]["text"] == "ratio: 0.5 is outside 1..1e6"
-
-
 def test_two_askers_with_one_number_get_their_own_answers(desk: Desk) -> None:
     heard: dict[str, list[Any]] = {"a": [], "b": []}
     for asker, value in (("a", True), ("b", False)):

@@ -99,19 +99,9 @@ def test_which_of_several_graphs_has_to_be_said() -> None:
         with pytest.raises(GraphError, match=r"several graphs run.*path_40-7, path_40-8"):
             choose_graph("path_40")
         assert choose_graph("lift").pid == 9
-        assert choose_graph("path_40-8").pid == 8
+        assert choose_graph("path_40-8").pid == choose_graph("8").pid == 8
         with pytest.raises(GraphError, match="--graph lft: no such graph runs"):
             choose_graph("lft")
-
-
-def test_what_is_no_note_is_passed_over() -> None:
-    (runtime_folder() / "junk.json").write_text("{")
-    assert running_graphs() == []
-    assert runtime_folder().stat().st_mode & 0o077 == 0
-
-
-def test_writers_are_known_by_topic() -> None:
-    assert graph().writers() == {"/skin/skin": "sensor", "/skin/taxels": "sensor"}
 
 
 def test_a_graph_that_ends_as_it_is_joined_is_said_to_have_ended(

@@ -308,14 +308,3 @@ def test_a_node_that_hangs_is_killed_and_started_again(start: StartProgram, tmp_
     code, _, stderr = program.finish()
     assert code == 143, stderr
     assert program.survivors() == {}
-
-
-def test_without_a_policy_the_graph_ends_with_the_node(start: StartProgram, tmp_path: Path) -> None:
-    program = launched(start, tmp_path, "")
-    os.kill(program.pid_of("reconstructor"), signal.SIGKILL)
-    code, _, stderr = program.finish()
-    assert code == 1
-    assert "[launch] reconstructor ended too early: killed by SIGKILL" in stderr
-    assert "started again" not in stderr
-    nodes = json.loads((tmp_path / "out.json").read_text())["nodes"]
-    assert [node["restarts"] for node in nodes.values()] == [0, 0, 0, 0]
