@@ -20,8 +20,8 @@ NICE = 19
 """The most there is. At 10, the median latency of a graph on two busy cores still grew by half."""
 AUTOGROUP = Path("/proc/self/autogroup")
 AUTOGROUP_ENABLED = Path("/proc/sys/kernel/sched_autogroup_enabled")
-TRIES = 20
-TRY_S = 0.05
+TRIES, TRY_S = 20, 0.05
+"""The system takes ten changes of autogroups a second, no more."""
 PR_SET_PDEATHSIG = 1
 PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP)
 
@@ -40,18 +40,21 @@ def give_way() -> None:
     if not _sessions_are_weighed():
         return
     sys.stdout.flush()
-    parent = os.getpid()
     # A signal that comes before its handler is there would not reach the child.
     unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, PASSED_ON)
-    child = os.fork()
-    if child:
+    if child := os.fork():
         _stand_for(child, unblocked)
     signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:
-        os._exit(128 + signal.SIGTERM)
     os.setsid()
-    _weigh_session(NICE)
+    for _ in range(TRIES):
+        try:
+            AUTOGROUP.write_text(str(NICE))
+            break
+        except BlockingIOError:
+            time.sleep(TRY_S)
+        except OSError:
+            break
     # A processor that runs nothing else now counts as one that a waking node may take.
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
@@ -64,39 +67,20 @@ def _sessions_are_weighed() -> bool:
         return False
 
 
-def _weigh_session(nice: int) -> None:
-    """Set the niceness of this session; the system takes ten such changes a second, no more."""
-    for _ in range(TRIES):
-        try:
-            AUTOGROUP.write_text(str(nice))
-        except BlockingIOError:
-            time.sleep(TRY_S)
-        except OSError:
-            return
-        else:
-            return
-
-
 def _stand_for(child: int, unblocked: set[signal.Signals | int]) -> NoReturn:
-    """Pass signals on to a child, with that signal mask, and end as it ends."""
+    """Pass signals on to a child, with that signal mask, and end with its exit code."""
 
     def pass_on(number: int, _frame: object) -> None:
-        os.kill(child, number)  # not reaped yet, so the number is still its own
+        stops = number == signal.SIGTSTP
+        os.kill(child, signal.SIGSTOP if stops else number)  # not reaped yet: still its own
+        if stops:
+            os.kill(os.getpid(), signal.SIGSTOP)
+            os.kill(child, signal.SIGCONT)
 
-    def stop(_number: int, _frame: object) -> None:
-        os.kill(child, signal.SIGSTOP)
-        os.kill(os.getpid(), signal.SIGSTOP)
-        os.kill(child, signal.SIGCONT)
-
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in PASSED_ON:
         if number != signal.SIGHUP or signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, pass_on)
-    signal.signal(signal.SIGTSTP, stop)
     signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
     _, status = os.waitpid(child, 0)
     code = os.waitstatus_to_exitcode(status)
-    if code < 0:
-        with contextlib.suppress(OSError):  # SIGKILL has no handler
-            signal.signal(-code, signal.SIG_DFL)
-        os.kill(os.getpid(), -code)
-    os._exit(code)
+    os._exit(code if code >= 0 else 128 - code)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sparseskin.launch.attach.client import ask_node, describe, describe_node
+from sparseskin.launch.attach.text import table
 from sparseskin.launch.run.running import GraphError, RunningGraph, choose_graph
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
@@ -256,17 +257,17 @@ def report(found: Fit) -> list[str]:
         lines.append(f"response   {len(skin.response.force)} knots for {own}")
     if found.presses:
         head = ("PRESS", "STATED N", "MEASURED N", "ERROR %", "TAXELS +- %", "BEFORE +- %")
-        lines += ["", "{:<18}{:>10}{:>12}{:>9}{:>13}{:>13}".format(*head)]
-    for one in found.presses:
-        error = 100 * (one.measured / one.force - 1)
-        spreads = [
-            "-" if value is None else f"{100 * value:.1f}"
-            for value in (one.spread, one.spread_before)
+        rows = [
+            [
+                one.label,
+                one.force,
+                one.measured,
+                100 * (one.measured / one.force - 1),
+                *(None if v is None else 100 * v for v in (one.spread, one.spread_before)),
+            ]
+            for one in found.presses
         ]
-        lines.append(
-            f"{one.label[:17]:<18}{one.force:>10.3f}{one.measured:>12.3f}{error:>9.1f}"
-            f"{spreads[0]:>13}{spreads[1]:>13}"
-        )
+        lines += ["", *table(head, rows)]
     return [*lines, *(f"note: {remark}" for remark in found.remarks)]
 
 

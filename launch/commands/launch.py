@@ -47,7 +47,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = "Start a graph of nodes, watch it, and print what the monitor measured."
     parser.epilog = f"Bundled launch files: {', '.join(bundled)}. {STATUS_LINE}"
     parser.add_argument("name", metavar="NAME|FILE.toml", help="launch file")
-    add_set(parser, "one setting of one node, or with graph.KEY=VALUE of the graph")
+    add_set(
+        parser,
+        "change one setting of one node, or with graph.KEY=VALUE of the graph",
+        "NODE.KEY=VALUE",
+    )
     parser.add_argument(
         "--frames",
         metavar="K",

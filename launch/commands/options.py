@@ -50,16 +50,10 @@ def add_page(
     parser.add_argument("--no-token", action="store_true", help=about)
 
 
-def add_set(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add --set."""
-    about = f"change {what} (may be repeated)"
-    parser.add_argument("--set", metavar="NODE.KEY=VALUE", action="append", default=[], help=about)
-
-
-def add_stated(parser: argparse.ArgumentParser, about: str) -> None:
-    """Add --set of a command with one kind of settings, which `stated_values` reads."""
+def add_set(parser: argparse.ArgumentParser, about: str, metavar: str = "KEY=VALUE") -> None:
+    """Add --set; `stated_values` reads KEY=VALUE, `load` of a launch file NODE.KEY=VALUE."""
     about = f"{about} (may be repeated)"
-    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=about)
+    parser.add_argument("--set", metavar=metavar, action="append", default=[], help=about)
 
 
 def stated_values(words: Iterable[str], entries: Iterable[Mapping[str, Any]]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sparseskin.launch.attach.text import table
 from sparseskin.launch.offline.scenarios import (
     FILE_SUFFIX,
     PERIOD_NS,
@@ -194,18 +195,21 @@ def _list(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.sensor.scenes.scenes import SCENES
     from sparseskin.nodes.sensor.source import about
 
-    def line(name: str, scene: Scene, n_frames: int, period_ns: int, words: str) -> str:
-        shape, period = "{} x {}".format(*scene.shape), f"{period_ns / 1e6:g} ms"
-        return f"  {name:<15} {shape:<8} {n_frames:>6} frames  {period:<7} {words}"
+    def row(name: str, scene: Scene, n_frames: int, period_ns: int, words: str) -> list[object]:
+        return [name, "{} x {}".format(*scene.shape), n_frames, period_ns / 1e6, words]
 
-    print("scenes: sparseskin launch NAME")
-    for name, make in SCENES.items():
-        scene = make()
-        print(line(name, scene, scene.n_steps, scene.dt_ns, about(make)))
-    print("recordings: sparseskin play NAME")
-    for name, scenario in SCENARIOS.items():
-        scene = SCENES[scenario.scene]()
-        print(line(name, scene, scenario.n_frames, PERIOD_NS, scenario.about))
+    scenes = {name: make() for name, make in SCENES.items()}
+    for title, rows in {
+        "scenes: sparseskin launch NAME": [
+            row(name, scene, scene.n_steps, scene.dt_ns, about(SCENES[name]))
+            for name, scene in scenes.items()
+        ],
+        "recordings: sparseskin play NAME": [
+            row(name, scenes[one.scene], one.n_frames, PERIOD_NS, one.about)
+            for name, one in SCENARIOS.items()
+        ],
+    }.items():
+        print("\n".join([title, *table(["NAME", "TAXELS", "FRAMES", "MS", "ABOUT"], rows, "  ")]))
     return 0
 
 

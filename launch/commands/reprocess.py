@@ -41,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "recorded; the result is a recording with the same stamps."
     )
     parser.add_argument("files", metavar="F.mcap", nargs="+", help="recordings, or addresses")
-    add_set(parser, "a setting of the compressor or the reconstructor")
+    add_set(parser, "change a setting of the compressor or the reconstructor", "NODE.KEY=VALUE")
     about = "file to write; a folder for several, made if it does not exist"
     parser.add_argument("--out", metavar="G.mcap", required=True, help=about)
     about = "recorded stream to start from; auto: measurements, unless the compressor is changed"

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from sparseskin.launch.attach.heat_map import heat_map
+from sparseskin.launch.attach.text import table
 from sparseskin.launch.run.terminal import Terminal
 from sparseskin.messages.text import printable
 from sparseskin.nodes.extensions import ADDRESSES, DRIVERS, failures, loaded, offered
@@ -25,7 +26,7 @@ from sparseskin.nodes.sensor.settings import SensorSettings
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Listing, Source
 from sparseskin.nodes.sensor.sources import KINDS, find_kind, open_source
 
-from .options import add_stated, naming_options, real, show, stated_values, whole
+from .options import add_set, naming_options, real, show, stated_values, whole
 
 WAIT_S = 0.05
 DRAW_S = 1 / 15
@@ -63,12 +64,8 @@ def _sources(arguments: argparse.Namespace) -> int:
 def _lines(found: Iterable[Listing]) -> Iterator[str]:
     for one in found:
         yield one.title
-        names = [entry.get("source") or entry["name"] for entry in one.entries]
-        width = max(map(len, names), default=0)
-        for name, entry in zip(names, one.entries, strict=True):
-            yield f"  {name:<{width}}  {entry['about']}".rstrip()
-        if not names:
-            yield "  none"
+        rows = [[entry.get("source") or entry["name"], entry["about"]] for entry in one.entries]
+        yield from table(["SOURCE", "ABOUT"], rows, "  ") if rows else ["  none"]
     if absent := failures(ADDRESSES):
         yield absent.removeprefix("; ")
 
@@ -94,7 +91,7 @@ def configure_scope(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SOURCE", help="one of sparseskin sources")
     parser.add_argument("--frames", type=whole(1), metavar="N", help="end after so many frames")
     parser.add_argument("--seconds", type=real(True), metavar="S", help="end after so long")
-    add_stated(parser, f"state what the source does not: {', '.join(KEYS)}")
+    add_set(parser, f"state what the source does not: {', '.join(KEYS)}")
     parser.set_defaults(run=_scope)
 
 

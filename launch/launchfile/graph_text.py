@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
+from sparseskin.launch.attach.text import table
 from sparseskin.messages.text import printable
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.errors import SettingsError
@@ -20,30 +21,33 @@ _MAX_VALUE = 40
 
 
 def graph_text(launch: LaunchFile) -> str:
-    """Nodes with their settings, then hosts, then links."""
-    lines = [f"{launch.name}: {launch.description}", f"transport {launch.transport}", "", "nodes"]
-    name_width = max(len(node.name) for node in launch.nodes.values())
-    type_width = max(len(node.type_name) for node in launch.nodes.values())
+    """Nodes with their settings, then hosts, then topics with those that write and read them."""
+    nodes = []
     for node in launch.nodes.values():
-        shown = {k: v for k, v in node.values.items() if k != "launch"}
-        if node.host:
-            shown = {"host": node.host, **shown}
-        if node.scheduling.cpus:
-            shown["cpus"] = list(node.scheduling.cpus)
-        if node.scheduling.priority:
-            shown["priority"] = node.scheduling.priority
-        settings = ", ".join(f"{key} = {value!r}" for key, value in shown.items())
-        lines.append(
-            f"  {node.name:<{name_width}} {node.type_name:<{type_width}} {settings}".rstrip()
-        )
-    for name, host in launch.hosts.items():
-        here = [node for node in launch.nodes.values() if node.host == name]
-        lines += ["", f"host {name}", f"  {host.address}"]
-        lines += [f"  {node.name} at {node.public}" for node in here if node.public]
-    lines += ["", "links"]
-    width = max((len(link.writer) + len(link.topic) for link in launch.links), default=0) + 9
-    for link in launch.links:
-        lines.append(f"  {f'{link.writer} -- {link.topic} ':-<{width}}> {link.reader}")
+        stated = {
+            "host": node.host,
+            **{key: value for key, value in node.values.items() if key != "launch"},
+            "cpus": list(node.scheduling.cpus),
+            "priority": node.scheduling.priority,
+        }
+        shown = [  # of the keys of all nodes those that are stated
+            f"{key} = {value!r}" for key, value in stated.items() if value or key in node.values
+        ]
+        nodes.append([node.name, node.type_name, ", ".join(shown)])
+    hosts = [
+        [name, host.address, ", ".join(f"{n.name} at {n.public}" for n in here if n.public)]
+        for name, host in launch.hosts.items()
+        for here in ([n for n in launch.nodes.values() if n.host == name],)
+    ]
+    topics = [
+        [topic, links[0].writer, ", ".join(link.reader for link in links)]
+        for topic in dict.fromkeys(link.topic for link in launch.links)
+        for links in ([link for link in launch.links if link.topic == topic],)
+    ]
+    lines = [f"{launch.name}: {launch.description}", f"transport {launch.transport}", ""]
+    lines += table(["NODE", "TYPE", "SETTINGS"], nodes)
+    lines += ["", *table(["HOST", "ADDRESS", "NODES"], hosts)] if hosts else []
+    lines += ["", *table(["TOPIC (/PATCH/SCHEMA)", "PUBLISHER", "SUBSCRIBERS"], topics)]
     return "\n".join(map(printable, lines))
 
 

@@ -139,7 +139,7 @@ def test_a_command_of_the_pages_is_accepted(
         assert cli.main(arguments) == 0
     elif arguments[0] == "launch" and runnable(arguments):
         assert cli.main([*arguments, "--dry-run"]) == 0
-        assert "nodes" in capsys.readouterr().out
+        assert "\nNODE " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("words", all_commands("sparseskin", INLINE))

@@ -44,16 +44,11 @@ def worker_of(process: subprocess.Popen[str]) -> int:
 
 
 @weighs_sessions
-def test_it_has_a_session_of_its_own_and_that_gives_way(begin: Begin) -> None:
+def test_it_has_a_session_of_its_own_and_that_alone_gives_way(begin: Begin) -> None:
+    before = Path("/proc/self/autogroup").read_text()
     worker = worker_of(begin(WAIT))
     assert os.getsid(worker) == worker
     assert Path(f"/proc/{worker}/autogroup").read_text().endswith(f" nice {module.NICE}\n")
-
-
-@weighs_sessions
-def test_the_session_it_was_started_in_keeps_its_weight(begin: Begin) -> None:
-    before = Path("/proc/self/autogroup").read_text()
-    worker_of(begin(WAIT))
     assert Path("/proc/self/autogroup").read_text() == before
 
 
@@ -74,10 +69,10 @@ def test_it_ends_with_the_exit_code_of_what_it_did(begin: Begin) -> None:
 
 
 @weighs_sessions
-def test_it_ends_by_the_signal_that_ended_its_work(begin: Begin) -> None:
+def test_it_ends_with_the_code_of_a_signal_that_ended_its_work(begin: Begin) -> None:
     process = begin(WAIT)
     os.kill(worker_of(process), signal.SIGKILL)
-    assert process.wait() == -signal.SIGKILL
+    assert process.wait() == 128 + signal.SIGKILL
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

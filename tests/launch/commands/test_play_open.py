@@ -56,7 +56,7 @@ def test_the_page_shows_a_recording_of_taxels_again_and_again(
     messages = [m for m in frames(20) if m.schema in ("skin", "taxels")]
     make_bag(tmp_path / "some.mcap", messages)
     play = start("play", "some.mcap", "--open")
-    url = play.wait_for("live page: ")
+    url = play.wait_for("live page: ").split()[0]
     play.wait_for("ready: player, compressor, reconstructor, monitor")
     with urllib.request.urlopen(url) as page:
         assert b"<title>sparseskin" in page.read()

@@ -432,7 +432,8 @@ def test_a_dry_run_shows_the_graph_and_starts_nothing(capsys: pytest.CaptureFixt
     code, out, err = run(capsys, "launch", "drag_wrench_64", "--dry-run")
     assert (code, err) == (0, "")
     assert out.rstrip() == graph_text(load("drag_wrench_64"))
-    assert "compressor -- /skin/measurements" in out
+    (line,) = (line for line in out.splitlines() if line.startswith("/skin/measurements "))
+    assert line.split() == ["/skin/measurements", "compressor", "reconstructor,", "monitor"]
 
 
 @pytest.mark.parametrize(
