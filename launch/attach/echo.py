@@ -61,13 +61,10 @@ def text(value: Any, full: bool) -> str:
         return f"{_dtype(value)}, {shape}\n{lines}"
     if value.dtype.kind == "b":
         return f"{_dtype(value)}, {shape}: {int(value.sum())} of {value.size} true"
-    numbers = value.astype(np.float64)
-    first = " ".join(f"{number:.4g}" for number in numbers.ravel()[:N_FIRST])
+    first = " ".join(f"{number:.4g}" for number in value.ravel()[:N_FIRST].astype(np.float64))
     more = " ..." if value.size > N_FIRST else ""
-    return (
-        f"{_dtype(value)}, {shape}: min {numbers.min():.4g}, mean {numbers.mean():.4g}, "
-        f"max {numbers.max():.4g} [{first}{more}]"
-    )
+    extent = "min {min:.4g}, mean {mean:.4g}, max {max:.4g}".format(**plain(value, False))
+    return f"{_dtype(value)}, {shape}: {extent} [{first}{more}]"
 
 
 class FieldPath:

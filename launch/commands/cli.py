@@ -6,14 +6,14 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes import extensions
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.lookup import did_you_mean, nearest_of, one_line
+from sparseskin.nodes.lookup import nearest_of, one_line, suggestion
 
 EXIT_USAGE = 2
 
@@ -137,8 +137,8 @@ class _Parser(argparse.ArgumentParser):
         if unknown:
             options = [word for word in unknown if word.startswith("-")]
             if options:  # what else is unknown may be the value of one
-                known = set(_OPTION.findall(self.format_usage())) | {"--help"}
-                hint = _hint_for(options[0].partition("=")[0], known)
+                known = {*_OPTION.findall(self.format_usage()), "--help"}
+                hint = suggestion(options[0].partition("=")[0], known)
                 self.error(f"unrecognized arguments: {options[0]}{hint}")
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return namespace, unknown
@@ -151,22 +151,7 @@ class _Parser(argparse.ArgumentParser):
         self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)} (see {self.prog} --help)\n")
 
 
-def _hint_for(option: str, known: Collection[str]) -> str:
-    """The option that is meant by an unknown one: what it is called here, or the nearest by its
-    letters; dashes make no options near.
-    """
-    meant = MEANT.get(option, "")
-    if meant in known:
-        return f" (did you mean '{meant}'?)"
-    names = {name.strip("-"): name for name in known if name.startswith("--")}
-    hint = did_you_mean(option.strip("-"), names)
-    near = hint.partition("'")[2].partition("'")[0]
-    return f" (did you mean '{names[near]}'?)" if near in names else ""
-
-
-MEANT = {"--count": "-n", "--number": "-n", "--messages": "-n", "--rate": "--max-hz"}
-"""Options of other programs, and those with their meaning here."""
-_OPTION = re.compile(r"(?<![\w-])--?[a-z][\w-]*")
+_OPTION = re.compile(r"(?<![\w-])--[a-z][\w-]*")
 _CHOICE = re.compile(r"(argument .+): invalid choice: '(.*)' \(choose from (.*)\)", re.DOTALL)
 """The message of argparse for a word that is not among those allowed."""
 

@@ -11,8 +11,7 @@ import hashlib
 import json
 import math
 import os
-import re
-import secrets
+import shutil
 import socket
 import sys
 from collections import Counter
@@ -37,7 +36,7 @@ from sparseskin.nodes.monitor.metrics import PatchMetrics
 from sparseskin.nodes.monitor.tally import joined, tally
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.player.settings import renamed_topics
-from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX, BagError, span_ns
+from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, BagError, span_ns
 from sparseskin.nodes.recorder.bag.frames import decoded
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter, removing
@@ -52,12 +51,11 @@ from .plan import Slice, plan_slices, read_stamps
 
 PARTS_SUFFIX = ".slices"
 """Suffix of the folder of parts, after the name of the result."""
-PART_NAME = re.compile(r"slice_\d{5,6}_[0-9a-f]{16}\.mcap")
-PART_OF = "slice_of"
-"""Key of a part's metadata: the fingerprint of the run, and the number of the slice."""
+PARTS = "slice_*.mcap"
+"""Names of parts; each holds the number of its slice and the fingerprint of the run."""
 TALLY = "tally"
 """Key of a part's counts: the figures of its frames, JSON."""
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 """Raised when parts change their meaning."""
 _CHOOSING = ("acts", "adaptive")
 """Kinds of Phi whose rows follow from earlier frames."""
@@ -125,7 +123,7 @@ def run_sliced(job: Job, source: Path, how_cut: Sliced, progress: bool) -> tuple
             print(f"{kept}; the same command continues", file=sys.stderr)
             raise
         with whole_file(out) as draft, removing(draft, out):
-            tallies, seams = _join(parts, slices, patch, draft, fingerprint)
+            tallies, seams = _join(parts, slices, patch, draft)
         _remove(folder)
     patches = untimed({patch: joined(tallies)})
     return patches, [_counted(slices, len(missing)), *seams]
@@ -193,15 +191,14 @@ def run_slice(task: Task) -> str:
         )
     if not folder.is_dir():
         raise SparseskinError(f"{where}: has no folder {folder}; it must be on a shared disk")
-    # A name for each attempt: one that was given up may still be running.
-    name = f"slice_{task.slice.number:05d}_{secrets.token_hex(8)}{FILE_SUFFIX}"
+    path = folder / _part_name(task.slice.number, task.fingerprint)
     try:
-        _reconstruct(task, source, folder / name)
-    except BaseException:
-        for left in (folder / name, folder / f"{name}{PART_SUFFIX}"):
-            left.unlink(missing_ok=True)
-        raise
-    return name
+        with whole_file(path) as draft:
+            _reconstruct(task, source, draft)
+    except OutputError:
+        if not path.is_file():  # another attempt at the same slice was first
+            raise
+    return path.name
 
 
 def _reconstruct(task: Task, source: Path, path: Path) -> None:
@@ -277,8 +274,7 @@ class SliceWriter(Node[SliceWriterSettings]):
     def _begin(self) -> None:
         task = self._task
         metadata = metadata_of(self._states, task.launch, "reprocess")
-        part_of = _part_of(task.fingerprint, task.slice.number)
-        self._writer = BagWriter(Path(self.settings.out), {**metadata, PART_OF: part_of})
+        self._writer = BagWriter(Path(self.settings.out), metadata)
         if self._last is not None:
             log_time_ns, message = self._last
             self._writer.record(message.published(LOCAL_RUN_ID, 0), log_time_ns)
@@ -300,8 +296,8 @@ class SliceWriter(Node[SliceWriterSettings]):
             self._writer.close({TALLY: json.dumps(tally(self._metrics))})
 
 
-def _part_of(fingerprint: str, number: int) -> str:
-    return f"{fingerprint} {number}"
+def _part_name(number: int, fingerprint: str) -> str:
+    return f"slice_{number:05d}_{fingerprint[:32]}{FILE_SUFFIX}"
 
 
 @contextmanager
@@ -323,27 +319,24 @@ def _locked(folder: Path) -> Iterator[None]:
 
 def _known(folder: Path, fingerprint: str, n_slices: int) -> dict[int, Path]:
     """Parts that an earlier run has finished, by the number of their slice. Others are removed;
-    one that is not as it was written is named.
+    one that is damaged is named.
     """
-    numbers = {_part_of(fingerprint, number): number for number in range(n_slices)}
+    numbers = {_part_name(number, fingerprint): number for number in range(n_slices)}
     found: dict[int, Path] = {}
-    for path in sorted(folder.iterdir()):
-        if not PART_NAME.match(path.name):
-            continue
-        number = None
-        if PART_NAME.fullmatch(path.name) and not path.is_symlink():
+    for path in sorted(folder.glob(PARTS)):
+        damage = ""
+        if path.name in numbers:
             try:
                 with BagReader(path) as bag:
-                    number = numbers.get(bag.metadata.get(PART_OF, ""))
-                    if bag.recovered:
-                        raise BagError(f"{path}: {bag.recovered}")
+                    damage = bag.recovered and f"{path}: {bag.recovered}"
             except SparseskinError as error:
-                print(f"{error}; the slice is computed again", file=sys.stderr)
-                number = None
-        if number is None or number in found:
+                damage = str(error)
+        if damage:
+            print(f"{damage}; the slice is computed again", file=sys.stderr)
+        if damage or path.name not in numbers:
             path.unlink(missing_ok=True)
         else:
-            found[number] = path
+            found[numbers[path.name]] = path
     return found
 
 
@@ -380,7 +373,7 @@ def _counted(slices: Sequence[Slice], n_computed: int) -> str:
 
 
 def _join(
-    parts: dict[int, Path], slices: Sequence[Slice], patch: str, draft: Path, fingerprint: str
+    parts: dict[int, Path], slices: Sequence[Slice], patch: str, draft: Path
 ) -> tuple[list[dict[str, Any]], list[str]]:
     """Write all parts into one recording; return the tally of each, and a line about their seams.
 
@@ -397,13 +390,11 @@ def _join(
         for one in slices:
             path = parts[one.number]
             with BagReader(path) as bag:
-                is_part = bag.metadata.get(PART_OF) == _part_of(fingerprint, one.number)
-                if bag.recovered or not is_part:
-                    raise BagError(f"{path}: {bag.recovered or 'is of another recording'}")
+                if bag.recovered:
+                    raise BagError(f"{path}: {bag.recovered}")
                 tallies.append(json.loads((bag.counts or {})[TALLY]))
                 if writer is None:
-                    metadata = {k: v for k, v in bag.metadata.items() if k != PART_OF}
-                    writer = BagWriter(draft, metadata)
+                    writer = BagWriter(draft, bag.metadata)
                 last: Any = None
                 for channel, recorded in bag.records():
                     if recorded.topic == topic:
@@ -460,7 +451,8 @@ def _seam_lines(seams: Sequence[tuple[float, float]]) -> list[str]:
 def _remove(folder: Path) -> None:
     """Remove all parts; what else lies in the folder stays, and so does it then."""
     with suppress(OSError):
-        for path in folder.iterdir():
-            if PART_NAME.match(path.name):
-                path.unlink(missing_ok=True)
+        for path in folder.glob(PARTS):
+            path.unlink(missing_ok=True)
+        for attempt in folder.glob(f".{PARTS}.*"):  # of a worker that was killed
+            shutil.rmtree(attempt, ignore_errors=True)
         folder.rmdir()
