@@ -21,7 +21,18 @@ from .process import NodeProcess, awake_s
 from .running import GraphError, Note, RunningGraph, announced, control_path, is_running
 from .state import hosts_state
 from .terminal import Terminal
-from .waiting import READER_S, Missing, all_read, lacks_readers, late_at_end, or_log
+from .waiting import (
+    AGAIN_S,
+    HOST_S,
+    READER_S,
+    SLOW_S,
+    LateLog,
+    all_read,
+    lacks_readers,
+    late_at_end,
+    late_at_start,
+    missing_nodes,
+)
 
 DRAIN_S = 5.0
 """Longest time for frames under way to reach the end of the graph after its sources, seconds."""
@@ -66,7 +77,9 @@ class Launcher:
             launch, self._offset_ns, terminal.log, max_frames, joined, terminal.record
         )
         self._controls: Controls | RemoteControls | None = None
-        self._missing = Missing(launch, terminal.log, awake_s())
+        self._late = [
+            LateLog(lambda: missing_nodes(self._fleet, launch), terminal.log, HOST_S, AGAIN_S)
+        ]
         writers = {link.writer for link in launch.links}
         self._sinks = [name for name in launch.nodes if name not in writers]
         self._interrupts = 0
@@ -104,8 +117,10 @@ class Launcher:
                 with self._terminal.keyboard(bool(self._keys)):
                     self._fleet.supervised = self._joined is None
                     self._fleet.command_all("start")
-                    self._until(self._ended_or_logged(), None)
+                    self._log_late(lambda node: lacks_readers(node, self._launch.name), READER_S)
+                    self._until(self._all_ended, None)
                     self._fleet.supervised = False
+                    del self._late[1:]
                     if not self._all_ended():
                         self._drain()
         finally:
@@ -160,16 +175,15 @@ class Launcher:
 
     def _handshake(self) -> bool:
         """Join the nodes; False if one of them failed or was late."""
-        log = self._terminal.log
-        started = or_log(lambda: all(node.endpoint for node in self._fleet), self._fleet, log)
-        if not self._until(started, START_S):
+        self._log_late(lambda node: late_at_start(node, SLOW_S), SLOW_S)
+        if not self._until(lambda: all(node.endpoint for node in self._fleet), START_S):
             return self._name_late("has not started", lambda node: not node.endpoint)
         for node in self._fleet:
             self._fleet.connect(node)
         # Parts start in any order: however long another host takes, it is waited for.
         limit_s = None if self._launch.elsewhere else START_S
-        ready = or_log(lambda: all(node.ready for node in self._fleet), self._fleet, log)
-        if not self._until(ready, limit_s):
+        self._log_late(lambda node: late_at_start(node, SLOW_S), SLOW_S)
+        if not self._until(lambda: all(node.ready for node in self._fleet), limit_s):
             return self._name_late("is not ready", lambda node: not node.ready)
         where = f" on {self._launch.host}" if self._launch.host else ""
         self._terminal.log(f"[launch] ready{where}: {', '.join(self._fleet.nodes)}")
@@ -200,15 +214,10 @@ class Launcher:
     def _all_ended(self) -> bool:
         return all(node.ended or node.failed for node in self._fleet)
 
-    def _ended_or_logged(self) -> Callable[[], bool]:
-        """A check that is True once all have ended; it logs a player that waits for readers."""
-        return or_log(
-            self._all_ended,
-            self._fleet,
-            self._terminal.log,
-            late=lambda node: lacks_readers(node, self._launch.name),
-            slow_s=READER_S,
-        )
+    def _log_late(self, line_of: Callable[[NodeProcess], str], after_s: float) -> None:
+        """Log once, in place of what was to be logged before, the nodes that are late by then."""
+        log = self._terminal.log
+        self._late[1:] = [LateLog(lambda: map(line_of, self._fleet), log, after_s)]
 
     def _all_drained(self) -> bool:
         """True if all have ended but those that wait for a node that is dead."""
@@ -237,8 +246,8 @@ class Launcher:
     def _serve(self) -> None:
         self._look_around()
         self._fleet.serve()
-        if self._launch.elsewhere:
-            self._missing.report(self._fleet, awake_s())
+        for late in self._late:
+            late.look()
         if self._controls is not None:
             self._controls.serve()
         nodes = self._fleet.nodes

@@ -21,21 +21,18 @@ AGAIN_S = 30.0
 """Time after which the same missing nodes are logged again, seconds."""
 
 
-def late_at_start(node: NodeProcess) -> str:
-    """The line for a node that is not ready, with what it waits for; "" for one that is."""
+def late_at_start(node: NodeProcess, after_s: float) -> str:
+    """The line for a node that is not ready `after_s` after the start, with what it waits for; ""
+    for one that is.
+    """
     if node.ready:
         return ""
     if not node.endpoint:
-        return f"{node.name} has not started: it imports, or opens its device"
+        return f"{node.name} has not started: it imports, or opens its device ({after_s:g} s)"
     if node.lacks:
-        return f"{node.name} waits for a subscription from {', '.join(node.lacks)}"
-    return f"{node.name} has not answered yet"
-
-
-def slow_at_start(node: NodeProcess) -> str:
-    """The same with how long it has taken by then."""
-    line = late_at_start(node)
-    return line and f"{line} ({SLOW_S:g} s)"
+        readers = ", ".join(node.lacks)
+        return f"{node.name} waits for a subscription from {readers} ({after_s:g} s)"
+    return f"{node.name} has not answered yet ({after_s:g} s)"
 
 
 def lacks_readers(node: NodeProcess, graph: str) -> str:
@@ -85,60 +82,42 @@ def all_read(nodes: Iterable[NodeProcess]) -> Callable[[], bool]:
     return check
 
 
-def or_log(
-    done: Callable[[], bool],
-    nodes: Iterable[NodeProcess],
-    log: Callable[[str], None],
-    now_s: Callable[[], float] = awake_s,
-    late: Callable[[NodeProcess], str] = slow_at_start,
-    slow_s: float = SLOW_S,
-) -> Callable[[], bool]:
-    """A check like `done` that logs the late nodes once, where it takes longer than `slow_s`."""
-    due_s = now_s() + slow_s
-    logged = False
-
-    def check() -> bool:
-        nonlocal logged
-        if done():
-            return True
-        if not logged and now_s() >= due_s:
-            for line in filter(None, map(late, nodes)):
-                logged = True
-                log(f"[launch] {line}")
-        return False
-
-    return check
+def missing_nodes(nodes: Iterable[NodeProcess], launch: LaunchFile) -> list[str]:
+    """A line for each other host with nodes for which those of this part wait."""
+    lacking: dict[str, set[str]] = {}
+    for node in nodes:
+        for reader in node.lacks:
+            if reader in launch.elsewhere:
+                lacking.setdefault(launch.elsewhere[reader].host, set()).add(reader)
+    return [f"waits for {', '.join(sorted(n))} on {host}" for host, n in sorted(lacking.items())]
 
 
-class Missing:
-    """Logs the nodes of other hosts for which those of a part of a graph wait; `now_s` is the time
-    on any monotonic clock, seconds.
+class LateLog:
+    """Logs what is late, as `lines` returns it, once it has been for `after_s`, and once more each
+    time that it changes or `again_s` are over; None: never again. `now_s` is any monotonic clock.
     """
 
-    def __init__(self, launch: LaunchFile, log: Callable[[str], None], now_s: float) -> None:
-        self._launch = launch
-        self._log = log
-        self._logged: tuple[str, ...] = ()
-        self._next_s = now_s + HOST_S
+    def __init__(
+        self,
+        lines: Callable[[], Iterable[str]],
+        log: Callable[[str], None],
+        after_s: float,
+        again_s: float | None = None,
+        now_s: Callable[[], float] = awake_s,
+    ) -> None:
+        self._lines, self._log, self._again_s, self._now_s = lines, log, again_s, now_s
+        self._due_s = now_s() + after_s
+        self._logged: list[str] = []
 
-    def report(self, nodes: Iterable[NodeProcess], now_s: float) -> None:
-        """Log the missing nodes: after `HOST_S`, when they change, and every `AGAIN_S`."""
-        lines = tuple(self._lines(nodes))
-        due = now_s >= self._next_s
-        if lines and due and (lines != self._logged or now_s >= self._next_s + AGAIN_S):
+    def look(self) -> None:
+        """Log the lines where they are due."""
+        now_s = self._now_s()
+        if now_s < self._due_s or (self._logged and self._again_s is None):
+            return
+        lines = list(filter(None, self._lines()))
+        if not lines:
+            self._logged = []
+        elif lines != self._logged or now_s >= self._due_s + (self._again_s or 0.0):
             for line in lines:
                 self._log(f"[launch] {line}")
-            self._logged = lines
-            self._next_s = now_s
-        elif not lines:
-            self._logged = ()
-
-    def _lines(self, nodes: Iterable[NodeProcess]) -> Iterable[str]:
-        lacking: dict[str, set[str]] = {}
-        for node in nodes:
-            for reader in node.lacks:
-                if reader in self._launch.elsewhere:
-                    host = self._launch.elsewhere[reader].host
-                    lacking.setdefault(host, set()).add(reader)
-        for host, names in sorted(lacking.items()):
-            yield f"waits for {', '.join(sorted(names))} on {host}"
+            self._logged, self._due_s = lines, now_s

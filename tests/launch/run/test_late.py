@@ -11,13 +11,12 @@ import pytest
 from bags import frame, make_bag, skin_state
 from conftest import StartProgram, wait_until
 
-from sparseskin.launch.run import waiting as late
 from sparseskin.launch.run.waiting import (
+    LateLog,
     all_read,
     lacks_readers,
     late_at_end,
     late_at_start,
-    or_log,
 )
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.player.settings import PlayerSettings
@@ -59,10 +58,10 @@ def test_each_node_that_is_not_ready_reports_what_it_waits_for() -> None:
         Node("recorder"),
         Node("monitor", ready=True),
     )
-    assert [late_at_start(node) for node in made] == [
-        "sensor has not started: it imports, or opens its device",
-        "compressor waits for a subscription from monitor, reconstructor",
-        "recorder has not answered yet",
+    assert [late_at_start(node, 5.0) for node in made] == [
+        "sensor has not started: it imports, or opens its device (5 s)",
+        "compressor waits for a subscription from monitor, reconstructor (5 s)",
+        "recorder has not answered yet (5 s)",
         "",
     ]
 
@@ -95,16 +94,16 @@ def test_who_has_not_ended_waits_for_those_before_it() -> None:
     ]
 
 
-def test_a_slow_start_is_logged_once() -> None:
-    now_s, is_done, lines = 100.0, False, []
-    check = or_log(lambda: is_done, nodes(Node("sensor", endpoint="")), lines.append, lambda: now_s)
-    assert (check(), lines) == (False, [])
-    now_s += late.SLOW_S
-    for _ in range(3):
-        assert not check()
-    assert lines == ["[launch] sensor has not started: it imports, or opens its device (5 s)"]
-    is_done = True
-    assert check()
+def test_what_is_late_is_logged_once_after_a_while() -> None:
+    now_s, lines, late = [100.0], list[str](), ["", "sensor has not answered yet"]
+    log = LateLog(lambda: late, lines.append, 5.0, now_s=lambda: now_s[0])
+    for now_s[0] in (100.0, 104.9):
+        log.look()
+        assert lines == []
+    for now_s[0] in (105.0, 105.1, 200.0):
+        log.look()
+        late[0] = "another"
+    assert lines == ["[launch] sensor has not answered yet"]
 
 
 @dataclass

@@ -10,7 +10,7 @@ import pytest
 from sparseskin.launch.launchfile.hosts import Host
 from sparseskin.launch.launchfile.spec import LaunchFile, NodeSpec
 from sparseskin.launch.run.state import hosts_state
-from sparseskin.launch.run.waiting import AGAIN_S, HOST_S, Missing
+from sparseskin.launch.run.waiting import AGAIN_S, HOST_S, LateLog, missing_nodes
 from sparseskin.nodes.node import Node
 
 
@@ -36,19 +36,26 @@ def node(
 
 def test_who_is_missing_is_named_after_a_while_then_now_and_then() -> None:
     said: list[str] = []
-    missing = Missing(PART, said.append, 0.0)
     lacking = [node(lacks=("echo",)), node(lacks=("screen", "local"))]
-    missing.report(lacking, HOST_S - 0.1)
+    now_s = [0.0]
+    log = LateLog(
+        lambda: missing_nodes(lacking, PART), said.append, HOST_S, AGAIN_S, lambda: now_s[0]
+    )
+    now_s[0] = HOST_S - 0.1
+    log.look()
     assert said == []
-    for now_s in (HOST_S, HOST_S + 0.1, HOST_S + AGAIN_S - 0.1):
-        missing.report(lacking, now_s)
+    for now_s[0] in (HOST_S, HOST_S + 0.1, HOST_S + AGAIN_S - 0.1):
+        log.look()
     once = ["[launch] waits for echo on desk", "[launch] waits for screen on wall"]
     assert said == once
-    missing.report(lacking, HOST_S + AGAIN_S)
+    now_s[0] = HOST_S + AGAIN_S
+    log.look()
     assert said == 2 * once
-    missing.report([node(lacks=("screen",))], HOST_S + AGAIN_S + 0.1)
+    now_s[0], lacking[:] = now_s[0] + 0.1, [node(lacks=("screen",))]
+    log.look()
     assert said[4:] == once[1:]
-    missing.report([node()], HOST_S + 3 * AGAIN_S)
+    now_s[0], lacking[:] = now_s[0] + 2 * AGAIN_S, [node()]
+    log.look()
     assert len(said) == 5
 
 
