@@ -310,7 +310,11 @@ def _locked(folder: Path) -> Iterator[None]:
         fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
+        try:
+            yield
+        finally:
+            with suppress(OSError):  # something is in it
+                folder.rmdir()
     except BlockingIOError as error:
         raise OutputError(f"{folder}: another run uses these slices") from error
     finally:
@@ -449,10 +453,8 @@ def _seam_lines(seams: Sequence[tuple[float, float]]) -> list[str]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove all parts; what else lies in the folder stays, and so does it then."""
-    with suppress(OSError):
-        for path in folder.glob(PARTS):
-            path.unlink(missing_ok=True)
-        for attempt in folder.glob(f".{PARTS}.*"):  # of a worker that was killed
-            shutil.rmtree(attempt, ignore_errors=True)
-        folder.rmdir()
+    """Remove all parts."""
+    for path in folder.glob(PARTS):
+        path.unlink(missing_ok=True)
+    for attempt in folder.glob(f".{PARTS}.*"):  # of a worker that was killed
+        shutil.rmtree(attempt, ignore_errors=True)

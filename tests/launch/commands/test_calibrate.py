@@ -100,40 +100,6 @@ def test_without_presses_readings_keep_their_unit(
     assert skin.f_min == pytest.approx(-4, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (("--press", "500g"), "--press 500g: expected LOAD[@AREA]:WHERE"),
-        (("--press", "500x:3-4s"), "--press 500x:3-4s: '500x' is no load"),
-        (("--press", "5N@9-9x0-0:3-4s"), "is not on a skin of 4 x 6"),
-        (("--press", "5N:30-40s"), "no frame of the recording, which lasts 6.99 s"),
-        (("--press", "5N:none.npy"), "none.npy: no such file"),
-        (("--untouched", "none.npy", "--no-questions"), "none.npy: no such file"),
-        (("--untouched", "3", "--no-questions"), "3: expected seconds, as 3s, or a file; frames"),
-        (("--untouched", "3f", "--no-questions"), "3f: no such file; allowed: seconds as 3s, or"),
-        (("--press", "5N:3-4"), "--press 5N:3-4: 3-4: expected seconds, as 3-4s, or a file"),
-        (("--out", "palm.txt"), "--out palm.txt: expected a name that ends in .toml"),
-        (("--out", "old.toml"), "--out old.toml: exists already"),
-    ],
-)
-def test_what_is_wrong_is_one_line_and_writes_nothing(
-    folder: Path, words: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (folder / "old.toml").write_text("mine")
-    before = sorted(folder.iterdir())
-    assert main(["calibrate", "file:all.npy", "--out", "palm.toml", *words]) == 2
-    (printed,) = capsys.readouterr().err.splitlines()
-    assert line in printed
-    assert sorted(folder.iterdir()) == before
-
-
-def test_a_scene_needs_none(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["calibrate", "scene:path_40", "--out", "s.toml"]) == 2
-    assert capsys.readouterr().err == (
-        "scene:path_40: delivers true forces, which need no calibration\n"
-    )
-
-
 LIVE_SKIN = """
 import time, numpy as np
 

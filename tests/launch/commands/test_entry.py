@@ -13,7 +13,6 @@ import pytest
 from other_user import give
 
 from sparseskin.launch.commands import entry
-from sparseskin.launch.commands.cli import main
 
 
 @pytest.fixture(autouse=True)
@@ -127,27 +126,3 @@ def test_next_to_nothing_is_imported_before_an_interrupt_is_handled() -> None:
     own = ("sparseskin", "importlib._bootstrap")  # the latter has run before anything
     others = {name for name in done.stdout.split() if not name.startswith(own)}
     assert others <= {"__future__", "importlib", "warnings"}
-
-
-@pytest.mark.parametrize(
-    ("line", "refused"),
-    [
-        # What follows a misspelt option may be its value, and is not blamed.
-        (
-            "launch --framse 3 path_40",
-            "unrecognized arguments: --framse (did you mean '--frames'?)",
-        ),
-        ("launch path_40 path_64", "unrecognized arguments: path_64"),
-        ("param set a b", "the following arguments are required: VALUE"),
-    ],
-)
-def test_a_refusal_names_what_is_wrong_and_no_more(
-    line: str, refused: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = line.split()
-    with pytest.raises(SystemExit) as ended:
-        main(words)
-    assert ended.value.code == 2
-    command = " ".join(words[: 2 if words[0] == "param" else 1])
-    expected = f"sparseskin {command}: {refused} (see sparseskin {command} --help)\n"
-    assert capsys.readouterr().err == expected

@@ -294,31 +294,6 @@ def test_echo_of_a_latched_topic_shows_its_last_message_at_once(run: Run) -> Non
     assert run("topic", "echo", "/skin/skin", "--once", "--field", "n_rows") == "40\n"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("topic", "hz", "/skin/taxels", "-n", "0"), "-n: '0': expected a whole number, 1 or more"),
-        (("topic", "echo"), "the following arguments are required: TOPIC"),
-        (("launch", "path_40", "--frames", "-4"), "argument --frames"),
-        (("tropic",), "argument COMMAND: invalid choice: 'tropic' (did you mean 'topic'?)"),
-        (("topic", "ecko"), "sparseskin topic: argument COMMAND: invalid choice: 'ecko' (did you"),
-        (("launch", "path_40", "--frame", "4"), "--frame (did you mean '--frames'?)"),
-        (("topic", "hz", "/skin/taxels", "--zzz"), "unrecognized arguments: --zzz (see"),
-        (("bag", "info", "x.mcap", "--jsn"), "(see sparseskin bag info --help)"),
-        (("scenes", "list", "all"), "sparseskin scenes list: unrecognized arguments: all (see"),
-    ],
-)
-def test_a_command_line_is_refused_in_one_line(
-    arguments: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as refusal:
-        main(arguments)
-    assert refusal.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("sparseskin")
-    assert says in line
-
-
 def test_hz_reports_what_is_sent_and_what_arrives(run_json: RunJson) -> None:
     last = run_json("topic", "hz", "/skin/taxels", "-n", "60", lines=True)[-1]
     assert last["final"]

@@ -11,7 +11,6 @@ import pytest
 from bags import frames, make_bag
 from conftest import StartProgram
 
-from sparseskin.launch.commands.cli import main
 from sparseskin.launch.commands.play import shown
 from sparseskin.nodes.errors import SettingsError
 
@@ -67,20 +66,3 @@ def test_the_page_shows_a_recording_of_taxels_again_and_again(
     assert len({json.loads(line)["stamp_ns"] for line in lines.splitlines()}) == 50
     play.process.send_signal(signal.SIGINT)
     assert play.finish()[0] == 130
-
-
-@pytest.mark.parametrize(
-    ("options", "fault"),
-    [
-        (["--open", "--topics", "/skin/taxels"], "--topics: does not go with --open"),
-        (["--open", "--remap", "/skin:=/a"], "--remap: does not go with --open"),
-        (["--no-token"], "--no-token: goes with --open"),
-    ],
-)
-def test_options_that_contradict_each_other_are_refused(
-    options: list[str], fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "some.mcap"
-    make_bag(path, frames(3))
-    assert main(["play", str(path), *options]) == 2
-    assert fault in capsys.readouterr().err

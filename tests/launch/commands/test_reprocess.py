@@ -80,16 +80,6 @@ def test_of_several_recordings_the_sound_ones_are_finished(
     assert [path.name for path in out.iterdir()] == ["drag_wrench.mcap"]
 
 
-def test_inputs_that_are_no_recordings_are_refused_before_the_first_is_read(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for file, fault in (("log.csv", "no recording (.mcap)"), ("none.mcap", "no such file")):
-        arguments = [str(recording), file, "--out", str(tmp_path / "out")]
-        assert main(["reprocess", *arguments]) == 2
-        assert capsys.readouterr() == ("", f"{file}: {fault}\n")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_full_disk_is_one_line_that_names_the_output(
     recording: Path, mount_disk: MountDisk, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -98,44 +88,6 @@ def test_a_full_disk_is_one_line_that_names_the_output(
     expected = f"{out}: No space left on device; nothing was written\n"
     assert capsys.readouterr().err == expected
     assert list(out.parent.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (["--set", "reconstructor.solver=fist"], "did you mean 'fista'"),
-        (["--set", "sensor.seed=1"], "unknown node 'sensor'"),
-        (["--set", "reconstrutor.solver=fista"], "did you mean 'reconstructor'"),
-        (["--set", "compressor.m=99999"], "m = 99999 is not allowed"),
-        (["--from", "measurements", "--set", "compressor.ratio=2"], "cannot be changed"),
-        (["--executor", "proces:2"], "did you mean 'process'"),
-        (["--executor", "process:0"], "expected 1..1024 workers"),
-        (["--executor", "nowhere_at_all:make"], "nowhere_at_all"),
-    ],
-)
-def test_a_wrong_argument_is_one_line_and_leaves_no_file(
-    recording: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    text: str,
-) -> None:
-    out = tmp_path / "out.mcap"
-    assert main(["reprocess", str(recording), "--out", str(out), *arguments]) == 2
-    captured = capsys.readouterr()
-    assert text in captured.err
-    assert captured.err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_that_is_there_is_not_written_over(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out.mcap"
-    out.write_text("mine")
-    assert main(["reprocess", str(recording), "--out", str(out)]) == 2
-    assert "exists already" in capsys.readouterr().err
-    assert out.read_text() == "mine"
 
 
 def test_executors_by_text(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -78,14 +78,6 @@ def test_paths_are_left_as_they_are_and_other_names_are_refused(tmp_path: Path) 
         resolve_recording("tap_pgg")
 
 
-def test_a_folder_that_cannot_be_made_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    assert main(["scenes", "make", "big_wrench", "--out", str(tmp_path / "file")]) == 2
-    assert str(tmp_path / "file") in capsys.readouterr().err
-
-
 def test_the_list_names_every_scene_and_recording(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scenes", "list"]) == 0
     out = capsys.readouterr().out

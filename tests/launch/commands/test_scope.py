@@ -41,21 +41,3 @@ def test_scope_prints_figures_where_the_output_is_no_terminal(
     np.save("step.npy", np.arange(24, dtype=np.float32).reshape(2, 3, 4))
     assert main(["scope", "file:step.npy", "--set", "unit=kPa"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "step: 2 frames; min 0, max 23 kPa"
-
-
-@pytest.mark.parametrize(
-    ("words", "fault"),
-    [
-        (["scene:path_41"], "did you mean 'path_40'?"),
-        (["scene:path_40", "--set", "n_row=3"], "did you mean 'n_rows'?"),
-        (["scene:path_40", "--set", "n_rows"], "--set n_rows: expected KEY=VALUE"),
-        (["scene:path_40", "--set", "n_rows=x"], "--set n_rows: expected a whole number"),
-        (["scene:path_40", "--set", "f_max=-1"], "--set f_max: -1.0 is outside"),
-    ],
-)
-def test_scope_refuses_in_one_line(
-    words: list[str], fault: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["scope", *words]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert fault in line

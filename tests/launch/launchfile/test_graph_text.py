@@ -109,16 +109,6 @@ def test_a_dry_run_writes_dot_without_graphviz(
         assert "graphviz" in line
 
 
-def test_a_picture_that_cannot_be_written_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["launch", "path_40", "--svg", "g.svg"]) == 2
-    assert capsys.readouterr().err == "--dot, --svg, --png: only with --dry-run\n"
-    nowhere = str(tmp_path / "no" / "g.dot")
-    assert main(["launch", "path_40", "--dry-run", "--dot", nowhere]) == 2
-    assert capsys.readouterr().err == f"--dot {nowhere}: No such file or directory\n"
-
-
 def test_a_graph_states_its_transport_and_how_its_nodes_are_scheduled() -> None:
     assert "\ntransport ipc\n" in graph_text(load("path_40"))
     changes = ["graph.transport=tcp", "graph.cpus=[1, 0]", "sensor.priority=7"]

@@ -371,42 +371,6 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
     return code, captured.out, captured.err
 
 
-def test_the_command_ends_with_2_and_one_line_for_a_usage_error(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    for arguments in (
-        ["launch", "path_4"],
-        ["launch", "none.toml"],
-        ["launch", str(tmp_path)],
-        ["launch", "path_40", "--set", "sensor.seed=-1"],
-        ["launch", "path_40", "--summary", str(tmp_path / "none" / "out.json")],
-        ["launch", "path_40", "--summary", str(tmp_path)],
-    ):
-        code, out, err = run(capsys, *arguments)
-        assert (code, out, err.count("\n")) == (2, "", 1), arguments
-
-
-@pytest.mark.parametrize(
-    ("option", "text"),
-    [
-        ("--record none/a.mcap", "--record: none/a.mcap: its folder does not exist"),
-        ("--record a.bag", "--record: a.bag: expected a name that ends in .mcap"),
-        ("--log-dir file", "--log-dir: file: Not a directory"),
-    ],
-)
-def test_a_place_that_cannot_be_written_is_refused_under_the_name_of_its_option(
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    option: str,
-    text: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").touch()
-    assert run(capsys, "launch", "path_40", *option.split()) == (2, "", f"{text}\n")
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
 def test_a_recording_in_a_read_only_folder_is_refused_before_the_start(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -188,29 +188,6 @@ def test_a_folder_of_parts_that_others_can_enter_is_refused(
     assert "lets other users in" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("more", "text"),
-    [
-        (["--slices", "0.3", "--set", "compressor.phi=adaptive"], "chooses rows by earlier frames"),
-        (["--slices", "1e-6"], "slices, at most 100000"),
-        (["--warm-up", "3"], "--warm-up: goes with --slices"),
-        (["--parts", "x"], "--parts: goes with --slices"),
-        (["--slices", "0.3", "--executor", "process:0"], "expected 1..1024 workers"),
-    ],
-)
-def test_what_cannot_be_cut_is_one_line(
-    recording: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    more: list[str],
-    text: str,
-) -> None:
-    assert main(["reprocess", str(recording), "--out", str(tmp_path / "out.mcap"), *more]) == 2
-    captured = capsys.readouterr()
-    assert text in captured.err
-    assert captured.err.count("\n") == 1
-
-
 def test_slices_cover_each_frame_once_and_begin_with_the_first_row_subset() -> None:
     frames = array("q", [10 * k for k in range(50)])
     # Three row subsets, from frame 20 on five.

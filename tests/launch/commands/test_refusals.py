@@ -1,0 +1,135 @@
+"""What a command refuses: exit code 2, one line that names the fault, and no file."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bags import frames, make_bag, skin_state
+
+from sparseskin.launch.commands.cli import main
+
+LINES = {
+    "launch path_4": "no launch file of that name (did you mean 'path_40'?)",
+    "launch none.toml": "none.toml: no such launch file",
+    "launch .": ".: no ",
+    "launch path_40 --set sensor.seed=-1": "--set sensor.seed=-1: -1 is outside",
+    "launch path_40 --summary none/out.json": "--summary none/out.json: its folder does not exist",
+    "launch path_40 --summary .": "--summary .: is a folder",
+    "launch path_40 --record none/a.mcap": "--record: none/a.mcap: its folder does not exist",
+    "launch path_40 --record a.bag": "--record: a.bag: expected a name that ends in .mcap",
+    "launch path_40 --log-dir old.toml": "--log-dir: old.toml: Not a directory",
+    "launch path_40 --svg g.svg": "--dot, --svg, --png: only with --dry-run",
+    "launch path_40 --dry-run --dot no/g.dot": "--dot no/g.dot: No such file or directory",
+    "launch path_40 --frames -4": "argument --frames",
+    "launch path_40 --frame 4": "--frame (did you mean '--frames'?)",
+    # What follows a misspelt option may be its value, and is not blamed.
+    "launch --framse 3 path_40": "unrecognized arguments: --framse (did you mean '--frames'?) (see",
+    "launch path_40 path_64": "unrecognized arguments: path_64 (see sparseskin launch --help)",
+    "param set a b": "the following arguments are required: VALUE (see sparseskin param set --he",
+    "topic hz /skin/taxels -n 0": "-n: '0': expected a whole number, 1 or more",
+    "topic hz /skin/taxels --zzz": "unrecognized arguments: --zzz (see",
+    "topic echo": "the following arguments are required: TOPIC",
+    "topic ecko": "sparseskin topic: argument COMMAND: invalid choice: 'ecko' (did you",
+    "tropic": "argument COMMAND: invalid choice: 'tropic' (did you mean 'topic'?)",
+    "help lanch": "(did you mean 'launch'?)",
+    "bag info x.mcap --jsn": "(see sparseskin bag info --help)",
+    "scenes list all": "sparseskin scenes list: unrecognized arguments: all (see",
+    "scenes make big_wrench --out old.toml": "old.toml",
+    "scope scene:path_41": "did you mean 'path_40'?",
+    "scope scene:path_40 --set n_row=3": "did you mean 'n_rows'?",
+    "scope scene:path_40 --set n_rows": "--set n_rows: expected KEY=VALUE",
+    "scope scene:path_40 --set n_rows=x": "--set n_rows: expected a whole number",
+    "scope scene:path_40 --set f_max=-1": "--set f_max: -1.0 is outside",
+    "play some.mcap --open --topics /skin/taxels": "--topics: does not go with --open",
+    "play some.mcap --open --remap /skin:=/a": "--remap: does not go with --open",
+    "play some.mcap --no-token": "--no-token: goes with --open",
+    "reprocess some.mcap log.csv --out new": "log.csv: no recording (.mcap)",
+    "reprocess some.mcap none.mcap --out new": "none.mcap: no such file",
+    "learn-basis empty.mcap --out b.npz": "holds no frames of truth or taxels",
+    "learn-basis none.mcap --out b.npz": "no such file",
+    "calibrate scene:path_40 --out s.toml": "delivers true forces, which need no calibration",
+}
+"""Of each command line what its one line holds."""
+FAULTS = {
+    "learn-basis some.mcap --out b.npz --tile 2": {
+        "--topic /skin/trut": "no topic '/skin/trut' (did you mean '/skin/truth'?)",
+        "--topic /skin/skin": "/skin/skin holds no frames of truth or taxels",
+        "--tile 6": "tile: 6 is not allowed for frames of 5 x 7; allowed: 2..5",
+        "--tile 5": "taxels has a force above 0.01; try a smaller --tile",
+        "--frames 0": "--frames: '0': expected a whole number, 1 or more",
+        "--out b.txt": "--out b.txt: expected a name that ends in .npz",
+    },
+    "reprocess some.mcap --from taxels --out out.mcap": {
+        "--set reconstructor.solver=fist": "did you mean 'fista'",
+        "--set sensor.seed=1": "unknown node 'sensor'",
+        "--set reconstrutor.solver=fista": "did you mean 'reconstructor'",
+        "--set compressor.m=99999": "m = 99999 is not allowed",
+        "--from measurements --set compressor.ratio=2": "cannot be changed",
+        "--executor proces:2": "did you mean 'process'",
+        "--executor process:0": "expected 1..1024 workers",
+        "--executor nowhere_at_all:make": "nowhere_at_all",
+        "--out old.mcap": "old.mcap: exists already",
+        "--slices 0.05 --set compressor.phi=adaptive": "chooses rows by earlier frames",
+        "--slices 1e-6": "slices, at most 100000",
+        "--slices 0.05 --executor process:0": "expected 1..1024 workers",
+        "--warm-up 3": "--warm-up: goes with --slices",
+        "--parts x": "--parts: goes with --slices",
+    },
+    "calibrate file:all.npy --out palm.toml": {
+        "--press 500g": "--press 500g: expected LOAD[@AREA]:WHERE",
+        "--press 500x:3-4s": "--press 500x:3-4s: '500x' is no load",
+        "--press 5N@9-9x0-0:3-4s": "is not on a skin of 4 x 6",
+        "--press 5N:30-40s": "no frame of the recording, which lasts 6.99 s",
+        "--press 5N:none.npy": "none.npy: no such file",
+        "--press 5N:3-4": "--press 5N:3-4: 3-4: expected seconds, as 3-4s, or a file",
+        "--untouched none.npy --no-questions": "none.npy: no such file",
+        "--untouched 3 --no-questions": "3: expected seconds, as 3s, or a file; frames",
+        "--untouched 3f --no-questions": "3f: no such file; allowed: seconds as 3s, or",
+        "--out palm.txt": "--out palm.txt: expected a name that ends in .toml",
+        "--out old.toml": "--out old.toml: exists already",
+    },
+}
+"""Of a command with each of these options the same."""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("files")
+    make_bag(folder / "some.mcap", frames(12))
+    make_bag(folder / "empty.mcap", [skin_state()])
+    counts = 40 + np.random.default_rng(0).normal(0, 1, (700, 4, 6))
+    np.save(folder / "all.npy", counts)
+    for name in ("old.toml", "old.mcap", "log.csv"):
+        (folder / name).write_text("mine")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("line", "fault"),
+    [
+        *LINES.items(),
+        *((f"{line} {more}", fault) for line, of in FAULTS.items() for more, fault in of.items()),
+    ],
+)
+def test_a_command_is_refused_in_one_line_and_writes_nothing(
+    line: str,
+    fault: str,
+    files: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(files)
+    before = sorted(files.iterdir())
+    try:
+        code: object = main(shlex.split(line))
+    except SystemExit as ended:
+        code = ended.code
+    out, error = capsys.readouterr()
+    (printed,) = error.splitlines()
+    assert (code, out) == (2, "")
+    assert fault in printed
+    assert sorted(files.iterdir()) == before
+    assert (files / "old.mcap").read_text() == "mine"
