@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sparseskin.launch.launchfile import BUNDLED, bundled_names
 from sparseskin.nodes import extensions
 from sparseskin.nodes.errors import SparseskinError
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 # Imports of one kind of value stand where it is offered: a key is pressed, and a person waits.
 # Commands, options, files and names of a graph come without numpy, settings and sources with it.
-LAUNCH_FILES = Path(__file__).parent.parent
 FILES = ("FILE", "BAG", "NEW", "PATH", "OUT.json", "F.mcap", "G.mcap", "REC.mcap", "B.npz")
 FOLDERS = ("DIR", "D")
 """Metavars of arguments that are files, and folders."""
@@ -98,8 +98,7 @@ def _values(prefix: str, metavar: str, typed: argparse.Namespace) -> Words:
         case "SOURCE":
             return sources(prefix)
         case "NAME|FILE.toml":
-            bundled = sorted(path.stem for path in LAUNCH_FILES.glob("*.toml"))
-            return _bare(bundled) | _paths(prefix, folders_only=False)
+            return _bare(bundled_names()) | _paths(prefix, folders_only=False)
         case "F.mcap|NAME":
             from sparseskin.launch.offline.scenarios import SCENARIOS
 
@@ -203,7 +202,7 @@ def node_types(name: str) -> dict[str, str]:
     try:
         path = Path(name).expanduser()
         if path.suffix != ".toml" and len(path.parts) < 2:
-            path = LAUNCH_FILES / f"{name}.toml"
+            path = BUNDLED / f"{name}.toml"
         tables = tomllib.loads(path.read_text(encoding="utf-8")).get("nodes", {})
         return {name: str(table.get("type", "")) for name, table in tables.items()}
     except (OSError, ValueError, RuntimeError, AttributeError):

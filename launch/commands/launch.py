@@ -10,6 +10,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sparseskin.launch.launchfile import bundled_names
+
 from .options import (
     add_commands,
     add_page,
@@ -26,7 +28,6 @@ if TYPE_CHECKING:
     from sparseskin.launch.launchfile.spec import LaunchFile
     from sparseskin.launch.run.run_log import RunLog
 
-LAUNCH_FILES = Path(__file__).parent.parent
 STATUS_LINE = (
     "The status line has for each patch: frames reconstructed so far and a second (Hz), frames "
     "lost; the share of the last 100 contact frames that are trusted, where the solver estimates "
@@ -43,9 +44,8 @@ PICTURES = {
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `launch`."""
-    bundled = sorted(path.stem for path in LAUNCH_FILES.glob("*.toml"))
     parser.description = "Start a graph of nodes, watch it, and print what the monitor measured."
-    parser.epilog = f"Bundled launch files: {', '.join(bundled)}. {STATUS_LINE}"
+    parser.epilog = f"Bundled launch files: {', '.join(bundled_names())}. {STATUS_LINE}"
     parser.add_argument("name", metavar="NAME|FILE.toml", help="launch file")
     add_set(
         parser,

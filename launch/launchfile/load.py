@@ -14,10 +14,10 @@ from sparseskin.nodes.lookup import did_you_mean, search_in
 from sparseskin.nodes.registry import make_settings, node_class
 from sparseskin.nodes.toml import MAX_CHARS, parse_toml
 
+from . import BUNDLED, bundled_names
 from .check import Checker, one_line_of
 from .spec import LaunchError, LaunchFile, NodeSpec
 
-BUNDLED = Path(__file__).parent.parent
 _TOML_PLACE = re.compile(r" \(at line (\d+), column (\d+)\)$")
 
 __all__ = [
@@ -41,11 +41,6 @@ def single_node(name: str, type_name: str, values: dict[str, Any]) -> LaunchFile
     settings.check()
     spec = NodeSpec(name, type_name, cls, values, settings)
     return LaunchFile(name, "", "ipc", {name: spec}, [])
-
-
-def bundled_names() -> list[str]:
-    """Names of the launch files that come with the package."""
-    return sorted(path.stem for path in BUNDLED.glob("*.toml"))
 
 
 def find_launch_file(name: str) -> Path:

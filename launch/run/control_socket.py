@@ -67,37 +67,30 @@ class Connection:
         return True
 
 
-class ControlClient:
+class ControlClient(Connection):
     """The end of a program that asks something of a running graph.
     Raises SparseskinError if nobody listens there.
     """
 
     def __init__(self, path: str) -> None:
-        self._socket = socket.socket(socket.AF_UNIX)
+        made = socket.socket(socket.AF_UNIX)
         try:
             with short_path(path) as short:
-                self._socket.connect(short)
+                made.connect(short)
         except OSError as error:
+            made.close()
             raise SparseskinError(f"{path}: no graph listens there: {error.strerror}") from error
-        self._connection = Connection(self._socket, MAX_QUEUED_BYTES)
-        self.fd = self._socket.fileno()
-
-    def send(self, fields: Mapping[str, Any]) -> bool:
-        """Send one request, or {"watch": true}; False once the graph is gone."""
-        return self._connection.send(fields)
-
-    def flush(self) -> None:
-        """Send what is queued."""
-        self._connection.flush()
+        super().__init__(made, MAX_QUEUED_BYTES)
+        self.fd = made.fileno()
 
     def receive(self) -> list[dict[str, Any]] | None:
         """The objects that have arrived; None once the graph is gone."""
-        self._connection.flush()
-        lines = self._connection.lines()
+        self.flush()
+        lines = self.lines()
         return None if lines is None else [json.loads(line) for line in lines]
 
     def close(self) -> None:
-        self._socket.close()
+        self.connection.close()
 
 
 @contextlib.contextmanager

@@ -174,7 +174,8 @@ class Note:
     def remove(self) -> None:
         """Remove the note, and the sockets and pages that nodes which were killed have left."""
         with _locked(self._path.parent):
-            _remove(self._path)
+            if _remove_of(self._path.parent, self._path.stem.rpartition("-")[2]):
+                self._path.unlink(missing_ok=True)
             self._file.close()
 
 
@@ -275,55 +276,40 @@ def _locked(folder: Path) -> Iterator[None]:
 
 def _remove_stale() -> list[RunningGraph]:
     """Remove what graphs that are gone have left; the graphs that run."""
-    found = []
-    for path in sorted(runtime_folder().glob("*.json")):
+    folder, found = runtime_folder(), []
+    for path in sorted(folder.glob("*.json")):
         with contextlib.suppress(*_NO_NOTE), _open(path) as note:
             graph = _graph(note)
             if graph.label != path.stem or not isinstance(graph.pid, int):
                 continue  # not written by this program
             if _is_locked(note):
                 found.append(graph)
-            else:
-                _remove(path)
+            elif _remove_of(folder, str(graph.pid)):
+                path.unlink(missing_ok=True)
+    # A node that was still starting as its launcher was killed makes files after the note is gone.
+    noted = {path.stem.rpartition("-")[2] for path in folder.glob("*.json")}
     with contextlib.suppress(OSError):
-        _remove_orphans(runtime_folder())
+        for number in {path.name.partition(".")[0] for path in folder.iterdir()} - noted:
+            if number.isdecimal() and not os.path.exists(f"/proc/{number}"):
+                _remove_of(folder, number)
     return found
 
 
-def _remove_orphans(folder: Path) -> None:
-    """Remove sockets and pages of processes that are gone and have no note: a node that was still
-    starting as its launcher was killed makes them after the note was removed. And notes that were
-    being made.
+def _remove_of(folder: Path, number: str) -> bool:
+    """Remove the sockets, the pages and the part of a note of a process; False if somebody listens
+    to one of the sockets.
     """
-    noted = {path.stem.rpartition("-")[2] for path in folder.glob("*.json")}
-    for path in folder.iterdir():
-        number = path.name.partition(".")[0]
-        known = not number.isdecimal() or number in noted or os.path.exists(f"/proc/{number}")
-        if not known:
-            _remove_own(path, number)
-
-
-def _remove(note: Path) -> None:
-    """Remove a note, the sockets of its process once nobody listens to them, and its pages."""
-    number = note.stem.rpartition("-")[2]
-    removed = [_remove_own(path, number) for path in note.parent.glob(f"{number}.*")]
-    if all(removed):
-        note.unlink(missing_ok=True)
-
-
-def _remove_own(path: Path, number: str) -> bool:
-    """Remove a file if a process of this program made it: a socket, a page, a part of a note; False
-    if somebody listens to it.
-    """
-    with contextlib.suppress(FileNotFoundError):  # its process ends
-        mode = path.lstat().st_mode
-        if stat.S_ISSOCK(mode) and re.fullmatch(rf"{number}(\.\d+)?\.sock", path.name):
-            if is_served(path):
-                return False
-            path.unlink()
-        elif stat.S_ISREG(mode) and re.fullmatch(rf"{number}(\.\d+\.html|{PART})", path.name):
-            path.unlink()
-    return True
+    made = re.compile(rf"{number}(\.\d+)?\.sock|{number}(\.\d+\.html|{PART})")
+    served = False
+    for path in folder.glob(f"{number}.*"):
+        with contextlib.suppress(FileNotFoundError):  # its process ends
+            is_socket, mode = path.suffix == ".sock", path.lstat().st_mode
+            if made.fullmatch(path.name) and (stat.S_ISSOCK if is_socket else stat.S_ISREG)(mode):
+                if is_socket and is_served(path):
+                    served = True
+                else:
+                    path.unlink()
+    return not served
 
 
 def _open(path: Path) -> IO[str]:

@@ -111,7 +111,7 @@ def test_a_request_may_come_in_pieces(line: Line) -> None:
     client = line.client()
     data = json.dumps({"id": "ä"}, ensure_ascii=False).encode() + b"\n"
     for k in range(len(data)):
-        client._socket.sendall(data[k : k + 1])
+        client.connection.sendall(data[k : k + 1])
         line.loop.serve()
     assert line.receive(client) == [{"answer": {"id": "ä"}}]
 
@@ -147,7 +147,7 @@ def test_who_asks_for_a_description_gets_one_and_no_more(line: Line) -> None:
 )
 def test_a_line_that_is_no_request_is_refused_and_the_next_is_taken(line: Line, bad: bytes) -> None:
     client = line.client()
-    client._socket.sendall(bad + b'\n{"id": "2"}\n')
+    client.connection.sendall(bad + b'\n{"id": "2"}\n')
     refused, answered = line.receive(client, 2)
     assert refused == {"error": "expected one JSON object a line"}
     assert answered == {"answer": {"id": "2"}}
@@ -156,7 +156,7 @@ def test_a_line_that_is_no_request_is_refused_and_the_next_is_taken(line: Line, 
 
 def test_a_line_without_end_is_cut_off(line: Line) -> None:
     client, other = line.client(), line.client()
-    client._socket.sendall(b"x" * (MAX_LINE_BYTES + 1))
+    client.connection.sendall(b"x" * (MAX_LINE_BYTES + 1))
     wait_until(lambda: line.is_left(client), "the client to be left")
     other.send({"id": "1"})
     assert line.receive(other) == [{"answer": {"id": "1"}}]
