@@ -10,20 +10,35 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sparseskin.launch.attach.client import ask_node, describe, describe_node
 from sparseskin.launch.attach.text import table
 from sparseskin.launch.run.running import GraphError, RunningGraph, choose_graph
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.files import TAKEN, OutputError
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.sensor.calibration.fit import Fit, fit
+from sparseskin.nodes.sensor.calibration.frames import (
+    PARTS,
+    Live,
+    Recording,
+    file_frames,
+    open_frames,
+    read_part,
+)
+from sparseskin.nodes.sensor.calibration.press import (
+    AREAS,
+    LOADS,
+    CalibrationError,
+    Press,
+    read_area,
+    read_load,
+)
+from sparseskin.nodes.sensor.calibration.response import SkinFileError
+from sparseskin.nodes.sensor.calibration.skin_file import save_skin
 
 from .options import add_graph, real, show, whole
-
-if TYPE_CHECKING:
-    from sparseskin.nodes.sensor.calibration.fit import Fit
-    from sparseskin.nodes.sensor.calibration.frames import Live, Recording
-    from sparseskin.nodes.sensor.calibration.press import Press
 
 UNTOUCHED = "3s"
 STEP_S = 2.0
@@ -69,12 +84,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _calibrate(arguments: argparse.Namespace) -> int:
-    from sparseskin.nodes.files import TAKEN, OutputError
-    from sparseskin.nodes.sensor.calibration.fit import fit
-    from sparseskin.nodes.sensor.calibration.frames import open_frames
-    from sparseskin.nodes.sensor.calibration.response import SkinFileError
-    from sparseskin.nodes.sensor.calibration.skin_file import save_skin
-
     out: Path = arguments.out
     if out.suffix != ".toml":
         raise SkinFileError(f"--out {out}: expected a name that ends in .toml")
@@ -131,19 +140,21 @@ class _Steps:
         if not self._guided:
             return [self._stated(text) for text in self._arguments.press or ()]
         found: list[Press] = []
-        while (press := self._asked()) is not None:
-            found.append(press)
+        while force := self._answer(f"Load on the skin ({LOADS}; empty: no more): ", read_load):
+            question = f"Area that carries it evenly ({AREAS}; empty: not known): "
+            area = self._answer(question, lambda text: read_area(text, self._shape))
+            label = f"{force:.4g}N" + ("" if area is None else "@{}-{}x{}-{}".format(*area))
+            if self._reader.is_live:
+                frames = self._frames(f"{STEP_S:g}s", f"Put {label} on")
+            else:
+                question = "Part of the recording (START-STOPs), or a file: "
+                frames = self._answer(question, lambda text: self._frames(text, ""))
+            if frames is None:
+                break
+            found.append(Press(label, force, frames, area))
         return found
 
     def _stated(self, text: str) -> Press:
-        from sparseskin.nodes.sensor.calibration.press import (
-            LOADS,
-            CalibrationError,
-            Press,
-            read_area,
-            read_load,
-        )
-
         what, colon, where = text.partition(":")
         if not (colon and where):
             raise CalibrationError(
@@ -159,34 +170,6 @@ class _Steps:
             raise CalibrationError(f"--press {text}: {error}") from error
         return Press(what, force, frames, cells)
 
-    def _asked(self) -> Press | None:
-        """A load that a person puts on the skin; None if there is none any more."""
-        from sparseskin.nodes.sensor.calibration.press import (
-            AREAS,
-            LOADS,
-            Press,
-            read_area,
-            read_load,
-        )
-
-        force = self._answer(f"Load on the skin ({LOADS}; empty: no more): ", read_load)
-        if force is None:
-            return None
-
-        def area_of(text: str) -> tuple[int, int, int, int]:
-            return read_area(text, self._shape)
-
-        area = self._answer(f"Area that carries it evenly ({AREAS}; empty: not known): ", area_of)
-        label = f"{force:.4g}N" + ("" if area is None else "@{}-{}x{}-{}".format(*area))
-        if self._reader.is_live:
-            return Press(label, force, self._frames(f"{STEP_S:g}s", f"Put {label} on"), area)
-
-        def frames_of(text: str) -> Any:
-            return self._frames(text, "")
-
-        frames = self._answer("Part of the recording (START-STOPs), or a file: ", frames_of)
-        return None if frames is None else Press(label, force, frames, area)
-
     def _answer(self, question: str, read: Callable[[str], Any]) -> Any:
         """What a person answers, asked again until it can be read; None for an empty line."""
         while True:
@@ -200,9 +183,6 @@ class _Steps:
 
     def _frames(self, where: str, request: str) -> Any:
         """Frames of a part of the source, or of a file."""
-        from sparseskin.nodes.sensor.calibration.frames import PARTS, file_frames, read_part
-        from sparseskin.nodes.sensor.calibration.press import CalibrationError
-
         part = read_part(where)
         if part is None:
             if not Path(where).exists():
@@ -225,8 +205,6 @@ def _line(question: str) -> str:
     """A line of standard input.
     Raises CalibrationError at its end: whoever closed it has not answered.
     """
-    from sparseskin.nodes.sensor.calibration.press import CalibrationError
-
     print(question, end="", flush=True)
     text = sys.stdin.readline()
     if not (text and sys.stdin.isatty()):

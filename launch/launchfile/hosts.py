@@ -106,7 +106,8 @@ def read_security(
         fault((*place, "key"), "expected the name of this graph's key, a text")
     allow = found.allow or tuple(host.key for host in hosts.values() if host.key)
     allow = allow or tuple(filter(None, (found.key,)))
-    return replace(found, keys=str(folder / found.keys), allow=allow)
+    security: Security = replace(found, keys=str(folder / found.keys), allow=allow)
+    return security
 
 
 def check_exposure(

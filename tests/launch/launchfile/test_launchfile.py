@@ -380,18 +380,6 @@ def test_a_recording_in_a_read_only_folder_is_refused_before_the_start(
     assert run(capsys, "launch", "path_40", "--record", str(out)) == expected
 
 
-def test_a_vendor_export_that_is_not_read_is_refused_by_its_first_line(tmp_path: Path) -> None:
-    export = tmp_path / "foot.csv"
-    export.write_text("\ufeffPatient:,A. N. Other,,\n,,,\nUnits:,mmHg,,\n", encoding="utf-8")
-    override = f"sensor.source=file:{export}"
-    with pytest.raises(LaunchError) as refused:
-        load("replay", [override])
-    assert refused.value.lines == [
-        f"--set {override}: {export}, line 1: 'Patient:' is not a number; allowed: an export "
-        "of Tekscan or XSENSOR, or numbers with one frame a line"
-    ]
-
-
 def test_a_dry_run_shows_the_graph_and_starts_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = run(capsys, "launch", "drag_wrench_64", "--dry-run")
     assert (code, err) == (0, "")
@@ -422,28 +410,6 @@ def test_a_launch_file_without_its_recording_is_refused_with_a_hint(name: str, h
     (line,) = refused.value.lines
     assert line.startswith(f"--set {missing}: missing.mcap: ")
     assert line.endswith("no such file")
-
-
-@pytest.mark.parametrize(
-    ("stated", "lacks"),
-    [
-        (
-            [],
-            "frames.csv, line 1: a .csv of numbers does not state its shape; set n_rows and n_cols",
-        ),
-        (["n_rows=2"], "frames.csv: a .csv of numbers does not state its unit; set unit, e.g. N"),
-    ],
-)
-def test_a_csv_of_numbers_is_described_before_a_process_starts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stated: list[str], lacks: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "frames.csv").write_text("1,2,3,4\n")
-    changes = [f"sensor.{one}" for one in ["source=file:frames.csv", *stated]]
-    with pytest.raises(LaunchError) as refused:
-        load("replay", changes)
-    assert lacks in str(refused.value)
-    load("replay", [*changes, "sensor.n_rows=2", "sensor.unit=N"])
 
 
 @pytest.mark.parametrize("name", ["launch", "live_recorder_", "live_recorder_1"])
@@ -546,27 +512,6 @@ def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
     )
     Path("f.toml").write_text(_graph_of(source, m=n))
     load("f.toml")
-
-
-@pytest.mark.parametrize(
-    ("source", "refused"),
-    [
-        ('file:whole.npy"\nn_rows = 7\nunit = "N', "n_rows = 7 is stated, but the frames have 6"),
-        ("file:flat.npy", "has 2 dimensions"),
-        ("file:text.npz", "not a readable NumPy file"),
-        ("file:empty.csv", "the file is empty"),
-    ],
-)
-def test_a_recording_with_a_faulty_begin_is_refused_before_the_start(
-    check, source: str, refused: str
-) -> None:
-    _write_recordings()
-    np.save("flat.npy", np.zeros((4, 6)))
-    Path("text.npz").write_text("no archive")
-    Path("empty.csv").write_text("")
-    (line,) = check(_graph_of(source))
-    assert "nodes.sensor.source" in line
-    assert refused in line
 
 
 def test_begin_of_a_recording_is_read_and_no_more(tmp_path: Path) -> None:

@@ -49,17 +49,16 @@ class Desk:
         self.recording = LiveRecording(self.launch, self.fleet)  # type: ignore[arg-type]
         self.said: list[tuple[bool, str]] = []
 
-    def record(self, on: object) -> None:
-        self.recording.command("record", on, lambda done, text: self.said.append((done, text)))
-
-    def begin(self) -> FakeProcess:
-        self.record(True)
-        node = self.fleet.nodes[self.fleet.started[-1][0].name]
-        self.hear(node, "ready")
-        return node
-
-    def hear(self, node: Any, event: str) -> None:
-        self.recording.hear(node, event)
+    def take(self, step: str, node: Any = None) -> None:
+        """A request, "on" or "off", or an event of the recorder, by default of the last one."""
+        if step not in ("on", "off"):
+            names = list(self.fleet.nodes)
+            self.recording.hear(node or self.fleet.nodes[names[-1]], step)
+            return
+        try:
+            self.recording.command("record", step == "on", lambda *said: self.said.append(said))
+        except RefusedError as error:
+            self.said.append((False, str(error)))
 
 
 @pytest.fixture
@@ -69,7 +68,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Desk:
 
 
 def test_a_recorder_of_all_topics_joins_the_graph(desk: Desk) -> None:
-    desk.record(True)
+    desk.take("on")
     ((spec, topics),) = desk.fleet.started
     assert (spec.name, spec.type_name) == ("live_recorder_1", "recorder")
     assert set(topics) == {
@@ -81,103 +80,75 @@ def test_a_recorder_of_all_topics_joins_the_graph(desk: Desk) -> None:
     assert spec.settings.launch.startswith("# --set compressor.ratio=4\n")
 
 
-def test_it_is_on_once_the_recorder_is_ready_and_the_file_is_named(desk: Desk) -> None:
-    desk.record(True)
-    assert desk.said == []
-    out = desk.recording.out
-    assert out is not None
-    assert out.startswith("path_40-2")
-    assert out.endswith(".mcap")
-    desk.hear(desk.fleet.nodes["live_recorder_1"], "ready")
-    assert desk.said == [(True, f"recording to {out}")]
-    assert desk.recording.out == out
+BUSY, OFF = "record: the last request is still being done", "record: not on"
+BEGUN, DONE = "recording to OUT", "OUT: 321 messages recorded"
 
 
-def test_it_is_off_once_the_recorder_has_ended_and_reports_what_it_holds(desk: Desk) -> None:
-    node = desk.begin()
-    out = desk.recording.out
-    desk.record(False)
-    assert node.told == ["stop"]
-    assert desk.recording.out == out
-    node.report = {"recording": {"out": out, "n_messages": 321, "error": None}}
-    desk.hear(node, "ended")
-    assert desk.recording.out is None
-    assert desk.said[1:] == [(True, f"{out}: 321 messages recorded")]
-
-
-def test_a_recording_that_went_wrong_is_no_success(desk: Desk) -> None:
-    node = desk.begin()
-    desk.record(False)
-    node.report = {"recording": {"n_messages": 3, "error": "a.mcap: no space left"}}
-    desk.hear(node, "ended")
-    assert desk.said[1:] == [(False, "a.mcap: no space left")]
+@pytest.mark.parametrize(
+    ("steps", "done", "refused"),
+    [
+        ("on", [], []),
+        ("on ready", [BEGUN], []),
+        ("on ready off", [BEGUN], []),
+        ("on ready off ended", [BEGUN, DONE], []),
+        ("on ready off ended on ready", [BEGUN, DONE, BEGUN], []),
+        ("on failed ended", [], ["OUT: cannot be recorded; see the log"]),
+        ("on error ended on ready", [BEGUN], ["OUT: cannot be recorded; see the log"]),
+        ("on ready failed off", [BEGUN], [OFF]),
+        ("on ready ended", [BEGUN], []),  # with its streams: nobody asked for it
+        ("off", [], [OFF]),
+        ("on ready on", [BEGUN], ["record: already on: OUT"]),
+        ("on on", [], [BUSY]),
+        ("on off", [], [BUSY]),
+    ],
+)
+def test_each_request_is_answered_once_and_what_is_on_is_known(
+    desk: Desk, steps: str, done: list[str], refused: list[str]
+) -> None:
+    out = ""
+    for step in steps.split():
+        desk.take(step)
+        out = desk.recording.out or out
+        for node in desk.fleet.nodes.values():
+            node.report = {"recording": {"n_messages": 321, "error": None}}
+    said = [(is_done, re.sub(r"path_40-2[-\d]+\.mcap", "OUT", text)) for is_done, text in desk.said]
+    assert [text for is_done, text in said if is_done] == done
+    assert [text for is_done, text in said if not is_done] == refused
+    ended = steps.split()[-1] in ("ended", "failed", "error") or refused == [OFF]
+    assert (desk.recording.out is None) == ended
+    assert [node.told for node in desk.fleet.nodes.values()][:1] == (
+        [["stop"] if "ready off" in steps else []] if steps != "off" else []
+    )
 
 
 @pytest.mark.parametrize("event", ["failed", "error"])
-@pytest.mark.parametrize(
-    ("refusal", "text"),
-    [("", "cannot be recorded; see the log"), ("failed: no space left", "failed: no space left")],
-)
-def test_a_recorder_that_fails_at_the_start_is_reported_in_the_answer(
-    desk: Desk, event: str, refusal: str, text: str
-) -> None:
-    desk.record(True)
+def test_why_a_recorder_failed_at_the_start_is_in_the_answer(desk: Desk, event: str) -> None:
+    desk.take("on")
     out, node = desk.recording.out, desk.fleet.nodes["live_recorder_1"]
-    node.refusal = refusal
-    desk.hear(node, event)
-    desk.hear(node, "ended")
-    assert desk.said == [(False, f"{out}: {text}")]
-    assert desk.recording.out is None
-    desk.begin()
-    assert desk.said[1][0]
+    node.refusal = "failed: no space left"
+    desk.take(event)
+    assert desk.said == [(False, f"{out}: failed: no space left")]
 
 
-def test_a_recorder_that_fails_later_ends_the_recording(desk: Desk) -> None:
-    node = desk.begin()
-    desk.hear(node, "failed")
-    assert desk.recording.out is None
-    with pytest.raises(RefusedError, match="record: not on"):
-        desk.record(False)
+def test_a_recording_that_went_wrong_is_no_success(desk: Desk) -> None:
+    for step in ("on", "ready", "off"):
+        desk.take(step)
+    (node,) = desk.fleet.nodes.values()
+    node.report = {"recording": {"n_messages": 3, "error": "a.mcap: no space left"}}
+    desk.take("ended")
+    assert desk.said[1:] == [(False, "a.mcap: no space left")]
 
 
-def test_a_recording_that_ends_with_its_streams_is_off(desk: Desk) -> None:
-    desk.hear(desk.begin(), "ended")
-    assert desk.recording.out is None
-    assert len(desk.said) == 1  # nobody asked for the end
-
-
-def test_each_recording_has_a_recorder_of_its_own(desk: Desk) -> None:
-    first = desk.begin()
-    desk.record(False)
-    desk.hear(first, "ended")
-    second = desk.begin()
-    assert (first.name, second.name) == ("live_recorder_1", "live_recorder_2")
-    desk.hear(first, "ended")  # an old one's news changes nothing
+def test_the_news_of_others_and_of_former_recorders_change_nothing(desk: Desk) -> None:
+    for step in ("on", "ready", "off", "ended", "on", "ready"):
+        desk.take(step)
+    former, _ = desk.fleet.nodes.values()
+    n_said = len(desk.said)
+    for node in (former, FakeProcess("sensor")):
+        for event in ("ended", "failed", "error"):
+            desk.take(event, node)
     assert desk.recording.out is not None
-
-
-def test_the_news_of_other_nodes_change_nothing(desk: Desk) -> None:
-    desk.begin()
-    for event in ("ended", "failed", "error"):
-        desk.hear(FakeProcess("sensor"), event)
-    assert desk.recording.out is not None
-    assert len(desk.said) == 1
-
-
-def test_what_is_on_cannot_be_begun_and_what_is_off_not_ended(desk: Desk) -> None:
-    with pytest.raises(RefusedError, match="record: not on"):
-        desk.record(False)
-    desk.begin()
-    with pytest.raises(RefusedError, match=r"record: already on: path_40-.*\.mcap"):
-        desk.record(True)
-
-
-@pytest.mark.parametrize("on", [True, False])
-def test_one_request_at_a_time(desk: Desk, on: bool) -> None:
-    desk.record(True)
-    with pytest.raises(RefusedError, match="record: the last request is still being done"):
-        desk.record(on)
-    assert desk.said == []
+    assert len(desk.said) == n_said
 
 
 @pytest.mark.parametrize(
@@ -196,8 +167,8 @@ def test_a_file_that_is_there_already_is_not_written_over(
     name = f"{desk.recording._launch.name}-now.mcap"
     (tmp_path / name).write_text("precious")
     with pytest.raises(RefusedError, match=f"record: out: {re.escape(name)}: exists already"):
-        desk.record(True)
+        desk.recording.command("record", True, lambda *said: None)
     assert (desk.recording.out, desk.fleet.started) == (None, [])
     (tmp_path / name).unlink()
-    desk.begin()
+    desk.take("on")
     assert desk.recording.out == name

@@ -34,12 +34,6 @@ def policy_of(path: Path, text: str) -> dict[str, RestartPolicy]:
     return {name: spec.restart for name, spec in load(str(path)).nodes.items()}
 
 
-def test_without_a_policy_nothing_is_started_again() -> None:
-    restarts = Restarts(RestartPolicy())
-    assert restarts.next_s(100.0) is None
-    assert (restarts.total, restarts.spent) == (0, "")
-
-
 def test_each_restart_waits_twice_as_long_up_to_the_longest() -> None:
     policy = RestartPolicy(
         ON_FAILURE, max_restarts=10, restart_delay_s=0.5, restart_max_delay_s=5.0
@@ -59,16 +53,6 @@ def test_beyond_the_most_within_the_window_it_is_given_up() -> None:
     assert restarts.next_s(9.9) is None
     assert restarts.spent == " (2 restarts within 10 s: given up)"
     assert restarts.total == 2
-
-
-def test_the_window_slides() -> None:
-    policy = RestartPolicy(ON_FAILURE, 2, restart_window_s=10.0, restart_delay_s=1.0)
-    restarts = Restarts(policy)
-    assert [restarts.next_s(s) for s in (0.0, 9.0)] == [1.0, 11.0]
-    assert restarts.next_s(10.0) == 12.0  # the first is out, the second still counts
-    assert restarts.next_s(18.0) is None
-    assert restarts.next_s(100.0) == 101.0  # all are out: as at the beginning
-    assert restarts.total == 4
 
 
 @given(
