@@ -12,6 +12,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from sparseskin.launch.attach.formats import formatted
+from sparseskin.launch.attach.text import typed_value
+from sparseskin.messages.text import printable
+from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.files import NO_FOLDER, NO_WRITING, OutputError, check_link, overwrite
+from sparseskin.nodes.lookup import did_you_mean
+
 Run = Callable[[argparse.Namespace], int]
 
 
@@ -62,10 +69,6 @@ def stated_values(words: Iterable[str], entries: Iterable[Mapping[str, Any]]) ->
     `entries` describe the settings that are allowed, as `Settings.described`. Raises SettingsError
     if a text has no `=`, or the key is none of them.
     """
-    from sparseskin.launch.attach.text import typed_value
-    from sparseskin.nodes.errors import SettingsError
-    from sparseskin.nodes.lookup import did_you_mean
-
     known = {entry["key"]: entry for entry in entries}
     values: dict[str, Any] = {}
     for word in words:
@@ -86,8 +89,6 @@ def add_summary(parser: argparse.ArgumentParser) -> None:
 
 def check_summary(path: Path | None) -> None:
     """Check before a run that its summary can be written, or raise OutputError."""
-    from sparseskin.nodes.files import NO_FOLDER, NO_WRITING, OutputError, check_link
-
     if path is None:
         return
     try:
@@ -109,10 +110,6 @@ def write_summary(path: Path | None, name: str, summary: Mapping[str, Any]) -> N
     """
     from importlib.metadata import version
 
-    from sparseskin.launch.attach.formats import formatted
-    from sparseskin.nodes.errors import SettingsError
-    from sparseskin.nodes.files import overwrite
-
     if path is not None:
         document = formatted(name, {"sparseskin": version("sparseskin"), **summary})
         try:
@@ -124,8 +121,6 @@ def write_summary(path: Path | None, name: str, summary: Mapping[str, Any]) -> N
 @contextlib.contextmanager
 def naming_options(options: Mapping[str, str]) -> Iterator[None]:
     """Let an error that begins with the name of a setting name the option that states it."""
-    from sparseskin.nodes.errors import SettingsError, SparseskinError
-
     try:
         yield
     except SparseskinError as error:
@@ -139,8 +134,6 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
     """Print, from the reports of nodes, which were restarted, and what sensors clipped, recorders
     wrote and players played.
     """
-    from sparseskin.messages.text import printable
-
     for name, node in nodes.items():
         if n := node.get("restarts", 0):
             times, last = "time" if n == 1 else "times", printable(node["failures"][-1])
@@ -177,8 +170,6 @@ def show(
     """Print a document of the format `name` as JSON where that is asked for, else lines; return the
     exit code.
     """
-    from sparseskin.launch.attach.formats import formatted
-
     if arguments.json:
         print(json.dumps(formatted(name, document), indent=2))
     else:
