@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from conftest import PATIENCE_S, PATIENT_COMMAND, Program, wait_until
+from documented import check
 from shells import words
 
 from sparseskin.launch.attach.client import Answer, ask_node
@@ -39,6 +40,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
     folder = tmp_path_factory.mktemp("graph")
     program = Program(
         *("launch", "path_40", "--record", "run.mcap", "--set", "monitor.port=0"),
+        *("--summary", "summary.json"),
         *("--set", "sensor.rate_hz=50", "--set", "reconstructor.iterations=3"),
         *("--set", "sensor.source=sparseskin.studies.looped:truth_40"),
         cwd=folder,
@@ -92,11 +94,15 @@ def refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> Run:
 
 @pytest.fixture
 def run_json(run: Run) -> RunJson:
-    """Run a command with --json; the document, or one a line."""
+    """Run a command with --json; the document, or one a line, as it is documented."""
 
     def done(*arguments: str, lines: bool = False) -> Any:
         out = run(*arguments, "--json")
-        return [json.loads(line) for line in out.splitlines()] if lines else json.loads(out)
+        documents = list(map(json.loads, out.splitlines() if lines else [out]))
+        for document in documents:
+            if isinstance(document, dict) and "format" in document:
+                check(document)
+        return documents if lines else documents[0]
 
     return done
 
@@ -378,3 +384,16 @@ def test_a_shell_completes_names_of_the_running_graph(folder: Path) -> None:
     assert words("topic hz --graph ") == ["path_40"]
     assert words("topic hz --graph=pa") == ["path_40"]
     assert words("node info --graph=none ") == []
+
+
+def test_other_documents_have_the_documented_fields(
+    graph: Program, run_json: RunJson, folder: Path
+) -> None:
+    (found,) = run_json("graph", "list")["graphs"]
+    assert (found["name"], found["nodes"]) == ("path_40", NODES)
+    assert run_json("param", "set", "compressor", "ratio", "4")["set"] == {"ratio": 4}
+    assert run_json("sources")["scenes"]
+    graph.process.send_signal(signal.SIGINT)  # the last test of this graph
+    assert graph.finish()[0] == 130
+    check(json.loads((folder / "summary.json").read_text()))
+    assert run_json("bag", "info", str(folder / "run.mcap"))["recovered"] == ""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 from conftest import MountDisk
+from documented import check
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.offline.scenarios import make_scenario
@@ -36,8 +38,10 @@ def maps(path: Path, kind: type[Reconstruction] | type[Taxels]) -> list[tuple[in
 def test_the_same_settings_give_the_same_bits_and_stamps(
     recording: Path, tmp_path: Path, start_from: str
 ) -> None:
-    out = tmp_path / "out.mcap"
-    assert main(["reprocess", str(recording), "--out", str(out), "--from", start_from]) == 0
+    out, summary = tmp_path / "out.mcap", tmp_path / "out.json"
+    more = ["--from", start_from, "--summary", str(summary)]
+    assert main(["reprocess", str(recording), "--out", str(out), *more]) == 0
+    check(json.loads(summary.read_text()))
     for kind in (Reconstruction, Taxels):
         assert maps(out, kind) == maps(recording, kind)
 
