@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from conftest import PATIENCE_S, Program, wait_until
+from conftest import PATIENCE_S
 from shells import words
 
 from sparseskin.launch.commands.cli import COMMANDS, main, plugins
@@ -19,32 +19,6 @@ NODES = {"sensor": RunningNode("sensor", "ipc://none", ["/skin/skin"])}
 def runtime_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
     monkeypatch.setattr("sparseskin.launch.attach.client.PATIENCE_S", PATIENCE_S)
-
-
-def test_stop_ends_a_graph_as_ctrl_c_does(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    program = Program(
-        *("launch", "path_40", "--set", "monitor.page=false", "--set", "sensor.rate_hz=20"),
-        *("--set", "sensor.source=sparseskin.studies.looped:truth_40"),
-        cwd=tmp_path,
-    )
-    try:
-        program.wait_for("[launch] ready")
-        wait_until(lambda: main(["node", "list"]) == 0, "the note of the graph")
-        capsys.readouterr()
-        assert main(["stop"]) == 0
-        label = f"path_40-{program.process.pid}"
-        nodes = "sensor, compressor, reconstructor, monitor"
-        assert capsys.readouterr().out == f"{label} has ended: {nodes}\n"
-        code, stdout, _ = program.finish()
-        assert code == 130
-        assert "skin: " in stdout  # the table
-        assert program.survivors() == {}
-        assert main(["stop"]) == 2
-        assert "no graph runs" in capsys.readouterr().err
-    finally:
-        program.kill_all()
 
 
 def test_graphs_are_listed_and_which_to_stop_has_to_be_said(

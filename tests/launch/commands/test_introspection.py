@@ -386,14 +386,22 @@ def test_a_shell_completes_names_of_the_running_graph(folder: Path) -> None:
     assert words("node info --graph=none ") == []
 
 
-def test_other_documents_have_the_documented_fields(
-    graph: Program, run_json: RunJson, folder: Path
-) -> None:
+def test_other_documents_have_the_documented_fields(run_json: RunJson) -> None:
     (found,) = run_json("graph", "list")["graphs"]
     assert (found["name"], found["nodes"]) == ("path_40", NODES)
     assert run_json("param", "set", "compressor", "ratio", "4")["set"] == {"ratio": 4}
     assert run_json("sources")["scenes"]
-    graph.process.send_signal(signal.SIGINT)  # the last test of this graph
-    assert graph.finish()[0] == 130
+
+
+def test_stop_ends_the_graph_as_ctrl_c_does(
+    graph: Program, run: Run, run_json: RunJson, refused: Run, folder: Path
+) -> None:
+    label = f"path_40-{graph.process.pid}"
+    assert run("stop") == f"{label} has ended: {', '.join(NODES)}\n"
+    code, stdout, _ = graph.finish()
+    assert code == 130
+    assert "skin: " in stdout  # the table
+    assert graph.survivors() == {}
+    assert "no graph runs" in refused("stop")
     check(json.loads((folder / "summary.json").read_text()))
     assert run_json("bag", "info", str(folder / "run.mcap"))["recovered"] == ""
