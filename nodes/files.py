@@ -24,6 +24,21 @@ class OutputError(SparseskinError):
     """A file that cannot be written where it was asked for."""
 
 
+def user_folder(kind: str) -> Path:
+    """Folder of this program for "cache", "data" or "state" of the user: in $XDG_KIND_HOME, or
+    in the home directory where that is not an absolute path.
+    Raises SparseskinError if no home directory is known.
+    """
+    stated = Path(os.environ.get(f"XDG_{kind.upper()}_HOME", ""))
+    default = {"cache": ".cache", "data": ".local/share", "state": ".local/state"}[kind]
+    try:
+        home = stated if stated.is_absolute() else Path.home() / default
+    except RuntimeError as error:
+        text = f"no home directory is known; set XDG_{kind.upper()}_HOME"
+        raise SparseskinError(text) from error
+    return home / "sparseskin"
+
+
 def check_private(folder: Path) -> None:
     """Check that no other user can enter a folder or has put a link in its place.
     Raises SparseskinError if it is no folder, belongs to another user, or its mode is not 0700.

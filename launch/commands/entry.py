@@ -64,17 +64,13 @@ def keep_bytecode() -> None:
         for name in ("numpy", "sparseskin.launch.commands.cli")
         if (spec := importlib.util.find_spec(name))
     ]
-    cache_home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    # Where no home is known, "~" stays.
-    if not os.path.isabs(cache_home) or all(path and os.path.exists(path) for path in stored):
+    if all(path and os.path.exists(path) for path in stored):
         return
-    from pathlib import Path
-
     from sparseskin.nodes.errors import SparseskinError
-    from sparseskin.nodes.files import check_private
+    from sparseskin.nodes.files import check_private, user_folder
 
-    folder = Path(cache_home) / "sparseskin" / "bytecode"
     try:
+        folder = user_folder("cache") / "bytecode"
         for made in (folder.parent, folder):
             made.mkdir(mode=0o700, parents=True, exist_ok=True)
             check_private(made)  # what is in it is run

@@ -146,15 +146,16 @@ def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
 
 def _run_log(launch: LaunchFile, stated: str | None) -> RunLog | None:
     """The log files of a run; None, with a warning, if the default folder cannot be made."""
-    from sparseskin.launch.launchfile.spec import LaunchError
-    from sparseskin.launch.run.run_log import RunLog, default_log_dir
+    from sparseskin.launch.run.run_log import RunLog
+    from sparseskin.nodes.errors import SparseskinError
+    from sparseskin.nodes.files import user_folder
 
     if wanted := stated or launch.log_dir:
         with naming_options({"log_dir": "--log-dir"} if stated else {}):
             return RunLog(Path(wanted), launch.name, time.time())
     try:
-        return RunLog(default_log_dir(), launch.name, time.time())
-    except LaunchError as error:
+        return RunLog(user_folder("state") / "log", launch.name, time.time())
+    except SparseskinError as error:
         reason = str(error).removeprefix("log_dir: ")
         print(f"warning: no log files: {reason}; --log-dir states another folder", file=sys.stderr)
         return None

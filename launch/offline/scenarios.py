@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections import deque
 from collections.abc import Iterable
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.files import OutputError, user_folder, whole_file
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.remote import is_remote, local_path
 
@@ -49,15 +49,8 @@ SCENARIOS = {
 
 
 def data_folder() -> Path:
-    """Folder of the recordings that are made on first use: in
-    $XDG_DATA_HOME, ~/.local/share where that is not an absolute path.
-    """
-    stated = Path(os.environ.get("XDG_DATA_HOME", ""))
-    try:
-        home = stated if stated.is_absolute() else Path.home() / ".local" / "share"
-    except RuntimeError as error:
-        raise ScenarioError("no home directory is known; set XDG_DATA_HOME") from error
-    return home / "sparseskin"
+    """Folder of the recordings that are made on first use."""
+    return user_folder("data")
 
 
 def resolve_recording(name_or_path: str) -> Path:
@@ -86,7 +79,6 @@ def make_scenario(name: str, folder: Path) -> Path:
     The same bytes in every message each time: the clock is moved by hand, and solver times, which
     no two runs share, are left at 0.
     """
-    from sparseskin.nodes.files import OutputError, whole_file
     from sparseskin.nodes.recorder.bag.writer import removing
 
     if name not in SCENARIOS:

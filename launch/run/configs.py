@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from sparseskin.launch.launchfile.hosts import Credentials
 from sparseskin.launch.launchfile.spec import LaunchFile, NodeSpec
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.network.keys import read_key_pair
@@ -102,17 +103,13 @@ def note_of(
 
 
 def _security(launch: LaunchFile, joined: RunningGraph | None) -> dict[str, Any] | None:
-    if joined is not None and joined.key_file:
-        own = read_key_pair(Path(joined.key_file))
-        return {"own": [own.public, own.secret], "allowed": {}, "known": {}}
     keys = launch.credentials
+    if joined is not None and joined.key_file:
+        keys = Credentials(read_key_pair(Path(joined.key_file)), joined.key_file, {}, {}, {})
     if keys is None:
         return None
-    return {
-        "own": [keys.own.public, keys.own.secret],
-        "allowed": dict(keys.allowed),
-        "known": dict(keys.known),
-    }
+    own = [keys.own.public, keys.own.secret]
+    return {"own": own, "allowed": dict(keys.allowed), "known": dict(keys.known)}
 
 
 def _endpoint(transport: str, number: int) -> str:

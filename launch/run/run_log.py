@@ -24,18 +24,6 @@ _FILE = re.compile(r"[A-Za-z0-9_.-]+\.log(\.1)?")
 _NAMED = re.compile(r"\[([A-Za-z0-9_.-]+)\] (.*)", re.DOTALL)
 
 
-def default_log_dir() -> Path:
-    """Folder of the runs where none is stated.
-    Raises LaunchError if the home directory is not known.
-    """
-    state = os.environ.get("XDG_STATE_HOME")
-    try:
-        home = Path(state) if state else Path.home() / ".local" / "state"
-    except RuntimeError as error:
-        raise LaunchError(["log_dir: no home directory is known; set XDG_STATE_HOME"]) from error
-    return home / "sparseskin" / "log"
-
-
 def time_text(now_s: float) -> str:
     """Time of day with milliseconds, which stands before each line."""
     return f"{time.strftime('%H:%M:%S', time.localtime(now_s))}.{int(now_s * 1000) % 1000:03d}"

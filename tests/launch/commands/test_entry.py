@@ -77,14 +77,15 @@ def test_a_stated_folder_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sys.pycache_prefix == "/stated"
 
 
-@pytest.mark.parametrize("home", ["relative", "~/.cache"])
-def test_without_a_home_no_bytecode_is_stored_or_loaded(
-    home: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_no_bytecode_is_loaded_from_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stored_at(tmp_path / "none.pyc", monkeypatch)
-    monkeypatch.setenv("XDG_CACHE_HOME", home)
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / ".cache").mkdir()
     entry.keep_bytecode()
-    assert sys.pycache_prefix is None
+    assert sys.pycache_prefix == f"{tmp_path}/.cache/sparseskin/bytecode"
 
 
 @pytest.mark.parametrize("module", ["argparse", "sparseskin.launch.commands.cli"])

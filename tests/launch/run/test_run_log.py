@@ -15,8 +15,10 @@ from other_user import give
 
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.launch.run import run_log
-from sparseskin.launch.run.run_log import MARK, RunLog, default_log_dir, time_text
+from sparseskin.launch.run.run_log import MARK, RunLog, time_text
 from sparseskin.launch.run.terminal import Terminal
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.files import user_folder
 
 NOW_S = 1_700_000_000.125
 
@@ -215,15 +217,15 @@ def test_a_disk_that_is_full_ends_the_files_and_not_the_terminal(
     assert lines == ["[sensor] 0", told, "[sensor] 1", "[sensor] 2", ""]
 
 
-def test_the_default_folder_is_the_users_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_folders_are_the_users_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", "/s")
-    assert default_log_dir() == Path("/s/sparseskin/log")
-    monkeypatch.delenv("XDG_STATE_HOME")
+    assert user_folder("state") == Path("/s/sparseskin")
+    monkeypatch.setenv("XDG_STATE_HOME", "relative")
     monkeypatch.setenv("HOME", "/h")
-    assert default_log_dir() == Path("/h/.local/state/sparseskin/log")
+    assert user_folder("state") == Path("/h/.local/state/sparseskin")
 
 
-def test_where_no_home_directory_is_known_there_are_no_log_files(
+def test_where_no_home_directory_is_known_the_remedy_is_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def unknown(*_: object) -> None:
@@ -232,8 +234,8 @@ def test_where_no_home_directory_is_known_there_are_no_log_files(
     for name in ("HOME", "XDG_STATE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(pwd, "getpwuid", unknown)
-    with pytest.raises(LaunchError, match="no home directory is known; set XDG_STATE_HOME"):
-        default_log_dir()
+    with pytest.raises(SparseskinError, match="no home directory is known; set XDG_STATE_HOME"):
+        user_folder("state")
 
 
 def test_the_launch_file_names_a_folder(tmp_path: Path) -> None:

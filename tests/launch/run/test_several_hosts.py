@@ -122,17 +122,3 @@ def test_a_host_that_is_not_on_the_list_gets_nothing_and_is_named(
         program.process.send_signal(signal.SIGINT)
         program.finish()
     assert not any(summary(tmp_path, "desk")["nodes"]["echo"]["received"].values())
-
-
-def test_a_host_with_the_wrong_key_is_named(start: StartProgram, tmp_path: Path) -> None:
-    write(tmp_path)
-    edge = part(start, "edge")
-    edge.wait_for("[launch] waits for ")
-    for end in ("key", "pub"):  # the desk believes in another edge
-        (tmp_path / f"keys/edge.{end}").unlink()
-    make_key_files("edge", tmp_path / "keys")
-    desk = part(start, "desk")
-    edge.wait_for("it has a wrong key for this host")
-    for program in (edge, desk):
-        program.process.send_signal(signal.SIGINT)
-        program.finish()

@@ -39,6 +39,48 @@ host = "desk"
 """
 
 
+N_FRAMES = 60
+BODY = """\
+[[patches]]
+name = "palm"
+rows = 16
+cols = 16
+host = "edge"
+[[patches]]
+name = "thumb"
+rows = 16
+cols = 16
+host = "edge"
+[[patches]]
+name = "sole"
+rows = 12
+cols = 24
+host = "desk"
+"""
+BODY_GRAPH = """\
+[hosts.edge]
+address = "10.203.7.1"
+[hosts.desk]
+address = "10.203.7.2"
+[security]
+keys = "keys"
+[skin]
+body = "body.toml"
+[nodes.sensor]
+type = "sensor_batch"
+source = "scene:lying"
+rate_hz = 20
+[nodes.compressor]
+type = "compressor_batch"
+[nodes.reconstructor]
+type = "reconstructor_batch"
+[nodes.monitor]
+type = "monitor"
+host = "desk"
+page = false
+"""
+
+
 @pytest.fixture
 def hosts(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[TwoHosts]:
     with two_hosts(slow=getattr(request, "param", False)) as made:
@@ -49,8 +91,9 @@ def hosts(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[TwoHosts]:
         yield made
 
 
-def part(start: StartProgram, hosts: TwoHosts, host: str) -> Program:
-    arguments = ("launch", "two.toml", "--host", host, "--summary", f"{host}.json")
+def part(start: StartProgram, hosts: TwoHosts, host: str, name: str = "two.toml") -> Program:
+    arguments = ("launch", name, "--host", host, "--summary", f"{host}.json")
+    arguments += ("--frames", str(N_FRAMES)) if name == "robot.toml" else ()
     return start(*arguments, prefix=hosts.prefix(host))
 
 
@@ -108,3 +151,31 @@ def test_over_a_slow_wire_that_loses_packets_no_frame_is_lost(
     # Two launchers on one computer: their clocks agree, and the way there and back takes 40 ms.
     assert clock["clock_uncertainty_ms"] >= 20
     assert abs(clock["clock_offset_ms"]) <= clock["clock_uncertainty_ms"]
+
+
+@pytest.mark.slow
+def test_patches_are_reconstructed_where_they_are_and_watched_at_one_place(
+    hosts: TwoHosts, start: StartProgram, tmp_path: Path
+) -> None:
+    (tmp_path / "body.toml").write_text(BODY)
+    (tmp_path / "robot.toml").write_text(BODY_GRAPH)
+    for program in [part(start, hosts, host, "robot.toml") for host in ADDRESSES]:
+        code, _, stderr = program.finish()
+        assert code in (0, 1), stderr  # 1: the monitor is on the other host
+        assert "Traceback" not in stderr
+        assert program.survivors() == {}
+    found = {host: json.loads((tmp_path / f"{host}.json").read_text()) for host in ADDRESSES}
+    # The hands are served by one host, the foot by the other.
+    batches = {host: found[host]["nodes"].keys() for host in ADDRESSES}
+    assert batches["edge"] == {"sensor_1", "compressor_1", "reconstructor_1"}
+    assert batches["desk"] == {"sensor_2", "compressor_2", "reconstructor_2", "monitor"}
+    assert found["edge"]["patches"] == {}
+    patches = found["desk"]["patches"]
+    assert patches.keys() == {"palm", "thumb", "sole"}
+    for patch in patches.values():
+        counts = patch["frames"]
+        assert counts["sensed"] == counts["reconstructed"] == N_FRAMES
+        assert counts["lost"] == counts["skipped"] == 0
+        # Sensor and reconstructor of a patch share a host, and so a clock.
+        assert patch["latency_uncertainty_ms"] == 0
+    assert "edge" in found["desk"]["hosts"]
