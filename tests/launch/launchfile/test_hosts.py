@@ -164,17 +164,17 @@ def test_it_is_not_refused_where_it_is_stated_or_nobody_can_reach_it() -> None:
         ('"keys"', "3", "f.toml:12: security.keys: expected a text, got 3"),
         ('"keys"', '"keys"\nallow = "edge"', "f.toml:13: security.allow: expected a list of"),
         ('"keys"', '"keys"\nkey = "edge"', "f.toml:13: security.key: with several hosts each"),
+        (
+            "[graph]",
+            '[graph]\ninsecure = "yes"',
+            "f.toml:2: graph.insecure: expected true or f",
+        ),
         ("[security]", "[secureity]", "f.toml:11: secureity: unknown table (did you mean 'sec"),
     ],
 )
 def test_each_fault_has_its_place(old: str, new: str, line: str) -> None:
     assert TWO.count(old) == 1
     assert faults(TWO.replace(old, new))[0].startswith(line)
-
-
-def test_insecure_is_true_or_false() -> None:
-    text = TWO.replace("[graph]", '[graph]\ninsecure = "yes"')
-    assert faults(text) == ["f.toml:2: graph.insecure: expected true or false, got 'yes'"]
 
 
 def test_a_key_that_is_missing_or_open_to_others_starts_nothing(
