@@ -81,6 +81,7 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
 
 def _play(arguments: argparse.Namespace) -> int:
     """Run a player as a graph of its own, which others may join; with a page, a monitor too."""
+    from sparseskin.launch.launchfile.load import single_node
     from sparseskin.launch.run.launcher import Launcher
     from sparseskin.launch.run.terminal import Terminal
 
@@ -95,18 +96,15 @@ def _play(arguments: argparse.Namespace) -> int:
         "verbatim": not (arguments.loop or arguments.remap),
     }
     with naming_options({key: option for key, (option, _) in PLAY_OPTIONS.items()}):
-        launch = _with_page(arguments, path, values) if arguments.open else _alone(path, values)
+        if arguments.open:
+            launch = _with_page(arguments, path, values)
+        else:
+            launch = replace(single_node("player", "player", values), name=path.stem)
     keys = STEP_KEYS if arguments.step else PLAY_KEYS
     launcher = Launcher(launch, Terminal(), keys=keys)
     code = launcher.run()
     print_ends(launcher.summary()["nodes"])
     return code
-
-
-def _alone(path: Path, values: dict[str, Any]) -> LaunchFile:
-    from sparseskin.launch.launchfile.load import single_node
-
-    return replace(single_node("player", "player", values), name=path.stem)
 
 
 def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]) -> LaunchFile:

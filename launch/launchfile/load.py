@@ -14,22 +14,14 @@ from sparseskin.nodes.lookup import did_you_mean, search_in
 from sparseskin.nodes.registry import make_settings, node_class
 from sparseskin.nodes.toml import MAX_CHARS, parse_toml
 
-from . import BUNDLED, bundled_names
+from . import BUNDLED as BUNDLED
+from . import bundled_names as bundled_names
 from .check import Checker, one_line_of
-from .spec import LaunchError, LaunchFile, NodeSpec
+from .spec import LaunchError as LaunchError
+from .spec import LaunchFile as LaunchFile
+from .spec import NodeSpec
 
 _TOML_PLACE = re.compile(r" \(at line (\d+), column (\d+)\)$")
-
-__all__ = [
-    "BUNDLED",
-    "LaunchError",
-    "LaunchFile",
-    "bundled_names",
-    "find_launch_file",
-    "load",
-    "load_tables",
-    "single_node",
-]
 
 
 def single_node(name: str, type_name: str, values: dict[str, Any]) -> LaunchFile:

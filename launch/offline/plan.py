@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages import End, SkinState
 from sparseskin.messages.topics import split_topic
@@ -162,7 +161,10 @@ def plan_slices(stamps: Stamps, slice_s: float | None, warm_up: int) -> list[Sli
                 n_frames=stop - first,
                 n_before=first,
                 n_warm_up=first - begin,
-                counts={t: _n_before(of, first_ns) for t, of in others.items()},
+                counts={
+                    t: int(np.searchsorted(of, frames[first])) if number else 0
+                    for t, of in others.items()
+                },
             )
         )
     return found
@@ -172,7 +174,3 @@ def _begin(skins: list[tuple[int, int]], frame: int) -> int:
     """The last frame up to `frame` that is measured by the first row subset."""
     origin, n_subsets = max((s for s in skins if s[0] <= frame), default=(0, 1))
     return frame - (frame - origin) % n_subsets
-
-
-def _n_before(stamps: npt.NDArray[np.int64], first_ns: int | None) -> int:
-    return 0 if first_ns is None else int(np.searchsorted(stamps, first_ns))

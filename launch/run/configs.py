@@ -16,6 +16,8 @@ from sparseskin.nodes.network.sockets import Peer
 
 from .running import RunningGraph, RunningNode, page_path, socket_path
 
+ANY_PORT = "tcp://127.0.0.1:*"
+
 
 def node_config(
     launch: LaunchFile,
@@ -42,7 +44,7 @@ def node_config(
         "settings": spec.values,
         "folder": launch.folder,
         **asdict(spec.scheduling),
-        "endpoint": _endpoint(launch.transport, number),
+        "endpoint": f"ipc://{socket_path(number)}" if launch.transport == "ipc" else ANY_PORT,
         "inputs": [link.topic for link in read],
         "readers": sorted(readers),
         "offset_ns": offset_ns,
@@ -110,9 +112,3 @@ def _security(launch: LaunchFile, joined: RunningGraph | None) -> dict[str, Any]
         return None
     own = [keys.own.public, keys.own.secret]
     return {"own": own, "allowed": dict(keys.allowed), "known": dict(keys.known)}
-
-
-def _endpoint(transport: str, number: int) -> str:
-    if transport == "tcp":
-        return "tcp://127.0.0.1:*"
-    return f"ipc://{socket_path(number)}"

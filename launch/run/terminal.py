@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import select
 import shutil
 import sys
@@ -19,9 +20,8 @@ from .run_log import RunLog, time_text
 QUIET_STATUS_S = 10.0
 """Period of the status where the output is no terminal, seconds."""
 
-# Arrow keys come as three characters; each becomes one of the private-use area.
-ARROWS = {"\x1b[A": "\ue000", "\x1b[B": "\ue001", "\x1b[C": "\ue002", "\x1b[D": "\ue003"}
-NAMES = {"\ue000": "up", "\ue001": "down", "\ue002": "right", "\ue003": "left"}
+ARROWS = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left"}
+"""Keys that come as three characters."""
 
 
 class Terminal:
@@ -90,9 +90,7 @@ class Terminal:
         if self._keys_fd is None or not select.select([self._keys_fd], [], [], 0)[0]:
             return []
         text = os.read(self._keys_fd, 64).decode(errors="replace")
-        for code, name in ARROWS.items():
-            text = text.replace(code, name)
-        return [NAMES.get(key, key) for key in text]
+        return [ARROWS.get(key, key) for key in re.findall(r"\x1b\[[A-D]|.", text, re.DOTALL)]
 
     def _erase(self) -> None:
         if self._live and self._status:
