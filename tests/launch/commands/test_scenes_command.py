@@ -14,7 +14,7 @@ from sparseskin.launch.offline.scenarios import (
     make_scenario,
     resolve_recording,
 )
-from sparseskin.messages import Taxels, Truth, decode
+from sparseskin.messages import Truth, decode
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.recorder.bag.reader import BagReader
 
@@ -38,6 +38,7 @@ def test_a_scenario_is_small_whole_complete_and_in_contact(name: str, tmp_path: 
     assert path.stat().st_size < MAX_BYTES
     with BagReader(path) as bag:
         assert bag.recovered == ""
+        assert bag.metadata["scene"] == SCENARIOS[name].scene
         unasked = ("end", "resultant", "calibration")
         asked = [name for name in SCHEMAS if name not in unasked and not name.endswith("_batch")]
         assert set(bag.topics) == {f"/skin/{name}" for name in asked}
@@ -83,12 +84,3 @@ def test_the_list_names_every_scene_and_recording(capsys: pytest.CaptureFixture[
     out = capsys.readouterr().out
     assert all(name in out for name in (*SCENARIOS, "path_40", "drag_wrench_64"))
     assert max(map(len, out.splitlines())) <= 80
-
-
-def test_taxels_are_readings_of_the_scene(tmp_path: Path) -> None:
-    with BagReader(make_scenario("press_box", tmp_path)) as bag:
-        (first, *_) = bag.messages(["/skin/taxels"])
-        taxels = decode(first.topic.encode(), first.payload)
-        assert isinstance(taxels, Taxels)
-        assert taxels.forces.shape == (40, 40)
-        assert bag.metadata["scene"] == "lift_box_40"
