@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, load
+from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.launch.offline.scenarios import make_scenario
 from sparseskin.messages import (
     Measurements,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import frames, make_bag, skin_state
+from bags import frames, make_bag
 
 from sparseskin.launch.commands.cli import main
 
@@ -48,20 +48,10 @@ LINES = {
     "play some.mcap --no-token": "--no-token: goes with --open",
     "reprocess some.mcap log.csv --out new": "log.csv: no recording (.mcap)",
     "reprocess some.mcap none.mcap --out new": "none.mcap: no such file",
-    "learn-basis empty.mcap --out b.npz": "holds no frames of truth or taxels",
-    "learn-basis none.mcap --out b.npz": "no such file",
     "calibrate scene:path_40 --out s.toml": "delivers true forces, which need no calibration",
 }
 """Of each command line what its one line holds."""
 FAULTS = {
-    "learn-basis some.mcap --out b.npz --tile 2": {
-        "--topic /skin/trut": "no topic '/skin/trut' (did you mean '/skin/truth'?)",
-        "--topic /skin/skin": "/skin/skin holds no frames of truth or taxels",
-        "--tile 6": "tile: 6 is not allowed for frames of 5 x 7; allowed: 2..5",
-        "--tile 5": "taxels has a force above 0.01; try a smaller --tile",
-        "--frames 0": "--frames: '0': expected a whole number, 1 or more",
-        "--out b.txt": "--out b.txt: expected a name that ends in .npz",
-    },
     "reprocess some.mcap --from taxels --out out.mcap": {
         "--set reconstructor.solver=fist": "did you mean 'fista'",
         "--set sensor.seed=1": "unknown node 'sensor'",
@@ -99,7 +89,6 @@ FAULTS = {
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
     make_bag(folder / "some.mcap", frames(12))
-    make_bag(folder / "empty.mcap", [skin_state()])
     counts = 40 + np.random.default_rng(0).normal(0, 1, (700, 4, 6))
     np.save(folder / "all.npy", counts)
     for name in ("old.toml", "old.mcap", "log.csv"):
