@@ -15,6 +15,10 @@ from .frames import FINGERPRINT_PATTERN, Floats
 from .skin import Skin
 from .topics import MAX_NAME, NAME_PATTERN, topic_of
 
+CLIP_SD = 0.584
+"""Standard deviation of an untouched taxel's noise that the range clips at 0, in that of the noise.
+Derived: of max(0, z), z normal, sqrt(1/2 - 1/(2 pi))."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkinState(Message):
@@ -77,6 +81,13 @@ class SkinState(Message):
     def clips_noise(self) -> bool:
         """True if the range clips more than a fortieth of the noise of an untouched taxel."""
         return self.f_min > -2 * self.sigma_end or not self.f_min
+
+    @property
+    def least_sd(self) -> float:
+        """Least standard deviation of the stated noise of a taxel, in `unit`: that of an untouched
+        one where the range clips it; 0 where no noise is stated.
+        """
+        return min(self.sigma_mid, self.sigma_end) * (CLIP_SD if self.clips_noise else 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

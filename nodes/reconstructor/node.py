@@ -133,7 +133,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         elif isinstance(message, PhiState):
             known, self._announced = self._announced, message
         if self._solver is not None and known is not None and _is_alike(message, known):
-            self._state_period()
+            self._state_period_and_noise()
             return
         if self._skin is not None and self._announced is not None:
             self._subsets, self._solver = {}, None
@@ -208,7 +208,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         if isinstance(solver, Solver):
             solver.may_compare = lambda: self.may_compare()
         self._solver = solver
-        self._state_period()
+        self._state_period_and_noise()
         if chosen["solver"] in SOLVERS and use_compiled(self.settings.fast):
             for one in subsets:
                 if is_sbhe(one):
@@ -234,10 +234,11 @@ class Reconstructor(Node[ReconstructorSettings]):
             max_iterations=getattr(solver, "max_iterations", 0),
         )
 
-    def _state_period(self) -> None:
-        """Hand the time between frames that the skin states to the solver."""
+    def _state_period_and_noise(self) -> None:
+        """Hand the time between frames, and the noise, that the skin states to the solver."""
         if isinstance(self._solver, Solver) and self._skin is not None:
             self._solver.period_s = 1 / self._skin.rate_hz if self._skin.rate_hz else math.inf
+            self._solver.noise_sd = self._skin.least_sd
 
     def _make_uncertainty(self, solver: Solver, phi: Phi, rows: str) -> Uncertainty | None:
         if not self.settings.uncertainty:

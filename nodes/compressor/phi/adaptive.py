@@ -14,15 +14,16 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask
 
 from .base import BLOCK, Phi, fingerprint_of
 from .quadtree import N_DETAILS, Quadtree
 
-CLIP_MEAN, CLIP_SD = 0.399, 0.584
-"""Mean and standard deviation of an untouched taxel's noise clipped at 0, in standard deviations of
-the noise. Derived: of max(0, z), z normal."""
+CLIP_MEAN = 0.399
+"""Mean of an untouched taxel's noise clipped at 0, in standard deviations of the noise. Derived: of
+max(0, z), z normal."""
 UNTOUCHED_SIGMAS = 3.0
 """Standard deviations of its noise up to which the sum of a node is that of untouched taxels.
 Chosen: 2 to 4 make no difference on presses on 40 x 40 taxels."""

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 from sparseskin.messages import SkinState
-from sparseskin.nodes.compressor.phi.adaptive import CLIP_SD
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
@@ -64,8 +63,7 @@ class FaultWatch:
         """Watch these row subsets, by fingerprint, and the skin with existing taxels `mask`."""
         # On a skin that does not state its noise, constant readings may be right.
         self._noisy = state.sigma_mid > 0
-        sigma = min(state.sigma_mid, state.sigma_end) * (CLIP_SD if state.clips_noise else 1.0)
-        self._frozen = FrozenWatch(sigma)
+        self._frozen = FrozenWatch(state.least_sd)
         self._mask = mask
         self._rows = {
             fingerprint: self._rows.get(fingerprint) or RowWatch(phi)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats
 
 from .tuning import TUNING, SkinTuning
@@ -20,6 +21,16 @@ MOST = 10.0
 """Largest variance of the noise, in the mean square of the measurements, of which it is a part; far
 beyond what that differs by from frame to frame. Chosen: a single frame of garbage, however large,
 is forgotten with the next one."""
+
+
+def row_power(phi: Phi) -> float:
+    """Mean squared length of the rows of phi: 1 where they are orthonormal, else an estimate of the
+    trace of Phi Phi^T / m by one random vector of signs.
+    """
+    if phi.lipschitz == 1:
+        return 1.0
+    signs = np.random.default_rng(0).choice(np.array([-1, 1], dtype=np.float32), phi.m)
+    return float(np.sum(np.square(phi.adjoint(signs), dtype=np.float64))) / phi.m
 
 
 class NoiseLevel:
@@ -46,6 +57,8 @@ class NoiseLevel:
         The estimate, squared newtons; 0 before the first frame.
     floor : float
         The least it can be, at the resolution of the measurements, squared newtons.
+    stated : float
+        Least variance that the skin states, squared newtons; 0 where it states none.
     jumped : bool
         True if the last frame was the first one, or its mean squared innovation was more than 5
         times the level. Its differences to other frames are not used.
@@ -62,6 +75,7 @@ class NoiseLevel:
         self._t = tuning
         self._difference = np.zeros(m, dtype=np.float32)
         self._m = m
+        self.stated = 0.0
         self.reset()
 
     def reset(self) -> None:
@@ -107,9 +121,9 @@ class NoiseLevel:
 
         e2 is the mean squared innovation; changed2 and second2 are as `changes` returned them;
         `jumped` if the scene is known to have jumped. `power` is the mean square of y, which bounds
-        the level from above, and its resolution in float32 from below: exactly equal frames would
-        halve it without end, and no later frame would be believed. Frames of zeros leave both as
-        they are.
+        the level from above, and its resolution in float32 from below, as the stated noise does:
+        exactly equal frames would halve it without end, and no later frame would be believed.
+        Frames of zeros leave both bounds of the measurements as they are.
         """
         if power > 0:
             self.floor = RESOLUTION**2 * power
@@ -117,7 +131,7 @@ class NoiseLevel:
         self._follow(e2, changed2, second2, jumped, was_hung)
         if power > 0:
             self.s2 = min(self.s2, MOST * power)
-        self.s2 = max(self.s2, self.floor)
+        self.s2 = max(self.s2, self.floor, self.stated)
 
     def _follow(
         self, e2: float, changed2: float, second2: float, jumped: bool, was_hung: bool

@@ -38,6 +38,8 @@ class ReferenceSolver:
         As in `SkinSolver`.
     tuning : SkinTuning
         The constants.
+    noise_sd : float
+        Least standard deviation of the noise of a taxel that the skin states; 0: none stated.
 
     Attributes
     ----------
@@ -54,8 +56,9 @@ class ReferenceSolver:
         max_iterations: int = 30,
         seed: int = 0,
         tuning: SkinTuning = TUNING,
+        noise_sd: float = 0.0,
     ) -> None:
-        self.t, self.mask = tuning, mask
+        self.t, self.mask, self.noise_sd = tuning, mask, noise_sd
         phi = subsets[0]
         self.n, self.m, self.step = phi.n, phi.m, 1 / phi.lipschitz
         self.ratio = self.n / self.m
@@ -123,7 +126,7 @@ class ReferenceSolver:
         jumped = self.follow_noise(read, subset, e2, changed2, failed)
         if read.any():
             self.s2 = min(self.s2, MOST * mean_square(read))
-        self.s2 = max(self.s2, self.floor)
+        self.s2 = max(self.s2, self.floor, mean_square(phi) * self.n * self.noise_sd**2)
         settling = self.since_jump <= t.settling
         gain, nis, r2 = self.follow_gain(e, phi @ self.correction, subset, settling)
         noise = r2 if self.known else 0.0

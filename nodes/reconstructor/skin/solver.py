@@ -21,7 +21,7 @@ from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, 
 from .clip_bias import ClipBias
 from .evidence import HAAR, SMOOTH, HeldOut, mean_square
 from .gain import AdaptiveGain
-from .noise_level import NoiseLevel
+from .noise_level import NoiseLevel, row_power
 from .prediction import Prediction, neighbours_of
 from .row_memory import RowMemory
 from .smooth import SmoothModel
@@ -138,6 +138,7 @@ class SkinSolver(Solver):
         neighbours = neighbours_of(places, n)
         self._prediction = Prediction(self._projection, neighbours, n, phi.m, tuning)
         self._noise = NoiseLevel(phi.m, tuning)
+        self._row_power = row_power(phi)
         self._bias = ClipBias(self._projection, n, tuning)
         few = phi.m < tuning.comparable and n <= tuning.most_direct
         self._held_out = HeldOut(self._projection, n, phi.m, few, tuning)
@@ -268,6 +269,7 @@ class SkinSolver(Solver):
         self._power_read = found.power / self.phi.m
         e2 = found.e2 / self.phi.m
         failed = self._prediction.failed
+        self._noise.stated = self._row_power * self.noise_sd**2
         self._noise.follow(e2, found.changed2, found.second2, failed, self._power_read)
         jumped, settling = self._noise.jumped, self._noise.since_jump <= self._t.settling
         self._gain.follow(

@@ -96,6 +96,9 @@ class Solver(ABC):
     put_off: bool = False
     #: Stated time between frames, seconds, for work that may wait; infinite where none is stated.
     period_s: float = math.inf
+    #: Least standard deviation of the noise of a taxel, in the unit of the forces, that the skin
+    #: states; 0 where none is stated.
+    noise_sd: float = 0.0
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:
         shape = (basis.n_rows, basis.n_cols)

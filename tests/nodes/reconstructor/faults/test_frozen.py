@@ -88,3 +88,20 @@ def test_its_frames_are_not_trusted_and_one_line_is_logged_before_in_and_after_a
     assert all(m.trusted for m in again)
     assert desk.lines[-1] == "measurements change again"
     assert desk.node.state()["left_out"] == ""
+
+
+@pytest.mark.parametrize("rows", ["fixed", "rotating"])
+def test_frames_after_a_hung_board_are_filtered_by_the_noise_that_the_skin_states(
+    rows: str,
+) -> None:
+    """Where it states none, the first noise after equal frames is taken for a jump of the scene."""
+    truth = np.repeat(sliding_disc(DESK_SHAPE, 3, touch_at=0)[1:2], 40, axis=0)
+    frames = readings(truth)
+    frames[:30] = frames[0]
+    errors = []
+    for states_noise in (True, False):
+        desk = Desk(make_phi("sbhe", N, N // 2, seed=0), rows=rows, states_noise=states_noise)
+        subsets = [desk.subsets[k % len(desk.subsets)] for k in range(len(frames))]
+        y = [phi.forward(frame.reshape(-1)) for phi, frame in zip(subsets, frames, strict=True)]
+        errors.append(float(np.linalg.norm((desk.restore(np.array(y)) - truth)[31:35])))
+    assert errors[0] < 0.75 * errors[1]

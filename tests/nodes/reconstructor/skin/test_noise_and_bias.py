@@ -10,7 +10,7 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.reconstructor.skin.clip_bias import ClipBias
 from sparseskin.nodes.reconstructor.skin.gain import AdaptiveGain
-from sparseskin.nodes.reconstructor.skin.noise_level import NoiseLevel
+from sparseskin.nodes.reconstructor.skin.noise_level import NoiseLevel, row_power
 from sparseskin.nodes.reconstructor.skin.tuning import TUNING
 from sparseskin.nodes.reconstructor.solvers.backends import make_projection
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
@@ -64,6 +64,23 @@ def test_the_level_is_never_above_the_innovation() -> None:
     for y in np.random.default_rng(0).normal(0, 1, (30, 500)).astype(np.float32):
         follow_level(level, y, e2=SIGMA_N**2)
     assert level.s2 <= SIGMA_N**2
+
+
+def test_equal_frames_leave_the_level_at_the_stated_noise() -> None:
+    level, unstated = NoiseLevel(500), NoiseLevel(500)
+    level.stated = SIGMA_N**2
+    read = drifting(1, 0.0)[0]
+    for one in (level, unstated):
+        for y in [*drifting(10, 0.0), *[read] * 100, *[0 * read] * 100]:
+            one.follow(SIGMA_N**2, *one.changes(y), jumped=False, power=float(np.mean(y * y)))
+    assert level.s2 == SIGMA_N**2
+    assert unstated.s2 < 1e-6 * SIGMA_N**2
+
+
+@pytest.mark.parametrize("kind", ["sbhe", "gaussian", "local:8"])
+def test_noise_of_taxels_is_noise_of_rows_by_their_mean_squared_length(kind: str) -> None:
+    phi = make_phi(kind, 1024, 256, seed=1)
+    assert row_power(phi) == pytest.approx(float(np.mean((phi.dense() ** 2).sum(1))), rel=0.2)
 
 
 def test_a_jump_is_reported_and_does_not_raise_the_level() -> None:
