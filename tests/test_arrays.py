@@ -15,9 +15,11 @@ from doubting import DOUBTING, ERROR
 import sparseskin
 from sparseskin import arrays
 from sparseskin.messages import Reconstruction
+from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
+from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
 
 
 def test_every_name_is_there_and_listed() -> None:
@@ -115,6 +117,7 @@ def test_arrays_give_the_bits_of_the_nodes_with_rows_that_rotate(solver: str) ->
     np.testing.assert_array_equal(y, np.stack([frame.measurements for frame in frames]))
     basis = sparseskin.make_basis("haar", 40, 40)
     made = sparseskin.make_solver(solver, phi, basis, rows="rotating")
+    made.noise_sd = PAPER_SIGMA_END_N * CLIP_SD  # as the scene states
     forces = sparseskin.reconstruct(y, made)
     np.testing.assert_array_equal(forces, np.stack([frame.forces for frame in frames]))
     made.reset()

@@ -60,6 +60,9 @@ class Solver(ABC):
         Number of steps of the current frame.
     taxels : ndarray of intp, shape (n,)
         Place in the flat grid of each existing taxel, ascending.
+    noise_sd : float
+        Least standard deviation of the noise of a taxel that the skin states, in the unit of the
+        forces (`SkinState.least_sd`); 0, the default: none stated. The caller sets it.
 
     Raises
     ------
@@ -96,8 +99,6 @@ class Solver(ABC):
     put_off: bool = False
     #: Stated time between frames, seconds, for work that may wait; infinite where none is stated.
     period_s: float = math.inf
-    #: Least standard deviation of the noise of a taxel, in the unit of the forces, that the skin
-    #: states; 0 where none is stated.
     noise_sd: float = 0.0
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:
