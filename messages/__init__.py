@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .base import Message
-    from .batches import MeasurementsBatch, ReconstructionBatch, TaxelsBatch, TruthBatch
     from .errors import (
         FieldError,
         MalformedError,
@@ -31,13 +30,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MAX_MESSAGE_BYTES", "Calibration", "End", "FieldError", "MalformedError", "Measurements",
-    "MeasurementsBatch", "Message", "MessageError", "NotFiniteError", "OversizedError", "PhiState",
-    "Reconstruction", "ReconstructionBatch", "Resultant", "ShapeError", "Skin", "SkinState",
-    "SolverState", "Taxels", "TaxelsBatch", "TruncatedError", "Truth", "TruthBatch",
+    "Message", "MessageError", "NotFiniteError", "OversizedError", "PhiState",
+    "Reconstruction", "Resultant", "ShapeError", "Skin", "SkinState",
+    "SolverState", "Taxels", "TruncatedError", "Truth",
     "UnknownSchemaError", "VersionError", "decode", "encode", "size_bytes", "topic_of",
 ]  # fmt: skip
 
-_MODULES = ("topics", "errors", "base", "frames", "batches", "skin", "state", "wire")
+_MODULES = ("topics", "errors", "base", "frames", "skin", "state", "wire")
 
 
 def __getattr__(name: str) -> Any:

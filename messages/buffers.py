@@ -4,8 +4,8 @@ It is the topic, a zero byte, `MARK`, the size of the description (16 bits), the
 numbers, and the arrays, each from a multiple of `ALIGNMENT` bytes on; all is little-endian. The
 description is a msgpack map of everything that stays the same from frame to frame: schema, version,
 texts, and dtype and shape of each array. It is checked when it first arrives; after that equal
-bytes stand for it. Numbers have 8 bytes, truth values 1. They are checked in each frame, arrays for
-being finite.
+bytes stand for it. Numbers have 8 bytes, truth values 1; those of the message come first, then
+those of its patches, field by field. They are checked in each frame, arrays for being finite.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import msgpack
 
 from .base import Message, once_a_class, wire_fields
 from .errors import FieldError, MalformedError, OversizedError, TruncatedError, VersionError
-from .fields import Array, FieldKind, Number, Text
+from .fields import Array, Each, FieldKind, Names, Number, Text
 from .schemas import class_of
-from .topics import topic_of
+from .topics import MAX_PATCHES, topic_of
 
 Payload = bytes | memoryview
 """A message as received, without its topic and the zero byte behind it."""
@@ -37,7 +37,7 @@ that is aligned, they need no copy. Chosen: as malloc aligns, and wider than any
 MAX_DESCRIPTION_BYTES = 8192
 MAX_STREAMS = 1024
 """Number of descriptions that are known at a time."""
-_LIMITS = {"max_str_len": 4096, "max_array_len": 64, "max_map_len": 64, "max_ext_len": 0}
+_LIMITS = {"max_str_len": 4096, "max_array_len": MAX_PATCHES, "max_map_len": 64, "max_ext_len": 0}
 _DESCRIPTION = frozenset({"wire", "schema", "version", "texts", "arrays"})
 _BEGIN = struct.Struct("<BH")
 
@@ -51,6 +51,7 @@ class _Form:
     texts: tuple[tuple[str, FieldKind], ...]
     arrays: tuple[tuple[str, Array], ...]
     numbers: tuple[tuple[str, Number], ...]
+    each: tuple[tuple[str, Number], ...]
     checks: tuple[tuple[str, Callable[[str, Any], Any]], ...]
 
 
@@ -59,14 +60,10 @@ def _form(cls: type[Message]) -> _Form:
     fields = wire_fields(cls)
     arrays = tuple((n, kind) for n, kind in fields.items() if isinstance(kind, Array))
     numbers = tuple((n, kind) for n, kind in fields.items() if isinstance(kind, Number))
-    # What msgpack does not carry as it is, arrays apart, is a text: the names of a batch.
-    texts = tuple(
-        (n, kind)
-        for n, kind in fields.items()
-        if isinstance(kind, Text) or not (kind.travels_as_it_is or isinstance(kind, Array))
-    )
+    texts = tuple((n, kind) for n, kind in fields.items() if isinstance(kind, Text | Names))
+    each = tuple((n, kind.kind) for n, kind in fields.items() if isinstance(kind, Each))
     checks = tuple((n, kind.of_number) for n, kind in numbers)
-    return _Form(cls, tuple(fields), texts, arrays, numbers, checks)
+    return _Form(cls, tuple(fields), texts, arrays, numbers, each, checks)
 
 
 @dataclass(frozen=True)
@@ -82,6 +79,7 @@ class _Stream:
     form: _Form
     topic: bytes
     begin: bytes
+    n_patches: int
     numbers: struct.Struct
     numbers_at: int
     values: dict[str, Any]
@@ -109,6 +107,8 @@ def frame_pieces(message: Message) -> list[Any]:
     form, values = _form(type(message)), message.__dict__
     key: list[Any] = [form.cls, *(values[name] for name, _ in form.texts)]
     numbers = [values[name] for name, _ in form.numbers]
+    for name, _ in form.each:
+        numbers += values[name]
     data = []
     for name, kind in form.arrays:
         value = values[name]
@@ -157,6 +157,10 @@ def decode_frame(topic: bytes, payload: Payload) -> Message:
     for (name, check), number in zip(form.checks, numbers, strict=False):
         values[name] = check(name, number)
     n_read = len(form.numbers)
+    for name, one in form.each:
+        begin, n_read = n_read, n_read + stream.n_patches
+        check = one.of_number
+        values[name] = tuple([check(name, number) for number in numbers[begin:n_read]])
     for name, kind, dtype, shape, begin, end in stream.arrays:
         extra = None
         if dtype != kind.dtype:
@@ -261,7 +265,9 @@ def _learn(description: bytes) -> _Stream:
     values: dict[str, Any] = dict.fromkeys(form.names)
     for (name, text), value in zip(form.texts, texts, strict=True):
         values[name] = text.unpack(name, value)
+    n_patches = len(values.get("names") or ()) or 1
     sent, codes = [], [kind.code for _, kind in form.numbers]
+    codes += [kind.code * n_patches for _, kind in form.each]
     for name, kind in form.arrays:
         if name in described:
             dtype, shape, n_bytes = kind.checked_form(name, described[name])
@@ -270,8 +276,6 @@ def _learn(description: bytes) -> _Stream:
                 codes.append("d")
         elif not kind.optional:
             raise MalformedError(f"{cls.schema}: missing array {name}")
-    if not sent:
-        raise MalformedError(f"{cls.schema}: no array")
     topic = topic_of(values["patch"], cls.schema).encode()
     begin = topic + b"\0" + _BEGIN.pack(MARK, len(description)) + description
     n_numbers = struct.calcsize("<" + "".join(codes))
@@ -282,6 +286,6 @@ def _learn(description: bytes) -> _Stream:
         end = first + n_bytes
         arrays.append((name, kind, dtype, shape, first, end))
     numbers = struct.Struct(f"<{''.join(codes)}{n_zeros}x")
-    stream = _Stream(form, topic, begin, numbers, at, values, tuple(arrays), end)
+    stream = _Stream(form, topic, begin, n_patches, numbers, at, values, tuple(arrays), end)
     _remember(_STREAMS, description, stream)
     return stream

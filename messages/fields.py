@@ -16,6 +16,7 @@ import numpy.typing as npt
 from .errors import FieldError, MalformedError, NotFiniteError, OversizedError, ShapeError
 from .quantised import MAX_BITS, MIN_BITS, Quantised, largest_code, n_bytes, packed, unpacked
 from .ranges import INT64_MAX, is_real, is_whole
+from .topics import MAX_NAMES, MAX_PATCHES, check_name
 
 MAX_SIDE = 4096
 """Largest number of rows, or of columns, of a grid of taxels."""
@@ -123,6 +124,69 @@ class Flag(Number):
 
 
 @dataclass(frozen=True)
+class Each(FieldKind):
+    """A tuple of numbers, one for each patch of a message; who makes one of one patch may state the
+    number alone. `unstated` holds that of a patch where a
+    message states none; it is empty where all have to be stated.
+    """
+
+    travels_as_it_is: ClassVar[bool] = False
+
+    kind: Number
+    unstated: tuple[Any, ...] = ()
+
+    def check(self, name: str, value: Any) -> tuple[Any, ...]:
+        if not isinstance(value, tuple):
+            value = (value,)
+        check = self.kind.check
+        return tuple([check(name, one) for one in value])
+
+    def unpack(self, name: str, raw: Any) -> tuple[Any, ...]:
+        if not isinstance(raw, list | tuple):
+            raise FieldError(f"{name}: expected a list, got {type(raw).__name__}")
+        return self.check(name, tuple(raw))
+
+
+@dataclass(frozen=True)
+class Names(FieldKind):
+    """Names of patches, a tuple of different texts; its wire form is one text, in which spaces
+    separate them.
+    """
+
+    travels_as_it_is: ClassVar[bool] = False
+
+    def check(self, name: str, value: Any) -> tuple[str, ...]:
+        if not isinstance(value, tuple) or not all(isinstance(each, str) for each in value):
+            raise FieldError(f"{name}: expected a tuple of texts, got {type(value).__name__}")
+        return _names(name, " ".join(value))
+
+    def pack(self, value: Any) -> str:
+        return " ".join(value)
+
+    def unpack(self, name: str, raw: Any) -> tuple[str, ...]:
+        if not isinstance(raw, str):
+            raise FieldError(f"{name}: expected a text, got {type(raw).__name__}")
+        return _names(name, raw)
+
+
+@functools.lru_cache(maxsize=64)
+def _names(place: str, text: str) -> tuple[str, ...]:
+    """Names in a text; the same few texts recur in every frame."""
+    if not text:
+        return ()
+    if len(text) > MAX_NAMES:
+        raise OversizedError(f"{place}: {len(text)} characters, at most {MAX_NAMES}")
+    names = text.split(" ")
+    if len(names) > MAX_PATCHES:
+        raise OversizedError(f"{place}: {len(names)} names, at most {MAX_PATCHES}")
+    for name in names:
+        check_name(place, name)
+    if len(set(names)) < len(names):
+        raise FieldError(f"{place}: a name occurs twice")
+    return tuple(names)
+
+
+@dataclass(frozen=True)
 class Text(FieldKind):
     """A text of at most `longest` characters that fully matches `pattern`."""
 
@@ -155,7 +219,9 @@ class Text(FieldKind):
 @dataclass(frozen=True)
 class Array(FieldKind):
     """An array of one dtype, `ndim` dimensions, no side empty; None where `optional`. A side of one
-    with several dimensions has at most `longest` elements.
+    with several dimensions has at most `longest` elements. The first side of one of `patches` is
+    the patches of the message, in their order, and may be left out by who makes a message of one;
+    it may be 0 where `sparse`, for those patches alone that have something to send.
 
     Its wire form is a map {dtype, shape, order, data}: `dtype` in numpy's array-interface form
     with the byte order ("<f4"), `order` always "C", `data` a msgpack bin field.
@@ -167,12 +233,16 @@ class Array(FieldKind):
     ndim: int
     optional: bool = False
     longest: int = MAX_SIDE
+    patches: bool = False
+    sparse: bool = False
 
     def check(self, name: str, value: Any) -> npt.NDArray[Any] | None:
         if value is None and self.optional:
             return None
         if not isinstance(value, np.ndarray):
             raise FieldError(f"{name}: expected an array, got {type(value).__name__}")
+        if self.patches and value.ndim == self.ndim - 1:
+            value = value[np.newaxis]
         if value.dtype != self._dtype:
             raise ShapeError(f"{name}: expected dtype {self.dtype}, got {value.dtype.str}")
         self._check_shape(name, value.shape)
@@ -253,10 +323,11 @@ class Array(FieldKind):
         # The sum of squares is not finite if a value is not, or if values are huge.
         if not math.isfinite(np.vdot(value, value)) and not np.isfinite(value).all():
             cell = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
-            raise NotFiniteError(f"{name}{list(cell)}: {value[cell]} is not a finite number")
+            shown = list(cell[1:] if self.patches and len(value) == 1 else cell)
+            raise NotFiniteError(f"{name}{shown}: {value[cell]} is not a finite number")
 
     def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
-        if len(shape) != self.ndim or min(shape) < 1:
+        if len(shape) != self.ndim or min(shape[self.sparse :]) < 1:
             raise ShapeError(
                 f"{name}: expected {self.ndim} dimensions, none empty, got {list(shape)}"
             )
@@ -269,21 +340,23 @@ class Array(FieldKind):
 
 @dataclass(frozen=True)
 class Samples(Array):
-    """A float32 array of one dimension, `Quantised` or not.
+    """A float32 array of the samples of each patch, `Quantised` or not.
 
     The map of a quantised one has dtype "intB", B the number of bits, `step`, and the codes as
     packed by `sparseskin.messages.quantised.packed`.
     """
 
     dtype: str = "<f4"
-    ndim: int = 1
+    ndim: int = 2
+    longest: int = MAX_ELEMENTS
+    patches: bool = True
 
     def check(self, name: str, value: Any) -> npt.NDArray[Any] | None:
         checked = super().check(name, value)
-        if not isinstance(value, Quantised):
+        if checked is None or not isinstance(value, Quantised):
             return checked
         _check_quantiser(name, value.bits, value.step)
-        return value
+        return value.reshape(checked.shape)
 
     def pack(self, value: Any) -> Any:
         if not isinstance(value, Quantised):
@@ -305,13 +378,14 @@ class Samples(Array):
         bits = _bits_of(name, dtype)
         if raw["order"] != "C":
             raise ShapeError(f"{name}: dtype {dtype[:32]!r} in order {str(raw['order'])[:8]!r}")
-        self._check_shape(name, _sides(name, shape))
+        sides = _sides(name, shape)
+        self._check_shape(name, sides)
         if not isinstance(data, bytes):
             raise MalformedError(f"{name}: data must be a bin field")
-        (m,) = shape
-        if MIN_BITS <= bits <= MAX_BITS and len(data) != n_bytes(m, bits):
-            raise ShapeError(f"{name}: {m} numbers of {bits} bits do not fit {len(data)} bytes")
-        return self._of_codes(name, m, bits, step, data)
+        n = math.prod(sides)
+        if MIN_BITS <= bits <= MAX_BITS and len(data) != n_bytes(n, bits):
+            raise ShapeError(f"{name}: {n} numbers of {bits} bits do not fit {len(data)} bytes")
+        return self._of_codes(name, sides, bits, step, data)
 
     def dtype_of(self, value: Any) -> str:
         return f"int{value.bits}" if isinstance(value, Quantised) else self.dtype
@@ -330,21 +404,23 @@ class Samples(Array):
         bits, shape = _bits_of(name, form[0]), _sides(name, form[1])
         self._check_shape(name, shape)
         _check_quantiser(name, bits, 1.0)
-        return form[0], shape, n_bytes(shape[0], bits)
+        return form[0], shape, n_bytes(math.prod(shape), bits)
 
     def of_data(
         self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes | memoryview
     ) -> npt.NDArray[Any]:
         if dtype == self.dtype:
             return super().of_data(name, dtype, shape, extra, data)
-        return self._of_codes(name, shape[0], _bits_of(name, dtype), extra, data)
+        return self._of_codes(name, shape, _bits_of(name, dtype), extra, data)
 
     @staticmethod
-    def _of_codes(name: str, m: int, bits: int, step: Any, data: bytes | memoryview) -> Quantised:
+    def _of_codes(
+        name: str, shape: tuple[int, ...], bits: int, step: Any, data: bytes | memoryview
+    ) -> Quantised:
         if type(step) is not float:
             raise MalformedError(f"{name}: step must be a float")
         _check_quantiser(name, bits, step)
-        codes = unpacked(data, m, bits)
+        codes = unpacked(data, math.prod(shape), bits).reshape(shape)
         if codes.max() > largest_code(bits):
             raise MalformedError(f"{name}: a code beyond {largest_code(bits)}")
         return Quantised.of(codes, bits, step)

@@ -1,52 +1,142 @@
-"""The messages of one frame, in the order in which the nodes send them."""
+"""The messages of one frame, in the order in which the nodes send them.
+
+A message of frames holds those of equal patches of skin that were acquired together; a patch that
+is served alone is one of them. Arrays are of shape (n_patches, ...), numbers of a patch are tuples.
+"""
 
 from __future__ import annotations
 
+from collections.abc import MutableMapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from .base import Message
+from .base import Message, once_a_class, wire_fields
 from .errors import FieldError, ShapeError
-from .fields import Array, Flag, Integer, Real, Samples, Text, wire
+from .fields import Array, Each, FieldKind, Flag, Integer, Names, Real, Samples, Text, wire
 
 Floats = npt.NDArray[np.float32]
 FINGERPRINT_PATTERN = r"[0-9a-f]{16}"
 
 
+@once_a_class
+def _of_patches(cls: type[Message]) -> dict[str, Each | Array]:
+    """Fields that hold something for each patch, numbers first."""
+    fields = wire_fields(cls).items()
+    numbers = {name: kind for name, kind in fields if isinstance(kind, Each)}
+    arrays = {name: kind for name, kind in fields if isinstance(kind, Array) and kind.patches}
+    return {**numbers, **arrays}
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Taxels(Message):
-    """Readings of the taxels, noise included: forces of shape (n_rows, n_cols), float32, in
-    [0, f_max], in the skin's unit; 0 in masked cells.
+class Frames(Message):
+    """Base of the messages of frames.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the patches in the order of the arrays, 1 to 256; `patch` is then the name under
+        which they are published together. (): one patch, of the name `patch`.
+    """
+
+    version: ClassVar[int] = 2
+
+    names: tuple[str, ...] = wire(Names(), default=(), omitted=True)
+
+    @classmethod
+    def of_patches(cls) -> dict[str, Each | Array]:
+        """Kinds of the fields that hold something for each patch, by name, numbers first."""
+        return _of_patches(cls)
+
+    @property
+    def patches(self) -> tuple[str, ...]:
+        """Names of the patches."""
+        return self.names or (self.patch,)
+
+    def validate(self) -> None:
+        values, n = self.__dict__, len(self.names) or 1
+        for name, kind in self.of_patches().items():
+            if isinstance(kind, Each) and not values[name] and kind.unstated:
+                values[name] = kind.unstated * n
+            elif values[name] is not None and len(values[name]) not in self._rows(name, n):
+                raise ShapeError(f"{name}: {len(values[name])} rows for {n} patches")
+
+    def _rows(self, name: str, n: int) -> tuple[int, ...]:
+        """Numbers of rows that a field of `n` patches may have."""
+        return (n,)
+
+    def split(self, held: MutableMapping[str, Floats] | None = None) -> list[Self]:
+        """Messages of the single patches, arrays being views.
+
+        Parameters
+        ----------
+        held : mapping, optional
+            Last forces of each patch by its name, in which they are kept for those that a later
+            `Reconstruction` does not send. A patch of which nothing is known is left out.
+        """
+        return [self._single(k) for k in range(len(self.names))] if self.names else [self]
+
+    def _single(self, k: int, **changes: Any) -> Self:
+        """Message of patch k alone."""
+        values = self.__dict__
+        parts = {
+            name: values[name][k : k + 1]
+            for name in self.of_patches()
+            if name not in changes and values[name] is not None
+        }
+        return self._copy(patch=self.patches[k], names=(), **parts, **changes)
+
+
+def kinds_alone(cls: type[Message]) -> dict[str, FieldKind]:
+    """Kinds of the fields of a message of one patch as `values_alone` returns them, by name."""
+    fields = wire_fields(cls).items()
+    return {n: kind.kind if isinstance(kind, Each) else kind for n, kind in fields if n != "names"}
+
+
+def values_alone(message: Message) -> dict[str, Any]:
+    """Fields of a message of one patch by name, without the axis of patches: arrays of a frame, and
+    numbers in place of tuples.
+    """
+    values = {name: value for name, value in message.__dict__.items() if name != "names"}
+    if isinstance(message, Frames):
+        rows = {name: values[name] for name in message.of_patches()}
+        values |= {name: row[0] for name, row in rows.items() if row is not None}
+    return values
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Taxels(Frames):
+    """Readings of the taxels, noise included: forces of shape (n_patches, n_rows, n_cols), float32,
+    in [0, f_max], in the skin's unit; 0 in masked cells.
     """
 
     schema: ClassVar[str] = "taxels"
 
-    forces: Floats = wire(Array("<f4", 2))
+    forces: Floats = wire(Array("<f4", 3, patches=True))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Truth(Message):
-    """True forces, where a simulation or a recording knows them: shape (n_rows, n_cols),
+class Truth(Frames):
+    """True forces, where a simulation or a recording knows them: shape (n_patches, n_rows, n_cols),
     float32, in [0, f_max], in the skin's unit; 0 in masked cells.
     """
 
     schema: ClassVar[str] = "truth"
 
-    forces: Floats = wire(Array("<f4", 2))
+    forces: Floats = wire(Array("<f4", 3, patches=True))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Measurements(Message):
-    """Measurements y = Phi x, shape (M,), float32, in the skin's unit; `Quantised` where they
-    are sent in fewer bits.
+class Measurements(Frames):
+    """Measurements y = Phi x of each patch, shape (n_patches, M), float32, in the skin's unit;
+    `Quantised` where they are sent in fewer bits.
 
-    `phi` is the fingerprint of their Phi, 16 hex digits. `places` marks the taxels read, where
-    the edge chooses them anew each frame: one bit for each existing taxel, the highest bit first,
-    uint8, shape (N / 8,), rounded up. `nodes` states the nodes of a quad tree that are measured,
-    where the edge chooses those anew: uint8, as the tree codes them.
+    `phi` is the fingerprint of their Phi, 16 hex digits. Of one patch alone, `places` marks the
+    taxels read, where the edge chooses them anew each frame: one bit for each existing taxel, the
+    highest bit first, uint8, shape (N / 8,), rounded up. `nodes` states the nodes of a quad tree
+    that are measured, where the edge chooses those anew: uint8, as the tree codes them.
     """
 
     schema: ClassVar[str] = "measurements"
@@ -61,63 +151,92 @@ class Measurements(Message):
     )
 
     def validate(self) -> None:
+        super().validate()
+        if len(self.patches) > 1 and (self.places is not None or self.nodes is not None):
+            raise FieldError("places, nodes: are those of one patch")
         if self.places is None:
             return
         n_places = int(np.unpackbits(self.places).sum())
-        if n_places != len(self.y):
-            raise ShapeError(f"places: {n_places} of them for {len(self.y)} measurements")
+        if n_places != self.y.shape[1]:
+            raise ShapeError(f"places: {n_places} of them for {self.y.shape[1]} measurements")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Reconstruction(Message):
+class Reconstruction(Frames):
     """Forces reconstructed from the measurements.
 
     Attributes
     ----------
-    forces : ndarray of float32, shape (n_rows, n_cols)
-        In the skin's unit, 0 or more; 0 in masked cells.
+    forces : ndarray of float32, shape (n_patches, n_rows, n_cols)
+        In the skin's unit, 0 or more; 0 in masked cells. Those of patches that are `unchanged` may
+        be left out, all of them: then of shape (n_changed, n_rows, n_cols).
     phi : str
         Fingerprint of the Phi that was inverted.
-    iterations : int
-        Number of iterations of the solver.
-    residual : float
-        ||Phi x - y|| / sqrt(M), in the skin's unit.
-    solve_ns : int
-        Duration of the solver, nanoseconds.
+    iterations : tuple of int
+        Number of iterations of the solver, of each patch.
+    residual : tuple of float
+        ||Phi x - y|| / sqrt(M) of each patch, in the skin's unit.
+    solve_ns : tuple of int
+        Duration of the solver, nanoseconds, of each patch.
     done_ns : int
         Time of the reconstruction on the graph's clock, nanoseconds.
-    sd : ndarray of float32, shape (n_rows, n_cols), or None
+    sd : ndarray of float32, shape (n_patches, n_rows, n_cols), or None
         Standard deviation of each force, in the skin's unit, where it is computed: 90 % of the
         true forces lie within 1.645 of it.
     skipped : int
         Number of frames skipped since the last reconstruction because newer ones waited.
-    error : float or None
-        Estimated RMS error of a taxel, in the skin's unit, where the solver estimates it.
-    trusted : bool
-        False if that error is a large part of the forces; True also where it is not estimated.
-    unchanged : bool
-        True if the measurements changed by no more than their noise: the frame was not solved, and
-        its forces are those of the frame before.
+    error : tuple of (float or None)
+        Estimated RMS error of a taxel of each patch, in the skin's unit, where the solver estimates
+        it.
+    trusted : tuple of bool
+        False of a patch for which that error is a large part of the forces; True also where it is
+        not estimated.
+    unchanged : tuple of bool
+        True of a patch whose measurements changed by no more than their noise: the frame was not
+        solved, and its forces are those of the frame before.
     """
 
     schema: ClassVar[str] = "reconstruction"
     times: ClassVar[tuple[str, ...]] = ("stamp_ns", "done_ns")
 
-    forces: Floats = wire(Array("<f4", 2))
+    forces: Floats = wire(Array("<f4", 3, patches=True, sparse=True))
     phi: str = wire(Text(16, FINGERPRINT_PATTERN))
-    iterations: int = wire(Integer(0, 1_000_000))
-    residual: float = wire(Real(0.0))
-    solve_ns: int = wire(Integer())
+    iterations: tuple[int, ...] = wire(Each(Integer(0, 1_000_000)))
+    residual: tuple[float, ...] = wire(Each(Real(0.0)))
+    solve_ns: tuple[int, ...] = wire(Each(Integer()))
     done_ns: int = wire(Integer())
-    sd: Floats | None = wire(Array("<f4", 2, optional=True), default=None, omitted=True)
+    sd: Floats | None = wire(
+        Array("<f4", 3, optional=True, patches=True), default=None, omitted=True
+    )
     skipped: int = wire(Integer(), default=0, omitted=True)
-    error: float | None = wire(Real(0.0, optional=True), default=None, omitted=True)
-    trusted: bool = wire(Flag(), default=True, omitted=True)
-    unchanged: bool = wire(Flag(), default=False, omitted=True)
+    error: tuple[float | None, ...] = wire(
+        Each(Real(0.0, optional=True), (None,)), default=(), omitted=True
+    )
+    trusted: tuple[bool, ...] = wire(Each(Flag(), (True,)), default=(), omitted=True)
+    unchanged: tuple[bool, ...] = wire(Each(Flag(), (False,)), default=(), omitted=True)
 
     def validate(self) -> None:
-        if self.sd is not None and self.sd.shape != self.forces.shape:
+        super().validate()
+        if self.sd is not None and self.sd.shape[1:] != self.forces.shape[1:]:
             raise ShapeError(f"sd: shape {self.sd.shape}, but forces {self.forces.shape}")
+
+    def _rows(self, name: str, n: int) -> tuple[int, ...]:
+        return (n, self.unchanged.count(False)) if name == "forces" else (n,)
+
+    def split(self, held: MutableMapping[str, Floats] | None = None) -> list[Self]:
+        held = {} if held is None else held
+        all_sent = len(self.forces) == len(self.patches)
+        if all_sent and not self.names:
+            held[self.patch] = self.forces
+            return [self]
+        row, parts = 0, []
+        for k, name in enumerate(self.patches):
+            if all_sent or not self.unchanged[k]:
+                held[name] = self.forces[row : row + 1]
+                row += 1
+            if name in held:
+                parts.append(self._single(k, forces=held[name]))
+        return parts
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

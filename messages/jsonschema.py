@@ -6,9 +6,19 @@ import math
 from typing import Any
 
 from .base import Message, omitted_fields, wire_fields
-from .batches import MAX_NAMES, Names
-from .fields import MAX_ELEMENTS, Array, FieldKind, Flag, Integer, Real, Samples, Text
-from .topics import NAME_PATTERN
+from .fields import (
+    MAX_ELEMENTS,
+    Array,
+    Each,
+    FieldKind,
+    Flag,
+    Integer,
+    Names,
+    Real,
+    Samples,
+    Text,
+)
+from .topics import MAX_NAMES, MAX_PATCHES, NAME_PATTERN
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -51,8 +61,11 @@ def _property(kind: FieldKind) -> dict[str, Any]:
     if isinstance(kind, Text):
         return {"type": "string", "maxLength": kind.longest, "pattern": f"^(?:{kind.pattern})$"}
     if isinstance(kind, Names):
-        pattern = f"^{NAME_PATTERN}( {NAME_PATTERN})*$"
+        pattern = f"^({NAME_PATTERN}( {NAME_PATTERN})*)?$"
         return {"type": "string", "maxLength": MAX_NAMES, "pattern": pattern}
+    if isinstance(kind, Each):
+        numbers = {"type": "array", "items": _property(kind.kind)}
+        return {**numbers, "minItems": 1, "maxItems": MAX_PATCHES}
     if isinstance(kind, Samples):
         codes = _array(
             kind,
@@ -71,7 +84,7 @@ def _array(
     kind: Array, dtype: dict[str, str] | None = None, data: str = "", **more: dict[str, Any]
 ) -> dict[str, Any]:
     side = kind.longest if kind.ndim > 1 else MAX_ELEMENTS
-    sides = {"type": "integer", "minimum": 1, "maximum": side}
+    sides = {"type": "integer", "minimum": int(not kind.sparse), "maximum": side}
     values = (
         "msgpack bin: the elements in C order, "
         f"each as numpy's dtype {kind.dtype} in that byte order, nothing between them"

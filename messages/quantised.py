@@ -10,7 +10,7 @@ import numpy.typing as npt
 MIN_BITS, MAX_BITS = 2, 24
 
 
-class Quantised(np.ndarray[tuple[int], np.dtype[np.float32]]):
+class Quantised(np.ndarray[Any, np.dtype[np.float32]]):
     """A float32 array whose values are k * step, each k a whole number of `bits` bits.
 
     It is used like any array; results of computations are plain arrays.
@@ -26,18 +26,22 @@ class Quantised(np.ndarray[tuple[int], np.dtype[np.float32]]):
     bits: int
     step: float
 
+    def __array_finalize__(self, of: Any) -> None:
+        if isinstance(of, Quantised):  # a view, as of the samples of one patch
+            self.bits, self.step = of.bits, of.step
+
     def __array_wrap__(self, array: Any, *args: Any) -> Any:
         return np.asarray(array)
 
     @classmethod
     def of(cls, codes: npt.NDArray[np.int32], bits: int, step: float) -> Quantised:
-        """Values of codes: int32, shape (m,), each of at most `bits` bits."""
+        """Values of codes: int32, of any shape, each of at most `bits` bits."""
         made = (codes * np.float32(step)).astype(np.float32).view(cls)
         made.bits, made.step = int(bits), float(np.float32(step))
         return made
 
     def codes(self) -> npt.NDArray[np.int32]:
-        """Whole numbers k, int32, shape (m,)."""
+        """Whole numbers k, int32, in the shape of the values."""
         k = np.rint(np.asarray(self) / np.float32(self.step))
         return np.asarray(k, dtype=np.int32)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from .base import Message
-from .batches import BATCHES
 from .errors import UnknownSchemaError, VersionError
 from .frames import Measurements, Reconstruction, Resultant, Taxels, Truth
 from .state import Calibration, End, PhiState, SkinState, SolverState
@@ -11,7 +10,6 @@ from .state import Calibration, End, PhiState, SkinState, SolverState
 _CLASSES: tuple[type[Message], ...] = (
     *(SkinState, Calibration, Truth, Taxels, PhiState, Measurements),
     *(SolverState, Resultant, Reconstruction, End),
-    *BATCHES.values(),
 )
 SCHEMAS: dict[str, type[Message]] = {cls.schema: cls for cls in _CLASSES}
 """Message classes by schema name."""

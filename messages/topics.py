@@ -9,6 +9,10 @@ from .errors import FieldError, OversizedError
 NAME_PATTERN = r"[a-z][a-z0-9_]*"
 """Names of patches, nodes and schemas."""
 MAX_NAME = 32
+MAX_PATCHES = 256
+"""Largest number of patches of a message."""
+MAX_NAMES = 4096
+"""Most characters of the names of all patches of a message, a space between each two."""
 MAX_TOPIC_BYTES = 2 * MAX_NAME + 2
 
 

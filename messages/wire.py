@@ -123,12 +123,12 @@ def decode(topic: bytes, payload: Payload) -> Message:
         return decode_frame(topic, payload)
     body: dict[object, object] = unpacked(payload, dict, n_bytes)
     form = _form(class_of(body))
-    for name, default in form.omitted.items():
-        body.setdefault(name, default)
-    if body.keys() != form.keys:
-        names = ", ".join(sorted(str(key) for key in body.keys() ^ form.keys))
+    values = {name: value for name, value in form.omitted.items() if name not in body}
+    if body.keys() | values.keys() != form.keys:
+        names = ", ".join(sorted(str(key) for key in (body.keys() | values.keys()) ^ form.keys))
         raise MalformedError(f"{form.cls.schema}: missing or unknown fields {names[:200]}")
-    message = form.cls.assembled({name: unpack(name, body[name]) for name, unpack in form.unpacks})
+    values |= {name: unpack(name, body[name]) for name, unpack in form.unpacks if name in body}
+    message = form.cls.assembled({name: values[name] for name, _ in form.unpacks})
     if message.topic.encode() != topic:
         raise FieldError(f"a message of {message.topic} came under topic {topic!r}")
     return message

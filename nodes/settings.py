@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from sparseskin.messages.errors import MessageError
 from sparseskin.messages.ranges import is_real, is_whole
-from sparseskin.messages.topics import check_name
+from sparseskin.messages.topics import MAX_NAMES, MAX_PATCHES, check_name
 
 from .errors import SettingsError, SparseskinError
 from .lookup import did_you_mean, nearest_of
@@ -131,6 +131,24 @@ class PatchSettings(Settings):
         check_patch("patch", self.patch)
 
 
+@dataclass(frozen=True)
+class PatchesSettings(PatchSettings):
+    """Settings of a node that serves one patch, or several equal ones in one message each way."""
+
+    patches: tuple[str, ...] = setting(
+        (), "names of several patches with the same skin; patch is then the name of them all"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_patches("patches", self.patches)
+
+    @property
+    def n_patches(self) -> int:
+        """Number of patches served."""
+        return len(self.patches) or 1
+
+
 @contextmanager
 def naming(key: str) -> Iterator[None]:
     """Raise SettingsError of the setting `key` for any error within."""
@@ -146,6 +164,18 @@ def check_patch(place: str, name: str) -> None:
         check_name(place, name)
     except MessageError as error:
         raise SettingsError(str(error)) from error
+
+
+def check_patches(place: str, names: tuple[str, ...]) -> None:
+    """Raise SettingsError unless these can be the names of patches that are served together."""
+    if len(names) > MAX_PATCHES:
+        raise SettingsError(f"{place}: {len(names)} names, at most {MAX_PATCHES}")
+    for k, name in enumerate(names):
+        check_patch(f"{place}[{k}]", name)
+        if name in names[:k]:
+            raise SettingsError(f"{place}[{k}]: '{name}' occurs twice")
+    if len(" ".join(names)) > MAX_NAMES:
+        raise SettingsError(f"{place}: more than {MAX_NAMES} characters of names in all")
 
 
 def _declared(cls: Any) -> Iterator[tuple[str, str, Range]]:

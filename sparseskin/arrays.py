@@ -17,6 +17,7 @@ import numpy.typing as npt
 from sparseskin.launch.launchfile.load import load
 from sparseskin.launch.launchfile.spec import LaunchFile
 from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth
+from sparseskin.messages.frames import Frames, values_alone
 from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
@@ -241,8 +242,8 @@ def simulate(scene: str, n_frames: int, seed: int = 0) -> tuple[Floats, Floats]:
     bus = Bus({"sensor": (Sensor, Sensor.Settings(source=f"scene:{scene}", seed=seed))})
     made = [message for messages in bus.frames(n_frames) for message in messages]
     bus.check()
-    truth = [message.forces for message in made if isinstance(message, Truth)]
-    taxels = [message.forces for message in made if isinstance(message, Taxels)]
+    truth = [message.forces[0] for message in made if isinstance(message, Truth)]
+    taxels = [message.forces[0] for message in made if isinstance(message, Taxels)]
     return np.stack(truth), np.stack(taxels)
 
 
@@ -330,10 +331,11 @@ def run_launch(
     elif settings:
         raise SparseskinError("run_launch: settings go to load_launch where the file is loaded")
     bus = Bus({node.name: (node.cls, node.settings) for node in launch.nodes.values()})
+    held: dict[str, Floats] = {}
     try:
         for messages in bus.frames(n_frames):
             bus.check()
-            yield from _frames_of(messages)
+            yield from _frames_of(messages, held)
     finally:
         bus.close()
     bus.check()
@@ -342,15 +344,16 @@ def run_launch(
 _PARTS = {Truth: "truth", Taxels: "taxels", Measurements: "measurements", Reconstruction: "forces"}
 
 
-def _frames_of(messages: Sequence[Message]) -> Iterator[Frame]:
+def _frames_of(messages: Sequence[Message], held: dict[str, Floats]) -> Iterator[Frame]:
     found: dict[tuple[str, int], dict[str, Any]] = {}
     for message in messages:
-        if type(message) in _PARTS:
-            array = message.y if isinstance(message, Measurements) else getattr(message, "forces")  # noqa: B009
-            parts = found.setdefault((message.patch, message.stamp_ns), {})
-            parts[_PARTS[type(message)]] = array
-            if isinstance(message, Reconstruction):
-                parts |= {"error": message.error, "trusted": message.trusted}
+        if not isinstance(message, Frames):
+            continue
+        for one in message.split(held):
+            values = values_alone(one)
+            parts = found.setdefault((one.patch, one.stamp_ns), {})
+            parts[_PARTS[type(one)]] = values.get("y", values.get("forces"))
+            parts |= {name: values[name] for name in ("error", "trusted") if name in values}
     for (patch, stamp_ns), parts in found.items():
         yield Frame(patch, stamp_ns, **parts)
 

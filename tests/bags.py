@@ -53,9 +53,9 @@ def frame(k: int, patch: str = "skin") -> list[Message]:
             **of_frame,
             forces=forces(),
             phi=PHI,
-            iterations=30,
-            residual=float(rng.uniform()),
-            solve_ns=1,
+            iterations=(30,),
+            residual=(float(rng.uniform()),),
+            solve_ns=(1,),
             done_ns=1,
         ),
     ]

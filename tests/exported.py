@@ -44,7 +44,9 @@ def rich_frames() -> list[Message]:
             measurements = replace(measurements, y=y, places=places)
         if k % 2:
             sd = rng.uniform(0, 0.1, (N_ROWS, N_COLS)).astype(np.float32)
-            reconstruction = replace(reconstruction, sd=sd, error=0.25, trusted=k != 3, skipped=k)
+            reconstruction = replace(
+                reconstruction, sd=sd, error=(0.25,), trusted=(k != 3,), skipped=k
+            )
         touched = {"row": 1.5, "col": 2.5, "row_sd": 0.1, "col_sd": 0.2} if k % 2 else {}
         resultant = Resultant(
             stamp_ns=k * PERIOD_NS, patch="skin", total=float(k), total_sd=0.5, done_ns=3, **touched

@@ -81,7 +81,7 @@ def main() -> None:
         frames = list(alone.frames(first + count))[first:]
         taxels = [m for messages in frames for m in messages if isinstance(m, Taxels)]
         truth = np.stack(
-            [m.forces for messages in frames for m in messages if isinstance(m, Truth)]
+            [m.forces[0] for messages in frames for m in messages if isinstance(m, Truth)]
         )
         for preset, kinds in ROWS.items():
             for rows in kinds:
@@ -89,7 +89,7 @@ def main() -> None:
                 nodes = load(scene, settings).nodes
                 bus = Bus({n: (nodes[n].cls, nodes[n].settings) for n in nodes if n != "monitor"})
                 made = [
-                    message.forces
+                    message.forces[0]
                     for taxel in taxels
                     for measured in bus.hosts["compressor"].receive(taxel)
                     for message in bus.hosts["reconstructor"].receive(measured)

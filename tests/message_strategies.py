@@ -22,17 +22,19 @@ from sparseskin.messages import (
     Truth,
 )
 from sparseskin.messages.base import wire_fields
-from sparseskin.messages.batches import BATCHES, MeasurementsBatch, ReconstructionBatch
-from sparseskin.messages.fields import FieldKind, Flag, Integer, Real, Text
+from sparseskin.messages.fields import Each, FieldKind, Flag, Integer, Real, Text
 
 texts = st.text(
     st.characters(codec="utf-8", exclude_categories=["Cs", "Cc"]), min_size=0, max_size=32
 )
 
 
-def of_kind(kind: FieldKind) -> st.SearchStrategy[Any] | None:
+def of_kind(kind: FieldKind, n_patches: int) -> st.SearchStrategy[Any] | None:
     """Any value of a field; None for a field that is no number and no text."""
     match kind:
+        case Each():
+            one = of_kind(kind.kind, n_patches)
+            return None if one is None else st.tuples(*[one] * n_patches)
         case Integer():
             return st.integers(kind.low, kind.high)
         case Real():
@@ -49,9 +51,13 @@ def of_kind(kind: FieldKind) -> st.SearchStrategy[Any] | None:
     return None
 
 
-def scalars(cls: type[Message]) -> dict[str, st.SearchStrategy[Any]]:
-    """Strategies of the fields of a class that are numbers and texts."""
-    found = {name: of_kind(kind) for name, kind in wire_fields(cls).items()}
+def scalars(
+    cls: type[Message], names: tuple[str, ...] = ()
+) -> dict[str, st.SearchStrategy[Any]]:
+    """Strategies of the fields of a class that are numbers and texts; `names` of the patches."""
+    n_patches = len(names) or 1
+    found = {name: of_kind(kind, n_patches) for name, kind in wire_fields(cls).items()}
+    found |= {"names": st.just(names)} if names else {}
     return {name: strategy for name, strategy in found.items() if strategy is not None}
 
 
@@ -106,35 +112,26 @@ def calibrations(draw: st.DrawFn) -> Calibration:
 
 
 @st.composite
-def with_sd(draw: st.DrawFn) -> Message:
-    found = draw(forces(2))
-    return draw(made(Reconstruction, forces=st.just(found), sd=st.just(np.abs(found))))
+def several(draw: st.DrawFn) -> Message:
+    """A message of frames of several patches, of any class."""
+    cls = draw(st.sampled_from([Taxels, Truth, Measurements, Reconstruction]))
+    one_name = of_kind(wire_fields(cls)["patch"], 1)
+    assert one_name is not None
+    names = tuple(draw(st.lists(one_name, min_size=1, max_size=5, unique=True)))
+    head: dict[str, Any] = {name: draw(strategy) for name, strategy in scalars(cls, names).items()}
+    if cls is Measurements:
+        return Measurements(**head, y=np.tile(draw(forces(1)), (len(names), 1)))
+    maps = np.tile(draw(forces(2)), (len(names), 1, 1))
+    if cls is Reconstruction:
+        left_out = np.array(head["unchanged"]) & draw(st.booleans())
+        return Reconstruction(**head, forces=maps[~left_out])
+    return cls(**head, forces=maps)
 
 
 @st.composite
-def batches(draw: st.DrawFn) -> Message:
-    """A message of a batch, of any class."""
-    cls = draw(st.sampled_from(list(BATCHES.values())))
-    head = {name: draw(strategy) for name, strategy in scalars(cls).items()}
-    one_name = of_kind(wire_fields(Taxels)["patch"])
-    assert one_name is not None
-    head["names"] = tuple(draw(st.lists(one_name, min_size=1, max_size=5, unique=True)))
-    n = len(head["names"])
-    if cls is MeasurementsBatch:
-        return MeasurementsBatch(**head, y=np.tile(draw(forces(1)), (n, 1)))
-    maps = np.tile(draw(forces(2)), (n, 1, 1))
-    if cls is not ReconstructionBatch:
-        return cls(**head, forces=maps)
-    of = {key: draw(hnp.arrays(np.bool_, n)) for key in ("unchanged", "trusted")}
-    changed = maps[~of["unchanged"]]
-    return ReconstructionBatch(
-        **head,
-        **of,
-        forces=changed if len(changed) else None,
-        iterations=draw(hnp.arrays(np.int32, n, elements=st.integers(0, 1000))),
-        residual=np.ones(n, np.float32),
-        error=np.full(n, -1, np.float32),
-        solve_ns=draw(hnp.arrays(np.int64, n, elements=st.integers(0, 2**62))),
+def with_sd(draw: st.DrawFn) -> Message:
+    found = draw(forces(2))
+    return draw(made(Reconstruction, forces=st.just(found), sd=st.just(np.abs(found))))
     )
 
 
@@ -145,7 +142,7 @@ messages: st.SearchStrategy[Message] = st.one_of(
     made(Measurements, y=forces(1)),
     made(Reconstruction, forces=forces(2)),
     with_sd(),
-    batches(),
+    several(),
     made(Resultant, **dict.fromkeys(_centre, st.none())),
     made(Resultant, **dict.fromkeys(_centre, st.floats(0, 1e30))),
     skin_states(),

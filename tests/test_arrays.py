@@ -169,7 +169,7 @@ def test_a_launch_file_runs_with_the_bits_of_its_nodes() -> None:
     frames = list(sparseskin.run_launch(launch, 3))
     bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, ManualClock(0))
     made = [
-        m.forces for ms in bus.frames(3) for m in ms if isinstance(m, Reconstruction)
+        m.forces[0] for ms in bus.frames(3) for m in ms if isinstance(m, Reconstruction)
     ]  # fmt: skip
     np.testing.assert_array_equal([frame.forces for frame in frames], made)
     assert [frame.patch for frame in frames] == ["skin"] * 3

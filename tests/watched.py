@@ -66,7 +66,7 @@ class Desk:
 
     def restore(self, y: Floats) -> Floats:
         """Forces of the frames of measurements y."""
-        return np.array([m.forces for m in self.messages(y) if isinstance(m, Reconstruction)])
+        return np.array([m.forces[0] for m in self.messages(y) if isinstance(m, Reconstruction)])
 
 
 class Skin:

@@ -11,6 +11,7 @@ import numpy as np
 
 from sparseskin.messages import Message, MessageError, decode
 from sparseskin.messages.base import wire_fields
+from sparseskin.messages.frames import values_alone
 from sparseskin.messages.quantised import Quantised
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError
@@ -67,6 +68,13 @@ def text(value: Any, full: bool) -> str:
     return f"{_dtype(value)}, {shape}: {extent} [{first}{more}]"
 
 
+def values_of(message: Message) -> dict[str, Any]:
+    """Fields of a message; of one patch without the axis of patches."""
+    if getattr(message, "names", ()):
+        return message.__dict__
+    return values_alone(message)
+
+
 class FieldPath:
     """One field of a message, or one element of an array: "forces", "forces[12,7]".
     Raises SettingsError if the message has no such field, or the path is not of that form.
@@ -86,7 +94,7 @@ class FieldPath:
         """The value in a message.
         Raises SettingsError if there is no such element.
         """
-        value = getattr(message, self._name)
+        value: Any = values_of(message).get(self._name)
         if self._index is None:
             return value
         shape = getattr(value, "shape", ())
@@ -163,7 +171,7 @@ class Echo:
             return (
                 json.dumps(plain(value, self._full)) if self._in_json else text(value, self._full)
             )
-        values = {name: getattr(message, name) for name in wire_fields(type(message))}
+        values = values_of(message)
         if self._in_json:
             found = {name: plain(value, self._full) for name, value in values.items()}
             return json.dumps(formatted("topic-echo", {"topic": message.topic, **found}))

@@ -63,27 +63,25 @@ def batches_of(graph: RunningGraph) -> dict[str, list[str]]:
     """Names of the patches of each batch that a running graph publishes, by the name of the batch.
     Raises GraphError if the graph does not answer.
     """
-    from sparseskin.messages.batches import BATCHES
     from sparseskin.messages.topics import split_topic
+    from sparseskin.nodes.recorder.bag.frames import FRAME_SCHEMAS
 
-    schemas = {cls.schema for cls in BATCHES.values()}
     writers = {
         split_topic(topic)[0]: node
         for topic, node in graph.writers().items()
-        if split_topic(topic)[1] in schemas
+        if split_topic(topic)[1] in FRAME_SCHEMAS
     }
     settings = {batch: describe_node(graph, node)["settings"] for batch, node in writers.items()}
     return {
         batch: list(entry["value"])
         for batch, entries in settings.items()
         for entry in entries
-        if entry["key"] == "patches"
+        if entry["key"] == "patches" and entry["value"]
     }
 
 
 def _monitor(arguments: argparse.Namespace) -> int:
     from sparseskin.launch.attach.stream import EXIT_NOTHING
-    from sparseskin.messages.batches import BATCHES
     from sparseskin.messages.topics import split_topic
     from sparseskin.nodes.monitor.node import WATCHED
     from sparseskin.nodes.monitor.table import summary_table
@@ -92,7 +90,6 @@ def _monitor(arguments: argparse.Namespace) -> int:
         raise SettingsError("--text: goes with neither --open nor --port: it has no page")
     graph = choose_graph(arguments.graph)
     watched = {schema.schema for schema in WATCHED}
-    watched |= {BATCHES[schema].schema for schema in watched if schema in BATCHES}
     topics = [topic for topic in graph.writers() if split_topic(topic)[1] in watched]
     patches = list(dict.fromkeys(split_topic(topic)[0] for topic in topics))
     if not patches:

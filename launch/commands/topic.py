@@ -170,7 +170,7 @@ def about(cls: type[Message]) -> str:
 
 def kind_text(kind: FieldKind) -> str:
     """Type of a field, in a few words."""
-    from sparseskin.messages.fields import Array, Flag, Integer, Real, Samples, Text
+    from sparseskin.messages.fields import Array, Each, Flag, Integer, Names, Real, Samples, Text
 
     match kind:
         case Integer():
@@ -181,8 +181,12 @@ def kind_text(kind: FieldKind) -> str:
             return "true or false"
         case Text():
             return f"text of at most {kind.longest} characters"
+        case Names():
+            return "names of patches; none for one"
+        case Each():
+            return f"{kind_text(kind.kind)}, of each patch"
         case Samples():
-            return "array of float32, 1 dimension; or of whole numbers of few bits and a step"
+            return "array of float32, 2 dimensions; or of whole numbers of few bits and a step"
         case Array():
             sides = "1 dimension" if kind.ndim == 1 else f"{kind.ndim} dimensions"
             names = {"<f4": "float32", "<f8": "float64", "|b1": "booleans", "<i4": "int32"}

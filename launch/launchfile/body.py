@@ -2,7 +2,7 @@
 
 A launch file has a table [skin]: either `body`, the name of a body file, or `patches`, a number of
 equal patches. Patches with the same skin, compressor settings and host form a batch. Each node
-whose type ends in _batch is made once for each batch.
+that can serve several patches, and states none, is made once for each batch.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sparseskin.messages.batches import MAX_NAMES, MAX_PATCHES
 from sparseskin.messages.errors import MessageError
+from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.messages.topics import check_name
-from sparseskin.nodes.compressor.batch import CompressorBatchSettings
+from sparseskin.messages.topics import MAX_NAMES, MAX_PATCHES, check_name
+from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.sensor.batch import MAX_TAXELS
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.calibration.skin_file import MAX_FILE_CHARS, load_skin, parse_skin
+from sparseskin.nodes.sensor.scenes.address import PITCH_MM
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import parse_toml
 
@@ -34,8 +34,6 @@ SKIN = "skin"
 """Name of the table."""
 MAX_BODY = 4096
 """Most patches of a body."""
-PITCH_MM = 5.0
-"""Distance of taxels where none is stated, in mm: that of the paper's skin."""
 _OF_SKIN = ("rows", "cols", "points", "pitch_mm", "f_max", "unit", "mask", "noise", "noise_mid")
 _UNIT_NORM = 1e-3
 """Allowed difference of the norm of an orientation from 1."""
@@ -101,24 +99,18 @@ class Patch:
         of_skin = (*s.shape, s.pitch_mm, s.f_max, mask, s.noise, s.noise_mid, layout)
         return (*of_skin, self.stated.host, settings)
 
-    def sensor_values(self) -> dict[str, Any]:
-        """Settings of a sensor node of a batch for such patches."""
+    @property
+    def simulated(self) -> dict[str, Any]:
+        """The setting `simulated` of a sensor node for such patches."""
         s = self.skin
-        values: dict[str, Any] = {
-            "n_rows": s.rows,
-            "n_cols": s.cols,
-            "pitch_mm": s.pitch_mm or PITCH_MM,
-            "f_max": s.f_max,
-        }
+        values: dict[str, Any] = {"f_max": s.f_max, "noise": s.noise, "noise_mid": s.noise_mid}
         if s.placement is not None:
-            return {"points": s.placement.layout, "f_max": s.f_max, **self._noise_values()}
-        if s.mask is not None and not s.mask.all():
-            values["mask"] = ["".join("01"[cell] for cell in row) for row in s.mask.astype(int)]
-        return values | self._noise_values()
-
-    def _noise_values(self) -> dict[str, float]:
-        stated = {"sigma_end": self.skin.noise, "sigma_mid": self.skin.noise_mid}
-        return {key: value for key, value in stated.items() if value is not None}
+            values["points"] = s.placement.layout
+        else:
+            values |= {"rows": s.rows, "cols": s.cols, "pitch_mm": s.pitch_mm or PITCH_MM}
+            if s.mask is not None and not s.mask.all():
+                values["mask"] = ["".join("01"[cell] for cell in row) for row in s.mask.astype(int)]
+        return {key: value for key, value in values.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -235,7 +227,8 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
         if key in found.compressor:
             raise SparseskinError(f"{where}.compressor.{key}: is given by the body")
     try:
-        CompressorBatchSettings.from_mapping({**found.compressor, "patches": [name]}).check()
+        values = {**found.compressor, "patches": [name, f"{name}_"]}
+        CompressorSettings.from_mapping(values).check()
     except SparseskinError as error:
         raise SparseskinError(f"{where}.compressor.{error}") from error
     return found
@@ -249,7 +242,7 @@ def batches_of(patches: list[Patch], most: int) -> Iterator[Batch]:
     parts: list[list[Patch]] = []
     for alike in kinds.values():
         cells = alike[0].skin.rows * alike[0].skin.cols
-        room = max(1, min(most, MAX_TAXELS // cells))
+        room = max(1, min(most, MAX_ELEMENTS // cells))
         part: list[Patch] = []
         for patch in alike:
             length = sum(len(each.name) + 1 for each in [*part, patch])
@@ -267,20 +260,20 @@ def expand(
 ) -> dict[str, dict[str, Any]]:
     """The tables of the nodes that serve a body, made of one table [nodes.NAME].
 
-    `fields` are the names of the settings of its type. A node that serves single patches and states
-    no `patches` is left as it is, a monitor gets all batches.
+    `fields` are the names of the settings of its type. A node that serves single patches, or states
+    its own, is left as it is, a monitor gets all batches.
     """
     if "batches" in fields:
         all_names = {batch.name: batch.names for batch in batches}
         return {name: {"patches": [], "batches": all_names, **table}}
-    if not {"patch", "patches"} <= fields or "patches" in table:
+    if not {"patch", "patches"} <= fields or "patches" in table or "patch" in table:
         return {name: dict(table)}
     found = {}
     for k, batch in enumerate(batches, start=1):
         first = batch.patches[0]
         values: dict[str, Any] = {"patch": batch.name, "patches": batch.names}
-        if "n_rows" in fields:
-            values |= first.sensor_values()
+        if "simulated" in fields:
+            values["simulated"] = first.simulated
         if "ratio" in fields:
             values |= first.compressor
         if first.stated.host:

@@ -115,7 +115,7 @@ def record_scenario(name: str, scenario: Scenario, out: Path) -> None:
 
         def step(self, message: Message) -> Iterable[Message]:
             for made in super().step(message):
-                yield replace(made, solve_ns=0) if isinstance(made, Reconstruction) else made
+                yield replace(made, solve_ns=(0,)) if isinstance(made, Reconstruction) else made
 
     text = f"# sparseskin scenes make {name}\n# {scenario.scene}, "
     text += f"from step {scenario.first} on, one frame every {scenario.every} steps\n"

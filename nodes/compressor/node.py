@@ -43,14 +43,17 @@ from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.compiled import ENVIRONMENT, use_compiled
 from sparseskin.nodes.numerics.warm_up import compile_loops
-from sparseskin.nodes.settings import PatchSettings, naming, setting
+from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 from .limits import compression_warnings
 from .quantiser import quantised
 
+CHOSEN_ANEW = ("acts", "adaptive")
+"""Kinds of Phi that choose other taxels or rows for each patch."""
+
 
 @dataclass(frozen=True)
-class CompressorSettings(PatchSettings):
+class CompressorSettings(PatchesSettings):
     """Settings of the compressor node."""
 
     phi: str = setting(
@@ -93,6 +96,16 @@ class CompressorSettings(PatchSettings):
         high=2**20,
     )
     seed: int = setting(0, "seed of the measurement matrix", low=0, high=2**32 - 1)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.n_patches > 1 and self.phi in CHOSEN_ANEW:
+            raise SettingsError(
+                f"phi: {self.phi} chooses other rows for each patch; allowed for several patches: "
+                "a Phi that all patches share, as sbhe"
+            )
+        if self.n_patches > 1 and self.bits is not None:
+            raise SettingsError("bits: are not available for several patches; leave them out")
 
     def check(self) -> None:
         if self.block is not None and self.block & (self.block - 1):
@@ -238,43 +251,19 @@ class Compressor(Node[CompressorSettings]):
         for warning in compression_warnings(s.phi, phi.n, phi.m, phi.block, s.bits):
             self.context.log(warning)
 
-    def measure(self, forces: Floats, topic: str) -> tuple[Floats, Phi]:
-        """Measure frames of one time by the next row subset, for a Phi that is the same for all.
-
-        Parameters
-        ----------
-        forces : ndarray of float32, shape (k, n_rows, n_cols)
-            Readings, newtons.
-        topic : str
-            Topic that they came by, which a refusal names.
-
-        Returns
-        -------
-        y : ndarray of float32, shape (k, m)
-            Measurements, newtons; bit for bit those of each frame alone.
-        phi : Phi
-            The matrix.
-
-        Raises
-        ------
-        RefusedError
-            If the skin is not known yet or has another shape.
-        """
-        x = self._existing(forces, topic)
-        phi = self._next_phi()
-        return phi.forward(x), phi
-
-    def _existing(self, forces: Floats, topic: str) -> Floats:
-        """Readings of the taxels that exist, of one frame or several: float32, shape (..., n)."""
+    def _existing(self, taxels: Taxels) -> Floats:
+        """Readings of the taxels that exist: float32, shape (n_patches, n)."""
         if self._state is None:
-            raise RefusedError(f"{topic}: the skin is not known yet")
-        shape = self._state.n_rows, self._state.n_cols
-        if forces.shape[-2:] != shape:
+            raise RefusedError(f"{taxels.topic}: the skin is not known yet")
+        if taxels.names != self.settings.patches:
+            raise RefusedError(f"{taxels.topic}: of other patches than this node serves")
+        shape, forces = (self._state.n_rows, self._state.n_cols), taxels.forces
+        if forces.shape[1:] != shape:
             raise RefusedError(
-                f"{topic}: forces of shape {forces.shape[-2:]}, but the skin has {shape}"
+                f"{taxels.topic}: forces of shape {forces.shape[1:]}, but the skin has {shape}"
             )
-        x = forces.reshape(*forces.shape[:-2], -1)
-        return x if self._cells is None else x[..., self._cells]
+        x = forces.reshape(len(forces), -1)
+        return x if self._cells is None else x[:, self._cells]
 
     def _next_phi(self) -> Phi:
         phi = self._subsets[self._subset]
@@ -282,22 +271,23 @@ class Compressor(Node[CompressorSettings]):
         return phi
 
     def _compress(self, taxels: Taxels) -> Measurements:
-        x = self._existing(taxels.forces, taxels.topic)
+        x = self._existing(taxels)
         phi = self._next_phi()
         places = nodes = None
         if isinstance(phi, ActsPhi) and self._search is not None:
-            found = self._search.places(x.take)
+            found = self._search.places(x[0].take)
             phi.choose(found)
             places = packed_places(found, phi.n)
         if isinstance(phi, AdaptivePhi) and self._choice is not None:
-            y = self._choice.measure(phi.tree.analysis(x).take)
+            y = self._choice.measure(phi.tree.analysis(x[0]).take)
             nodes = phi.tree.coded(phi.chosen)
         else:
-            y = phi.forward(x)
+            y = phi.forward(x if len(x) > 1 else x[0])
         bits = self.settings.bits
         return Measurements(
             stamp_ns=taxels.stamp_ns,
             patch=self.settings.patch,
+            names=self.settings.patches,
             y=y if bits is None else quantised(y, bits),
             phi=phi.fingerprint,
             places=places,

@@ -20,8 +20,8 @@ def quantised(y: Floats, bits: int) -> Quantised:
 
     Parameters
     ----------
-    y : ndarray of float32, shape (m,)
-        Measurements, newtons.
+    y : ndarray of float32
+        Measurements, newtons, of any shape.
     bits : int
         2..24.
 

@@ -100,8 +100,9 @@ class Trust(Quality):
 
     def add_frame(self, reconstruction: Reconstruction, in_contact: bool) -> None:
         """Count a frame, unless its solver estimates nothing."""
-        if reconstruction.error is not None or not reconstruction.trusted:
-            self.add(float(reconstruction.trusted), in_contact)
+        (error,), (trusted,) = reconstruction.error, reconstruction.trusted
+        if error is not None or not trusted:
+            self.add(float(trusted), in_contact)
 
     def summary(self) -> dict[str, Any]:
         return {"all": trust_summary(self.every), "contact": trust_summary(self.contact)}
@@ -262,7 +263,7 @@ class PatchMetrics:
         return sum(ns > after_ns and frame.n_sensed > 0 for ns, frame in self._pending.items())
 
     def add(self, message: Message) -> FrameMetrics | None:
-        """Add one message of the patch; return the frame that it completes, if any."""
+        """Add one message of the patch alone; return the frame that it completes, if any."""
         match message:
             case SkinState():
                 self._note_changes(_fields(self.skin, *_OF_SKIN), _fields(message, *_OF_SKIN))
@@ -310,16 +311,16 @@ class PatchMetrics:
                 self.latency_ns = self._delay.of(message)
                 if self.latency_ns is not None:
                     self.latency.add(self.latency_ns)
-                self.idle = message.unchanged
-                self.unchanged += message.unchanged
-                self.solve.add(message.solve_ns)
+                (self.idle,), (solve_ns,) = message.unchanged, message.solve_ns
+                self.unchanged += self.idle
+                self.solve.add(solve_ns)
                 if self._joining:
                     self._join(message.stamp_ns)
                 else:
                     self.skipped += message.skipped
                 frame = self._pair(message.stamp_ns)
                 frame.reconstruction = message
-                frame.solve_ms = message.solve_ns / 1e6
+                frame.solve_ms = solve_ns / 1e6
                 if self.latency_ns is not None:
                     frame.latency_ms = self.latency_ns / 1e6
                 frame.n_answered = self._reconstructed.add(message) + self.skipped
@@ -385,14 +386,14 @@ class PatchMetrics:
         # Both streams count the same frames: the difference of their counts is lost.
         frame.lost = self.lost_so_far = max(0, frame.n_sensed - frame.n_answered)
         cells = self.skin.mask if self.skin.mask is not None else slice(None)
-        forces = frame.reconstruction.forces[cells]
+        forces = frame.reconstruction.forces[0][cells]
         f_max = self.skin.f_max
         if frame.taxels is None:  # nothing to compare with
             in_contact = float(forces.max()) > CONTACT_FRACTION * f_max
             self.trust.add_frame(frame.reconstruction, in_contact)
             return frame
-        taxels = frame.taxels.forces[cells]
-        reference = taxels if frame.truth is None else frame.truth.forces[cells]
+        taxels = frame.taxels.forces[0][cells]
+        reference = taxels if frame.truth is None else frame.truth.forces[0][cells]
         in_contact = float(reference.max()) > CONTACT_FRACTION * f_max
         if frame.truth is not None:
             frame.psnr_noisy_db = psnr_db(taxels - reference, f_max)

@@ -20,13 +20,12 @@ from sparseskin.messages import (
     Truth,
     topic_of,
 )
-from sparseskin.messages.batches import BATCHES, BatchMessage
+from sparseskin.messages.frames import Frames
 from sparseskin.messages.topics import split_topic
-from sparseskin.nodes.batch import batch_topic, check_patches
 from sparseskin.nodes.clock import ClockEstimate
-from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.errors import RefusedError, SettingsError
 from sparseskin.nodes.node import Context, Node
-from sparseskin.nodes.settings import Settings, check_patch, naming, setting
+from sparseskin.nodes.settings import Settings, check_patch, check_patches, naming, setting
 
 from .metrics import ClockOf, PatchMetrics
 from .table import FEW, status_line, status_of_many
@@ -41,7 +40,6 @@ REQUIRED = (SkinState, PhiState, Measurements, SolverState, Reconstruction)
 OPTIONAL = (Taxels, Truth, Resultant)
 """A compressor outside the graph publishes no taxels."""
 WATCHED = (*REQUIRED, *OPTIONAL)
-_SINGLE = {cls.schema: single for single, cls in BATCHES.items()}
 
 
 @dataclass(frozen=True)
@@ -71,9 +69,9 @@ class MonitorSettings(Settings):
         for batch, names in (self.batches or {}).items():
             with naming(f"batches.{batch}"):
                 check_patch("name", batch)
-                if not isinstance(names, list | tuple):
+                if not isinstance(names, list | tuple) or not names:
                     raise SettingsError(f"expected a list of names, got {names!r}")
-                check_patches(tuple(names))
+                check_patches("patches", tuple(names))
         if len(set(self.all_patches)) < len(self.all_patches):
             raise SettingsError("batches: a patch occurs twice")
 
@@ -140,14 +138,12 @@ class Monitor(Node[MonitorSettings]):
         return ()
 
     def step(self, message: Message) -> Iterable[Message]:
-        if isinstance(message, BatchMessage):
+        if isinstance(message, Frames):
             for part in message.split(self._held):
                 self._add(part)
-        elif message.patch in (self.settings.batches or {}):
-            for name in self._names_of(message.patch):
-                self._add(replace(message, patch=name))
         else:
-            self._add(message)
+            for name in self._names_of(message.patch):
+                self._add(replace(message, patch=name) if name != message.patch else message)
         return ()
 
     def _names_of(self, patch: str) -> tuple[str, ...]:
@@ -155,18 +151,19 @@ class Monitor(Node[MonitorSettings]):
         return tuple((self.settings.batches or {}).get(patch, (patch,)))
 
     def _add(self, message: Message) -> None:
-        metrics = self._patches[message.patch]
+        metrics = self._patches.get(message.patch)
+        if metrics is None:
+            raise RefusedError(f"{message.topic}: patch {message.patch} is not watched")
         complete = metrics.add(message)
         if self._feed is not None:
             self._feed.frame(message.patch, message, complete, metrics.latency_ns)
 
     def ended(self, topic: str, n_messages: int) -> Iterable[Message]:
         patch, schema = split_topic(topic)
-        single = _SINGLE.get(schema, schema)
         names = self._names_of(patch)
         for name in names:
-            self._patches[name].end(single, n_messages)
-        if self._feed is not None and single == Reconstruction.schema:
+            self._patches[name].end(schema, n_messages)
+        if self._feed is not None and schema == Reconstruction.schema:
             for name in names:
                 self._feed.update(summaries={name: self._patches[name].summary()}, ended=name)
         return ()
@@ -237,15 +234,14 @@ class Monitor(Node[MonitorSettings]):
 
 def _topics(settings: MonitorSettings, classes: tuple[type[Message], ...]) -> tuple[str, ...]:
     """Topics of all patches and batches, of some classes of messages."""
-    single = [topic_of(patch, cls.schema) for patch in settings.patches for cls in classes]
-    batches = [topic_of(batch, cls.schema) for batch in settings.batches or {} for cls in classes]
-    return (*single, *map(batch_topic, batches))
+    groups = (*settings.patches, *(settings.batches or {}))
+    return tuple(topic_of(group, cls.schema) for group in groups for cls in classes)
 
 
 def _clock_of_batch(context: Context, batch: str) -> ClockOf:
     """Clocks of the publishers of a batch's topics, by the topics of its patches."""
 
     def clock_of(topic: str) -> ClockEstimate | None:
-        return context.clock_of(batch_topic(topic_of(batch, split_topic(topic)[1])))
+        return context.clock_of(topic_of(batch, split_topic(topic)[1]))
 
     return clock_of

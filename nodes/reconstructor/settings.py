@@ -17,7 +17,7 @@ from sparseskin.nodes.numerics.compiled import FAST, check_fast
 from sparseskin.nodes.reconstructor.bases.base import BASES, find_basis, make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import RESULTANT_SOLVERS
 from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads, make_solver
-from sparseskin.nodes.settings import PatchSettings, naming, setting
+from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 ANNOUNCED = "announced"
 #: Parameters of a solver that are no options: the node gives them, they have settings, or they are
@@ -36,7 +36,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class ReconstructorSettings(PatchSettings):
+class ReconstructorSettings(PatchesSettings):
     """Settings of the reconstructor node."""
 
     preset: str = setting(
@@ -101,6 +101,12 @@ class ReconstructorSettings(PatchSettings):
     resultant: bool = setting(
         False, "publish total force and centre of pressure before the frame is reconstructed"
     )
+    skip_idle: bool = setting(
+        False,
+        "publish the frame of a patch as unchanged, without solving it, where its measurements "
+        "changed by no more than the skin's stated noise explains",
+        live=True,
+    )
     watch_rows: bool = setting(
         True,
         "exclude measurements that read 0, a constant or garbage, on a skin that states its noise",
@@ -128,6 +134,12 @@ class ReconstructorSettings(PatchSettings):
         "rows of a stated phi: fixed, rotating or paper; by default as the compressor's",
         choices=(*ROWS, PAPER),
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for key in ("uncertainty", "resultant"):
+            if getattr(self, key) and (self.n_patches > 1 or self.skip_idle):
+                raise SettingsError(f"{key}: is not available with several patches or skip_idle")
 
     def check(self) -> None:
         check_fast(self.fast)

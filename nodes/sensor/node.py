@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
+import numpy as np
+
 from sparseskin.messages import Calibration, Message, SkinState, Taxels, Truth, topic_of
 from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, SourceNode, Tick
@@ -18,7 +20,7 @@ from .clipped import Clipped, clipped_text
 from .noise import NoiseModel
 from .points import point_skins
 from .settings import SensorSettings
-from .source import Skin
+from .source import DEFAULT_RATE_HZ, Skin
 
 WAIT_S = 0.05
 """Longest wait for a frame of a board, seconds; chosen: commands and signals wait no longer."""
@@ -63,6 +65,7 @@ class Sensor(SourceNode[SensorSettings]):
         self._rng = context.rng(settings.seed)
         self._arrived_ns = -1
         self.rate_hz = self._chosen_rate()
+        self._source.period_s = 1 / (self.rate_hz or DEFAULT_RATE_HZ)
         self._next: _Frame | None = None
         source = self._source
         if source.delivers == "taxels" and self._stage is None and settings.f_min is None:
@@ -108,6 +111,7 @@ class Sensor(SourceNode[SensorSettings]):
             self._next = self._measured(self._next[1])  # it was computed with the noise before
         if new_pace:
             self.rate_hz = self._chosen_rate()
+            self._source.period_s = 1 / (self.rate_hz or DEFAULT_RATE_HZ)
             self.begin(self.context.clock.now_ns())
         if self._stage is not None:
             self._stage.set_drift(settings.drift)
@@ -166,10 +170,10 @@ class Sensor(SourceNode[SensorSettings]):
         if self._next is None:
             return
         taxels, truth = self._next
-        patch = self.settings.patch
-        yield Taxels(stamp_ns=stamp_ns, patch=patch, forces=taxels)
+        patch, names = self.settings.patch, self.settings.patches
+        yield Taxels(stamp_ns=stamp_ns, patch=patch, names=names, forces=taxels)
         if truth is not None:
-            yield Truth(stamp_ns=stamp_ns, patch=patch, forces=truth)
+            yield Truth(stamp_ns=stamp_ns, patch=patch, names=names, forces=truth)
         self._n_frames += 1
         self._watch_rate(stamp_ns)
         if not source.is_live:
@@ -185,6 +189,7 @@ class Sensor(SourceNode[SensorSettings]):
         source = self._source
         total = f" of {source.n_frames}" if source.n_frames is not None else ""
         text = f"{source.name}: frame {self._n_frames}{total}"
+        text += f" of {n} patches" if (n := self.settings.n_patches) > 1 else ""
         text += f"; dropped: {dropped}" if (dropped := source.dropped()) else ""
         return text if source.is_there else f"{text}; the device is gone"
 
@@ -219,7 +224,9 @@ class Sensor(SourceNode[SensorSettings]):
             self.context.log(clipped_text(clipped.report(self._f_min, skin.f_max, skin.unit)))
 
     def _chosen_noise(self) -> NoiseModel:
-        return NoiseModel.for_range(self.skin.f_max, self.settings.noise)
+        if self._source.sigmas is None:
+            return NoiseModel.for_range(self.skin.f_max, self.settings.noise)
+        return NoiseModel(self.skin.f_max, *(self.settings.noise * s for s in self._source.sigmas))
 
     def _chosen_rate(self) -> float:
         stated = self.settings.rate_hz
@@ -295,8 +302,11 @@ class Sensor(SourceNode[SensorSettings]):
         return found if skin.mask is None else found.without(~self._placement.on_grid(skin.mask))
 
     def _measured(self, truth: Floats) -> _Frame:
-        """Return the readings of true forces, and these."""
+        """Return the readings of true forces, and these, of each patch."""
+        n = self.settings.n_patches
+        if n > 1 and truth.ndim == 2:  # a scene of one patch, which all then show
+            truth = np.repeat(truth[np.newaxis], n, axis=0)
         taxels = self._noise.apply(truth, self._rng)
         if self.skin.mask is not None:
-            taxels[~self.skin.mask] = 0.0
+            taxels[..., ~self.skin.mask] = 0.0
         return taxels, truth

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.settings import PatchSettings, naming, setting
+from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 from .calibration.skin_file import load_skin
 from .calibration.stage import MAX_TARE_FRAMES
@@ -16,7 +17,7 @@ from .sources import find_address
 
 
 @dataclass(frozen=True)
-class SensorSettings(PatchSettings):
+class SensorSettings(PatchesSettings):
     """Settings of the sensor node."""
 
     source: str = setting(
@@ -63,6 +64,15 @@ class SensorSettings(PatchSettings):
         "readings of a file below 0; with a calibration, they are kept by default",
         choices=NEGATIVE_WAYS,
     )
+    simulated: dict[str, Any] | None = setting(
+        None,
+        "table of rows, cols, points, pitch_mm, f_max, mask, noise and noise_mid, as in a file "
+        "skin.toml, of each patch that a scene of a body presses",
+    )
+    active: float | None = setting(
+        None, "part of the patches that a scene of a body presses in a period, not its own",
+        low=0.0, high=1.0,
+    )  # fmt: skip
     skin: str = setting(
         "",
         "file skin.toml with shape, pitch, unit, range, mask, calibration and noise of the skin, "
@@ -115,6 +125,9 @@ class SensorSettings(PatchSettings):
             raw=self.is_calibrated,
             points=self.points,
             described=load_skin(self.skin) if self.skin else None,
+            n_patches=self.n_patches,
+            simulated=self.simulated,
+            active=self.active,
         )
 
     def check(self) -> None:
@@ -132,6 +145,8 @@ class SensorSettings(PatchSettings):
         with naming("source"):
             address = self.address()
             address.check()
+            if self.n_patches > 1 and address.kind != "scene":
+                raise SettingsError(f"{self.source} is not available for several patches")
         for key in address.own:
             if getattr(self, key) not in (None, "", 0):
                 raise SettingsError(f"{key}: a {address.kind} has its own")

@@ -54,6 +54,11 @@ class Source:
         True once `next_frame` has found that there is no frame any more.
     clipped : Clipped
         Counts of the readings that were clipped to the range.
+    sigmas : (float, float) or None
+        Noise of a taxel at half the range, and untouched, in the unit of the skin, that the sensor
+        adds to a truth; None: that of the paper's skin.
+    period_s : float
+        Time between the frames that the sensor reads, seconds, which it sets.
     """
 
     name: str
@@ -66,11 +71,14 @@ class Source:
     on_points: bool = False
     ended: bool = False
     clipped: Clipped = Clipped()
+    sigmas: tuple[float, float] | None = None
+    period_s: float = 1 / DEFAULT_RATE_HZ
     _frames: Iterator[tuple[int, Floats]] | None = None
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
         """Yield (stamp_ns, forces): time since the first frame in nanoseconds, and
-        float32 forces of shape (n_rows, n_cols) in [0, f_max]; 0 in masked cells.
+        float32 forces of shape (n_rows, n_cols) in [0, f_max], or (n_patches, n_rows, n_cols) of
+        several patches; 0 in masked cells.
         """
         raise NotImplementedError
 
@@ -204,6 +212,8 @@ class Address(ABC):
         File with the places of the taxels of a skin of points; "" for a grid.
     described : SkinDescription or None
         What the file of the skin states.
+    n_patches, simulated, active
+        Number of patches, their skin, and the part that is pressed, for a scene of a body.
     form : str
         The form of such addresses, for help and errors.
     own : tuple of str
@@ -220,6 +230,9 @@ class Address(ABC):
     raw: bool = False
     points: str = ""
     described: SkinDescription | None = None
+    n_patches: int = 1
+    simulated: Mapping[str, Any] | None = None
+    active: float | None = None
     form: ClassVar[str] = "module:callable"
     own: ClassVar[tuple[str, ...]] = ()
 

@@ -86,7 +86,7 @@ def figures(message: Map, f_max: float, latency_ns: int) -> dict[str, float | in
     `total` and `peak` are in the skin's unit, `row` and `col` the centre of pressure in taxels from
     the middle of the first.
     """
-    forces = message.forces
+    forces = message.forces[0]
     rows, cols = forces.sum(axis=1, dtype=np.float64), forces.sum(axis=0, dtype=np.float64)
     total, peak = float(rows.sum()), float(forces.max())
     found: dict[str, float | int | bool] = {"seq": message.seq, "total": total, "peak": peak}
@@ -96,13 +96,13 @@ def figures(message: Map, f_max: float, latency_ns: int) -> dict[str, float | in
     found["latency_ms"] = latency_ns / 1e6
     if isinstance(message, Reconstruction):
         found |= {
-            "residual": message.residual,
-            "iterations": message.iterations,
-            "solve_ms": message.solve_ns / 1e6,
-            "trusted": message.trusted,
+            "residual": message.residual[0],
+            "iterations": message.iterations[0],
+            "solve_ms": message.solve_ns[0] / 1e6,
+            "trusted": message.trusted[0],
         }
-        if message.error is not None:
-            found["error"] = message.error
+        if message.error[0] is not None:
+            found["error"] = message.error[0]
     return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
@@ -143,7 +143,7 @@ class Bridge(Node[S]):
             self.skins[message.patch] = message
         elif isinstance(message, Taxels | Truth | Reconstruction):
             skin = self.skins.get(message.patch)
-            if skin is None or skin.skin.shape != message.forces.shape:
+            if skin is None or skin.skin.shape != message.forces.shape[1:]:
                 # The skin may arrive on another connection than its frames.
                 self.n_dropped += 1
                 return ()

@@ -97,9 +97,9 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
             self._channels[name] for name in (topic, f"{topic}/grid", f"{topic}/figures")
         )
         if image.has_sinks():
-            image.log(raw_image(message, message.forces), log_time=message.stamp_ns)
+            image.log(raw_image(message, message.forces[0]), log_time=message.stamp_ns)
         if cells.has_sinks():
-            layers = {"force": message.forces}
+            layers = {"force": message.forces[0]}
             cells.log(grid(message, layers, skin), log_time=message.stamp_ns)
         if skin.points is not None:
             name = f"{topic}/points"
@@ -107,7 +107,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
                 made = self._fox.channels.PointCloudChannel(name, context=self._own)
                 self._channels[name] = made
             if self._channels[name].has_sinks():
-                cloud = point_cloud(message, {"force": message.forces}, skin)
+                cloud = point_cloud(message, {"force": message.forces[0]}, skin)
                 self._channels[name].log(cloud, log_time=message.stamp_ns)
         if numbers.has_sinks():
             latency_ns = self.context.clock.now_ns() - message.stamp_ns

@@ -94,7 +94,7 @@ class LeRobotBridge(Bridge[LeRobotSettings]):
         return super().step(message)
 
     def send(self, message: Map, skin: SkinState) -> None:
-        grey = greys(message.forces, self.settings.full_scale or skin.f_max)
+        grey = greys(message.forces[0], self.settings.full_scale or skin.f_max)
         if self.settings.pixels > 1:
             side = self.settings.pixels
             grey = np.repeat(np.repeat(grey, side, axis=0), side, axis=1)

@@ -103,9 +103,9 @@ class Ros2Bridge(Bridge[Ros2Settings]):
             if not writer.get_matched_subscriptions():
                 continue
             if kind == "image":
-                made = cdr.image(stamp, message.patch, message.forces)
+                made = cdr.image(stamp, message.patch, message.forces[0])
             elif kind == "array":
-                made = cdr.array(message.forces)
+                made = cdr.array(message.forces[0])
             else:
                 made = cdr.cloud(stamp, message.patch, self._cloud(message, skin))
             try:
@@ -138,5 +138,5 @@ class Ros2Bridge(Bridge[Ros2Settings]):
                 pitch_m = skin.pitch_m or UNKNOWN_PITCH_M
                 points[:, 0], points[:, 1] = pitch_m * cols, pitch_m * rows
             self._points[message.patch] = points
-        points[:, 3] = message.forces.ravel() if skin.mask is None else message.forces[exists]
+        points[:, 3] = message.forces[0][exists]
         return points

@@ -40,9 +40,9 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
     patches, side, n_frames = (point[key] for key in ("patches", "side", "n_frames"))
     common = {"patch": "body", "patches": [f"p{k}" for k in range(patches)]}
     source = {"source": "scene:lying", "active": 1.0 - point["idle"], "seed": point["seed"]}
-    shape = {"n_rows": side, "n_cols": side, "rate_hz": 100.0}
-    sensor = made_node("sensor_batch", {**common, **source, **shape})
-    edge = made_node("compressor_batch", common)
+    shape = {"simulated": {"rows": side, "cols": side}, "rate_hz": 100.0}
+    sensor = made_node("sensor", {**common, **source, **shape})
+    edge = made_node("compressor", common)
     (skin,) = sensor.start()
     (phi,) = edge.step(skin)
     # The next frame is of the time when all have landed, then come frames each 1 ms.
@@ -50,7 +50,7 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
     list(sensor.change(sensor.settings.changed({"rate_hz": 1000.0})))
     gc.collect()
     before = own_bytes(os.getpid())
-    host = made_node("reconstructor_batch", {**common, "skip_idle": point["skip_idle"]})
+    host = made_node("reconstructor", {**common, "skip_idle": point["skip_idle"]})
     list(host.step(skin))
     list(host.step(phi))
     edge_s: list[float] = []
@@ -62,7 +62,7 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
         (found,) = timed_step(host, measured, host_s)
         if k >= WARM_UP:
             n_bytes = len(measured[1])
-            n_unchanged += int(np.count_nonzero(decode(*found).unchanged))  # type: ignore[attr-defined]
+            n_unchanged += sum(decode(*found).unchanged)  # type: ignore[attr-defined]
     return {
         "edge_us": 1e6 * float(np.median(edge_s[WARM_UP:])) / patches,
         "host_us": 1e6 * float(np.median(host_s[WARM_UP:])) / patches,

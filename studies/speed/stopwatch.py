@@ -67,4 +67,4 @@ class TimedReconstructor(_Timed, Reconstructor):
         return self._timed(super().step, message, Reconstruction)
 
     def _inside(self, message: Any, came_ns: int) -> tuple[int, ...]:
-        return (came_ns, message.done_ns - message.solve_ns, message.done_ns)
+        return (came_ns, message.done_ns - message.solve_ns[0], message.done_ns)

@@ -70,7 +70,6 @@ def test_an_end_is_recognised_by_its_payload(message: Message) -> None:
 def test_every_schema_is_in_the_property() -> None:
     built = {"taxels", "truth", "measurements", "resultant", "reconstruction"}
     built |= {"skin", "calibration", "phi", "solver", "end"}
-    built |= {"taxels_batch", "truth_batch", "measurements_batch", "reconstruction_batch"}
     assert set(SCHEMAS) == built
 
 
@@ -162,7 +161,7 @@ def test_wrong_arrays_are_refused_by_name(forces: object, error: type[MessageErr
     [
         ({"schema": "taxel"}, UnknownSchemaError),
         ({"schema": 3}, UnknownSchemaError),
-        ({"version": 2}, VersionError),
+        ({"version": 1}, VersionError),
         ({"version": True}, VersionError),
         ({"version": "1"}, VersionError),
         ({"seq": -1}, FieldError),
@@ -191,10 +190,10 @@ def test_wrong_fields_are_refused(change: dict[str, object], error: type[Message
         ({"order": "F"}, ShapeError),
         ({"shape": [2, 4]}, ShapeError),
         ({"shape": [6]}, ShapeError),
-        ({"shape": [-2, -3]}, ShapeError),
+        ({"shape": [1, -2, -3]}, ShapeError),
         ({"shape": [2, 3.0]}, MalformedError),
-        ({"shape": [True, 6]}, MalformedError),
-        ({"shape": [4096, 4096]}, OversizedError),
+        ({"shape": [True, 2, 3]}, MalformedError),
+        ({"shape": [1, 4096, 4096]}, OversizedError),
         ({"data": "text"}, MalformedError),
         ({"data": b""}, ShapeError),
         ({"more": 1}, MalformedError),

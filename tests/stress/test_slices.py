@@ -83,7 +83,7 @@ def _reconstructed(skin: SkinState, taxels: Floats, ratio: float, seed: int) -> 
     for k, forces in enumerate(taxels):
         (measured,) = edge.step(Taxels(stamp_ns=k + 1, patch="skin", forces=forces))
         (made,) = (m for m in host.step(measured) if isinstance(m, Reconstruction))
-        yield made.forces.copy()
+        yield made.forces[0].copy()
 
 
 def _rms(x: Floats) -> float:

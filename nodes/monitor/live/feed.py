@@ -60,8 +60,8 @@ class PatchFeed:
 
     def note_trust(self, reconstruction: Reconstruction, now_s: float) -> None:
         """Note if a reconstruction that is shown is to be trusted."""
-        self.newest_trusted = reconstruction.trusted
-        if not reconstruction.trusted:
+        (self.newest_trusted,) = reconstruction.trusted
+        if not self.newest_trusted:
             self.untrusted_s = now_s
 
 
@@ -106,10 +106,10 @@ class Feed:
                 self._add_unpaired(feed, message, now_s)
                 return
             maps = (complete.taxels, complete.reconstruction, complete.truth)
-            feed.maps = {each.schema: each.forces for each in maps if each is not None}
+            feed.maps = {each.schema: each.forces[0] for each in maps if each is not None}
             feed.resultant = complete.resultant
             if complete.reconstruction is not None:
-                feed.idle = complete.reconstruction.unchanged
+                (feed.idle,) = complete.reconstruction.unchanged
                 feed.note_trust(complete.reconstruction, now_s)
             feed.came_s.update(dict.fromkeys(feed.maps, now_s))
             feed.n_maps += 1
@@ -136,7 +136,7 @@ class Feed:
         if not isinstance(message, Taxels | Truth | Reconstruction):
             return
         if now_s - feed.came_s.get(Reconstruction.schema, -math.inf) > feed.stale_s:
-            feed.maps = {**feed.maps, message.schema: message.forces}
+            feed.maps = {**feed.maps, message.schema: message.forces[0]}
             if isinstance(message, Reconstruction):
                 feed.note_trust(message, now_s)
             feed.resultant = None

@@ -60,7 +60,8 @@ def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
 class Frame(NamedTuple):
     """A message of taxels, truth, measurements or reconstruction, with its time of recording.
 
-    `array` are its values in the skin's unit, float32 of shape (n_rows, n_cols), or (M,).
+    It is of one patch; `array` are its values in the skin's unit, float32 of shape
+    (n_rows, n_cols), or (M,).
     """
 
     message: Message
@@ -146,10 +147,10 @@ def frames(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[Frame]
 
 
 def values_of(message: Message) -> npt.NDArray[np.float32] | None:
-    """The forces of a frame or its measurements; None of a message that is no frame."""
+    """The forces of a frame of one patch or its measurements; None of a message that is no frame."""
     if isinstance(message, Measurements):
-        return message.y
-    return message.forces if isinstance(message, Taxels | Truth | Reconstruction) else None
+        return message.y[0]
+    return message.forces[0] if isinstance(message, Taxels | Truth | Reconstruction) else None
 
 
 def decoded(bag: BagReader, recorded: BagMessage) -> Message:

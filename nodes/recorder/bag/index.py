@@ -15,6 +15,7 @@ from typing import Any, BinaryIO
 import mcap.records as mcap
 from mcap.opcode import Opcode
 
+from sparseskin.messages import version_1
 from sparseskin.messages.errors import MessageError
 from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.topics import split_topic
@@ -62,6 +63,14 @@ class BagChannel:
     topic: str
     schema: str
     version: int
+
+    @property
+    def today(self) -> BagChannel:
+        """The channel with topic, schema and version that it would have in a bag of today."""
+        schema, version, topic = self.schema, self.version, version_1.topic_today(self.topic)
+        if version == version_1.VERSION and schema in version_1.SCHEMAS:
+            schema, version = (cls := version_1.SCHEMAS[schema]).schema, cls.version
+        return BagChannel(topic, schema, version)
 
 
 @dataclass(frozen=True)
@@ -133,12 +142,14 @@ class BagIndex:
             split_topic(channel.topic)
         except MessageError as error:
             raise BagError(f"{self.name}: {error}") from error
+        version = channel.metadata.get(VERSION_KEY, "")
+        if kind in version_1.SCHEMAS and version == str(version_1.VERSION):
+            return BagChannel(channel.topic, kind, version_1.VERSION)
         if kind not in SCHEMAS:
             raise BagError(
                 f"{self.name}: topic {topic} holds messages of schema {kind[:40]!r}; this program "
                 f"reads {', '.join(SCHEMAS)}"
             )
-        version = channel.metadata.get(VERSION_KEY, "")
         if version != str(SCHEMAS[kind].version):
             raise BagError(
                 f"{self.name}: topic {topic}: recorded with {kind} version "

@@ -6,11 +6,13 @@ import json
 import os
 import stat
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from mcap.opcode import Opcode
 
+from sparseskin.messages import MessageError, version_1
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.control import is_shallow
 
@@ -85,7 +87,9 @@ class BagReader(Closing):
             raise
         self.metadata = self._index.metadata.get(GRAPH_RECORD, {})
         self.counts = _counts(self._index.metadata.get(COUNTS_RECORD, {}))
-        self.topics: dict[str, TopicInfo] = dict(sorted(self._index.topics.items()))
+        self.topics: dict[str, TopicInfo] = dict(
+            sorted(map(_today, self._index.topics, self._index.topics.values()))
+        )
 
     def messages(
         self,
@@ -119,10 +123,10 @@ class BagReader(Closing):
     def _records(
         self, wanted: frozenset[str], start_ns: int | None, stop_ns: int | None
     ) -> Iterator[tuple[BagChannel, BagMessage]]:
-        channels = {
-            id: channel for id, channel in self._index.channels.items() if channel.topic in wanted
-        }
-        for chunk in self._index.chunks_with(wanted, start_ns, stop_ns):
+        today = {id: channel.today for id, channel in self._index.channels.items()}
+        channels = {id: channel for id, channel in today.items() if channel.topic in wanted}
+        recorded = frozenset(self._index.channels[id].topic for id in channels)
+        for chunk in self._index.chunks_with(recorded, start_ns, stop_ns):
             plain = self._chunk(chunk)
             for opcode, start, stop in walk_chunk(plain, chunk.record.offset):
                 if opcode != Opcode.MESSAGE:
@@ -135,7 +139,15 @@ class BagReader(Closing):
                 if early or (stop_ns is not None and stamp_ns >= stop_ns):
                     continue
                 payload = plain[start + MESSAGE_HEAD_BYTES : stop]
+                if channel != self._index.channels[id]:
+                    payload = self._today(channel.topic, stamp_ns, payload)
                 yield channel, BagMessage(channel.topic, log_ns, stamp_ns, payload)
+
+    def _today(self, topic: str, stamp_ns: int, payload: bytes) -> bytes:
+        try:
+            return version_1.payload_today(payload)
+        except MessageError as error:
+            raise BagError(f"{self.path}: {topic}, stamp {stamp_ns}: {error}") from error
 
     def _chunk(self, chunk: ChunkSpan) -> bytes:
         """A chunk, checked once more: time has passed since the file was opened."""
@@ -153,6 +165,12 @@ class BagReader(Closing):
             ) from broken
         except OSError as error:
             raise BagError(f"{self.path}: {error.strerror}") from error
+
+
+def _today(topic: str, info: TopicInfo) -> tuple[str, TopicInfo]:
+    """A topic of the file with the name and schema that it would have in a bag of today."""
+    channel = BagChannel(topic, info.schema, info.version).today
+    return channel.topic, replace(info, schema=channel.schema, version=channel.version)
 
 
 def _open(path: Path) -> BinaryIO:

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages import Measurements, Message, Reconstruction, SkinState
-from sparseskin.messages.base import wire_fields
 from sparseskin.messages.fields import Array
+from sparseskin.messages.frames import kinds_alone, values_alone
 from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.nodes.files import whole_folder
 from sparseskin.nodes.recorder.bag.frames import (
@@ -69,7 +69,7 @@ def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
             figures = _figures(message)
             columns = [*figures, *_cell_names(cells, longest.get(topic, 0))]
             writer(topic, "", columns).write(_line([*figures.values(), *_texts(cells)]))
-            sd = getattr(message, _SD, None)
+            sd = values_alone(message).get(_SD)
             if isinstance(message, Reconstruction) and sd is not None:
                 columns = ["stamp_ns", *_cell_names(sd, 0)]
                 writer(topic, f"_{_SD}", columns).write(_line([message.stamp_ns, *_texts(sd)]))
@@ -113,8 +113,9 @@ def _point_rows(skin: Mapping[str, Any], columns: list[str]) -> str:
 def _figures(message: Message) -> dict[str, Any]:
     """All fields but arrays and the publisher's run; the bits of rows and tree as hexadecimals."""
     found: dict[str, Any] = {"stamp_ns": message.stamp_ns}
-    for name, kind in wire_fields(type(message)).items():
-        value = getattr(message, name)
+    values = values_alone(message)
+    for name, kind in kinds_alone(type(message)).items():
+        value = values[name]
         if isinstance(kind, Array):
             if name in ("places", "nodes") and value is not None:
                 found[name] = value.tobytes().hex()

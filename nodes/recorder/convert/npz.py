@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages import Measurements, Message
-from sparseskin.messages.base import wire_fields
 from sparseskin.messages.fields import Array, FieldKind, Flag, Integer, Real, Samples, Text
+from sparseskin.messages.frames import kinds_alone, values_alone
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.files import os_errors, whole_file
 from sparseskin.nodes.recorder.bag.format import BagError
@@ -125,8 +125,7 @@ class _Columns:
 
     def measure(self, message: Message) -> None:
         self.n += 1
-        for name in wire_fields(type(message)):
-            value = getattr(message, name)
+        for name, value in values_alone(message).items():
             if value is not None:
                 length = len(value) if isinstance(value, str) else 1
                 self._lengths[name] = max(self._lengths.get(name, 1), length)
@@ -136,7 +135,7 @@ class _Columns:
             self.shape = max(self.shape, values.shape) if is_padded else values.shape
 
     def open(self, folder: Path) -> None:
-        kinds = {**wire_fields(SCHEMAS[self._schema]), LOG_TIME: Integer()}
+        kinds = {**kinds_alone(SCHEMAS[self._schema]), LOG_TIME: Integer()}
         self._lengths[LOG_TIME] = 1
         frames, stamps = array_names(self._schema)
         short = {"forces": frames, "y": frames, "stamp_ns": stamps}
@@ -158,8 +157,9 @@ class _Columns:
 
     def add(self, message: Message, log_time_ns: int) -> None:
         k, self._n_added = self._n_added, self._n_added + 1
+        values = {**values_alone(message), LOG_TIME: log_time_ns}
         for name, column in self._columns.items():
-            value: Any = log_time_ns if name == LOG_TIME else getattr(message, name)
+            value = values[name]
             if name == "y":
                 column[k] = np.nan
                 column[k, : len(value)] = value

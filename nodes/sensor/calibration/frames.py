@@ -83,7 +83,7 @@ def _bag(path: str) -> tuple[list[int], Frames]:
     if len({message.forces.shape for message in found}) != 1:
         raise CalibrationError(f"{path}: holds no frames of one shape")
     stamps = [message.stamp_ns - found[0].stamp_ns for message in found]
-    return stamps, np.stack([message.forces for message in found])
+    return stamps, np.concatenate([message.forces for message in found])
 
 
 class Recording:

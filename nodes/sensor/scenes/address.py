@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
+from sparseskin.messages.fields import MAX_ELEMENTS
+from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import POINTS, loaded
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.sensor.calibration.description import SkinDescription
+from sparseskin.nodes.sensor.calibration.skin_file import parse_skin
 from sparseskin.nodes.sensor.points import point_scenes, point_skins
 from sparseskin.nodes.sensor.source import Address, Listing, Source, about
 
 from .scenes import SCENES, check_scene, open_scene
+from .tiled import TILED, TiledSource, skin_of
+
+PITCH_MM = 5.0
+"""Distance of taxels where none is stated, in mm: that of the paper's skin."""
 
 
 class SceneAddress(Address):
@@ -20,6 +31,17 @@ class SceneAddress(Address):
     own = ("n_rows", "n_cols", "unit", "f_max", "skin", "tare", "drift", "f_min")
 
     def check(self) -> None:
+        on_grid = self.rest in SCENES
+        if on_grid and "points" in (self.simulated or {}):
+            raise SourceError(f"scene {self.rest} presses a flat grid of its own")
+        if self.rest in TILED or (on_grid and self.n_patches > 1):
+            shape = self._described().shape if self.rest in TILED else self.open().skin.shape
+            if self.n_patches * math.prod(shape) > MAX_ELEMENTS:
+                raise SourceError(
+                    f"{self.n_patches} patches of {shape[0]} x {shape[1]} cells; at most "
+                    f"{MAX_ELEMENTS} cells together: use more batches"
+                )
+            return
         if self.rest in SCENES and not self.points:
             return
         on_points = point_scenes()
@@ -37,13 +59,28 @@ class SceneAddress(Address):
                 f"scene {self.rest} presses a skin of points; state points, a file of them"
             )
         else:
-            check_scene(self.rest)
+            check_scene(self.rest, TILED)
+
+    def _described(self) -> SkinDescription:
+        """The skin of each patch of a body."""
+        stated: dict[str, Any] = dict(self.simulated or {"rows": 64, "cols": 64})
+        if "points" not in stated:
+            stated.setdefault("pitch_mm", PITCH_MM)
+        return parse_skin(
+            {"name": self.rest, "f_max": PAPER_F_MAX_N, **stated}, "simulated", Path()
+        )
 
     def n_taxels(self) -> int | None:
+        if self.rest in TILED:
+            return skin_of(self._described()).n_taxels
         return self.open().skin.n_taxels
 
     def open(self) -> Source:
-        self.check()
+        if self.rest not in SCENES:
+            self.check()
+        if self.rest in TILED:
+            described = self._described()
+            return TiledSource(self.rest, described, self.n_patches, self.active, self.seed)
         for name in ("n_rows", "n_cols", "unit", "f_max"):
             value = getattr(self, name)
             if value is not None:

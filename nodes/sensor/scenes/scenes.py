@@ -38,7 +38,7 @@ Source: paper, section II-B and table I for bodies, motions, numbers and lengths
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from sparseskin.nodes.errors import SourceError
@@ -173,8 +173,8 @@ SCENES: dict[str, Callable[[], Scene]] = {
 }
 
 
-def check_scene(name: str) -> None:
-    """Check that a scene exists, without building it.
+def check_scene(name: str, others: Iterable[str] = ()) -> None:
+    """Check that a scene exists, without building it; `others` are known elsewhere.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def check_scene(name: str) -> None:
         If there is no scene of that name.
     """
     if name not in SCENES:
-        raise SourceError(f"no scene is called {name!r}{did_you_mean(name, SCENES)}")
+        raise SourceError(f"no scene is called {name!r}{did_you_mean(name, (*SCENES, *others))}")
 
 
 def open_scene(name: str, seed: int) -> SceneSource:

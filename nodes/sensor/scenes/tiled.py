@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +29,9 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.calibration.description import SkinDescription
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.source import Source
 
 from .bodies import Body, build_sole, capsule, slab
 from .contact import GRAVITY_M_S2
@@ -61,6 +64,41 @@ class Tiling:
     moves: bool = False
     spread_s: float = 0.0
     alternate: bool = False
+
+
+class TiledSource(Source):
+    """A scene of a body as a source, whose frames are as far apart as the sensor reads them.
+
+    `described` is the skin of each patch; further arguments and errors as of `TiledScene`.
+    """
+
+    delivers = "truth"
+
+    def __init__(
+        self, name: str, described: SkinDescription, n_patches: int, active: float | None, seed: int
+    ) -> None:
+        self.name, self.skin = name, skin_of(described)
+        self.on_points = True
+        paper = NoiseModel.for_range(self.skin.f_max)
+        end = paper.sigma_end if described.noise is None else described.noise
+        mid = described.noise_mid
+        if mid is None:
+            mid = paper.sigma_mid if described.noise is None else end
+        self.sigmas = mid, end
+        self._scene = TiledScene(name, self.skin, n_patches, active, seed)
+
+    def __iter__(self) -> Iterator[tuple[int, Floats]]:
+        t_s = 0.0
+        while True:
+            yield round(1e9 * t_s), self._scene.forces(t_s)
+            t_s += self.period_s
+
+
+def skin_of(described: SkinDescription) -> Skin:
+    """The skin of each patch: its grid, or the virtual grid of its points."""
+    if described.placement is not None:
+        return described.placement.skin(described.f_max, described.unit)
+    return described.skin
 
 
 class TiledScene:

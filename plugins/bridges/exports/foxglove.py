@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages import Measurements, Message, Reconstruction, Resultant, SkinState
-from sparseskin.messages.base import wire_fields
 from sparseskin.messages.fields import Flag, Integer, Real
+from sparseskin.messages.frames import kinds_alone, values_alone
 from sparseskin.nodes.files import OutputError, whole_file
 from sparseskin.nodes.recorder.bag.format import GRAPH_RECORD, JSON_KEY, BagError
 from sparseskin.nodes.recorder.bag.frames import (
@@ -108,28 +108,28 @@ class _Channels:
 
 def _messages(message: Message, skin: SkinState | None) -> Iterable[tuple[str, Any, Any]]:
     """Topic, schema and content of all that is written of one message."""
-    topic, cls = message.topic, type(message)
+    topic, cls, values = message.topic, type(message), values_alone(message)
     if isinstance(message, STATES):
         yield topic, "json", state_json(message)
         return
     if isinstance(message, Measurements):
-        yield topic, "RawImage", raw_image(message, np.atleast_2d(np.asarray(message.y)))
-    elif (forces := getattr(message, "forces", None)) is not None:
+        yield topic, "RawImage", raw_image(message, np.asarray(message.y))
+    elif (forces := values.get("forces")) is not None:
         yield topic, "RawImage", raw_image(message, forces)
         layers = {"force": forces}
-        if isinstance(message, Reconstruction) and message.sd is not None:
-            yield f"{topic}/sd", "RawImage", raw_image(message, message.sd)
-            layers["sd"] = message.sd
+        if (sd := values.get("sd")) is not None:
+            yield f"{topic}/sd", "RawImage", raw_image(message, sd)
+            layers["sd"] = sd
         yield f"{topic}/grid", "Grid", grid(message, layers, skin)
         if skin is not None and skin.points is not None:
             yield f"{topic}/points", "PointCloud", point_cloud(message, layers, skin, True)
-    if cls in (Reconstruction, Resultant) or "forces" in wire_fields(cls):
+    if cls in (Reconstruction, Resultant) or "forces" in values:
         yield f"{topic}/figures", cls, figures_of(message)
 
 
 def figure_names(cls: type[Message]) -> list[str]:
     """Names of the numbers of a message class; of frames the sum first."""
-    fields = wire_fields(cls)
+    fields = kinds_alone(cls)
     names = [name for name, kind in fields.items() if isinstance(kind, Real | Integer | Flag)]
     total = ["total_force"] if "forces" in fields else []
     return total + [name for name in names if name not in ("run_id", "seq")]
@@ -137,10 +137,11 @@ def figure_names(cls: type[Message]) -> list[str]:
 
 def figures_of(message: Message) -> dict[str, float]:
     """The numbers of a message by name; without those that it does not have."""
-    values = {name: getattr(message, name, None) for name in figure_names(type(message))}
-    if (forces := getattr(message, "forces", None)) is not None:
+    values = values_alone(message)
+    if (forces := values.get("forces")) is not None:
         values["total_force"] = float(forces.sum(dtype="f8"))
-    return {k: value for k, value in values.items() if value is not None}
+    names = figure_names(type(message))
+    return {name: values[name] for name in names if values[name] is not None}
 
 
 def numbers_schema(names: Iterable[str]) -> dict[str, Any]:

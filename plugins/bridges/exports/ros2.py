@@ -14,6 +14,7 @@ import numpy.typing as npt
 from mcap.writer import Writer
 
 from sparseskin.messages import Measurements, Message, Reconstruction, Resultant
+from sparseskin.messages.frames import values_alone
 from sparseskin.nodes.files import whole_folder
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
@@ -93,7 +94,7 @@ class _Channels:
 
 def _messages(message: Message, path: Path) -> Iterator[tuple[str, str, bytes]]:
     """Topic, type and CDR of all that is written of one message."""
-    topic = message.topic
+    topic, values = message.topic, values_alone(message)
 
     def image(array: npt.NDArray[np.float32]) -> tuple[str, bytes]:
         stamp = divmod(message.stamp_ns, 1_000_000_000)
@@ -113,18 +114,18 @@ def _messages(message: Message, path: Path) -> Iterator[tuple[str, str, bytes]]:
             if (value := getattr(message, name)) is not None:
                 yield f"{topic}/{name}", *one(FLOAT, value)
     elif isinstance(message, Measurements):
-        yield topic, *image(np.atleast_2d(np.asarray(message.y)))
-    elif (forces := getattr(message, "forces", None)) is not None:
+        yield topic, *image(np.asarray(message.y))
+    elif (forces := values.get("forces")) is not None:
         yield topic, *image(forces)
         yield f"{topic}/total_force", *one(FLOAT, float(forces.sum(dtype=np.float64)))
     if isinstance(message, Reconstruction):
-        yield f"{topic}/residual", *one(FLOAT, message.residual)
-        if message.sd is not None:
-            yield f"{topic}/sd", *image(message.sd)
-        if message.error is not None:
-            yield f"{topic}/error", *one(FLOAT, message.error)
-        if message.error is not None or not message.trusted:
-            yield f"{topic}/trusted", *one(BOOL, message.trusted)
+        yield f"{topic}/residual", *one(FLOAT, values["residual"])
+        if values["sd"] is not None:
+            yield f"{topic}/sd", *image(values["sd"])
+        if values["error"] is not None:
+            yield f"{topic}/error", *one(FLOAT, values["error"])
+        if values["error"] is not None or not values["trusted"]:
+            yield f"{topic}/trusted", *one(BOOL, values["trusted"])
 
 
 def _metadata(file_name: str, counts: Counter[tuple[str, str]], first_ns: int, last_ns: int) -> str:

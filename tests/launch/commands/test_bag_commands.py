@@ -148,7 +148,7 @@ def test_an_imported_recording_is_what_the_sensor_reads_from_the_file(bag: Bag, 
     for seq, (message, (stamp_ns, forces)) in enumerate(zip(taxels, expected, strict=True)):
         assert isinstance(message, Taxels)
         assert (message.seq, message.stamp_ns, message.run_id) == (seq, stamp_ns, state.run_id)
-        assert np.array_equal(message.forces, forces)
+        assert np.array_equal(message.forces[0], forces)
     assert len(state.run_id) == 16
 
 
@@ -160,7 +160,7 @@ def test_several_files_become_one_bag_each_in_a_folder(bag: Bag) -> None:
         state, *taxels = decoded(Path(f"bags/f{k}.mcap"))
         assert isinstance(state, SkinState)
         assert state.f_max == 5.0
-        assert [message.forces[0, 0] for message in taxels if isinstance(message, Taxels)] == [
+        assert [message.forces[0, 0, 0] for message in taxels if isinstance(message, Taxels)] == [
             1.0 + k
         ] * 3
     with pytest.raises(BagError, match="several files need a folder"):
@@ -219,7 +219,7 @@ def test_an_exported_npz_holds_every_array(bag: Bag) -> None:
     assert bag("export", "a.mcap", "--to", "npz") == 0
     with np.load("a.npz") as arrays:
         for name, cls in (("forces", Taxels), ("truth", Truth), ("reconstruction", Reconstruction)):
-            expected = np.stack([message.forces for message in of_kind(messages, cls)])
+            expected = np.stack([message.forces[0] for message in of_kind(messages, cls)])
             assert arrays[name].dtype == np.float32
             assert np.array_equal(arrays[name], expected)
         assert arrays["measurements"].shape == (N_FRAMES, M)

@@ -15,8 +15,8 @@ def test_patches_of_a_batch_are_those_of_the_settings_of_its_writer(
 ) -> None:
     writers = {
         "/body/skin": "sensor",
-        "/body/taxels_batch": "sensor",
-        "/body/reconstruction_batch": "reconstructor",
+        "/body/taxels": "sensor",
+        "/body/reconstruction": "reconstructor",
         "/hand/taxels": "other",
     }
     graph: Any = SimpleNamespace(writers=lambda: writers)
@@ -24,10 +24,11 @@ def test_patches_of_a_batch_are_those_of_the_settings_of_its_writer(
 
     def describe(_: Any, node: str) -> dict[str, Any]:
         asked.append(node)
-        return {"settings": [{"key": "seed", "value": 0}, {"key": "patches", "value": ("a", "b")}]}
+        patches = {"key": "patches", "value": ("a", "b") if node == "reconstructor" else ()}
+        return {"settings": [{"key": "seed", "value": 0}, patches]}
 
     monkeypatch.setattr(beside, "describe_node", describe)
     assert beside.batches_of(graph) == {"body": ["a", "b"]}
-    assert asked == ["reconstructor"]
-    del writers["/body/taxels_batch"], writers["/body/reconstruction_batch"]
+    assert asked == ["reconstructor", "other"]
+    del writers["/body/taxels"], writers["/body/reconstruction"]
     assert beside.batches_of(graph) == {}

@@ -40,7 +40,7 @@ def test_a_scenario_is_small_whole_complete_and_in_contact(name: str, tmp_path: 
         assert bag.recovered == ""
         assert bag.metadata["scene"] == SCENARIOS[name].scene
         unasked = ("end", "resultant", "calibration")
-        asked = [name for name in SCHEMAS if name not in unasked and not name.endswith("_batch")]
+        asked = [name for name in SCHEMAS if name not in unasked]
         assert set(bag.topics) == {f"/skin/{name}" for name in asked}
         assert bag.topics["/skin/taxels"].rate_hz == pytest.approx(100)
         peaks = []

@@ -58,10 +58,11 @@ def test_equal_patches_are_one_batch_of_four_nodes() -> None:
     assert list(launch.nodes) == ["sensor", "compressor", "reconstructor", "monitor"]
     sensor = launch.nodes["sensor"].settings
     assert sensor.patches == ("p0", "p1", "p2")
-    assert (sensor.n_rows, sensor.n_cols, sensor.rate_hz) == (12, 64, 20)
+    assert sensor.simulated == {"rows": 12, "cols": 64, "pitch_mm": 5.0, "f_max": 2.5}
+    assert sensor.rate_hz == 20
     assert launch.nodes["monitor"].settings.all_patches == sensor.patches
     assert {link.topic for link in launch.links if link.reader == "reconstructor"} == {
-        *("/body/skin", "/body/phi", "/body/measurements_batch"),
+        *("/body/skin", "/body/phi", "/body/measurements"),
     }
 
 
@@ -74,9 +75,9 @@ def test_patches_of_a_body_file_are_served_in_batches_of_equal_ones(body: Path) 
         for k, names in enumerate((("left_palm", "right_palm"), ("forearm",), ("sole",)), 1)
     }
     forearm, sole = (launch.nodes[f"sensor_{k}"].settings for k in (2, 3))
-    assert forearm.skin().n_taxels == 69
-    assert (forearm.sigma_end, forearm.f_max, forearm.pitch_mm) == (0.01, 2.5, 5.0)
-    assert (sole.n_rows, sole.n_cols, sole.f_max, sole.pitch_mm) == (6, 10, 5.0, 8.0)
+    assert forearm.address().n_taxels() == 69
+    assert (forearm.simulated["noise"], forearm.simulated["pitch_mm"]) == (0.01, 5.0)
+    assert sole.simulated == {"rows": 6, "cols": 10, "f_max": 5.0, "pitch_mm": 8.0}
     assert [launch.nodes[f"compressor_{k}"].settings.ratio for k in (1, 2, 3)] == [3, 3, 2]
     assert launch.nodes["monitor"].settings.all_patches == (
         *("left_palm", "right_palm", "forearm", "sole"),
@@ -160,7 +161,7 @@ def test_all_faults_of_a_body_file_are_reported_at_once(body: Path) -> None:
         (["skin.batch=0"], "--set skin.batch=0: 0 is outside 1..256"),
         (["skin.patches=200", "skin.batch=2"], "301 nodes; at most 256 are allowed"),
         (["sensor.rate_hz=-1"], "--set sensor.rate_hz=-1: -1.0 is outside 0.0..100000.0"),
-        (["sensor.source=scene:hugs"], "'scene:hugs' is not available for a batch"),
+        (["sensor.source=scene:hugs"], "no scene is called 'hugs' (did you mean 'hug'?)"),
     ],
 )
 def test_a_fault_of_the_table_or_of_a_node_is_one_line(overrides: list[str], line: str) -> None:

@@ -46,7 +46,7 @@ def messages(path: Path) -> list[Message]:
     with BagReader(path) as bag:
         assert bag.recovered == ""
         found = [decode(m.topic.encode(), m.payload) for m in bag.messages()]
-    return [m.__class__(**{**vars(m), "solve_ns": 0}) if isinstance(m, Reconstruction) else m
+    return [m.__class__(**{**vars(m), "solve_ns": (0,)}) if isinstance(m, Reconstruction) else m
             for m in found]  # fmt: skip
 
 

@@ -27,10 +27,10 @@ class Echo(Node):
         yield Reconstruction(
             stamp_ns=message.stamp_ns,
             patch=message.patch,
-            forces=message.forces,
+            forces=message.forces[0],
             phi="0" * 16,
-            iterations=1,
-            residual=0.0,
-            solve_ns=0,
+            iterations=(1,),
+            residual=(0.0,),
+            solve_ns=(0,),
             done_ns=now_ns,
         )

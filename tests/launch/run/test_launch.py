@@ -41,7 +41,7 @@ class Tap(Node):
         return (f"/{settings.patch}/reconstruction",)
 
     def step(self, message):
-        self.frames.append(message.forces)
+        self.frames.append(message.forces[0])
         return ()
 
     def ended(self, topic, n_messages):
@@ -155,7 +155,7 @@ def test_over_any_transport_and_in_one_process_the_forces_are_the_same_bits(
     nodes = load("lift_wrench_40").nodes.values()
     bus = Bus({node.name: (node.cls, node.settings) for node in nodes})
     in_process = [
-        message.forces
+        message.forces[0]
         for messages in bus.frames(150)
         for message in messages
         if isinstance(message, Reconstruction)

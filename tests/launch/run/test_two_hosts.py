@@ -67,13 +67,13 @@ keys = "keys"
 [skin]
 body = "body.toml"
 [nodes.sensor]
-type = "sensor_batch"
+type = "sensor"
 source = "scene:lying"
 rate_hz = 20
 [nodes.compressor]
-type = "compressor_batch"
+type = "compressor"
 [nodes.reconstructor]
-type = "reconstructor_batch"
+type = "reconstructor"
 [nodes.monitor]
 type = "monitor"
 host = "desk"

@@ -83,9 +83,9 @@ def frame(seq: int, truth: float | None, taxels: float, restored: float | None) 
                 **origin,
                 forces=uniform(restored),
                 phi="0" * 16,
-                iterations=1,
-                residual=0.0,
-                solve_ns=2_000_000,
+                iterations=(1,),
+                residual=(0.0,),
+                solve_ns=(2_000_000,),
                 done_ns=1000 * seq + 3_000_000,
             )
         )
@@ -199,7 +199,7 @@ def test_masked_cells_count_neither_in_psnr_nor_in_bytes() -> None:
     taxels = messages[0]
     assert isinstance(taxels, Taxels)
     wrong = taxels.forces.copy()
-    wrong[0] = 2.0
+    wrong[0, 0] = 2.0
     messages[0] = dataclasses.replace(taxels, forces=wrong)
     summary = metrics_of(skin(mask=mask), *messages).summary()
     assert summary["psnr_db"]["noisy"]["all"]["mean"] == 100.0
@@ -465,9 +465,9 @@ def reconstructed(stamp_ns: int, done_ns: int) -> Reconstruction:
         patch="skin",
         forces=np.zeros((2, 2), np.float32),
         phi="0" * 16,
-        iterations=1,
-        residual=0.0,
-        solve_ns=0,
+        iterations=(1,),
+        residual=(0.0,),
+        solve_ns=(0,),
         done_ns=done_ns,
     )
 

@@ -32,11 +32,11 @@ def test_its_matrices_are_made_again(rows: str) -> None:
     (state,) = (one for one in found if isinstance(one, PhiState))
     assert (state.rule, state.rows, state.block) == (RANDOM, rows, 32)
     phis = {phi.fingerprint: phi for phi in phis_to_invert(ReconstructorSettings(), skin, state)}
-    taxels = [one.forces[skin.skin.exists] for one in found if isinstance(one, Taxels)]
+    taxels = [one.forces[0][skin.skin.exists] for one in found if isinstance(one, Taxels)]
     measured = [one for one in found if isinstance(one, Measurements)]
     assert len(measured) == len(taxels) == 12
     for x, one in zip(taxels, measured, strict=True):
-        np.testing.assert_array_equal(phis[one.phi].forward(x), one.y)
+        np.testing.assert_array_equal(phis[one.phi].forward(x), one.y[0])
 
 
 @pytest.mark.parametrize("rows", ROWS)

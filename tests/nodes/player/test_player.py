@@ -105,7 +105,9 @@ def test_a_replay_keeps_what_the_solver_estimated_of_its_frames(tmp_path: Path) 
         for message in frame:
             monitor.step(message)
             made += [message] if isinstance(message, Reconstruction) else []
-    assert [(m.error, m.trusted) for m in made] == [(ERROR, k % 5 >= 2) for k in range(N_FRAMES)]
+    assert [(m.error, m.trusted) for m in made] == [
+        ((ERROR,), (k % 5 >= 2,)) for k in range(N_FRAMES)
+    ]
     found = monitor.report()["patches"]["skin"]["trust"]["all"]
     assert (found["frames"], found["untrusted"]) == (N_FRAMES, 8)
 

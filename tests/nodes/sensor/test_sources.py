@@ -97,7 +97,7 @@ def test_a_sensor_reads_a_kind_of_source_that_another_package_brings() -> None:
         messages += sensor.acquire(Tick(clock.now_ns(), number))
     assert logged == ["connected"]
     assert [type(message) for message in messages] == [SkinState, Taxels, Taxels]
-    assert [m.forces[0, 0] for m in messages if isinstance(m, Taxels)] == [0.5, 1.5]
+    assert [m.forces[0, 0, 0] for m in messages if isinstance(m, Taxels)] == [0.5, 1.5]
     assert not sensor.follows_readers
     assert not sensor.acquired  # at the third tick
     assert sensor.status() == "glove: frame 2; dropped: 2 packets"

@@ -34,11 +34,11 @@ def images() -> Iterator[tuple[str, Message, Any]]:
     """Topic, message and pixels of every frame of the bag."""
     for message in rich_frames():
         if isinstance(message, Measurements):
-            yield message.topic, message, np.atleast_2d(np.asarray(message.y))
+            yield message.topic, message, np.asarray(message.y)
         elif (forces := getattr(message, "forces", None)) is not None:
-            yield message.topic, message, forces
+            yield message.topic, message, forces[0]
         if isinstance(message, Reconstruction) and message.sd is not None:
-            yield f"{message.topic}/sd", message, message.sd
+            yield f"{message.topic}/sd", message, message.sd[0]
 
 
 def read_mcap(path: Path, decoders: str) -> Held:
@@ -89,7 +89,9 @@ def test_the_grids_of_a_foxglove_export_have_cells_pose_and_layers(foxglove: Hel
         assert (grid.cell_size.x, grid.cell_size.y) == (0.005, 0.005)
         corner = (grid.pose.position.x, grid.pose.position.y)
         assert corner == pytest.approx((-0.0025 * N_COLS, -0.0025 * N_ROWS))
-        layers = {"force": message.forces} | ({} if message.sd is None else {"sd": message.sd})
+        layers = {"force": message.forces[0]} | (
+            {} if message.sd is None else {"sd": message.sd[0]}
+        )
         assert [field.name for field in grid.fields] == list(layers)
         cells = np.frombuffer(grid.data, np.uint8).reshape(N_ROWS, N_COLS, grid.cell_stride)
         for field, array in zip(grid.fields, layers.values(), strict=True):
@@ -123,7 +125,7 @@ def test_a_point_cloud_of_foxglove_has_normals_and_the_rows_of_the_points_file(
     assert names == ["x", "y", "z", "force", "nx", "ny", "nz", "row"]
     table = np.frombuffer(cloud.data, "<f4").reshape(-1, cloud.point_stride // 4)
     (sent,) = (m for m in frame(0) if isinstance(m, Taxels))
-    assert np.array_equal(table[:, 3], sent.forces[MASK])
+    assert np.array_equal(table[:, 3], sent.forces[0][MASK])
     assert np.array_equal(table[:, [0, 1, 2, 4, 5, 6]], state.points)
     assert np.array_equal(table[:, 7].copy().view("<u4"), state.point_rows)
 
@@ -153,9 +155,9 @@ def test_every_number_is_in_a_ros2_export_and_its_folder_is_a_bag(rich: Path) ->
         if (forces := getattr(message, "forces", None)) is not None:
             expected["total_force"] = np.float32(forces.sum(dtype=np.float64))
         if isinstance(message, Reconstruction):
-            expected["residual"] = np.float32(message.residual)
-            if message.error is not None:
-                expected |= {"error": message.error, "trusted": message.trusted}
+            expected["residual"] = np.float32(message.residual[0])
+            if message.error[0] is not None:
+                expected |= {"error": message.error[0], "trusted": message.trusted[0]}
         if isinstance(message, Resultant):
             of = {name: getattr(message, name) for name in ("total", "total_sd", "row", "col_sd")}
             expected = {name: np.float32(value) for name, value in of.items() if value is not None}

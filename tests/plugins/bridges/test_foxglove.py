@@ -58,7 +58,7 @@ def test_each_frame_arrives_with_its_pixels_and_stamp(bridge: FoxgloveBridge) ->
         for message in sent:
             got = client.data()
             assert got.log_time_ns == message.stamp_ns
-            assert np.array_equal(pixels(got.content), message.forces)
+            assert np.array_equal(pixels(got.content), message.forces[0])
             stamp = got.content.timestamp
             assert stamp.seconds * 10**9 + stamp.nanos == message.stamp_ns
 
@@ -81,8 +81,8 @@ def test_figures_are_numbers_that_can_be_plotted(bridge: FoxgloveBridge) -> None
     forces = np.zeros((ROWS, COLS), np.float32)
     forces[3, 5] = 2.0
     made = Reconstruction(
-        stamp_ns=5, patch="skin", forces=forces, phi="0" * 16, iterations=7, residual=0.25,
-        solve_ns=1_500_000, done_ns=9, error=0.125, trusted=False,
+        stamp_ns=5, patch="skin", forces=forces, phi="0" * 16, iterations=(7,), residual=(0.25,),
+        solve_ns=(1_500_000,), done_ns=9, error=(0.125,), trusted=(False,),
     )  # fmt: skip
     topic = "/skin/reconstruction/figures"
     with subscribed(bridge, topic) as client:
@@ -172,4 +172,4 @@ def test_a_skin_of_points_is_a_point_cloud(bridge: FoxgloveBridge) -> None:
     found = np.frombuffer(cloud.data, "<f4").reshape(-1, cloud.point_stride // 4)
     assert np.array_equal(found[:, 4].copy().view("<u4"), rows)
     assert np.array_equal(found[:, :3], points[:, :3])
-    assert np.array_equal(found[:, 3], taxels(1).forces[exists])
+    assert np.array_equal(found[:, 3], taxels(1).forces[0][exists])

@@ -29,8 +29,8 @@ SKIN = skin_state(n_rows=ROWS, n_cols=COLS, pitch_m=None, mask=None)
 def frame(stamp_ns: int) -> Reconstruction:
     forces = np.random.default_rng(stamp_ns).random((ROWS, COLS)).astype(np.float32) * 3
     return Reconstruction(
-        stamp_ns=stamp_ns, patch="skin", forces=forces, phi="0" * 16, iterations=1, residual=0.0,
-        solve_ns=0, done_ns=0,
+        stamp_ns=stamp_ns, patch="skin", forces=forces, phi="0" * 16, iterations=(1,),
+        residual=(0.0,), solve_ns=(0,), done_ns=0,
     )  # fmt: skip
 
 
@@ -86,7 +86,7 @@ def test_a_camera_of_lerobot_sees_the_newest_reconstruction(bridge: LeRobotBridg
             image = decoded(got[1])
             assert image.shape == (3 * ROWS, 3 * COLS)
             back = forces_of(image[::3, ::3], 2.5)
-            assert np.abs(back - np.minimum(message.forces, 2.5)).max() <= 2.5 / 510 + 1e-6
+            assert np.abs(back - np.minimum(message.forces[0], 2.5)).max() <= 2.5 / 510 + 1e-6
     finally:
         camera.close()
 

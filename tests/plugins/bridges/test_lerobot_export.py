@@ -81,7 +81,7 @@ def test_rows_are_those_of_the_video_from_the_first_frame_to_the_last(exported: 
 
 def test_each_row_holds_the_last_frames_at_or_before_its_time(exported: Dataset) -> None:
     sent = [message for k in range(N_FRAMES) for message in frame(k)]
-    recorded = [message.forces for message in sent if isinstance(message, Reconstruction)]
+    recorded = [message.forces[0] for message in sent if isinstance(message, Reconstruction)]
     windows, ages = exported.column(KEY), exported.column(f"{KEY}.age")
     assert windows.shape == (len(exported.rows), WINDOW, N_ROWS * N_COLS)
     for row in range(len(exported.rows)):

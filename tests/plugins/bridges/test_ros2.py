@@ -96,7 +96,7 @@ def test_points_are_the_taxels_that_exist_at_the_pitch_of_the_skin() -> None:
     (got,) = sent([frame(3)], "points", "/skin/taxels/points")
     rows, cols = np.nonzero(MASK)
     expected = np.stack(
-        [0.25 * cols, 0.25 * rows, 0 * rows, frame(3).forces[MASK]], axis=1
+        [0.25 * cols, 0.25 * rows, 0 * rows, frame(3).forces[0][MASK]], axis=1
     ).tolist()
     assert got["points"] == expected
     assert got["rows"] == []
@@ -110,7 +110,7 @@ def test_points_of_a_file_have_their_place_and_row() -> None:
     rows[0] = 2**31 - 1
     of_skin = {"points": points, "point_rows": rows}
     (got,) = sent([frame(3)], "points", "/skin/taxels/points", **of_skin)
-    expected = np.column_stack([points[:, :3], frame(3).forces[MASK]])
+    expected = np.column_stack([points[:, :3], frame(3).forces[0][MASK]])
     assert got["points"] == expected.tolist()
     assert got["rows"] == rows.tolist()
 

@@ -90,7 +90,7 @@ def test_measurements_are_codes_times_a_step_in_the_unit_of_the_forces(
         if f_max is None:
             assert message.y.tobytes() == y.tobytes()
         else:
-            np.testing.assert_allclose(message.y, y * (f_max / 4095), rtol=3e-7)
+            np.testing.assert_allclose(message.y[0], y * (f_max / 4095), rtol=3e-7)
 
 
 def test_lost_damaged_and_foreign_bytes_cost_themselves_alone(described: str, line: Line) -> None:

@@ -90,7 +90,7 @@ def test_the_sensor_publishes_places_and_forces_of_a_scene() -> None:
     taxels, truth = run.frame()
     assert isinstance(taxels, Taxels)
     assert isinstance(truth, Truth)
-    assert taxels.forces.shape == state.shape
+    assert taxels.forces[0].shape == state.shape
     facts = Sensor.facts(run.settings)
     assert list(facts.values()) == [924]
 
@@ -98,7 +98,7 @@ def test_the_sensor_publishes_places_and_forces_of_a_scene() -> None:
 def test_readings_in_the_order_of_the_file_stand_on_the_grid(folder: Path) -> None:
     run = Run(source="file:six.npy", points="six.csv", unit="N", f_max=10.0)
     (taxels,) = run.frame()
-    assert taxels.forces.tolist() == [[2, 6, 5], [4, 1, 3]]
+    assert taxels.forces[0].tolist() == [[2, 6, 5], [4, 1, 3]]
     assert run.state.points is not None
     assert np.allclose(run.state.points[0, :3], [0, 0.004, 0])
     assert run.state.point_rows.tolist() == [1, 5, 4, 3, 0, 2]
@@ -107,7 +107,7 @@ def test_readings_in_the_order_of_the_file_stand_on_the_grid(folder: Path) -> No
 def test_a_skin_file_with_points_is_calibrated_in_their_order(folder: Path) -> None:
     run = Run(source="file:six.npy", skin="six.toml", drift=0.0)
     (taxels,) = run.frame()
-    assert taxels.forces.tolist() == [[4, 6, 5], [4, 1, 3]]
+    assert taxels.forces[0].tolist() == [[4, 6, 5], [4, 1, 3]]
     assert run.state.point_rows.tolist() == [1, 5, 4, 3, 0, 2]
     again = folder / "again.toml"
     save_skin(again, load_skin("six.toml"))

@@ -179,7 +179,7 @@ def test_a_graph_measures_and_reconstructs_by_a_file(tmp_path: Path) -> None:
     assert bus.hosts["reconstructor"].counts.refused == {}
     found = [m for messages in frames for m in messages]
     assert len([m for m in found if isinstance(m, Reconstruction)]) == 3
-    assert {len(m.y) for m in found if isinstance(m, Measurements)} == {400}
+    assert {m.y.shape[1] for m in found if isinstance(m, Measurements)} == {400}
     announced: Any = bus.hosts["reconstructor"].node
     assert isinstance(announced._announced, PhiState)
     assert announced._announced.kind == f"file:{path}"

@@ -124,7 +124,7 @@ def test_maps_that_go_together_are_of_one_frame(clock: FakeTime) -> None:
         assert set(maps) == set(by_name)
         for name, kind in by_name.items():
             (message,) = [m for m in whole if isinstance(m, kind)]
-            np.testing.assert_array_equal(maps[name], message.forces)
+            np.testing.assert_array_equal(maps[name], message.forces[0])
 
 
 def test_the_resultant_of_the_frame_shown_comes_with_its_maps(clock: FakeTime) -> None:
@@ -162,8 +162,8 @@ def test_where_nothing_is_reconstructed_the_taxels_are_shown(clock: FakeTime) ->
     taxels, truth = graph.frame(upto=2)
     _, maps = only(Page(graph, clock).pull(), "maps")
     assert set(maps) == {"taxels", "truth"}
-    np.testing.assert_array_equal(maps["taxels"], taxels.forces)  # type: ignore[attr-defined]
-    np.testing.assert_array_equal(maps["truth"], truth.forces)  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(maps["taxels"], taxels.forces[0])  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(maps["truth"], truth.forces[0])  # type: ignore[attr-defined]
 
 
 def test_no_frame_is_left_out_and_all_come_in_order(clock: FakeTime) -> None:
@@ -194,7 +194,7 @@ def test_a_stalled_reader_holds_no_more_than_the_newest_frame(clock: FakeTime) -
     records = page.pull()
     assert [header["kind"] for header, _ in records] == ["state", "maps", "rows"]
     _, maps = only(records, "maps")
-    np.testing.assert_array_equal(maps["reconstruction"], last[-1].forces)  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(maps["reconstruction"], last[-1].forces[0])  # type: ignore[attr-defined]
     assert only(records, "rows")[1]["rows"].shape == (500, len(COLUMNS))
     assert page.kinds() == ["state"]
 
@@ -209,7 +209,7 @@ def test_an_overview_brings_the_reconstructed_maps_of_all_patches_and_no_rows(
     maps = {h["patch"]: arrays for h, arrays in records if h["kind"] == "maps"}
     for patch, messages in last.items():
         assert list(maps[patch]) == ["reconstruction"]
-        forces = messages[-1].forces  # type: ignore[attr-defined]
+        forces = messages[-1].forces[0]  # type: ignore[attr-defined]
         np.testing.assert_array_equal(maps[patch]["reconstruction"], forces)
 
 

@@ -122,7 +122,7 @@ def reconstructed(**settings: object) -> tuple[Reconstruction, list[str]]:
 def test_it_travels_with_the_forces_where_it_is_asked_for(solver: str) -> None:
     asked, _ = reconstructed(solver=solver, uncertainty=True)
     assert asked.sd is not None
-    assert asked.sd.shape == SHAPE
+    assert asked.sd.shape == (1, *SHAPE)
     assert decode(*encode(asked)) == asked
     plain, _ = reconstructed(solver=solver)
     assert plain.sd is None
@@ -142,5 +142,6 @@ def test_deviations_of_another_shape_are_refused() -> None:
     with pytest.raises(ShapeError, match="sd: shape"):
         Reconstruction(
             stamp_ns=0, patch="skin", forces=np.zeros((2, 3), np.float32), phi="0" * 16,
-            iterations=1, residual=0.0, solve_ns=0, done_ns=0, sd=np.zeros((3, 2), np.float32),
+            iterations=(1,), residual=(0.0,), solve_ns=(0,), done_ns=0,
+            sd=np.zeros((3, 2), np.float32),
         )  # fmt: skip

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.records import Chunk
 
+from sparseskin.messages import Taxels
 from sparseskin.nodes.recorder.bag.format import BagError, BagMessage
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.records import HEAD_BYTES, MAX_CHUNK_BYTES, Break, open_chunk
@@ -194,7 +195,7 @@ def test_stamps_that_are_recorded_out_of_order_are_all_found(
                 "/skin/taxels",
                 b"x",
                 schema="taxels",
-                version=1,
+                version=Taxels.version,
                 log_time_ns=log_start + k,
                 stamp_ns=stamp,
             )
@@ -218,7 +219,7 @@ def test_topics_report_how_many_how_long_and_how_fast(
         with BagReader(tmp_path / name) as bag:
             info = bag.topics["/skin/taxels"]
             assert bag.topics["/skin/skin"].rate_hz == 0
-        assert (info.schema, info.version, info.n_messages) == ("taxels", 1, N_FRAMES)
+        assert (info.schema, info.version, info.n_messages) == ("taxels", 2, N_FRAMES)
         assert (info.first_ns, info.last_ns) == (0, (N_FRAMES - 1) * PERIOD_NS)
         assert info.rate_hz == pytest.approx(100.0)
 
@@ -366,8 +367,8 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     "another program, no message": (no_channels, "another program (library 'robot logger 7')"),
     "not msgpack": (lambda path: foreign(path, "json"), "'json' messages"),
     "newer": (
-        lambda path: foreign(path, version="2"),
-        "recorded with taxels version 2; this program reads 1",
+        lambda path: foreign(path, version="3"),
+        "recorded with taxels version 3; this program reads 2",
     ),
     "no version": (lambda path: foreign(path, version=""), "taxels version unknown"),
     "unknown schema": (lambda path: foreign(path, schema="sparseskin/smell"), "schema 'smell'"),
@@ -402,8 +403,8 @@ def test_messages_that_no_checksum_protects_are_not_delivered(tmp_path: Path) ->
 
 def test_a_newer_version_is_refused_also_where_our_own_index_states_it(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "a.mcap", {}) as writer:
-        writer.write("/skin/taxels", b"x", schema="taxels", version=2, log_time_ns=0, stamp_ns=0)
-    with pytest.raises(BagError, match="recorded with taxels version 2; this program reads 1"):
+        writer.write("/skin/taxels", b"x", schema="taxels", version=3, log_time_ns=0, stamp_ns=0)
+    with pytest.raises(BagError, match="recorded with taxels version 3; this program reads 2"):
         BagReader(tmp_path / "a.mcap")
 
 

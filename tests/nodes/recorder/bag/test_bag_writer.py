@@ -44,7 +44,9 @@ def test_it_is_an_mcap_that_describes_its_own_schemas(tmp_path: Path) -> None:
     assert header.library.startswith("sparseskin ")
     assert summary is not None
     assert {channel.message_encoding for channel in summary.channels.values()} == {"msgpack"}
-    assert all(c.metadata == {"schema_version": "1"} for c in summary.channels.values())
+    versions = {c.topic: c.metadata["schema_version"] for c in summary.channels.values()}
+    assert versions.pop("/skin/skin") == "1"
+    assert set(versions.values()) == {"2"}
     assert {(schema.name, schema.encoding) for schema in summary.schemas.values()} == {
         (f"sparseskin/{name}", "jsonschema")
         for name in ("skin", "taxels", "truth", "measurements", "reconstruction")

@@ -1,4 +1,4 @@
-"""Bags of batches read as those of single patches."""
+"""Bags of several patches in a message, read as those of single patches."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from bags import N_COLS, N_ROWS, PHI, record, skin_state
 from sparseskin import read_recording
 from sparseskin.launch.commands.cli import main
 from sparseskin.messages import Reconstruction, Taxels, decode
-from sparseskin.messages.batches import ReconstructionBatch, TaxelsBatch
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.split import split_bag
@@ -23,22 +22,26 @@ FORCES = np.random.default_rng(0).random((N_FRAMES, 3, N_ROWS, N_COLS), dtype=np
 """Of each frame and patch."""
 
 
-def reconstructed(k: int, p: int) -> Reconstruction:
+def unchanged(k: int) -> tuple[bool, ...]:
     """Of patch 1 every second frame is unchanged."""
-    unchanged = p == 1 and k % 2 == 1
+    return (False, k % 2 == 1, False)
+
+
+def reconstructed(k: int) -> Reconstruction:
     return Reconstruction(
         stamp_ns=k,
-        patch=NAMES[p],
+        patch="body",
+        names=NAMES,
         seq=k,
-        forces=FORCES[k - unchanged, p],
+        forces=FORCES[k][~np.array(unchanged(k))],
         phi=PHI,
-        iterations=k,
-        residual=0.5,
-        solve_ns=7,
+        iterations=(k,) * 3,
+        residual=(0.5,) * 3,
+        solve_ns=(7,) * 3,
         done_ns=k + 5,
-        error=None if p else 0.25,
-        trusted=p != 2,
-        unchanged=unchanged,
+        error=(0.25, None, None),
+        trusted=(True, True, False),
+        unchanged=unchanged(k),
     )
 
 
@@ -48,11 +51,8 @@ def bag(tmp_path: Path) -> Path:
     with BagWriter(path, {}) as writer:
         record(writer, skin_state("body"))
         for k in range(N_FRAMES):
-            taxels = [Taxels(stamp_ns=k, patch=NAMES[p], forces=FORCES[k, p]) for p in range(3)]
-            record(writer, TaxelsBatch.join("body", taxels))
-            record(
-                writer, ReconstructionBatch.join("body", [reconstructed(k, p) for p in range(3)])
-            )
+            record(writer, Taxels(stamp_ns=k, patch="body", names=NAMES, forces=FORCES[k]))
+            record(writer, reconstructed(k))
         writer.close({})
     return path
 
@@ -71,14 +71,14 @@ def test_messages_are_those_of_the_patches_with_what_is_unchanged(bag: Path) -> 
             found = [decode(m.topic.encode(), m.payload) for m in split.messages([topic])]
             for k, message in enumerate(found):
                 assert isinstance(message, Reconstruction)
-                expected = reconstructed(k, p)
-                np.testing.assert_array_equal(message.forces, expected.forces)
-                assert (message.stamp_ns, message.error) == (k, expected.error)
-                assert (message.trusted, message.unchanged) == (p != 2, expected.unchanged)
+                same = unchanged(k)[p]
+                np.testing.assert_array_equal(message.forces[0], FORCES[k - same, p])
+                assert (message.stamp_ns, message.error) == (k, (None if p else 0.25,))
+                assert (message.trusted, message.unchanged) == ((p != 2,), (same,))
         # A part of the time begins with the forces of the message before it.
         first = next(split.messages(["/back/reconstruction"], start_ns=3))
         message = decode(first.topic.encode(), first.payload)
-        np.testing.assert_array_equal(message.forces, FORCES[2, 1])  # type: ignore[attr-defined]
+        np.testing.assert_array_equal(message.forces[0], FORCES[2, 1])  # type: ignore[attr-defined]
         (state,) = split.messages(["/sole/skin"])
         assert decode(state.topic.encode(), state.payload).patch == "sole"
 
@@ -99,7 +99,7 @@ def test_exports_are_of_each_patch(
         read_recording(bag)
 
 
-def test_a_bag_without_batches_is_read_as_it_is(tmp_path: Path) -> None:
+def test_a_bag_of_single_patches_is_read_as_it_is(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "a.mcap", {}) as writer:
         record(writer, Taxels(stamp_ns=0, patch="palm", forces=FORCES[0, 0]))
         writer.close({})

@@ -74,7 +74,7 @@ def test_a_csv_has_the_row_of_the_points_file_above_each_column(
         for (row, col), exists in np.ndenumerate(MASK):
             assert above[f"r{row}c{col}"] == (str(next(left)) if exists else "")
         source = open_file(file)
-    assert np.array_equal(next(iter(source))[1], sent[0].forces)
+    assert np.array_equal(next(iter(source))[1], sent[0].forces[0])
     measured = (path.with_name("a_csv") / "skin_measurements.csv").read_text()
     assert "# point_rows" not in measured
 
@@ -112,7 +112,7 @@ def test_an_exported_csv_states_its_skin_and_is_read_as_it_is(rich: Path) -> Non
     assert source.rate_hz == 50.0
     for message, (stamp_ns, forces) in zip(sent, source, strict=True):
         assert stamp_ns == message.stamp_ns
-        assert np.array_equal(forces, message.forces)
+        assert np.array_equal(forces, message.forces[0])
 
 
 def test_an_exported_csv_is_a_table_with_a_header(rich: Path) -> None:
@@ -122,10 +122,10 @@ def test_an_exported_csv_is_a_table_with_a_header(rich: Path) -> None:
     sent = [m for m in rich_frames() if isinstance(m, Reconstruction)]
     table = pandas.read_csv(rich.with_name("a_csv") / "skin_reconstruction.csv", comment="#")
     assert table["stamp_ns"].tolist() == [m.stamp_ns for m in sent]
-    assert table["trusted"].tolist() == [m.trusted for m in sent]
-    assert table["error"].isna().tolist() == [m.error is None for m in sent]
+    assert table["trusted"].tolist() == [m.trusted[0] for m in sent]
+    assert table["error"].isna().tolist() == [m.error[0] is None for m in sent]
     cells = table.loc[:, "r0c0":].to_numpy(np.float32).reshape(-1, N_ROWS, N_COLS)
-    assert np.array_equal(cells, np.stack([m.forces for m in sent]))
+    assert np.array_equal(cells, np.concatenate([m.forces for m in sent]))
     sd = pandas.read_csv(rich.with_name("a_csv") / "skin_reconstruction_sd.csv", comment="#")
     expected = np.stack([m.sd for m in sent if m.sd is not None])
     assert np.array_equal(sd.loc[:, "r0c0":].to_numpy(np.float32).reshape(expected.shape), expected)

@@ -35,7 +35,7 @@ def test_an_imported_bag_holds_every_frame_and_is_the_same_each_time(tmp_path: P
             message = decode(b"/skin/taxels", recorded.payload)
             assert isinstance(message, Taxels)
             assert message.seq == k
-            np.testing.assert_array_equal(message.forces, [[k, 0, 0], [0, 0, k + 1]])
+            np.testing.assert_array_equal(message.forces[0], [[k, 0, 0], [0, 0, k + 1]])
 
 
 @pytest.mark.parametrize(("stated_hz", "rate_hz"), [(None, DEFAULT_RATE_HZ), (25.0, 25.0)])

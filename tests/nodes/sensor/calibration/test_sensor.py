@@ -66,7 +66,7 @@ class Run:
             made = list(self.sensor.acquire(Tick(self.n, self.n)))
             self.published += made
             self.n += 1
-            found += [one.forces for one in made if isinstance(one, Taxels)]
+            found += [one.forces[0] for one in made if isinstance(one, Taxels)]
         return found
 
     def of(self, kind: type[Message]) -> list[Any]:

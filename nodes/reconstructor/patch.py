@@ -1,0 +1,216 @@
+"""One patch of the reconstructor node: its solver, and what it learns from frame to frame."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sparseskin.messages import PhiState, SkinState
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
+from sparseskin.nodes.reconstructor.estimates.trust import TrustLog
+from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED, Uncertainty
+from sparseskin.nodes.reconstructor.faults.watch import FaultWatch
+from sparseskin.nodes.reconstructor.solvers.base import (
+    Solver,
+    estimated_error,
+    make_rotating_solver,
+)
+
+from .limits import (
+    OTHER_ROWS,
+    check_lambda,
+    check_phi,
+    has_rows_of_paper,
+    reconstruction_warnings,
+)
+from .settings import PRESETS, ReconstructorSettings
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What a `Reconstruction` states of one patch; forces and sd are float32 (n_rows, n_cols)."""
+
+    forces: Floats
+    iterations: int
+    residual: float
+    solve_ns: int
+    sd: Floats | None
+    error: float | None
+    trusted: bool
+
+
+class Patch:
+    """Reconstructs the frames of one patch: `read`, `solve` and `learn` for each of them."""
+
+    def __init__(self, settings: ReconstructorSettings, log: Callable[[str], None]) -> None:
+        self.settings = settings
+        self.log = log
+        self.solver: Solver | None = None
+        self.faults = FaultWatch(settings.watch_rows, settings.watch_taxels, log)
+        self.solved: Solved | None = None
+        self._trusted = True
+        self._subsets: list[Phi] = []
+        self._last: Floats | None = None
+        self._warm: Floats | None = None
+        self._trust_log = TrustLog(log)
+        self._uncertainty: Uncertainty | None = None
+        self._resultant: ResultantEstimator | None = None
+
+    def set_up(
+        self,
+        settings: ReconstructorSettings,
+        subsets: list[Phi],
+        state: SkinState,
+        announced: PhiState,
+    ) -> dict[str, Any]:
+        """Make the solver for a skin and the row subsets of its Phi; return what a `SolverState`
+        states of it. What raises an error changes nothing.
+        """
+        skin, phi = state.skin, subsets[0]
+        chosen = dict(settings.chosen())
+        options = {k: v for k, v in chosen.items() if k not in ("solver", "basis")}
+        warnings = reconstruction_warnings(chosen["solver"], chosen["basis"], phi.n, phi.m, options)
+        if "lambda_n" in options:
+            options["lambda_n"] *= skin.f_max / PAPER_F_MAX_N
+            check_lambda(chosen["solver"], options["lambda_n"], skin.f_max, phi)
+        basis = make_basis(chosen["basis"], skin.n_rows, skin.n_cols)
+        solver = make_rotating_solver(
+            chosen["solver"], subsets, basis, skin.mask, fast=settings.fast, **options
+        )
+        if chosen == PRESETS["paper"] and not has_rows_of_paper(subsets):
+            warnings.append(OTHER_ROWS)
+        if ":" in settings.phi:
+            for one in subsets:
+                warnings += check_phi(one, solver.mask)
+        for warning in dict.fromkeys(warnings):
+            self.log(warning)
+        self.settings, self.solver, self._subsets = settings, solver, subsets
+        self.faults.set_up({one.fingerprint: one for one in subsets}, state, solver.mask)
+        self._trust_log.begin(len(subsets))
+        self._uncertainty = self._make_uncertainty(solver, phi, announced.rows)
+        if self.settings.resultant:
+            self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
+        # Another Phi or solver in the middle of a stream starts from the last estimate.
+        if self._last is not None and self._last.shape != skin.shape:
+            self._last = None
+        self._warm = self._last
+        return {
+            "basis": getattr(basis, "label", chosen["basis"]),
+            "iterations": options.get("iterations", solver.n_steps),
+            "lambda_n": options.get("lambda_n", 0.0),
+            "max_iterations": getattr(solver, "max_iterations", 0),
+        }
+
+    def set_period_and_noise(self, skin: SkinState) -> None:
+        """Hand the time between frames, and the noise, that the skin states to the solver."""
+        if isinstance(self.solver, Solver):
+            self.solver.period_s = 1 / skin.rate_hz if skin.rate_hz else math.inf
+            self.solver.noise_sd = skin.least_sd
+
+    def _make_uncertainty(self, solver: Solver, phi: Phi, rows: str) -> Uncertainty | None:
+        if not self.settings.uncertainty:
+            return None
+        name = self.settings.chosen()["solver"]
+        adaptive = isinstance(phi, AdaptivePhi)
+        if name in CALIBRATED and not adaptive:
+            return Uncertainty(solver.mask, phi.ratio, name, rows, phi.rule)
+        what = f"{name} with phi adaptive" if adaptive else name
+        self.log(
+            f"uncertainty: the error of solver {what} is not known, and none is published; "
+            f"known: {', '.join(CALIBRATED)}"
+        )
+        return None
+
+    def read(self, phi: Phi, y: Floats, watched: bool) -> None:
+        """Begin a frame: its measurements, float32 (m,), newtons. `watched` is False if each frame
+        chooses its taxels or rows anew: there are no rows to watch then.
+        """
+        assert self.solver is not None
+        if len(self._subsets) > 1:
+            self.solver.use(phi)
+        self.faults.watch_repeats(phi.fingerprint, y)
+        self._phi, self._watched, self._given, self._y = phi, watched, y, y
+        if watched:
+            self._given, self._y = self.faults.cleaned(phi, y, self._last)
+
+    @property
+    def resultant(self) -> Estimate | None:
+        """Total force and centre of the frame, where they are asked for."""
+        return None if self._resultant is None else self._resultant.estimate(self._phi, self._y)
+
+    def solve(self) -> Solved:
+        """Reconstruct the frame. Raises SolverError if the solver cannot."""
+        assert self.solver is not None
+        begin_ns = time.perf_counter_ns()
+        forces, n_steps = self._solve(self.solver, self._y)
+        error, trusted = estimated_error(self.solver)
+        solve_ns = time.perf_counter_ns() - begin_ns
+        self._last, self._warm = forces, None
+        filled = self.faults.filled(forces)
+        self._fitted = self._phi.forward(forces.reshape(-1)[self.solver.taxels])
+        left = np.subtract(self._fitted, self._y, dtype=np.float64)
+        residual = math.sqrt(float(np.dot(left, left)) / left.size)
+        sd = None if self._uncertainty is None else self._uncertainty.update(forces, residual)
+        self._trusted = trusted
+        trusted = trusted and not self.faults.frozen
+        self.solved = Solved(filled, n_steps, residual, solve_ns, sd, error, trusted)
+        return self.solved
+
+    def keep(self, phi: Phi, y: Floats) -> None:
+        """Take the last frame for measurements, float32 (m,), that are not solved."""
+        assert self.solved is not None
+        self.faults.watch_repeats(phi.fingerprint, y)
+        trusted = self._trusted and not self.faults.frozen
+        self.solved = replace(self.solved, iterations=0, solve_ns=0, trusted=trusted)
+
+    def learn(self, stamp_ns: int, skin: SkinState) -> None:
+        """Learn from the frame that was solved, once it is published."""
+        assert self.solver is not None
+        assert self.solved is not None
+        solver, forces, phi = self.solver, self._last, self._phi
+        assert forces is not None
+        self._trust_log.update(
+            stamp_ns,
+            forces,
+            self.solved.error,
+            self._trusted,
+            n=solver.taxels.size,
+            unit=skin.unit,
+        )
+        unfitted = getattr(solver, "unfitted", None)
+        if self._watched and self.faults.update(
+            phi, self._given, self._y, forces, self._fitted, unfitted
+        ):
+            # The effect of faulty measurements on the estimate would last for long.
+            self._warm, self._last = np.zeros_like(forces), None
+        if self._resultant is not None:
+            following = (self._subsets.index(phi) + 1) % len(self._subsets)
+            self._resultant.learn(phi, self._y, forces.reshape(-1)[solver.taxels], self._fitted)
+            self._resultant.prepare(self._subsets[following])
+
+    def _solve(self, solver: Solver, y: Floats) -> tuple[Floats, int]:
+        """Reconstruct one frame within the budget; return the forces and the number of steps."""
+        budget_ms = self.settings.budget_ms
+        if budget_ms is None:
+            return solver.solve(y, self._warm), solver.n_steps
+        deadline_ns = time.perf_counter_ns() + round(1e6 * budget_ms)
+        solver.setup(y, self._warm)
+        done, longest_ns, before_ns = 0, 0, time.perf_counter_ns()
+        # A step is begun only if one like the longest so far would end in time; the first is always
+        # done, as without it there is no estimate of this frame.
+        while done < solver.n_steps and (not done or before_ns + longest_ns <= deadline_ns):
+            solver.step()
+            now_ns = time.perf_counter_ns()
+            longest_ns, before_ns = max(longest_ns, now_ns - before_ns), now_ns
+            done += 1
+        return solver.finish(), done

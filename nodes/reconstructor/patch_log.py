@@ -1,0 +1,36 @@
+"""Log lines of several patches: a kind of line for a few of them, what holds for all once."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable
+
+LOGGED = 3
+"""Lines of one kind that are logged for single patches; then the 10th, 100th ... of them."""
+
+
+class PatchLog:
+    """Log of the patches `names`; while `setting_up`, lines of the first one stand for all."""
+
+    def __init__(self, names: tuple[str, ...], log: Callable[[str], None]) -> None:
+        self.setting_up = False
+        self._names, self._log = names, log
+        self._logged: Counter[str] = Counter()
+
+    def of(self, name: str) -> Callable[[str], None]:
+        """Log of one patch."""
+        return lambda line: self._add(name, line)
+
+    def _add(self, name: str, line: str) -> None:
+        if self.setting_up or len(self._names) == 1:
+            if name == self._names[0]:
+                self._log(line)
+            return
+        kind = re.sub(r"[0-9.]+", "#", line)
+        self._logged[kind] += 1
+        n = self._logged[kind]
+        if n <= LOGGED:
+            self._log(f"{name}: {line}")
+        elif n >= 10 and str(n).strip("0") == "1":
+            self._log(f"{name}: {line} ({n} such lines)")

@@ -1,0 +1,111 @@
+"""Recordings of version 1 of the messages are read as those of today."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+
+from sparseskin.messages import (
+    MalformedError,
+    Measurements,
+    Message,
+    PhiState,
+    Reconstruction,
+    SkinState,
+    Taxels,
+    decode,
+)
+from sparseskin.messages.quantised import Quantised
+from sparseskin.messages.version_1 import payload_today, topic_today
+from sparseskin.nodes.reconstructor.node import ReconstructorSettings, phis_to_invert
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.recorder.bag.split import split_bag
+from sparseskin.nodes.recorder.convert.to_bag import recover_bag
+
+RECORDINGS = Path(__file__).parents[3] / "recordings"
+BODY = RECORDINGS / "form_1_body.mcap"
+"""20 frames of 3 patches of 6 x 8 taxels, two of which are idle at the end."""
+BITS = RECORDINGS / "form_1_bits.mcap"
+"""6 frames of one patch, measurements of 8 bits, standard deviations, resultants."""
+
+
+def messages(path: Path) -> list[Message]:
+    with BagReader(path) as bag:
+        return [decode(one.topic.encode(), one.payload) for one in bag.messages()]
+
+
+@pytest.mark.parametrize("path", [BODY, BITS])
+def test_measurements_are_those_of_the_taxels(path: Path) -> None:
+    found = messages(path)
+    (skin,) = (one for one in found if isinstance(one, SkinState))
+    (state,) = (one for one in found if isinstance(one, PhiState))
+    phis = {phi.fingerprint: phi for phi in phis_to_invert(ReconstructorSettings(), skin, state)}
+    taxels = {one.stamp_ns: one for one in found if isinstance(one, Taxels)}
+    measured = [one for one in found if isinstance(one, Measurements)]
+    assert len(measured) == len(taxels) == (20 if path == BODY else 6)
+    for one in measured:
+        of = taxels[one.stamp_ns]
+        assert of.patches == one.patches == (("p0", "p1", "p2") if path == BODY else ("skin",))
+        y = phis[one.phi].forward(of.forces.reshape(len(of.forces), -1))
+        within = one.y.step / 2 * 1.001 if isinstance(one.y, Quantised) else 0.0
+        np.testing.assert_allclose(one.y, y, atol=within, rtol=0)
+
+
+def test_patches_that_are_unchanged_have_the_forces_of_the_frame_before() -> None:
+    found = [one for one in messages(BODY) if isinstance(one, Reconstruction)]
+    assert {one.unchanged for one in found} == {(False,) * 3, (False, True, True)}
+    assert all(type(n) is int for one in found for n in one.iterations + one.solve_ns)
+    with BagReader(BODY) as whole:
+        recorded = split_bag(whole).messages(["/p1/reconstruction"])
+        of_patch = [decode(one.topic.encode(), one.payload) for one in recorded]
+    last = None
+    for one in of_patch:
+        assert isinstance(one, Reconstruction)
+        assert (one.unchanged == (True,)) == (one.forces.tobytes() == last)
+        last = one.forces.tobytes()
+    assert len(of_patch) == 20
+
+
+def test_one_patch_keeps_its_numbers_and_standard_deviations() -> None:
+    found = [one for one in messages(BITS) if isinstance(one, Reconstruction)]
+    for one in found:
+        assert one.sd is not None
+        assert one.sd.shape == one.forces.shape == (1, 6, 8)
+        assert [len(part) for part in (one.iterations, one.residual, one.error)] == [1, 1, 1]
+
+
+@pytest.mark.parametrize("path", [BODY, BITS])
+def test_a_copy_is_a_recording_of_today(path: Path, tmp_path: Path) -> None:
+    with BagReader(path) as bag:
+        recover_bag(bag, tmp_path / "copy.mcap")
+        topics = bag.topics
+    with BagReader(tmp_path / "copy.mcap") as copy:
+        assert copy.topics == topics
+        assert copy.topics["/body/taxels" if path == BODY else "/skin/taxels"].version == 2
+    assert messages(tmp_path / "copy.mcap") == messages(path)
+
+
+def test_topics_of_several_patches_have_the_names_of_today() -> None:
+    assert topic_today("/body/taxels_batch") == "/body/taxels"
+    assert topic_today("/body/skin") == "/body/skin"
+    end = msgpack.packb({"schema": "end", "version": 1, "of": "truth_batch"})
+    assert msgpack.unpackb(payload_today(end))["of"] == "truth"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"forces": 3},
+        {"forces": {"shape": 5}},
+        {"schema": "reconstruction_batch", "iterations": {"dtype": "|O", "data": b""}},
+        {"schema": "reconstruction_batch", "iterations": {"dtype": "<i4", "data": b"abc"}},
+        {"schema": "end", "of": "other"},
+    ],
+)
+def test_what_is_no_message_of_that_version_is_refused(changes: dict[str, object]) -> None:
+    body = {"schema": "taxels", "version": 1, "forces": {"shape": [2, 2]}} | changes
+    with pytest.raises(MalformedError):
+        payload_today(msgpack.packb(body))
