@@ -256,18 +256,23 @@ class Reconstructor(Node[ReconstructorSettings]):
                     patch.read(phi, y, watched)
             if self.settings.resultant and (found := patches[0].resultant) is not None:
                 yield self._resultant_of(found, stamp_ns)
-            for k, patch in solving:
-                solved = patch.solve()
-                if self._idle is not None:
-                    self._idle.solved(k, solved.forces)
+            for _, patch in solving:
+                patch.solve()
         except (PhiError, SolverError) as error:
             raise RefusedError(f"{measurements.topic}: {error}") from error
-        yield self._reconstruction(measurements, unchanged)
+        done_ns = self.context.clock.now_ns()
+        for k, patch in solving:
+            solved = patch.check()
+            if self._idle is not None:
+                self._idle.solved(k, solved.forces)
+        yield self._reconstruction(measurements, unchanged, done_ns)
         self._skipped = 0
         for _, patch in solving:
             patch.learn(stamp_ns, skin)
 
-    def _reconstruction(self, measurements: Measurements, unchanged: list[bool]) -> Reconstruction:
+    def _reconstruction(
+        self, measurements: Measurements, unchanged: list[bool], done_ns: int
+    ) -> Reconstruction:
         """What the patches found, without the forces of those that are unchanged."""
         found = [patch.solved for patch in self._patches if patch.solved is not None]
         forces = [one.forces for one, same in zip(found, unchanged, strict=True) if not same]
@@ -281,7 +286,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             iterations=tuple(one.iterations for one in found),
             residual=tuple(one.residual for one in found),
             solve_ns=tuple(one.solve_ns for one in found),
-            done_ns=self.context.clock.now_ns(),
+            done_ns=done_ns,
             sd=_stacked(sds) if sds else None,
             skipped=self._skipped,
             error=tuple(one.error for one in found),

@@ -50,7 +50,7 @@ class Solved:
 
 
 class Patch:
-    """Reconstructs the frames of one patch: `read`, `solve` and `learn` for each of them."""
+    """Reconstructs the frames of one patch: `read`, `solve`, `check` and `learn` for each of them."""
 
     def __init__(self, settings: ReconstructorSettings, log: Callable[[str], None]) -> None:
         self.settings = settings
@@ -148,22 +148,29 @@ class Patch:
         """Total force and centre of the frame, where they are asked for."""
         return None if self._resultant is None else self._resultant.estimate(self._phi, self._y)
 
-    def solve(self) -> Solved:
+    def solve(self) -> None:
         """Reconstruct the frame. Raises SolverError if the solver cannot."""
         assert self.solver is not None
         begin_ns = time.perf_counter_ns()
-        forces, n_steps = self._solve(self.solver, self._y)
-        error, trusted = estimated_error(self.solver)
-        solve_ns = time.perf_counter_ns() - begin_ns
-        self._last, self._warm = forces, None
+        self._last, self._n_steps = self._solve(self.solver, self._y)
+        self._error, self._trusted = estimated_error(self.solver)
+        self._solve_ns = time.perf_counter_ns() - begin_ns
+        self._warm = None
+
+    def check(self) -> Solved:
+        """Compare the frame that was solved with its measurements."""
+        assert self.solver is not None
+        assert self._last is not None
+        forces = self._last
         filled = self.faults.filled(forces)
         self._fitted = self._phi.forward(forces.reshape(-1)[self.solver.taxels])
         left = np.subtract(self._fitted, self._y, dtype=np.float64)
         residual = math.sqrt(float(np.dot(left, left)) / left.size)
         sd = None if self._uncertainty is None else self._uncertainty.update(forces, residual)
-        self._trusted = trusted
-        trusted = trusted and not self.faults.frozen
-        self.solved = Solved(filled, n_steps, residual, solve_ns, sd, error, trusted)
+        trusted = self._trusted and not self.faults.frozen
+        self.solved = Solved(
+            filled, self._n_steps, residual, self._solve_ns, sd, self._error, trusted
+        )
         return self.solved
 
     def keep(self, phi: Phi, y: Floats) -> None:
