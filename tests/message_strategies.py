@@ -51,9 +51,7 @@ def of_kind(kind: FieldKind, n_patches: int) -> st.SearchStrategy[Any] | None:
     return None
 
 
-def scalars(
-    cls: type[Message], names: tuple[str, ...] = ()
-) -> dict[str, st.SearchStrategy[Any]]:
+def scalars(cls: type[Message], names: tuple[str, ...] = ()) -> dict[str, st.SearchStrategy[Any]]:
     """Strategies of the fields of a class that are numbers and texts; `names` of the patches."""
     n_patches = len(names) or 1
     found = {name: of_kind(kind, n_patches) for name, kind in wire_fields(cls).items()}
@@ -132,7 +130,6 @@ def several(draw: st.DrawFn) -> Message:
 def with_sd(draw: st.DrawFn) -> Message:
     found = draw(forces(2))
     return draw(made(Reconstruction, forces=st.just(found), sd=st.just(np.abs(found))))
-    )
 
 
 _centre = ("row", "col", "row_sd", "col_sd")

@@ -50,7 +50,7 @@ class Solved:
 
 
 class Patch:
-    """Reconstructs the frames of one patch: `read`, `solve`, `check` and `learn` for each of them."""
+    """Reconstructs the frames of one patch: `read`, `solve`, `check` and `learn` for each."""
 
     def __init__(self, settings: ReconstructorSettings, log: Callable[[str], None]) -> None:
         self.settings = settings

@@ -147,10 +147,13 @@ def frames(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[Frame]
 
 
 def values_of(message: Message) -> npt.NDArray[np.float32] | None:
-    """The forces of a frame of one patch or its measurements; None of a message that is no frame."""
+    """The forces of a frame of one patch or its measurements; None of another message."""
+    values: npt.NDArray[np.float32] | None = None
     if isinstance(message, Measurements):
-        return message.y[0]
-    return message.forces[0] if isinstance(message, Taxels | Truth | Reconstruction) else None
+        values = message.y[0]
+    elif isinstance(message, Taxels | Truth | Reconstruction):
+        values = message.forces[0]
+    return values
 
 
 def decoded(bag: BagReader, recorded: BagMessage) -> Message:
