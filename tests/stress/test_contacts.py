@@ -14,7 +14,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import RATIO, ROTATING, row_subsets, rows_and_m
 from sparseskin.nodes.numerics.arrays import Floats, Mask
-from sparseskin.nodes.reconstructor.batch.idle import REFERENCE, REFRESH, IdleWatch
+from sparseskin.nodes.reconstructor.idle import REFERENCE, REFRESH, IdleWatch
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.tiled import TiledScene
 

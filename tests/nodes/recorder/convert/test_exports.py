@@ -93,8 +93,8 @@ def test_an_npz_names_what_it_holds(rich: Path) -> None:
         assert arrays["rate_hz"] == 50.0  # the last state
         sent = [m for m in rich_frames() if isinstance(m, Measurements)]
         for row, message in zip(arrays["measurements"], sent, strict=True):
-            assert np.array_equal(row[: len(message.y)], np.asarray(message.y))
-            assert np.isnan(row[len(message.y) :]).all()
+            assert np.array_equal(row[: message.y.size], message.y[0])
+            assert np.isnan(row[message.y.size :]).all()
         states = json.loads(str(arrays["states"]))
         assert states["/skin/calibration"]["name"] == "palm"
         assert json.loads(str(arrays["metadata"]))["scene"] == "test"
