@@ -1,4 +1,12 @@
-"""The reconstructor node, on the host: M measurements of a patch in, N forces out."""
+"""The reconstructor node, on the host: M measurements of each patch in, N forces out.
+
+A patch of which the past says nothing is estimated by both models of the solver `skin`, and
+compared for some frames: tens of times the work of others. Where many patches begin at once, the
+node falls behind. As soon as a newer frame waits, one comparison a frame is computed, of the patch
+that has waited longest. All others have their Haar estimate, with its error and trust by
+measurements held out, and are compared in a later frame. Nothing is put off while no frame waits,
+where every frame is to be reconstructed (`depth` 0), and where a source waits for its readers.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +75,13 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._skipped = 0
         self._names = settings.patches or (settings.patch,)
         self._log = PatchLog(self._names, context.log)
-        self._patches = [Patch(settings, self._log.of(name)) for name in self._names]
+        self._patches = [
+            Patch(settings, self._log.of(name), self._may_compare) for name in self._names
+        ]
+        #: Frame since which the comparison of a patch, by number, is put off.
+        self._waiting: dict[int, int] = {}
+        self._n_frames = self._n_put_off = 0
+        self._has_compared = False
         self._idle: IdleWatch | None = None
 
     @classmethod
@@ -145,6 +159,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         }
         if self.settings.skip_idle:
             state["idle"] = self._n_idle
+        if len(self._patches) > 1:
+            state["put_off"] = self._n_put_off
         if chosen["solver"] in OWN_BASIS:
             state["basis"] = None
         return {**chosen, "preset": preset if chosen == PRESETS[preset] else "", **state}
@@ -156,6 +172,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         basis = "" if chosen["solver"] in OWN_BASIS else f" in {chosen['basis']}"
         n = len(self._patches)
         several = f"{n} patches" + (f", {self._n_idle} idle" if self._n_idle else "")
+        several += f"; {self._n_put_off} comparisons put off" if self._n_put_off else ""
         parts = (f"solver {chosen['solver']}{basis}", self._left_out, several if n > 1 else "")
         return "; ".join(filter(None, parts))
 
@@ -237,18 +254,21 @@ class Reconstructor(Node[ReconstructorSettings]):
         phi = self._phi_of(measurements)
         stamp_ns, skin, patches = measurements.stamp_ns, self._skin, self._patches
         assert skin is not None
-        unchanged = [False] * len(patches)
+        n = len(patches)
+        unchanged = [False] * n
+        self._n_frames, self._has_compared = self._n_frames + 1, False
         try:
             follow(phi, measurements.places)
             follow_nodes(phi, measurements.nodes)
             if self._idle is not None:
                 wanted = self._idle.to_solve(phi.fingerprint, measurements.y)
+                # What is put off is not idle: it would be estimated by the wrong model for long.
                 unchanged = [
-                    not wanted[k] and patch.solved is not None for k, patch in enumerate(patches)
+                    not wanted[k] and k not in self._waiting and patches[k].solved is not None
+                    for k in range(n)
                 ]
             # If each frame chooses its taxels or rows anew, there are no rows to watch.
             watched = measurements.places is None and measurements.nodes is None
-            solving = [(k, patch) for k, patch in enumerate(patches) if not unchanged[k]]
             for patch, same, y in zip(patches, unchanged, measurements.y, strict=True):
                 if same:
                     patch.keep(phi, y)
@@ -256,19 +276,34 @@ class Reconstructor(Node[ReconstructorSettings]):
                     patch.read(phi, y, watched)
             if self.settings.resultant and (found := patches[0].resultant) is not None:
                 yield self._resultant_of(found, stamp_ns)
-            for _, patch in solving:
-                patch.solve()
+            solving = [k for k in range(n) if not unchanged[k]]
+            for k in sorted(solving, key=lambda k: self._waiting.get(k, self._n_frames)):
+                patches[k].solve()
+                self._note_put_off(k)
         except (PhiError, SolverError) as error:
             raise RefusedError(f"{measurements.topic}: {error}") from error
         done_ns = self.context.clock.now_ns()
-        for k, patch in solving:
-            solved = patch.check()
+        for k in solving:
+            solved = patches[k].check()
             if self._idle is not None:
                 self._idle.solved(k, solved.forces)
         yield self._reconstruction(measurements, unchanged, done_ns)
         self._skipped = 0
-        for _, patch in solving:
-            patch.learn(stamp_ns, skin)
+        for k in solving:
+            patches[k].learn(stamp_ns, skin)
+
+    def _may_compare(self) -> bool:
+        """True while no newer frame waits, and once a frame in any case."""
+        is_first, self._has_compared = not self._has_compared, True
+        return is_first or not self.context.is_behind()
+
+    def _note_put_off(self, k: int) -> None:
+        """Note whether the comparison of a patch was put off in its frame."""
+        if self._patches[k].put_off:
+            self._waiting.setdefault(k, self._n_frames)
+            self._n_put_off += 1
+        else:
+            self._waiting.pop(k, None)
 
     def _reconstruction(
         self, measurements: Measurements, unchanged: list[bool], done_ns: int

@@ -52,9 +52,15 @@ class Solved:
 class Patch:
     """Reconstructs the frames of one patch: `read`, `solve`, `check` and `learn` for each."""
 
-    def __init__(self, settings: ReconstructorSettings, log: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        settings: ReconstructorSettings,
+        log: Callable[[str], None],
+        may_compare: Callable[[], bool],
+    ) -> None:
         self.settings = settings
         self.log = log
+        self.may_compare = may_compare
         self.solver: Solver | None = None
         self.faults = FaultWatch(settings.watch_rows, settings.watch_taxels, log)
         self.solved: Solved | None = None
@@ -94,6 +100,7 @@ class Patch:
                 warnings += check_phi(one, solver.mask)
         for warning in dict.fromkeys(warnings):
             self.log(warning)
+        solver.may_compare = self.may_compare
         self.settings, self.solver, self._subsets = settings, solver, subsets
         self.faults.set_up({one.fingerprint: one for one in subsets}, state, solver.mask)
         self._trust_log.begin(len(subsets))
@@ -116,6 +123,11 @@ class Patch:
         if isinstance(self.solver, Solver):
             self.solver.period_s = 1 / skin.rate_hz if skin.rate_hz else math.inf
             self.solver.noise_sd = skin.least_sd
+
+    @property
+    def put_off(self) -> bool:
+        """True if the solver put a comparison of models off in the last frame."""
+        return bool(getattr(self.solver, "put_off", False))
 
     def _make_uncertainty(self, solver: Solver, phi: Phi, rows: str) -> Uncertainty | None:
         if not self.settings.uncertainty:
