@@ -125,9 +125,9 @@ class Flag(Number):
 
 @dataclass(frozen=True)
 class Each(FieldKind):
-    """A tuple of numbers, one for each patch of a message; who makes one of one patch may state the
-    number alone. `unstated` holds that of a patch where a
-    message states none; it is empty where all have to be stated.
+    """A tuple of numbers, one for each patch of a message; that of one patch may be made of the
+    number alone. `unstated` holds the number of a patch where a message states none; it is empty
+    where all have to be stated.
     """
 
     travels_as_it_is: ClassVar[bool] = False
@@ -220,8 +220,8 @@ class Text(FieldKind):
 class Array(FieldKind):
     """An array of one dtype, `ndim` dimensions, no side empty; None where `optional`. A side of one
     with several dimensions has at most `longest` elements. The first side of one of `patches` is
-    the patches of the message, in their order, and may be left out by who makes a message of one;
-    it may be 0 where `sparse`, for those patches alone that have something to send.
+    the patches of the message, in their order; a message of one may be made without it. Where
+    `sparse`, the array may hold only the patches that have something to send, also none.
 
     Its wire form is a map {dtype, shape, order, data}: `dtype` in numpy's array-interface form
     with the byte order ("<f4"), `order` always "C", `data` a msgpack bin field.

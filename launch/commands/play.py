@@ -113,11 +113,15 @@ def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]
     Raises SettingsError if the recording has too little to be shown.
     """
     from sparseskin.launch.launchfile.load import load_tables
+    from sparseskin.nodes.recorder.bag.reader import BagReader
+    from sparseskin.nodes.recorder.bag.split import names_of
 
     for option in ("topics", "remap"):
         if getattr(arguments, option):
             raise SettingsError(f"--{option}: does not go with --open, which plays what it shows")
     by_patch = schemas_of(path)
+    with BagReader(path) as bag:
+        batches = names_of(bag)
     schemas, made = shown(path, by_patch)
     # Of frames that are played now: their stamps, and so their ages, are those of now.
     values |= {"loop": True, "verbatim": False, "schemas": schemas}
@@ -127,9 +131,11 @@ def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]
     for patch in patches:
         ending = f"_{patch}" if len(patches) > 1 else ""
         for kind in made:
-            tables[f"{kind}{ending}"] = {"type": kind, "patch": patch}
+            names = list(batches.get(patch, ()))
+            tables[f"{kind}{ending}"] = {"type": kind, "patch": patch, "patches": names}
+    watched = {"patches": [patch for patch in patches if patch not in batches], "batches": batches}
     page = {"browser": True, "token": not arguments.no_token}
-    tables["monitor"] = {"type": "monitor", "patches": patches, **page}
+    tables["monitor"] = {"type": "monitor", **watched, **page}
     return load_tables(path.stem, tables)
 
 

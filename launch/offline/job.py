@@ -119,11 +119,16 @@ def start_of(job: Job, bag: BagReader) -> tuple[str, str]:
     """
     from sparseskin.messages import Measurements
     from sparseskin.messages.topics import split_topic
+    from sparseskin.nodes.recorder.bag.split import names_of
 
     topics = [split_topic(topic) for topic in bag.topics]
-    patches = sorted({patch for patch, _ in topics})
-    if len(patches) != 1:
-        raise SparseskinError(f"holds {len(patches)} patches; reprocess takes recordings of one")
+    together, patches = names_of(bag), sorted({patch for patch, _ in topics})
+    n_patches = sum(len(together.get(patch, (patch,))) for patch in patches)
+    if together or n_patches != 1:
+        batches = " in batches" if together else ""
+        raise SparseskinError(
+            f"holds {n_patches} patches{batches}; reprocess takes recordings of one"
+        )
     present = {schema for _, schema in topics}
     changes_edge = any(text.startswith("compressor.") for text in job.overrides)
     start_from = job.start_from

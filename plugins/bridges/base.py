@@ -19,9 +19,10 @@ from sparseskin.messages import (
     Truth,
     topic_of,
 )
+from sparseskin.messages.frames import values_alone
 from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.messages.topics import split_topic
-from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.errors import RefusedError, SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import Settings, check_patch, setting
@@ -86,7 +87,8 @@ def figures(message: Map, f_max: float, latency_ns: int) -> dict[str, float | in
     `total` and `peak` are in the skin's unit, `row` and `col` the centre of pressure in taxels from
     the middle of the first.
     """
-    forces = message.forces[0]
+    values = values_alone(message)
+    forces = values["forces"]
     rows, cols = forces.sum(axis=1, dtype=np.float64), forces.sum(axis=0, dtype=np.float64)
     total, peak = float(rows.sum()), float(forces.max())
     found: dict[str, float | int | bool] = {"seq": message.seq, "total": total, "peak": peak}
@@ -95,14 +97,10 @@ def figures(message: Map, f_max: float, latency_ns: int) -> dict[str, float | in
         found["col"] = float(cols @ np.arange(len(cols))) / total
     found["latency_ms"] = latency_ns / 1e6
     if isinstance(message, Reconstruction):
-        found |= {
-            "residual": message.residual[0],
-            "iterations": message.iterations[0],
-            "solve_ms": message.solve_ns[0] / 1e6,
-            "trusted": message.trusted[0],
-        }
-        if message.error[0] is not None:
-            found["error"] = message.error[0]
+        found |= {name: values[name] for name in ("residual", "iterations", "trusted")}
+        found["solve_ms"] = values["solve_ns"] / 1e6
+        if values["error"] is not None:
+            found["error"] = values["error"]
     return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
@@ -142,6 +140,8 @@ class Bridge(Node[S]):
         if isinstance(message, SkinState):
             self.skins[message.patch] = message
         elif isinstance(message, Taxels | Truth | Reconstruction):
+            if message.names:
+                raise RefusedError(f"{message.topic}: a bridge shows no patches of a batch")
             skin = self.skins.get(message.patch)
             if skin is None or skin.skin.shape != message.forces.shape[1:]:
                 # The skin may arrive on another connection than its frames.

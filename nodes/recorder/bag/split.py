@@ -19,18 +19,31 @@ Held = dict[str, dict[str, Floats]]
 """Forces of the patches of each topic of reconstructions, for those that are unchanged."""
 
 
-def split_bag(bag: BagReader) -> BagReader:
-    """The bag itself, or as one of single patches where its messages hold several."""
-    held = [topic for topic, info in bag.topics.items() if info.n_messages]
-    frames = [topic for topic in held if issubclass(SCHEMAS[bag.topics[topic].schema], Frames)]
-    several = {topic: names for topic in frames if (names := _names(bag, topic))}
-    return SplitBag(bag, several) if several else bag
+def names_of(bag: BagReader) -> dict[str, tuple[str, ...]]:
+    """Names of the patches whose frames the messages of a bag hold together, by the name of these
+    in topics; without patches that have topics of their own.
+
+    Raises BagError if a message cannot be decoded.
+    """
+    found = {split_topic(topic)[0]: _names_on(bag, topic) for topic in _frame_topics(bag)}
+    return {patch: names for patch, names in found.items() if names}
 
 
-def _names(bag: BagReader, topic: str) -> tuple[str, ...]:
+def _frame_topics(bag: BagReader) -> list[str]:
+    held = {topic: SCHEMAS[info.schema] for topic, info in bag.topics.items() if info.n_messages}
+    return [topic for topic, cls in held.items() if issubclass(cls, Frames)]
+
+
+def _names_on(bag: BagReader, topic: str) -> tuple[str, ...]:
     """Names that the first message on a topic states; () for one patch of its own name."""
     messages = (decoded(bag, recorded) for recorded in bag.messages([topic]))
     return next((one.names for one in messages if isinstance(one, Frames)), ())
+
+
+def split_bag(bag: BagReader) -> BagReader:
+    """The bag itself, or as one of single patches where its messages hold several."""
+    names = names_of(bag)
+    return SplitBag(bag, names) if names else bag
 
 
 class SplitBag(BagReader):
@@ -42,8 +55,8 @@ class SplitBag(BagReader):
     ----------
     bag : BagReader
         The bag, which is closed with this one.
-    several : mapping of str to tuple of str
-        Topics whose messages hold frames of several patches, and the names of these.
+    names : mapping of str to tuple of str
+        Names of the patches whose frames its messages hold together, as of `names_of`.
 
     Raises
     ------
@@ -51,11 +64,11 @@ class SplitBag(BagReader):
         If a message of several patches cannot be decoded.
     """
 
-    def __init__(self, bag: BagReader, several: Mapping[str, tuple[str, ...]]) -> None:
+    def __init__(self, bag: BagReader, names: Mapping[str, tuple[str, ...]]) -> None:
         self.path, self.metadata, self.counts = bag.path, bag.metadata, bag.counts
         self.recovered = bag.recovered
-        self._bag, self._several = bag, several
-        self._names = {split_topic(topic)[0]: names for topic, names in several.items()}
+        self._bag, self._names = bag, names
+        several = [topic for topic in _frame_topics(bag) if split_topic(topic)[0] in names]
         found: dict[str, TopicInfo] = {}
         held: Held = {}
         for recorded in bag.messages(several):
@@ -63,7 +76,7 @@ class SplitBag(BagReader):
                 schema = split_topic(single.topic)[1]
                 info = found.setdefault(single.topic, TopicInfo(schema, SCHEMAS[schema].version))
                 info.add(schema, info.version, single.stamp_ns, single.log_time_ns)
-        for topic in bag.topics.keys() - several:
+        for topic in bag.topics.keys() - set(several):
             found |= dict.fromkeys(self._of_patches(topic), bag.topics[topic])
         self.topics = dict(sorted(found.items()))
 

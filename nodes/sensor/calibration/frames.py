@@ -82,6 +82,8 @@ def _bag(path: str) -> tuple[list[int], Frames]:
     found = [message for message in messages if isinstance(message, Taxels)]
     if len({message.forces.shape for message in found}) != 1:
         raise CalibrationError(f"{path}: holds no frames of one shape")
+    if found[0].names:
+        raise CalibrationError(f"{path}: holds frames of {len(found[0].names)} patches; expected 1")
     stamps = [message.stamp_ns - found[0].stamp_ns for message in found]
     return stamps, np.concatenate([message.forces for message in found])
 

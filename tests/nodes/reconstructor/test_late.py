@@ -1,4 +1,4 @@
-"""A node of several patches that falls behind puts comparisons of models off, and spreads them over frames."""
+"""A node of several patches that is late puts comparisons of models off to later frames."""
 
 from __future__ import annotations
 
