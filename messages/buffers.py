@@ -42,6 +42,10 @@ _DESCRIPTION = frozenset({"wire", "schema", "version", "texts", "arrays"})
 _BEGIN = struct.Struct("<BH")
 
 
+_Check = tuple[str, Callable[[str, Any], Any]]
+"""A field, and a function of its name and number."""
+
+
 @dataclass(frozen=True)
 class _Form:
     """Fields of a message class by how they travel."""
@@ -51,8 +55,7 @@ class _Form:
     texts: tuple[tuple[str, FieldKind], ...]
     arrays: tuple[tuple[str, Array], ...]
     numbers: tuple[tuple[str, Number], ...]
-    each: tuple[tuple[str, Number], ...]
-    checks: tuple[tuple[str, Callable[[str, Any], Any]], ...]
+    each: tuple[tuple[str, Each], ...]
 
 
 @once_a_class
@@ -61,9 +64,8 @@ def _form(cls: type[Message]) -> _Form:
     arrays = tuple((n, kind) for n, kind in fields.items() if isinstance(kind, Array))
     numbers = tuple((n, kind) for n, kind in fields.items() if isinstance(kind, Number))
     texts = tuple((n, kind) for n, kind in fields.items() if isinstance(kind, Text | Names))
-    each = tuple((n, kind.kind) for n, kind in fields.items() if isinstance(kind, Each))
-    checks = tuple((n, kind.of_number) for n, kind in numbers)
-    return _Form(cls, tuple(fields), texts, arrays, numbers, each, checks)
+    each = tuple((n, kind) for n, kind in fields.items() if isinstance(kind, Each))
+    return _Form(cls, tuple(fields), texts, arrays, numbers, each)
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,9 @@ class _Stream:
     """What all messages of a description have in common.
 
     `begin` is their topic and all that follows up to the numbers; `numbers` packs these, which
-    begin in the payload at `numbers_at`; `values` holds all fields in their order, the texts set;
+    begin in the payload at `numbers_at`; `checks` has the field and check of each number, `each`
+    those of fields that hold one for each of several patches; `values` holds all fields in their
+    order, the texts set;
     `arrays` has the name, kind, dtype and shape of the arrays that are sent, and where each begins
     and ends in the payload, which has `n_bytes`.
     """
@@ -82,6 +86,8 @@ class _Stream:
     n_patches: int
     numbers: struct.Struct
     numbers_at: int
+    checks: tuple[_Check, ...]
+    each: tuple[_Check, ...]
     values: dict[str, Any]
     arrays: tuple[tuple[str, Array, str, tuple[int, ...], int, int], ...]
     n_bytes: int
@@ -154,12 +160,11 @@ def decode_frame(topic: bytes, payload: Payload) -> Message:
         raise (TruncatedError if n_bytes < stream.n_bytes else OversizedError)(text)
     values, form = stream.values.copy(), stream.form
     numbers = stream.numbers.unpack_from(payload, stream.numbers_at)
-    for (name, check), number in zip(form.checks, numbers, strict=False):
+    for (name, check), number in zip(stream.checks, numbers, strict=False):
         values[name] = check(name, number)
-    n_read = len(form.numbers)
-    for name, one in form.each:
+    n_read = len(stream.checks)
+    for name, check in stream.each:
         begin, n_read = n_read, n_read + stream.n_patches
-        check = one.of_number
         values[name] = tuple([check(name, number) for number in numbers[begin:n_read]])
     for name, kind, dtype, shape, begin, end in stream.arrays:
         extra = None
@@ -267,7 +272,7 @@ def _learn(description: bytes) -> _Stream:
         values[name] = text.unpack(name, value)
     n_patches = len(values.get("names") or ()) or 1
     sent, codes = [], [kind.code for _, kind in form.numbers]
-    codes += [kind.code * n_patches for _, kind in form.each]
+    codes += [each.kind.code * n_patches for _, each in form.each]
     for name, kind in form.arrays:
         if name in described:
             dtype, shape, n_bytes = kind.checked_form(name, described[name])
@@ -286,6 +291,22 @@ def _learn(description: bytes) -> _Stream:
         end = first + n_bytes
         arrays.append((name, kind, dtype, shape, first, end))
     numbers = struct.Struct(f"<{''.join(codes)}{n_zeros}x")
-    stream = _Stream(form, topic, begin, n_patches, numbers, at, values, tuple(arrays), end)
+    checks = tuple((name, kind.of_number) for name, kind in form.numbers)
+    if n_patches == 1:
+        checks += tuple((name, each.of_number) for name, each in form.each)
+    several = form.each if n_patches > 1 else ()
+    stream = _Stream(
+        form=form,
+        topic=topic,
+        begin=begin,
+        n_patches=n_patches,
+        numbers=numbers,
+        numbers_at=at,
+        checks=checks,
+        each=tuple((name, each.kind.of_number) for name, each in several),
+        values=values,
+        arrays=tuple(arrays),
+        n_bytes=end,
+    )
     _remember(_STREAMS, description, stream)
     return stream

@@ -25,7 +25,7 @@ MAX_ELEMENTS = 1 << 20
 STEP_MAX = 1e30
 """Upper bound of the step of quantised numbers."""
 REMEMBERED = 256
-"""Number of valid texts of a field that are not checked a second time."""
+"""Number of valid texts, or shapes, of a field that are not checked a second time."""
 _ARRAY_KEYS = frozenset({"dtype", "shape", "order", "data"})
 _QUANTISED_KEYS = _ARRAY_KEYS | {"step"}
 
@@ -136,10 +136,18 @@ class Each(FieldKind):
     unstated: tuple[Any, ...] = ()
 
     def check(self, name: str, value: Any) -> tuple[Any, ...]:
-        if not isinstance(value, tuple):
+        if type(value) is not tuple:
             value = (value,)
         check = self.kind.check
+        if len(value) == 1:
+            return (check(name, value[0]),)
         return tuple([check(name, one) for one in value])
+
+    @property
+    def of_number(self) -> Callable[[str, Any], Any]:
+        """As `Number.of_number`, of the number of the only patch of a message."""
+        check = self.kind.of_number
+        return lambda name, number: (check(name, number),)
 
     def unpack(self, name: str, raw: Any) -> tuple[Any, ...]:
         if not isinstance(raw, list | tuple):
@@ -156,6 +164,8 @@ class Names(FieldKind):
     travels_as_it_is: ClassVar[bool] = False
 
     def check(self, name: str, value: Any) -> tuple[str, ...]:
+        if value == ():
+            return ()
         if not isinstance(value, tuple) or not all(isinstance(each, str) for each in value):
             raise FieldError(f"{name}: expected a tuple of texts, got {type(value).__name__}")
         return _names(name, " ".join(value))
@@ -326,7 +336,14 @@ class Array(FieldKind):
             shown = list(cell[1:] if self.patches and len(value) == 1 else cell)
             raise NotFiniteError(f"{name}{shown}: {value[cell]} is not a finite number")
 
+    @functools.cached_property
+    def _sound(self) -> set[tuple[int, ...]]:
+        """Shapes that were checked before: the same few recur in every frame."""
+        return set()
+
     def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
+        if shape in self._sound:
+            return
         if len(shape) != self.ndim or min(shape[self.sparse :]) < 1:
             raise ShapeError(
                 f"{name}: expected {self.ndim} dimensions, none empty, got {list(shape)}"
@@ -336,6 +353,8 @@ class Array(FieldKind):
                 f"{name}: shape {list(shape)}, at most {MAX_ELEMENTS} elements "
                 f"and {self.longest} a side"
             )
+        if len(self._sound) < REMEMBERED:
+            self._sound.add(shape)
 
 
 @dataclass(frozen=True)

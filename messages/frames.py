@@ -30,6 +30,13 @@ def _of_patches(cls: type[Message]) -> dict[str, Each | Array]:
     return {**numbers, **arrays}
 
 
+@once_a_class
+def _unstated(cls: type[Message]) -> tuple[tuple[str, tuple[Any, ...]], ...]:
+    """Fields that a message may leave out, and what holds for a patch then."""
+    fields = wire_fields(cls).items()
+    return tuple((n, k.unstated) for n, k in fields if isinstance(k, Each) and k.unstated)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frames(Message):
     """Base of the messages of frames.
@@ -57,15 +64,17 @@ class Frames(Message):
 
     def validate(self) -> None:
         values, n = self.__dict__, len(self.names) or 1
-        for name, kind in self.of_patches().items():
-            if isinstance(kind, Each) and not values[name] and kind.unstated:
-                values[name] = kind.unstated * n
-            elif values[name] is not None and len(values[name]) not in self._rows(name, n):
-                raise ShapeError(f"{name}: {len(values[name])} rows for {n} patches")
+        for name, unstated in _unstated(type(self)):
+            if not values[name]:
+                values[name] = unstated * n
+        for name in _of_patches(type(self)):
+            rows = values[name]
+            if rows is not None and len(rows) != n and not self._may_have(name, len(rows)):
+                raise ShapeError(f"{name}: {len(rows)} rows for {n} patches")
 
-    def _rows(self, name: str, n: int) -> tuple[int, ...]:
-        """Numbers of rows that a field of `n` patches may have."""
-        return (n,)
+    def _may_have(self, name: str, n_rows: int) -> bool:
+        """True if a field may have so many rows, another number than there are patches."""
+        return False
 
     def split(self, held: MutableMapping[str, Floats] | None = None) -> list[Self]:
         """Messages of the single patches, arrays being views.
@@ -152,7 +161,9 @@ class Measurements(Frames):
 
     def validate(self) -> None:
         super().validate()
-        if len(self.patches) > 1 and (self.places is not None or self.nodes is not None):
+        if self.places is None and self.nodes is None:
+            return
+        if len(self.patches) > 1:
             raise FieldError("places, nodes: are those of one patch")
         if self.places is None:
             return
@@ -220,8 +231,8 @@ class Reconstruction(Frames):
         if self.sd is not None and self.sd.shape[1:] != self.forces.shape[1:]:
             raise ShapeError(f"sd: shape {self.sd.shape}, but forces {self.forces.shape}")
 
-    def _rows(self, name: str, n: int) -> tuple[int, ...]:
-        return (n, self.unchanged.count(False)) if name == "forces" else (n,)
+    def _may_have(self, name: str, n_rows: int) -> bool:
+        return name == "forces" and n_rows == self.unchanged.count(False)
 
     def split(self, held: MutableMapping[str, Floats] | None = None) -> list[Self]:
         held = {} if held is None else held

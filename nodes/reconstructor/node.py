@@ -11,7 +11,7 @@ where every frame is to be reconstructed (`depth` 0), and where a source waits f
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -310,22 +310,22 @@ class Reconstructor(Node[ReconstructorSettings]):
     ) -> Reconstruction:
         """What the patches found, without the forces of those that are unchanged."""
         found = [patch.solved for patch in self._patches if patch.solved is not None]
-        forces = [one.forces for one, same in zip(found, unchanged, strict=True) if not same]
-        sds = [one.sd for one in found if one.sd is not None]
+        all_forces, sds, iterations, residuals, solve_ns, errors, trusted = zip(*found, strict=True)
+        forces = [one for one, same in zip(all_forces, unchanged, strict=True) if not same]
         return Reconstruction(
             stamp_ns=measurements.stamp_ns,
             patch=self.settings.patch,
             names=self.settings.patches,
-            forces=_stacked(forces) if forces else found[0].forces[np.newaxis][:0],
+            forces=_stacked(forces) if forces else all_forces[0][np.newaxis][:0],
             phi=measurements.phi,
-            iterations=tuple(one.iterations for one in found),
-            residual=tuple(one.residual for one in found),
-            solve_ns=tuple(one.solve_ns for one in found),
+            iterations=iterations,
+            residual=residuals,
+            solve_ns=solve_ns,
             done_ns=done_ns,
-            sd=_stacked(sds) if sds else None,
+            sd=None if sds[0] is None else _stacked(sds),
             skipped=self._skipped,
-            error=tuple(one.error for one in found),
-            trusted=tuple(one.trusted for one in found),
+            error=errors,
+            trusted=trusted,
             unchanged=tuple(unchanged),
         )
 
@@ -345,7 +345,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         )
 
 
-def _stacked(arrays: list[Floats]) -> Floats:
+def _stacked(arrays: Sequence[Floats]) -> Floats:
     """Arrays of the patches as one, without a copy of the array of one."""
     return arrays[0][np.newaxis] if len(arrays) == 1 else np.stack(arrays)
 

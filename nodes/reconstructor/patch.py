@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,15 +35,14 @@ from .limits import (
 from .settings import PRESETS, ReconstructorSettings
 
 
-@dataclass(frozen=True)
-class Solved:
+class Solved(NamedTuple):
     """What a `Reconstruction` states of one patch; forces and sd are float32 (n_rows, n_cols)."""
 
     forces: Floats
+    sd: Floats | None
     iterations: int
     residual: float
     solve_ns: int
-    sd: Floats | None
     error: float | None
     trusted: bool
 
@@ -181,7 +179,7 @@ class Patch:
         sd = None if self._uncertainty is None else self._uncertainty.update(forces, residual)
         trusted = self._trusted and not self.faults.frozen
         self.solved = Solved(
-            filled, self._n_steps, residual, self._solve_ns, sd, self._error, trusted
+            filled, sd, self._n_steps, residual, self._solve_ns, self._error, trusted
         )
         return self.solved
 
@@ -190,7 +188,7 @@ class Patch:
         assert self.solved is not None
         self.faults.watch_repeats(phi.fingerprint, y)
         trusted = self._trusted and not self.faults.frozen
-        self.solved = replace(self.solved, iterations=0, solve_ns=0, trusted=trusted)
+        self.solved = self.solved._replace(iterations=0, solve_ns=0, trusted=trusted)
 
     def learn(self, stamp_ns: int, skin: SkinState) -> None:
         """Learn from the frame that was solved, once it is published."""
