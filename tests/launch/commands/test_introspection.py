@@ -267,7 +267,7 @@ def test_topic_info_reports_fields_and_what_each_subscriber_received(
     run: Run, run_json: RunJson
 ) -> None:
     topic = run_json("topic", "info", "skin/taxels")
-    assert list(topic["fields"]) == ["stamp_ns", "patch", "run_id", "seq", "forces"]
+    assert list(topic["fields"]) == ["stamp_ns", "patch", "run_id", "seq", "names", "forces"]
     assert {one["node"]: one["lost"] for one in topic["subscribers"]} == {
         "compressor": 0,
         "monitor": 0,
