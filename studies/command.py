@@ -70,6 +70,10 @@ STUDIES = {
         "time of operators, of solvers, of bodies of many patches, and of a frame by stage",
         "sparseskin.studies.speed.tables:run",
     ),
+    "train": Study(
+        "weights of solver oamp, trained on procedural presses (an hour; needs extra train)",
+        "sparseskin.studies.training.train:run",
+    ),
 }
 """Studies of the core, by name."""
 

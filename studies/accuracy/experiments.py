@@ -27,7 +27,7 @@ from sparseskin.studies.harness import PAPER_ROWS, Candidate, Experiment, Measur
 from sparseskin.studies.points import StudyError
 
 RATIOS = (3, 4, 8)
-DEFAULT, SKIN, PAPER = "skin, rotating", "skin", "paper"
+DEFAULT, SKIN, PAPER, LEARNED = "skin, rotating", "skin", "paper", "oamp, rotating"
 ADAPTIVE, ALONE = "skin, adaptive", "skin, each frame alone"
 SIMPLE = ("lattice", "hold", "subsample", "acts")
 """Methods that read single taxels at the edge, and need no measurement matrix."""
@@ -35,6 +35,7 @@ ALL, FILTERED, RAW = "skin, all taxels", "all taxels, filtered", "all taxels, ra
 CANDIDATES = {
     DEFAULT: Candidate(PRESETS["skin"], changes={"rows": ROTATING}),
     SKIN: Candidate(PRESETS["skin"]),
+    LEARNED: Candidate({"solver": "oamp"}, changes={"rows": ROTATING}),
     ADAPTIVE: Candidate(PRESETS["skin"], changes={"phi": "adaptive"}),
     ALONE: Candidate(PRESETS["skin"], alone=True),
     PAPER: Candidate(PRESETS["paper"], changes={"rows": PAPER_ROWS}),
@@ -123,7 +124,7 @@ class Runs:
         """The six scenes of the paper, at their own frame rates."""
         stop = QUICK_SCENE_FRAMES if self._quick else SCENE_FRAMES
         frames = [SceneFrames(scene, stop=stop - 20) for scene in SCENES]
-        return self._rows("scenes", frames, (DEFAULT, SKIN, PAPER), PSNR, (RAW, ALL))
+        return self._rows("scenes", frames, (DEFAULT, SKIN, LEARNED, PAPER), PSNR, (RAW, ALL))
 
     def rates(self) -> pd.DataFrame:
         """Scenes of which every k-th frame is read, so that bodies move further a frame."""
@@ -146,7 +147,7 @@ class Runs:
             for course in COURSES
             for body in (QUICK_BODIES if self._quick else BODIES)
         ]
-        names = (DEFAULT, SKIN, ADAPTIVE, PAPER, "lattice", "hold")
+        names = (DEFAULT, SKIN, LEARNED, ADAPTIVE, PAPER, "lattice", "hold")
         return self._rows("presses", frames, names, PSNR)
 
     def sizes(self) -> pd.DataFrame:
@@ -157,7 +158,7 @@ class Runs:
             for part in ACTIVE
             for body in BODIES
         ]
-        names = (DEFAULT, SKIN, PAPER, "lattice", "hold")
+        names = (DEFAULT, SKIN, LEARNED, PAPER, "lattice", "hold")
         return self._rows("sizes", frames, names, ERRORS)
 
     def recordings(self, folder: Path) -> pd.DataFrame:

@@ -27,6 +27,7 @@ from .experiments import (
     CANDIDATES,
     DEFAULT,
     FILTERED,
+    LEARNED,
     LONGEST_RECORDED,
     PAPER,
     QUICK_RECORDED,
@@ -107,7 +108,7 @@ def scenes(page: Page, runs: Runs) -> str:
     rows = runs.scenes()
     rows["taxels"] = rows["scene"].map(lambda scene: "{} x {}".format(*scene_of(scene).shape))
     rows["gain"], rows["over_raw"] = (over(rows, ["scene"], name) for name in (PAPER, RAW))
-    ours = rows[rows["method"].isin([DEFAULT, SKIN])]
+    ours = rows[rows["method"].isin([DEFAULT, SKIN, LEARNED])]
     page.csv("scenes", rows)
     page.section(
         "Simulated scenes",
@@ -242,7 +243,8 @@ def geometric(rows: pd.DataFrame) -> list[str]:
     """Return a line a kind of rows of the default solver: geometric mean over the recordings."""
     lines = []
     known = rows[rows["median"].notna() & (rows["ratio"] > 1)].astype({"median": float})
-    for name, some in known[known["method"].isin([DEFAULT, SKIN])].groupby("method", sort=False):
+    ours = known[known["method"].isin([DEFAULT, SKIN, LEARNED])]
+    for name, some in ours.groupby("method", sort=False):
         means = np.exp(np.log(some["median"]).groupby(some["ratio"], sort=True).mean())
         text = ", ".join(f"{mean:.2f} % at N/{ratio:g}" for ratio, mean in means.items())
         lines.append(f"{name}: geometric mean of the median errors {text}.")

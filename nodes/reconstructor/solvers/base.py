@@ -27,6 +27,7 @@ SOLVERS = {
     "fista_nonneg": "sparseskin.nodes.reconstructor.solvers.proximal:FistaNonnegSolver",
     "reweighted": "sparseskin.nodes.reconstructor.solvers.proximal:ReweightedSolver",
     "tv": "sparseskin.nodes.reconstructor.solvers.proximal:TvSolver",
+    "oamp": "sparseskin.nodes.reconstructor.oamp.solver:OampSolver",
     "ista": "sparseskin.nodes.reconstructor.solvers.proximal:IstaSolver",
     "omp": "sparseskin.nodes.reconstructor.solvers.omp:OmpSolver",
     "interpolation": "sparseskin.nodes.reconstructor.solvers.interpolation:InterpolationSolver",

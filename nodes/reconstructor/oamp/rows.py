@@ -1,0 +1,136 @@
+"""Orthonormal rows: the measurements as a solver sees them, of any Phi."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices
+from sparseskin.nodes.numerics.programs import run
+
+LEAST_PART = 1e-4
+"""Eigenvalue of Phi Phi^T, as a part of the largest, below which a direction counts as unmeasured.
+Derived: errors of its measurement, as those of a converter, are divided by the root: 100 times."""
+ORTHONORMAL = 1e-5
+"""Largest entry of Phi Phi^T - I that is taken for rounding of float32."""
+
+
+class Rows(ABC):
+    """W, a matrix of orthonormal rows, some of which are read in each frame.
+
+    Attributes
+    ----------
+    n, n_rows : int
+        Number of taxels, and of rows.
+    taxel : ndarray of intp, shape (n,)
+        Place p of a vector of taxels holds taxel[p].
+    read : ndarray of intp, shape (m,)
+        Rows that this frame reads, ascending.
+    """
+
+    n: int
+    n_rows: int
+    taxel: Indices
+    read: Indices
+
+    @abstractmethod
+    def use(self, phi: Phi) -> None:
+        """Expect measurements of another row subset."""
+
+    @abstractmethod
+    def values(self, y: Floats) -> Floats:
+        """Return the values of the rows that measurements y, float32 (m,), read: (len(read),)."""
+
+    @abstractmethod
+    def forward(self, x: Floats) -> Floats:
+        """Return W x: float32 (n,) to (n_rows,)."""
+
+    @abstractmethod
+    def adjoint(self, rows: Floats) -> Floats:
+        """Return W^T rows: float32 (n_rows,) to (n,)."""
+
+
+class HadamardRows(Rows):
+    """All rows of a scrambled block Hadamard ensemble, also those that no frame reads."""
+
+    def __init__(self, phi: SbhePhi) -> None:
+        hadamard = HadamardProducts(phi.hadamard.sizes, orthonormal=True)
+        self.n = self.n_rows = phi.n
+        self._x, self._rows = np.zeros((2, phi.n), dtype=np.float32)
+        self._to_rows, _ = hadamard.program(self._x, self._rows)
+        self._to_x = hadamard.transposed(self._x, self._rows)
+        self.taxel = phi.permutation[hadamard.order_in]
+        self._place_of_row = np.argsort(hadamard.order_out)
+        self._known: dict[str, tuple[Indices, Indices]] = {}
+        self.use(phi)
+
+    def use(self, phi: Phi) -> None:
+        if phi.fingerprint not in self._known:
+            assert isinstance(phi, SbhePhi)
+            places = self._place_of_row[phi.rows]
+            order = np.argsort(places)
+            self._known[phi.fingerprint] = places[order], order
+        self.read, self._order = self._known[phi.fingerprint]
+
+    def values(self, y: Floats) -> Floats:
+        return y[self._order]
+
+    def forward(self, x: Floats) -> Floats:
+        np.copyto(self._x, x)
+        run(self._to_rows)
+        return self._rows.copy()
+
+    def adjoint(self, rows: Floats) -> Floats:
+        np.copyto(self._rows, rows)
+        run(self._to_x)
+        return self._x.copy()
+
+
+class WhitenedRows(Rows):
+    """The rows of any Phi, made orthonormal: D^(-1/2) Q^T Phi with Phi Phi^T = Q D Q^T.
+
+    Directions that Phi hardly measures are left out. The noise of taxels is the same in all rows
+    then, whatever their length was.
+    """
+
+    def __init__(self, phi: Phi) -> None:
+        self.n = phi.n
+        self.taxel = np.arange(phi.n)
+        self._known: dict[str, tuple[Phi, Floats | None]] = {}
+        self.use(phi)
+
+    def use(self, phi: Phi) -> None:
+        if phi.fingerprint not in self._known:
+            self._known[phi.fingerprint] = phi, _whitening(phi)
+        self._phi, self._mix = self._known[phi.fingerprint]
+        self.n_rows = phi.m if self._mix is None else len(self._mix)
+        self.read = np.arange(self.n_rows)
+
+    def values(self, y: Floats) -> Floats:
+        return y if self._mix is None else self._mix @ y
+
+    def forward(self, x: Floats) -> Floats:
+        return self.values(self._phi.forward(x))
+
+    def adjoint(self, rows: Floats) -> Floats:
+        return self._phi.adjoint(rows if self._mix is None else self._mix.T @ rows)
+
+
+def _whitening(phi: Phi) -> Floats | None:
+    """Return D^(-1/2) Q^T, float32 (n_rows, m); None for orthonormal rows."""
+    dense = np.asarray(phi.dense(), dtype=np.float64)
+    gram = dense @ dense.T
+    if np.abs(gram - np.eye(phi.m)).max() < ORTHONORMAL:
+        return None
+    values, vectors = np.linalg.eigh(gram)
+    kept = values > max(LEAST_PART * values[-1], TINY)
+    return np.ascontiguousarray((vectors[:, kept] / np.sqrt(values[kept])).T, dtype=np.float32)
+
+
+def rows_of(phi: Phi) -> Rows:
+    """Return the rows of any Phi."""
+    return HadamardRows(phi) if is_sbhe(phi) else WhitenedRows(phi)

@@ -1,0 +1,358 @@
+"""Orthogonal approximate message passing with learned gates, filtered over time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
+from sparseskin.nodes.reconstructor.bases.base import Basis
+from sparseskin.nodes.reconstructor.solvers.base import Solver, whole_number
+
+from .gates import SHIFTS, Gates, Tiles, stored_gates
+from .rows import rows_of
+
+RESOLUTION = float(np.finfo(np.float32).eps)
+"""Relative resolution of measurements: noise below it does not show in them."""
+UNKNOWN = 1e34
+"""Variance of a row that was not read yet, beyond that of any measurement."""
+DUST = 1e-6
+"""Squared length of Phi 1 per taxel up to which it is 0 but for rounding: no row sees a bias."""
+
+
+@dataclass(frozen=True)
+class OampTuning:
+    """Constants of `OampSolver`: chosen on five recordings and on moving presses, but those with
+    a reason stated.
+    """
+
+    #: Part of a step towards the divergence-free estimate: 1 diverges at M <= N/3.
+    damping: float = 0.5
+    #: Estimates of a frame that are averaged, each with a shift of its own.
+    averaged: int = 3
+    #: Least error variance of z, in mean squared residuals.
+    least_tau: float = 0.05
+    #: Largest expected error of the denoiser, in noise variances: 1 / (1 - alpha) stays bounded.
+    most_alpha: float = 0.9
+    #: Reduction of the squared innovation, in noise variances, at which half of a motion is used.
+    #: Derived: three free parameters explain 3 of noise, and 12 in one frame of a hundred.
+    motion: float = 12.0
+    #: Ridge of the motion, as a part of each energy.
+    ridge: float = 1e-3
+    #: Rate of the noise level per frame, and its largest growth.
+    noise_rate: float = 0.2
+    noise_growth: float = 1.4
+    #: Normalised innovation squared of the remembered rows up to which nothing has changed.
+    #: Derived: 1, and some of the standard deviation of a mean of 500 squares, 0.06.
+    expected: float = 1.05
+    #: Errors of a prediction are not independent of each other: c and d of their variance
+    #: c P (1 + d P / R), P their mean square.
+    prior: float = 4.0
+    doubt: float = 1.0
+    #: Correlation of an innovation with the last correction beyond which the estimate lags behind;
+    #: rates at which the trust in the noise level falls and grows per frame; its least value.
+    lagging: float = 0.2
+    trust_fall: float = 0.5
+    trust_growth: float = 0.05
+    least_trust: float = 0.05
+    #: Largest bias, in deviations of the noise. Derived: normal noise clipped at 0 has a mean of
+    #: 0.68 of its deviation.
+    most_bias: float = 0.75
+    #: First and least rate of the bias per frame.
+    bias_begins: float = 3.0
+    bias_rate: float = 0.05
+    #: Growth per frame of the least noise variance so far, which bounds the bias.
+    bias_forgotten: float = 1.002
+    #: Largest error that is trusted, as a part of the forces, both RMS.
+    trusted: float = 0.25
+
+
+class OampSolver(Solver):
+    """Reconstructs frames in a constant number of steps, with the estimated error of each.
+
+    1. The bias b of noise that is clipped at 0 is subtracted from the measurements.
+    2. The last frame x predicts this one: x_p = (1 + a0) x + a1 dx/drow + a2 dx/dcol, by ridge
+       least squares on the innovation, scaled by what it explains.
+    3. Each row has a Kalman filter of its own, of mean w and variance n + g: what the noise of its
+       measurements left, and what has changed since. The mean moves as the prediction does; what
+       the mean squared innovation of the rows read exceeds n + g + R by has changed in all rows.
+       The noise variance R is the part of the innovation that does not repeat when the same rows
+       are read again. The prediction, of variance L = c P (1 + d P / R), P + R its mean squared
+       innovation, and the filter give the target of each row, by their precisions.
+    4. Steps from z = x_p: r = target - W z; tau = mean r^2, less the mean n, of the rows read;
+       D = tau / (tau + v), v the variance of a target; s^2 = tau (1 - mean D) / mean D;
+       u = z + W^T (D r) / mean D; x, alpha = `Gates` of u / s; z moves half the way to
+       (x - alpha u) / (1 - alpha).
+    5. The estimate is the mean of the last three x; alpha s^2 is its expected squared error.
+
+    One solver serves all row subsets of rotating rows. Any Phi will do: its rows are made
+    orthonormal first, whatever their length. Each frame takes the same time.
+
+    Parameters
+    ----------
+    phi, mask
+        As in `Solver`.
+    basis : Basis
+        Gives the size of the grid; the gates are learned.
+    iterations : int
+        Steps of a frame, 1..1000. Fewer than 5 have not converged where a contact begins.
+    gates : Gates, optional
+        Weights of the denoiser; None: those of the package.
+    tuning : OampTuning
+        The constants of the method; another one is an ablation.
+
+    Raises
+    ------
+    SolverError
+        If a parameter is not allowed; and as in `Solver`.
+
+    Notes
+    -----
+    Source: Ma, Ping, "Orthogonal AMP", IEEE Access 5, 2017; Metzler, Mousavi, Baraniuk, "Learned
+    D-AMP", NeurIPS 2017, for a learned denoiser in it; Mehra, "On the identification of variances
+    and adaptive Kalman filtering", IEEE Trans. Automatic Control 15(2), 1970, for the noise level.
+    """
+
+    name = "oamp"
+    rotates = True
+    #: The sum of squares of larger ones could overflow float32.
+    y_max = 1e14
+
+    def __init__(
+        self,
+        phi: Phi,
+        basis: Basis,
+        mask: Mask | None = None,
+        *,
+        iterations: int = 8,
+        gates: Gates | None = None,
+        tuning: OampTuning | None = None,
+    ) -> None:
+        super().__init__(phi, basis, mask)
+        self.n_steps = self.iterations = whole_number(self.name, "iterations", iterations, 1, 1000)
+        for key, value, kind in (("gates", gates, Gates), ("tuning", tuning, OampTuning)):
+            if value is not None and not isinstance(value, kind):
+                raise SolverError(
+                    f"{self.name}: {key} = {value!r} is not allowed; "
+                    f"allowed: {kind.__name__}, from Python only"
+                )
+        self._t = tuning or OampTuning()
+        self._gates = gates or stored_gates()
+        self._rows = rows_of(phi)
+        self._cells = self.taxels[self._rows.taxel]
+        flat = np.full(self.mask.size, phi.n, dtype=np.intp)
+        flat[self._cells] = np.arange(phi.n)
+        places = flat.reshape(self.mask.shape)
+        self._tiles = Tiles(self.mask, places, phi.n)
+        self._neighbours = neighbours_of(places, phi.n)
+        #: By row subset: Phi 1; the last innovation.
+        self._ones: dict[str, Floats] = {}
+        self._innovations: dict[str, Floats] = {}
+        self.reset()
+
+    def reset(self) -> None:
+        self._x = np.zeros(self.phi.n, dtype=np.float32)
+        self._correction = np.zeros_like(self._x)
+        self._innovations.clear()
+        n_rows = self._rows.n_rows
+        self._whole, self._rows_mean, self._row_change = np.zeros((3, n_rows), dtype=np.float32)
+        self._row_noise = np.full(n_rows, UNKNOWN, dtype=np.float32)
+        self._noise = self._least_noise = self._floor = self._bias = 0.0
+        self._n_frames = self._n_seen = self._n_shifts = self._steps_left = 0
+        self._trust = 1.0
+        self.error, self.trusted = None, True
+
+    def use(self, phi: Phi) -> None:
+        if (phi.n, phi.m) != (self.phi.n, self.phi.m):
+            raise SolverError(
+                f"{self.name}: phi {phi.fingerprint} is {phi.m} x {phi.n}; "
+                f"allowed: {self.phi.m} x {self.phi.n}"
+            )
+        super().use(phi)
+        self.phi = phi
+        self._rows.use(phi)
+
+    def setup(self, y: Floats, warm: Floats | None = None) -> None:
+        y = self._shaped_y(y)
+        power = self._power_of(y) / y.size
+        if warm is not None:
+            self._x = np.maximum(self._checked_warm(warm).reshape(-1)[self._cells], 0)
+            self._whole = self._rows.forward(self._x)
+        t, rows, key = self._t, self._rows, self.phi.fingerprint
+        read = rows.read
+        if key not in self._ones:
+            self._ones[key] = rows.forward(np.ones(rows.n, dtype=np.float32))[read]
+        # Of this frame alone: one frame of garbage must not blind those after it.
+        self._floor = max(RESOLUTION**2 * power, TINY)
+        values = rows.values(y) - np.float32(self._bias) * self._ones[key]
+        self._z, whole = self._predict(values)
+        innovation = values - whole[read]
+        e2 = float(np.mean(np.square(innovation)))
+        noise = self._follow_noise(key, innovation, e2)
+        signal = max(0.0, e2 - t.expected * noise)
+        self._filter_rows(values, whole, noise, signal)
+        # Of rows that are never read, the innovation says nothing: the last estimate's own error.
+        predicted = np.float32(max(signal, (self.error or 0.0) ** 2, self._floor))
+        prior = loosened(predicted, noise, t)
+        variance = self._row_noise + loosened(self._row_change, noise, t)
+        share = prior / (prior + variance)
+        self._variance = share * variance
+        self._target = whole + share * (self._rows_mean - whole)
+        self._read_noise = float(np.mean(self._row_noise[read]))
+        self._values, self._predicted = values, self._z
+        self._estimates: list[Floats] = []
+        self._errors: list[float] = []
+        self._steps_left = self.n_steps
+
+    def _filter_rows(self, values: Floats, whole: Floats, noise: float, signal: float) -> None:
+        """Process the values of the rows read, whose prediction is whole[read]."""
+        read, mean = self._rows.read, self._rows_mean
+        mean += whole - self._whole
+        before = self._row_noise[read] + self._row_change[read]
+        innovation = values - mean[read]
+        known = before < UNKNOWN
+        changed = signal
+        if 2 * np.count_nonzero(known) > read.size:
+            expected = noise + float(np.mean(before[known]))
+            seen = float(np.mean(np.square(innovation[known])))
+            changed = max(0.0, seen - self._t.expected * expected)
+        np.minimum(self._row_change + np.float32(changed), UNKNOWN, out=self._row_change)
+        before += np.float32(changed)
+        gain = before / (before + np.float32(noise))
+        mean[read] += gain * innovation
+        self._row_noise[read] = np.maximum(gain * np.float32(noise), np.float32(self._floor))
+        self._row_change[read] = 0
+
+    def _predict(self, values: Floats) -> tuple[Floats, Floats]:
+        """Return the prediction of the frame, float32 (n,), and W times it."""
+        t, rows, x = self._t, self._rows, self._x
+        after, before = x[self._neighbours[0]], x[self._neighbours[1]]
+        terms = np.stack([x, *(after - before)])
+        seen = np.stack([rows.forward(term)[rows.read] for term in terms])
+        gram = (seen @ seen.T).astype(np.float64)
+        right = (seen @ (values - seen[0])).astype(np.float64)
+        ridge = t.ridge * np.diag(gram) + t.ridge**2 * gram[0, 0] + TINY
+        a = np.linalg.solve(gram + np.diag(ridge), right)
+        explained = max(0.0, float(a @ right))
+        a *= explained / (explained + t.motion * max(self._noise, self._floor))
+        # What no row observes must not grow without bound, frame after frame.
+        most = float(x.max()) * max(1.0, 1 + float(a[0]))
+        moved = np.clip(x + a.astype(np.float32) @ terms, 0, np.float32(most))
+        return moved, rows.forward(moved)
+
+    def _follow_noise(self, key: str, innovation: Floats, e2: float) -> float:
+        """Update the noise level; return it times the trust in it.
+
+        Where an innovation points along the last correction, that was too small: what seems noise
+        is motion.
+        """
+        t = self._t
+        if (last := self._innovations.get(key)) is not None:
+            seen = max(0.0, float(np.mean(last * (last - innovation))))
+            self._n_seen += 1
+            level = self._noise + max(t.noise_rate, 1 / self._n_seen) * (seen - self._noise)
+            if self._n_seen > 1 / t.noise_rate:
+                level = min(level, t.noise_growth * self._noise)
+                self._least_noise = min(t.bias_forgotten * self._least_noise, level)
+            else:
+                self._least_noise = level
+            self._noise = min(level, e2)
+        self._noise = max(self._noise, self._floor, self.noise_sd**2)
+        self._innovations[key] = innovation
+        correction = self._rows.forward(self._correction)[self._rows.read]
+        lengths = float(np.linalg.norm(innovation)) * float(np.linalg.norm(correction))
+        alike = float(innovation @ correction) / (lengths + TINY)
+        self._trust *= math.exp(min(t.trust_fall * (t.lagging - alike), t.trust_growth))
+        self._trust = min(max(self._trust, t.least_trust), 1.0)
+        return max(self._noise * self._trust, self._floor)
+
+    def step(self) -> None:
+        self._count_step()
+        t, rows, z = self._t, self._rows, self._z
+        r = self._target - rows.forward(z)
+        rho = float(np.mean(np.square(r[rows.read])))
+        tau = max(rho - self._read_noise, t.least_tau * rho) + self._floor
+        d = tau / (tau + self._variance)
+        mean_d = float(np.sum(d)) / rows.n
+        s = np.float32(math.sqrt(tau * max(1 - mean_d, 0.0) / mean_d + self._floor))
+        u: Floats = z + rows.adjoint(d * r) / np.float32(mean_d)
+        windows, back, share = self._tiles.tables(self._n_shifts)
+        self._n_shifts = (self._n_shifts + 1) % len(SHIFTS)
+        scaled = np.zeros(rows.n + 1, dtype=np.float32)
+        np.divide(u, s, out=scaled[:-1])
+        tiles, error = self._gates.denoise(scaled[windows])
+        x: Floats = tiles.reshape(-1)[back] * s
+        expected = float(share @ error)
+        alpha = np.float32(min(expected, t.most_alpha))
+        free = (x - alpha * u) / (1 - alpha)
+        self._z = (z + t.damping * (free - z)).astype(np.float32, copy=False)
+        self._estimates.append(x)
+        self._errors.append(expected * float(s) ** 2)
+
+    def finish(self) -> Floats:
+        self._steps_left = 0
+        t, rows = self._t, self._rows
+        if self._estimates:
+            self._x = np.mean(self._estimates[-t.averaged :], axis=0, dtype=np.float32)
+            self.error = math.sqrt(float(np.mean(self._errors[-t.averaged :])))
+        x = self._x
+        self._correction = x - self._predicted
+        self._n_frames += 1
+        forces, bias = x, np.float32(self._bias)
+        if bias > 0:
+            # Readings of mean b + u of a force that is not clipped as often: u + b (1 - e^(-u/b)).
+            forces = x - bias * np.expm1(-x / bias)
+        self._whole = rows.forward(x)
+        self._follow_bias(self._values - self._whole[rows.read])
+        power = float(np.mean(np.square(x, dtype=np.float64)))
+        assert self.error is not None
+        self.trusted = self.error**2 <= t.trusted**2 * power or power <= self._noise
+        image = np.zeros(self.mask.size, dtype=np.float32)
+        image[self._cells] = forces
+        return self._finite(image.reshape(self.mask.shape))
+
+    def _follow_bias(self, residual: Floats) -> None:
+        """Update the mean reading of an untouched taxel: by the residual along Phi 1, and by the
+        taxels within the noise.
+        """
+        t, ones = self._t, self._ones[self.phi.fingerprint]
+        noise = math.sqrt(self._least_noise)
+        energy = float(ones @ ones)
+        more = float(ones @ residual) / energy if energy > DUST * self._rows.n else 0.0
+        near = np.minimum(self._x / np.float32(2 * noise + math.sqrt(TINY)), 8)
+        more += float(np.mean(self._x * np.exp(-near * near)))
+        rate = max(t.bias_rate, t.bias_begins / (self._n_frames + t.bias_begins))
+        bias = self._bias + rate * min(max(more, -noise / 2), noise / 2)
+        self._bias = min(max(bias, 0.0), t.most_bias * noise)
+        if self._bias < 1e-3 * noise:  # its reciprocal could overflow float32
+            self._bias = 0.0
+
+
+def loosened(variance: Floats | np.float32, noise: float, tuning: OampTuning) -> Floats:
+    """Return the variance of errors that are not independent of each other, float32.
+
+    It is as much larger as the errors, of mean square `variance`, exceed the noise variance.
+    """
+    wide = np.asarray(variance, dtype=np.float64)
+    wide = tuning.prior * wide * (1 + tuning.doubt * wide / noise)
+    return np.minimum(wide, UNKNOWN).astype(np.float32)
+
+
+def neighbours_of(places: Indices, n: int) -> Indices:
+    """Return the places of the next and the last neighbour of each taxel along rows and columns.
+
+    The result is intp (next or last, rows or columns, n); a missing neighbour is the taxel itself.
+    places and n are as in `Tiles`.
+    """
+    found = np.empty((2, 2, n), dtype=np.intp)
+    exists = places < n
+    edged = np.pad(places, 1, constant_values=n)
+    sides = ((edged[2:, 1:-1], edged[1:-1, 2:]), (edged[:-2, 1:-1], edged[1:-1, :-2]))
+    for which, axis in np.ndindex(2, 2):
+        other = np.where(sides[which][axis] < n, sides[which][axis], places)
+        found[which, axis, places[exists]] = other[exists]
+    return found

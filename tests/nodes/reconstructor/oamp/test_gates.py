@@ -1,0 +1,150 @@
+"""Learned gates: their formula, their file, and the tiles of a skin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from io import BytesIO
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.oamp.gates import (
+    INNER,
+    RELATIVE,
+    SHIFTS,
+    TILE,
+    WINDOW,
+    Gates,
+    Tiles,
+    stored_gates,
+)
+
+
+def open_gates() -> Gates:
+    """Gates that let every filter pass, each of which reads a taxel of the tile."""
+    stored = stored_gates()
+    k = stored.filters.shape[0]
+    filters = np.zeros_like(stored.filters)
+    filters[: TILE * TILE, INNER] = np.eye(TILE * TILE)
+    return replace(
+        stored,
+        filters=filters,
+        gates=np.zeros_like(stored.gates),
+        gates_0=np.ones(k, dtype=np.float32),
+        synthesis=np.eye(TILE * TILE, k, dtype=np.float32),
+        error=np.zeros_like(stored.error),
+        error_0=np.array([np.log(0.25)], dtype=np.float32),
+    )
+
+
+def windows(count: int = 5, seed: int = 0) -> Floats:
+    shape = (count, WINDOW * WINDOW)
+    return 3 * np.random.default_rng(seed).standard_normal(shape, dtype=np.float32)
+
+
+def test_open_gates_return_the_positive_part_of_the_tile() -> None:
+    u = windows()
+    tiles, error = open_gates().denoise(u)
+    np.testing.assert_allclose(tiles, np.maximum(u[:, INNER], 0), atol=1e-5)
+    np.testing.assert_allclose(error, 0.25, rtol=1e-3)
+
+
+def test_a_tile_is_the_sum_of_gated_filters_and_where_forces_are_large_the_window() -> None:
+    gates, u = stored_gates(), 30 * windows(1)[0].astype(np.float64)
+    a = gates.filters @ u
+    h = np.maximum(gates.hidden @ (np.sign(a) * np.log(1 + np.abs(a))) + gates.hidden_0, 0)
+    g = np.clip(gates.gates @ h + gates.gates_0, 0, 1)
+    tiles, error = gates.denoise(u.astype(np.float32)[None])
+    floor = RELATIVE**2 * np.mean(u[INNER] ** 2)
+    gated = np.maximum(gates.synthesis @ (a * g), 0)
+    tile = (gated + floor * np.maximum(u[INNER], 0)) / (1 + floor)
+    np.testing.assert_allclose(tiles[0], tile, atol=2e-3)
+    expected = np.exp(np.clip(gates.error @ h + gates.error_0, -12, 0))
+    np.testing.assert_allclose(error, (expected + floor) / (1 + floor), rtol=1e-4)
+
+
+def test_noise_alone_is_removed_and_large_forces_are_kept() -> None:
+    noise = windows(400) / 3
+    tiles, error = stored_gates().denoise(noise)
+    assert np.mean(np.square(tiles)) < 0.02
+    assert np.mean(error) < 0.05
+    plate = np.full_like(noise, 50)
+    kept, _ = stored_gates().denoise(plate + noise)
+    assert np.mean(np.square(kept - 50)) < 1
+
+
+def test_forces_far_above_the_noise_stay_as_they_are() -> None:
+    """Else a floor in parts of the forces would be left however little noise there is."""
+    row, col = np.mgrid[:WINDOW, :WINDOW] - 5.5
+    edge, pad = np.where(row > 0, 1.0, 0.2), np.exp(-(row**2 + col**2) / 18)
+    u = np.float32(1e5) * np.array([edge, pad], dtype=np.float32).reshape(2, -1)
+    tiles, _ = stored_gates().denoise(u)
+    assert np.linalg.norm(tiles - u[:, INNER]) < 1e-3 * np.linalg.norm(u[:, INNER])
+
+
+def written(**changes: object) -> bytes:
+    stored = stored_gates()
+    names = ("filters", "hidden", "hidden_0", "gates", "gates_0", "synthesis", "error", "error_0")
+    arrays = {name: getattr(stored, name) for name in (*names, "prior")} | changes
+    content = BytesIO()
+    np.savez(content, **{name: value for name, value in arrays.items() if value is not None})
+    return content.getvalue()
+
+
+def test_a_file_gives_its_weights_again() -> None:
+    read = Gates.read(written(), "mine.npz")
+    np.testing.assert_array_equal(read.filters, stored_gates().filters)
+    assert len(read.fingerprint) == 16
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        (b"no archive", "mine.npz: holds no gates"),
+        (written(prior=None), "prior"),
+        (written(prior=np.zeros(3)), r"prior has shape \(3,\); expected .* \(2,\)"),
+        (written(hidden=np.zeros((2, 2))), "hidden has shape"),
+        (written(gates_0=np.full(128, np.nan)), "gates_0 .* finite"),
+        (written(filters=np.array([object()])), "holds no gates"),
+    ],
+)
+def test_a_file_that_holds_no_gates_is_refused(content: bytes, named: str) -> None:
+    with pytest.raises(SolverError, match=named):
+        Gates.read(content, "mine.npz")
+
+
+def test_each_shift_comes_once_in_64() -> None:
+    assert len(set(SHIFTS)) == len(SHIFTS) == TILE * TILE
+
+
+@given(
+    n_rows=st.integers(1, 20),
+    n_cols=st.integers(1, 20),
+    number=st.integers(0, len(SHIFTS) - 1),
+    seed=st.integers(0, 99),
+)
+def test_tiles_hold_each_taxel_once_and_windows_its_neighbours(
+    n_rows: int, n_cols: int, number: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    mask = rng.random((n_rows, n_cols)) < 0.8
+    mask[rng.integers(n_rows), rng.integers(n_cols)] = True
+    n = int(mask.sum())
+    places = np.full(mask.shape, n)
+    places[mask] = rng.permutation(n)
+    read, back, share = Tiles(mask, places, n).tables(number)
+    x = np.append(rng.random(n), 0)
+    inner = x[read][:, INNER]
+    np.testing.assert_array_equal(inner.reshape(-1)[back], x[:-1])
+    np.testing.assert_allclose(share.sum(), 1, rtol=1e-5)
+    # The cell left of a tile's first one holds the taxel left of it.
+    image = np.append(np.zeros((n_rows, 1)), x[places], axis=1)
+    row, col = divmod(int(np.flatnonzero(mask)[0]), n_cols)
+    at = int(back[places[row, col]])
+    r, c = divmod(at % (TILE * TILE), TILE)
+    window = x[read[at // (TILE * TILE)]].reshape(WINDOW, WINDOW)
+    assert window[r + 2, c + 1] == image[row, col]

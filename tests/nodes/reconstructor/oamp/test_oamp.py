@@ -1,0 +1,154 @@
+"""Solver `oamp`: accuracy, constant work, no amplified rounding, an error that means something."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pressed import noisy, psnr_db, sliding_disc
+from stretched import Stretched
+
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, row_subsets
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
+from sparseskin.nodes.reconstructor.oamp.solver import OampSolver
+from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
+from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
+
+SHAPE, N = (24, 24), 576
+
+
+def solver_of(phis: list[Phi], **settings: Any) -> OampSolver:
+    made = make_rotating_solver("oamp", phis, HaarBasis(*SHAPE), **settings)
+    assert isinstance(made, OampSolver)
+    return made
+
+
+def reconstructed(
+    solver: OampSolver, phis: list[Phi], frames: Floats, change: float = 0.0
+) -> tuple[Floats, list[float]]:
+    """Forces and estimated errors; `change`: of each measurement, in the largest."""
+    rng, found, errors = np.random.default_rng(1), [], []
+    for k, frame in enumerate(frames):
+        phi = phis[k % len(phis)]
+        solver.use(phi)
+        y = phi.forward(frame.reshape(-1))
+        signs = np.sign(rng.standard_normal(y.size)).astype(np.float32)
+        found.append(solver.solve(y + np.float32(change) * np.abs(y).max() * signs))
+        errors.append(solver.error or 0.0)
+    return np.array(found), errors
+
+
+def phis_of(rows: str, ratio: int = 3) -> list[Phi]:
+    return row_subsets(make_phi("sbhe", N, N // ratio, seed=0), rows)
+
+
+def test_from_nothing_it_is_better_than_fista_of_more_iterations() -> None:
+    phi = make_phi("sbhe", 1600, 533, seed=0)
+    truth = sliding_disc((40, 40), 12)[-1]
+    y = phi.forward(noisy(truth[None])[0].ravel())
+    oamp = OampSolver(phi, HaarBasis(40, 40)).solve(y)
+    fista = FistaSolver(phi, HaarBasis(40, 40), iterations=20, lambda_n=0.00625).solve(y)
+    assert psnr_db(oamp, truth) > psnr_db(fista, truth) + 3
+
+
+@pytest.mark.parametrize("block", [2, 32])
+@pytest.mark.parametrize("ratio", [8, 16])
+def test_few_measurements_in_small_blocks_do_not_make_it_diverge(block: int, ratio: int) -> None:
+    phi = make_phi("sbhe", 1600, 1600 // ratio, seed=0, block=block)
+    truth = sliding_disc((40, 40), 40, peak_n=1.5)
+    solver = OampSolver(phi, HaarBasis(40, 40))
+    for y in phi.forward(noisy(truth).reshape(-1, 1600)):
+        assert solver.solve(y).max() < 10
+
+
+@pytest.mark.parametrize("rows", [FIXED, ROTATING])
+def test_a_change_of_rounding_stays_one(rows: str) -> None:
+    frames, phis = noisy(sliding_disc(SHAPE, 60)), phis_of(rows)
+    plain, _ = reconstructed(solver_of(phis), phis, frames)
+    changed, _ = reconstructed(solver_of(phis), phis, frames, change=1e-7)
+    assert np.abs(changed - plain).max() < 1e-4 * plain.max()
+
+
+@pytest.mark.parametrize("rows", [FIXED, ROTATING])
+def test_errors_are_relative_to_the_range(rows: str) -> None:
+    frames, phis = noisy(sliding_disc(SHAPE, 20)), phis_of(rows)
+    plain, errors = reconstructed(solver_of(phis), phis, frames)
+    scaled, more = reconstructed(solver_of(phis), phis, 4096 * frames)
+    np.testing.assert_allclose(scaled, 4096 * plain, rtol=1e-3, atol=4096 * 1e-4 * plain.max())
+    np.testing.assert_allclose(more, 4096 * np.array(errors), rtol=1e-2)
+
+
+@pytest.mark.parametrize("rows", [FIXED, ROTATING])
+def test_the_estimated_error_is_near_the_true_one(rows: str) -> None:
+    truth, phis = sliding_disc(SHAPE, 60), phis_of(rows)
+    found, errors = reconstructed(solver_of(phis), phis, noisy(truth))
+    true = np.sqrt(np.mean(np.square(found - truth), axis=(1, 2)))
+    quotient = np.array(errors)[20:] / true[20:]
+    assert 0.5 < np.median(quotient) < 2
+    assert np.mean((quotient > 0.4) & (quotient < 2.5)) > 0.9
+
+
+def test_rows_of_any_length_give_the_same_forces() -> None:
+    phi = make_phi("gaussian", N, N // 3, seed=0)
+    frames = noisy(sliding_disc(SHAPE, 20))
+    plain, _ = reconstructed(solver_of([phi]), [phi], frames)
+    stretched: list[Phi] = [Stretched(phi)]
+    found, _ = reconstructed(solver_of(stretched), stretched, frames)
+    truth = sliding_disc(SHAPE, 20)
+    assert abs(psnr_db(found, truth) - psnr_db(plain, truth)) < 0.5
+
+
+def test_missing_taxels_are_0_and_the_others_reconstructed() -> None:
+    truth = sliding_disc(SHAPE, 20)
+    mask = np.ones(SHAPE, dtype=np.bool_)
+    mask[:, 20:] = False
+    truth[:, ~mask] = 0
+    phi = make_phi("sbhe", int(mask.sum()), int(mask.sum()) // 3, seed=0)
+    solver = OampSolver(phi, HaarBasis(*SHAPE), mask)
+    found = np.array([solver.solve(phi.forward(frame[mask])) for frame in truth])
+    assert not found[:, ~mask].any()
+    assert psnr_db(found[15:], truth[15:]) > 35
+
+
+def test_reset_forgets_all_frames() -> None:
+    frames, phis = noisy(sliding_disc(SHAPE, 12)), phis_of(ROTATING)
+    solver = solver_of(phis)
+    first, _ = reconstructed(solver, phis, frames)
+    solver.reset()
+    np.testing.assert_array_equal(reconstructed(solver, phis, frames)[0], first)
+
+
+def test_the_budget_may_end_a_frame_after_any_step() -> None:
+    (phi,) = phis_of(FIXED)
+    truth = sliding_disc(SHAPE, 12)[-1]
+    errors = []
+    for n_steps in (1, 3, 8):
+        solver = OampSolver(phi, HaarBasis(*SHAPE))
+        solver.setup(phi.forward(truth.reshape(-1)))
+        for _ in range(n_steps):
+            solver.step()
+        errors.append(float(np.linalg.norm(solver.finish() - truth)))
+    assert errors[0] > errors[1] > errors[2]
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"iterations": 0}, "iterations = 0 .* 1..1000"),
+        ({"gates": "mine.npz"}, "gates = 'mine.npz' .* Gates"),
+        ({"tuning": 3}, "tuning = 3 .* OampTuning"),
+    ],
+)
+def test_settings_that_are_not_allowed_are_refused(settings: Any, named: str) -> None:
+    with pytest.raises(SolverError, match=named):
+        solver_of(phis_of(FIXED), **settings)
+
+
+def test_row_subsets_of_another_size_are_refused() -> None:
+    solver = solver_of(phis_of(ROTATING))
+    with pytest.raises(SolverError, match="is 72 x 576; allowed: 192 x 576"):
+        solver.use(make_phi("sbhe", N, 72, seed=0))

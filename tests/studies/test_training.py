@@ -1,0 +1,62 @@
+"""Study `train`: its presses, and the network in PyTorch beside the gates in numpy."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sparseskin.nodes.reconstructor.oamp.gates import WINDOW, Gates
+from sparseskin.studies.points import StudyError
+from sparseskin.studies.training import train
+from sparseskin.studies.training.presses import N_FRAMES, SIDE, masks, presses
+
+
+def test_presses_have_a_peak_of_1_and_depend_on_the_seed_alone() -> None:
+    made = presses(40, 3)
+    assert made.shape == (40, N_FRAMES, SIDE, SIDE)
+    assert made.min() >= 0
+    np.testing.assert_allclose(made.max(axis=(1, 2, 3)), 1, rtol=1e-6)
+    np.testing.assert_array_equal(presses(40, 3), made)
+    assert not np.array_equal(presses(40, 4), made)
+
+
+def test_presses_move_and_many_leave_most_taxels_untouched() -> None:
+    made = presses(200, 0)
+    untouched = np.mean(made[:, 0] < 0.01, axis=(1, 2))
+    assert 0.3 < np.mean(untouched > 0.5) < 0.95
+    changed = np.abs(made[:, 1] - made[:, 0]).max(axis=(1, 2))
+    assert 0.2 < np.mean(changed > 0.02) < 0.95
+
+
+def test_of_a_few_skins_some_taxels_are_missing() -> None:
+    made = masks(np.random.default_rng(0), 200)
+    assert set(np.unique(made)) == {0.0, 1.0}
+    partly = np.mean(made.mean(axis=(1, 2)) < 1)
+    assert 0.1 < partly < 0.3
+
+
+def test_without_pytorch_the_study_names_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(train, "find_spec", lambda name: None)
+    with pytest.raises(StudyError, match=r"sparseskin\[train\]"):
+        train.run(tmp_path, quick=True, seed=0, executor="")
+
+
+def test_network_and_gates_are_the_same() -> None:
+    torch = pytest.importorskip("torch")
+    from sparseskin.studies.training.network import denoise_windows, first_network, weights
+
+    network = first_network(0)
+    content = BytesIO()
+    np.savez(content, **weights(network))
+    gates = Gates.read(content.getvalue(), "trained")
+    shape = (50, WINDOW * WINDOW)
+    windows = 3 * np.random.default_rng(0).standard_normal(shape, dtype=np.float32)
+    tiles, log_error = denoise_windows(network, torch.tensor(windows))
+    found, error = gates.gated(windows)
+    np.testing.assert_allclose(found, tiles.detach().numpy(), atol=1e-4)
+    np.testing.assert_allclose(error, log_error.exp().detach().numpy(), rtol=1e-4)
