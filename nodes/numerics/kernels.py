@@ -63,9 +63,9 @@ def butterflies(v: A, start: int, run: int, stop: int) -> None:
             a[k], b[k] = a[k] + b[k], a[k] - b[k]
 
 
-@compiled(f"void({R}, {P}, {G}, {P}, {V}, {V}, {V})")
-def measure(x: A, deal: A, groups: A, places: A, scale: A, v: A, y: A) -> None:
-    """y = Phi x, with the sums of `BlockHadamard` in its order: the same bits.
+@compiled(f"void({P}, {G}, {P}, {V}, {V}, {R}, {V})")
+def measure(deal: A, groups: A, places: A, scale: A, v: A, x: A, y: A) -> None:
+    """y = Phi x, with the sums of `SbhePhi` in its order: the same bits.
 
     deal: taxel of each place of the dealt vector v; places: place of each measurement in it.
     """

@@ -77,7 +77,7 @@ def sbhe_wiring(phi: SbhePhi, exists: Mask) -> Wiring:
     """Wires where each Hadamard block is a group of taxels, and its sums are made in analog: M
     conversions a frame.
     """
-    ends = np.cumsum(phi.hadamard.sizes)[:-1]
+    ends = np.cumsum(phi.sizes)[:-1]
     groups = np.split(phi.permutation, ends)
     return star_wiring(groups, np.flatnonzero(exists), exists.shape[1], phi.m)
 

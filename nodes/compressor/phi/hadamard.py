@@ -62,106 +62,64 @@ def side_by_side(sizes: Sequence[int]) -> tuple[Indices, npt.NDArray[np.int64]]:
 class BlockHadamard:
     """W: block-diagonal, each block a Hadamard matrix of +1 and -1, not scaled; W W = diag(size).
 
-    Sums and differences only, always in the same order: the same bits on every BLAS. numpy is
-    quick where operands are one evenly spaced run of numbers, so the buffers are kept in orders
-    that make every step such a run; the order of the output differs from that of the input.
+    Sums and differences only, always in the same order: the same bits on every BLAS. Each stage
+    takes the two halves of a vector and writes sums and differences in turn, so that every operand
+    is one evenly spaced run of numbers; the order of the output differs from that of the input.
+
+    Parameters
+    ----------
+    sizes : list of int
+        Sizes of the blocks in their order, equal ones together.
 
     Attributes
     ----------
-    sizes : list of int
-        Sizes of the blocks, in order.
-    order_in : ndarray of intp, shape (n,)
-        Place p of the input buffer belongs to column order_in[p] of W.
-    order_out : ndarray of intp, shape (n,)
-        Place p of the output buffer belongs to row order_out[p] of W.
-    size_at : ndarray of float32, shape (n,)
-        Size of the block that place p of the output belongs to.
+    order_in, order_out : ndarray of intp, shape (n,)
+        Place p of the input belongs to column order_in[p] of W, of the output to row order_out[p].
+
+    Notes
+    -----
+    Source: Pease, "An adaptation of the fast Fourier transform for parallel processing", J. ACM
+    15(2), 1968.
     """
 
-    def __init__(self, n: int, block: int) -> None:
-        self.sizes = block_sizes(n, block)
-        self._groups: list[tuple[int, int, int]] = []  # start, stop, log2 of the block size
-        self.order_in: Indices = np.empty(n, dtype=np.intp)
-        self.order_out: Indices = np.empty(n, dtype=np.intp)
-        self.size_at: Floats = np.empty(n, dtype=np.float32)
+    def __init__(self, sizes: list[int]) -> None:
+        self.order_in, self.order_out = np.empty((2, sum(sizes)), dtype=np.intp)
+        self._groups: list[tuple[slice, int]] = []  # place, and number of stages
         start = 0
-        for size in dict.fromkeys(self.sizes):
-            count = self.sizes.count(size)
-            stop = start + size * count
-            order_in, order_out = _orders(size, count)
-            self.order_in[start:stop] = start + order_in
-            self.order_out[start:stop] = start + order_out
-            self.size_at[start:stop] = size
-            self._groups.append((start, stop, size.bit_length() - 1))
-            start = stop
+        for size in dict.fromkeys(sizes):
+            group = slice(start, start + size * sizes.count(size))
+            # A stage moves the first bit of a place behind its last one. So the bits of an index
+            # within its block, the lowest first, lie before the number of the block, then behind.
+            bits = np.arange(group.start, group.stop).reshape(-1, max(size // 2, 1), min(size, 2))
+            self.order_in[group] = bits.transpose(2, 1, 0).ravel()
+            self.order_out[group] = bits.transpose(0, 2, 1).ravel()
+            self._groups.append((group, size.bit_length() - 1))
+            start = group.stop
 
-    def program(self, a: Floats, b: Floats) -> tuple[list[Call], Floats]:
-        """Return the calls that transform buffer a, and the buffer of the result, a or b.
+    def program(self, v: Floats, scratch: Floats, back: bool = False) -> list[Call]:
+        """Return the calls that transform v in place, or by W^T if `back`.
 
-        Parameters
-        ----------
-        a, b : ndarray of float32, shape (n,) or longer, contiguous
-            Input and scratch, both overwritten; places beyond n are left alone.
+        Both are float32, shape (n,): v from `order_in` to `order_out`; the other way round if
+        `back`.
         """
         calls: list[Call] = []
-        moves = self._moves(self._groups[0])
-        for group in self._groups:
-            start, stop, stages = group
-            here, there = a[start:stop], b[start:stop]
-            change = self._moves(group) % 2 != moves % 2
-            if stages == 0:
-                if change:
-                    calls.append((np.copyto, (there, here)))
-                continue
-            # Neighbours as one complex number: (p + iq)(1 + i) = (p - q) + i(p + q).
-            target = there if change else here
-            calls.append((np.multiply, (_pairs(here), _ONE_PLUS_I, _pairs(target))))
-            if change:
-                here, there = there, here
-            for _ in range(stages - 2):
-                low, high = np.split(_pairs(here), 2)
-                calls.append((np.add, (low, high, _pairs(there)[0::2])))
-                calls.append((np.subtract, (low, high, _pairs(there)[1::2])))
-                here, there = there, here
-            if stages > 1:
-                calls += _halves(here, there)
-        return calls, (b if moves % 2 else a)
-
-    def transposed(self, a: Floats, b: Floats) -> list[Call]:
-        """Return the calls of the transposed transform, from `order_out` back to `order_in`.
-
-        With the buffers of `program`, they start in the one that holds its result, and leave
-        theirs in a.
-        """
-        calls: list[Call] = []
-        moves = self._moves(self._groups[0])
-        for group in self._groups:
-            start, stop, stages = group
-            here, there = a[start:stop], b[start:stop]
-            if moves % 2:
-                here, there = there, here
-            change = self._moves(group) % 2 != moves % 2
-            if stages == 0:
-                if change:
-                    calls.append((np.copyto, (there, here)))
-                continue
-            if stages > 1:
-                calls += _halves(here, there)
-                here, there = there, here
-            for _ in range(stages - 2):
-                low, high = np.split(_pairs(there), 2)
-                calls.append((np.add, (_pairs(here)[0::2], _pairs(here)[1::2], low)))
-                calls.append((np.subtract, (_pairs(here)[0::2], _pairs(here)[1::2], high)))
-                here, there = there, here
-            # (d + is)(1 - i) = (s + d) + i(s - d).
-            target = there if change else here
-            calls.append((np.multiply, (_pairs(here), _ONE_MINUS_I, _pairs(target))))
+        for group, n_stages in self._groups:
+            source, target = v[group], scratch[group]
+            half = source.size // 2
+            for _ in range(n_stages):
+                if back:
+                    low, high, sums, differences = *_in_turn(source), target[:half], target[half:]
+                else:
+                    low, high, sums, differences = source[:half], source[half:], *_in_turn(target)
+                calls += [(np.add, (low, high, sums)), (np.subtract, (low, high, differences))]
+                source, target = target, source
+            if n_stages % 2:
+                calls.append((np.copyto, (target, source)))
         return calls
 
-    @staticmethod
-    def _moves(group: tuple[int, int, int]) -> int:
-        """Return how often a group changes buffers; its first stage is done in place."""
-        return max(group[2] - 1, 0)
+
+def _in_turn(v: Floats) -> tuple[Floats, Floats]:
+    return v[0::2], v[1::2]
 
 
 class HadamardProducts:
@@ -180,14 +138,15 @@ class HadamardProducts:
 
     Attributes
     ----------
-    order_in, order_out, size_at
-        As in `BlockHadamard`.
+    order_in : ndarray of intp, shape (n,)
+        Place p of the input belongs to column order_in[p] of W.
+    order_out : ndarray of intp, shape (n,)
+        Place p of the output belongs to row order_out[p] of W.
     """
 
     def __init__(self, sizes: list[int], orthonormal: bool = False) -> None:
         self.order_in, groups = side_by_side(sizes)
         self.order_out: Indices = self.order_in.copy()
-        self.size_at: Floats = np.array(sizes, dtype=np.float32).repeat(sizes)
         #: First place, number of blocks, and the factors of their matrix.
         self._groups: list[tuple[int, int, Floats, Floats]] = []
         for start, size, count in groups.tolist():
@@ -201,15 +160,11 @@ class HadamardProducts:
                 self.order_out[part] = by_row.transpose(1, 2, 0).ravel()
         self._scratch: Floats = np.empty(sum(sizes), dtype=np.float32)
 
-    def program(self, a: Floats, b: Floats) -> tuple[list[Call], Floats]:
-        """As `BlockHadamard.program`; the input is left in a."""
-        return self._calls(a, b, back=False), b
+    def program(self, source: Floats, target: Floats, back: bool = False) -> list[Call]:
+        """Return the calls that write W source to target, or W^T source if `back`.
 
-    def transposed(self, a: Floats, b: Floats) -> list[Call]:
-        """As `BlockHadamard.transposed`."""
-        return self._calls(b, a, back=True)
-
-    def _calls(self, source: Floats, target: Floats, back: bool) -> list[Call]:
+        Both are float32 (n,), in `order_in` and `order_out`; the other way round if `back`.
+        """
         calls: list[Call] = []
         for start, count, a, b in self._groups:
             part = slice(start, start + count * len(a) * len(b))
@@ -230,34 +185,3 @@ class HadamardProducts:
 def _rows(vector: Floats, matrix: Floats) -> Floats:
     """Return a vector as the columns that a matrix multiplies."""
     return vector.reshape(len(matrix), -1)
-
-
-_ONE_PLUS_I = np.array(1 + 1j, dtype=np.complex64)
-_ONE_MINUS_I = np.array(1 - 1j, dtype=np.complex64)
-
-
-def _pairs(run: Floats) -> npt.NDArray[np.complex64]:
-    pairs: npt.NDArray[np.complex64] = run.view(np.complex64)
-    return pairs
-
-
-def _halves(source: Floats, target: Floats) -> list[Call]:
-    half = source.size // 2
-    low, high = source[:half], source[half:]
-    return [
-        (np.add, (low, high, target[:half])),
-        (np.subtract, (low, high, target[half:])),
-    ]
-
-
-def _orders(size: int, count: int) -> tuple[Indices, Indices]:
-    """Return the orders of input and output of `count` blocks of one size."""
-    index = np.arange(size * count, dtype=np.intp).reshape(count, size)
-    if size == 1:
-        return index.ravel(), index.ravel()
-    # Neighbours are the last bit of the index within a block; the others come before the block.
-    order_in: Indices = index.reshape(count, size // 2, 2).transpose(1, 0, 2).reshape(-1, 2)
-    order_out = order_in
-    for _ in range(size.bit_length() - 3):
-        order_out = np.stack(np.split(order_out, 2), axis=1).reshape(-1, 2)
-    return order_in.ravel(), order_out[:, ::-1].ravel()

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, TypeGuard
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TypeGuard
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.programs import run
 
 from .base import BLOCK, RANDOM, SPREAD, Phi, fingerprint_of
-from .hadamard import BlockHadamard, hadamard_matrix
+from .hadamard import BlockHadamard, block_sizes, hadamard_matrix, side_by_side
 from .rotation import RotatingPhi, split_evenly
-
-if TYPE_CHECKING:
-    from .fast import CompiledForward
 
 
 class SbhePhi(RotatingPhi):
@@ -48,6 +47,10 @@ class SbhePhi(RotatingPhi):
         P_N: column j of W sees taxel permutation[j].
     rows : ndarray of intp, shape (m,)
         Q_M: measurement i is row rows[i] of W; ascending.
+    sizes : list of int
+        Sizes of the blocks of W, in their order.
+    scale : ndarray of float32, shape (m,)
+        1 / sqrt(B) of each measurement's block.
 
     Raises
     ------
@@ -71,43 +74,37 @@ class SbhePhi(RotatingPhi):
         rng = np.random.default_rng(seed)
         permutation = rng.permutation(n).astype(np.intp)
         self.rule = rule
-        self.hadamard = BlockHadamard(n, block)
+        self.sizes = block_sizes(n, block)
+        self._hadamard = BlockHadamard(self.sizes)
         if rule == RANDOM:
             self._order: Indices = rng.permutation(n).astype(np.intp)
         else:
-            self._order, self._by_block = spread_order(self.hadamard.sizes, rng)
+            self._order, self._by_block = spread_order(self.sizes, rng)
         self._arrange(permutation)
-        self._y_and_zero = np.zeros(m + 1, dtype=np.float32)
+        # A line of the cache apart: of a power of two both would compete for the same places.
+        self._v, scratch = np.zeros((2, n + 16), dtype=np.float32)[:, :n]
+        self._transform = self._hadamard.program(self._v, scratch)
+        self._transposed = self._hadamard.program(self._v, scratch, back=True)
         self._keep(np.sort(self._order[:m]))
-
-        self._a = np.zeros(n, dtype=np.float32)
-        b = np.zeros(n, dtype=np.float32)
-        self._transform, self._result = self.hadamard.program(self._a, b)
-        self._transposed = self.hadamard.transposed(self._a, b)
 
     def _arrange(self, permutation: Indices) -> None:
         """Set P_N, intp, shape (n,)."""
         permutation.setflags(write=False)
         self.permutation: Indices = permutation
-        #: Taxel that belongs to each place of the transform's input, shape (n,).
-        self.scramble: Indices = permutation[self.hadamard.order_in]
-        self._unscramble: Indices = np.argsort(self.scramble)
+        # Taxel of each place of the vector that is transformed.
+        self._deal: Indices = permutation[self._hadamard.order_in]
 
     def _keep(self, rows: Indices) -> None:
         rows.setflags(write=False)
         self.rows: Indices = rows
-        self._compiled: CompiledForward | None = None
+        self._compiled: Callable[[Floats, Floats], None] | None = None
         self.fingerprint = fingerprint_of(
             self.kind, self.n, self.m, self.block, self.permutation, rows
         )
-        place_of_row = np.argsort(self.hadamard.order_out)
-        #: Place of the transform's output where each measurement appears, shape (m,).
-        self.row_places: Indices = place_of_row[rows]
-        #: 1 / sqrt(B) of each measurement's block, shape (m,).
-        self.scale: Floats = np.reciprocal(np.sqrt(self.hadamard.size_at[self.row_places]))
-        # Places of rows that are not kept take the zero behind the last measurement.
-        self._spread: Indices = np.full(self.n, self.m, dtype=np.intp)
-        self._spread[self.row_places] = np.arange(self.m)
+        # Place in its transform of each measurement.
+        self._places: Indices = np.argsort(self._hadamard.order_out)[rows]
+        size = np.repeat(self.sizes, self.sizes)[rows].astype(np.float32)
+        self.scale: Floats = np.reciprocal(np.sqrt(size))
 
     def row_subsets(self) -> list[Phi]:
         """As in `RotatingPhi`; by rule 2, the first one is not this matrix."""
@@ -119,7 +116,7 @@ class SbhePhi(RotatingPhi):
         """Return the explicit matrix, float64, shape (m, n), built from its definition."""
         matrix = np.zeros((self.m, self.n))
         start = 0
-        for size in self.hadamard.sizes:
+        for size in self.sizes:
             taxels = self.permutation[start : start + size]
             mine = (self.rows >= start) & (self.rows < start + size)
             block = hadamard_matrix(size) / np.sqrt(size)
@@ -128,27 +125,29 @@ class SbhePhi(RotatingPhi):
         return matrix
 
     def compile(self) -> None:
-        """Compute `forward` in compiled loops from now on: the same bits; needs numba."""
-        from .fast import CompiledForward
+        """Compute `forward` in a compiled loop from now on: the same bits; needs numba."""
+        from sparseskin.nodes.numerics.kernels import measure
 
-        self._compiled = CompiledForward(
-            self.permutation, self.hadamard.sizes, self.rows, self.scale
-        )
+        ready(measure)
+        columns, groups = side_by_side(self.sizes)
+        deal = self.permutation[columns].astype(np.uint32)
+        places = np.argsort(columns)[self.rows].astype(np.uint32)
+        self._compiled = partial(measure, deal, groups, places, self.scale, self._v)
 
     def _forward(self, x: Floats, out: Floats) -> None:
         if self._compiled is not None:
             self._compiled(x, out)
             return
-        x.take(self.scramble, None, self._a, "clip")
+        x.take(self._deal, None, self._v, "clip")
         run(self._transform)
-        self._result.take(self.row_places, None, out, "clip")
+        self._v.take(self._places, None, out, "clip")
         np.multiply(out, self.scale, out)
 
     def _adjoint(self, y: Floats, out: Floats) -> None:
-        np.multiply(y, self.scale, self._y_and_zero[:-1])
-        self._y_and_zero.take(self._spread, None, self._result, "clip")
+        self._v.fill(0)
+        self._v[self._places] = y * self.scale
         run(self._transposed)
-        self._a.take(self._unscramble, None, out, "clip")
+        out[self._deal] = self._v
 
 
 def spread_order(sizes: Sequence[int], rng: np.random.Generator) -> tuple[Indices, Indices]:

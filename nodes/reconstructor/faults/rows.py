@@ -321,5 +321,5 @@ def _blocks(phi: Phi) -> Indices:
     """Return the number of the block of taxels that each row sums; 0 if there are no blocks."""
     if not isinstance(phi, SbhePhi):
         return np.zeros(phi.m, dtype=np.intp)
-    ends = np.cumsum(phi.hadamard.sizes)
+    ends = np.cumsum(phi.sizes)
     return np.searchsorted(ends, phi.rows, side="right")

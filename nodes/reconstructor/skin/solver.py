@@ -15,8 +15,8 @@ from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.numerics.programs import run
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, ShiftedHaar
-from sparseskin.nodes.reconstructor.solvers.backends import make_projection
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
+from sparseskin.nodes.reconstructor.solvers.projection import make_projection
 
 from .clip_bias import ClipBias
 from .evidence import HAAR, SMOOTH, HeldOut, mean_square

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.hadamard import side_by_side
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
@@ -19,75 +18,29 @@ from sparseskin.nodes.numerics.kernels import (
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis, level_sizes
 from sparseskin.nodes.reconstructor.bases.shifted_haar import in_planes
 
-from .projection import Projection
+from .projection import SbheProjection
 
 
-class CompiledProjection(Projection):
+class CompiledProjection(SbheProjection):
     """As `SbheProjection`, for blocks of any size, in the order of the compiled loops.
 
     Attributes
     ----------
     groups : ndarray of int64, shape (k, 3)
         Start, size and number of the blocks of each size.
-    measured : ndarray of float32, shape (n,)
-        1 / sqrt(B) where a row is measured, 0 where not.
-    scale : ndarray of float32, shape (n,)
-        1 / sqrt(B).
-    weights : ndarray of float32, shape (n,)
-        `measured`, or `scale` times the weights of `weigh`.
-    places : ndarray of intp, shape (m,)
-        Row of each measurement.
     """
 
-    has_whole = True
-
-    def __init__(self, phi: SbhePhi) -> None:
+    def _prepare(self, sizes: list[int]) -> tuple[Indices, Indices, Floats]:
         ready(dealt_forward, dealt_adjoint)
-        columns, self.groups = side_by_side(phi.hadamard.sizes)
-        self._place_of_row = np.argsort(columns)
-        self.order = phi.permutation[columns]
-        self.scale = np.empty(phi.n, dtype=np.float32)
-        for start, size, count in self.groups:
-            self.scale[start : start + size * count] = 1 / np.sqrt(size)
-        self._weighted, self._left = np.zeros((2, phi.n), dtype=np.float32)
-        self.n_rows = phi.n
-        self.step_size = 1.0
-        self._tables: dict[str, tuple[Floats, Floats, Indices]] = {}
-        self.use(phi)
+        columns, self.groups = side_by_side(sizes)
+        scale = np.repeat(1 / np.sqrt(sizes), sizes).astype(np.float32)
+        return columns, columns, scale
 
-    def use(self, phi: Phi) -> None:
-        if phi.fingerprint not in self._tables:
-            assert isinstance(phi, SbhePhi)
-            places = self._place_of_row[phi.rows]
-            measured, read = np.zeros((2, phi.n), dtype=np.float32)
-            measured[places], read[places] = phi.scale, 1
-            self._tables[phi.fingerprint] = measured, read, places
-        self.measured, self.read, self.places = self._tables[phi.fingerprint]
-        self.weights = self.measured
+    def _ahead(self, x: Floats, weights: Floats, out: Floats) -> None:
+        dealt_forward(x, weights, self.groups, out)
 
-    def rows_of(self, y: Floats, out: Floats) -> None:
-        out.fill(0)
-        out[self.places] = y
-
-    def forward(self, x: Floats, out: Floats) -> None:
-        dealt_forward(x, self.weights, self.groups, out)
-
-    def adjoint(self, rows: Floats, out: Floats) -> None:
-        dealt_adjoint(rows, self.weights, self.groups, out)
-
-    def whole(self, x: Floats, out: Floats) -> None:
-        dealt_forward(x[None], self.scale, self.groups, out[None])
-
-    def whole_adjoint(self, rows: Floats, out: Floats) -> None:
-        dealt_adjoint(rows, self.scale, self.groups, out)
-
-    def leave_out(self, kept: Floats) -> None:
-        self.weights = np.multiply(self.weights, kept, self._left)
-
-    def weigh(self, weights: Floats | None) -> None:
-        self.weights = self.measured
-        if weights is not None:
-            self.weights = np.multiply(weights, self.scale, self._weighted)
+    def _back(self, rows: Floats, weights: Floats, out: Floats) -> None:
+        dealt_adjoint(rows, weights, self.groups, out)
 
 
 class Tiling:
@@ -165,7 +118,7 @@ class CompiledFista:
         self._phi, self._basis = phi, basis
         self._tiling = tiling = Tiling(basis.n_rows, basis.n_cols)
         self._theta, self._before, self._z = np.zeros((3, n_cells), dtype=np.float32)
-        columns, groups = side_by_side(phi.hadamard.sizes)
+        columns, groups = side_by_side(phi.sizes)
         self._kept = np.argsort(columns)[phi.rows]
         place_of_cell = np.argsort(tiling.order)
         # The transform is not scaled: there and back multiplies by the size of the block.

@@ -8,7 +8,7 @@ import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts
-from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
 from sparseskin.nodes.numerics.arrays import Floats, Indices
 from sparseskin.nodes.numerics.programs import run
 
@@ -126,65 +126,86 @@ class SbheProjection(Projection):
     ----------
     places : ndarray of intp, shape (m,)
         Place of each measurement in a vector of rows.
-    place_of_row : ndarray of intp, shape (n,)
-        Place of each row of W.
+    scale : ndarray of float32, shape (n,)
+        Factor of each row of W after the transform.
+    weights : ndarray of float32, shape (n,)
+        `measured`, or `scale` times the weights of `weigh`.
     """
 
     has_whole = True
 
     def __init__(self, phi: SbhePhi) -> None:
-        hadamard = HadamardProducts(phi.hadamard.sizes, orthonormal=True)
-        self._x, self._rows, self._left = np.zeros((3, phi.n), dtype=np.float32)
-        self._to_rows, _ = hadamard.program(self._x, self._rows)
-        self._to_x = hadamard.transposed(self._x, self._rows)
-        self.order = phi.permutation[hadamard.order_in]
-        self.place_of_row = np.argsort(hadamard.order_out)
         self.n_rows = phi.n
         self.step_size = 1.0
-        self._tables: dict[str, tuple[Indices, Indices, Floats]] = {}
+        self._left, self._weighted = np.zeros((2, phi.n), dtype=np.float32)
+        self._tables: dict[str, tuple[Floats, Floats, Indices]] = {}
+        columns, rows, self.scale = self._prepare(phi.sizes)
+        self.order = phi.permutation[columns]
+        self._place_of_row = np.argsort(rows)
         self.use(phi)
-        self._y_and_zero = np.zeros(phi.m + 1, dtype=np.float32)
+
+    def _prepare(self, sizes: list[int]) -> tuple[Indices, Indices, Floats]:
+        """Return the column of W of each place of a vector, the row of each place, and `scale`."""
+        hadamard = HadamardProducts(sizes, orthonormal=True)
+        self._x, self._rows = np.zeros((2, sum(sizes)), dtype=np.float32)
+        self._to_rows = hadamard.program(self._x, self._rows)
+        self._to_x = hadamard.program(self._rows, self._x, back=True)
+        return hadamard.order_in, hadamard.order_out, np.ones(sum(sizes), dtype=np.float32)
+
+    def _ahead(self, x: Floats, weights: Floats, out: Floats) -> None:
+        """Write weights * W x to out: float32 (k, n) to float32 (k, n)."""
+        for one, result in zip(x, out, strict=True):
+            np.copyto(self._x, one)
+            run(self._to_rows)
+            np.multiply(self._rows, weights, result)
+
+    def _back(self, rows: Floats, weights: Floats, out: Floats) -> None:
+        """Write W^T (weights * rows) to out: float32 (n,) to float32 (n,)."""
+        np.multiply(rows, weights, self._rows)
+        run(self._to_x)
+        np.copyto(out, self._x)
 
     def use(self, phi: Phi) -> None:
         if phi.fingerprint not in self._tables:
             assert isinstance(phi, SbhePhi)
-            places = self.place_of_row[phi.rows]
-            # Rows that are not measured read the 0 behind the last measurement.
-            spread = np.full(phi.n, phi.m, dtype=np.intp)
-            spread[places] = np.arange(phi.m)
-            measured = np.zeros(phi.n, dtype=np.float32)
-            measured[places] = 1
-            self._tables[phi.fingerprint] = places, spread, measured
-        self.places, self._spread, self.measured = self._tables[phi.fingerprint]
-        self._weights = self.read = self.measured
+            places = self._place_of_row[phi.rows]
+            measured, read = np.zeros((2, phi.n), dtype=np.float32)
+            measured[places], read[places] = self.scale[places], 1
+            self._tables[phi.fingerprint] = measured, read, places
+        self.measured, self.read, self.places = self._tables[phi.fingerprint]
+        self.weights = self.measured
 
     def rows_of(self, y: Floats, out: Floats) -> None:
-        self._y_and_zero[:-1] = y
-        self._y_and_zero.take(self._spread, None, out, "clip")
+        out.fill(0)
+        out[self.places] = y
 
     def forward(self, x: Floats, out: Floats) -> None:
-        for one, result in zip(x, out, strict=True):
-            np.copyto(self._x, one)
-            run(self._to_rows)
-            np.multiply(self._rows, self._weights, result)
+        self._ahead(x, self.weights, out)
 
     def adjoint(self, rows: Floats, out: Floats) -> None:
-        np.multiply(rows, self._weights, self._rows)
-        run(self._to_x)
-        np.copyto(out, self._x)
+        self._back(rows, self.weights, out)
 
     def whole(self, x: Floats, out: Floats) -> None:
-        np.copyto(self._x, x)
-        run(self._to_rows)
-        np.copyto(out, self._rows)
+        self._ahead(x[None], self.scale, out[None])
 
     def whole_adjoint(self, rows: Floats, out: Floats) -> None:
-        np.copyto(self._rows, rows)
-        run(self._to_x)
-        np.copyto(out, self._x)
+        self._back(rows, self.scale, out)
 
     def weigh(self, weights: Floats | None) -> None:
-        self._weights = self.measured if weights is None else weights
+        self.weights = self.measured
+        if weights is not None:
+            self.weights = np.multiply(weights, self.scale, self._weighted)
 
     def leave_out(self, kept: Floats) -> None:
-        self._weights = np.multiply(self._weights, kept, self._left)
+        self.weights = np.multiply(self.weights, kept, self._left)
+
+
+def make_projection(phi: Phi, compiled: bool = False) -> Projection:
+    """Return the fastest projection of a phi; one of compiled loops only if `compiled`."""
+    if not is_sbhe(phi):
+        return PlainProjection(phi)
+    if compiled:
+        from .fast import CompiledProjection  # needs numba
+
+        return CompiledProjection(phi)
+    return SbheProjection(phi)

@@ -28,14 +28,14 @@ def sbhe(n: int, m: int, seed: int = 0, block: int = 256, rule: int = SPREAD) ->
 
 def starts(phi: SbhePhi) -> Indices:
     """The sum of each block is its first row."""
-    ends: Indices = np.cumsum(phi.hadamard.sizes)
-    return ends - phi.hadamard.sizes
+    ends: Indices = np.cumsum(phi.sizes)
+    return ends - phi.sizes
 
 
 def numbers_of(phi: SbhePhi, rows: Indices) -> Indices:
     """Number of rows of each block."""
-    blocks = np.searchsorted(np.cumsum(phi.hadamard.sizes), rows, side="right")
-    return np.bincount(blocks, minlength=len(phi.hadamard.sizes))
+    blocks = np.searchsorted(np.cumsum(phi.sizes), rows, side="right")
+    return np.bincount(blocks, minlength=len(phi.sizes))
 
 
 @given(n=SIZES, data=st.data(), block=BLOCKS, seed=SEEDS)
@@ -50,7 +50,7 @@ def test_fixed_rows_are_the_sums_and_others_in_proportion(
     assert phi.rows[0] >= 0
     assert phi.rows[-1] < n
     held = np.isin(starts(phi), phi.rows)
-    sizes = np.array(phi.hadamard.sizes)
+    sizes = np.array(phi.sizes)
     if m < len(sizes):
         # Nothing but sums, those of the largest blocks.
         assert held.sum() == m
@@ -77,7 +77,7 @@ def test_each_row_subset_has_rows_of_each_block_in_proportion_and_together_they_
         assert phi.rows.size == m
         assert (np.diff(phi.rows) > 0).all()
         numbers = numbers_of(phi, phi.rows)
-        assert (np.abs(numbers - m * np.array(phi.hadamard.sizes) / n) < 1).all()
+        assert (np.abs(numbers - m * np.array(phi.sizes) / n) < 1).all()
         times[phi.rows] += 1
     assert times.min() >= 1
     assert times.max() <= 2

@@ -17,9 +17,12 @@ from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.solvers.backends import make_projection
 from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
-from sparseskin.nodes.reconstructor.solvers.projection import PlainProjection, SbheProjection
+from sparseskin.nodes.reconstructor.solvers.projection import (
+    PlainProjection,
+    SbheProjection,
+    make_projection,
+)
 
 SHAPES = [(8, 8), (5, 7), (12, 32), (1, 9), (16, 24)]
 

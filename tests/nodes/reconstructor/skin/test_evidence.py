@@ -12,7 +12,7 @@ from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.skin.evidence import HAAR, SMOOTH, HeldOut
 from sparseskin.nodes.reconstructor.skin.tuning import TUNING
-from sparseskin.nodes.reconstructor.solvers.backends import make_projection
+from sparseskin.nodes.reconstructor.solvers.projection import make_projection
 
 N, M = 1600, 400
 N_HELD = M // TUNING.held_one_of

@@ -12,7 +12,7 @@ from sparseskin.nodes.reconstructor.skin.clip_bias import ClipBias
 from sparseskin.nodes.reconstructor.skin.gain import AdaptiveGain
 from sparseskin.nodes.reconstructor.skin.noise_level import NoiseLevel, row_power
 from sparseskin.nodes.reconstructor.skin.tuning import TUNING
-from sparseskin.nodes.reconstructor.solvers.backends import make_projection
+from sparseskin.nodes.reconstructor.solvers.projection import make_projection
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
 
 SIGMA_N = 0.02

@@ -8,7 +8,7 @@ import pytest
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.skin.prediction import Prediction, neighbours_of
-from sparseskin.nodes.reconstructor.solvers.backends import make_projection
+from sparseskin.nodes.reconstructor.solvers.projection import make_projection
 
 SIDE, N, M = 32, 1024, 341
 NOISE_N = 0.01

@@ -10,8 +10,7 @@ from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.skin.row_memory import RowMemory
 from sparseskin.nodes.reconstructor.skin.tuning import TUNING
-from sparseskin.nodes.reconstructor.solvers.backends import make_projection
-from sparseskin.nodes.reconstructor.solvers.projection import Projection
+from sparseskin.nodes.reconstructor.solvers.projection import Projection, make_projection
 
 N, RATIO = 256, 4
 M = N // RATIO

@@ -14,8 +14,11 @@ from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.skin import smooth
 from sparseskin.nodes.reconstructor.skin.smooth import MOST_DENSE, NEGLIGIBLE, SmoothModel
 from sparseskin.nodes.reconstructor.skin.tuning import TUNING
-from sparseskin.nodes.reconstructor.solvers.backends import make_projection
-from sparseskin.nodes.reconstructor.solvers.projection import PlainProjection, SbheProjection
+from sparseskin.nodes.reconstructor.solvers.projection import (
+    PlainProjection,
+    SbheProjection,
+    make_projection,
+)
 
 KINDS = ["sbhe", "gaussian", "subsample", "full"]
 #: Relative deviations from the closed form: of the inverse, and of conjugate gradients.

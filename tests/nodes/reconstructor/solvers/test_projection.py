@@ -8,8 +8,11 @@ import pytest
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
-from sparseskin.nodes.reconstructor.solvers.backends import make_projection
-from sparseskin.nodes.reconstructor.solvers.projection import PlainProjection, SbheProjection
+from sparseskin.nodes.reconstructor.solvers.projection import (
+    PlainProjection,
+    SbheProjection,
+    make_projection,
+)
 
 KINDS = [
     ("sbhe", 1600, 533, 32),
