@@ -6,7 +6,8 @@ import io
 import math
 import warnings
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import IO, Any
 
 import numpy as np
@@ -58,56 +59,44 @@ def npz_shapes(
     Raises ArrayFileError if it is no archive, or one of them is no .npy.
     """
     found = {}
-    try:
-        with zipfile.ZipFile(file) as archive:
-            members = _members(archive)
-            for name in wanted(list(members)):
-                with archive.open(members[name]) as one:
-                    found[name] = npy_shape(one)
-    except Exception as error:  # as in `read_npz`
-        raise ArrayFileError("not a readable NumPy file") from error
+    with _opened(file) as (archive, members):
+        for name in wanted(list(members)):
+            with archive.open(members[name]) as one:
+                found[name] = npy_shape(one)
     return found
 
 
-def npz_member(file: IO[bytes], name: str, most_bytes: int) -> npt.NDArray[np.generic]:
-    """One array of an .npz.
-    Raises ArrayFileError as `read_npz` does.
-    """
-    try:
-        with zipfile.ZipFile(file) as archive:
-            member = _members(archive)[name]
-            if member.file_size > most_bytes:
-                text = f"array {ascii(name)[:40]}: it would have {member.file_size} bytes"
-                raise ArrayFileError(f"{text}; at most {most_bytes}")
-            return _member(archive, member, name)
-    except ArrayFileError:
-        raise
-    except Exception as error:  # as in `read_npz`
-        raise ArrayFileError("not a readable NumPy file") from error
-
-
 def read_npz(
-    raw: bytes, wanted: Callable[[list[str]], list[str]], most_bytes: int | None = None
+    file: bytes | IO[bytes],
+    wanted: Callable[[list[str]], list[str]],
+    most_bytes: int | None = None,
 ) -> dict[str, npt.NDArray[np.generic]]:
     """Those arrays of an .npz that `wanted` chooses of their names.
 
     Raises ArrayFileError if it is no archive, such an array cannot be read, or they are larger
     together than `most_bytes`; by default `MAX_GROWN_BYTES` or `MAX_GROWTH` times the file.
     """
+    file = io.BytesIO(file) if isinstance(file, bytes) else file
+    with _opened(file) as (archive, members):
+        names, n_bytes = wanted(list(members)), file.seek(0, io.SEEK_END)
+        size = sum(members[name].file_size for name in names)
+        most = most_bytes or max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
+        if size > most:
+            raise ArrayFileError(
+                f"its arrays would have {size} bytes, of a file of {n_bytes}; at most {most}"
+            )
+        return {name: _member(archive, members[name], name) for name in names}
+
+
+@contextmanager
+def _opened(file: IO[bytes]) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
+    """An archive and its arrays by name; ArrayFileError for all that fails while it is open."""
     try:
-        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-            members = _members(archive)
-            names = wanted(list(members))
-            size = sum(members[name].file_size for name in names)
-            most = most_bytes or max(MAX_GROWN_BYTES, MAX_GROWTH * len(raw))
-            if size > most:
-                raise ArrayFileError(
-                    f"its arrays would have {size} bytes, of a file of {len(raw)}; at most {most}"
-                )
-            return {name: _member(archive, members[name], name) for name in names}
+        with zipfile.ZipFile(file) as archive:
+            yield archive, {one.filename.removesuffix(".npy"): one for one in archive.infolist()}
     except ArrayFileError:
         raise
-    except Exception as error:  # zipfile and zlib have as many
+    except Exception as error:  # zipfile and zlib have ten kinds of them
         raise ArrayFileError("not a readable NumPy file") from error
 
 
@@ -135,21 +124,12 @@ def _check_size(shape: tuple[int, ...], dtype: np.dtype[Any], held: int) -> None
         raise ArrayFileError(f"its header states {text}")
 
 
-def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    """The arrays of an .npz by name."""
-    return {one.filename.removesuffix(".npy"): one for one in archive.infolist()}
-
-
-def _check_compression(member: zipfile.ZipInfo) -> None:
-    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ArrayFileError("compressed in a way that NumPy does not write")
-
-
 def _member(
     archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str
 ) -> npt.NDArray[np.generic]:
     try:
-        _check_compression(member)
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ArrayFileError("compressed in a way that NumPy does not write")
         return read_npy(archive.read(member))
     except Exception as error:
         why = str(error) if isinstance(error, ArrayFileError) else "not a readable NumPy file"

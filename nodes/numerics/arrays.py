@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
@@ -18,3 +19,45 @@ Mask: TypeAlias = npt.NDArray[np.bool_]
 TINY = 1e-30
 """Added to a divisor that can be 0, or the least of it: far below the squares of float32 forces
 that differ from 0, so that no other quotient changes."""
+
+
+def each_frame(
+    apply: Callable[[Floats, Floats], None],
+    given: Floats,
+    out: Floats | None,
+    shapes: tuple[tuple[int, ...], tuple[int, ...]],
+    name: str,
+    error: type[Exception],
+) -> Floats:
+    """Return what an operator makes of a frame, or of each of several.
+
+    Parameters
+    ----------
+    apply : callable
+        Writes its result of the first array to the second; both contiguous float32, one frame.
+    given : ndarray of float32, of the first of `shapes`, or (k, *shape)
+    out : ndarray of float32, of the second shape, or (k, *shape), optional
+        Array for the result.
+    name, error
+        Name of `given`, as in "sbhe: x", and what is raised if a shape or type is another.
+    """
+    given = np.ascontiguousarray(given, dtype=np.float32)
+    expected, made = shapes
+    several = given.ndim - len(expected)
+    if several not in (0, 1) or given.shape[several:] != expected:
+        raise error(f"{name} has shape {given.shape}; expected {expected}, or several of them")
+    shape = (*given.shape[:several], *made)
+    if out is None:
+        out = np.empty(shape, dtype=np.float32)
+    elif out.shape != shape or out.dtype != np.float32 or not out.flags.c_contiguous:
+        whose = name.partition(":")[0]
+        raise error(
+            f"{whose}: out is {out.dtype} of shape {out.shape}; "
+            f"expected contiguous float32 of shape {shape}"
+        )
+    if several:
+        for one, result in zip(given, out, strict=True):
+            apply(one, result)
+    else:
+        apply(given, out)
+    return out

@@ -56,15 +56,6 @@ def check_fast(fast: str) -> str:
     return fast if installed else "off"
 
 
-def lacks_numba(fast: str) -> bool:
-    """Return True if plain numpy is used only because numba is not installed.
-
-    Parameters and Raises as in `check_fast`.
-    """
-    stated = os.environ.get(ENVIRONMENT, fast) if fast == "auto" else fast
-    return check_fast(fast) == "off" != stated
-
-
 def use_compiled(fast: str) -> bool:
     """Return True if compiled loops are to be used; numba is then imported.
 

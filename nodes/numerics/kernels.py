@@ -785,18 +785,9 @@ def tiled_image(w: A, order: A, grid: A, v: A, scratch: A, image: A) -> None:
 LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
     "phi": (measure,),
     "skin": (
-        *(
-            dealt_forward,
-            dealt_adjoint,
-            skin_read,
-            skin_aim,
-            skin_iterate,
-            skin_test,
-            skin_end,
-            filter_image,
-            smooth_descend,
-            smooth_deviation,
-        ),
+        *(dealt_forward, dealt_adjoint),
+        *(skin_read, skin_aim, skin_iterate, skin_test, skin_end),
+        *(filter_image, smooth_descend, smooth_deviation),
     ),
     "fista": (fista, tiled_image),
 }

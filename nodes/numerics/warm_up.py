@@ -10,10 +10,10 @@ from pathlib import Path
 
 from .compiled import (
     COMPILING,
+    ENVIRONMENT,
     NOT_INSTALLED,
     SOLVERS,
     check_fast,
-    lacks_numba,
     ready,
     use_compiled,
 )
@@ -27,8 +27,10 @@ def compile_loops(solver: str, fast: str, log: Callable[[str], None], *more: str
     there. `log` receives a line of text before anything is compiled (where nothing is on disk,
     before numba is imported), and one after it; where numba is not installed, one with the remedy.
     """
-    if solver not in SOLVERS or check_fast(fast) == "off":
-        if solver in SOLVERS and lacks_numba(fast):
+    if solver not in SOLVERS:
+        return
+    if check_fast(fast) == "off":
+        if "off" not in (fast, os.environ.get(ENVIRONMENT)):
             log(NOT_INSTALLED)
         return
     begin_s = time.perf_counter()

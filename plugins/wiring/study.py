@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sparseskin.nodes.compressor.divider import divided, undivided, with_crosstalk
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.local import WIRED_BLOCK
@@ -32,6 +31,7 @@ from sparseskin.studies.harness import (
 from sparseskin.studies.points import compute
 from sparseskin.studies.report import Chart, Page, markdown, series_style
 
+from .divider import divided, undivided, with_crosstalk
 from .model import Wiring, array_wiring, sbhe_wiring
 
 SHAPE = (64, 64)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.lookup import find_callable, find_class
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Floats, Mask, each_frame
 
 KINDS = {
     "sbhe": "sparseskin.nodes.compressor.phi.sbhe:SbhePhi",
@@ -127,11 +127,13 @@ class Phi(ABC):
         PhiError
             If x or out has another shape, or out another type than float32.
         """
-        return self._each(self._forward, "x", x, self.n, self.m, out)
+        shapes = (self.n,), (self.m,)
+        return each_frame(self._forward, x, out, shapes, f"{self.kind}: x", PhiError)
 
     def adjoint(self, y: Floats, out: Floats | None = None) -> Floats:
         """Return x = Phi^T y, as `forward`, with y and x of m and n numbers a frame."""
-        return self._each(self._adjoint, "y", y, self.m, self.n, out)
+        shapes = (self.m,), (self.n,)
+        return each_frame(self._adjoint, y, out, shapes, f"{self.kind}: y", PhiError)
 
     def lay_out(self, exists: Mask) -> None:
         """State the grid of the taxels, by which some kinds arrange their rows.
@@ -170,29 +172,6 @@ class Phi(ABC):
     @abstractmethod
     def _adjoint(self, y: Floats, out: Floats) -> None:
         """Write Phi^T y to out, one frame; both contiguous float32 of the right length."""
-
-    def _each(
-        self, apply: Any, name: str, given: Floats, n_in: int, n_out: int, out: Floats | None
-    ) -> Floats:
-        given = np.ascontiguousarray(given, dtype=np.float32)
-        if given.ndim not in (1, 2) or given.shape[-1] != n_in:
-            raise PhiError(
-                f"{self.kind}: {name} has shape {given.shape}; expected ({n_in},) or (k, {n_in})"
-            )
-        shape = (*given.shape[:-1], n_out)
-        if out is None:
-            out = np.empty(shape, dtype=np.float32)
-        elif out.shape != shape or out.dtype != np.float32 or not out.flags.c_contiguous:
-            raise PhiError(
-                f"{self.kind}: out is {out.dtype} of shape {out.shape}; "
-                f"expected contiguous float32 of shape {shape}"
-            )
-        if given.ndim == 1:
-            apply(given, out)
-        else:
-            for one, result in zip(given, out, strict=True):
-                apply(one, result)
-        return out
 
 
 def phi_class(kind: str) -> Callable[..., Any]:

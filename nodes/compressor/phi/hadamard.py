@@ -106,20 +106,16 @@ class BlockHadamard:
         for group, n_stages in self._groups:
             source, target = v[group], scratch[group]
             half = source.size // 2
+            halves, in_turn = np.s_[:half, half:], np.s_[0::2, 1::2]
+            reads, writes = (in_turn, halves) if back else (halves, in_turn)
             for _ in range(n_stages):
-                if back:
-                    low, high, sums, differences = *_in_turn(source), target[:half], target[half:]
-                else:
-                    low, high, sums, differences = source[:half], source[half:], *_in_turn(target)
+                low, high = (source[part] for part in reads)
+                sums, differences = (target[part] for part in writes)
                 calls += [(np.add, (low, high, sums)), (np.subtract, (low, high, differences))]
                 source, target = target, source
             if n_stages % 2:
                 calls.append((np.copyto, (target, source)))
         return calls
-
-
-def _in_turn(v: Floats) -> tuple[Floats, Floats]:
-    return v[0::2], v[1::2]
 
 
 class HadamardProducts:

@@ -10,7 +10,7 @@ import numpy as np
 
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import find_class
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Floats, each_frame
 
 BASES = {
     "haar": "sparseskin.nodes.reconstructor.bases.haar:HaarBasis",
@@ -86,25 +86,12 @@ class Basis(ABC):
     def _each(
         self, apply: Callable[[Floats, Floats], None], name: str, given: Floats, out: Floats | None
     ) -> Floats:
-        given = np.ascontiguousarray(given, dtype=np.float32)
         shape = (self.n_rows, self.n_cols)
-        if given.ndim not in (2, 3) or given.shape[-2:] != shape:
-            raise SolverError(
-                f"basis: {name} has shape {given.shape}; expected {shape}, or several of them"
-            )
-        if out is None:
-            out = np.empty(given.shape, dtype=np.float32)
-        elif out.shape != given.shape or out.dtype != np.float32 or not out.flags.c_contiguous:
-            raise SolverError(
-                f"basis: out is {out.dtype} of shape {out.shape}; "
-                f"expected contiguous float32 of shape {given.shape}"
-            )
-        if given.ndim == 2:
-            apply(given.reshape(-1), out.reshape(-1))
-        else:
-            for one, result in zip(given, out, strict=True):
-                apply(one.reshape(-1), result.reshape(-1))
-        return out
+
+        def flat(one: Floats, result: Floats) -> None:
+            apply(one.reshape(-1), result.reshape(-1))
+
+        return each_frame(flat, given, out, (shape, shape), f"basis: {name}", SolverError)
 
 
 class IdentityBasis(Basis):

@@ -10,7 +10,7 @@ from sparseskin.nodes.numerics import kernels
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
 from sparseskin.nodes.numerics.compiled import MAX_PLACES, ready
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, ShiftedHaar
-from sparseskin.nodes.reconstructor.solvers.fast import CompiledProjection
+from sparseskin.nodes.reconstructor.solvers.projection import CompiledProjection
 
 from .noise_level import NoiseLevel
 from .prediction import Prediction

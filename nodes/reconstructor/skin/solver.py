@@ -16,7 +16,7 @@ from sparseskin.nodes.numerics.programs import run
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, ShiftedHaar
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
-from sparseskin.nodes.reconstructor.solvers.projection import make_projection
+from sparseskin.nodes.reconstructor.solvers.projection import CompiledProjection, make_projection
 
 from .clip_bias import ClipBias
 from .evidence import HAAR, SMOOTH, HeldOut, mean_square
@@ -179,7 +179,6 @@ class SkinSolver(Solver):
     def _compile(self, neighbours: Indices) -> None:
         """Replace the work of a frame by compiled loops, and its vectors by theirs."""
         # Imported here: they need numba.
-        from sparseskin.nodes.reconstructor.solvers.fast import CompiledProjection
 
         from .fast import CompiledFrame
 
@@ -200,7 +199,6 @@ class SkinSolver(Solver):
         if direct or not compiled:
             return SmoothModel(self._projection, cells, self.mask, direct, self._t)
         # Imported here: they need numba.
-        from sparseskin.nodes.reconstructor.solvers.fast import CompiledProjection
 
         from .fast import CompiledSmoothModel
 

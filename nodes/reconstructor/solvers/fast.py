@@ -1,4 +1,4 @@
-"""Projection and FISTA iterations in compiled loops, for the scrambled block Hadamard ensemble."""
+"""FISTA iterations in compiled loops, for the scrambled block Hadamard ensemble."""
 
 from __future__ import annotations
 
@@ -9,38 +9,12 @@ from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 from sparseskin.nodes.numerics.compiled import MAX_PLACES, ready
 from sparseskin.nodes.numerics.kernels import (
-    dealt_adjoint,
-    dealt_forward,
     fista,
     fista_large,
     tiled_image,
 )
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis, level_sizes
 from sparseskin.nodes.reconstructor.bases.shifted_haar import in_planes
-
-from .projection import SbheProjection
-
-
-class CompiledProjection(SbheProjection):
-    """As `SbheProjection`, for blocks of any size, in the order of the compiled loops.
-
-    Attributes
-    ----------
-    groups : ndarray of int64, shape (k, 3)
-        Start, size and number of the blocks of each size.
-    """
-
-    def _prepare(self, sizes: list[int]) -> tuple[Indices, Indices, Floats]:
-        ready(dealt_forward, dealt_adjoint)
-        columns, self.groups = side_by_side(sizes)
-        scale = np.repeat(1 / np.sqrt(sizes), sizes).astype(np.float32)
-        return columns, columns, scale
-
-    def _ahead(self, x: Floats, weights: Floats, out: Floats) -> None:
-        dealt_forward(x, weights, self.groups, out)
-
-    def _back(self, rows: Floats, weights: Floats, out: Floats) -> None:
-        dealt_adjoint(rows, weights, self.groups, out)
 
 
 class Tiling:

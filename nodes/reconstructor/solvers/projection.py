@@ -7,9 +7,10 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts
+from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts, side_by_side
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
 from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.programs import run
 
 
@@ -200,12 +201,33 @@ class SbheProjection(Projection):
         self.weights = np.multiply(self.weights, kept, self._left)
 
 
+class CompiledProjection(SbheProjection):
+    """As `SbheProjection` in compiled loops, for blocks of any size; needs numba.
+
+    Attributes
+    ----------
+    groups : ndarray of int64, shape (k, 3)
+        Start, size and number of the blocks of each size.
+    """
+
+    def _prepare(self, sizes: list[int]) -> tuple[Indices, Indices, Floats]:
+        from sparseskin.nodes.numerics.kernels import dealt_adjoint, dealt_forward
+
+        ready(dealt_forward, dealt_adjoint)
+        self._dealt_forward, self._dealt_adjoint = dealt_forward, dealt_adjoint
+        columns, self.groups = side_by_side(sizes)
+        scale = np.repeat(1 / np.sqrt(sizes), sizes).astype(np.float32)
+        return columns, columns, scale
+
+    def _ahead(self, x: Floats, weights: Floats, out: Floats) -> None:
+        self._dealt_forward(x, weights, self.groups, out)
+
+    def _back(self, rows: Floats, weights: Floats, out: Floats) -> None:
+        self._dealt_adjoint(rows, weights, self.groups, out)
+
+
 def make_projection(phi: Phi, compiled: bool = False) -> Projection:
     """Return the fastest projection of a phi; one of compiled loops only if `compiled`."""
     if not is_sbhe(phi):
         return PlainProjection(phi)
-    if compiled:
-        from .fast import CompiledProjection  # needs numba
-
-        return CompiledProjection(phi)
-    return SbheProjection(phi)
+    return CompiledProjection(phi) if compiled else SbheProjection(phi)

@@ -18,7 +18,6 @@ from sparseskin.nodes.numerics.array_files import (
     ArrayFileError,
     is_npz,
     npy_shape,
-    npz_member,
     npz_shapes,
     read_npy,
     read_npz,
@@ -108,7 +107,8 @@ class NpzRecording(Recording):
             _, n_rows, n_cols = checked_shape(shapes[found], f"{name}, array {shown(found)}")
             if not npz_shapes(file, lambda held: ["mask"] if "mask" in held else []):
                 return Head(n_rows, n_cols, n_rows * n_cols)
-            mask = npz_member(file, "mask", 8 * MAX_ELEMENTS + MAX_HEAD_BYTES)
+            most_bytes = 8 * MAX_ELEMENTS + MAX_HEAD_BYTES
+            mask = read_npz(file, lambda _: ["mask"], most_bytes)["mask"]
         return Head(n_rows, n_cols, int(_mask(mask, (n_rows, n_cols), name).sum()))
 
     def read(self) -> Parsed:

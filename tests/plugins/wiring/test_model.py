@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.nodes.compressor.divider import divided, undivided, with_crosstalk
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.plugins.wiring.divider import divided, undivided, with_crosstalk
 from sparseskin.plugins.wiring.model import (
     array_wiring,
     count_crossings,
