@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 
 import numpy as np
 
 from sparseskin.messages import Measurements, Message, PhiState, Reconstruction, SkinState
+from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, row_subsets
@@ -51,7 +53,7 @@ class Desk:
         for message in (skin, told):
             list(self.node.step(message))
 
-    def messages(self, y: Floats) -> list[Message]:
+    def messages(self, y: Iterable[Floats | Quantised]) -> list[Message]:
         """The reconstructions that are published for the measurements y, the first of them of the
         first row subset.
         """
@@ -64,7 +66,7 @@ class Desk:
             found += self.node.step(measurements)
         return found
 
-    def restore(self, y: Floats) -> Floats:
+    def restore(self, y: Iterable[Floats | Quantised]) -> Floats:
         """Forces of the frames of measurements y."""
         return np.array([m.forces[0] for m in self.messages(y) if isinstance(m, Reconstruction)])
 

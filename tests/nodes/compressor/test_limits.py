@@ -13,45 +13,27 @@ from sparseskin.nodes.sensor.node import Sensor
 
 
 @pytest.mark.parametrize(
-    ("kind", "m", "block"),
+    ("kind", "m", "block", "bits", "message"),
     [
-        ("sbhe", 533, 32),
-        ("sbhe", 100, 16),
-        ("sbhe", 100, 8),
-        ("full", 1600, 32),
-        ("gaussian", 200, 1),
+        ("sbhe", 533, 32, 5, ""),
+        ("sbhe", 100, 8, None, ""),
+        ("full", 1600, 32, None, ""),
+        ("gaussian", 200, 1, None, ""),
+        ("sbhe", 99, 32, None, "m = 99 of n = 1600 taxels: more than one small contact is not"),
+        ("sbhe", 533, 4, None, "block = 4: most measurements see no pressed taxel"),
+        ("subsample", 400, 32, None, "phi = subsample: a contact of fewer than 4 taxels may touch"),
+        ("sbhe", 533, 32, 4, "bits = 4: the steps of the quantiser lose"),
     ],
 )
-def test_settings_that_reconstruct_well_give_no_warning(kind: str, m: int, block: int) -> None:
-    assert compression_warnings(kind, 1600, m, block) == []
-
-
-@pytest.mark.parametrize(
-    ("kind", "m", "block", "message"),
-    [
-        (
-            "sbhe",
-            99,
-            32,
-            "m = 99 of n = 1600 taxels: more than one small contact is not reconstructed",
-        ),
-        ("sbhe", 533, 4, "block = 4: most measurements see no pressed taxel"),
-        ("subsample", 400, 32, "phi = subsample: a contact of fewer than 4 taxels may touch none"),
-    ],
-)
-def test_a_warning_states_the_effect_and_advises(
-    kind: str, m: int, block: int, message: str
+def test_settings_that_reconstruct_badly_are_warned_of_in_a_line(
+    kind: str, m: int, block: int, bits: int | None, message: str
 ) -> None:
-    (warning,) = compression_warnings(kind, 1600, m, block)
-    assert warning.startswith(message)
-    assert "advised: " in warning
-    assert "\n" not in warning
-
-
-def test_few_bits_give_a_warning() -> None:
-    (warning,) = compression_warnings("sbhe", 1600, 533, 32, bits=4)
-    assert warning.startswith("bits = 4: the steps of the quantiser lose")
-    assert compression_warnings("sbhe", 1600, 533, 32, bits=5) == []
+    warnings = compression_warnings(kind, 1600, m, block, bits)
+    assert len(warnings) == bool(message)
+    for warning in warnings:
+        assert warning.startswith(message)
+        assert "advised: " in warning
+        assert "\n" not in warning
 
 
 def running(**compressor: Any) -> Bus:

@@ -18,7 +18,7 @@ from sparseskin.nodes.compressor.phi.hadamard import block_sizes, hadamard_matri
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import PhiError
 
-SIZES = [1, 2, 3, 31, 32, 33, 63, 95, 384, 784, 1600, 4096]
+SIZES = [1, 3, 33, 95, 784]
 
 
 def measurements_for(kind: str, n: int) -> list[int]:
@@ -30,7 +30,7 @@ CASES = [
     for kind in ("sbhe", "full", "subsample", "gaussian")
     for n in SIZES
     for m in measurements_for(kind, n)
-    if not (kind == "gaussian" and m == n > 784)  # the same code as smaller ones, and slow
+    if not (kind == "gaussian" and m == n == 784)  # the same code as smaller ones, and slow
 ]
 
 
@@ -48,18 +48,14 @@ def test_sbhe_of_any_size_and_block_is_its_dense_matrix(
 
 
 @pytest.mark.parametrize(("kind", "n", "m"), CASES)
-def test_adjoint_passes_the_dot_test_and_both_are_the_dense_matrix(
+def test_adjoint_passes_the_dot_test_both_are_the_dense_matrix_and_rows_are_orthonormal(
     kind: str, n: int, m: int
 ) -> None:
-    assert_operators(make_phi(kind, n, m, seed=3))
-
-
-@pytest.mark.parametrize(
-    ("kind", "n", "m"), [c for c in CASES if c[0] != "gaussian" and c[1] * c[2] <= 1600 * 1600]
-)
-def test_rows_are_orthonormal(kind: str, n: int, m: int) -> None:
-    matrix = make_phi(kind, n, m, seed=3).dense()
-    np.testing.assert_allclose(matrix @ matrix.T, np.eye(m), atol=1e-12)
+    phi = make_phi(kind, n, m, seed=3)
+    assert_operators(phi)
+    if kind != "gaussian":
+        matrix = phi.dense()
+        np.testing.assert_allclose(matrix @ matrix.T, np.eye(m), atol=1e-12)
 
 
 @pytest.mark.parametrize(("n", "m"), [(1, 1), (3, 2), (64, 21), (400, 400)])
@@ -110,16 +106,8 @@ def test_a_batch_gives_the_bits_of_its_frames_in_out_and_leaves_the_input_alone(
     ):
         before, out = given_to.copy(), np.full((5, size), 9, np.float32)
         assert apply(given_to, out) is out
-        np.testing.assert_array_equal(out, np.stack([apply(one) for one in given_to]))
+        np.testing.assert_array_equal(out, [apply(one) for one in given_to])
         np.testing.assert_array_equal(given_to, before)
-
-
-def test_results_handed_out_earlier_are_not_overwritten() -> None:
-    phi = make_phi("sbhe", 64, 20, seed=2)
-    first = phi.forward(normal(64, 1))
-    kept = first.copy()
-    phi.forward(normal(64, 2))
-    np.testing.assert_array_equal(first, kept)
 
 
 def test_wrong_shapes_and_types_are_named() -> None:
@@ -138,7 +126,7 @@ def test_wrong_shapes_and_types_are_named() -> None:
         phi.forward(normal((2, 3, 64)))
 
 
-def test_fingerprints_are_equal_for_equal_matrices_and_differ_otherwise() -> None:
+def test_fingerprints_are_of_the_matrix() -> None:
     asked = [
         ("sbhe", 784, 261, 0, 32),
         ("sbhe", 784, 261, 1, 32),
@@ -157,12 +145,9 @@ def test_fingerprints_are_equal_for_equal_matrices_and_differ_otherwise() -> Non
     assert len(set(prints)) == len(asked)
     assert prints == [make_phi(*one).fingerprint for one in asked]
     assert all(len(p) == 16 and int(p, 16) >= 0 for p in prints)
-
-
-def test_fingerprint_is_of_the_matrix_not_of_the_seed() -> None:
-    assert make_phi("full", 9, 9, seed=0).fingerprint == make_phi("full", 9, 9, seed=1).fingerprint
-    # One taxel: every seed gives the same 1 x 1 matrix.
-    assert make_phi("sbhe", 1, 1, seed=0).fingerprint == make_phi("sbhe", 1, 1, seed=1).fingerprint
+    # Every seed gives the same matrix.
+    for kind, n in (("full", 9), ("sbhe", 1)):
+        assert len({make_phi(kind, n, n, seed).fingerprint for seed in range(3)}) == 1
 
 
 @pytest.mark.parametrize("kind", ["sbhe", "full", "subsample", "gaussian"])
@@ -186,6 +171,8 @@ def test_describe_is_enough_to_make_it_again(kind: str) -> None:
         (("sbhe", 64, 20, 0, 0), "block = 0 is not allowed"),
         (("sbhe", 64, 20.0, 0), "m = 20.0 is not allowed; allowed: an integer"),
         (("sbhe", True, True, 0), "n = True is not allowed"),
+        (("sbhe", 64, 20, 0, 32, 0), "phi: rule = 0 is not allowed; allowed: 1, 2"),
+        (("sbhe", 64, 20, 0, 32, 3), "phi: rule = 3 is not allowed; allowed: 1, 2"),
         (("full", 64, 20, 0), "m = 20 is not allowed; allowed: 64"),
         (("gaussian", 4097, 20, 0), r"n = 4097 is not allowed; allowed: 1\.\.4096"),
         (("no_such_module:Phi", 64, 20, 0), "no_such_module"),

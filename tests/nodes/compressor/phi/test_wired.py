@@ -10,19 +10,12 @@ from matrices import assert_operators
 
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
-from sparseskin.nodes.compressor.phi.local import LocalSbhePhi, neighbourhood_order
-from sparseskin.nodes.compressor.phi.rotation import row_subsets, rows_and_m
+from sparseskin.nodes.compressor.phi.local import neighbourhood_order
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.compressor.phi.row_local import RowLocalPhi
-from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
-from sparseskin.nodes.reconstructor.solvers.projection import (
-    PlainProjection,
-    SbheProjection,
-    make_projection,
-)
 
 SHAPES = [(8, 8), (5, 7), (12, 32), (1, 9), (16, 24)]
 
@@ -160,38 +153,3 @@ def test_too_few_measurements_for_a_pattern_are_refused() -> None:
         laid_out("row_local", (8, 8), 7)
     with pytest.raises(PhiError, match="allowed: more than 8"):
         row_subsets(laid_out("row_local", (8, 8), 8), "rotating")
-
-
-def test_rows_rotate_by_default_where_they_can() -> None:
-    assert rows_and_m("local:8", 100)[0] == rows_and_m("row_local", 100)[0] == "rotating"
-    assert issubclass(type(make_phi("local:8", 64, 8, 0)), LocalSbhePhi)
-
-
-@pytest.mark.parametrize("kind", ["local:4", "local:16"])
-def test_a_solver_applies_neighbourhoods_as_it_does_the_whole_skin(kind: str) -> None:
-    """By its blocks and permutation, with the same results as by the operators."""
-    phi = laid_out(kind, (16, 24), 128, seed=2)
-    fast, plain = make_projection(phi), PlainProjection(phi)
-    assert type(fast) is SbheProjection
-    rng = np.random.default_rng(0)
-    x, y = rng.random(phi.n).astype(np.float32), rng.random(phi.m).astype(np.float32)
-    rows, found = np.zeros(phi.n, np.float32), np.zeros(phi.n, np.float32)
-    fast.forward(x[fast.order][None], rows[None])
-    measured = np.zeros(phi.m, np.float32)
-    plain.forward(x, measured)
-    np.testing.assert_allclose(rows[fast.places], measured, atol=1e-5)
-    fast.rows_of(y, rows)
-    fast.adjoint(rows, found)
-    back = np.zeros(phi.n, np.float32)
-    plain.adjoint(y, back)
-    np.testing.assert_allclose(found, back[fast.order], atol=1e-5)
-
-
-def test_a_class_that_changes_an_operator_is_applied_by_it() -> None:
-    class Doubled(SbhePhi):
-        def _forward(self, x: Floats, out: Floats) -> None:
-            super()._forward(2 * x, out)
-
-    assert is_sbhe(laid_out("local:4", (8, 8), 16))
-    assert not is_sbhe(Doubled(64, 16, 0))
-    assert type(make_projection(Doubled(64, 16, 0))) is PlainProjection

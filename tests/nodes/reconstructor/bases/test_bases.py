@@ -86,14 +86,6 @@ def test_the_cosine_basis_is_the_transform_of_scipy() -> None:
     np.testing.assert_allclose(DctBasis(28, 33).analysis(image), expected, atol=2e-5)
 
 
-@pytest.mark.parametrize("shape", [(64, 64), (32, 8), (16, 16)])
-def test_an_even_pressure_is_one_coefficient(shape: tuple[int, int]) -> None:
-    coefficients = HaarBasis(*shape).analysis(np.ones(shape, dtype=np.float32))
-    assert coefficients[0, 0] == pytest.approx(np.sqrt(shape[0] * shape[1]), rel=1e-6)
-    coefficients[0, 0] = 0
-    np.testing.assert_allclose(coefficients, 0, atol=1e-6)
-
-
 @pytest.mark.parametrize("name", ["haar", "identity"])
 def test_out_is_filled_and_returned_and_the_input_left_alone(name: str) -> None:
     basis = make_basis(name, 5, 7)

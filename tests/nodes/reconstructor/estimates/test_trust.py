@@ -131,6 +131,27 @@ def test_one_line_a_run_of_doubts_and_one_every_10_s() -> None:
     assert second == f"{estimate} (6 of the last 7 frames){ADVICE}"
 
 
+def test_the_first_two_frames_of_each_row_subset_are_no_run() -> None:
+    lines: list[str] = []
+    log = TrustLog(lines.append)
+    for begun in (1, 2):  # a change of Phi or solver begins anew
+        log.begin(3)
+        for trusted in [False] * 2 * 3 + [True] * 10 + [False] * RUN:
+            assert len(lines) == begun - 1
+            log.update(begun * EVERY_NS, FORCES, 0.31, trusted, n=10, unit="N")
+        assert len(lines) == begun
+        for _ in range(10):
+            log.update(begun * EVERY_NS, FORCES, 0.31, True, n=10, unit="N")
+
+
+def test_the_node_logs_by_the_times_of_the_stamps() -> None:
+    desk = Desk(PHI, solver=DOUBTING, options={"n_doubted": 1, "period": 1})
+    for stamp_s, y in enumerate(untouched(25)):
+        frame = Measurements(stamp_ns=stamp_s * S, patch="skin", y=y, phi=PHI.fingerprint)
+        list(desk.node.step(frame))
+    assert len(desk.lines) == 3  # at 2, 12 and 22 s
+
+
 @pytest.mark.parametrize(
     ("error", "forces", "words"),
     [
@@ -149,34 +170,3 @@ def test_the_line_states_the_estimate(error: float | None, forces: float, words:
     for _ in range(4 + RUN):
         log.update(0, uniform, error, False, n=8, unit="kPa")
     assert lines == [f"frames not to be trusted: {words}{ADVICE}"]
-
-
-@pytest.mark.parametrize("n_subsets", [1, 2, 3, 8])
-def test_the_first_two_frames_of_each_row_subset_are_no_run(n_subsets: int) -> None:
-    lines: list[str] = []
-    log = TrustLog(lines.append)
-    for begun in (1, 2):  # a change of Phi or solver begins anew
-        log.begin(n_subsets)
-        for trusted in [False] * 2 * n_subsets + [True] * 10:
-            log.update(0, FORCES, 0.31, trusted, n=10, unit="N")
-        assert len(lines) == begun - 1
-        for _ in range(RUN):
-            log.update(begun * EVERY_NS, FORCES, 0.31, False, n=10, unit="N")
-        assert len(lines) == begun
-        for _ in range(10):
-            log.update(begun * EVERY_NS, FORCES, 0.31, True, n=10, unit="N")
-
-
-def test_the_node_logs_a_run_of_doubted_frames_once() -> None:
-    desk = Desk(PHI, solver=DOUBTING, options={"n_doubted": 4, "period": 4})
-    reconstructions(desk, 5)
-    (line,) = desk.lines
-    assert line == f"frames not to be trusted: estimated error 50 % of the forces{ADVICE}"
-
-
-def test_the_times_of_the_lines_are_those_of_the_stamps() -> None:
-    desk = Desk(PHI, solver=DOUBTING, options={"n_doubted": 1, "period": 1})
-    for stamp_s, y in enumerate(untouched(25)):
-        frame = Measurements(stamp_ns=stamp_s * S, patch="skin", y=y, phi=PHI.fingerprint)
-        list(desk.node.step(frame))
-    assert len(desk.lines) == 3  # at 2, 12 and 22 s

@@ -9,7 +9,7 @@ from random_scenes import random_scene
 from watched import DESK_SHAPE as SHAPE
 from watched import Desk, N
 
-from sparseskin.messages import Reconstruction, ShapeError, decode, encode
+from sparseskin.messages import Reconstruction, decode, encode
 from sparseskin.nodes.compressor.phi.base import BLOCK, RANDOM, SPREAD, make_phi
 from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
@@ -53,13 +53,15 @@ def test_bands_hold_nine_tenths_of_the_touched_taxels_of_a_scene(preset: str, sc
     assert untouched > 0.98
 
 
-def test_deviations_scale_with_the_range_of_the_skin() -> None:
+def test_deviations_scale_with_the_range_of_the_skin_and_are_0_without_a_taxel() -> None:
     rng = np.random.default_rng(0)
     frames = rng.uniform(0, 1, (5, 9, 7)).astype(np.float32)
     mask = np.ones((9, 7), np.bool_)
+    mask[2, 3] = False
     small, large = Uncertainty(mask, 3.0, "skin"), Uncertainty(mask, 3.0, "skin")
     for frame in frames:
         sd = small.update(frame, 0.02)
+        assert sd[2, 3] == 0
         np.testing.assert_allclose(large.update(1000 * frame, 20.0), 1000 * sd, rtol=1e-4)
 
 
@@ -77,7 +79,7 @@ def deviations_by_definition(frame: Floats, r: float, factor: float) -> Doubles:
     return deviations
 
 
-@pytest.mark.parametrize("rows", [slice(0, 3), slice(4, 7), slice(6, 9)])
+@pytest.mark.parametrize("rows", [slice(0, 3), slice(6, 9)])
 @pytest.mark.parametrize("cols", [slice(0, 2), slice(3, 6), slice(5, 7)])
 def test_the_first_frame_is_the_definition_on_all_edges_of_the_skin(
     rows: slice, cols: slice
@@ -87,16 +89,8 @@ def test_the_first_frame_is_the_definition_on_all_edges_of_the_skin(
     factor, power = CALIBRATED["skin"][SPREAD]["fixed"]
     sd = Uncertainty(np.ones((9, 7), np.bool_), 3.0, "skin").update(frame, 0.02)
     expected = deviations_by_definition(frame, 0.02, factor * 3.0**power)
+    assert (sd > 0).all()
     np.testing.assert_allclose(sd, expected, rtol=1e-4)
-
-
-def test_the_deviation_is_above_0_where_a_taxel_is_and_0_elsewhere() -> None:
-    mask = np.ones((5, 7), np.bool_)
-    mask[2, 3] = False
-    sd = Uncertainty(mask, 3.0, "skin").update(np.zeros((5, 7), np.float32), 0.01)
-    assert sd.dtype == np.float32
-    assert (sd[mask] > 0).all()
-    assert sd[2, 3] == 0
 
 
 def test_a_force_that_wanders_is_less_certain_than_one_that_stands() -> None:
@@ -136,12 +130,3 @@ def test_of_a_solver_whose_errors_are_not_known_none_is_published_and_that_is_lo
         "uncertainty: the error of solver ista is not known, and none is published; "
         "known: skin, fista"
     ]
-
-
-def test_deviations_of_another_shape_are_refused() -> None:
-    with pytest.raises(ShapeError, match="sd: shape"):
-        Reconstruction(
-            stamp_ns=0, patch="skin", forces=np.zeros((2, 3), np.float32), phi="0" * 16,
-            iterations=(1,), residual=(0.0,), solve_ns=(0,), done_ns=0,
-            sd=np.zeros((3, 2), np.float32),
-        )  # fmt: skip

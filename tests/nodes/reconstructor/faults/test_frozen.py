@@ -9,7 +9,6 @@ from pressed import sliding_disc
 from watched import DESK_SHAPE, Desk, N
 
 from sparseskin.messages import Reconstruction
-from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.numerics.arrays import Floats
@@ -39,26 +38,22 @@ def test_it_is_found_after_20_repeats_and_works_again_with_the_first_other_frame
     assert not watch.frozen
 
 
-def test_noise_and_single_repeated_frames_are_none() -> None:
-    watch = FrozenWatch(SIGMA)
-    for k in range(200):
-        assert not watch.update("phi", noisy(k // 2))
+COARSE = quantised(np.array([0.0, 1.0, 50.0], dtype=np.float32), 4)
+"""Its steps are above the noise."""
+
+
+@pytest.mark.parametrize(
+    ("sigma", "frames"),
+    [
+        (SIGMA, [noisy(k // 2) for k in range(200)]),  # noise, each frame twice
+        (0.0, [noisy(0)] * 100),  # no noise is stated
+        (SIGMA, [COARSE] * 100),
+    ],
+)
+def test_what_may_repeat_is_no_hung_board(sigma: float, frames: list[Floats]) -> None:
+    watch = FrozenWatch(sigma)
+    assert not any(watch.update("phi", y) for y in frames)
     assert not watch.frozen
-
-
-def test_a_skin_that_states_no_noise_may_repeat() -> None:
-    watch = FrozenWatch(0.0)
-    for _ in range(100):
-        assert not watch.update("phi", noisy(0))
-
-
-def test_measurements_in_steps_above_the_noise_may_repeat() -> None:
-    coarse = quantised(np.array([0.0, 1.0, 50.0], dtype=np.float32), 4)
-    assert isinstance(coarse, Quantised)
-    assert coarse.step > 2 * SIGMA
-    watch = FrozenWatch(SIGMA)
-    for _ in range(100):
-        assert not watch.update("phi", coarse)
 
 
 @pytest.mark.parametrize("rows", ["fixed", "rotating"])

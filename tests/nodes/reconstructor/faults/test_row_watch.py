@@ -8,7 +8,6 @@ from pressed import noisy, psnr_db, sliding_disc
 from watched import DESK_SHAPE as SHAPE
 from watched import Desk, N
 
-from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.compressor.phi.base import RANDOM, Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK, row_subsets
 from sparseskin.nodes.compressor.quantiser import quantised
@@ -103,18 +102,20 @@ def test_of_rotating_rows_a_faulty_one_is_found_once_its_subset_was_read_as_ofte
     assert left_out.count("of row subset") == len(found)
 
 
-@pytest.mark.parametrize("bits", [6, 12, None])
+@pytest.mark.parametrize(
+    ("bits", "states_noise"), [(6, True), (12, True), (None, True), (None, False)]
+)
 def test_a_skin_without_noise_and_few_bits_have_no_faulty_measurements(
-    bits: int | None, phi: Phi, truth: Floats
+    bits: int | None, states_noise: bool, phi: Phi, truth: Floats
 ) -> None:
-    desk = Desk(phi, preset="skin")
-    for frames in (truth, noisy(truth)):
+    """Nor has a skin that does not state its noise, whose exact frames may stand still."""
+    desk = Desk(phi, preset="skin", states_noise=states_noise)
+    still = np.repeat(truth[-1:], 60, axis=0)
+    for frames in (truth, noisy(truth)) if states_noise else (still,):
         y = phi.forward(frames.reshape(-1, N))
-        for one in y:
-            given = one if bits is None else quantised(one, bits)
-            assert bits is None or isinstance(given, Quantised)
-            desk.restore([given])  # type: ignore[arg-type]
+        desk.messages(y if bits is None else [quantised(one, bits) for one in y])
         assert desk.node.state()["left_out"] == ""
+    assert states_noise or desk.lines == []
 
 
 def test_a_row_that_works_again_is_used_again_and_logged(phi: Phi) -> None:
@@ -129,17 +130,28 @@ def test_a_row_that_works_again_is_used_again_and_logged(phi: Phi) -> None:
     assert sorted(map(int, again.split(", "))) == list(FAULTY)
 
 
-def test_a_row_that_fails_again_has_to_agree_twice_as_long(phi: Phi) -> None:
-    rng = np.random.default_rng(0)
+def noise(m: int = M, seed: int = 0, n_frames: int = 30) -> Floats:
+    return np.random.default_rng(seed).normal(0, 0.01, (n_frames, m)).astype(np.float32)
+
+
+def left_out_of(
+    phi: Phi, y: Floats, fitted: Floats | None = None, unfitted: list[int] | None = None
+) -> list[int]:
+    """Rows left out of frames of measurements, which are reconstructed as 0 or as stated."""
     watch = RowWatch(phi)
-    waits = []
+    for one, estimate in zip(y, np.zeros_like(y) if fitted is None else fitted, strict=True):
+        watch.update(one, estimate, None if unfitted is None else np.array(unfitted))
+    return list(np.flatnonzero(watch.left_out))
+
+
+def test_a_row_that_fails_again_has_to_agree_twice_as_long(phi: Phi) -> None:
+    watch, waits, readings = RowWatch(phi), [], iter(noise(n_frames=5000))
     for _ in range(3):
-        for bad, until in ((True, True), (False, False)):
+        for bad in (True, False):
             frames = 0
-            while bool(watch.left_out[7]) != until:
-                y = rng.normal(0, 0.01, M).astype(np.float32)
-                if bad:
-                    y[7] = 1.0 + frames
+            while bool(watch.left_out[7]) != bad:
+                y = next(readings)
+                y[7] = 1.0 + frames if bad else y[7]
                 watch.update(y, np.zeros(M, np.float32))
                 frames += 1
         waits.append(frames)
@@ -147,94 +159,63 @@ def test_a_row_that_fails_again_has_to_agree_twice_as_long(phi: Phi) -> None:
     assert waits[2] > 1.5 * waits[1]
 
 
-@pytest.mark.parametrize(("change_n", "faulty"), [(0.01, False), (1.0, True)])
+@pytest.mark.parametrize(("change_n", "faulty"), [(0.01, []), (1.0, [7])])
 def test_a_row_that_the_frame_was_not_made_from_is_judged_by_its_change(
-    phi: Phi, change_n: float, faulty: bool
+    phi: Phi, change_n: float, faulty: list[int]
 ) -> None:
     """Its residual is larger than that of its peers, in all frames alike."""
-    rng = np.random.default_rng(0)
-    watch = RowWatch(phi)
-    unfitted = np.array([7])
-    for _ in range(60):
-        y = rng.normal(0, 0.01, M).astype(np.float32)
-        y[7] = 0.5 + rng.normal(0, change_n)
-        watch.update(y, np.zeros(M, np.float32), unfitted)
-    assert list(np.flatnonzero(watch.left_out)) == ([7] if faulty else [])
+    y = noise(n_frames=60)
+    y[:, 7] = 0.5 + np.random.default_rng(1).normal(0, change_n, 60)
+    assert left_out_of(phi, y, unfitted=[7]) == faulty
 
 
-@pytest.mark.parametrize("pair", [(250, 251), (60, 61)])
+@pytest.mark.parametrize("pair", [[250, 251], [60, 61]])
 def test_a_faulty_row_is_found_by_its_innovation_where_the_frame_explains_it(
-    phi: Phi, pair: tuple[int, int]
+    phi: Phi, pair: list[int]
 ) -> None:
     """A solver that starts anew fits what it reads: residuals are noise, innovations are not."""
-    rng = np.random.default_rng(0)
-    watch = RowWatch(phi)
-    for _ in range(40):
-        y = rng.normal(0, 0.01, M).astype(np.float32)
-        fitted = y + rng.normal(0, 0.01, M).astype(np.float32)
-        y[list(pair)] += (garbage := rng.uniform(-2, 2, 2).astype(np.float32))
-        fitted[list(pair)] += garbage
-        watch.update(y, fitted)
-    assert tuple(np.flatnonzero(watch.left_out)) == pair
+    y = noise(n_frames=40)
+    fitted = y + noise(seed=1, n_frames=40)
+    garbage = np.random.default_rng(2).uniform(-2, 2, (40, 2)).astype(np.float32)
+    y[:, pair] += garbage
+    fitted[:, pair] += garbage
+    assert left_out_of(phi, y, fitted) == pair
 
 
-@pytest.mark.parametrize(
-    ("kind", "watches"), [("sbhe", True), ("full", False), ("subsample", False)]
-)
-def test_a_row_that_reads_one_taxel_has_no_peers_and_is_not_judged(
-    kind: str, watches: bool
-) -> None:
-    watch = RowWatch(make_phi(kind, 256, 256 if kind == "full" else 85, seed=0))
-    assert watch.watches == watches
-    y = np.zeros(watch.left_out.size, np.float32)
-    for _ in range(30):
-        y[1] += 5.0  # of "sbhe", row 0 is the sum of the only block
-        watch.update(y + 0.01, np.zeros_like(y))
-    assert watch.left_out.any() == watches
-
-
-def test_of_a_skin_that_does_not_state_its_noise_nothing_is_left_out(phi: Phi) -> None:
-    """Exact frames that stand still repeat their measurements, and no measurement is faulty."""
-    pressed = np.zeros((60, *SHAPE), np.float32)
-    pressed[:, 10:15, 8:20] = 1.0
-    desk = Desk(phi, states_noise=False)
-    desk.messages(phi.forward(pressed.reshape(-1, N)))
-    assert desk.lines == []
+@pytest.mark.parametrize("kind", ["sbhe", "full", "subsample"])
+def test_a_row_that_reads_one_taxel_has_no_peers_and_is_not_judged(kind: str) -> None:
+    phi = make_phi(kind, 256, 256 if kind == "full" else 85, seed=0)
+    y = np.full((30, phi.m), 0.01, np.float32)
+    y[:, 1] += 5 * np.arange(1, 31)  # of "sbhe", row 0 is the sum of the only block
+    assert left_out_of(phi, y) == ([1] if kind == "sbhe" else [])
 
 
 @pytest.mark.parametrize("m", [67, 40])
 def test_a_row_subset_without_a_row_that_a_bias_shows_in_is_watched_all_the_same(m: int) -> None:
-    rng = np.random.default_rng(0)
     subsets = row_subsets(make_phi("sbhe", N, m, seed=0), "rotating")
     without = [phi for phi in subsets if not phi.forward(np.ones(N, np.float32)).any()]
     assert without
     for phi in without:
-        watch = RowWatch(phi)
-        for _ in range(30):
-            y = rng.normal(0, 0.1, phi.m).astype(np.float32)
-            y[7] = 9.0
-            watch.update(y, np.zeros(phi.m, np.float32))
-        assert list(np.flatnonzero(watch.left_out)) == [7]
+        y = 10 * noise(m)
+        y[:, 7] = 9.0
+        assert left_out_of(phi, y) == [7]
 
 
 def test_where_most_rows_disagree_none_is_blamed(phi: Phi) -> None:
-    rng = np.random.default_rng(0)
+    y = noise()
+    y[:, : M // 3] += np.random.default_rng(1).choice([-1, 1], (30, M // 3))
     watch = RowWatch(phi)
-    for _ in range(30):
-        y = rng.normal(0, 0.01, M).astype(np.float32)
-        y[: M // 3] += rng.choice([-1, 1], M // 3)
-        watch.update(y, np.zeros(M, np.float32))
+    for one in y:
+        watch.update(one, np.zeros(M, np.float32))
     assert watch.swamped
     assert not watch.left_out.any()
 
 
 def test_faulty_measurements_are_replaced_from_the_last_frame(phi: Phi, truth: Floats) -> None:
-    watch = RowWatch(phi)
+    watch, y, last = RowWatch(phi), np.full(M, 9.0, np.float32), truth[-1].reshape(-1)
     watch.left_out[[1, 5]] = True
-    y = np.full(M, 9.0, np.float32)
-    last = truth[-1].reshape(-1)
-    cleaned = watch.cleaned(y, last)
-    np.testing.assert_array_equal(cleaned[[1, 5]], phi.forward(last)[[1, 5]])
-    np.testing.assert_array_equal(np.delete(cleaned, [1, 5]), 9.0)
+    expected = y.copy()
+    expected[[1, 5]] = phi.forward(last)[[1, 5]]
+    np.testing.assert_array_equal(watch.cleaned(y, last), expected)
     np.testing.assert_array_equal(watch.cleaned(y, None)[[1, 5]], 0)
     np.testing.assert_array_equal(y, 9.0)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from watched import NOISE, Skin, pad
 from watched import SKIN_SHAPE as SHAPE
-from watched import Skin, pad
 
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.faults.taxels import MEASURED, TaxelWatch
 from sparseskin.nodes.sensor.noise import NoiseModel
 
@@ -36,27 +37,24 @@ def test_a_stuck_taxel_is_found_left_out_and_used_when_it_works_again(phi: Phi) 
     assert skin.lines[-1] == "taxel (9, 12) works again: used"
 
 
-@pytest.mark.parametrize("force", [0.3, 0.7, 1.3, 2.0])
-def test_a_still_peg_of_one_taxel_and_a_still_edge_are_contacts(phi: Phi, force: float) -> None:
-    skin = Skin(phi)
-    truth = pad((slice(5, 6), slice(5, 6)), (slice(20, 21), slice(3, 22)), force=force)
+RING = pad((slice(8, 20), slice(8, 20))) - pad((slice(13, 14), slice(14, 15)))
+QUIET = NoiseModel(2.5, 0.006, 0.0014)
+
+
+def pegs(force: float) -> Floats:
+    """A peg of one taxel, and an edge."""
+    return pad((slice(5, 6), slice(5, 6)), (slice(20, 21), slice(3, 22)), force=force)
+
+
+@pytest.mark.parametrize(
+    ("truth", "noise"), [(pegs(0.3), NOISE), (pegs(2.0), NOISE), (RING, NOISE), (pegs(1.3), QUIET)]
+)
+def test_what_rests_for_long_or_is_quieter_than_stated_is_a_contact(
+    phi: Phi, truth: Floats, noise: NoiseModel
+) -> None:
+    skin = Skin(phi, noise)
     for _ in range(2 * FRAMES):
         skin.read(truth)
-    assert skin.lines == []
-
-
-def test_on_a_skin_that_is_quieter_than_stated_no_taxel_is_stuck(phi: Phi) -> None:
-    skin = Skin(phi, NoiseModel(2.5, 0.006, 0.0014))
-    for _ in range(2 * FRAMES):
-        skin.read(pad((slice(5, 6), slice(5, 6)), force=1.3))
-    assert skin.lines == []
-
-
-def test_a_ring_that_rests_for_long_is_a_contact(phi: Phi) -> None:
-    skin, ring = Skin(phi), pad((slice(8, 20), slice(8, 20)))
-    ring[13, 14] = 0
-    for _ in range(FRAMES):
-        skin.read(ring)
     assert skin.lines == []
 
 

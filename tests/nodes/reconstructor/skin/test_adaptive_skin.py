@@ -121,13 +121,6 @@ def test_a_dense_random_skin_at_n_over_8_is_not_trusted() -> None:
         assert made.solver.error > 0.2
 
 
-def test_an_untouched_skin_is_0_and_trusted() -> None:
-    made = method((24, 24), 8)
-    for _ in range(5):
-        assert not made.reconstruct(np.zeros((24, 24), np.float32)).forces.any()
-        assert made.solver.trusted
-
-
 def test_noise_alone_is_trusted_where_the_skin_states_it() -> None:
     noise = NoiseModel.for_range(PAPER_F_MAX_N)
     made = method((40, 40), 8, sigma_end=noise.sigma_end)
@@ -138,33 +131,25 @@ def test_noise_alone_is_trusted_where_the_skin_states_it() -> None:
         assert made.solver.trusted
 
 
-def test_after_a_moving_contact_an_untouched_skin_is_trusted_at_once() -> None:
-    made = method((24, 24), 8)
-    for frame in frames_of((24, 24), 40, active=0.3):
-        made.reconstruct(frame)
-    for _ in range(3):
-        assert not made.reconstruct(np.zeros((24, 24), np.float32)).forces.any()
-        assert made.solver.trusted
+def test_before_and_after_a_moving_contact_an_untouched_skin_is_0_and_trusted() -> None:
+    made, nothing = method((24, 24), 8), [np.zeros((24, 24), np.float32)] * 3
+    for frame in [*nothing, *frames_of((24, 24), 40, active=0.3), *nothing]:
+        forces = made.reconstruct(frame).forces
+        if not frame.any():
+            assert not forces.any()
+            assert made.solver.trusted
 
 
-def test_after_reset_the_same_frames_give_the_same_bits() -> None:
+def test_after_reset_and_in_steps_the_same_frames_give_the_same_bits() -> None:
     made = method((24, 24), 4)
     frames = frames_of((24, 24), 30, body="fingertips", active=0.2)
     once = [made.reconstruct(frame).forces for frame in frames]
     made.reset()
     for before, frame in zip(once, frames, strict=True):
-        np.testing.assert_array_equal(made.reconstruct(frame).forces, before)
-
-
-def test_in_steps_it_is_the_same_as_at_once() -> None:
-    one, two = method((24, 24), 4), method((24, 24), 4)
-    for frame in frames_of((24, 24), 20, active=0.2):
-        expected = one.reconstruct(frame).forces
-        y = two.measure(frame)
-        two.solver.setup(y)
-        for _ in range(two.solver.n_steps):
-            two.solver.step()
-        np.testing.assert_array_equal(two.solver.finish(), expected)
+        made.solver.setup(made.measure(frame))
+        for _ in range(made.solver.n_steps):
+            made.solver.step()
+        np.testing.assert_array_equal(made.solver.finish(), before)
 
 
 def adaptive(n: int, m: int) -> AdaptivePhi:
@@ -173,22 +158,16 @@ def adaptive(n: int, m: int) -> AdaptivePhi:
     return phi
 
 
-def test_a_phi_without_a_grid_gets_that_of_the_solver() -> None:
+def test_a_phi_gets_the_grid_of_the_solver_and_keeps_the_one_it_has() -> None:
     phi = adaptive(64, 16)
-    solver = make_solver("skin", phi, make_basis("haar", 8, 8))
-    assert isinstance(solver, AdaptiveSkinSolver)
+    assert isinstance(make_solver("skin", phi, make_basis("haar", 8, 8)), AdaptiveSkinSolver)
     assert phi.exists is not None
     assert phi.exists.shape == (8, 8)
-
-
-def test_a_phi_of_another_grid_is_refused() -> None:
-    phi = adaptive(64, 16)
-    phi.lay_out(np.ones((4, 16), np.bool_))
     with pytest.raises(SolverError, match="laid out on another grid"):
-        make_solver("skin", phi, make_basis("haar", 8, 8))
+        make_solver("skin", phi, make_basis("haar", 4, 16))
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e20])
+@pytest.mark.parametrize("bad", [np.nan, 1e20])
 def test_measurements_that_are_no_forces_are_refused_and_leave_no_trace(bad: float) -> None:
     made = method((16, 16), 4)
     frames = frames_of((16, 16), 30, active=0.2)

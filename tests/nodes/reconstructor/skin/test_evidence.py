@@ -57,20 +57,6 @@ def test_one_measurement_of_16_is_held_out_and_none_where_all_are_predicted_or_m
     assert held.tests == (m < n)
 
 
-def test_each_row_subset_has_the_same_measurements_held_out_in_every_frame() -> None:
-    held = held_out()
-    first = [held.measurements]
-    kept = [held.kept]
-    for subset in (1, 2, 0, 1, 2):
-        held.use(subset)
-        first.append(held.measurements)
-        kept.append(held.kept)
-    for k in range(3):
-        np.testing.assert_array_equal(first[k], first[k + 3])
-        np.testing.assert_array_equal(kept[k], kept[k + 3])
-    assert not np.array_equal(first[0], first[1])
-
-
 def test_the_same_measurements_are_held_out_of_numpy_and_of_compiled_loops() -> None:
     pytest.importorskip("numba")
     n, m = 203, 50
@@ -92,12 +78,6 @@ def test_the_same_measurements_are_held_out_of_numpy_and_of_compiled_loops() -> 
     assert len(found) == 2 * len(subsets)
     for one, other in zip(found[: len(subsets)], found[len(subsets) :], strict=True):
         np.testing.assert_array_equal(one, other)
-
-
-def test_the_residual_is_that_of_the_held_out_rows_alone() -> None:
-    held = held_out()
-    y, fitted = np.random.default_rng(0).random((2, N), dtype=np.float32)
-    np.testing.assert_array_equal(held.residual(y, fitted), (y - fitted)[held.kept == 0])
 
 
 def normal_errors(mean_square: float, noise: float, n_frames: int = 400) -> list[float]:
@@ -130,12 +110,6 @@ def test_residuals_far_above_the_noise_are_the_error() -> None:
     assert held.error2(1e-4) == pytest.approx(0.25, rel=1e-2)
 
 
-def test_without_known_noise_all_of_the_residual_is_error() -> None:
-    held = held_out()
-    held.choose({HAAR: residual(0.01)}, 0.0, failed=False, gain=0.0)
-    assert held.error2(0.0) == pytest.approx(0.01, rel=1e-5)
-
-
 def test_a_single_bad_frame_counts_in_full_at_once_and_ends_with_what_caused_it() -> None:
     held = held_out()
     for _ in range(10):
@@ -146,14 +120,9 @@ def test_a_single_bad_frame_counts_in_full_at_once_and_ends_with_what_caused_it(
     assert held.error2(0.0) == pytest.approx(
         (TUNING.error_memory * TUNING.error_fading + 1 - TUNING.error_memory) * 1e-4, rel=1e-4
     )
-
-
-def test_errors_before_a_scene_jumped_are_forgotten() -> None:
-    held = held_out()
-    for _ in range(10):
-        held.choose({HAAR: residual(1.0)}, 0.0, failed=False, gain=0.0)
-    held.choose({HAAR: residual(0.01)}, 0.0, failed=True, gain=0.0)
-    assert held.error2(0.0) == pytest.approx(0.01, rel=1e-5)
+    # Errors before a scene jumped are forgotten.
+    held.choose({HAAR: residual(1e-6)}, 0.0, failed=True, gain=0.0)
+    assert held.error2(0.0) == pytest.approx(1e-6, rel=1e-5)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1, 0.3, 1.0])
@@ -168,15 +137,6 @@ def test_the_smooth_model_is_chosen_only_if_haars_error_exceeds_its_own_by_the_n
         # Held-out residuals bound the noise, too.
         frame(held, clearly * smooth + min(noise, smooth) + above, smooth, noise)
     assert held.model == model
-
-
-def test_the_estimate_that_is_used_is_that_of_the_model_chosen_if_it_was_made() -> None:
-    held = held_out()
-    errors = {HAAR: residual(1.0), SMOOTH: residual(0.01)}
-    assert held.choose(errors, 0.0, failed=True, gain=0.0) == SMOOTH
-    assert held.error2(0.0) == pytest.approx(0.01, rel=1e-5)
-    assert held.choose({HAAR: residual(1.0)}, 0.0, failed=False, gain=0.0) == HAAR
-    assert held.error2(0.0) == pytest.approx(1.0, rel=1e-5)
 
 
 def waits(haar: float, smooth: float, n_frames: int) -> list[int]:
@@ -200,13 +160,15 @@ def test_models_are_compared_more_rarely_while_the_same_is_better() -> None:
     assert set(found[5:]) == {TUNING.seldom}
 
 
-def test_models_are_not_compared_while_the_errors_may_be_noise() -> None:
+def test_models_are_compared_where_the_error_exceeds_the_noise_or_is_large() -> None:
     held = held_out()
     for _ in range(100):
-        frame(held, 1.0, 0.5, noise=1.0)
-    assert frame(held, 1.0, 0.5, noise=1.0) == (HAAR,)
+        frame(held, 1.0, 0.9, noise=1.0)
+    assert held.models(failed=False, coarse=False) == (HAAR,)
     assert held.suffices(residual(1.0), 1.0)
     assert not held.suffices(residual(4.0), 1.0)
+    assert held.models(failed=False, coarse=True) == (HAAR, SMOOTH)
+    assert held.models(failed=True, coarse=False) == (HAAR, SMOOTH)
     # What exceeds the noise asks for a comparison in the next frame.
     frame(held, 4.0, 0.5, noise=1.0)
     assert frame(held, 4.0, 0.5, noise=1.0) == (HAAR, SMOOTH)
@@ -222,14 +184,6 @@ def test_models_are_compared_at_once_when_the_error_doubles() -> None:
         frame(held, 1.0, 4.0)
     assert frame(held, 1.1 * TUNING.worse, 4.0) == (HAAR,)
     assert frame(held, 1.1 * TUNING.worse, 4.0) == (HAAR, SMOOTH)
-
-
-def test_a_frame_of_which_the_past_says_nothing_is_estimated_by_both_models() -> None:
-    held = held_out()
-    for _ in range(10):
-        frame(held, 1.0, 2.0)
-    assert held.models(failed=False, coarse=False) == (HAAR,)
-    assert held.models(failed=True, coarse=False) == (HAAR, SMOOTH)
 
 
 @pytest.mark.parametrize(
@@ -260,27 +214,6 @@ def test_reset_forgets_all_frames() -> None:
     assert held.models(failed=False, coarse=False) == (HAAR, SMOOTH)
 
 
-def test_models_are_compared_where_the_error_is_large_though_noise_may_explain_it() -> None:
-    held = held_out()
-    for _ in range(100):
-        frame(held, 1.0, 0.9, noise=1.0)
-    assert held.models(failed=False, coarse=False) == (HAAR,)
-    assert held.suffices(residual(1.0), 1.0)
-    assert held.models(failed=False, coarse=True) == (HAAR, SMOOTH)
-    assert not held.suffices(residual(1.0), 1.0)
-
-
-def test_held_out_residuals_bound_the_noise() -> None:
-    held = held_out()
-    assert held.suffices(residual(1.0), 1.0)
-    # 0.1 is noise and error of the smooth model: the noise cannot be 1.
-    frame(held, 1.0, 0.1, noise=1.0)
-    assert not held.suffices(residual(1.0), 1.0)
-    assert held.suffices(residual(0.1), 1.0)
-    held.reset()
-    assert held.suffices(residual(1.0), 1.0)
-
-
 @pytest.mark.parametrize(("gain", "chosen"), [(0.0, HAAR), (1.0, SMOOTH)])
 def test_the_noise_that_haar_averages_out_counts_as_far_as_it_does(
     gain: float, chosen: str
@@ -288,28 +221,3 @@ def test_the_noise_that_haar_averages_out_counts_as_far_as_it_does(
     held = held_out()
     errors = {HAAR: residual(1.5), SMOOTH: residual(1.0)}
     assert held.choose(errors, 1.0, failed=True, gain=gain) == chosen
-
-
-def test_models_are_compared_often_while_the_error_is_large() -> None:
-    held = held_out()
-    compared = 0
-    for _ in range(120):
-        models = held.models(failed=False, coarse=True)
-        compared += len(models) == 2
-        held.choose({model: residual(1.0) for model in models}, 0.0, failed=False, gain=0.0)
-    cycle = TUNING.trial + TUNING.often - 1
-    assert compared >= 120 * TUNING.trial // cycle - TUNING.trial
-
-
-def test_frames_of_which_the_past_says_nothing_do_not_space_out_comparisons() -> None:
-    held = held_out()
-    for _ in range(20):
-        models = held.models(failed=True, coarse=False)
-        held.choose({model: residual(1.0) for model in models}, 0.0, failed=True, gain=1.0)
-    while len(held.models(failed=False, coarse=False)) == 2:
-        held.choose({HAAR: residual(1.0), SMOOTH: residual(1.0)}, 0.0, failed=False, gain=0.0)
-    frames = 0
-    while len(held.models(failed=False, coarse=False)) == 1:
-        held.choose({HAAR: residual(1.0)}, 0.0, failed=False, gain=0.0)
-        frames += 1
-    assert frames <= 2 * TUNING.often

@@ -43,20 +43,18 @@ def follow_gain(
     gain.follow(*(float(np.dot(a, b)) for a, b in products), m, s2, jumped)
 
 
+@pytest.mark.parametrize(
+    ("m", "n_subsets", "relative"), [(500, 1, 0.15), (500, 3, 0.15), (40_000, 1, 0.02)]
+)
 @pytest.mark.parametrize("per_frame_n", [0.0, 0.01, 0.5])
-def test_the_level_is_the_noises_however_fast_the_forces_change(per_frame_n: float) -> None:
-    level = NoiseLevel(500)
-    for y in drifting(30, per_frame_n):
-        follow_level(level, y, e2=1.5 * SIGMA_N**2)
-    assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.15)
-
-
-@pytest.mark.parametrize("per_frame_n", [0.0, 0.5])
-def test_many_measurements_give_the_level_to_within_2_percent(per_frame_n: float) -> None:
-    level = NoiseLevel(40_000)
-    for y in drifting(12, per_frame_n, m=40_000):
-        follow_level(level, y, e2=1.5 * SIGMA_N**2)
-    assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.02)
+def test_the_level_is_the_noises_however_fast_the_forces_change_and_row_subsets_differ(
+    per_frame_n: float, m: int, n_subsets: int, relative: float
+) -> None:
+    level, offsets = NoiseLevel(m), np.random.default_rng(1).normal(0, 1, (n_subsets, m))
+    for k, y in enumerate(drifting(30 * n_subsets, per_frame_n, m)):
+        level.use(k % n_subsets)
+        follow_level(level, y + offsets[k % n_subsets].astype(np.float32), e2=1.5 * SIGMA_N**2)
+    assert level.s2 == pytest.approx(SIGMA_N**2, rel=relative)
 
 
 def test_the_level_is_never_above_the_innovation() -> None:
@@ -113,20 +111,6 @@ def test_the_bias_of_an_untouched_skin_is_found() -> None:
     assert bias.b == pytest.approx(PAPER_SIGMA_END_N / np.sqrt(2 * np.pi), rel=0.1)
 
 
-def test_the_bias_is_the_mean_of_the_first_medians_and_of_every_32nd_later() -> None:
-    """Medians of c in frames 1 to 8: 3 c (1/4 + 1/5 + ... + 1/11); then 3 c / 35 in frame 32."""
-    bias = ClipBias(make_projection(make_phi("sbhe", 64, 32, seed=0)), 64)
-    median_n = 0.01
-    found = []
-    for _ in range(32):
-        bias.update(0.0, np.full(64, median_n, dtype=np.float32), s2=1.0)
-        found.append(bias.b / median_n)
-    harmonic = np.cumsum(3 / np.arange(4, 12))
-    np.testing.assert_allclose(found[:8], harmonic, rtol=1e-6)
-    np.testing.assert_allclose(found[8:31], harmonic[-1], rtol=1e-6)
-    assert found[31] == pytest.approx(harmonic[-1] + 3 / 35)
-
-
 @pytest.mark.parametrize("compiled", [False, True])
 def test_rows_of_which_none_sees_a_bias_do_not_change_it(compiled: bool) -> None:
     """Only the first row of a block has a sum; of 64 taxels most row subsets at N/8 have none.
@@ -151,8 +135,9 @@ def test_a_force_everywhere_is_not_taken_for_bias() -> None:
     phi = make_phi("sbhe", 1600, 533, seed=0)
     bias = ClipBias(make_projection(phi), 1600)
     pressed = np.full(1600, 0.5, dtype=np.float32)
-    for _ in range(50):
-        bias.update(0.0, pressed, s2=0.01**2)
+    # A noisy contact does not let it grow: it is what the least noise of the skin allows.
+    for k in range(100):
+        bias.update(0.0, pressed, s2=0.01**2 if k < 50 else 0.1**2)
     assert bias.b <= 0.01
 
 
@@ -193,13 +178,18 @@ def innovations(n_frames: int, scale: float = 1.0) -> np.ndarray:
 NONE = np.zeros(500, dtype=np.float32)
 
 
-def test_noise_alone_is_averaged_over_all_frames_since_the_last_jump() -> None:
+@pytest.mark.parametrize("n_subsets", [1, 3])
+def test_noise_alone_is_averaged_over_all_frames_of_a_row_subset_since_the_last_jump(
+    n_subsets: int,
+) -> None:
     gain = AdaptiveGain()
     gains = []
     for k, innovation in enumerate(innovations(12)):
-        follow_gain(gain, innovation, NONE, 500, 1.2 * SIGMA_N**2, jumped=k == 0)
+        gain.use(k % n_subsets)
+        follow_gain(gain, innovation, NONE, 500, 1.2 * SIGMA_N**2, jumped=k < n_subsets)
         gains.append(gain.gain)
-    np.testing.assert_allclose(gains, 1 / np.arange(1, 13), rtol=1e-6)
+    expected = 1 / np.arange(1, 12 // n_subsets + 1).repeat(n_subsets)
+    np.testing.assert_allclose(gains, expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("scale", [2.0, 5.0])
@@ -229,18 +219,13 @@ def followed(truth: np.ndarray, sigma_n: float, s2: float) -> AdaptiveGain:
     return gain
 
 
-def test_innovations_of_a_filter_that_does_not_lag_leave_the_noise_trusted() -> None:
-    """Noise about a constant force: innovations are white, and the mean of all frames is best."""
-    constant = np.tile(np.random.default_rng(1).uniform(0, 1, 5000), (40, 1))
-    gain = followed(constant, SIGMA_N, s2=1.2 * SIGMA_N**2)
+def test_the_noise_is_trusted_unless_the_estimate_lags() -> None:
+    """Innovations about a constant force are white; at 100 times the noise, motion is no noise."""
+    each = np.random.default_rng(1).uniform(0, 1, 5000)
+    gain = followed(np.tile(each, (40, 1)), SIGMA_N, s2=1.2 * SIGMA_N**2)
     assert gain.noise == 1.2 * SIGMA_N**2
     assert gain.gain < 0.1
-
-
-def test_an_estimate_that_lags_behind_a_ramp_has_its_trust_in_the_noise_fall() -> None:
-    """The noise level is 100 times too high: all apparent noise is motion."""
-    ramp = np.arange(40)[:, None] * np.random.default_rng(1).uniform(0, SIGMA_N, 5000)
-    gain = followed(ramp, SIGMA_N / 100, s2=SIGMA_N**2)
+    gain = followed(np.arange(40)[:, None] * SIGMA_N * each, SIGMA_N / 100, s2=SIGMA_N**2)
     assert gain.noise < 0.2 * SIGMA_N**2
     assert gain.gain > 0.7
 
@@ -264,17 +249,6 @@ def test_a_lag_is_noticed_also_where_every_frame_measures_other_rows() -> None:
     assert gain.gain > 0.7
 
 
-def test_innovations_along_the_last_correction_raise_the_gain_at_any_noise_level() -> None:
-    lagging = np.full(500, SIGMA_N, dtype=np.float32)
-    gain = AdaptiveGain()
-    for innovation in innovations(30):
-        follow_gain(gain, innovation, NONE, 500, SIGMA_N**2, jumped=False)
-    assert TUNING.gain_least <= gain.gain < 0.25
-    for _ in range(15):
-        follow_gain(gain, lagging, np.float32(gain.gain) * lagging, 500, SIGMA_N**2, jumped=False)
-    assert gain.gain > 0.8
-
-
 @pytest.mark.parametrize("correlation", [-0.5, 0.0, 0.09, 0.4, 0.7, 1.0])
 def test_the_noise_is_trusted_less_where_an_innovation_points_along_the_last_correction(
     correlation: float,
@@ -291,33 +265,13 @@ def test_the_noise_is_trusted_less_where_an_innovation_points_along_the_last_cor
         assert gain.nis == pytest.approx(0.5 / trusts[-1], rel=1e-4)
     factor = np.exp(0.5 * (0.1 - correlation)) if correlation > 0.1 else 1.0
     np.testing.assert_allclose(trusts, np.maximum(factor ** np.arange(1, 41), 0.05), rtol=1e-3)
-    # An orthogonal innovation restores the trust, by 5 % a frame.
     before = gain.noise
+    # The correction before a jump says nothing of the scene after it.
+    follow_gain(gain, 10 * innovation, correction, 2, SIGMA_N**2, jumped=True)
+    assert gain.noise == before
+    # An orthogonal innovation restores the trust, by 5 % a frame.
     follow_gain(gain, innovation, correction[::-1] * [0, 1], 2, SIGMA_N**2, jumped=False)
     assert gain.noise == pytest.approx(min(1.05 * before, SIGMA_N**2), rel=1e-4)
-
-
-def test_a_jump_does_not_change_the_trust_in_the_noise() -> None:
-    """The correction before a jump says nothing of the scene after it."""
-    gain = AdaptiveGain()
-    lagging = np.full(500, SIGMA_N, dtype=np.float32)
-    for _ in range(5):
-        follow_gain(gain, lagging, lagging, 500, SIGMA_N**2, jumped=False)
-    trusted = gain.noise
-    follow_gain(gain, 10 * lagging, lagging, 500, SIGMA_N**2, jumped=True)
-    assert gain.noise == trusted < SIGMA_N**2
-
-
-def test_where_rows_rotate_frames_of_one_row_subset_are_compared() -> None:
-    """Row subsets differ far more from each other than noise does; that is not taken for noise."""
-    level = NoiseLevel(500)
-    rng = np.random.default_rng(0)
-    offsets = rng.normal(0, 1, (3, 500))
-    for k in range(60):
-        level.use(k % 3)
-        y = offsets[k % 3] + rng.normal(0, SIGMA_N, 500)
-        follow_level(level, y.astype(np.float32), e2=2 * SIGMA_N**2)
-    assert level.s2 == pytest.approx(SIGMA_N**2, rel=0.15)
 
 
 @pytest.mark.parametrize(("n_subsets", "growth"), [(1, 1.4), (3, 1.05)])
@@ -331,24 +285,3 @@ def test_the_level_grows_by_40_percent_a_frame_at_most(n_subsets: int, growth: f
         follow_level(level, y, e2=SIGMA_N**2 if k < 30 else 4 * before)
     assert not level.jumped
     assert level.s2 == pytest.approx(growth * before)
-
-
-def test_where_rows_rotate_each_row_subset_is_averaged_over_its_own_frames() -> None:
-    gain = AdaptiveGain()
-    gains = []
-    for k, innovation in enumerate(innovations(12)):
-        gain.use(k % 3)
-        follow_gain(gain, innovation, NONE, 500, 1.2 * SIGMA_N**2, jumped=k < 3)
-        gains.append(gain.gain)
-    expected = np.repeat([1, 1 / 2, 1 / 3, 1 / 4], 3)
-    np.testing.assert_allclose(gains, expected, rtol=1e-6)
-
-
-def test_a_noisy_contact_does_not_let_the_bias_grow() -> None:
-    """The bias is an untouched taxel's: what the least noise of the skin allows."""
-    bias = ClipBias(make_projection(make_phi("sbhe", 1600, 533, seed=0)), 1600)
-    pressed = np.full(1600, 0.5, dtype=np.float32)
-    bias.update(0.0, pressed, s2=0.01**2)
-    for _ in range(50):
-        bias.update(0.0, pressed, s2=0.1**2)
-    assert bias.b < 0.01

@@ -100,7 +100,7 @@ def test_before_a_round_is_over_an_innovation_beyond_the_noise_counts_as_a_chang
     assert 0 < surprised[surprised > 1e-4].min() < TUNING.memory_weight / 5
 
 
-def test_while_an_estimate_settles_earlier_rows_count_nothing_and_are_kept() -> None:
+def test_while_an_estimate_settles_earlier_rows_are_kept_and_count_nothing() -> None:
     setting, taxels = Setting(), taxels_of(0)
     for k in range(RATIO):
         setting.frame(k, taxels)
@@ -108,6 +108,9 @@ def test_while_an_estimate_settles_earlier_rows_count_nothing_and_are_kept() -> 
     assert np.isclose(counted, 0, atol=1e-6).sum() == N - M
     counted = setting.frame(RATIO + 1, taxels)
     assert np.isclose(counted, TUNING.memory_weight, atol=1e-3).sum() == N - M
+    setting.memory.forget()
+    counted = setting.frame(RATIO, taxels)
+    assert np.isclose(counted, 1, atol=1e-3).sum() == setting.memory.m_counted == M
 
 
 def test_variances_of_rows_grow_by_their_age_times_the_drift_that_is_seen() -> None:
@@ -124,17 +127,6 @@ def test_variances_of_rows_grow_by_their_age_times_the_drift_that_is_seen() -> N
     np.testing.assert_allclose(np.diff(values), values[1] - S2, rtol=1e-3)
     # The change in RATIO frames has a mean square of 0.01; an age of one is a part of it.
     assert values[1] - S2 == pytest.approx(TUNING.memory_doubt * 0.01 / RATIO, rel=0.3)
-
-
-def test_forgotten_rows_count_nothing() -> None:
-    setting, taxels = Setting(), taxels_of(0)
-    for k in range(RATIO):
-        setting.frame(k, taxels)
-    setting.memory.forget()
-    counted = setting.frame(RATIO, taxels)
-    assert np.isclose(counted, 1, atol=1e-3).sum() == M
-    assert np.isclose(counted, 0, atol=1e-6).sum() == N - M
-    assert setting.memory.m_counted == M
 
 
 def test_a_prediction_that_moves_moves_what_is_known_along() -> None:
@@ -156,14 +148,3 @@ def test_a_prediction_that_moves_moves_what_is_known_along() -> None:
     whole = np.zeros(N, dtype=np.float32)
     setting.projection.whole(after[order], whole)
     np.testing.assert_allclose(setting.whole, whole, atol=1e-6)
-
-
-def test_weighed_rows_keep_both_ways_transposes_of_each_other() -> None:
-    setting = Setting()
-    rng = np.random.default_rng(0)
-    setting.projection.weigh(rng.random(N, dtype=np.float32))
-    x, rows = rng.normal(size=(2, N)).astype(np.float32)
-    forth, back = np.zeros((2, N), dtype=np.float32)
-    setting.projection.forward(x[None], forth[None])
-    setting.projection.adjoint(rows, back)
-    assert float(forth @ rows) == pytest.approx(float(x @ back), rel=1e-4)

@@ -40,8 +40,7 @@ def holes(shape: tuple[int, int]) -> Mask:
     return mask
 
 
-@pytest.mark.parametrize("ratio", [3, 4, 8])
-@pytest.mark.parametrize("shape", [(40, 40), (64, 64)])
+@pytest.mark.parametrize(("shape", "ratio"), [((40, 40), 3), ((40, 40), 8), ((64, 64), 4)])
 def test_it_is_8_db_better_than_the_paper_and_at_a_third_better_than_the_full_reading(
     shape: tuple[int, int], ratio: int
 ) -> None:
@@ -58,43 +57,22 @@ def test_it_is_8_db_better_than_the_paper_and_at_a_third_better_than_the_full_re
         assert skin > psnr_db(taxels[touched], truth[touched]) + 4
 
 
-@pytest.mark.parametrize("shape", [(28, 28), (33, 47), (12, 32), (95, 64)])
-@pytest.mark.parametrize("kind", ["sbhe", "gaussian", "full"])
+@pytest.mark.parametrize(
+    ("shape", "kind"), [((33, 47), "sbhe"), ((95, 64), "sbhe"), ((28, 28), "gaussian")]
+)
 def test_any_skin_and_phi_is_reconstructed_and_missing_taxels_stay_0(
     shape: tuple[int, int], kind: str
 ) -> None:
     mask = holes(shape)
     n = int(mask.sum())
-    if kind == "gaussian" and n > 4096:
-        pytest.skip("a dense Phi is for 4096 taxels at most")
     truth = sliding_disc(shape, 25) * mask
     taxels = noisy(truth) * mask
-    phi = make_phi(kind, n, n if kind == "full" else n // 3, seed=0)
+    phi = make_phi(kind, n, n // 3, seed=0)
     restored = solve_all(preset("skin", phi, shape, mask), phi.forward(taxels[:, mask]))
     assert restored.dtype == np.float32
     assert restored.min() == 0
     np.testing.assert_array_equal(restored[:, ~mask], 0)
     assert psnr_db(restored[15:], truth[15:]) > psnr_db(taxels[15:], truth[15:]) + 4
-
-
-def test_the_plain_way_reconstructs_as_well_as_the_fast_one() -> None:
-    """Blocks of 128 are beyond what the fast way takes."""
-    truth = sliding_disc((40, 40), 25)
-    for block in (32, 128):
-        phi = make_phi("sbhe", 1600, 533, seed=0, block=block)
-        y = phi.forward(noisy(truth).reshape(-1, 1600))
-        assert psnr_db(solve_all(preset("skin", phi, (40, 40)), y)[15:], truth[15:]) > 50
-
-
-@pytest.mark.parametrize(("shape", "m"), [((1, 1), 1), ((1, 2), 1), ((3, 1), 2), ((5, 7), 35)])
-def test_tiny_skins_work(shape: tuple[int, int], m: int) -> None:
-    n = shape[0] * shape[1]
-    phi = make_phi("sbhe", n, m, seed=0)
-    solver = preset("skin", phi, shape)
-    for x in np.random.default_rng(0).random((4, n), dtype=np.float32):
-        estimate = solver.solve(phi.forward(x))
-        assert estimate.shape == shape
-        assert np.isfinite(estimate).all()
 
 
 @pytest.mark.parametrize("shape", [(1, 16), (4, 4), (2, 128)])
@@ -122,42 +100,19 @@ def test_the_range_of_the_skin_does_not_matter() -> None:
         np.testing.assert_array_equal(scaled, estimate * np.float32(scale))
 
 
-def test_the_same_measurements_give_the_same_bits_from_the_start_and_after_reset() -> None:
-    phi = make_phi("sbhe", 784, 261, seed=0)
-    y = phi.forward(noisy(sliding_disc((28, 28), 20)).reshape(-1, 784))
-    solver = preset("skin", phi, (28, 28))
-    first = solve_all(solver, y)
-    assert not np.array_equal(solve_all(solver, y), first)
-    solver.reset()
-    np.testing.assert_array_equal(solve_all(solver, y), first)
-    np.testing.assert_array_equal(solve_all(preset("skin", phi, (28, 28)), y), first)
-
-
-def test_setup_steps_and_finish_are_solve_and_a_frame_may_be_cut_short() -> None:
+def test_a_frame_may_be_cut_short_and_without_a_step_is_the_prediction() -> None:
     phi = make_phi("sbhe", 784, 261, seed=0)
     truth = sliding_disc((28, 28), 20)
     y = phi.forward(noisy(truth).reshape(-1, 784))
-    whole, pieces, cut = (preset("skin", phi, (28, 28)) for _ in range(3))
+    solver = preset("skin", phi, (28, 28))
     shortest = []
     for one in y:
-        pieces.setup(one)
-        for _ in range(pieces.n_steps):
-            pieces.step()
-        np.testing.assert_array_equal(pieces.finish(), whole.solve(one))
-        cut.setup(one)
+        solver.setup(one)
         for _ in range(2):
-            cut.step()
-        shortest.append(cut.finish())
+            solver.step()
+        shortest.append(solver.finish())
     assert psnr_db(np.array(shortest)[15:], truth[15:]) > psnr_db(noisy(truth)[15:], truth[15:])
-    with pytest.raises(SolverError, match="no step is left"):
-        pieces.step()
-
-
-def test_a_frame_without_a_step_is_the_prediction() -> None:
-    phi = make_phi("sbhe", 784, 261, seed=0)
-    truth = sliding_disc((28, 28), 20)
-    y = phi.forward(noisy(truth).reshape(-1, 784))
-    solver = preset("skin", phi, (28, 28))
+    solver.reset()
     solve_all(solver, y[:-1])
     solver.setup(y[-1])
     assert psnr_db(solver.finish(), truth[-1]) > 50
@@ -245,21 +200,13 @@ def test_a_light_touch_is_found_within_three_frames_in_95_of_100_trials() -> Non
     assert found >= 95
 
 
-def test_a_lone_taxel_that_is_pressed_is_kept() -> None:
+def test_a_lone_taxel_is_kept_and_a_contact_over_the_edge_leaves_no_ghost_on_the_other() -> None:
     phi = make_phi("sbhe", 1600, 533, seed=0)
     truth = np.zeros((30, 40, 40), dtype=np.float32)
-    truth[5:, 17, 23] = 0.3
+    truth[5:, 17, 23], truth[5:, 10:25, :4] = 0.3, 0.8
     y = phi.forward(noisy(truth).reshape(-1, 1600))
-    restored = solve_all(preset("skin", phi, (40, 40)), y)
-    assert abs(restored[20:, 17, 23].mean() - 0.3) < 0.06
-
-
-def test_a_contact_over_the_edge_leaves_no_ghost_on_the_other_side() -> None:
-    phi = make_phi("sbhe", 1600, 533, seed=0)
-    truth = np.zeros((30, 40, 40), dtype=np.float32)
-    truth[5:, 10:25, :4] = 0.8
-    y = phi.forward(noisy(truth).reshape(-1, 1600))
-    restored = solve_all(preset("skin", phi, (40, 40)), y)[15:]
+    restored = solve_all(preset("skin", phi, (40, 40)), y)[20:]
+    assert abs(restored[:, 17, 23].mean() - 0.3) < 0.06
     assert np.abs(restored[:, :, -4:]).mean() < 0.001
 
 
@@ -271,32 +218,13 @@ def test_a_given_warm_start_replaces_what_the_last_frame_left() -> None:
     assert psnr_db(warm.solve(y, warm=truth), truth) > psnr_db(cold.solve(y), truth) + 6
 
 
-def test_estimates_are_the_callers_own_and_y_is_left_alone() -> None:
-    phi = make_phi("sbhe", 784, 261, seed=0)
-    y = phi.forward(noisy(sliding_disc((28, 28), 8)).reshape(-1, 784))
-    kept = y.copy()
-    solver = preset("skin", phi, (28, 28))
-    first = solver.solve(y[6])
-    copy = first.copy()
-    solver.solve(y[7])
-    np.testing.assert_array_equal(first, copy)
-    np.testing.assert_array_equal(y, kept)
-
-
-def test_no_measurement_but_zero_gives_no_force() -> None:
-    solver = preset("skin", make_phi("sbhe", 256, 85, seed=0), (16, 16))
-    for _ in range(3):
-        np.testing.assert_array_equal(solver.solve(np.zeros(85, dtype=np.float32)), 0)
-
-
-@pytest.mark.parametrize("spoilt", [np.nan, np.inf, 1e20])
-def test_a_measurement_that_cannot_be_is_refused_and_leaves_no_trace(spoilt: float) -> None:
+def test_a_measurement_that_is_too_large_is_refused_and_leaves_no_trace() -> None:
     phi = make_phi("sbhe", 256, 85, seed=0)
     y = phi.forward(noisy(sliding_disc((16, 16), 10)).reshape(-1, 256))
     solver, untroubled = (preset("skin", phi, (16, 16)) for _ in range(2))
     for one in y:
-        with pytest.raises(SolverError, match=r"finite|too large"):
-            solver.solve(np.where(np.arange(85) == 17, np.float32(spoilt), one))
+        with pytest.raises(SolverError, match="too large"):
+            solver.solve(np.where(np.arange(85) == 17, np.float32(1e20), one))
         np.testing.assert_array_equal(solver.solve(one), untroubled.solve(one))
 
 
@@ -488,28 +416,10 @@ def test_a_dense_random_phi_is_reconstructed_on_a_small_skin(shape: tuple[int, i
     assert np.linalg.norm(estimate - press) < 0.2 * np.linalg.norm(press)
 
 
-class TooShortLipschitz(type(make_phi("gaussian", 4, 4, seed=0))):  # type: ignore[misc]
-    """A step of 1/L that is a thousand times too long."""
-
-    lipschitz = 1e-3
-
-
-@pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
-def test_an_iteration_that_diverges_is_an_error_and_forgotten() -> None:
-    phi = TooShortLipschitz(400, 133, seed=0)
-    solver = SkinSolver(phi, make_basis("haar", 20, 20), iterations=1000)
-    y = phi.forward(sliding_disc((20, 20), 10)[-1].ravel())
-    with pytest.raises(SolverError, match="diverged"):
-        solver.solve(y)
-    np.testing.assert_array_equal(solver.solve(np.zeros(133, dtype=np.float32)), 0)
-
-
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"iterations": 0}, r"iterations = 0 is not allowed; allowed: an integer 1\.\.1000"),
         ({"max_iterations": 1001}, "max_iterations = 1001"),
-        ({"iterations": 2.5}, "iterations = 2.5"),
         ({"seed": -1}, "seed = -1"),
         ({"tuning": 3}, "tuning = 3 is not allowed; allowed: a SkinTuning, from Python only"),
         ({"lambda_n": 0.1}, 'setting "lambda_n" is not known'),

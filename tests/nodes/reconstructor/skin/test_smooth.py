@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import tracemalloc
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -12,21 +11,15 @@ import pytest
 from sparseskin.nodes.compressor.phi.base import RANDOM, make_phi
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.skin import smooth
-from sparseskin.nodes.reconstructor.skin.smooth import MOST_DENSE, NEGLIGIBLE, SmoothModel
+from sparseskin.nodes.reconstructor.skin.smooth import MOST_DENSE, SmoothModel
 from sparseskin.nodes.reconstructor.skin.tuning import TUNING
-from sparseskin.nodes.reconstructor.solvers.projection import (
-    PlainProjection,
-    SbheProjection,
-    make_projection,
-)
+from sparseskin.nodes.reconstructor.solvers.projection import make_projection
 
+WHOLE, LINE = np.ones((8, 8), dtype=np.bool_), np.ones((1, 40), dtype=np.bool_)
 KINDS = ["sbhe", "gaussian", "subsample", "full"]
-#: Relative deviations from the closed form: of the inverse, and of conjugate gradients.
-CLOSE = {True: 1e-4, False: 1e-3}
-needs_numba = pytest.mark.skipif(find_spec("numba") is None, reason="numba is not installed")
-
-
-WHOLE = np.ones((8, 8), dtype=np.bool_)
+#: How the system is solved, and relative deviations from the closed form.
+INVERSE, GRADIENTS, COMPILED = "inverse", "conjugate gradients", "compiled conjugate gradients"
+CLOSE = {INVERSE: 1e-4, GRADIENTS: 1e-3, COMPILED: 1e-3}
 
 
 def holes() -> Mask:
@@ -39,17 +32,15 @@ def holes() -> Mask:
 class Setting:
     """A skin and measurements of a smooth press, with W, places and K in float64."""
 
-    def __init__(
-        self, kind: str, mask: Mask, direct: bool, ratio: int = 3, compiled: bool = False
-    ) -> None:
+    def __init__(self, kind: str, mask: Mask, form: str, ratio: int = 3) -> None:
         n = int(mask.sum())
         # Rows without the sums of large blocks, along which a smooth press has most of its energy:
         # conjugate gradients that end at a part of the right side then leave more of the rest.
         self.phi = make_phi(kind, n, n if kind == "full" else n // ratio, 0, 32, RANDOM)
-        self.projection = make_projection(self.phi, compiled)
+        self.projection = make_projection(self.phi, compiled=form == COMPILED)
         order = self.projection.order
         cells = np.flatnonzero(mask)[order]
-        self.model = self.made(cells, mask, direct)
+        self.model = self.made(cells, mask, form)
         self.w = np.array([self.rows(column) for column in self.phi.dense()[:, order].T]).T
         self.places = np.stack(np.unravel_index(cells, mask.shape), axis=1)
         middle = 0.45 * np.array(mask.shape)
@@ -65,9 +56,9 @@ class Setting:
         power = float(np.mean(np.square(self.w @ self.x)))
         self.variance = (power * rng.uniform(0.1, 0.4, self.used.size)).astype(np.float32)
 
-    def made(self, cells: Indices, mask: Mask, direct: bool) -> SmoothModel:
-        if isinstance(self.projection, SbheProjection | PlainProjection):
-            return SmoothModel(self.projection, cells, mask, direct=direct)
+    def made(self, cells: Indices, mask: Mask, form: str) -> SmoothModel:
+        if form != COMPILED:
+            return SmoothModel(self.projection, cells, mask, direct=form == INVERSE)
         from sparseskin.nodes.reconstructor.skin.fast import CompiledSmoothModel
 
         return CompiledSmoothModel(self.projection, cells, mask)  # type: ignore[arg-type]
@@ -118,68 +109,49 @@ def relative(found: Floats, wanted: Doubles) -> float:
     return float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 
 
-@pytest.mark.parametrize("direct", [True, False])
-@pytest.mark.parametrize("mask", [WHOLE, np.ones((1, 40), np.bool_), holes()])
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_first_round_from_nothing_is_the_closed_form_with_equal_deviations(
-    kind: str, mask: Mask, direct: bool
-) -> None:
-    setting = Setting(kind, mask, direct)
+@pytest.mark.parametrize(
+    ("kind", "mask", "form"),
+    [
+        *[(kind, holes(), form) for kind in KINDS for form in (INVERSE, GRADIENTS)],
+        *[("sbhe", mask, form) for mask in (WHOLE, LINE) for form in CLOSE],
+        *[("sbhe", mask, COMPILED) for mask in (holes(), LINE.T)],
+    ],
+)
+def test_each_round_is_the_closed_form(kind: str, mask: Mask, form: str) -> None:
+    """With equal deviations from nothing, those of the first estimate, those of a prediction.
+
+    The last round ends with a step along the weighted residual, as long as the largest eigenvalue
+    of Phi Phi^T allows, whatever Phi is.
+    """
+    if form == COMPILED:
+        pytest.importorskip("numba")
+    setting, close = Setting(kind, mask, form), CLOSE[form]
+    model, nothing = setting.model, np.zeros(setting.phi.n)
     setting.begin()
-    assert setting.model.rounds_left == TUNING.cold_rounds
-    setting.model.round()
-    n = setting.phi.n
-    assert relative(setting.model.x, setting.closed(np.ones(n), np.zeros(n))) < CLOSE[direct]
-
-
-@pytest.mark.parametrize("direct", [True, False])
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_predicted_frame_is_the_closed_form_with_the_deviations_of_the_prediction(
-    kind: str, direct: bool
-) -> None:
-    setting = Setting(kind, holes(), direct)
-    last = np.roll(setting.x, 1) * 0.8
-    setting.begin(last, kept=0.5)
-    assert setting.model.rounds_left == TUNING.rounds
-    setting.model.round()
-    wanted = setting.closed(setting.deviation(last), 0.5 * last)
-    assert relative(setting.model.x, wanted) < CLOSE[direct]
-
-
-@pytest.mark.parametrize("direct", [True, False])
-def test_a_second_round_has_the_deviations_of_the_first_estimate(direct: bool) -> None:
-    setting = Setting("sbhe", WHOLE, direct)
-    setting.begin()
-    setting.model.round()
-    deviation = setting.deviation(setting.model.x.astype(np.float64))
-    setting.model.round()
-    wanted = setting.closed(deviation, np.zeros(setting.phi.n))
-    assert relative(setting.model.x, wanted) < CLOSE[direct]
-
-
-@pytest.mark.parametrize("direct", [True, False])
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_last_round_ends_with_a_step_along_the_weighted_residual(
-    kind: str, direct: bool
-) -> None:
-    """The step is as long as the largest eigenvalue of Phi Phi^T allows, whatever Phi is."""
-    setting = Setting(kind, WHOLE, direct)
-    setting.begin()
-    for _ in range(TUNING.cold_rounds - 1):
-        setting.model.round()
-    deviation = setting.deviation(setting.model.x.astype(np.float64))
-    setting.model.round()
-    assert setting.model.rounds_left == 0
-    x = setting.closed(deviation, np.zeros(setting.phi.n))
+    assert model.rounds_left == TUNING.cold_rounds
+    deviation = nothing + 1
+    while model.rounds_left > 1:
+        model.round()
+        assert relative(model.x, setting.closed(deviation, nothing)) < close
+        deviation = setting.deviation(model.x.astype(np.float64))
+    model.round()
+    x = setting.closed(deviation, nothing)
     residual = setting.used / (1 + setting.variance) * (setting.y - setting.w @ x)
     x = np.maximum(x + setting.w.T @ residual / setting.phi.lipschitz, 0)
-    assert relative(setting.model.x, x) < 3 * CLOSE[direct]
+    assert relative(model.x, x) < 3 * close
+
+    last = np.roll(setting.x, 1) * 0.8
+    setting.begin(last, kept=0.5)
+    assert model.rounds_left == TUNING.rounds
+    model.round()
+    assert relative(model.x, setting.closed(setting.deviation(last), 0.5 * last)) < close
+    assert (model.left_out is None) == (form != INVERSE)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_left_out_is_the_residual_of_a_solve_without_the_measurement(kind: str) -> None:
     """And as much larger as is stated, as the deviation was fitted to the measurement, too."""
-    setting = Setting(kind, holes(), direct=True)
+    setting = Setting(kind, holes(), INVERSE)
     setting.begin()
     setting.model.rounds_left = 1  # known in the last round
     setting.model.round()
@@ -198,75 +170,6 @@ def test_left_out_is_the_residual_of_a_solve_without_the_measurement(kind: str) 
     assert np.abs(found[used]).min() > 0
 
 
-def test_conjugate_gradients_leave_no_measurement_out() -> None:
-    setting = Setting("sbhe", holes(), direct=False)
-    setting.begin()
-    setting.model.round()
-    assert setting.model.left_out is None
-
-
-@needs_numba
-@pytest.mark.parametrize("mask", [WHOLE, np.ones((1, 40), np.bool_), holes()])
-def test_compiled_loops_find_the_closed_form_too(mask: Mask) -> None:
-    setting = Setting("sbhe", mask, direct=False, compiled=True)
-    n = setting.phi.n
-    setting.begin()
-    setting.model.round()
-    x = setting.model.x.astype(np.float64)
-    assert relative(setting.model.x, setting.closed(np.ones(n), np.zeros(n))) < CLOSE[False]
-    setting.model.round()
-    wanted = setting.closed(setting.deviation(x), np.zeros(n))
-    assert relative(setting.model.x, wanted) < CLOSE[False]
-    last = np.roll(setting.x, 1) * 0.8
-    setting.begin(last, kept=0.5)
-    setting.model.round()
-    wanted = setting.closed(setting.deviation(last), 0.5 * last)
-    assert relative(setting.model.x, wanted) < CLOSE[False]
-
-
-@needs_numba
-@pytest.mark.parametrize("shape", [(64, 64), (1, 40), (70, 3), (21, 1)])
-def test_the_filters_of_compiled_loops_are_gaussians_to_rounding(shape: tuple[int, int]) -> None:
-    from sparseskin.nodes.numerics.kernels import filter_image
-    from sparseskin.nodes.reconstructor.skin.fast import CompiledSmoothModel
-
-    model = Setting("sbhe", np.ones(shape, np.bool_), direct=False, compiled=True).model
-    assert isinstance(model, CompiledSmoothModel)
-    given = np.random.default_rng(0).normal(size=shape).astype(np.float32)
-    image, half, total = model._images
-    image[model._places] = given.reshape(-1)[model._taxels]
-    filter_image(image, half, total, model._layout, *model._filters)
-    found, wanted = np.zeros(shape), np.zeros(shape)
-    found.reshape(-1)[model._taxels] = total[model._places]
-    for length in TUNING.lengths:
-        down, right = (smooth._gaussian(side, length).astype(np.float64) for side in shape)
-        wanted += down @ given @ right / len(TUNING.lengths)
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=5e-7 * np.abs(wanted).max())
-
-
-@pytest.mark.parametrize("length", TUNING.lengths)
-def test_no_product_of_correlations_is_subnormal_which_would_take_forty_times_as_long(
-    length: float,
-) -> None:
-    weights = smooth._gaussian(MOST_DENSE, length)
-    assert weights[weights > 0].min() ** 2 >= np.finfo(np.float32).tiny
-
-
-@pytest.mark.parametrize("length", TUNING.lengths)
-def test_the_correlation_of_a_long_line_is_the_dense_one_up_to_its_cut(
-    length: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    n = MOST_DENSE + 40
-    found = smooth._gaussian(n, length)
-    distance = np.abs(np.arange(n)[:, None] - np.arange(n))
-    monkeypatch.setattr(smooth, "MOST_DENSE", n)
-    dense = smooth._gaussian(n, length)
-    near = distance <= NEGLIGIBLE * length
-    np.testing.assert_allclose(found.toarray()[near], dense[near], rtol=1e-6)
-    np.testing.assert_array_equal(found.toarray()[distance > NEGLIGIBLE * length + 1], 0)
-    assert np.abs(dense[~near]).max() <= math.exp(-0.5 * NEGLIGIBLE**2)
-
-
 def test_a_long_strip_is_estimated_as_with_a_dense_correlation(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -274,7 +177,7 @@ def test_a_long_strip_is_estimated_as_with_a_dense_correlation(
     found = []
     for most in (MOST_DENSE, 2 * MOST_DENSE):
         monkeypatch.setattr(smooth, "MOST_DENSE", most)
-        setting = Setting("sbhe", mask, direct=False)
+        setting = Setting("sbhe", mask, GRADIENTS)
         setting.begin()
         while setting.model.rounds_left:
             setting.model.round()

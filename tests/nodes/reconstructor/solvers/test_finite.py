@@ -21,20 +21,12 @@ from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, Solver, make_ro
 FORMS = ["off", *(["on"] if find_spec("numba") else [])]
 #: Rows that each frame chooses anew: phi "adaptive".
 CHOSEN = "chosen"
-#: Skins on which solver `skin` has the smooth model alone, and both.
-SIDES = {name: (8, 18) if name == "skin" else (8,) for name in SOLVERS}
+#: On 18 x 18 taxels solver `skin` has both models, on 8 x 8 the smooth one alone.
 CASES = [
-    *(
-        pytest.param(
-            *(name, side, rows, fast),
-            marks=pytest.mark.slow if side > 8 and fast == "off" else (),
-        )
-        for name, sides in SIDES.items()
-        for side in sides
-        for rows in (FIXED, ROTATING)
-        for fast in (FORMS if name in ("skin", "fista") else ["off"])
-    ),
-    *(("skin", 8, CHOSEN, fast) for fast in FORMS),
+    *((name, 8, rows, FORMS[-1]) for name in SOLVERS for rows in (FIXED, ROTATING)),
+    *(("skin", 18, rows, FORMS[-1]) for rows in (FIXED, ROTATING)),
+    *(("skin", 8, rows, "off") for rows in (FIXED, ROTATING, CHOSEN)),
+    pytest.param("skin", 18, ROTATING, "off", marks=pytest.mark.slow),
 ]
 
 
@@ -69,11 +61,11 @@ class Stream:
 
 
 @pytest.mark.parametrize(("name", "side", "rows", "fast"), CASES)
-def test_a_contact_after_2000_identical_frames_is_reconstructed(
+def test_a_contact_after_identical_frames_is_reconstructed(
     name: str, side: int, rows: str, fast: str
 ) -> None:
     stream, fresh = Stream(name, side, rows, fast), Stream(name, side, rows, fast)
-    for _ in range(2000):
+    for _ in range(2000 if name == "skin" else 300):
         assert np.isfinite(stream.frame(stream.press(2, 2))).all()
     moved = stream.press(5, 4)
 
@@ -87,9 +79,8 @@ def test_a_contact_after_2000_identical_frames_is_reconstructed(
 
 
 @pytest.mark.parametrize("rows", [FIXED, ROTATING])
-@pytest.mark.parametrize("fast", FORMS)
-def test_noise_is_filtered_again_after_identical_frames(rows: str, fast: str) -> None:
-    stream, rng = Stream("skin", 24, rows, fast), np.random.default_rng(0)
+def test_noise_is_filtered_again_after_identical_frames(rows: str) -> None:
+    stream, rng = Stream("skin", 24, rows, "auto"), np.random.default_rng(0)
 
     def noisy(forces: Floats) -> Floats:
         noise = rng.normal(scale=0.02, size=forces.shape).astype(np.float32)
@@ -109,9 +100,8 @@ def test_noise_is_filtered_again_after_identical_frames(rows: str, fast: str) ->
 
 @pytest.mark.parametrize("garbage", [1e4, 1e8, 1e12])
 @pytest.mark.parametrize("rows", [FIXED, ROTATING])
-@pytest.mark.parametrize("fast", FORMS)
-def test_one_frame_of_garbage_does_not_blind_the_skin(rows: str, fast: str, garbage: float) -> None:
-    streams, rng = [Stream("skin", 24, rows, fast) for _ in range(2)], np.random.default_rng(0)
+def test_one_frame_of_garbage_does_not_blind_the_skin(rows: str, garbage: float) -> None:
+    streams, rng = [Stream("skin", 24, rows, "auto") for _ in range(2)], np.random.default_rng(0)
     off = []
     for k in range(40):
         forces = streams[0].press(8 + 0.05 * k, 8)
@@ -160,15 +150,3 @@ def test_streams_of_any_sizes_and_repeats_are_finite_or_refused(
                 continue  # refused, and it starts anew
             assert np.isfinite(forces).all()
             assert stream.solver.error is None or math.isfinite(stream.solver.error)
-
-
-@pytest.mark.parametrize("name", ["skin", "fista"])
-def test_a_frame_of_rotating_rows_whose_row_subset_is_not_stated_is_refused(name: str) -> None:
-    stream = Stream(name, 8, ROTATING, "off")
-    y = stream.phis[0].forward(stream.press(3, 3).reshape(-1))
-    with pytest.raises(SolverError, match=r"call solver\.use\(solver\.subsets\[k % "):
-        stream.solver.solve(y)
-    stream.solver.use(stream.phis[0])
-    stream.solver.solve(y)
-    with pytest.raises(SolverError, match="is not stated"):
-        stream.solver.solve(y)

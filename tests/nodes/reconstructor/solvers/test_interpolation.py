@@ -116,24 +116,3 @@ def test_measurements_of_several_taxels_are_refused(kind: str) -> None:
     phi = make_phi(kind, 64, 64 if kind == "full" else 20, seed=0)
     with pytest.raises(SolverError, match=f'phi "{kind}" mixes taxels; allowed: acts, subsample'):
         make_solver("interpolation", phi, make_basis("identity", 8, 8))
-
-
-def test_setup_step_and_finish_are_solve_and_a_spoilt_frame_leaves_no_trace() -> None:
-    phi = make_phi("subsample", 64, 30, seed=2)
-    whole, pieces = (InterpolationSolver(phi, IdentityBasis(8, 8)) for _ in range(2))
-    y = np.random.default_rng(4).random(30).astype(np.float32)
-    with pytest.raises(SolverError, match="interpolation: no step is left"):
-        pieces.step()
-    with pytest.raises(SolverError, match=r"measurement 3 is nan; allowed: finite"):
-        pieces.setup(np.where(np.arange(30) == 3, np.float32(np.nan), y))
-    pieces.setup(y)
-    pieces.step()
-    np.testing.assert_array_equal(pieces.finish(), whole.solve(y))
-    with pytest.raises(SolverError, match="interpolation: no step is left"):
-        pieces.step()
-
-
-def test_it_has_no_settings() -> None:
-    phi = make_phi("subsample", 64, 30, seed=2)
-    with pytest.raises(SolverError, match='setting "iterations" is not known'):
-        make_solver("interpolation", phi, make_basis("identity", 8, 8), iterations=5)

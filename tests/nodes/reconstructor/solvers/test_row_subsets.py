@@ -70,10 +70,6 @@ def test_a_warm_start_carries_from_one_row_subset_to_the_next(name: str) -> None
     assert psnr_db(found[-1], truth[-1]) > psnr_db(found[0], truth[0]) + 6
 
 
-def test_one_row_subset_is_the_solver_itself() -> None:
-    assert not isinstance(solver_for("fista", phases_for(3)[:1]), RotatingSolver)
-
-
 def test_a_row_subset_that_it_was_not_made_for_is_refused() -> None:
     other = make_phi("sbhe", N, N // 3, seed=9)
     for name in ("fista", "tv"):
