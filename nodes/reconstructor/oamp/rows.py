@@ -58,11 +58,11 @@ class HadamardRows(Rows):
     """All rows of a scrambled block Hadamard ensemble, also those that no frame reads."""
 
     def __init__(self, phi: SbhePhi) -> None:
-        hadamard = HadamardProducts(phi.hadamard.sizes, orthonormal=True)
+        hadamard = HadamardProducts(phi.sizes, orthonormal=True)
         self.n = self.n_rows = phi.n
         self._x, self._rows = np.zeros((2, phi.n), dtype=np.float32)
-        self._to_rows, _ = hadamard.program(self._x, self._rows)
-        self._to_x = hadamard.transposed(self._x, self._rows)
+        self._to_rows = hadamard.program(self._x, self._rows)
+        self._to_x = hadamard.program(self._rows, self._x, back=True)
         self.taxel = phi.permutation[hadamard.order_in]
         self._place_of_row = np.argsort(hadamard.order_out)
         self._known: dict[str, tuple[Indices, Indices]] = {}
