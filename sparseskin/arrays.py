@@ -367,11 +367,11 @@ def read_recording(
     ----------
     path : str or path
         A bag (.mcap, .mcap.part), or any file that the sensor reads: Novel .lst and .asc, Tekscan
-        .csv and .asf, XSENSOR .csv, .npy, .npz, .mat, .h5, plain .csv.
+        .csv and .asf, XSENSOR .csv, .npy, .npz, plain .csv.
     patch : str, optional
         Patch to read; needed where a bag has several.
     **stated
-        What a file does not state: n_rows, n_cols, unit, f_max, rate_hz, crop; not for bags.
+        What a file does not state: n_rows, n_cols, unit, f_max, rate_hz; not for bags.
 
     Returns
     -------

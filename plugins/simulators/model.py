@@ -16,15 +16,15 @@ from sparseskin.messages.ranges import is_real
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.sensor.files.isolated import in_child
 from sparseskin.nodes.sensor.files.parsed import check_grid, check_stated_shape
 from sparseskin.nodes.sensor.scenes.scenes import SKIN
+
+from .isolated import shape_in_child
 
 MUJOCO = "mujoco:"
 FORM = "mujoco:MODEL.xml#SITE"
 INSTALL = 'MuJoCo models need mujoco; pip install "sparseskin[mujoco]"'
 SUFFIXES = (".xml", ".mjb")
-_READ_SHAPE = "sparseskin.plugins.simulators.source:read_shape"
 MAX_DEPTH_M = 0.02
 """Deepest penetration that is read by default, metres; deeper bodies read it. Chosen: four pitches
 of 5 mm; a force of 2.5 N, the range, is one of 20.5 mm."""
@@ -90,8 +90,7 @@ def check_model(source: str, n_rows: int | None, n_cols: int | None) -> int:
 @lru_cache(maxsize=8)
 def _shape(path: str, site: str, of: tuple[int, int]) -> tuple[int, int]:
     """Rows and columns, of one form of the file: its time and size."""
-    n_rows, n_cols = in_child(_READ_SHAPE, f"{path}#{site}", of[1])["shape"].tolist()
-    return n_rows, n_cols
+    return shape_in_child(f"{path}#{site}", of[1])
 
 
 def load_model(path: str) -> Any:

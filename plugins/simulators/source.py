@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import one_line
@@ -178,8 +177,3 @@ class MujocoAddress(Address):
             )
         stated: dict[str, Any] = {"n_rows": self.n_rows, "n_cols": self.n_cols}
         return MujocoSource(self.rest, f_max=self.f_max, **stated)
-
-
-def read_shape(source: str, most: int) -> dict[str, npt.NDArray[Any]]:
-    """Rows and columns of the skin of a model, whose first state is computed; runs in a child."""
-    return {"shape": np.array(MujocoSource(source).pad.shape)}

@@ -12,8 +12,6 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import FILES, failures, loaded
 
 from .arrays import NpyRecording, NpzRecording, PlainCsvRecording
-from .hdf5 import Hdf5Recording
-from .matlab import MatRecording
 from .own_csv import OwnCsvRecording, is_own_csv
 from .parsed import Lines, Policy, Recording, shown
 
@@ -58,7 +56,6 @@ class Format:
     recognises: Callable[[bytes], bool] | None = None
 
 
-_HDF5 = "HDF5 dataset 'forces', or the only one of three dimensions (frames, rows, columns)"
 OWN = (
     Format({".csv": "bag export"}, lambda f: OwnCsvRecording(f.lines, f.policy), is_own_csv),
     Format(
@@ -72,14 +69,6 @@ OWN = (
         },
         lambda f: NpzRecording(f.file, f.name),
     ),
-    Format(
-        {
-            ".mat": "MATLAB variable 'forces', or the only one of three dimensions; n_rows, n_cols "
-            "stated",
-        },
-        lambda f: MatRecording(f.file, f.name, f.n_rows, f.n_cols),
-    ),
-    Format({".h5": _HDF5, ".hdf5": "as .h5"}, lambda f: Hdf5Recording(f.file, f.name)),
 )
 """Formats of the core."""
 

@@ -60,11 +60,6 @@ class Policy:
         """True if the readings decide which cells are taxels."""
         return MASK in (self.nan, self.negative)
 
-    @property
-    def low(self) -> float:
-        """Smallest reading that is not refused."""
-        return {REFUSE: 0.0, KEEP: -MAX_READING}.get(self.negative, -math.inf)
-
 
 DEFAULT_POLICY = Policy()
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -51,8 +51,8 @@ _MAX_RATE_HZ = 1e9
 class RecordedSource(Source):
     """The frames of a recording, in memory and checked; may be iterated any number of times.
 
-    Its attributes are those of a `Source`; its name is that of the file without suffix, its skin
-    the patch after the crop. `treated` counts the readings that were not valid, and were treated by
+    Its attributes are those of a `Source`; its name is that of the file without suffix. `treated`
+    counts the readings that were not valid, and were treated by
     `policy`.
     """
 
@@ -61,7 +61,6 @@ class RecordedSource(Source):
     frames: Floats
     stamp_ns: Sequence[int]
     rate_hz: float | None = None
-    delivers: Literal["truth", "taxels"] = "taxels"
     policy: Policy = DEFAULT_POLICY
     treated: Treated = field(default_factory=Treated)
     n_frames: int | None = field(init=False)
@@ -95,8 +94,6 @@ def open_file(
     unit: str | None = None,
     f_max: float | None = None,
     rate_hz: float | None = None,
-    crop: Sequence[int] | None = None,
-    delivers: Literal["truth", "taxels"] = "taxels",
     policy: Policy = DEFAULT_POLICY,
 ) -> RecordedSource:
     """Open a recording; its format follows from the suffix, and for .csv from the content.
@@ -113,14 +110,9 @@ def open_file(
         agree with a unit that the file states.
     f_max : float, optional
         Upper end of the range, in `unit`; by default that of the file, or else the largest
-        reading of the (cropped) recording.
+        reading of the recording.
     rate_hz : float, optional
         Frame rate, 1e-9..1e9, in place of the file's own rate and stamps.
-    crop : sequence of four int, optional
-        (row_start, row_stop, col_start, col_stop), from 0, stops excluded: the part of each
-        frame that is kept.
-    delivers : "truth" or "taxels"
-        "truth" for noise-free frames, e.g. of a simulation.
     policy : Policy
         What to do with readings that are not finite or below 0, in arrays and plain .csv; refused
         by default.
@@ -147,8 +139,6 @@ def open_file(
     check_number(name, "f_max", f_max)
     check_number(name, "rate_hz", rate_hz, high=_MAX_RATE_HZ)
     check_unit(name, unit)
-    if delivers not in ("truth", "taxels"):
-        raise SourceError(f"{name}: delivers = {shown(delivers)}; allowed are truth, taxels")
     policy.check(name)
     with reading(name) as file:
         parsed = recording_of(File(file, name, n_rows, n_cols, policy)).read()
@@ -162,30 +152,23 @@ def open_file(
     check_stated_shape(rows, cols, n_rows, n_cols, name)
     keeps = policy.negative == KEEP
     check_readings(parsed.forces, name, -MAX_READING if keeps else 0.0)
-    forces, mask, points, rows_of = parsed.forces, parsed.mask, parsed.points, parsed.point_rows
-    if crop is not None:
-        window = _window(crop, rows, cols, name)
-        forces = forces[:, *window]
-        mask = None if mask is None else mask[window].copy()
-        points = None if points is None else points[window]
-        rows_of = None if rows_of is None else rows_of[window]
+    mask = parsed.mask
     if mask is not None and not mask.any():
         raise SourceError(f"{name}: no cell of the skin is a taxel, all are masked")
-    frames = forces.astype(np.float32)
-    if mask is not None and mask.all():
-        mask = None
+    frames = parsed.forces.astype(np.float32)
     skin = Skin(
-        n_rows=frames.shape[1],
-        n_cols=frames.shape[2],
+        n_rows=rows,
+        n_cols=cols,
         f_max=_range(frames, f_max if f_max is not None else parsed.f_max, name, keeps),
         unit=_unit(unit or ("raw" if keeps and parsed.unit is None else None), parsed, name),
         pitch_m=parsed.pitch_m,
-        mask=mask,
+        mask=None if mask is None or mask.all() else mask,
     )
-    if points is not None:
+    if parsed.points is not None:
+        rows_of = parsed.point_rows
+        point_rows = None if rows_of is None else rows_of[skin.exists]
         try:
-            point_rows = None if rows_of is None else rows_of[skin.exists]
-            skin = replace(skin, points=points[skin.exists], point_rows=point_rows)
+            skin = replace(skin, points=parsed.points[skin.exists], point_rows=point_rows)
         except MessageError as error:
             raise SourceError(f"{name}, array 'points': {error}") from error
     return RecordedSource(
@@ -194,7 +177,6 @@ def open_file(
         frames,
         _stamps(parsed, n_frames, rate_hz, name),
         rate_hz=rate_hz if rate_hz is not None else parsed.rate_hz,
-        delivers=delivers,
         policy=policy,
         treated=treated,
     )
@@ -249,19 +231,6 @@ def _n_taxels(
     if unit is None and head.unit is None and Path(path).suffix.lower() == ".csv":
         raise SourceError(path + NO_UNIT)
     return head.n_taxels or None  # no taxel: refused as it is read
-
-
-def _window(crop: Sequence[int], rows: int, cols: int, name: str) -> tuple[slice, slice]:
-    wanted = "expected (row_start, row_stop, col_start, col_stop)"
-    whole = not isinstance(crop, str) and all(type(edge) is int for edge in crop)
-    if not whole or len(crop) != 4:
-        raise SourceError(f"{name}: crop = {shown(crop)}; {wanted}, four whole numbers")
-    row_start, row_stop, col_start, col_stop = crop
-    if not (0 <= row_start < row_stop <= rows and 0 <= col_start < col_stop <= cols):
-        raise SourceError(
-            f"{name}: crop = {list(crop)}; {wanted} within {rows} rows x {cols} columns"
-        )
-    return slice(row_start, row_stop), slice(col_start, col_stop)
 
 
 def _range(frames: Floats, stated: float | None, name: str, keeps: bool) -> float:

@@ -25,22 +25,22 @@ from sparseskin.plugins.simulators.model import (  # noqa: E402
     find_pad,
     load_model,
 )
-from sparseskin.plugins.simulators.source import MujocoSource, read_shape  # noqa: E402
+from sparseskin.plugins.simulators.source import MujocoSource  # noqa: E402
 from sparseskin.plugins.simulators.touch import Touch  # noqa: E402
 
 MODELS = Path(__file__).parents[3] / "examples" / "models"
 PAD = f"{MODELS / 'pad.xml'}#pad"
 ARM = f"{MODELS / 'arm.xml'}#tip"
 G = 9.81
-ISOLATED = "sparseskin.nodes.sensor.files.isolated"
+ISOLATED = "sparseskin.plugins.simulators.isolated"
 
 
 @pytest.fixture(autouse=True)
 def direct(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Check models in this process, without the start of another, unless a test is of that."""
     if "isolated" not in request.keywords:
-        name = "sparseskin.plugins.simulators.model.in_child"
-        monkeypatch.setattr(name, lambda task, address, n_bytes: read_shape(address, 0))
+        name = "sparseskin.plugins.simulators.model.shape_in_child"
+        monkeypatch.setattr(name, lambda address, n_bytes: MujocoSource(address).pad.shape)
 
 
 def model_of(

@@ -231,11 +231,6 @@ class TestOpenFile:
     def test_a_stated_range_is_kept(self, opened: Opener) -> None:
         assert opened("hand.csv", tekscan_text(), f_max=255).skin.f_max == 255.0
 
-    def test_crop_cuts_the_mask_too_and_the_range_is_what_is_left(self, opened: Opener) -> None:
-        source = opened("hand.csv", tekscan_text(), crop=[0, 1, 0, 3])
-        np.testing.assert_array_equal(source.skin.mask, [[False, True, True]])
-        assert source.skin.f_max == 5.0
-
     @pytest.mark.parametrize(
         ("stated", "message"),
         [
@@ -250,12 +245,6 @@ class TestOpenFile:
             ({"n_cols": True}, "n_cols = 'True'"),
             ({"unit": "N"}, "unit = 'N' is stated, but the file states 'raw'"),
             ({"unit": ""}, "unit = ''"),
-            ({"crop": (0, 3, 0, 3)}, "within 2 rows x 3 columns"),
-            ({"crop": (1, 1, 0, 3)}, "row_start, row_stop"),
-            ({"crop": (0, 1)}, "four whole numbers"),
-            ({"crop": (0, 1.5, 0, 3)}, "four whole numbers"),
-            ({"crop": (0, 1, 0, 1)}, "no cell of the skin is a taxel"),
-            ({"delivers": "noise"}, "allowed are truth, taxels"),
         ],
     )
     def test_a_setting_that_cannot_hold_is_refused(

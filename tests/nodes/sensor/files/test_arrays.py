@@ -67,18 +67,10 @@ class TestNpy:
         assert source.skin.mask is None
         assert [stamp for stamp, _ in source] == [0, UNTIMED_PERIOD_NS]
 
-    def test_stated_unit_range_rate_and_truth_are_kept(self, tmp_path: Path) -> None:
-        source = open_bytes(
-            tmp_path,
-            "skin.npy",
-            npy_bytes(FORCES),
-            unit="kPa",
-            f_max=2.5,
-            rate_hz=1000,
-            delivers="truth",
-        )
+    def test_stated_unit_range_and_rate_are_kept(self, tmp_path: Path) -> None:
+        stated = {"unit": "kPa", "f_max": 2.5, "rate_hz": 1000}
+        source = open_bytes(tmp_path, "skin.npy", npy_bytes(FORCES), **stated)
         assert (source.skin.unit, source.skin.f_max, source.rate_hz) == ("kPa", 2.5, 1000)
-        assert source.delivers == "truth"
         assert [stamp for stamp, _ in source] == [0, 1_000_000]
 
     def test_a_range_that_float32_rounds_is_not_below_its_own_peak(self, tmp_path: Path) -> None:
@@ -235,6 +227,8 @@ class TestPlainCsv:
             (b"\xff\xfe1\x00,\x002\x00", {"n_rows": 1}, "is not a number"),
             (b"\n# only\n", {"n_rows": 1}, "holds no frame"),
             (b"1,2\n", {"n_rows": 1, "unit": None}, "does not state its unit; set unit"),
+            (b"sole_id,timestamp,accel_x\n1,2,3\n", {"n_rows": 1}, "an export of StappOne has sen"),
+            (b"BodiTrak Pro,,\n1,2,3\n", {"n_rows": 1}, "an export of BodiTrak is not read"),
         ],
     )
     def test_what_is_no_table_of_frames_is_refused_with_its_line(
