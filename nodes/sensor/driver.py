@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterable, Iterator
+import itertools
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Literal
 
 import numpy as np
@@ -48,16 +49,14 @@ class DriverSource(LiveSource):
         self._driver = driver
         self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
         self._skin: Skin | None = None
-        self._pending: tuple[int, Floats] | None = None
+        self._first: tuple[int, Floats] | None = None  # pulled to learn the shape
+        self._checked: Generator[tuple[int, Floats]] | None = None
         self._is_one_shot = False
-        self._iterator: Iterator[object] | None = None
-        try:
+        with _running(target):
             own_skin, own_name, delivers, own_rate, own_length = (
                 getattr(driver, key, None)
                 for key in ("skin", "name", "delivers", "rate_hz", "n_frames")
             )
-        except Exception as error:
-            raise _failure(target, error) from error
         if delivers not in (None, "truth", "taxels"):
             raise SourceError(f"{target}: delivers = {shown(delivers)}; allowed are truth, taxels")
         if own_length is not None and not is_whole(own_length, 0):
@@ -73,8 +72,11 @@ class DriverSource(LiveSource):
         if own_skin is not None:
             self.skin: Skin = self._own_skin(own_skin, f_max, unit)
         else:
-            self._pending = self._pull_first()
-            n_rows, n_cols = self._pending[1].shape
+            self._checked = self._check_frames()
+            self._first = next(self._checked, None)
+            if self._first is None:
+                raise SourceError(f"{target}: ended before its first frame")
+            n_rows, n_cols = self._first[1].shape
             self.skin = Skin(n_rows, n_cols, self._f_max, "N" if unit is None else unit)
         self._skin = self.skin
 
@@ -87,15 +89,12 @@ class DriverSource(LiveSource):
         SourceError
             If the driver raises, yields a bad frame, or is a generator that was read before.
         """
+        self._checked = self._checked or self._check_frames()
         try:
-            if self._pending is None:
-                self._start()
-            while True:
-                frame = self._pending or self._pull()
-                self._pending = None
-                if frame is None:
-                    return
-                yield frame
+            if self._first is not None:
+                first, self._first = self._first, None
+                yield first
+            yield from self._checked
         finally:
             self.close()
 
@@ -115,74 +114,50 @@ class DriverSource(LiveSource):
         SourceError
             If the driver raises as it closes.
         """
-        iterator, self._iterator = self._iterator, None
-        self._pending = None
-        close = getattr(iterator, "close", None)
-        if callable(close):
-            try:
-                close()
-            except Exception as error:
-                raise _failure(self._target, error) from error
+        checked, self._checked, self._first = self._checked, None, None
+        if checked is not None:
+            with _running(self._target):
+                checked.close()
 
-    def _start(self) -> None:
+    def _check_frames(self) -> Generator[tuple[int, Floats]]:
+        """Yield the frames of the driver, each checked, and close it in the end."""
+        target = self._target
         if self._is_one_shot:
-            raise SourceError(f"{self._target}: is a generator and was read before; open it anew")
+            raise SourceError(f"{target}: is a generator and was read before; open it anew")
+        with _running(target):
+            iterator = iter(self._driver)
+        self._is_one_shot = iterator is self._driver
+        end = object()
+        first_ns = last_ns = None
         try:
-            self._iterator = iter(self._driver)
-        except Exception as error:
-            raise _failure(self._target, error) from error
-        self._is_one_shot = self._iterator is self._driver
-        self._n_frames = 0
-        self._first_stamp_ns = 0
-        self._last_stamp_ns: int | None = None
-
-    def _pull_first(self) -> tuple[int, Floats]:
-        """Return the first frame, pulled to learn the shape; close the driver if there is none."""
-        try:
-            self._start()
-            frame = self._pull()
-            if frame is None:
-                raise SourceError(f"{self._target}: ended before its first frame")
-        except SourceError:
-            with contextlib.suppress(SourceError):
-                self.close()
-            raise
-        return frame
-
-    def _pull(self) -> tuple[int, Floats] | None:
-        """Return the next frame, checked; None at the end."""
-        assert self._iterator is not None
-        try:
-            item = next(self._iterator)
-        except StopIteration:
-            return None
-        except Exception as error:
-            raise _failure(self._target, error) from error
-        where = f"{self._target}, frame {self._n_frames}"
-        if not isinstance(item, tuple | list) or len(item) != 2:
-            raise SourceError(
-                f"{where}: delivered {type(item).__name__}; expected a pair (stamp_ns, forces)"
-            )
-        frame = self._checked_stamp(item[0], where), self._checked_forces(item[1], where)
-        self._n_frames += 1
-        return frame
-
-    def _checked_stamp(self, stamp: object, where: str) -> int:
-        if not is_whole(stamp):
-            raise SourceError(
-                f"{where}: stamp_ns is {type(stamp).__name__}; expected whole nanoseconds"
-            )
-        stamp = int(stamp)
-        if self._last_stamp_ns is None:
-            self._first_stamp_ns = stamp
-        elif stamp <= self._last_stamp_ns:
-            raise SourceError(
-                f"{where}: stamp_ns {stamp} is not after the one before it, {self._last_stamp_ns}"
-            )
-        if stamp - self._first_stamp_ns > INT64_MAX:
-            raise SourceError(f"{where}: stamp_ns is more than 2**63 ns after the first")
-        self._last_stamp_ns = stamp
-        return stamp - self._first_stamp_ns
+            for n in itertools.count():
+                with _running(target):
+                    item = next(iterator, end)
+                if item is end:
+                    return
+                where = f"{target}, frame {n}"
+                if not isinstance(item, tuple | list) or len(item) != 2:
+                    raise SourceError(
+                        f"{where}: delivered {type(item).__name__}; expected a pair "
+                        "(stamp_ns, forces)"
+                    )
+                stamp, forces = item
+                if not is_whole(stamp):
+                    raise SourceError(
+                        f"{where}: stamp_ns is {type(stamp).__name__}; expected whole nanoseconds"
+                    )
+                if last_ns is not None and stamp <= last_ns:
+                    raise SourceError(
+                        f"{where}: stamp_ns {stamp} is not after the one before it, {last_ns}"
+                    )
+                last_ns = int(stamp)
+                first_ns = last_ns if first_ns is None else first_ns
+                if last_ns - first_ns > INT64_MAX:
+                    raise SourceError(f"{where}: stamp_ns is more than 2**63 ns after the first")
+                yield last_ns - first_ns, self._checked_forces(forces, where)
+        finally:
+            with _running(target):
+                getattr(iterator, "close", lambda: None)()
 
     def _checked_forces(self, forces: object, where: str) -> Floats:
         try:
@@ -270,10 +245,8 @@ def open_callable(
     check_number(target, "f_max", f_max)
     check_unit(target, unit)
     make = find_callable(target, SourceError)
-    try:
+    with _running(target):
         driver = make()
-    except Exception as error:
-        raise _failure(target, error) from error
     if not hasattr(type(driver), "__iter__"):
         raise SourceError(
             f"{target}: returned {type(driver).__name__}; expected a generator or an iterable of "
@@ -282,5 +255,12 @@ def open_callable(
     return DriverSource(target, driver, f_max=f_max, unit=unit, raw=raw)
 
 
-def _failure(target: str, error: Exception) -> SourceError:
-    return SourceError(f"{target}: the driver failed: {one_line(error)}")
+@contextmanager
+def _running(target: str) -> Iterator[None]:
+    """Name what a driver raises."""
+    try:
+        yield
+    except SourceError:
+        raise
+    except Exception as error:
+        raise SourceError(f"{target}: the driver failed: {one_line(error)}") from error
