@@ -58,8 +58,7 @@ _MAX_SPLITS = 4
 A landing early or late by part of a step changes the height of the bounce. PSNR of the contact
 frames against the exact solution (tests/nodes/sensor/scenes/test_exact.py): lift_wrench_40 59.0 dB,
 11.7 dB below the noise, with 50 of 2325 frames above their noise and the worst (40.8 dB) at its
-second landing; lift_box_40 73.4 dB, 26.8 dB below the noise. Six halvings serve the wrench (66.3
-dB, no frame above its noise) and not the box (56.1 dB, 6 of 141 frames above)."""
+second landing; lift_box_40 73.4 dB, 26.8 dB below the noise."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,9 +28,8 @@ tops stand 10 mm above the ground, and
 - the ground: hard (10 kN/m a cell) and damped (100 N s/m), so that a wrench that sticks out over
   the edge of the skin does not drum on it. It lies 10 mm down, twice the height of a sphere: the
   box sinks by 5.6 mm at most. The springs have no stop: for 2 to 7 ms of its first impact the
-  wheel of the wrench goes deeper, to 12.2 mm (10.1 mm from 0.2 m), and so does the peg, to 10.7 mm,
-  in 15 of the seeds 0 to 39, by the number of taxels under it; with the others it sinks by 9 to
-  9.9 mm.
+  wheel of the wrench goes deeper, to 12.2 mm (10.1 mm from 0.2 m), and so may the peg, to 10.7 mm,
+  by the number of taxels under it.
 
 Source: paper, section II-B and table I for bodies, motions, numbers and lengths of steps.
 """

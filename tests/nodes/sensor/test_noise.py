@@ -32,11 +32,6 @@ def test_untouched_skin_has_a_noisy_psnr_of_48_db() -> None:
     assert np.mean(psnr) == pytest.approx(48.0, abs=0.3)
 
 
-def test_clipping_makes_untouched_taxels_read_0_4_sigma_too_high() -> None:
-    taxels = NoiseModel().apply(np.zeros(400_000, dtype=np.float32), np.random.default_rng(1))
-    assert taxels.mean() == pytest.approx(0.0141 / math.sqrt(2 * math.pi), rel=0.01)
-
-
 def test_noise_at_mid_range_has_zero_mean_and_the_stated_sigma() -> None:
     truth = np.full(400_000, 1.25, dtype=np.float32)
     error = NoiseModel().apply(truth, np.random.default_rng(2)).astype(float) - 1.25
@@ -63,15 +58,7 @@ def test_noise_is_a_multiple_of_the_papers_and_may_be_none() -> None:
     np.testing.assert_array_equal(none.apply(truth, np.random.default_rng(6)), truth)
 
 
-def test_same_generator_state_gives_the_same_readings() -> None:
-    truth = np.linspace(0, 2.5, 1600, dtype=np.float32).reshape(40, 40)
-    model = NoiseModel()
-    first = model.apply(truth, np.random.default_rng(4))
-    np.testing.assert_array_equal(first, model.apply(truth, np.random.default_rng(4)))
-    assert not np.array_equal(first, model.apply(truth, np.random.default_rng(5)))
-
-
-@pytest.mark.parametrize("f_max", [1e-3, 1.0, 2.5, 25.0])
+@pytest.mark.parametrize("f_max", [1e-3, 25.0])
 def test_any_range_has_the_same_noise_in_parts_of_the_range(f_max: float) -> None:
     model = NoiseModel.for_range(f_max)
     assert model.f_max == f_max
@@ -83,17 +70,18 @@ def test_any_range_has_the_same_noise_in_parts_of_the_range(f_max: float) -> Non
     assert 0.9 * f_max < taxels.min() < f_max
 
 
-@pytest.mark.parametrize("name", ["f_max", "sigma_mid", "sigma_end"])
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -0.1])
+@pytest.mark.parametrize(
+    ("name", "value", "allowed"),
+    [
+        ("f_max", math.nan, "a finite number above 0"),
+        ("f_max", 0.0, "a finite number above 0"),
+        ("sigma_mid", 3.0, "0 to f_max = 2.5"),
+        ("sigma_mid", math.inf, "0 to f_max = 2.5"),
+        ("sigma_end", -0.1, "0 to f_max = 2.5"),
+    ],
+)
 def test_bad_parameter_is_named_with_its_value_and_the_allowed_range(
-    name: str, value: float
+    name: str, value: float, allowed: str
 ) -> None:
-    with pytest.raises(SettingsError, match=rf"{name} is {value!r}; allowed is"):
+    with pytest.raises(SettingsError, match=rf"{name} is {value!r}; allowed is {allowed}"):
         NoiseModel(**{name: value})
-
-
-def test_sigma_beyond_the_range_and_an_empty_range_are_refused() -> None:
-    with pytest.raises(SettingsError, match=r"sigma_mid is 3\.0; allowed is 0 to f_max = 2\.5"):
-        NoiseModel(sigma_mid=3.0)
-    with pytest.raises(SettingsError, match=r"f_max is 0\.0"):
-        NoiseModel.for_range(0.0)
