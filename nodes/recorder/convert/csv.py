@@ -25,7 +25,6 @@ from sparseskin.nodes.recorder.bag.frames import (
     values_of,
 )
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.sensor.files.own_csv import FIRST_LINE, POINT_ROWS
 
 STAMPS = "stamps.csv"
 _SD = "sd"
@@ -38,10 +37,10 @@ def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     its columns, and then a frame a line: `stamp_ns`, the figures of the message, and the taxels
     r0c0, r0c1, ... row after row (or the measurements y0, y1, ...), in the shortest decimals that
     give the same float32 again. The second line is a comment with the states of the patch as JSON:
-    shape, range, unit, pitch, mask, calibration, Phi, solver; so the sensor's `file:` source reads
-    it as it is. Of a skin of points, a third one has the row of the points file that each column
-    is of. Standard deviations are in PATCH_reconstruction_sd.csv. stamps.csv lists
-    topic, frame (from 0) and stamp_ns, below a line with these names.
+    shape, range, unit, pitch, mask, calibration, Phi, solver. Of a skin of points, a third one has
+    the row of the points file that each column is of. Standard deviations are in
+    PATCH_reconstruction_sd.csv. stamps.csv lists topic, frame (from 0) and stamp_ns, below a line
+    with these names.
 
     Raises BagError if the bag has no such frames, OutputError if the folder exists or cannot be
     written.
@@ -94,7 +93,8 @@ def _head(
     }
     columns = list(names)
     rows = _point_rows(described.get(SkinState.schema, {}), columns)
-    return f"{FIRST_LINE}{topic}{suffix}\n# {json.dumps(described)}\n{rows}{','.join(columns)}\n"
+    title = f"# sparseskin frames of {topic}{suffix}\n# {json.dumps(described)}\n"
+    return f"{title}{rows}{','.join(columns)}\n"
 
 
 def _point_rows(skin: Mapping[str, Any], columns: list[str]) -> str:
@@ -107,7 +107,7 @@ def _point_rows(skin: Mapping[str, Any], columns: list[str]) -> str:
     left = iter(rows)
     found = [str(next(left)) if one == "1" else "" for one in exists]
     before = [""] * (len(columns) - len(cells) - 1)
-    return ",".join([POINT_ROWS, *before, *found]) + "\n"
+    return ",".join(["# point_rows", *before, *found]) + "\n"
 
 
 def _figures(message: Message) -> dict[str, Any]:

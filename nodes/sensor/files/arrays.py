@@ -246,6 +246,8 @@ def _vendor(line: str) -> str:
     """What is known of a header line that is not read."""
     if line.startswith("sole_id,timestamp"):
         return " (an export of StappOne has sensors of an insole, which form no grid)"
+    if line.startswith("stamp_ns,"):
+        return " (an exported topic of a bag is not read; export it to npz, which is)"
     if "boditrak" in line.lower():
         return " (an export of BodiTrak is not read; save its frames as plain numbers)"
     return ""

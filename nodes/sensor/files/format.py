@@ -12,7 +12,6 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import FILES, failures, loaded
 
 from .arrays import NpyRecording, NpzRecording, PlainCsvRecording
-from .own_csv import OwnCsvRecording, is_own_csv
 from .parsed import Lines, Policy, Recording, shown
 
 HEAD_BYTES = 1 << 16
@@ -57,7 +56,6 @@ class Format:
 
 
 OWN = (
-    Format({".csv": "bag export"}, lambda f: OwnCsvRecording(f.lines, f.policy), is_own_csv),
     Format(
         {".csv": "numbers with one frame a line"},
         lambda f: PlainCsvRecording(f.lines, f.n_rows, f.n_cols, f.policy),

@@ -7,17 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import MASK, N_COLS, N_ROWS, frame, make_bag, skin_state
+from bags import MASK, N_COLS, N_ROWS, make_bag
 from damaged import refusal
 from exported import N_FRAMES, points_bag, rich_frames
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from sparseskin.messages import (
     Measurements,
     Reconstruction,
     SkinState,
-    Taxels,
 )
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.convert.csv import export_csv
@@ -64,7 +61,6 @@ def test_a_csv_has_the_row_of_the_points_file_above_each_column(
     assert state.point_rows is not None
     with BagReader(path) as bag:
         export_csv(bag, path.with_name("a_csv"))
-    sent = [m for m in frame(0) if isinstance(m, Reconstruction)]
     for name in ("skin_taxels", "skin_reconstruction"):
         file = path.with_name("a_csv") / f"{name}.csv"
         lines = file.read_text().splitlines()
@@ -73,8 +69,6 @@ def test_a_csv_has_the_row_of_the_points_file_above_each_column(
         left = iter(state.point_rows.tolist())
         for (row, col), exists in np.ndenumerate(MASK):
             assert above[f"r{row}c{col}"] == (str(next(left)) if exists else "")
-        source = open_file(file)
-    assert np.array_equal(next(iter(source))[1], sent[0].forces[0])
     measured = (path.with_name("a_csv") / "skin_measurements.csv").read_text()
     assert "# point_rows" not in measured
 
@@ -101,18 +95,16 @@ def test_an_npz_names_what_it_holds(rich: Path) -> None:
     assert import_file(npz, rich.with_name("b.mcap")) == N_FRAMES
 
 
-def test_an_exported_csv_states_its_skin_and_is_read_as_it_is(rich: Path) -> None:
+def test_an_exported_csv_states_its_skin_and_names_what_is_read_in_its_place(rich: Path) -> None:
     with BagReader(rich) as bag:
         paths = export_csv(bag, rich.with_name("a_csv"))
     names = {path.name for path in paths}
     assert {"skin_resultant.csv", "skin_reconstruction_sd.csv", "stamps.csv"} < names
-    source = open_file(rich.with_name("a_csv") / "skin_taxels.csv")
-    sent = [m for m in rich_frames() if isinstance(m, Taxels)]
-    assert (source.skin.f_max, source.skin.unit, source.skin.pitch_m) == (2.5, "N", 0.005)
-    assert source.rate_hz == 50.0
-    for message, (stamp_ns, forces) in zip(sent, source, strict=True):
-        assert stamp_ns == message.stamp_ns
-        assert np.array_equal(forces, message.forces[0])
+    file = rich.with_name("a_csv") / "skin_taxels.csv"
+    skin = json.loads(file.read_text().splitlines()[1].removeprefix("# "))["skin"]
+    assert (skin["f_max"], skin["unit"], skin["pitch_m"], skin["rate_hz"]) == (2.5, "N", 0.005, 50)
+    assert "line 3: 'stamp_ns' is not a number" in refusal(lambda: open_file(file))
+    assert "export it to npz" in refusal(lambda: open_file(file))
 
 
 def test_an_exported_csv_is_a_table_with_a_header(rich: Path) -> None:
@@ -129,27 +121,3 @@ def test_an_exported_csv_is_a_table_with_a_header(rich: Path) -> None:
     sd = pandas.read_csv(rich.with_name("a_csv") / "skin_reconstruction_sd.csv", comment="#")
     expected = np.stack([m.sd for m in sent if m.sd is not None])
     assert np.array_equal(sd.loc[:, "r0c0":].to_numpy(np.float32).reshape(expected.shape), expected)
-
-
-def test_the_mask_of_an_exported_csv_is_that_of_the_skin(tmp_path: Path) -> None:
-    make_bag(tmp_path / "a.mcap", [skin_state(), *frame(0)])
-    with BagReader(tmp_path / "a.mcap") as bag:
-        export_csv(bag, tmp_path / "a_csv")
-    mask = open_file(tmp_path / "a_csv" / "skin_truth.csv").skin.mask
-    assert mask is not None
-    assert np.array_equal(mask, MASK)
-
-
-@settings(
-    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(place=st.integers(0, 3000), piece=st.text('r0c,1#{}[]"\n-.', max_size=6))
-def test_a_changed_csv_is_read_or_refused_in_one_line(rich: Path, place: int, piece: str) -> None:
-    folder = rich.with_name("a_csv")
-    if not folder.exists():
-        with BagReader(rich) as bag:
-            export_csv(bag, folder)
-    text = (folder / "skin_taxels.csv").read_text()
-    changed = rich.with_name("changed.csv")
-    changed.write_text(text[:place] + piece + text[place + len(piece) :])
-    assert refusal(lambda: open_file(changed)).isprintable()
