@@ -228,11 +228,19 @@ def test_noise_around_0_is_noticed_with_the_setting_that_mends_it(folder: Path) 
     assert kept.of(SkinState)[0].f_min == -0.05
 
 
-@pytest.mark.usefixtures("folder")
-def test_drift_is_followed_only_with_a_calibration_unless_stated_and_can_be_changed() -> None:
-    assert Run(f_min=-1.0).sensor._stage.chain.drift.rate == 0.0  # type: ignore[union-attr]
-    run = Run(skin="palm.toml")
-    drift = run.sensor._stage.chain.drift  # type: ignore[union-attr]
-    assert drift.rate == 1e-4
+def test_drift_is_followed_only_with_a_calibration_unless_stated_and_can_be_changed(
+    folder: Path,
+) -> None:
+    counts = 0.5 + 0.01 * (np.arange(100) % 2)  # equal frames are of a board that hangs
+    np.save(folder / "risen.npy", BASELINE + counts[:, None, None])
+    np.save(folder / "risen_forces.npy", np.full((100, *SHAPE), 0.005))
+    uncalibrated = Run(source="file:risen_forces.npy", f_min=-1.0)
+    uncalibrated.frames(99)
+    assert uncalibrated.sensor.state()["drift"] == 0.0
+    run = Run(skin="palm.toml", source="file:risen.npy")
+    run.frames(50)
+    found = run.sensor.state()["drift"]
+    assert found > 0.0
     list(run.sensor.change(run.settings.changed({"drift": 0.0})))
-    assert drift.rate == 0.0
+    run.frames(49)
+    assert run.sensor.state()["drift"] == found

@@ -15,14 +15,12 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.scenes.bodies import (
     FAR_M,
     build_sole,
-    metal_peg,
     monkey_wrench,
     slab,
-    wooden_cube,
 )
 from sparseskin.nodes.sensor.scenes.contact import GRAVITY_M_S2
-from sparseskin.nodes.sensor.scenes.motion import Drag, Lift, PolygonalCourse, RandomPath
-from sparseskin.nodes.sensor.scenes.scenes import SCENES, TAXEL_RADIUS_M, open_scene
+from sparseskin.nodes.sensor.scenes.motion import RandomPath
+from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
 from sparseskin.nodes.sensor.scenes.simulation import MovingAverage
 
 TABLE = {
@@ -33,7 +31,6 @@ TABLE = {
     "lift_box_64": (64, 7600, 100_000),
     "drag_wrench_64": (64, 12600, 100_000),
 }
-BODIES = {"box": wooden_cube, "wrench": monkey_wrench, "path": metal_peg}
 
 
 @dataclass
@@ -79,20 +76,6 @@ def test_scene_has_the_properties_of_the_table(name: str) -> None:
     assert source.rate_hz == pytest.approx(1e9 / dt_ns)
     stamps = [stamp for stamp, _ in itertools.islice(source, 5)]
     assert stamps == [dt_ns * step for step in range(5)]
-    scene = SCENES[name]()
-    (kind,) = {"box", "wrench", "path"} & set(name.split("_"))
-    assert scene.body is BODIES[kind](TAXEL_RADIUS_M)
-    assert scene.dof == (("z", "pitch") if kind == "wrench" else ("z",))
-    motion = {"lift": Lift, "drag": Drag, "path": RandomPath}[name.split("_")[0]]
-    assert type(scene.motion) is motion
-    if isinstance(scene.motion, Lift):
-        assert scene.motion.speed_m_s == 0.1
-    elif isinstance(scene.motion, RandomPath):
-        assert scene.motion.speed_m_s == 0.05
-    else:
-        assert math.hypot(*scene.motion.velocity_m_s) == pytest.approx(0.05)
-    assert scene.drop_height_m == (0.2 if name == "drag_wrench_64" else 0.5)
-    assert (scene.surface.ground_drop_m is not None) == (kind == "wrench")
 
 
 @pytest.mark.parametrize(
@@ -159,23 +142,6 @@ def test_ground_takes_its_part_as_the_wrench_leaves_the_skin() -> None:
     weight = 1.0 * GRAVITY_M_S2
     mean = played("drag_wrench_40").total[4700:4900].mean()
     assert 0.0 < mean < 0.5 * weight
-
-
-def test_a_lift_does_not_move_along_the_skin_and_a_drag_not_before_it_begins() -> None:
-    lift = Lift(at_s=0.5)
-    assert lift.place(0.0) == lift.place(9.0) == (0.0, 0.0)
-    drag = Drag(at_s=0.5, velocity_m_s=(0.3, -0.4))
-    assert drag.place(0.0) == drag.place(0.5) == (0.0, 0.0)
-    assert drag.place(1.5) == pytest.approx((0.3, -0.4))
-
-
-def test_a_polygonal_course_passes_its_corners_in_time_and_rests_at_both_ends() -> None:
-    course = PolygonalCourse((1.0, 2.0, 4.0), ((0.0, 0.0), (1.0, 2.0), (5.0, 2.0)))
-    assert course.place(0.0) == course.place(1.0) == (0.0, 0.0)
-    assert course.place(1.25) == pytest.approx((0.25, 0.5))
-    assert course.place(2.0) == (1.0, 2.0)
-    assert course.place(3.0) == pytest.approx((3.0, 2.0))
-    assert course.place(4.0) == course.place(9.0) == (5.0, 2.0)
 
 
 def test_a_random_path_fills_its_rectangle_at_constant_speed_and_lasts_to_its_end() -> None:
