@@ -57,7 +57,7 @@ class Sensor(SourceNode[SensorSettings]):
         except Exception:
             self.close({})
             raise
-        self.skin = self._stage.chain.skin if self._stage else self._source_skin
+        self.skin = self._stage.skin if self._stage else self._source_skin
         if self._placement is not None:  # a calibration does not know them
             rows = self._placement.point_rows(self.skin.exists)
             self.skin = replace(self.skin, point_rows=rows)
@@ -145,7 +145,8 @@ class Sensor(SourceNode[SensorSettings]):
     def _calibration(self) -> Iterable[Message]:
         if self._stage is not None:
             self._stage.is_news = False
-            yield self._stage.message(self.context.clock.now_ns(), self.settings.patch)
+            found, now_ns = self._stage.description, self.context.clock.now_ns()
+            yield found.message(now_ns, self.settings.patch)
 
     def command(self, name: str, value: Any) -> str:
         if name != "tare":
@@ -155,7 +156,7 @@ class Sensor(SourceNode[SensorSettings]):
                 "tare: this sensor has no baseline; state sensor.skin, or sensor.tare, in the "
                 "launch file"
             )
-        return self._stage.tare(value)
+        return self._stage.start_tare(value)
 
     def tick(self, tick: Tick) -> Iterable[Message]:
         source, stamp_ns = self._source, tick.stamp_ns
@@ -208,7 +209,7 @@ class Sensor(SourceNode[SensorSettings]):
     @property
     def _clipped(self) -> Clipped:
         """Readings that were clipped to the range."""
-        return self._source.clipped if self._stage is None else self._stage.chain.clipped
+        return self._source.clipped if self._stage is None else self._stage.clipped
 
     def _watch_range(self) -> None:
         """Log clipped readings at first, then when their number has doubled, `LOG_S` apart at

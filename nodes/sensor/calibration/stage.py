@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import Calibration
 from sparseskin.messages.ranges import is_whole
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import RefusedError, SourceError
@@ -27,8 +26,8 @@ MAX_TARE_READINGS = 1 << 26
 """Most readings of a tare, chosen: 256 MiB."""
 
 
-class Stage:
-    """Converts the readings of a node's source to forces, and takes tares.
+class Stage(Chain):
+    """The chain of a sensor node, which takes tares while frames pass, and logs.
 
     Parameters
     ----------
@@ -58,8 +57,8 @@ class Stage:
         notice: bool,
         log: Callable[[str], None],
     ) -> None:
+        super().__init__(description)
         self._calibrated = description.changes_readings or tare > 0
-        self.chain = Chain(description)
         self.set_drift(drift)
         self._log = log
         self._watch: ZeroWatch | None = None
@@ -71,17 +70,12 @@ class Stage:
         self._taring: list[npt.NDArray[Any]] = []
         self._tare_left = 0
         if tare:
-            self.tare(tare)
-
-    @property
-    def description(self) -> SkinDescription:
-        """The skin, with the baseline in use."""
-        return self.chain.description
+            self.start_tare(tare)
 
     def set_drift(self, drift: float | None) -> None:
         """Change the largest rate of the drift that is followed."""
         default = DRIFT_RATE if self._calibrated else 0.0
-        self.chain.drift.rate = default if drift is None else drift
+        self.drift.rate = default if drift is None else drift
 
     def process(self, raw: npt.NDArray[Any], stamp_ns: int) -> Floats | None:
         """Return the forces of a frame; None for one of the tare at the start."""
@@ -91,13 +85,13 @@ class Stage:
             self.is_starting = self._tare_left > 0
             return None
         if self._watch is not None:
-            if notice := self._watch.add(self.chain.unclipped(raw)[self.chain.skin.exists]):
+            if notice := self._watch.add(self.unclipped(raw)[self.skin.exists]):
                 self._log(notice)
             if self._watch.done:
                 self._watch = None
-        return self.chain.apply(raw, stamp_ns)
+        return self.apply(raw, stamp_ns)
 
-    def tare(self, value: Any) -> str:
+    def start_tare(self, value: Any) -> str:
         """Begin a tare of the next `value` frames, `TARE_FRAMES` if None; one under way is
         forgotten.
 
@@ -119,20 +113,16 @@ class Stage:
 
     def state(self) -> dict[str, Any]:
         """State for the operator: frames that a tare waits for, largest drift, last tare."""
-        drift = float(np.abs(self.chain.drift.value).max())
+        drift = float(np.abs(self.drift.value).max())
         found = {"tare_left": self._tare_left, "drift": float(f"{drift:.3g}")}
         return {**found, "tared": self._tared} if self._tared else found
-
-    def message(self, stamp_ns: int, patch: str) -> Calibration:
-        """The calibration in use, as a message."""
-        return self.description.message(stamp_ns, patch)
 
     def _collect(self, raw: npt.NDArray[Any]) -> None:
         """Add a frame to the tare under way."""
         self._taring.append(np.array(raw, dtype=np.float32))
         self._tare_left -= 1
         if not self._tare_left:
-            self._tared = self.chain.tare(self._taring)
+            self._tared = self.tare(self._taring)
             self._taring = []
             self.is_news = self._calibrated = True
             self._log(f"tared: {self._tared}")

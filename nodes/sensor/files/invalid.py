@@ -16,42 +16,37 @@ class Treated:
 
     Attributes
     ----------
-    n_nan, n_negative : int
+    not_finite, negative : int
         Readings that were not finite, and below 0.
-    n_masked : int
+    masked_taxels : int
         Taxels that were masked for them.
     offset : float
         What was subtracted from all readings, in their unit; 0 or less.
     """
 
-    n_nan: int = 0
-    n_negative: int = 0
-    n_masked: int = 0
+    not_finite: int = 0
+    negative: int = 0
+    masked_taxels: int = 0
     offset: float = 0.0
 
     def lines(self, policy: Policy, unit: str) -> list[str]:
         """One line for a log on each kind of invalid reading; none where there was none."""
         found = []
         done = {ZERO: "set to 0", HOLD: "replaced by the last finite one", MASK: "masked"}
-        if self.n_nan:
-            found.append(f"{self.n_nan} readings of the file are not finite: {done[policy.nan]}")
-        if self.n_negative:
+        if self.not_finite:
+            found.append(
+                f"{self.not_finite} readings of the file are not finite: {done[policy.nan]}"
+            )
+        if self.negative:
             way = done.get(policy.negative, f"{self.offset:g} {unit} subtracted from all readings")
-            found.append(f"{self.n_negative} readings of the file are below 0: {way}")
-        if self.n_masked:
-            found[-1] += f" ({self.n_masked} taxels masked)"
+            found.append(f"{self.negative} readings of the file are below 0: {way}")
+        if self.masked_taxels:
+            found[-1] += f" ({self.masked_taxels} taxels masked)"
         return found
 
     def counts(self) -> dict[str, Any]:
         """Counts for a summary; none where all readings were valid."""
-        if not (self.n_nan or self.n_negative):
-            return {}
-        return {
-            "not_finite": self.n_nan,
-            "negative": self.n_negative,
-            "masked_taxels": self.n_masked,
-            "offset": self.offset,
-        }
+        return vars(self).copy() if self.not_finite or self.negative else {}
 
 
 def treat(parsed: Parsed, policy: Policy) -> tuple[Parsed, Treated]:

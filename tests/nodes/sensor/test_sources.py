@@ -16,7 +16,6 @@ from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.sensor import sources
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
-from sparseskin.nodes.sensor.source import Address
 
 GLOVE = """
 import numpy as np
@@ -113,13 +112,6 @@ def test_what_such_a_kind_refuses_is_refused_before_a_graph_starts() -> None:
         SensorSettings(source="glove:left", n_rows=2).check()
     with pytest.raises(SourceError, match=r"broken:x: plug-in no_such_package:Address: ModuleNot"):
         sources.find_address("broken:x").check()
-
-
-@pytest.mark.parametrize("kind", sources.kinds())
-def test_each_kind_has_its_class_of_addresses(kind: str) -> None:
-    address = sources.find_address(f"{kind}:x", n_rows=2)
-    assert isinstance(address, Address)
-    assert (address.kind, address.rest, address.n_rows) == (kind, "x", 2)
 
 
 def test_any_other_address_is_one_of_a_driver() -> None:

@@ -44,17 +44,6 @@ def test_forces_come_back_from_counts(
     np.testing.assert_allclose(chain.apply(raw, 0), force, atol=1e-6)
 
 
-@given(counts, gains, st.integers(1, 9))
-def test_a_tare_of_a_constant_offset_is_exact(
-    offset: np.ndarray, gain: np.ndarray, n_frames: int
-) -> None:
-    raw = offset.astype(np.float32)  # as a source delivers it
-    chain = still(skin(gains=gain))
-    chain.tare([raw] * n_frames)
-    assert not chain.apply(raw, 0).any()
-    np.testing.assert_array_equal(chain.description.baseline, raw)
-
-
 def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count_and_forgets_the_drift() -> None:
     chain = Chain(skin())
     run(chain, -0.02, 10)

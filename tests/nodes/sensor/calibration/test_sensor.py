@@ -131,7 +131,7 @@ def test_a_tare_is_refused_without_a_calibration_or_with_a_wrong_number() -> Non
 def test_a_tare_that_would_not_fit_in_memory_is_refused() -> None:
     stage = Stage(SkinDescription("s", 1024, 1024, 1.0), 0, None, False, print)
     with pytest.raises(RefusedError, match="65 frames of this skin; at most 64"):
-        stage.tare(65)
+        stage.start_tare(65)
 
 
 @pytest.mark.usefixtures("folder")

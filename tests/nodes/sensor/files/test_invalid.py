@@ -38,7 +38,7 @@ def test_invalid_readings_become_what_the_settings_say(
 ) -> None:
     source = treated(Policy(nan, negative), tmp_path)
     assert source.frames.reshape(3, 4).tolist() == expected
-    assert (source.treated.n_nan, source.treated.n_negative) == (2, 2)
+    assert (source.treated.not_finite, source.treated.negative) == (2, 2)
     held = None if source.skin.mask is None else source.skin.mask.ravel().tolist()
     assert held == mask
 
