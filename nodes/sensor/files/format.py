@@ -87,7 +87,7 @@ def recording_of(file: File) -> Recording:
     """
     suffix = Path(file.name).suffix.lower()
     fitting = [one for one in OWN if suffix in one.suffixes]
-    if len(fitting) != 1:  # plug-ins are imported for these alone
+    if suffix == ".csv" or not fitting:  # plug-ins, which may have it too, are imported for these
         begin = file.file.read(HEAD_BYTES)
         file.file.seek(0)
         fitting = [one for one in (*fitting, *loaded(FILES).values()) if suffix in one.suffixes]
