@@ -44,7 +44,7 @@ test-core: .venv/installed-dev
 	$(BIN)/python .ci/core.py all
 
 # Faults, fuzz, attacks, soak, endurance and the costs of bridges and of readers, at the sizes whose
-# figures are in docs/ (7 hours; the quick ones 5 minutes); some: make stress STRESS=test_soak.py.
+# figures are in docs/ (6 hours; the quick ones 5 minutes); some: make stress STRESS=test_soak.py.
 stress stress-quick: .venv/installed-dev
 	$(if $(findstring quick,$@),,SPARSESKIN_STRESS=full) $(ONE_THREAD) $(BIN)/python -m pytest -q \
 	    -p no:xdist --timeout=0 $(addprefix tests/stress/,$(or $(STRESS),.))

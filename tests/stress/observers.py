@@ -1,4 +1,4 @@
-"""What looks at a graph from beside it: commands, pages and bridges; and the latency meanwhile."""
+"""What looks at a graph from beside it: commands and bridges; and the latency meanwhile."""
 
 from __future__ import annotations
 
@@ -6,18 +6,13 @@ import contextlib
 import os
 import re
 import signal
-import socket
-import struct
 import subprocess
 import sys
-import threading
 import time
 from array import array
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from http.client import HTTPConnection, HTTPException
 from typing import Any
-from urllib.parse import urlsplit
 
 import numpy as np
 from stress.graphs import GraphError, GraphRun
@@ -182,32 +177,3 @@ def bridge(graph: GraphRun, kind: str) -> Iterator[tuple[list[int], int]]:
             if process is not None:
                 process.kill()
                 process.wait()
-
-
-class Page:
-    """A reader of the stream of the live page: of a patch with its maps, or of the overview."""
-
-    def __init__(self, url: str, patch: str = "skin") -> None:
-        place = urlsplit(url)
-        self.n_maps = 0
-        self._connection = HTTPConnection(place.netloc)
-        self._connection.request(
-            "GET", f"/stream?{f'patch={patch}&' if patch else ''}{place.query}"
-        )
-        self._answer = self._connection.getresponse()
-        self.status = self._answer.status
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def _read(self) -> None:
-        with contextlib.suppress(OSError, ValueError, struct.error, HTTPException, AttributeError):
-            while True:
-                n_head, n_data = struct.unpack("<II", self._answer.read(8))
-                self.n_maps += b'"kind":"maps"' in self._answer.read(n_head)
-                self._answer.read(n_data)
-
-    def close(self) -> None:
-        """End the connection."""
-        if self._connection.sock is not None:
-            with contextlib.suppress(OSError):
-                self._connection.sock.shutdown(socket.SHUT_RDWR)
-        self._connection.close()

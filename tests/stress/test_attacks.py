@@ -1,6 +1,6 @@
 """A graph under load by others: nothing is lost, nothing ends, nothing is left behind.
 
-At full size 10,000 half-open connections, 1,000 pages three times, and commands for an hour.
+At full size 10,000 half-open connections, and 1,000 pages three times.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from urllib.parse import urlsplit
 
 import pytest
 from processes import wait_until
-from stress import commands
 from stress.graphs import PATIENCE_S, SECURITY, ObservedGraph, graph_text
 
 from sparseskin.nodes.monitor.live.server import MAX_PAGES
@@ -291,16 +290,3 @@ def test_open_pages_cost_a_graph_nothing_and_are_refused_in_order(
     assert before.files < most.files
     assert before.threads < most.threads
     assert (after.files, after.threads) == (before.files, before.threads)
-
-
-def test_commands_beside_graphs_that_start_and_end_remove_nothing_that_is_used(
-    full: bool, note: Any
-) -> None:
-    found = commands.measure(3600.0 if full else 5.0, 1)
-    note(attack="commands in a loop", **found)
-    assert found["faults"] == []
-    assert found["left"] == []
-    assert found["frames"]["lost"] == 0
-    assert found["frames"]["sensed"] > 0
-    assert found["lists"] > 0
-    assert sum(found["graphs"].values()) >= commands.N_STARTERS

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
+from collections.abc import Iterator
+from http.client import HTTPConnection, HTTPException
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 from stress.graphs import FULL, GraphRun
-from stress.observers import Page
 
 WARM_UP_S, WARM_UP_PATCH_S = 10.0, 0.1
 """Time at a low rate before that in question, and more of it a patch, for solvers to be set up, of
@@ -18,6 +21,24 @@ STEP, MAX_TRIALS = 0.75, 5
 """Factor from one rate that is tried to the next, and how many are tried; chosen."""
 DEPTH = 4
 """Frames that may wait for the reconstructor, which others pause now and then on two cores."""
+
+
+@contextlib.contextmanager
+def open_page(url: str) -> Iterator[None]:
+    """A page of all patches that reads its stream."""
+    place = urlsplit(url)
+    connection = HTTPConnection(place.netloc)
+    connection.request("GET", f"/stream?{place.query}")
+    answer = connection.getresponse()
+
+    def read() -> None:
+        with contextlib.suppress(OSError, HTTPException, AttributeError, ValueError):
+            while answer.read(1 << 16):
+                pass
+
+    threading.Thread(target=read, daemon=True).start()
+    yield
+    connection.close()
 
 
 def run_at(
@@ -36,7 +57,7 @@ def run_at(
         **{"sensor.rate_hz": SLOW_HZ, "monitor.port": 0, "reconstructor.depth": DEPTH},
     }
     changes = [part for key, v in settings.items() for part in ("--set", f"{key}={v}")]
-    with GraphRun("body", *changes) as graph, contextlib.closing(Page(graph.page(), "")):
+    with GraphRun("body", *changes) as graph, open_page(graph.page()):
         time.sleep(warm_up_s)
         graph.ask("sensor", "set", {"rate_hz": rate_hz})
         begin_s = time.monotonic()

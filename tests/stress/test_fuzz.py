@@ -53,23 +53,6 @@ SOUND_RUN = "00000000000000bb"
 MAX_RANDOM_BYTES = 300
 
 
-class _Endless:
-    """Frames of true forces on a small skin, for a sensor."""
-
-    delivers = "truth"
-
-    def __iter__(self) -> Iterator[tuple[int, Any]]:
-        stamp_ns = 0
-        while True:
-            stamp_ns += 1_000_000
-            yield stamp_ns, np.linspace(0, 1, SIDE * SIDE, dtype=np.float32).reshape(SIDE, SIDE)
-
-
-def small_skin() -> _Endless:
-    """The driver `stress.messages:small_skin`."""
-    return _Endless()
-
-
 class _Tap(Node[Settings]):
     """Keeps all messages of a graph."""
 
@@ -86,11 +69,13 @@ class _Tap(Node[Settings]):
         return ()
 
 
-def sound_messages(run_id: str, n_frames: int) -> list[Message]:
+def sound_messages(folder: Path, run_id: str, n_frames: int) -> list[Message]:
     """All messages that a graph of one small patch sends in some frames, as one run."""
+    forces = np.linspace(0, 1, SIDE * SIDE, dtype=np.float32).reshape(SIDE, SIDE)
+    np.save(folder / "skin.npy", np.stack([forces] * n_frames))
     bus = Bus(
         {
-            "sensor": (Sensor, Sensor.Settings(source=f"{__name__}:small_skin")),
+            "sensor": (Sensor, Sensor.Settings(source=f"file:{folder / 'skin.npy'}")),
             "compressor": (Compressor, Compressor.Settings()),
             "reconstructor": (Reconstructor, Reconstructor.Settings()),
             "tap": (_Tap, Settings()),
@@ -110,9 +95,8 @@ def ends(topics: Iterable[str], run_id: str, n_messages: int) -> list[End]:
     ]
 
 
-def hostile_messages(topics: Sequence[str], n: int, rng: np.random.Generator) -> Iterator[bytes]:
-    """`n` random or mutated messages under the topics that a node listens to."""
-    sound = [m for m in sound_messages(HOSTILE_RUN, 1) if m.topic in topics]
+def hostile_messages(sound: Sequence[Message], n: int, rng: np.random.Generator) -> Iterator[bytes]:
+    """`n` random or mutated messages, made of sound ones."""
     good = [b"\0".join(encode(message)) for message in sound]
     frames = [wire_bytes(message) for message in sound if not message.latched]
     for _ in range(n):
@@ -243,16 +227,17 @@ def test_hostile_messages_and_subscriptions_end_no_process(
 ) -> None:
     n = N_MESSAGES or (200_000 if full else 30_000)
     rng = np.random.default_rng(5)
-    sound = sound_messages(SOUND_RUN, N_SOUND)
+    sound = sound_messages(tmp_path, SOUND_RUN, N_SOUND)
     cls = node_class(type_name)
     values = {"out": str(tmp_path / "fuzz.mcap")} if type_name == "recorder" else {}
     topics = list(cls.inputs(make_settings(cls, {})))
     if "*" in topics:
         topics = list(dict.fromkeys(message.topic for message in sound))
+    models = [m for m in sound_messages(tmp_path, HOSTILE_RUN, 1) if m.topic in topics]
     with Harness(type_name, values, topics) as harness:
         memory_mb = []
         for _ in range(N_PARTS):
-            harness.write(hostile_messages(harness.topics, n // N_PARTS, rng))
+            harness.write(hostile_messages(models, n // N_PARTS, rng))
             harness.drained()
             memory_mb.append(round(harness.memory_mb(), 2))
         # Over one connection, and over another, which can use what the first has freed.

@@ -1,24 +1,19 @@
-"""What it costs a graph that others look at it: commands, pages, bridges; and how it keeps time.
+"""What it costs a graph that others look at it: commands, bridges; and how it keeps time.
 
 At full size half an hour, for the figures of the documents.
 """
 
 from __future__ import annotations
 
-import contextlib
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from stress.graphs import GraphRun, launch_text
-from stress.observers import BRIDGES, LATENCIES, Page, bridge, commands, in_turns, suspending
+from stress.observers import BRIDGES, LATENCIES, bridge, commands, in_turns, suspending
 
-from sparseskin.launch.launchfile.load import BUNDLED
 from sparseskin.messages import Taxels
-from sparseskin.nodes.monitor.live.server import MAX_PAGES
-from sparseskin.nodes.process.proc import cpu_s, resident_bytes
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter
 
@@ -62,39 +57,6 @@ def test_a_bridge_beside_a_graph_does_not_make_its_frames_wait(
     note(beside=kind, lost=lost, **found)
     assert full or lost == 0
     assert found["us_a_frame"] > 0
-
-
-def test_pages_are_served_and_one_that_stalls_costs_no_memory(full: bool, note: Any) -> None:
-    seconds = 20.0 if full else 0.5
-    launch = (BUNDLED / "drag_wrench_64.toml").read_text()
-    settings = ("--set", "monitor.port=0", "--set", "sensor.rate_hz=30")
-    with GraphRun(launch, *settings) as graph, contextlib.ExitStack() as stack:
-        url, monitor = graph.page(), graph.nodes()["monitor"]
-
-        def opened() -> Page:
-            return stack.enter_context(contextlib.closing(Page(url)))
-
-        def row(pages: str, page: Page | None = None) -> None:
-            n_before, began_s = page.n_maps if page else 0, cpu_s(monitor)
-            time.sleep(seconds)
-            note(
-                pages=pages,
-                **{"CPU %": round(100 * (cpu_s(monitor) - began_s) / seconds, 1)},
-                frames_s=round((page.n_maps - n_before) / seconds, 1) if page else "",
-                MB=round(resident_bytes(monitor) / 1e6, 1),
-            )
-
-        row("none")
-        page = opened()
-        row("one", page)
-        crowd = [opened() for _ in range(MAX_PAGES - 1)]
-        row(f"{MAX_PAGES}", page)
-        assert {one.status for one in crowd} == {200}
-        assert opened().status == 503
-        if not full:
-            return
-        graph.end()
-        note(pages="frames", **graph.summary()["patches"]["skin"]["frames"])
 
 
 @pytest.mark.parametrize(("rate_hz", "speed"), [(100, 1.0), (100, 10.0), (1000, 0.1), (1000, 1.0)])
