@@ -46,11 +46,6 @@ def test_durations_outside_the_range_count_at_its_ends() -> None:
     assert quantiles.quantile_ms(1.0) == pytest.approx(1e6, rel=0.01)
 
 
-def test_nothing_added_gives_nothing() -> None:
-    assert Extent().summary() is None
-    assert Quantiles().summary() is None
-
-
 def row(time_s: float) -> tuple[float, ...]:
     """A row whose every value follows from its time."""
     return (time_s, *(time_s + k for k in range(1, len(COLUMNS))))
@@ -63,26 +58,11 @@ def filled(n_rows: int, period_s: float) -> History:
     return history
 
 
-@pytest.mark.parametrize("rate_hz", [1, 100, 200, 1000])
-def test_the_last_minute_is_whole_at_every_rate(rate_hz: int) -> None:
-    n = 150 * rate_hz
-    first, rows = filled(n, 1 / rate_hz).since(0)
-    assert first + len(rows) == n
-    assert rows[-1, 0] - rows[0, 0] >= min(SPAN_S, (n - 1) / rate_hz)
-    np.testing.assert_array_equal(rows[:, 0], np.arange(first, n) * (1 / rate_hz))
-
-
 def test_it_grows_no_further_than_its_greatest_size(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(statistics, "MAX_CAPACITY", 2 * MIN_CAPACITY)
     n = 5 * MIN_CAPACITY
     first, rows = filled(n, 0.0).since(0)
     assert (first, len(rows)) == (3 * MIN_CAPACITY, 2 * MIN_CAPACITY)
-
-
-def test_what_is_given_is_a_copy() -> None:
-    history = filled(3, 1.0)
-    history.since(0)[1][:] = -1.0
-    np.testing.assert_array_equal(history.since(0)[1][:, 0], [0.0, 1.0, 2.0])
 
 
 @settings(max_examples=40, deadline=None)

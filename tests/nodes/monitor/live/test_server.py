@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from conftest import StartProgram, note_of_graph, wait_until
+from conftest import StartProgram, wait_until
 from feeds import Graph, read_records
 
 from sparseskin.messages import Reconstruction, Taxels
@@ -296,17 +296,6 @@ def test_a_browser_is_started_without_the_token_in_its_arguments(
     assert f"/?token={TOKEN}" in path.read_text()
     monitor.close({})
     assert not path.exists()
-
-
-def test_the_token_is_for_the_user_alone(start: StartProgram, tmp_path: Path) -> None:
-    settings = ("--set", "monitor.port=0", "--set", "sensor.rate_hz=20", "--log-dir", "logs")
-    program = start("launch", "path_40", *settings)
-    place = urlsplit(program.wait_for("live page: "))
-    program.wait_for("ready:")
-    note = note_of_graph(tmp_path / "graphs")
-    assert place.query == f"token={json.loads(note.read_text())['page_token']}"
-    (folder,) = (tmp_path / "logs").iterdir()
-    assert [path.stat().st_mode & 0o777 for path in (folder, note.parent)] == [0o700, 0o700]
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import queue
 import threading
 from dataclasses import replace
@@ -13,7 +12,7 @@ import pytest
 from bags import MASK, N_COLS, N_ROWS, frame
 from feeds import BEGIN_S, FakeTime, Graph, Record, graph_state, node_state, read_records
 
-from sparseskin.messages import Reconstruction, Resultant, Taxels, Truth
+from sparseskin.messages import Reconstruction, Taxels, Truth
 from sparseskin.nodes.monitor.live.feed import MAX_ANSWERS
 from sparseskin.nodes.monitor.live.notices import Notices
 from sparseskin.nodes.monitor.live.stream import StreamReader
@@ -71,47 +70,6 @@ def test_the_skin_comes_first_and_once(clock: FakeTime) -> None:
     assert (header["rate_hz"], arrays) == (50.0, {})
 
 
-def test_the_points_of_a_skin_come_once_row_by_row_of_its_taxels(clock: FakeTime) -> None:
-    graph = Graph()
-    one, all_patches = Page(graph, clock), Page(graph, clock, None)
-    n = int(MASK.sum())
-    points = np.tile(np.float32([0, 0, 0, 0, 0.6, 0.8]), (n, 1))
-    points[:, 0] = np.arange(n)
-    graph.skin(points=points)
-    for page in (one, all_patches):
-        _, arrays = only(page.pull(), "skin")
-        assert arrays["points"].dtype == np.float32
-        np.testing.assert_array_equal(arrays["points"], points)
-        np.testing.assert_array_equal(arrays["mask"].astype(bool), MASK)
-        graph.frame()
-        assert "skin" not in page.kinds()
-
-
-def test_the_state_marks_frames_that_are_not_to_be_trusted(clock: FakeTime) -> None:
-    graph = Graph()
-    page = Page(graph, clock)
-
-    def trusted() -> bool:
-        header, _ = only(page.pull(), "state")
-        return bool(header["patches"]["skin"]["trusted"])
-
-    graph.skin()
-    graph.frame(error=0.1)
-    assert trusted()
-    graph.frame(error=0.1, trusted=False)
-    assert not trusted()
-    clock.advance(10.0)  # the frame is shown as long as there is no other
-    assert not trusted()
-    graph.frame(error=0.1, trusted=False)
-    graph.frame(error=0.1)
-    assert not trusted()  # a person has to see it
-    clock.advance(0.5)
-    assert trusted()
-    graph.frame(error=0.1, trusted=False)
-    graph.skin()
-    assert trusted()
-
-
 def test_maps_that_go_together_are_of_one_frame(clock: FakeTime) -> None:
     graph = Graph()
     graph.skin()
@@ -125,35 +83,6 @@ def test_maps_that_go_together_are_of_one_frame(clock: FakeTime) -> None:
         for name, kind in by_name.items():
             (message,) = [m for m in whole if isinstance(m, kind)]
             np.testing.assert_array_equal(maps[name], message.forces[0])
-
-
-def test_the_resultant_of_the_frame_shown_comes_with_its_maps(clock: FakeTime) -> None:
-    graph = Graph()
-    graph.skin()
-    page = Page(graph, clock)
-    place = {"row": 1.5, "col": 2.5, "row_sd": 0.25, "col_sd": 0.5}
-    for told in (place, dict.fromkeys(place), None):
-        graph.frame(upto=0)  # its number is taken
-        taxels, truth, measurements, restored = frame(graph.n["skin"])
-        if told is not None:
-            head = {"stamp_ns": taxels.stamp_ns, "patch": "skin", "done_ns": 0}
-            graph.take(Resultant(**head, total=3.0, total_sd=0.1, **told))
-        for message in (taxels, truth, measurements, restored):
-            graph.take(message.published("0" * 16, graph.n["skin"]))
-        header, _ = only(page.pull(), "maps")
-        expected = None if told is None else {"total": 3.0, "total_sd": 0.1, **told}
-        assert header.get("resultant") == expected
-
-
-def test_other_hosts_are_reported_with_the_graph_in_words(clock: FakeTime) -> None:
-    graph = Graph()
-    page = Page(graph, clock)
-    graph.feed.update(graph=graph_state())
-    assert page.pull()[0][0]["hosts"] == []
-    host = {"heard": True, "silent": [], "clock_offset_ms": None, "clock_uncertainty_ms": None}
-    graph.feed.update(graph=graph_state(hosts={"edge": host}))
-    assert page.pull()[0][0]["hosts"] == [["heard", "host edge: connected"]]
-    assert "hosts" not in page.pull()[0][0]
 
 
 def test_where_nothing_is_reconstructed_the_taxels_are_shown(clock: FakeTime) -> None:
@@ -250,13 +179,6 @@ def test_the_state_reports_the_age_of_every_map(clock: FakeTime) -> None:
     assert patch["age_s"] == {"taxels": age_s, "reconstruction": age_s, "truth": age_s}
     assert patch["stale_s"] == 0.5
     assert state["now_s"] == BEGIN_S + PULL_S
-
-
-def test_what_is_not_finite_is_null_for_a_page(clock: FakeTime) -> None:
-    graph = Graph()
-    graph.feed.update(summaries={"skin": {"frames": {}, "gain": math.nan, "best": [math.inf, 1.0]}})
-    state = Page(graph, clock).pull()[0][0]
-    assert state["patches"]["skin"]["summary"] == {"frames": {}, "gain": None, "best": [None, 1.0]}
 
 
 def test_the_end_is_reported_at_once_and_ends_the_stream(clock: FakeTime) -> None:

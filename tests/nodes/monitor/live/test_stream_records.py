@@ -52,8 +52,3 @@ def test_an_array_that_is_a_view_is_sent_in_its_own_order() -> None:
     array = np.arange(12, dtype=np.float32).reshape(3, 4)[::2, ::-1]
     ((_, back),) = parsed(record({}, {"a": array}))
     np.testing.assert_array_equal(back["a"], array)
-
-
-def test_records_follow_one_another() -> None:
-    data = record({"k": 1}, {"a": np.zeros(3, np.uint8)}) + record({"k": 2}, {})
-    assert [header["k"] for header, _ in parsed(data)] == [1, 2]

@@ -126,16 +126,6 @@ def test_any_bytes_are_read_up_to_the_break_or_refused(
         assert read == payloads[: len(read)]
 
 
-@given(tail=st.binary(max_size=300), magic=st.booleans())
-@settings(
-    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-def test_noise_is_refused(tail: bytes, magic: bool, tmp_path: Path) -> None:
-    assert (
-        survivors(tmp_path / "a.mcap", (mcap.writer.MCAP0_MAGIC if magic else b"") + tail) is None
-    )
-
-
 def test_a_length_that_is_far_too_large_takes_no_memory(
     whole: tuple[bytes, list[bytes]], tmp_path: Path
 ) -> None:
@@ -208,20 +198,6 @@ def test_stamps_that_are_recorded_out_of_order_are_all_found(
             assert found
         assert bag.topics["/skin/taxels"].first_ns == min(stamps)
         assert bag.topics["/skin/taxels"].last_ns == max(stamps)
-
-
-def test_topics_report_how_many_how_long_and_how_fast(
-    whole: tuple[bytes, list[bytes]], tmp_path: Path
-) -> None:
-    data, _ = whole
-    for name, content in (("a.mcap", data), ("a.mcap.part", data[: chunk_ends(data)[-1]])):
-        (tmp_path / name).write_bytes(content)
-        with BagReader(tmp_path / name) as bag:
-            info = bag.topics["/skin/taxels"]
-            assert bag.topics["/skin/skin"].rate_hz == 0
-        assert (info.schema, info.version, info.n_messages) == ("taxels", 2, N_FRAMES)
-        assert (info.first_ns, info.last_ns) == (0, (N_FRAMES - 1) * PERIOD_NS)
-        assert info.rate_hz == pytest.approx(100.0)
 
 
 def test_a_topic_that_is_not_there_is_named_at_once(

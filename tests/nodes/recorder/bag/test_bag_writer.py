@@ -150,15 +150,6 @@ def test_what_cannot_be_recorded_is_refused_and_harms_nothing(
         assert [message.payload for message in bag.messages()] == [good]
 
 
-def test_a_discarded_bag_leaves_no_file(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "a.mcap", {})
-    record(writer, frame(0)[0])
-    writer.flush()
-    writer.discard()
-    writer.discard()
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_closed_bag_accepts_nothing(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "a.mcap", {})
     writer.close()
