@@ -159,24 +159,6 @@ def test_a_device_that_is_not_there_is_named(opened: Open) -> None:
         opened("serial_skin", DEVICE="/dev/no-skin")
 
 
-def test_a_graph_runs_on_the_example_and_logs_when_the_skin_falls_silent(
-    start: StartProgram, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    skin = UdpSkin(udp_frame(300), pause_s=0.01)
-    monkeypatch.setenv("SKIN_PORT", str(skin.port))
-    program = start(
-        *("launch", "replay", "--set", "sensor.source=udp_skin:frames"),
-        *("--set", "monitor.page=false"),
-        pythonpath=EXAMPLES,
-    )
-    program.wait_for("[launch] ready")
-    skin.stop()
-    code, _, stderr = program.finish()
-    assert code == 2
-    assert "udp_skin:frames: the driver failed: TimeoutError: no packet for 2 s" in stderr
-    assert "Traceback" not in stderr
-
-
 def test_m_that_the_first_frame_of_a_driver_does_not_allow_ends_the_graph_with_one_line(
     start: StartProgram, tmp_path: Path
 ) -> None:

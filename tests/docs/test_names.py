@@ -77,37 +77,6 @@ def test_pages_name_no_absolute_path_of_a_machine(page: Path) -> None:
     assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", text)
 
 
-#: Fixed parts of log lines that the pages quote.
-QUOTED = [
-    "has not started: it imports, or opens its device",
-    "waits for a subscription from",
-    "not drained after",
-    "has not ended its stream",
-    "connected, clock",
-    "receives nothing from",
-    "connected: ",
-    "cannot connect to",
-    "can be reached from other computers, and there are no keys",
-    "turned away",
-    "and not on the list of those allowed",
-    "is not known here",
-    "it has a wrong key for this host",
-    "it uses no key",
-    "it speaks no ZeroMQ",
-    "connections already",
-    "the driver failed",
-    "not answering",
-]
-
-
-@pytest.mark.parametrize("text", QUOTED)
-def test_a_log_line_that_the_pages_quote_is_one_of_the_program(text: str) -> None:
-    pages = " ".join(" ".join(p.read_text(encoding="utf-8").split()) for p in PAGES)
-    sources = (path for top in ("nodes", "launch") for path in (ROOT / top).rglob("*.py"))
-    assert text in pages
-    assert any(text in path.read_text(encoding="utf-8") for path in sources)
-
-
 def test_the_citation_states_the_version_of_the_package() -> None:
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -7,9 +7,7 @@ from pathlib import Path
 import pytest
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.nodes.lookup import find_callable
 from sparseskin.studies import command
-from sparseskin.studies.points import StudyError
 
 
 def test_an_unknown_study_is_refused_with_the_one_that_was_meant(
@@ -46,11 +44,6 @@ def test_a_seed_that_no_generator_takes_is_refused(seed: str) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["study", "paper-tables", "--seed", seed])
     assert ended.value.code == 2
-
-
-@pytest.mark.parametrize("name", command.STUDIES)
-def test_every_study_that_is_listed_can_be_run(name: str) -> None:
-    assert find_callable(command.STUDIES[name].target, StudyError).__name__ == "run"
 
 
 def test_the_help_lists_every_study(capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
@@ -13,8 +12,6 @@ from sparseskin.studies.needs import (
     Variant,
     decibels,
     measure,
-    points,
-    summary,
     variants,
     verdict,
 )
@@ -90,14 +87,3 @@ def test_verdicts(
 ) -> None:
     row = {"carried": carried, "change_db": change_db, "above_noise": above}
     assert verdict({**row, "variant": variant, "scene": scene, "noise_db": 47.0}) == said
-
-
-def test_every_scene_is_looked_at() -> None:
-    assert {point["scene"] for point in points(quick=False, seed=0)} == set(SCENES)
-
-
-def test_variants_that_should_not_be_are_named() -> None:
-    row = {"scene": "path_40", "variant": "roll"}
-    found = summary(pd.DataFrame([row | {"verdict": "missing"}, row | {"verdict": "needed"}]))
-    assert "- needed: 1" in found
-    assert found.endswith("- **missing**: path_40: roll")

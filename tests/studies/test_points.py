@@ -14,9 +14,8 @@ from typing import Any
 import pytest
 from conftest import PATIENCE_S, wait_until
 
-from sparseskin.nodes.errors import SettingsError
 from sparseskin.studies import points as points_module
-from sparseskin.studies.points import POINTS_FILE, StudyError, compute, forget, key_of
+from sparseskin.studies.points import POINTS_FILE, StudyError, compute, forget
 
 #: A study of eight points, of which the last four wait for a file. It notes each computation.
 STUDY = """
@@ -186,17 +185,6 @@ def test_points_of_other_code_are_reported(
     assert "2 of 3 points are known from an earlier run, 2 of them by" in capsys.readouterr().err
 
 
-def test_the_key_is_of_names_and_parameters_whatever_their_order() -> None:
-    key = key_of(double, "doubles", {"a": 1, "b": 2})
-    assert key == key_of(double, "doubles", {"b": 2, "a": 1})
-    others = [
-        key_of(double, "doubles", {"a": 2, "b": 2}),
-        key_of(fail_on_two, "doubles", {"a": 1, "b": 2}),
-        key_of(double, "others", {"a": 1, "b": 2}),
-    ]
-    assert len({key, *others}) == 4
-
-
 def test_a_point_is_known_where_its_function_has_moved_to_another_module(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -235,8 +223,3 @@ def test_a_second_run_in_the_same_folder_is_refused(tmp_path: Path) -> None:
         return {}
 
     assert compute(compute_again, [{"k": 0}], tmp_path, "serial", "outer") == [{}]
-
-
-def test_an_executor_that_does_not_exist_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match="--executor proces:2"):
-        compute(double, [{"k": 0}], tmp_path, "proces:2", "doubles")
