@@ -67,7 +67,7 @@ STUDIES = {
         options=("recordings", "seeds"),
     ),
     "speed": Study(
-        "time of operators, of solvers, of bodies of many patches, and of a frame by stage",
+        "time of solvers, of bodies of many patches, and of a frame by stage",
         "sparseskin.studies.speed.tables:run",
     ),
     "train": Study(

@@ -104,7 +104,8 @@ def on_disk(path: Path) -> list[bytes]:
 def make_bag(path: Path, messages: list[Message], flush_every: int = 40) -> list[bytes]:
     """A whole bag with several chunks; the payloads in it, in order."""
     payloads = []
-    with BagWriter(path, {"scene": "test", "seed": "3"}) as writer:
+    # Its chunks end where they are told to, however busy the host.
+    with BagWriter(path, {"scene": "test", "seed": "3"}, monotonic=FakeClock()) as writer:
         for number, message in enumerate(messages, start=1):
             payloads.append(record(writer, message))
             if number % flush_every == 0:

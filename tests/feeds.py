@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
 from collections.abc import Callable, Iterator
@@ -17,6 +18,8 @@ from sparseskin.nodes.monitor.live import feed as feed_module
 from sparseskin.nodes.monitor.live import screen as screen_module
 from sparseskin.nodes.monitor.live import stream as stream_module
 from sparseskin.nodes.monitor.live.feed import Feed
+from sparseskin.nodes.monitor.live.notices import Notices
+from sparseskin.nodes.monitor.live.server import PageServer
 from sparseskin.nodes.monitor.metrics import PatchMetrics
 
 BEGIN_S = 1000.0
@@ -79,6 +82,16 @@ class Graph:
 
     def close(self) -> None:
         self.feed.update(closed=True)
+
+
+@contextlib.contextmanager
+def served(graph: Graph, page: Any) -> Iterator[None]:
+    """The live page of a feed, opened in a browser."""
+    server = PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
+    with contextlib.closing(server):
+        page.get("about:blank")  # an address that differs in its hash alone loads no page
+        page.get(server.url)
+        yield
 
 
 def node_state(name: str, **changes: Any) -> dict[str, Any]:

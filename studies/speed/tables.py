@@ -1,4 +1,4 @@
-"""Study `speed`: time of operators and solvers, of bodies, and of a frame by stage."""
+"""Study `speed`: time of solvers, of bodies, and of a frame by stage."""
 
 from __future__ import annotations
 
@@ -21,15 +21,13 @@ from sparseskin.studies.harness import (
     Measurement,
     unrefused,
 )
-from sparseskin.studies.points import compute, compute_rows
+from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import Page, cells, markdown
 
 from . import latency
 from .bodies import time_body
-from .operators import OURS, time_operators
 
 SIDES, QUICK_SIDES = (20, 40, 64, 128), (20, 40)
-WINDOWS, QUICK_WINDOWS = 101, 21
 PATCH_SIDE, PATCHES, QUICK_PATCHES, IDLE = 64, (1, 4, 16, 64, 244), (1, 4), 0.9
 GOAL, GOAL_HZ = 244, 1000
 """Patches of a million taxels, and frames a second."""
@@ -47,30 +45,12 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     page = Page(out, "speed", Path(__file__).with_name("notes.md"), quick)
     page.section("", cores=len(os.sched_getaffinity(0)))
     lines = [
-        operators(page, quick, seed),
         *solvers(page, quick, seed),
         bodies(page, quick, seed),
         *stages(page, quick, seed),
     ]
     page.write(lines)
     return lines
-
-
-def operators(page: Page, quick: bool, seed: int) -> str:
-    """Operators beside the least times and other libraries."""
-    windows, sides = (QUICK_WINDOWS, QUICK_SIDES) if quick else (WINDOWS, SIDES)
-    points = [{"side": side, "seed": seed, "windows": windows} for side in sides]
-    found = compute(time_operators, points, page.out, TIMED_ON, "operators")
-    rows = pd.DataFrame([row for figures in found for row in figures["rows"]])
-    rows["times_least"] = rows[["alone_us", "batch_us"]].min(axis=1) / rows["least_us"]
-    page.csv("operators", rows)
-    formats = dict.fromkeys(("alone_us", "batch_us", "least_us"), ".2f") | {"times_least": ".1f"}
-    page.section("Operators", markdown(rows, formats))
-    times = rows[(rows["library"] == OURS) & (rows["n"] == rows["n"].max())]["times_least"]
-    return (
-        f"Operators in numpy take {times.min():.1f} to {times.max():.1f} times what sums, products "
-        f"and bytes cost at least, N = {rows['n'].max()}."
-    )
 
 
 def solvers(page: Page, quick: bool, seed: int) -> list[str]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from sparseskin.studies.report import Page
 
-from . import change, contact, phase, sweeps
+from . import contact, phase, sweeps
 
 
 def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
@@ -15,17 +15,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     integrators = contact.section(page, quick, seed, executor)
     phase.section(page, quick, seed, executor)
     sweeps.settings_section(page, quick, seed, executor)
-    events = change.section(page, quick, seed, executor)
     sweeps.faults_section(page, quick, seed, executor)
     parts = map(" ".join, zip(integrators["integrator"], integrators["unstable"], strict=True))
-    slowest = events.loc[events["frames_until_settled"].idxmax()]
-    lowest = events.loc[events["settled_db"].idxmin()]
-    lines = [
-        f"Contact: share of the places where an integrator is unstable: {', '.join(parts)}.",
-        f"Sudden change: settled after {slowest['frames_until_settled']} frames at most, solver "
-        f"{slowest['solver']}, N/{slowest['ratio']}, {slowest['event']}.",
-        f"It settles lowest, at {lowest['settled_db']:.1f} dB, with solver {lowest['solver']}, "
-        f"N/{lowest['ratio']}, {lowest['event']}.",
-    ]
+    lines = [f"Contact: share of the places where an integrator is unstable: {', '.join(parts)}."]
     page.write(lines)
     return lines

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import StartProgram, free_port
+from conftest import free_port
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable
@@ -157,21 +157,3 @@ def test_a_serial_skin_that_falls_silent_is_named(opened: Open, line: tuple[int,
 def test_a_device_that_is_not_there_is_named(opened: Open) -> None:
     with pytest.raises(SourceError, match="No such file or directory: '/dev/no-skin'"):
         opened("serial_skin", DEVICE="/dev/no-skin")
-
-
-def test_m_that_the_first_frame_of_a_driver_does_not_allow_ends_the_graph_with_one_line(
-    start: StartProgram, tmp_path: Path
-) -> None:
-    (tmp_path / "small.py").write_text(
-        "def frames():\n    for k in range(10**9):\n        yield k, [[0.0] * 4] * 3\n"
-    )
-    code, _, stderr = start(
-        *("launch", "replay", "--set", "sensor.source=small:frames"),
-        *("--set", "compressor.ratio=5000", "--set", "monitor.page=false"),
-    ).finish()
-    assert code == 2
-    (line,) = (line for line in stderr.splitlines() if "failed" in line)
-    assert line.endswith(
-        "[compressor] failed: ratio: 5000 leaves no measurement of 12 taxels; allowed: 1..12"
-    )
-    assert "Traceback" not in stderr

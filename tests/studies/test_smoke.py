@@ -23,14 +23,13 @@ from sparseskin.studies.speed import latency
 from sparseskin.studies.speed import tables as speed
 from sparseskin.studies.speed_accuracy import charts as speed_accuracy
 from sparseskin.studies.speed_accuracy import experiments
-from sparseskin.studies.stability import change, contact, phase, sweeps
+from sparseskin.studies.stability import contact, phase, sweeps
 
 N_FRAMES = 9
 SOLVERS = ("fista", "skin")
 SIZES: tuple[tuple[Any, dict[str, Any]], ...] = (
     (accuracy, {"ACTIVE": (0.3,), "QUICK_SIZES": (((4, 4), None),), "QUICK_BODIES": ("peg",)}),
     (accuracy, {"SCENES": ("lift_box_40",), "RATED_SCENES": ("path_40",), "SIDES": (40,)}),
-    (change, {"SUM_SOLVERS": SOLVERS}),
     (contact, {"N_SIDE_QUICK": 2, "SCENES": {"lift_box_40": SCENES["lift_box_40"]}}),
     (experiments, {"QUICK_ITERATIONS": (5,), "QUICK_RATIOS": (3, 8), "SUM_KINDS": ("sbhe",)}),
     (experiments, {"SUM_SOLVERS": SOLVERS}),
@@ -39,7 +38,7 @@ SIZES: tuple[tuple[Any, dict[str, Any]], ...] = (
     (needs, {"QUICK_SCENES": ("lift_box_40",), "QUICK_STEPS": 350}),
     (paper, {"BEFORE_MAPS": 0}),
     (phase, {"SUM_SOLVERS": SOLVERS}),
-    (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,), "QUICK_WINDOWS": 2}),
+    (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,)}),
     (speed_accuracy, {"TIMED_ON": "serial"}),
     (sweeps, {"SUM_SOLVERS": ("fista",)}),
 )

@@ -13,13 +13,6 @@ from scipy.optimize import minimize_scalar
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.studies.evaluate import SUM_SOLVERS
 from sparseskin.studies.stability import excerpts, sweeps
-from sparseskin.studies.stability.change import (
-    EVENTS,
-    N_BEFORE,
-    N_EACH,
-    frames_until_settled,
-    sequence,
-)
 from sparseskin.studies.stability.excerpts import (
     BLOWN_UP_DB,
     SHAPE,
@@ -74,21 +67,6 @@ def test_psnr_and_snr_of_what_is_perfect_void_or_blown_up() -> None:
     assert touched_snr(np.zeros_like(truth), truth) == pytest.approx(0.0)
     assert touched_snr(1.1 * truth, truth) == pytest.approx(20.0, abs=1e-3)
     assert touched_snr(np.full_like(truth, np.nan), truth) == BLOWN_UP_DB
-
-
-def test_a_sequence_has_its_three_events_and_nothing_else_changes() -> None:
-    frames = sequence(40, 60, np.random.default_rng(0))
-    (changes,) = np.nonzero(np.abs(np.diff(frames, axis=0)).max(axis=(1, 2)))
-    assert (changes + 1).tolist() == [N_BEFORE + k * N_EACH for k in range(len(EVENTS))]
-    assert frames[N_BEFORE].sum() == pytest.approx(frames[N_BEFORE + N_EACH].sum())
-
-
-def test_settling_counts_the_last_frame_that_is_off_by_more_than_1_db() -> None:
-    errors = [1.0] * (N_BEFORE + len(EVENTS) * N_EACH)
-    for late in (0, 1, 2):
-        errors[N_BEFORE + late] = 2.0
-    errors[N_BEFORE + N_EACH] = 1.2  # 0.8 dB
-    assert frames_until_settled(errors) == {"first contact": 4, "slip": 1, "release": 1}
 
 
 @pytest.mark.parametrize("fault", ["lost singly", "lost in bursts"])

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import random
 import re
 import signal
 from pathlib import Path
@@ -18,7 +16,6 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 
 N_FRAMES = 400
 """Of path_40, which is touched from frame 320 on."""
-N_KILLS = 3
 
 
 def contents(path: Path) -> dict[str, list[tuple[int, bytes]]]:
@@ -91,47 +88,6 @@ def test_a_recorder_joins_a_running_graph_by_topic_and_ends_with_it(
     last = decode(b"/skin/reconstruction", found["/skin/reconstruction"][-1][1])
     frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
     assert last.seq == frames["reconstructed"] - 1
-
-
-@pytest.mark.slow
-def test_a_killed_recorder_leaves_every_message_that_was_on_the_disk(
-    start: StartProgram, tmp_path: Path
-) -> None:
-    (tmp_path / "endless.py").write_text(
-        "import itertools, numpy as np\n"
-        "def frames():\n"
-        "    forces = np.random.default_rng(0).random((40, 40))\n"
-        "    for k in itertools.count(): yield k, forces\n"
-    )
-    (tmp_path / "graph.toml").write_text(
-        '[nodes.sensor]\ntype = "sensor"\nsource = "endless:frames"\nrate_hz = 500\n'
-        '[nodes.compressor]\ntype = "compressor"\n'
-    )
-    graph = start("launch", "graph.toml")
-    graph.wait_for("[launch] ready")
-    sizes = random.Random(4)
-    for k in range(N_KILLS):
-        part = tmp_path / f"{k}.mcap.part"
-        recorder = start("record", "--out", f"{k}.mcap")
-        recorder.wait_for("[launch] ready")
-        size = sizes.randrange(1, 2_000_000)
-        wait_until(lambda: part.exists() and part.stat().st_size > size, "the file")  # noqa: B023
-        with BagReader(part) as bag:
-            before = list(bag.messages())
-        (pid,) = [pid for pid, command in recorder.survivors().items() if "run_node" in command]
-        os.kill(pid, signal.SIGKILL)
-        assert recorder.finish()[0] != 0
-        with BagReader(part) as bag:
-            assert bag.recovered
-            after = list(bag.messages())
-        assert after[: len(before)] == before
-        assert before
-        # Nothing is missing before the end.
-        frames = [m for m in after if m.topic == "/skin/taxels"]
-        numbers = [decode(m.topic.encode(), m.payload).seq for m in frames]
-        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    graph.process.terminate()
-    assert graph.finish()[0] in (0, 143)
 
 
 def test_an_interrupted_recorder_completes_its_file_and_a_wrong_topic_is_named(

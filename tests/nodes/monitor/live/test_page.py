@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
@@ -16,11 +15,9 @@ import numpy as np
 import pytest
 from browser import browser, lack
 from conftest import Program, StartProgram, wait_until
-from feeds import Graph, graph_state
+from feeds import Graph, graph_state, served
 
 from sparseskin.messages import Resultant
-from sparseskin.nodes.monitor.live.notices import Notices
-from sparseskin.nodes.monitor.live.server import PageServer
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.calibration.skin_file import save_skin
@@ -94,8 +91,14 @@ def frames_played(page: Any, stamps_ns: list[int]) -> int:
     return sum((ns - stamps_ns[0]) / 1e9 < position_s - 1e-6 for ns in stamps_ns)
 
 
-def test_the_page_asks_nothing_of_any_other_host(start: StartProgram, page: Any) -> None:
+def test_maps_change_from_frame_to_frame_and_nothing_is_asked_of_any_other_host(
+    start: StartProgram, page: Any
+) -> None:
     open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    for which in ("taxels", "reconstruction", "error"):
+        before = pixels(page, which)
+        wait_until(lambda: pixels(page, which) != before, f"another map of {which}")  # noqa: B023
+    assert text(page, "figure h2") == "Truth Taxels (measured) Reconstruction Absolute error"
     entries = [json.loads(entry["message"])["message"] for entry in page.get_log("performance")]
     asked = [
         entry["params"]["request"]["url"]
@@ -110,21 +113,10 @@ def test_the_page_asks_nothing_of_any_other_host(start: StartProgram, page: Any)
     assert page.get_log("browser") == []
 
 
-def test_maps_change_from_frame_to_frame(start: StartProgram, page: Any) -> None:
-    open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
-    for which in ("taxels", "reconstruction", "error"):
-        before = pixels(page, which)
-        wait_until(lambda: pixels(page, which) != before, f"another map of {which}")  # noqa: B023
-    assert text(page, "figure h2") == "Truth Taxels (measured) Reconstruction Absolute error"
-
-
 def test_the_resultant_is_a_cross_in_its_ellipse_and_hosts_are_in_the_header(page: Any) -> None:
     graph = Graph()
     graph.skin()
-    with contextlib.closing(
-        PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
-    ) as server:
-        page.get(server.url)
+    with served(graph, page):
         told = {"total": 3.21, "total_sd": 0.12, "row": 1.0, "col": 5.0, "row_sd": 0.5, "col_sd": 1}
         graph.take(Resultant(stamp_ns=0, patch="skin", done_ns=0, **told))
         host = {"heard": True, "silent": [], "clock_offset_ms": 0.1, "clock_uncertainty_ms": 0.3}
@@ -165,10 +157,7 @@ def test_a_frame_that_is_not_to_be_trusted_is_marked_and_moves_nothing(page: Any
         "  getComputedStyle(document.querySelector(which), '::after').content);"
     )
     shares = '[data-tile="gain"] span'
-    with contextlib.closing(
-        PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
-    ) as server:
-        page.get(server.url)
+    with served(graph, page):
         graph.frame(error=0.1)
         graph.summarise()
         wait_until(lambda: "100 % trusted" in text(page, shares), "the share")
@@ -190,10 +179,7 @@ def test_a_frame_that_is_not_to_be_trusted_is_marked_and_moves_nothing(page: Any
 
 def test_the_overview_has_a_card_of_each_patch_with_its_map(page: Any) -> None:
     graph = Graph("left", "right")
-    with contextlib.closing(
-        PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
-    ) as server:
-        page.get(server.url)
+    with served(graph, page):
         for patch in ("left", "right"):
             graph.skin(patch)
 

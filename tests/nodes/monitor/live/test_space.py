@@ -11,11 +11,9 @@ import pytest
 from browser import browser, lack
 from clouds import pressed, torso
 from conftest import wait_until
-from feeds import Graph, graph_state, node_state
+from feeds import Graph, graph_state, node_state, served
 
 from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth
-from sparseskin.nodes.monitor.live.notices import Notices
-from sparseskin.nodes.monitor.live.server import PageServer
 from sparseskin.nodes.numerics.arrays import Floats
 
 pytestmark = [
@@ -65,11 +63,7 @@ def opened(page: Any, points: Floats) -> Iterator[Graph]:
     graph.skin(
         n_rows=N_ROWS, n_cols=N_COLS, mask=MASK, points=points, point_rows=rows, pitch_m=0.011
     )
-    with contextlib.closing(
-        PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
-    ) as server:
-        page.get("about:blank")  # an address that differs in its hash alone loads no page
-        page.get(server.url)
+    with served(graph, page):
         yield graph
         # That readings of pixels are slow is a remark, and no error.
         errors = [each["message"] for each in page.get_log("browser") if each["level"] == "SEVERE"]

@@ -14,14 +14,14 @@ import lz4.frame
 import mcap.writer
 import numpy as np
 import pytest
-from bags import LAG_NS, PERIOD_NS, frames, make_bag
+from bags import LAG_NS, frames, make_bag
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.records import Chunk
 
 from sparseskin.messages import Taxels
-from sparseskin.nodes.recorder.bag.format import BagError, BagMessage
+from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.records import HEAD_BYTES, MAX_CHUNK_BYTES, Break, open_chunk
 from sparseskin.nodes.recorder.bag.writer import BagWriter
@@ -147,29 +147,6 @@ def test_a_length_that_is_far_too_large_takes_no_memory(
         assert tracemalloc.get_traced_memory()[1] < 10 * len(data)
     finally:
         tracemalloc.stop()
-
-
-def test_stamps_are_cut_half_open(whole: tuple[bytes, list[bytes]], tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    path.write_bytes(whole[0])
-
-    def key(message: BagMessage) -> tuple[str, int]:
-        return message.topic, message.stamp_ns
-
-    with BagReader(path) as bag:
-        everything = list(bag.messages())
-        for start, stop in ((None, None), (0, 1), (7, 21), (59, None), (None, 3), (5, 5), (70, 90)):
-            start_ns = None if start is None else start * PERIOD_NS
-            stop_ns = None if stop is None else stop * PERIOD_NS
-            wanted = [
-                key(message)
-                for message in everything
-                if (start_ns is None or message.stamp_ns >= start_ns)
-                and (stop_ns is None or message.stamp_ns < stop_ns)
-            ]
-            assert [key(m) for m in bag.messages(None, start_ns, stop_ns)] == wanted
-            truth = [pair for pair in wanted if pair[0] == "/skin/truth"]
-            assert [key(m) for m in bag.messages(["/skin/truth"], start_ns, stop_ns)] == truth
 
 
 @pytest.mark.parametrize("log_start", [0, 10**6])
