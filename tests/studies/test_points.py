@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from conftest import PATIENCE_S, wait_until
+from processes import processes_with
 
 from sparseskin.studies import points as points_module
 from sparseskin.studies.points import POINTS_FILE, StudyError, compute, forget
@@ -71,16 +72,9 @@ class Run:
         _, stderr = self.process.communicate(timeout=PATIENCE_S)
         return self.process.returncode, stderr
 
-    def survivors(self) -> list[str]:
+    def survivors(self) -> dict[int, str]:
         """Processes that carry the mark."""
-        found = []
-        for folder in Path("/proc").iterdir():
-            try:
-                if self._mark.encode() in (folder / "environ").read_bytes().split(b"\0"):
-                    found.append(folder.name)
-            except OSError:
-                continue
-        return found
+        return processes_with(self._mark)
 
 
 def n_lines(path: Path) -> int:

@@ -362,18 +362,6 @@ def resultant(k: int) -> Resultant:
     )
 
 
-def test_a_frame_is_paired_with_its_own_resultant_if_it_has_one() -> None:
-    metrics = PatchMetrics()
-    metrics.add(bags.skin_state())
-    for k, told in enumerate((True, False, True)):
-        taxels, truth, measurements, restored = bags.frame(k)
-        messages = [taxels, truth, measurements, *[resultant(k)] * told, restored]
-        *_, complete = [metrics.add(m.published("0" * 16, k)) for m in messages]
-        assert complete is not None
-        assert (complete.resultant.total if complete.resultant else None) == (k if told else None)
-    assert metrics.summary()["frames"]["unpaired"] == 0
-
-
 def test_a_late_monitor_pairs_no_earlier_resultant() -> None:
     metrics = PatchMetrics(late=True)
     metrics.add(resultant(0).published("0" * 16, 0))
