@@ -6,6 +6,7 @@ import inspect
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -216,10 +217,11 @@ def in_contact(truth: Floats, f_max_n: float) -> bool:
     return bool(truth.max() > CONTACT_FRACTION * f_max_n)
 
 
+@dataclass
 class Scores:
     """Error and solve time of each frame of one estimator.
 
-    Parameters
+    Attributes
     ----------
     f_max_n : float
         Upper end of the range, peak of the PSNR, newtons.
@@ -228,9 +230,6 @@ class Scores:
     norm, total : float
         95th percentiles of the norms and totals of a recording's frames; 0: a frame is loaded where
         it is in contact, and none is untouched.
-
-    Attributes
-    ----------
     psnr_db, contact : list
         Of each frame: PSNR; True where it is in contact, or loaded; see `LOADED`.
     touched, relative, estimates : list
@@ -248,32 +247,28 @@ class Scores:
         Reason for which the estimator was ended; "" if it was not.
     """
 
-    def __init__(
-        self,
-        f_max_n: float = PAPER_F_MAX_N,
-        mask: Mask | None = None,
-        norm: float = 0.0,
-        total: float = 0.0,
-    ) -> None:
-        self.f_max_n, self._mask, self._norm, self._total = f_max_n, mask, norm, total
-        self.psnr_db: list[float] = []
-        self.contact: list[bool] = []
-        self.touched: list[tuple[float, int]] = []
-        self.relative: list[float] = []
-        self.estimates: list[float] = []
-        self.ghosts: list[bool] = []
-        self.flags: list[tuple[bool, float]] = []
-        self.wall_s: list[float] = []
-        self.cpu_s: list[float] = []
-        self.n_steps: list[int] = []
-        self.n_bytes: list[float] = []
-        self.refused = ""
+    f_max_n: float = PAPER_F_MAX_N
+    mask: Mask | None = None
+    norm: float = 0.0
+    total: float = 0.0
+    psnr_db: list[float] = field(default_factory=list)
+    contact: list[bool] = field(default_factory=list)
+    touched: list[tuple[float, int]] = field(default_factory=list)
+    relative: list[float] = field(default_factory=list)
+    estimates: list[float] = field(default_factory=list)
+    ghosts: list[bool] = field(default_factory=list)
+    flags: list[tuple[bool, float]] = field(default_factory=list)
+    wall_s: list[float] = field(default_factory=list)
+    cpu_s: list[float] = field(default_factory=list)
+    n_steps: list[int] = field(default_factory=list)
+    n_bytes: list[float] = field(default_factory=list)
+    refused: str = ""
 
     def add(self, solved: Solved, truth: Floats) -> None:
         """Count one frame; truth: float32, shape (n_rows, n_cols), newtons."""
         error = solved.forces - truth
         off, norm = (float(np.linalg.norm(self._taxels(x))) for x in (error, truth))
-        contact = norm > LOADED * self._norm if self._norm else in_contact(truth, self.f_max_n)
+        contact = norm > LOADED * self.norm if self.norm else in_contact(truth, self.f_max_n)
         self.psnr_db.append(psnr_db(error, self.f_max_n))
         self.contact.append(contact)
         self.wall_s.append(solved.wall_s)
@@ -289,15 +284,15 @@ class Scores:
                 self.touched.append((squared, on_touched.size))
             self.relative.append(off / norm)
             if solved.error is not None and off:
-                n = truth.size if self._mask is None else np.count_nonzero(self._mask)
+                n = truth.size if self.mask is None else np.count_nonzero(self.mask)
                 self.estimates.append(solved.error * math.sqrt(n) / off)
-        if self._total and float(self._taxels(truth).sum()) <= UNTOUCHED * self._total:
+        if self.total and float(self._taxels(truth).sum()) <= UNTOUCHED * self.total:
             total = float(self._taxels(solved.forces).sum())
-            self.ghosts.append(total > GHOST * self._total)
+            self.ghosts.append(total > GHOST * self.total)
 
     def _taxels(self, image: Floats) -> Doubles:
         """Values of the taxels that exist."""
-        found: Doubles = (image if self._mask is None else image[self._mask]).astype(np.float64)
+        found: Doubles = (image if self.mask is None else image[self.mask]).astype(np.float64)
         return found
 
     @property

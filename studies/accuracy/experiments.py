@@ -80,7 +80,7 @@ def experiment(
     names: Sequence[str],
     scores: Sequence[str],
     seeds: Sequence[int],
-    ratios: Sequence[int] = RATIOS,
+    ratios: Sequence[int],
 ) -> Experiment:
     """An experiment of some `CANDIDATES`, or at ratio 1 of `READINGS` and codecs, by name."""
     known = CANDIDATES | READINGS | {kind: Candidate(of=kind) for kind in CODECS}
@@ -112,12 +112,13 @@ class Runs:
         names: Sequence[str],
         scores: Sequence[str],
         readings: Sequence[str] = (RAW,),
+        ratios: Sequence[int] = RATIOS,
     ) -> pd.DataFrame:
-        """Rows of candidates at all ratios, and of the readings of all taxels at ratio 1."""
-        parts = [experiment(label, frames, names, scores, self._seeds)]
-        if readings:
-            label = f"{label}, all taxels"
-            parts.append(experiment(label, frames, readings, scores, self._seeds, ratios=(1,)))
+        """Rows of candidates at some ratios, and of the readings of all taxels at ratio 1."""
+        parts = (
+            experiment(label, frames, names, scores, self._seeds, ratios),
+            experiment(f"{label}, all taxels", frames, readings, scores, self._seeds, (1,)),
+        )
         return pd.concat(part.run(self._out, self._executor) for part in parts)
 
     def scenes(self) -> pd.DataFrame:
@@ -129,10 +130,8 @@ class Runs:
     def rates(self) -> pd.DataFrame:
         """Scenes of which every k-th frame is read, so that bodies move further a frame."""
         names = (DEFAULT, SKIN, PAPER, ALONE, "lattice", "hold")
-        frames, readings = list(rated_frames(self._quick)), (ALL, FILTERED, RAW)
-        compressed = experiment("rates", frames, names, PSNR, self._seeds, ratios=(3,))
-        read = experiment("rates, all taxels", frames, readings, PSNR, self._seeds, ratios=(1,))
-        rows = pd.concat(part.run(self._out, self._executor) for part in (compressed, read))
+        frames = list(rated_frames(self._quick))
+        rows = self._rows("rates", frames, names, PSNR, (ALL, FILTERED, RAW), ratios=(3,))
         spacing_ms = [
             1e-6 * every * scene_of(scene).dt_ns
             for scene, every in zip(rows["scene"], rows["every"], strict=True)
