@@ -218,6 +218,7 @@ def kill_again_and_again(graph: GraphRun) -> None:
     """Kill the reconstructor `N_KILLS` times, each time as soon as its process runs."""
     killed: set[int] = set()
     while len(killed) < N_KILLS:
+        assert graph.process.poll() is None
         pid = graph.nodes().get("reconstructor")
         if pid is None or pid in killed:
             time.sleep(0.01)

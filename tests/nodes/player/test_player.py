@@ -10,7 +10,7 @@ import pytest
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.load import LaunchError, load
-from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth, decode, encode
+from sparseskin.messages import Measurements, Message, Reconstruction, Truth, decode, encode
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
@@ -92,17 +92,6 @@ def test_a_part_is_half_open(
     frames = play(player(recording[0], verbatim=True, **settings))
     stamps = [frame[0].stamp_ns for frame in frames]
     assert stamps == [BEGIN_NS + 10 * MS * (first + k) for k in range(count)]
-
-
-def test_a_loop_goes_on_with_later_stamps(recording: tuple[Path, list[Message]]) -> None:
-    node = player(recording[0], loop=True)
-    frames = play(node, 3 * N_FRAMES)
-    assert len(frames) == 3 * N_FRAMES
-    assert not node.exhausted
-    taxels = [m.forces for frame in frames for m in frame if isinstance(m, Taxels)]
-    assert np.array_equal(taxels[0], taxels[N_FRAMES])
-    stamps = [frame[0].stamp_ns for frame in frames]
-    assert stamps == sorted(set(stamps))
 
 
 def test_chosen_topics_alone_are_played_under_new_names(
