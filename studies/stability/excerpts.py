@@ -12,7 +12,7 @@ import numpy as np
 from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
@@ -44,13 +44,10 @@ def excerpt(k: int) -> Floats:
     return frames
 
 
-def read_excerpts(
-    seed: int, factor: float = 1.0
-) -> Iterator[tuple[Floats, Floats, np.random.Generator]]:
-    """Yield each excerpt: true forces, readings, and the generator of its noise."""
+def read_excerpts(seed: int, factor: float = 1.0) -> Iterator[tuple[Floats, Floats]]:
+    """Yield each excerpt: true forces and readings."""
     for k in range(len(EXCERPTS)):
-        rng = np.random.default_rng((seed, k))
-        yield excerpt(k), read(excerpt(k), rng, factor), rng
+        yield excerpt(k), read(excerpt(k), np.random.default_rng((seed, k)), factor)
 
 
 def read(truth: Floats, rng: np.random.Generator, factor: float = 1.0) -> Floats:
@@ -60,15 +57,13 @@ def read(truth: Floats, rng: np.random.Generator, factor: float = 1.0) -> Floats
     return NoiseModel(PAPER_F_MAX_N, *sigmas).apply(truth, rng)
 
 
-def solver_for(
-    name: str, phi: Phi, shape: tuple[int, int], mask: Mask | None = None, **changed: Any
-) -> Solver:
+def solver_for(name: str, phi: Phi, shape: tuple[int, int], **changed: Any) -> Solver:
     """A solver with the settings of its preset, or its defaults, some of them changed."""
     presets = (preset for preset in PRESETS.values() if preset["solver"] == name)
     settings = {"basis": "haar", **next(presets, {}), **changed}
     settings.pop("solver", None)
     basis = make_basis(settings.pop("basis"), *shape)
-    return make_solver(name, phi, basis, mask, **settings)
+    return make_solver(name, phi, basis, **settings)
 
 
 def reconstruct(solver: Solver, ys: Floats) -> Floats:
@@ -83,14 +78,14 @@ def reconstruct(solver: Solver, ys: Floats) -> Floats:
     return np.stack(frames)
 
 
-def measured(phi: Phi, frames: Floats, mask: Mask | None = None) -> Floats:
+def measured(phi: Phi, frames: Floats) -> Floats:
     """Measurements of frames, float32 of shape (n_frames, m)."""
-    return phi.forward(frames.reshape(len(frames), -1) if mask is None else frames[:, mask])
+    return phi.forward(frames.reshape(len(frames), -1))
 
 
-def frame_errors(frames: Floats, truth: Floats, mask: Mask | None = None) -> list[float]:
+def frame_errors(frames: Floats, truth: Floats) -> list[float]:
     """Mean squared error of each frame, N^2; `inf` where it is not finite."""
-    off = (frames - truth).reshape(len(truth), -1) if mask is None else (frames - truth)[:, mask]
+    off = (frames - truth).reshape(len(truth), -1)
     with np.errstate(all="ignore"):
         errors = np.mean(off.astype(np.float64) ** 2, axis=1)
     return [float(error) if math.isfinite(error) else math.inf for error in errors]
@@ -111,12 +106,12 @@ def mean_psnr(errors: Sequence[float], truth: Floats) -> float:
     return float(np.mean([psnr_of(e) for e, c in zip(errors, contact, strict=True) if c]))
 
 
-def touched_snr(frames: Floats, truth: Floats, mask: Mask | None = None) -> float:
+def touched_snr(frames: Floats, truth: Floats) -> float:
     """Signal over error on the taxels that are truly pressed, dB; 0 for frames of zeros.
 
     In PSNR, a peg that presses 14 taxels of 1600 hardly counts.
     """
-    pressed = truth > 0.0 if mask is None else (truth > 0.0) & mask
+    pressed = truth > 0.0
     with np.errstate(all="ignore"):
         error = float(np.sum(np.square(frames - truth, dtype=np.float64)[pressed]))
     if not math.isfinite(error):
@@ -125,12 +120,11 @@ def touched_snr(frames: Floats, truth: Floats, mask: Mask | None = None) -> floa
     return max(BLOWN_UP_DB, 10.0 * math.log10(signal / max(error, 1e-12)))
 
 
-def scores(frames: Floats, readings: Floats, truth: Floats, mask: Mask) -> list[float]:
+def scores(frames: Floats, readings: Floats, truth: Floats) -> list[float]:
     """`SCORES` of one excerpt, dB: PSNR over contact frames, SNR over touched taxels, of both."""
     found = []
     for some in (frames, readings):
-        errors = frame_errors(some, truth, mask)
-        found += [mean_psnr(errors, truth), touched_snr(some, truth, mask)]
+        found += [mean_psnr(frame_errors(some, truth), truth), touched_snr(some, truth)]
     return found
 
 

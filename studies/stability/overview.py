@@ -14,8 +14,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     page = Page(out, "stability", Path(__file__).with_name("notes.md"), quick)
     integrators = contact.section(page, quick, seed, executor)
     phase.section(page, quick, seed, executor)
-    sweeps.settings_section(page, quick, seed, executor)
-    sweeps.faults_section(page, quick, seed, executor)
+    sweeps.section(page, quick, seed, executor)
     parts = map(" ".join, zip(integrators["integrator"], integrators["unstable"], strict=True))
     lines = [f"Contact: share of the places where an integrator is unstable: {', '.join(parts)}."]
     page.write(lines)

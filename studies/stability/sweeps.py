@@ -1,4 +1,4 @@
-"""Settings of the solvers and faults before them, swept one at a time far beyond both ends."""
+"""Settings of the solvers, swept one at a time far beyond both ends."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.limits import MIN_BITS, MIN_BLOCK
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
@@ -34,7 +33,6 @@ from .excerpts import (
     solver_for,
 )
 
-RATIO, BURST = 3, 10
 FLOOR_DB, CEILING_DB = 10.0, 70.0
 """Where curves are cut off, dB: below, all has failed; above, all is good."""
 FAILS_DB = 3.0
@@ -46,13 +44,6 @@ _EDGE: dict[str, Any] = {
     **{"xycoords": ("data", "axes fraction"), "rotation": 90, "fontsize": 7},
     **{"ha": "right", "va": "bottom"},
     "bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
-}
-#: Readings of faulty taxels in newtons, for n of them.
-TAXEL_FAULTS: dict[str, Any] = {
-    "dead": lambda n, rng: np.zeros(n),
-    "masked": lambda n, rng: np.zeros(n),
-    "stuck": lambda n, rng: rng.uniform(0.0, PAPER_F_MAX_N, n),
-    "saturated": lambda n, rng: np.full(n, PAPER_F_MAX_N),
 }
 
 
@@ -92,39 +83,25 @@ SETTINGS = {
         against_readings=True,
     ),
     "block": Sweep("block size B", [2**k for k in range(1, 9)], (2, 32, 256), "log"),
-}
-_SHARES = ((0.0, 0.001, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2), (0.0, 0.02, 0.2))
-_LOST = ((0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5), (0.0, 0.5))
-
-
-FAULTS = {
-    "dead": Sweep("share of taxels dead", *_SHARES),
-    "masked": Sweep("share of taxels dead, in the mask", *_SHARES),
-    "stuck": Sweep("share of taxels stuck", *_SHARES),
-    "saturated": Sweep("share of taxels saturated", *_SHARES),
-    "rows": Sweep("measurements that read 0", (0, 1, 2, 5, 10, 20, 50), (0, 1, 10)),
-    "lost singly": Sweep("share of frames lost, singly", *_LOST),
-    "lost in bursts": Sweep("share of frames lost, in bursts", *_LOST),
     "bits": Sweep("bits of a measurement", (4, 5, 6, 7, 8, 10, 12, 16), (4, 8)),
 }
 
 
-def points(sweeps: Mapping[str, Sweep], quick: bool, seed: int) -> list[dict[str, Any]]:
+def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """Every solver over each quantity that it has, all else as it is in the project."""
-    ratios = (RATIO,) if quick or "lambda_n" not in sweeps else (RATIO, 8)
     return [
         {"sweep": key, "value": value, "solver": solver, "ratio": ratio, "seed": seed}
         for solver in SUM_SOLVERS
-        for key, sweep in sweeps.items()
+        for key, sweep in SETTINGS.items()
         if key not in ("lambda_n", "iterations") or key in settings_of(solver)
         for value in (sweep.quick if quick else sweep.values)
-        for ratio in ratios
+        for ratio in ((3,) if quick else (3, 8))
     ]
 
 
 def measure(point: dict[str, Any]) -> dict[str, Any]:
-    """`SCORES` of a solver, means over the excerpts, dB: of reconstructed frames, and of readings
-    without a fault, over taxels without a fault only; and the share of frames that blew up.
+    """`SCORES` of a solver, means over the excerpts, dB: of reconstructed frames, and of readings;
+    and the share of frames that blew up.
 
     `point`: sweep, value, solver, ratio, seed.
     """
@@ -133,27 +110,14 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     if sweep == "iterations" and "max_iterations" in settings_of(name):
         changed["max_iterations"] = max(level, settings_of(name)["max_iterations"].default)
     found, blown_up = [], []
-    for truth, readings, rng in read_excerpts(point["seed"], level if sweep == "noise" else 1.0):
-        faulty = readings.copy()
-        alive = np.ones(SHAPE, np.bool_)
-        if sweep in TAXEL_FAULTS:
-            alive.reshape(-1)[rng.permutation(N)[: round(level * N)]] = False
-            faulty[:, ~alive] = TAXEL_FAULTS[sweep](int(np.count_nonzero(~alive)), rng)
-        mask = alive if sweep == "masked" else None
-        n = N if mask is None else int(np.count_nonzero(mask))
-        phi = _phi(sweep, level, n, int(n / ratio), point["seed"])
-        ys = measured(phi, faulty, mask)
-        if sweep == "rows":
-            ys[:, rng.permutation(phi.m)[:level]] = 0.0
+    for truth, readings in read_excerpts(point["seed"], level if sweep == "noise" else 1.0):
+        phi = _phi(sweep, level, N, int(N / ratio), point["seed"])
+        ys = measured(phi, readings)
         if sweep == "bits":
             ys = np.stack([np.asarray(quantised(y, level)) for y in ys])
-        arrives = arrivals(sweep, level, len(truth), rng)
-        solver = solver_for(name, phi, SHAPE, mask, **changed)
-        frames = reconstruct(solver, ys[arrives])
+        frames = reconstruct(solver_for(name, phi, SHAPE, **changed), ys)
         blown_up += [not np.isfinite(frame).all() for frame in frames]
-        # While frames are lost, the last reconstructed one stands.
-        last = np.maximum.accumulate(np.where(arrives, np.cumsum(arrives) - 1, 0))
-        found.append(scores(frames[last], readings, truth, alive))
+        found.append(scores(frames, readings, truth))
     return {**mean_scores(found), "blown_up": float(np.mean(blown_up))}
 
 
@@ -161,24 +125,6 @@ def _phi(sweep: str, value: float, n: int, m: int, seed: int) -> Phi:
     if sweep == "step":
         return LongRows(n, m, seed, value)
     return make_phi("sbhe", n, m, seed, **({"block": int(value)} if sweep == "block" else {}))
-
-
-def arrivals(
-    fault: str, share: float, n_frames: int, rng: np.random.Generator
-) -> npt.NDArray[np.bool_]:
-    """True for each frame that arrives; the first one always does."""
-    arrives = np.ones(n_frames, np.bool_)
-    if fault == "lost singly":
-        arrives = rng.random(n_frames) >= share
-    elif fault == "lost in bursts":
-        # Gaps of BURST frames, begun so often that the stated share is lost.
-        begin = share / (BURST * (1.0 - share))
-        left = 0
-        for t in range(n_frames):
-            left = left - 1 if left else (BURST if rng.random() < begin else 0)
-            arrives[t] = left == 0
-    arrives[0] = True
-    return arrives
 
 
 class LongRows(Phi):
@@ -205,15 +151,14 @@ class LongRows(Phi):
         np.multiply(self._honest.adjoint(y), self._length, out=out)
 
 
-def settings_section(page: Page, quick: bool, seed: int, executor: str) -> None:
-    """Compute, draw and add the section on settings."""
-    asked = points(SETTINGS, quick, seed)
+def section(page: Page, quick: bool, seed: int, executor: str) -> None:
+    """Compute, draw and add the section."""
+    asked = points(quick, seed)
     rows = pd.DataFrame(compute_rows(measure, asked, page.out, executor, "settings"))
     charts = []
     for ratio, some in rows.groupby("ratio", sort=False):
-        name, caption = f"settings_n{ratio}", f"Settings, M = N/{ratio}."
-        chart = draw_sweeps(page.out, name, caption, some, SETTINGS)
-        charts += [chart, markdown(sweep_table(some, SETTINGS))]
+        chart = draw_sweeps(page.out, f"settings_n{ratio}", f"Settings, M = N/{ratio}.", some)
+        charts += [chart, markdown(sweep_table(some))]
     page.csv("settings", rows)
     page.section(
         "Solvers: settings and surroundings",
@@ -223,30 +168,16 @@ def settings_section(page: Page, quick: bool, seed: int, executor: str) -> None:
         ),
         iterations=", ".join(f"{least} ({name})" for name, least in MIN_ITERATIONS.items()),
         min_block=MIN_BLOCK,
-    )
-
-
-def faults_section(page: Page, quick: bool, seed: int, executor: str) -> None:
-    """Compute, draw and add the section on faults."""
-    asked = points(FAULTS, quick, seed)
-    rows = pd.DataFrame(compute_rows(measure, asked, page.out, executor, "faults"))
-    page.csv("faults", rows)
-    page.section(
-        "Faults between skin and solver",
-        draw_sweeps(page.out, "faults", "Faults, M = N/3.", rows, FAULTS),
-        sweep_table(rows, FAULTS),
         min_bits=MIN_BITS,
     )
 
 
-def draw_sweeps(
-    out: Path, name: str, caption: str, frame: pd.DataFrame, sweeps: Mapping[str, Sweep]
-) -> str:
+def draw_sweeps(out: Path, name: str, caption: str, frame: pd.DataFrame) -> str:
     """Chart of sweeps, three in a row: PSNR, and below it SNR over the touched taxels."""
-    n_panels = 6 * -(-len(sweeps) // 3)
+    n_panels = 6 * -(-len(SETTINGS) // 3)
     size_in = (3 * 2.9, n_panels // 3 * 2.3 + 0.6)
     with Chart(out, name, caption, n_panels, 3, size_in=size_in, legend_columns=5) as chart:
-        for k, (key, sweep) in enumerate(sweeps.items()):
+        for k, (key, sweep) in enumerate(SETTINGS.items()):
             for below, (score, (title, floor_db)) in enumerate(_SCORES.items()):
                 axes = chart.panels[6 * (k // 3) + 3 * below + k % 3]
                 some = frame[frame["sweep"] == key].copy()
@@ -268,14 +199,14 @@ def draw_sweeps(
     return chart.markdown
 
 
-def sweep_table(frame: pd.DataFrame, sweeps: Mapping[str, Sweep]) -> pd.DataFrame:
+def sweep_table(frame: pd.DataFrame) -> pd.DataFrame:
     """Best and worst of each sweep and solver, and where the solver fails."""
 
     def both(row: pd.Series) -> str:
         return f"{row['psnr_db']:.1f} ({row['touched_db']:.1f}) at {row['value']:.3g}"
 
     lines = []
-    for key, sweep in sweeps.items():
+    for key, sweep in SETTINGS.items():
         for solver, some in frame[frame["sweep"] == key].groupby("solver", sort=False):
             best, worst = some["psnr_db"].idxmax(), some["psnr_db"].idxmin()
             lines.append(

@@ -69,29 +69,16 @@ def test_psnr_and_snr_of_what_is_perfect_void_or_blown_up() -> None:
     assert touched_snr(np.full_like(truth, np.nan), truth) == BLOWN_UP_DB
 
 
-@pytest.mark.parametrize("fault", ["lost singly", "lost in bursts"])
-def test_as_many_frames_are_lost_as_is_said(fault: str) -> None:
-    arrives = sweeps.arrivals(fault, 0.3, 20_000, np.random.default_rng(0))
-    assert arrives[0]
-    assert 1.0 - arrives.mean() == pytest.approx(0.3, abs=0.03)
-    ends = np.flatnonzero(np.diff(arrives.astype(int)))
-    if fault == "lost in bursts":
-        assert set(np.diff(ends)[::2].tolist()) == {sweeps.BURST}
-
-
 @pytest.mark.parametrize("solver", SUM_SOLVERS)
 def test_every_solver_can_be_put_through_every_kind_of_point(
     solver: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(excerpts, "EXCERPTS", excerpts.EXCERPTS[:1])
-    point = {"sweep": "masked", "value": 0.02, "solver": solver, "ratio": 3, "seed": 0}
+    point = {"sweep": "bits", "value": 12, "solver": solver, "ratio": 3, "seed": 0}
     assert sweeps.measure(point)["psnr_db"] > 30.0
-    for swept, least in (
-        (sweeps.SETTINGS, {"step", "noise", "block"}),
-        (sweeps.FAULTS, {"bits"}),
-    ):
-        asked = sweeps.points(swept, quick=True, seed=0)
-        assert {p["sweep"] for p in asked if p["solver"] == solver} >= least
+    asked = sweeps.points(quick=True, seed=0)
+    swept = {p["sweep"] for p in asked if p["solver"] == solver}
+    assert swept >= {"step", "noise", "block", "bits"}
 
 
 def test_a_solver_that_diverges_is_a_figure_and_no_error() -> None:
