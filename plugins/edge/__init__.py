@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import argparse
 
-HELP = "export a compressor in C for a board, count its instructions"
+HELP = "export a compressor in C for a board"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sparseskin.launch.commands.options import add_commands, naming_options
 
-if TYPE_CHECKING:
-    from sparseskin.plugins.edge.description import EdgeDescription
-
-SIZES = ((16, 32), (40, 40), (64, 64))
-"""Sizes that `edge cost` compiles where none is stated."""
 _OPTIONS = {
     "n_rows": "--rows",
     "n_cols": "--cols",
@@ -28,36 +23,30 @@ _OPTIONS = {
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `edge`."""
+    from sparseskin.nodes.compressor.phi.base import BLOCK
+    from sparseskin.nodes.compressor.phi.rotation import RATIO, ROWS
+
     add = add_commands(parser, "A compressor in C99 for the board beside the skin.")
     make = add("export", _export, "write its program")
-    _add_matrix(make)
+    make.add_argument("--rows", metavar="R", type=int, help="rows of taxels")
+    make.add_argument("--cols", metavar="C", type=int, help="columns of taxels")
+    about = f"taxels a measurement (default: {RATIO:g})"
+    make.add_argument("--ratio", type=float, help=about)
+    make.add_argument("--m", metavar="M", type=int, help="number of measurements, for --ratio")
+    about = "bits of a measurement, 4..16 (default: 8)"
+    make.add_argument("--bits", type=int, default=8, help=about)
+    about = "rows of the matrix: the same in each frame or not (default: as the compressor chooses)"
+    make.add_argument("--rows-mode", choices=ROWS, help=about)
+    about = "bits of a reading, 1..16: counts are 0 .. 2^bits - 1 (default: 12)"
+    make.add_argument("--adc-bits", metavar="BITS", type=int, default=12, help=about)
+    about = f"size of the Hadamard blocks (default: {BLOCK})"
+    make.add_argument("--block", metavar="B", type=int, default=BLOCK, help=about)
+    make.add_argument("--seed", type=int, default=0, help="seed of the matrix (default: 0)")
     make.add_argument(
         "--skin", metavar="skin.toml", type=Path, help="rows, columns, mask of a skin"
     )
     about = "folder to write to, a new one"
     make.add_argument("--out", metavar="DIR", type=Path, required=True, help=about)
-    cost = add("cost", _cost, "count its instructions and memory on a Cortex-M4")
-    _add_matrix(cost)
-
-
-def _add_matrix(parser: argparse.ArgumentParser) -> None:
-    from sparseskin.nodes.compressor.phi.base import BLOCK
-    from sparseskin.nodes.compressor.phi.rotation import RATIO, ROWS
-
-    parser.add_argument("--rows", metavar="R", type=int, help="rows of taxels")
-    parser.add_argument("--cols", metavar="C", type=int, help="columns of taxels")
-    about = f"taxels a measurement (default: {RATIO:g})"
-    parser.add_argument("--ratio", type=float, help=about)
-    parser.add_argument("--m", metavar="M", type=int, help="number of measurements, for --ratio")
-    about = "bits of a measurement, 4..16 (default: 8)"
-    parser.add_argument("--bits", type=int, default=8, help=about)
-    about = "rows of the matrix: the same in each frame or not (default: as the compressor chooses)"
-    parser.add_argument("--rows-mode", choices=ROWS, help=about)
-    about = "bits of a reading, 1..16: counts are 0 .. 2^bits - 1 (default: 12)"
-    parser.add_argument("--adc-bits", metavar="BITS", type=int, default=12, help=about)
-    about = f"size of the Hadamard blocks (default: {BLOCK})"
-    parser.add_argument("--block", metavar="B", type=int, default=BLOCK, help=about)
-    parser.add_argument("--seed", type=int, default=0, help="seed of the matrix (default: 0)")
 
 
 def _export(arguments: argparse.Namespace) -> int:
@@ -66,9 +55,13 @@ def _export(arguments: argparse.Namespace) -> int:
     Its frames are those of the compressor node for the same counts, bit for bit. A node of type
     edge reads them: sparseskin launch edge.
     """
+    from sparseskin.nodes.compressor.phi.rotation import RATIO
     from sparseskin.nodes.errors import SettingsError
+    from sparseskin.plugins.edge.description import EdgeDescription
     from sparseskin.plugins.edge.export import export
 
+    if arguments.m is not None and arguments.ratio is not None:
+        raise SettingsError("--m: states the number of measurements; leave out --ratio")
     mask: Any = None
     n_rows, n_cols = arguments.rows, arguments.cols
     if arguments.skin is not None:
@@ -81,54 +74,8 @@ def _export(arguments: argparse.Namespace) -> int:
     elif n_rows is None or n_cols is None:
         missing = "--rows" if n_rows is None else "--cols"
         raise SettingsError(f"{missing}: is missing; state --rows and --cols, or --skin")
-    described = _described(arguments, n_rows, n_cols, mask)
-    export(described, arguments.out)
-    print(
-        f"{arguments.out}: {described.m} of {described.n_taxels} taxels, rows {described.rows}, "
-        f"{described.bits} bits, {described.frame_bytes} bytes a frame; try make test there"
-    )
-    return 0
-
-
-def _cost(arguments: argparse.Namespace) -> int:
-    """Print instructions, flash and RAM of a frame on a Cortex-M4, for 16 x 32, 40 x 40 and 64 x 64
-    taxels, or for --rows and --cols; gcc-arm-none-eabi and qemu-system-arm are needed.
-    """
-    from sparseskin.launch.attach.text import table
-    from sparseskin.nodes.errors import SettingsError
-    from sparseskin.plugins.edge.cost import measure_cost
-
-    if (arguments.rows is None) != (arguments.cols is None):
-        missing = "--rows" if arguments.rows is None else "--cols"
-        raise SettingsError(f"{missing}: is missing; state --rows and --cols, or neither")
-    sizes = SIZES if arguments.rows is None else ((arguments.rows, arguments.cols),)
-    columns = (
-        *("taxels", "M", "bytes sent", "instructions", "at most", "flash code", "flash tables"),
-        *("RAM", "stack"),
-    )
-    rows = []
-    for n_rows, n_cols in sizes:
-        d = _described(arguments, n_rows, n_cols, None)
-        c = measure_cost(d)
-        costs = (c.instructions, c.most_instructions, c.code_bytes, c.table_bytes, c.ram_bytes)
-        rows.append((f"{n_rows} x {n_cols}", d.m, d.frame_bytes, *costs, c.stack_bytes))
-    print("\n".join(table(columns, rows)))
-    print("a frame of a Cortex-M4 (gcc -O2): instructions counted by QEMU, memory in bytes")
-    return 0
-
-
-def _described(
-    arguments: argparse.Namespace, n_rows: int, n_cols: int, mask: Any
-) -> EdgeDescription:
-    """The edge that the options state, or an error that names the option."""
-    from sparseskin.nodes.compressor.phi.rotation import RATIO
-    from sparseskin.nodes.errors import SettingsError
-    from sparseskin.plugins.edge.description import EdgeDescription
-
-    if arguments.m is not None and arguments.ratio is not None:
-        raise SettingsError("--m: states the number of measurements; leave out --ratio")
     with naming_options(_OPTIONS):
-        return EdgeDescription.chosen(
+        described = EdgeDescription.chosen(
             n_rows,
             n_cols,
             ratio=RATIO if arguments.ratio is None else arguments.ratio,
@@ -140,3 +87,9 @@ def _described(
             seed=arguments.seed,
             adc_bits=arguments.adc_bits,
         )
+    export(described, arguments.out)
+    print(
+        f"{arguments.out}: {described.m} of {described.n_taxels} taxels, rows {described.rows}, "
+        f"{described.bits} bits, {described.frame_bytes} bytes a frame; try make test there"
+    )
+    return 0

@@ -14,10 +14,9 @@ from .units import CLOCK, quantity, shown
 CORTEX_M4, LINUX = "cortex-m4", "linux"
 A_READING, A_MEASUREMENT, A_BYTE, A_FRAME = 24, 72, 16, 550
 """Instructions of `edge.c` for each reading that enters the Hadamard transform, each measurement
-that is scaled and rounded, each byte that is sent, and each frame. Fitted to the column "at
-most" of 40 edges that `sparseskin edge cost` counted (12 x 32 to 64 x 64 taxels, N/3 to N/16, 4 to
-16 bits, rows fixed and rotating; gcc 12.2 -O2, QEMU 7.2): all within 5 %."""
-COUNT_COMMAND = "sparseskin edge cost"
+that is scaled and rounded, each byte that is sent, and each frame. Fitted to the largest number of
+instructions that `make cortex-m4` counts, of 40 exported edges (12 x 32 to 64 x 64 taxels, N/3 to
+N/16, 4 to 16 bits, rows fixed and rotating; gcc 12.2 -O2, QEMU 7.2): all within 5 %."""
 CYCLES = 2.0
 """Cycles an instruction: the upper end of 1 to 2. Most instructions of a Cortex-M4 take 1 cycle,
 loads and taken branches 2 or more. Source: Arm, Cortex-M4 Technical Reference Manual r0p1, table of
@@ -48,7 +47,7 @@ class Edge:
         if self.clock_hz is None:
             return f"edge: processor time of the compressor node, measured ({COMMAND})"
         return (
-            f"edge: instructions counted by QEMU ({COUNT_COMMAND}): {A_READING} a reading, "
+            f"edge: instructions of an exported edge, counted by QEMU: {A_READING} a reading, "
             f"{A_MEASUREMENT} a sum, {A_BYTE} a byte, {A_FRAME} a frame; {CYCLES:g} cycles each "
             "(Cortex-M4 Technical Reference Manual: 1 to 2)"
         )

@@ -61,20 +61,14 @@ def test_values_that_are_not_allowed_are_refused_by_name(values: dict[str, Any],
     [
         ("n_rows = 6", "n_rows = ", "no TOML"),
         ("n_rows = 6", "n_row = 6", "n_row: unknown key (did you mean 'n_rows'?)"),
-        ("n_rows = 6", "n_rows = 6.5", "n_rows: expected a whole number, got 6.5"),
-        ("n_rows = 6", "n_rows = 999999999", "n_rows: 999999999 is outside 1..4096"),
-        ("m = 12", "m = true", "m: expected a whole number, got True"),
         ("bits = 8\n", "", "bits: is missing"),
         ("version = 1", "version = 2", "version: 2 is not allowed; allowed: 1"),
-        ('rows = "rotating"', "rows = [1]", "rows: expected a text, got [1]"),
         ("seed = 0", "seed = 1", "fingerprint: "),
-        ("seed = 0", 'seed = 0\nmask = ["10"]', "mask: expected 6 texts of 6 characters"),
         (
             "seed = 0",
             "seed = 0\nmask = [" + '"1x1111",' * 6 + "]",
             "mask: expected texts of 0 and 1",
         ),
-        ("seed = 0", "seed = 0\nmask = 3", "mask: expected a list of texts or nothing"),
     ],
 )
 def test_a_file_that_was_changed_is_refused_with_its_place(

@@ -59,26 +59,3 @@ def test_bad_options_are_refused_in_one_line(
     assert main([*EXPORT, *words, *out]) == 2
     assert capsys.readouterr().err == f"{line}\n"
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("words", "hint"),
-    [
-        (["edge", "exprt"], "did you mean 'export'?"),
-        ([*EXPORT, "--out", "x", "--rows-mode", "rotatng"], "did you mean 'rotating'?"),
-        ([*EXPORT, "--out", "x", "--ratoi", "3"], "did you mean '--ratio'?"),
-        (["edge", "export", "--rows", "6", "--out", "x"], "--cols: is missing"),
-        (["edge", "cost", "--cols", "6"], "--rows: is missing"),
-    ],
-)
-def test_a_wrong_word_is_answered_by_the_nearest(
-    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    try:
-        code = main(words)
-    except SystemExit as ended:
-        code = int(str(ended.code))
-    err = capsys.readouterr().err
-    assert code == 2
-    assert hint in err
-    assert err.count("\n") == 1

@@ -17,18 +17,7 @@ import pytest
 from conftest import StartProgram
 from edges import as_input, compiled
 
-from sparseskin.messages import (
-    Measurements,
-    PhiState,
-    Reconstruction,
-    SkinState,
-    Taxels,
-    decode,
-)
-from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.compressor.node import Compressor, CompressorSettings
-from sparseskin.nodes.node import Context
-from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
+from sparseskin.messages import Measurements, PhiState, Reconstruction, SkinState, decode
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.scenes.scenes import open_scene
 from sparseskin.plugins.edge.description import EdgeDescription
@@ -70,31 +59,7 @@ def recorded(path: Path, kind: type[Any]) -> list[Any]:
         return [decode(m.topic.encode(), m.payload) for m in bag.messages(topics)]
 
 
-def by_python(
-    d: EdgeDescription, skin: SkinState, counts: npt.NDArray[np.uint16], begin: int
-) -> tuple[list[Measurements], list[Reconstruction]]:
-    """Measurements and reconstructions of the nodes in Python, for the same counts, again and
-    again, from frame `begin` on.
-    """
-    made = {"rows": d.rows, "m": d.m, "bits": d.bits, "block": d.block, "seed": d.seed}
-    compressor = Compressor(CompressorSettings(**made), Context("c", ManualClock(1)))  # type: ignore[arg-type]
-    reconstructor = Reconstructor(ReconstructorSettings(), Context("r", ManualClock(1)))
-    list(reconstructor.step(skin))
-    for state in compressor.step(skin):
-        list(reconstructor.step(state))
-    measured, restored = [], []
-    for k in range(begin + N_FRAMES):
-        forces = counts[k % len(counts)].astype(np.float32)
-        (message,) = compressor.step(Taxels(stamp_ns=k + 2, patch="skin", forces=forces))
-        if k < begin:
-            continue
-        assert isinstance(message, Measurements)
-        measured.append(message)
-        restored += [m for m in reconstructor.step(message) if isinstance(m, Reconstruction)]
-    return measured, restored
-
-
-def test_its_frames_are_reconstructed_as_those_of_the_edge_in_python(
+def test_its_frames_are_recorded_with_their_bits_and_reconstructed(
     start: StartProgram, tmp_path: Path
 ) -> None:
     d = EdgeDescription.chosen(40, 40, ratio=3, bits=8, rows="rotating")
@@ -125,16 +90,13 @@ def test_its_frames_are_reconstructed_as_those_of_the_edge_in_python(
     (skin,), (phi,) = recorded(recording, SkinState), recorded(recording, PhiState)
     assert (skin.skin.shape, skin.has_taxels) == ((40, 40), False)
     assert (skin.unit, skin.f_max, phi.rows, phi.m) == ("counts", 4095.0, "rotating", d.m)
-    in_c, restored_in_c = recorded(recording, Measurements), recorded(recording, Reconstruction)
+    in_c, restored = recorded(recording, Measurements), recorded(recording, Reconstruction)
     # What came before the line was opened is not read: the frames begin somewhere in the cycle.
     cycle = [read_frame(d, sent[4:-2]) for sent in compressed(d, np.tile(counts, (3, 1, 1)))]
-    begin = [frame.measurements(d.bits, 1.0).tobytes() for frame in cycle if frame].index(
-        in_c[0].y.tobytes()
-    )
-    measured, restored = by_python(d, skin, counts, begin)
-    assert [m.y.tobytes() for m in in_c] == [m.y.tobytes() for m in measured]
-    assert [m.y.step for m in in_c] == [m.y.step for m in measured]  # type: ignore[attr-defined]
-    assert [m.phi for m in in_c] == [m.phi for m in measured]
-    assert len({m.phi for m in in_c}) == 3
-    assert [m.forces.tobytes() for m in restored_in_c] == [m.forces.tobytes() for m in restored]
+    expected = [(f.phi, f.measurements(d.bits, 1.0).tobytes(), f.step) for f in cycle if f]
+    found = [(m.phi, m.y.tobytes(), m.y.step) for m in in_c]
+    begin = expected.index(found[0])
+    assert found == expected[begin : begin + N_FRAMES]
+    assert len({phi for phi, _, _ in found}) == 3
+    assert len(restored) == N_FRAMES
     assert max(float(m.forces.max()) for m in restored) > 0.1 * d.full_scale

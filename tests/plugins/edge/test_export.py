@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,6 @@ from hypothesis import strategies as st
 from sparseskin.messages import Measurements, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor, CompressorSettings
-from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.node import Context
 from sparseskin.plugins.boards.framing import FrameParser
 from sparseskin.plugins.edge.description import EdgeDescription
@@ -127,14 +128,6 @@ def test_readings_above_full_scale_are_read_as_full_scale(tmp_path: Path) -> Non
     assert sent(compiled(d, tmp_path), d, frames) == b"".join(compressed(d, full))
 
 
-def test_a_folder_that_exists_is_not_written_over(tmp_path: Path) -> None:
-    d = described(2, 2)
-    (tmp_path / "there").mkdir()
-    with pytest.raises(SparseskinError, match="exists already, and is not written over"):
-        export(d, tmp_path / "there")
-    assert list((tmp_path / "there").iterdir()) == []
-
-
 def test_the_sources_use_neither_the_heap_nor_floating_point(tmp_path: Path) -> None:
     export(described(3, 5), tmp_path / "edge")
     texts = {name: (tmp_path / "edge" / name).read_text() for name in COPIED if name[-2:] == ".c"}
@@ -144,3 +137,32 @@ def test_the_sources_use_neither_the_heap_nor_floating_point(tmp_path: Path) -> 
         words = set(" ".join(code).replace("(", " ").replace(")", " ").split())
         assert not words & {"malloc", "calloc", "free", "float", "double"}
         assert not any("<" in line and line.startswith("#include") for line in code)
+
+
+LOOP = '    __asm__ volatile("mov r3, #10000\\n1: subs r3, r3, #1\\n bne 1b" ::: "r3", "cc");\n'
+"""20,001 instructions; their time is one and a half ticks each."""
+
+
+@pytest.mark.skipif(
+    not (shutil.which("arm-none-eabi-gcc") and shutil.which("qemu-system-arm")),
+    reason="gcc-arm-none-eabi and qemu-system-arm are not installed",
+)
+def test_a_cortex_m4_sends_the_expected_bytes_and_its_instructions_are_counted(
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / "edge"
+    export(d := described(16, 32), out)
+
+    def printed() -> dict[str, int]:
+        command = ["make", "--silent", "cortex-m4"]
+        done = subprocess.run(command, cwd=out, capture_output=True, text=True, check=True)
+        text = done.stdout + done.stderr
+        return {name: int(n) for name, n in re.findall(r"^(\w+ \w+) (\d+)$", text, re.MULTILINE)}
+
+    found = printed()
+    assert (found["test frames"], found["wrong frames"]) == (len(d.subsets) + 6, 0)
+    # Each taxel is read at least once, in a load and a sum.
+    assert 2 * d.n_taxels < found["instructions mean"] <= found["instructions most"]
+    path = out / "cortex_m4" / "main.c"
+    path.write_text(path.read_text().replace("    edge_compress(&edge, counts, frame);\n", LOOP))
+    assert 20001 <= printed()["instructions mean"] < 20010

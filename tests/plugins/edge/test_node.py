@@ -20,9 +20,8 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.node import Context, Tick
-from sparseskin.plugins.boards import source as boards
 from sparseskin.plugins.edge.description import EdgeDescription
-from sparseskin.plugins.edge.frames import framing_of, read_frame
+from sparseskin.plugins.edge.frames import read_frame
 from sparseskin.plugins.edge.node import Edge
 from sparseskin.plugins.edge.twin import compressed
 
@@ -122,10 +121,6 @@ def test_a_payload_of_any_bytes_is_refused_or_has_codes_of_its_bits(data: bytes)
         assert np.abs(frame.codes).max() <= 511
 
 
-def test_a_frame_is_as_long_as_its_description_states() -> None:
-    assert {len(frame) for frame in FRAMES} == {D.frame_bytes} == {framing_of(D).n_bytes}
-
-
 def test_packets_are_whole_frames_or_counted(described: str) -> None:
     port = free_port(socket.SOCK_DGRAM)
     node = opened(source=f"udp:{port}", description=described)
@@ -139,21 +134,6 @@ def test_packets_are_whole_frames_or_counted(described: str) -> None:
     assert report["bad_frames"] >= 2
 
 
-def test_an_edge_that_falls_silent_is_named_and_waited_for(
-    described: str, line: Line, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(boards, "SILENT_S", 0.05)
-    lines: list[str] = []
-    node = opened(lines, source=f"serial:{line.device}", description=described)
-    wait_until(lambda: bool(lines) or bool(list(node.tick(Tick(0, 0)))), "a line")
-    assert lines == [f"serial:{line.device}: nothing came for 0.05 s"]
-    assert not node.acquired
-    thread = line.sending(FRAMES[:1])
-    assert len(received(node, 1)) == 1
-    thread.join()
-    node.close({})
-
-
 @pytest.mark.parametrize(
     ("settings", "line"),
     [
@@ -162,9 +142,7 @@ def test_an_edge_that_falls_silent_is_named_and_waited_for(
         ({"source": "can:can0"}, "expected serial:DEVICE or udp:PORT"),
         ({"source": "serial:/dev/x?boud=9600"}, "boud: unknown key (did you mean 'baud'?)"),
         ({"source": "serial:/dev/x?rows=9"}, "rows: unknown key"),
-        ({"source": "serial:/dev/x?a=1"}, "a: unknown key"),
         ({"source": "serial:/dev/x?baud=x"}, "baud"),
-        ({"source": "udp:x"}, "is no port"),
         ({"source": "udp:70000"}, "is no port"),
         ({"description": "none.toml"}, "description: none.toml: cannot be read"),
         ({"f_max": 0.0}, "f_max: 0.0 is outside"),
@@ -174,9 +152,3 @@ def test_settings_are_refused_by_name(settings: dict[str, Any], line: str, descr
     with pytest.raises(SparseskinError) as refused:
         Edge.Settings(**{"source": "udp:5", "description": described, **settings}).check()
     assert line in str(refused.value)
-
-
-@pytest.mark.parametrize("device", ["/dev/no-edge", "/dev/null"])
-def test_a_device_that_cannot_be_opened_is_named(device: str, described: str) -> None:
-    with pytest.raises(SparseskinError, match=device):
-        opened(description=described, source=f"serial:{device}")

@@ -147,7 +147,7 @@ def test_converters_are_read() -> None:
 def test_instructions_are_within_5_percent_of_those_counted(
     n_rows: int, n_cols: int, ratio: float, bits: int, rows: str, counted: int
 ) -> None:
-    """Counted by `sparseskin edge cost`, column "at most"."""
+    """Counted by `make cortex-m4` of exported edges, the largest number."""
     d = EdgeDescription.chosen(n_rows, n_cols, ratio=ratio, bits=bits, rows=rows)
     assert instructions(d.n_taxels, d.m, d.frame_bytes) == pytest.approx(counted, rel=0.05)
 
