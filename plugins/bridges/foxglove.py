@@ -19,8 +19,6 @@ from .exports.foxglove import grid, numbers_schema, point_cloud, raw_image
 
 BACKLOG = 1024
 """Messages that the server keeps for a client that reads slowly; beyond it drops the oldest."""
-MAX_NAMES = 1024
-"""Most parameters of one request."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +37,11 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
     skin of points as `foxglove.PointCloud`, too.
 
     Topics: /PATCH/SCHEMA, /PATCH/SCHEMA/grid, /PATCH/SCHEMA/figures, /PATCH/resultant. A topic
-    that no client has subscribed to costs nothing. Parameters are the live settings of the graph.
+    that no client has subscribed to costs nothing.
     """
 
     HELP = "serve a running graph to Foxglove and Lichtblick"
     Settings = FoxgloveSettings
-    watches = True
     patience_s = 0.008  # not visible to a person; messages are read together
 
     def __init__(self, settings: FoxgloveSettings, context: Context) -> None:
@@ -55,15 +52,13 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
         self._fox = foxglove
         self._own = foxglove.Context()
         self._channels: dict[str, Any] = {}
-        self._parameters: dict[str, Any] = {}
-        self._listener = _Listener(foxglove, self._parameters)
-        self._n_refused = 0
+        self._listener = _Listener()
         try:
             self._server = foxglove.start_server(
                 name=f"sparseskin {context.name}",
                 host=settings.host,
                 port=settings.port,
-                capabilities=[foxglove.Capability.Parameters, foxglove.Capability.Time],
+                capabilities=[foxglove.Capability.Time],
                 server_listener=self._listener,
                 context=self._own,
                 message_backlog_size=BACKLOG,
@@ -125,31 +120,6 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
             known = {name: value for name, value in found.items() if value is not None}
             channel.log(known, log_time=message.stamp_ns)
 
-    def idle(self) -> None:
-        if self._listener.n_refused != self._n_refused:
-            self._n_refused = self._listener.n_refused
-            text = (
-                "parameters are read only here; sparseskin param set, or the live page, sets them"
-            )
-            self._server.publish_status(text, self._fox.StatusLevel.Error, "parameters")
-
-    def command(self, name: str, value: Any) -> str:
-        """Accept the state of the graph from the launcher: its live settings are parameters."""
-        if name != "graph":
-            return super().command(name, value)
-        new = {
-            f"{node['name']}.{entry['key']}": node["settings"].get(entry["key"])
-            for node in value.get("nodes", ())
-            for entry in node["controls"]
-        }
-        changed = {k: v for k, v in new.items() if (k, v) not in self._parameters.items()}
-        for gone in self._parameters.keys() - new.keys():
-            del self._parameters[gone]
-        self._parameters.update(changed)
-        if changed:
-            self._server.publish_parameter_values(_as_parameters(self._fox, changed))
-        return ""
-
     def close(self, counts: dict[str, Any]) -> None:
         for channel in self._channels.values():
             channel.close()
@@ -172,25 +142,12 @@ _FIGURES = (
 _RESULTANT = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
 
 
-def _as_parameters(fox: Any, values: dict[str, Any]) -> list[Any]:
-    """Parameters of the server; one whose setting is not stated has no value."""
-    made = []
-    for name, value in values.items():
-        try:
-            made.append(fox.Parameter(name, value=value))
-        except (TypeError, ValueError):  # of a type that the protocol has not
-            made.append(fox.Parameter(name, value=str(value)))
-    return made
-
-
 class _Listener:
-    """Answers clients on the threads of the server."""
+    """Counts clients on the threads of the server."""
 
-    def __init__(self, fox: Any, parameters: dict[str, Any]) -> None:
-        self._fox, self._parameters = fox, parameters
+    def __init__(self) -> None:
         self._lock = threading.Lock()
         self._subscribed: set[tuple[int, int]] = set()
-        self.n_refused = 0
 
     @property
     def n_clients(self) -> int:
@@ -205,26 +162,3 @@ class _Listener:
     def on_unsubscribe(self, client: Any, channel: Any) -> None:
         with self._lock:
             self._subscribed.discard((client.id, channel.id))
-
-    def _ignore(self, *_: Any) -> None:
-        """What a client may do besides has no meaning here."""
-
-    on_client_advertise = on_client_unadvertise = on_message_data = _ignore
-    on_parameters_subscribe = on_parameters_unsubscribe = _ignore
-    on_connection_graph_subscribe = on_connection_graph_unsubscribe = _ignore
-    on_playback_control_request = _ignore
-
-    def on_get_parameters(
-        self, client: Any, param_names: list[str], request_id: str | None = None
-    ) -> list[Any]:
-        """Values of the named parameters, or of all."""
-        known = dict(self._parameters)
-        wanted = param_names[:MAX_NAMES] or list(known)
-        return _as_parameters(self._fox, {name: known[name] for name in wanted if name in known})
-
-    def on_set_parameters(
-        self, client: Any, parameters: list[Any], request_id: str | None = None
-    ) -> list[Any]:
-        """Refuse: every page that a browser opens can be a client. The values as they are."""
-        self.n_refused += 1
-        return self.on_get_parameters(client, [one.name for one in parameters])

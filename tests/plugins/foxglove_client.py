@@ -76,13 +76,6 @@ class FoxgloveClient:
             pass
         return got
 
-    def until(self, op: str) -> dict[str, Any]:
-        """The next JSON object of this kind; all else is left out."""
-        while True:
-            found = self.receive()
-            if isinstance(found, dict) and found["op"] == op:
-                return found
-
     def wait_for_channels(self, *topics: str) -> None:
         while not set(topics) <= self.channels.keys():
             self.receive()
@@ -98,25 +91,6 @@ class FoxgloveClient:
 
     def send(self, **fields: Any) -> None:
         self._socket.send(json.dumps(fields))
-
-    def parameters(self, *names: str) -> dict[str, Any]:
-        """Values of parameters by name, of all where none is named."""
-        self.send(op="getParameters", parameterNames=list(names), id="get")
-        return self._values("get")
-
-    def set_parameters(self, **values: Any) -> dict[str, Any]:
-        """Set parameters, named NODE__KEY; their values then."""
-        wanted = [
-            {"name": name.replace("__", "."), "value": value} for name, value in values.items()
-        ]
-        self.send(op="setParameters", parameters=wanted, id="set")
-        return self._values("set")
-
-    def _values(self, number: str) -> dict[str, Any]:
-        while True:
-            found = self.until("parameterValues")
-            if found.get("id") == number:
-                return {one["name"]: one.get("value") for one in found["parameters"]}
 
 
 def pixels(image: Any) -> npt.NDArray[np.float32]:

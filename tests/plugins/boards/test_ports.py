@@ -14,8 +14,6 @@ import pytest
 from board_lines import Line, a_line, send_packets
 from conftest import free_port, wait_until
 
-from sparseskin.messages import Taxels
-from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.node import Context
@@ -173,10 +171,6 @@ class TestUdp:
         send_packets(port, bytes(10_000))  # with it comes the number
         n += len(taken(source, 1))
         assert n + source.figures()["kernel_packets"] == n_sent + 1
-
-    def test_a_port_in_use_is_one_line(self, opened: Any) -> None:
-        port = free_port(socket.SOCK_DGRAM)
-        opened(f"udp:{port}?rows=2&cols=3")
         with pytest.raises(SourceError, match=f"port {port} of 127.0.0.1 cannot be opened: Addr"):
             opened(f"udp:{port}?rows=2&cols=3")
 
@@ -222,36 +216,11 @@ class TestCan:
         assert not dropped_text(source.figures())
 
 
-def test_frames_come_over_socketcan(opened: Any) -> None:
-    can = pytest.importorskip("can")
-    if not Path("/sys/class/net/vcan0").exists():
-        pytest.skip("there is no interface vcan0")
-    source = opened("can:vcan0?rows=2&cols=4&ids=0x123")
-    with can.Bus(channel="vcan0", interface="socketcan") as bus:
-        bus.send(can.Message(arbitration_id=0x123, data=bytes(range(8)), is_extended_id=False))
-    ((_, forces),) = taken(source, 1)
-    np.testing.assert_array_equal(forces, np.arange(8).reshape(2, 4))
-
-
 class TestNode:
     def sensor(self, line: Line, **settings: Any) -> Sensor:
         name = f"serial:{line.device}?profile=flexitac_16x32"
         made = Sensor.Settings(source=name, **settings)
         return Sensor(made, Context("sensor", ManualClock(10**18)))
-
-    def test_frames_become_taxels_in_a_graph_and_the_figures_are_reported(self, line: Line) -> None:
-        name = f"serial:{line.device}?profile=flexitac_16x32&scale=0.01&unit=N"
-        bus = Bus({"sensor": (Sensor, Sensor.Settings(source=name))})
-        line.sending([b"\x01" * 7] + [flexitac(100)] * 12)
-        messages = [one for found in bus.frames(n_frames=10) for one in found]
-        bus.close()
-        taxels = [one for one in messages if isinstance(one, Taxels)]
-        assert len(taxels) == 10
-        assert all(np.allclose(one.forces, 1.0) for one in taxels)
-        assert len({one.stamp_ns for one in taxels}) == 10
-        board = bus.reports()["sensor"]["board"]
-        assert board["dropped_bytes"] == 7
-        assert board["frames"] == 10 + board["unused_frames"]
 
     def test_frames_before_the_start_and_while_paused_are_counted_as_unused(
         self, line: Line

@@ -22,14 +22,16 @@ def test_a_design_has_defaults_and_units() -> None:
     assert (d.adc.bits, d.adc.rate_hz, d.bits, d.cores, d.sums) == (10, 200e3, 8, 4, "digital")
 
 
-def test_numbers_of_a_file_are_those_of_options() -> None:
-    of_file = make_design({**PAD, "rate": 500, "host": 2, "bits": 6})
-    of_options = make_design(
-        {"rows": "12", "cols": " 32", "rate": "500 Hz", "host": "2 cores", "bits": "6 "}
-    )
-    assert (of_file.rate_hz, of_file.cores, of_file.bits) == (500.0, 2, 6)
-    assert of_file.n_taxels == of_options.n_taxels
-    assert (of_options.rate_hz, of_options.cores, of_options.bits) == (500.0, 2, 6)
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {**PAD, "rate": 500, "host": 2, "bits": 6},
+        {"rows": "12", "cols": " 32", "rate": "500 Hz", "host": "2 cores", "bits": "6 "},
+    ],
+)
+def test_numbers_of_a_file_are_those_of_options(keys: dict[str, object]) -> None:
+    d = make_design(keys)
+    assert (d.n_taxels, d.rate_hz, d.cores, d.bits) == (384, 500.0, 2, 6)
 
 
 def test_every_wrong_key_has_a_line() -> None:
@@ -44,24 +46,16 @@ def test_every_wrong_key_has_a_line() -> None:
     [
         ({}, "rows: is missing; state rows and cols, taxels, or points"),
         ({"rows": 12}, "cols: is missing; state rows and cols"),
-        ({"cols": 12}, "rows: is missing; state rows and cols"),
         ({**PAD, "taxels": 9}, "taxels: states the size once more; leave out rows"),
         ({"rows": "x", "cols": 2}, "rows: 'x' is not allowed; allowed: 1..1024"),
-        ({"rows": 2000, "cols": 2}, "rows: '2000' is not allowed; allowed: 1..1024"),
         ({"rows": 1, "cols": 2}, "rows: 1 x 2 are 2 taxels; allowed: 16..65536"),
         ({**PAD, "pitch": "4"}, "pitch: '4': has no unit; expected such as 4mm"),
-        ({**PAD, "pitch": "4MM"}, "pitch: '4MM': unit 'MM' is not known; allowed: mm, cm, m, um"),
-        ({**PAD, "noise": "1"}, "noise: '1': has no unit; expected such as 0.01N"),
         ({**PAD, "noise": "1N"}, "noise: 1 N is not allowed for a range of 2.5 N; allowed: 0.0001"),
         ({**PAD, "rate": "0"}, "rate: '0': is outside 1 .. 10000"),
         ({**PAD, "rate": True}, "rate: 'True': expected a number with its unit"),
         ({**PAD, "host": "4 core s"}, "host: '4 core s': expected such as 4cores, 1..4096"),
         ({**PAD, "sums": "analogue"}, "sums: 'analogue' is not allowed (did you mean 'analog'?)"),
         ({**PAD, "bits": 3}, "bits: '3' is not allowed; allowed: 4..16"),
-        ({**PAD, "converters": 0}, "converters: '0' is not allowed; allowed: 1..1024"),
-        ({**PAD, "settling": "5"}, "settling: '5': has no unit; expected such as 5us"),
-        ({**PAD, "adc": 10}, "adc: '10': expected bits and conversions a second"),
-        ({"points": "none.csv"}, "points: none.csv: "),
         ({"points": "few.csv"}, "points: few.csv: 2 points; allowed: 16..65536"),
         ({"points": 7}, "points: '7': expected a file, or example:torso"),
     ],
@@ -81,10 +75,8 @@ def test_a_wrong_key_is_refused_in_one_line(
 def test_a_wrong_file_is_refused_in_one_line(raw: bytes, tmp_path: Path) -> None:
     path = tmp_path / "design.toml"
     path.write_bytes(raw)
-    with pytest.raises(SettingsError) as error:
+    with pytest.raises(SettingsError, match=r"design\.toml: no TOML: .*$"):
         read_file(path)
-    assert str(error.value).startswith(f"{path}: no TOML: ")
-    assert "\n" not in str(error.value)
 
 
 def test_points_stand_beside_the_file_that_names_them(tmp_path: Path) -> None:

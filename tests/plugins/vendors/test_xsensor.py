@@ -29,27 +29,25 @@ def opened(tmp_path: Path) -> Opener:
     return write_and_open
 
 
-class TestReal:
-    def test_size_rate_unit_pitch_and_mask(self) -> None:
-        source = open_file(recording("xsensor_L.csv"))
-        assert source.frames.shape == (101, 31, 11)
-        assert source.skin.unit == "mmHg"
-        assert source.skin.f_max == pytest.approx(2957.46)
-        assert source.skin.pitch_m == pytest.approx(0.0086)
-        assert source.skin.n_taxels == 228
-        # 101 frames in 1.331 s by the times of the file.
-        assert source.rate_hz == pytest.approx(100 / 1.331)
-        assert list(source.stamp_ns)[-1] == 1_331_000_000
-
-    def test_the_first_frame_is_the_left_foot_of_the_file(self) -> None:
-        source = open_file(recording("xsensor_L.csv"))
-        assert source.frames[0].max() == np.float32(2674.44)
-        # The stated contact area, of sensels of 0.741 cm2.
-        assert np.count_nonzero(source.frames[0]) == 92
+def test_a_recording_of_an_insole_has_the_left_foot_of_the_file() -> None:
+    source = open_file(recording("xsensor_L.csv"))
+    assert source.frames.shape == (101, 31, 11)
+    assert source.skin.unit == "mmHg"
+    assert source.skin.f_max == pytest.approx(2957.46)
+    assert source.skin.pitch_m == pytest.approx(0.0086)
+    assert source.skin.n_taxels == 228
+    # 101 frames in 1.331 s by the times of the file.
+    assert source.rate_hz == pytest.approx(100 / 1.331)
+    assert list(source.stamp_ns)[-1] == 1_331_000_000
+    assert source.frames[0].max() == np.float32(2674.44)
+    # The stated contact area, of sensels of 0.741 cm2.
+    assert np.count_nonzero(source.frames[0]) == 92
 
 
 class TestXsensor:
-    def test_frames_of_the_first_sensor_in_the_unit_of_the_file(self, opened: Opener) -> None:
+    def test_frames_of_the_first_sensor_whose_area_leaves_cells_never_pressed_masked(
+        self, opened: Opener
+    ) -> None:
         source = opened(xsensor_text())
         expected = [
             [[float(cell) for cell in row.split(",")] for row in rows] for rows in XSENSOR_FRAMES
@@ -57,11 +55,7 @@ class TestXsensor:
         assert np.array_equal(source.frames, np.array(expected, dtype=np.float32))
         assert (source.skin.unit, source.skin.f_max) == ("mmHg", 30)
         assert source.skin.pitch_m == pytest.approx(0.0086)
-
-    def test_cells_never_pressed_are_masked_where_the_area_is_less_than_the_grid(
-        self, opened: Opener
-    ) -> None:
-        mask = opened(xsensor_text()).skin.mask
+        mask = source.skin.mask
         assert mask is not None
         assert mask.tolist() == [
             [False, True, True, False],

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.plugins.design.models.adc import Adc, read_adc
 from sparseskin.plugins.design.models.buses import Can, CanFd, Serial, Spi, Udp, read_bus
-from sparseskin.plugins.design.models.edge import CYCLES, Edge, instructions, read_edge
+from sparseskin.plugins.design.models.edge import Edge, instructions, read_edge
 from sparseskin.plugins.design.models.units import FORCE, LENGTH, RATE, quantity
 from sparseskin.plugins.edge.description import EdgeDescription
 
@@ -24,9 +24,9 @@ def a_length(text: object) -> float:
     return quantity(text, LENGTH, "4mm", 0.0, 1.0)
 
 
-def test_a_byte_on_a_serial_line_has_ten_bits() -> None:
+def test_a_byte_has_ten_bits_on_a_serial_line_and_eight_clocks_of_spi() -> None:
     assert Serial(2e6).seconds(514) == pytest.approx(5140 / 2e6)
-    assert 1 / Serial(2e6).seconds(514) == pytest.approx(389.105, abs=1e-3)
+    assert Spi(20e6).seconds(1038) == pytest.approx(8304 / 20e6)
 
 
 def test_a_full_frame_of_classic_can_has_135_bits() -> None:
@@ -53,10 +53,6 @@ def test_the_last_frame_of_can_fd_is_filled_to_the_next_length() -> None:
     assert bus.seconds(9) == bus.seconds(12)
 
 
-def test_spi_has_eight_clocks_a_byte() -> None:
-    assert Spi(20e6).seconds(1038) == pytest.approx(8304 / 20e6)
-
-
 def test_a_datagram_has_66_bytes_beside_its_data() -> None:
     assert Udp(100e6).wire_bytes(1472) == 1538
     assert Udp(100e6).wire_bytes(1) == 84  # the least Ethernet frame, with preamble and gap
@@ -76,14 +72,9 @@ def test_more_bytes_never_take_less_time(form: str, data: st.DataObject) -> None
     ("text", "made"),
     [
         ("serial:2M", Serial(2e6)),
-        ("serial:115200", Serial(115200.0)),
         ("can", Can(1e6)),
-        ("can-fd", CanFd(1e6, 5e6)),
-        ("can-fd:500k/2M", CanFd(5e5, 2e6)),
         ("spi:20M", Spi(20e6)),
-        ("udp", Udp(100e6)),
         ("udp:1G", Udp(1e9)),
-        ("serial: 2M", Serial(2e6)),
         (" can-fd : 500 k / 2 M ", CanFd(5e5, 2e6)),
     ],
 )
@@ -97,18 +88,14 @@ def test_a_bus_is_read(text: str, made: object) -> None:
         (read_bus, "seral:2M", "'seral:2M': bus is not known (did you mean 'serial'?)"),
         (read_bus, "serial", "'serial': states no rate; expected such as serial:2M"),
         (read_bus, "serial:2Mbaud", "'2Mbaud': unit 'Mbaud' is not known"),
-        (read_bus, "serial:0", "'0': is outside"),
         (read_bus, "can-fd:5M/1M", "'can-fd:5M/1M': data are slower than the arbitration"),
         (read_bus, "can-fd:5M", "expected can-fd:ARBITRATION/DATA"),
-        (read_bus, 2_000_000, "'2000000': bus is not known"),
         (read_bus, "serial:" + "9" * 500, "expected a number with its unit"),
         (an_adc, "10bit", "expected bits and conversions a second, as 10bit@200kS/s"),
         (an_adc, "3bit@1kS/s", "3 bits; allowed: 4..24"),
         (an_adc, "10bit@200k", "unit 'k' is not known; allowed: S/s, kS/s, MS/s"),
-        (an_adc, "1 2 bit @ 77 kS/s", "expected bits and conversions a second, as 10bit@200kS/s"),
         (read_edge, "cortex-m5@1MHz", "did you mean 'cortex-m4'?"),
         (read_edge, "cortex-m4", "expected cortex-m4@168MHz or linux"),
-        (read_edge, "cortex-m4@168", "has no unit"),
         *((a_length, text, "") for text in ("4", "mm", "-4mm", "4,0mm", "nanmm", "٤mm", 4)),
     ],
 )
@@ -127,21 +114,13 @@ def test_converters_share_the_conversions_and_each_waits_for_its_multiplexer() -
     assert Adc(10, 200e3, 3, 2e-6).seconds(4096) == pytest.approx(1366 * 7e-6)
 
 
-def test_converters_are_read() -> None:
-    assert read_adc("12bit@1MS/s", 2, 0.0) == Adc(12, 1e6, 2)
-    assert read_adc("12 bit @ 77 kS/s", 1, 0.0) == Adc(12, 77e3)
-
-
 @pytest.mark.parametrize(
     ("n_rows", "n_cols", "ratio", "bits", "rows", "counted"),
     [
         (12, 32, 3, 8, "rotating", 21149),
-        (16, 32, 3, 8, "rotating", 27660),
-        (32, 32, 4, 4, "rotating", 45553),
         (32, 32, 16, 8, "rotating", 30296),
         (40, 40, 4, 16, "rotating", 78607),
         (64, 64, 3, 8, "fixed", 215698),
-        (64, 64, 8, 8, "rotating", 141593),
     ],
 )
 def test_instructions_are_within_5_percent_of_those_counted(
@@ -152,16 +131,9 @@ def test_instructions_are_within_5_percent_of_those_counted(
     assert instructions(d.n_taxels, d.m, d.frame_bytes) == pytest.approx(counted, rel=0.05)
 
 
-def test_the_time_of_a_microcontroller_is_that_of_its_instructions() -> None:
-    # 24 * 4096 + 72 * 1024 + 16 * 1038 + 550
-    assert instructions(4096, 1024, 1038) == 189_190
-    edge = Edge(168e6)
-    assert edge.seconds("sbhe_4_fixed", 4096, 4096, 1024, 1038) == pytest.approx(
-        CYCLES * 189_190 / 168e6
-    )
-
-
-def test_an_edge_is_read() -> None:
+def test_converters_and_edges_are_read() -> None:
+    assert read_adc("12bit@1MS/s", 2, 0.0) == Adc(12, 1e6, 2)
+    assert read_adc("12 bit @ 77 kS/s", 1, 0.0) == Adc(12, 77e3)
     assert read_edge("cortex-m4@168MHz") == read_edge("cortex-m4 @ 168 MHz") == Edge(168e6)
     assert read_edge("linux") == Edge(None)
 
@@ -170,7 +142,6 @@ def test_an_edge_is_read() -> None:
     ("text", "units", "value"),
     [
         ("4mm", LENGTH, 0.004),
-        ("0.4 cm", LENGTH, 0.004),
         ("10mN", FORCE, 0.01),
         ("1000", RATE, 1000.0),
         ("1kHz", RATE, 1000.0),
