@@ -10,7 +10,7 @@ HELP = "compare ways to read a skin before it is built"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `sparseskin design`."""
-    # Read as numpy is imported: processor times are those of one core.
+    # Read as numpy is imported: strategies are simulated side by side, in a process each core.
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     from .command import configure
 

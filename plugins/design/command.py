@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import os
-import platform
-import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import nearest_of
@@ -46,8 +42,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-accuracy", action="store_true", help=about)
     about = "print what the models predict for rigs that were built, and exit"
     parser.add_argument("--rigs", action="store_true", help=about)
-    about = "measure the processor time of edge and host on this computer, print it, and exit"
-    parser.add_argument("--measure-costs", action="store_true", help=about)
     parser.set_defaults(run=_design)
 
 
@@ -55,11 +49,8 @@ def _design(arguments: argparse.Namespace) -> int:
     from . import text
     from .budget import budget
 
-    alone = [name for name in ("rigs", "measure_costs") if getattr(arguments, name)]
-    if alone:
-        _refuse_others(arguments, alone)
-        if alone == ["measure_costs"]:
-            return _measure_costs()
+    if arguments.rigs:
+        _refuse_others(arguments)
         print(text.rig_table())
         return 0
     design = design_of(arguments)
@@ -110,29 +101,12 @@ def check_out(out: Path) -> None:
         raise SettingsError(f"--out {out}: {error.strerror}") from error
 
 
-def _refuse_others(arguments: argparse.Namespace, alone: list[str]) -> None:
-    option = f"--{alone[0].replace('_', '-')}"
+def _refuse_others(arguments: argparse.Namespace) -> None:
     given: list[str] = [f"--{key}" for key in KEYS if getattr(arguments, key) is not None]
-    given += ["--measure-costs"] if len(alone) > 1 else []
     given += [f"--{key}" for key in ("out", "scene", "only") if getattr(arguments, key)]
     given += [str(arguments.file)] if arguments.file else []
     if given:
-        raise SettingsError(f"{option}: stands alone; leave out {given[0]}")
-
-
-def _measure_costs() -> int:
-    from .models.costs import as_toml, measure_all
-
-    def progress(shape: tuple[int, int], name: str, found: dict[str, float]) -> None:
-        figures: Any = ", ".join(f"{key} {value:g}" for key, value in found.items())
-        print(f"{shape[0]} x {shape[1]} {name}: {figures}", file=sys.stderr, flush=True)
-
-    found = measure_all(progress)
-    fast = "numba" if find_spec("numba") else "numpy alone"
-    load = f"load average {os.getloadavg()[0]:.1f} at the end"
-    conditions = f"one core of {os.cpu_count()}, {platform.machine()}, {fast}, {load}"
-    print(as_toml(found, conditions), end="")
-    return 0
+        raise SettingsError(f"--rigs: stands alone; leave out {given[0]}")
 
 
 def _names(text: str | None) -> list[str] | None:

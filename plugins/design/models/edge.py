@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import nearest_of
 
-from .costs import COMMAND, cost
+from .costs import cost
 from .units import CLOCK, quantity, shown
 
 CORTEX_M4, LINUX = "cortex-m4", "linux"
@@ -45,7 +45,7 @@ class Edge:
     def source(self) -> str:
         """Where the time of a frame comes from."""
         if self.clock_hz is None:
-            return f"edge: processor time of the compressor node, measured ({COMMAND})"
+            return "edge: processor time of the compressor node, measured"
         return (
             f"edge: instructions of an exported edge, counted by QEMU: {A_READING} a reading, "
             f"{A_MEASUREMENT} a sum, {A_BYTE} a byte, {A_FRAME} a frame; {CYCLES:g} cycles each "

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from measured_costs import SIZES, measure
 
 from sparseskin.plugins.design import text
 from sparseskin.plugins.design.accuracy import grid_of
@@ -23,15 +24,7 @@ from sparseskin.plugins.design.budget import (
     frame_bytes,
     row_of,
 )
-from sparseskin.plugins.design.models.costs import (
-    FIGURES,
-    HOP_S,
-    LARGEST,
-    SIZES,
-    cost,
-    measure,
-    stored,
-)
+from sparseskin.plugins.design.models.costs import FIGURES, HOP_S, LARGEST, cost, stored
 from sparseskin.plugins.design.models.wires import wires_of
 from sparseskin.plugins.design.page import write_page
 from sparseskin.plugins.design.spec import Design, make_design

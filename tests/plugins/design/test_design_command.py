@@ -60,10 +60,6 @@ def test_it_prints_the_rigs(capsys: pytest.CaptureFixture[str]) -> None:
         ),
         (["design", "--taxels", "99", "--only", "local"], "row_local, local need a grid: state"),
         ([*PAD, "--rigs"], "--rigs: stands alone; leave out --rows"),
-        (
-            ["design", "--rigs", "--measure-costs"],
-            "--rigs: stands alone; leave out --measure-costs",
-        ),
         (["design", "none.toml"], "none.toml: No such file or directory"),
         (["design", "bad.toml"], "bad.toml: 'colls': unknown key (did you mean 'cols'?)"),
         ([*PAD, "--out", "bad.toml"], "--out bad.toml: File exists"),
