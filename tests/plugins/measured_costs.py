@@ -29,7 +29,8 @@ N_REPEATS = 3
 """How often all is measured; the least time counts, as other programs on a core only add to it."""
 HOW = f"""# python tests/plugins/measured_costs.py
 # Processor time of a frame (time.process_time, which leaves out what other programs take), in
-# microseconds: decoding, the node's step, encoding; median over the frames, least of {N_REPEATS} runs.
+# microseconds: decoding, the node's step, encoding; median of the frames, least of {N_REPEATS}
+# runs.
 # edge_us: compressor, mean of the bodies. calm_us: reconstructor, nothing presses. dense_us:
 # reconstructor, the body that takes longest of {", ".join(BODIES)},
 # pressing {DENSE:.0%} of the taxels for {N_PRESSED} frames, noise of the paper."""

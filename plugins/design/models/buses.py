@@ -21,7 +21,7 @@ LOWEST_BIT_S, HIGHEST_BIT_S = 1e3, 1e11
 
 @dataclass(frozen=True)
 class Bus(ABC):
-    """A bus.
+    """A bus that carries the frames of a skin in frames of its own.
 
     Attributes
     ----------
@@ -29,10 +29,15 @@ class Bus(ABC):
         Bits a second: of UART its baud, of SPI its clock, of CAN FD the rate of the arbitration.
     source : str
         Where its model comes from, for pages and tables.
+    form : str
+        The bus in words, but its rate.
+    most_bytes : int or None
+        Data bytes of a frame of the bus at most; None where it has no framing.
     """
 
     source: ClassVar[str]
     form: ClassVar[str]
+    most_bytes: ClassVar[int | None] = None
     bit_s: float
 
     @property
@@ -41,13 +46,18 @@ class Bus(ABC):
         return self.form.format(rate_text(self.bit_s))
 
     @abstractmethod
+    def frame_s(self, n_bytes: int) -> float:
+        """Time of one frame of the bus with so many data bytes, and the gap after it, seconds."""
+
     def seconds(self, n_bytes: int) -> float:
-        """Time from the first to the last bit of a frame of `n_bytes`, 1 or more, in seconds; the
-        gap before the next one included.
+        """Time from the first to the last bit of a skin's frame of `n_bytes`, 1 or more, in
+        seconds; the gap before the next one included.
         """
+        most = self.most_bytes or n_bytes
+        full, rest = divmod(n_bytes, most)
+        return full * self.frame_s(most) + (self.frame_s(rest) if rest else 0.0)
 
 
-@dataclass(frozen=True)
 class Serial(Bus):
     """UART with 8 data bits, no parity and one stop bit (8N1): 10 bits a byte.
 
@@ -57,17 +67,10 @@ class Serial(Bus):
     source = "UART 8N1, 10 bits a byte: ATmega328P data sheet, frame formats of the USART"
     form = "UART at {}baud"
 
-    def seconds(self, n_bytes: int) -> float:
+    def frame_s(self, n_bytes: int) -> float:
         return 10 * n_bytes / self.bit_s
 
 
-CLASSIC_BYTES, FD_BYTES = 8, 64
-"""Data bytes of a CAN frame at most."""
-FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
-"""Lengths of the data field of a CAN FD frame. Source: ISO 11898-1:2015."""
-
-
-@dataclass(frozen=True)
 class Can(Bus):
     """Classic CAN, 11-bit identifiers, 8 bytes a frame.
 
@@ -84,16 +87,15 @@ class Can(Bus):
         "Systems 35, 2007"
     )
     form = "CAN at {}bit/s"
+    most_bytes = 8
 
-    def frame_bits(self, n_bytes: int) -> int:
-        """Bits of one frame of 0..8 data bytes, stuff bits at their worst."""
+    def frame_s(self, n_bytes: int) -> float:
         stuffed = 34 + 8 * n_bytes
-        return stuffed + (stuffed - 1) // 4 + 13
+        return (stuffed + (stuffed - 1) // 4 + 13) / self.bit_s
 
-    def seconds(self, n_bytes: int) -> float:
-        full, rest = divmod(n_bytes, CLASSIC_BYTES)
-        bits = full * self.frame_bits(CLASSIC_BYTES) + (self.frame_bits(rest) if rest else 0)
-        return bits / self.bit_s
+
+FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+"""Lengths of the data field of a CAN FD frame. Source: ISO 11898-1:2015."""
 
 
 @dataclass(frozen=True)
@@ -104,39 +106,26 @@ class CanFd(Bus):
     and 13 bits from the CRC delimiter to the end of the intermission. At the data rate: 5 bits
     (error state, length), 8 n bits of data with the other stuff bits, at most
     floor((21 + 8 n) / 4) of both phases, and the CRC with the stuff count and its fixed stuff bits:
-    27 bits to 16 bytes of data, 32 bits beyond. Source: ISO 11898-1:2015.
+    27 bits to 16 bytes of data, 32 bits beyond. n is the next of `FD_LENGTHS`. Source: ISO
+    11898-1:2015.
     """
 
     source = "CAN FD, 11-bit identifiers, 64 data bytes, worst-case stuff bits: ISO 11898-1:2015"
     form = "CAN FD at {}/{}bit/s"
+    most_bytes = 64
     data_bit_s: float
 
     @property
     def label(self) -> str:
         return self.form.format(rate_text(self.bit_s), rate_text(self.data_bit_s))
 
-    def frame_bits(self, n_bytes: int) -> tuple[int, int]:
-        """Bits of one frame at the arbitration rate and at the data rate, stuff bits at worst.
-
-        `n_bytes` is one of `FD_LENGTHS`.
-        """
-        stuff = (21 + 8 * n_bytes) // 4
-        crc = 27 if n_bytes <= 16 else 32
-        return 17 + 4 + 13, 5 + 8 * n_bytes + (stuff - 4) + crc
-
-    def seconds(self, n_bytes: int) -> float:
-        full, rest = divmod(n_bytes, FD_BYTES)
-        lengths = [(FD_BYTES, full)]
-        if rest:
-            lengths.append((next(n for n in FD_LENGTHS if n >= rest), 1))
-        total = 0.0
-        for length, count in lengths:
-            slow, fast = self.frame_bits(length)
-            total += count * (slow / self.bit_s + fast / self.data_bit_s)
-        return total
+    def frame_s(self, n_bytes: int) -> float:
+        n = next(length for length in FD_LENGTHS if length >= n_bytes)
+        stuff, crc = (21 + 8 * n) // 4, 27 if n <= 16 else 32
+        slow, fast = 17 + 4 + 13, 5 + 8 * n + (stuff - 4) + crc
+        return slow / self.bit_s + fast / self.data_bit_s
 
 
-@dataclass(frozen=True)
 class Spi(Bus):
     """SPI on one data line: 8 clocks a byte, without gaps, as DMA sends.
 
@@ -147,17 +136,13 @@ class Spi(Bus):
     source = "SPI, 8 clocks a byte without gaps: Motorola SPI Block Guide V03.06"
     form = "SPI at {}Hz"
 
-    def seconds(self, n_bytes: int) -> float:
+    def frame_s(self, n_bytes: int) -> float:
         return 8 * n_bytes / self.bit_s
 
 
-MAX_DATAGRAM = 1472
-"""Data bytes of a UDP datagram that fills an Ethernet frame: 1500 - 20 (IPv4) - 8 (UDP)."""
-
-
-@dataclass(frozen=True)
 class Udp(Bus):
-    """UDP over IPv4 and Ethernet: datagrams of at most 1472 bytes.
+    """UDP over IPv4 and Ethernet: datagrams of at most 1472 bytes, which fill an Ethernet frame:
+    1500 - 20 (IPv4) - 8 (UDP).
 
     On the wire a datagram of n bytes is preamble 8, header 14, max(46, 28 + n), check
     sequence 4, and a gap of 12. Source: IEEE 802.3-2018; RFC 791; RFC 768.
@@ -165,15 +150,10 @@ class Udp(Bus):
 
     source = "UDP over IPv4 and Ethernet, 1472 bytes a datagram: IEEE 802.3-2018; RFC 791; RFC 768"
     form = "UDP over Ethernet at {}bit/s"
+    most_bytes = 1472
 
-    def wire_bytes(self, n_bytes: int) -> int:
-        """Bytes on the wire for one datagram of 1..1472 data bytes, gap included."""
-        return 8 + 14 + max(46, 28 + n_bytes) + 4 + 12
-
-    def seconds(self, n_bytes: int) -> float:
-        full, rest = divmod(n_bytes, MAX_DATAGRAM)
-        total = full * self.wire_bytes(MAX_DATAGRAM) + (self.wire_bytes(rest) if rest else 0)
-        return 8 * total / self.bit_s
+    def frame_s(self, n_bytes: int) -> float:
+        return 8 * (8 + 14 + max(46, 28 + n_bytes) + 4 + 12) / self.bit_s
 
 
 FORMS = "serial:2M, can:1M, can-fd[:1M/5M], spi:20M, udp[:100M]"

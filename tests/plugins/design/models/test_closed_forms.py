@@ -30,10 +30,8 @@ def test_a_byte_has_ten_bits_on_a_serial_line_and_eight_clocks_of_spi() -> None:
 
 
 def test_a_full_frame_of_classic_can_has_135_bits() -> None:
-    # 34 + 64 bits, floor(97 / 4) = 24 stuff bits, 13 bits of the end; none of 0 bytes: 34 + 8 + 13.
-    assert Can(1e6).frame_bits(8) == 98 + 24 + 13 == 135
-    assert Can(1e6).frame_bits(0) == 55
-    assert Can(1e6).seconds(8) == pytest.approx(135e-6)
+    # 34 + 64 bits, floor(97 / 4) = 24 stuff bits, 13 bits of the end.
+    assert Can(1e6).seconds(8) == pytest.approx((98 + 24 + 13) * 1e-6)
     # Nine bytes are a full frame and one of a byte: 42 + floor(41 / 4) + 13 = 65 bits.
     assert Can(1e6).seconds(9) == pytest.approx((135 + 65) * 1e-6)
 
@@ -41,10 +39,9 @@ def test_a_full_frame_of_classic_can_has_135_bits() -> None:
 def test_a_full_frame_of_can_fd_has_34_slow_and_678_fast_bits() -> None:
     bus = CanFd(1e6, 5e6)
     # 5 + 512 bits, floor(533 / 4) - 4 = 129 stuff bits, 32 of the CRC; slow: 17 + 4 + 13.
-    assert bus.frame_bits(64) == (34, 5 + 512 + 129 + 32)
-    assert bus.seconds(64) == pytest.approx(34e-6 + 678 / 5e6)
+    assert bus.seconds(64) == pytest.approx(34e-6 + (5 + 512 + 129 + 32) / 5e6)
     # To 16 bytes the CRC has 27 bits: 5 + 128 + (149 // 4 - 4) + 27.
-    assert bus.frame_bits(16) == (34, 5 + 128 + 33 + 27)
+    assert bus.seconds(16) == pytest.approx(34e-6 + (5 + 128 + 33 + 27) / 5e6)
 
 
 def test_the_last_frame_of_can_fd_is_filled_to_the_next_length() -> None:
@@ -54,8 +51,7 @@ def test_the_last_frame_of_can_fd_is_filled_to_the_next_length() -> None:
 
 
 def test_a_datagram_has_66_bytes_beside_its_data() -> None:
-    assert Udp(100e6).wire_bytes(1472) == 1538
-    assert Udp(100e6).wire_bytes(1) == 84  # the least Ethernet frame, with preamble and gap
+    # Of a byte the least Ethernet frame, with preamble and gap: 84.
     assert Udp(100e6).seconds(1472) == pytest.approx(1538 * 8 / 100e6)
     assert Udp(1e9).seconds(1473) == pytest.approx((1538 + 84) * 8 / 1e9)
 
