@@ -45,7 +45,7 @@ def make_executor(spec: str) -> Executor:
 
     `spec` is "serial", one task after the other; "process:N" or "thread:N", N workers on this host;
     "module:factory", a user's callable that returns a `concurrent.futures.Executor`; or of a kind
-    that a plug-in brings, as "dask:local".
+    that a plug-in brings, as "dask:tcp://HOST:PORT".
     """
     if spec == "serial":
         return ThreadPoolExecutor(1)

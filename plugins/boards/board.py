@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.files.parsed import check_stated_shape
 
 from .can_chunks import chunks_of
 from .can_port import check_can
 from .framing import Framing
-from .readings import Layout
 from .serial_port import check_serial
 from .settings import (
     BoardSettings,
@@ -36,7 +36,7 @@ class Board:
     kind: str
     address: str
     settings: BoardSettings
-    layout: Layout
+    decode: Callable[[bytes], Floats]
     framing: Framing
     skin: Skin
 
@@ -76,21 +76,22 @@ def describe_board(
                 f"profile {query['profile']} is for any size: add rows=NUMBER and cols=NUMBER, as "
                 f"{form}"
             )
-        layout = settings.layout()
-        check_stated_shape(layout.n_rows, layout.n_cols, n_rows, n_cols, "the source")
+        decoder = settings.decoder()
+        shape = settings.shape
+        assert shape is not None
+        check_stated_shape(*shape, n_rows, n_cols, "the source")
         for key, stated in (("f_max", f_max), ("unit", unit)):
             if stated is not None and stated != getattr(settings, key):
                 raise SourceError(
                     f"{key} = {stated} is stated, but the source has {getattr(settings, key)}"
                 )
-        framing = settings.framing(layout)
+        framing = settings.framing(decoder.n_bytes)
         settings.check_port()
         if isinstance(settings, CanSettings):
             chunks_of(settings, framing)
         pitch_m = None if settings.pitch_mm is None else settings.pitch_mm / 1000
-        top = settings.range(layout)
-        skin = Skin(layout.n_rows, layout.n_cols, top, settings.unit, pitch_m)
-        return Board(name, kind, address, settings, layout, framing, skin)
+        skin = Skin(*shape, settings.range(), settings.unit, pitch_m)
+        return Board(name, kind, address, settings, decoder, framing, skin)
 
 
 def check_board(board: Board) -> None:

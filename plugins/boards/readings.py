@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import Floats, Indices
@@ -27,14 +25,11 @@ def order_of(text: str, n: int) -> list[int] | None:
     return order if sorted(order) == list(range(n)) else None
 
 
-@dataclass(frozen=True)
-class Layout:
-    """The readings in a payload.
+class Decoder:
+    """Decodes payloads.
 
-    Attributes
+    Parameters
     ----------
-    n_rows, n_cols : int
-        Shape of the skin.
     dtype, byte_order
         Type of a count, one of `DTYPES`; "little" or "big".
     order : "rows" or "columns"
@@ -45,57 +40,37 @@ class Layout:
         A reading is (count - zero) * scale.
     """
 
-    n_rows: int
-    n_cols: int
-    dtype: str
-    byte_order: str
-    order: str
-    row_order: list[int]
-    col_order: list[int]
-    scale: float = 1.0
-    zero: float = 0.0
+    def __init__(
+        self,
+        dtype: str,
+        byte_order: str,
+        order: str,
+        row_order: list[int],
+        col_order: list[int],
+        scale: float = 1.0,
+        zero: float = 0.0,
+    ) -> None:
+        self._dtype = np.dtype(dtype).newbyteorder("<" if byte_order == "little" else ">")
+        self._shape = len(row_order), len(col_order)
+        sent = np.arange(len(row_order) * len(col_order))
+        grid = sent.reshape(self._shape) if order == "rows" else sent.reshape(self._shape[::-1]).T
+        places = np.empty(self._shape, np.intp)
+        places[np.ix_(row_order, col_order)] = grid
+        self._places: Indices | None = None if np.array_equal(places.ravel(), sent) else places
+        self._scale, self._zero = scale, zero
 
     @property
     def n_bytes(self) -> int:
-        """Length of the payload."""
-        return self.n_rows * self.n_cols * np.dtype(self.dtype).itemsize
-
-    @property
-    def highest(self) -> float | None:
-        """Reading of the largest count; None of a floating type, which has none."""
-        dtype = np.dtype(self.dtype)
-        if dtype.kind == "f":
-            return None
-        return float((np.iinfo(dtype).max - self.zero) * self.scale)
-
-
-class Decoder:
-    """Decodes payloads of one layout."""
-
-    def __init__(self, layout: Layout) -> None:
-        self._layout = layout
-        dtype = np.dtype(layout.dtype)
-        self._dtype = dtype.newbyteorder("<" if layout.byte_order == "little" else ">")
-        shape = (layout.n_rows, layout.n_cols)
-        sent = np.arange(layout.n_rows * layout.n_cols)
-        grid = sent.reshape(shape) if layout.order == "rows" else sent.reshape(shape[::-1]).T
-        places = np.empty(shape, np.intp)
-        places[np.ix_(layout.row_order, layout.col_order)] = grid
-        self._places: Indices | None = None if np.array_equal(places.ravel(), sent) else places
-        self._shape = shape
-        # Counts of up to 24 bits are exact in float32.
-        self._wide = dtype.itemsize > 2
-        self._plain = layout.zero == 0 and layout.scale == 1
+        """Length of a payload."""
+        return self._shape[0] * self._shape[1] * self._dtype.itemsize
 
     def __call__(self, payload: bytes) -> Floats:
         """Readings, float32 (n_rows, n_cols); neither clipped nor checked for NaN."""
         counts = np.frombuffer(payload, self._dtype)
         counts = counts.reshape(self._shape) if self._places is None else counts[self._places]
-        if self._plain:
-            with np.errstate(all="ignore"):  # a float64 beyond float32 becomes infinite
+        with np.errstate(all="ignore"):  # a float64 beyond float32 becomes infinite
+            if self._zero == 0 and self._scale == 1:
                 return counts.astype(np.float32)
-        layout = self._layout
-        with np.errstate(all="ignore"):
-            if self._wide:
-                return ((counts.astype(np.float64) - layout.zero) * layout.scale).astype(np.float32)
-            return (counts.astype(np.float32) - np.float32(layout.zero)) * np.float32(layout.scale)
+            if self._dtype.itemsize > 2:  # counts of up to 24 bits are exact in float32
+                return ((counts.astype(np.float64) - self._zero) * self._scale).astype(np.float32)
+            return (counts.astype(np.float32) - np.float32(self._zero)) * np.float32(self._scale)

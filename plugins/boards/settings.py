@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.sensor.files.parsed import check_grid, check_unit, shown
@@ -25,7 +27,7 @@ from sparseskin.nodes.toml import MAX_CHARS, parse_toml
 
 from .checksums import CHECKSUMS
 from .framing import Framing
-from .readings import DTYPES, ORDERS, Layout, order_of
+from .readings import DTYPES, ORDERS, Decoder, order_of
 
 PROFILES = Path(__file__).parent / "profiles"
 MAX_FIXED_BYTES = 64
@@ -77,8 +79,8 @@ class BoardSettings(Settings):
         """(rows, cols), None unless both are stated."""
         return (self.rows, self.cols) if self.rows and self.cols else None
 
-    def layout(self) -> Layout:
-        """Layout of the readings; SourceError if a key is missing or wrong."""
+    def decoder(self) -> Decoder:
+        """Decoder of the readings; SourceError if a key is missing or wrong."""
         if self.rows is None or self.cols is None:
             missing = "rows" if self.rows is None else "cols"
             raise SourceError(
@@ -96,36 +98,28 @@ class BoardSettings(Settings):
                     f"reversed, or each of 0..{n - 1} once, with commas"
                 )
             orders.append(order)
-        return Layout(
-            n_rows=self.rows,
-            n_cols=self.cols,
-            dtype=self.dtype,
-            byte_order=self.byte_order,
-            order=self.order,
-            row_order=orders[0],
-            col_order=orders[1],
-            scale=self.scale,
-            zero=self.zero,
-        )
+        return Decoder(self.dtype, self.byte_order, self.order, *orders, self.scale, self.zero)
 
-    def range(self, layout: Layout) -> float:
+    def range(self) -> float:
         """Upper end of the range; SourceError if it is not known."""
-        f_max = layout.highest if self.f_max is None else self.f_max
-        if f_max is None:
+        f_max, dtype = self.f_max, np.dtype(self.dtype)
+        if f_max is None and dtype.kind == "f":
             raise SourceError(f"f_max is not stated, and {self.dtype} has no largest value")
+        if f_max is None:
+            f_max = float((np.iinfo(dtype).max - self.zero) * self.scale)
         if not f_max > 0:
             raise SourceError(
                 f"zero = {self.zero:g} leaves no range: the largest reading is {f_max:g}"
             )
         return f_max
 
-    def framing(self, layout: Layout) -> Framing:
-        """Framing of the readings; SourceError if a key is wrong."""
+    def framing(self, n_bytes: int) -> Framing:
+        """Framing of a payload of so many bytes; SourceError if a key is wrong."""
         start = _bytes_of("start", self.start)
         if self.needs_start and not start:
             raise SourceError("start is not stated; add start=HEX, the bytes that begin a frame")
         return Framing(
-            layout.n_bytes,
+            n_bytes,
             start=start,
             end=_bytes_of("end", self.end),
             sequence_bytes={"none": 0, "u8": 1, "u16": 2, "u32": 4}[self.sequence],
@@ -305,7 +299,7 @@ def fitting_profile(start: bytes, n_bytes: int) -> str:
     for name in profile_names():
         with contextlib.suppress(SparseskinError):  # one without rows and columns
             settings = read_settings("serial", {"profile": name})
-            framing = settings.framing(settings.layout())
+            framing = settings.framing(settings.decoder().n_bytes)
             if (framing.start, framing.n_bytes) == (start, n_bytes):
                 return name
     return ""

@@ -18,7 +18,6 @@ from .board import Board, check_board, naming_board
 from .can_port import CanPort
 from .framing import Counts
 from .ports import Arrived, Port
-from .readings import Decoder
 from .serial_port import SerialPort
 from .settings import SerialSettings, UdpSettings
 from .udp_port import UdpPort
@@ -60,7 +59,6 @@ class BoardSource(LiveSource):
         self.counts = Counts()
         self.n_unused = self.n_not_finite = self.n_gone = 0
         self._board = board
-        self._decode = Decoder(board.layout)
         self._port = PORTS[board.kind](board.address, board.settings, board.framing, self.counts)
         self._waiting: deque[Arrived] = deque()
         self._last_ns = -1
@@ -100,7 +98,7 @@ class BoardSource(LiveSource):
             self.n_unused += 1
         while self._waiting:
             arrived_ns, frame = self._waiting.popleft()
-            forces = self._checked(self._decode(frame.payload))
+            forces = self._checked(self._board.decode(frame.payload))
             if forces is not None:
                 self._last_ns = max(arrived_ns, self._last_ns + 1)
                 return self._last_ns, forces

@@ -1,10 +1,9 @@
-"""Executor on a Dask cluster: one that is started for the run, or one that is there already."""
+"""Executor on a Dask cluster."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import platform
 import warnings
 from collections.abc import Callable
@@ -15,10 +14,10 @@ from typing import Any, TypeVar
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import one_line
-from sparseskin.nodes.tasks.executors import MAX_WORKERS, SINGLE_THREADED, Factory
+from sparseskin.nodes.tasks.executors import Factory
 from sparseskin.nodes.tasks.fingerprint import code_fingerprint
 
-FORMS = "dask:local, dask:local:N, dask:tcp://HOST:PORT or dask:tls://HOST:PORT"
+FORMS = "dask:tcp://HOST:PORT or dask:tls://HOST:PORT"
 SCHEMES = ("tcp://", "tls://")
 CONNECT_S = 10.0
 """Longest wait for the scheduler."""
@@ -31,18 +30,16 @@ class DaskExecutor(Executor):
     """Runs tasks on the workers of a Dask cluster.
 
     A task whose worker dies is run again by another one, so it must be one that may run twice.
-    `shutdown` ends the connection, and the cluster if it was started for this executor.
+    `shutdown` ends the connection.
 
     Parameters
     ----------
     client : distributed.Client
         Connected to the scheduler.
-    cluster : distributed.LocalCluster, optional
-        Cluster that ends with this executor.
     """
 
-    def __init__(self, client: Any, cluster: Any = None) -> None:
-        self._client, self._cluster = client, cluster
+    def __init__(self, client: Any) -> None:
+        self._client = client
         # The same call twice is two tasks: what a task writes is part of its result.
         self._executor = client.get_executor(pure=False)
 
@@ -56,22 +53,18 @@ class DaskExecutor(Executor):
             self._executor.shutdown(wait=wait and not cancel_futures)
         with contextlib.suppress(Exception):
             self._client.close(timeout=CONNECT_S)
-        if self._cluster is not None:
-            with contextlib.suppress(Exception):
-                self._cluster.close(timeout=CONNECT_S)
 
 
 def make_dask_executor(spec: str) -> DaskExecutor:
-    """Make the executor of "dask:local", "dask:local:N" or "dask:tcp://HOST:PORT" ("tls" as well).
-
-    "local" starts N workers (by default one for each core) as processes of this host, of one thread
-    each; only this process can reach them, by a certificate of this run. An address is that of a
-    scheduler whose workers run the same code. Raises SettingsError if `spec` is none of these, the
-    package is missing, no scheduler answers within 10 s, no worker has joined after 60 s, or a
-    worker runs another version.
+    """Make the executor of "dask:tcp://HOST:PORT" ("tls" as well), the address of a scheduler whose
+    workers run the same code. Raises SettingsError if `spec` is another, the package is missing, no
+    scheduler answers within 10 s, no worker has joined after 60 s, or one runs another version.
     """
     place = spec.partition(":")[2]
-    n_workers = _workers_of(spec, place)
+    host, colon, port = place.partition("://")[2].rpartition(":")
+    is_port = port.isascii() and port.isdecimal() and 0 < int(port[:9]) < 65536
+    if not (place.startswith(SCHEMES) and host and colon and is_port):
+        raise SettingsError(f"--executor {spec}: expected {FORMS}")
     try:
         distributed: Any = import_module("distributed")
     except ImportError as error:
@@ -84,11 +77,7 @@ def make_dask_executor(spec: str) -> DaskExecutor:
         # Versions are compared below, in one line.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            if n_workers:
-                return _started(distributed, spec, n_workers)
             client = distributed.Client(place, timeout=CONNECT_S, set_as_default=False)
-    except SettingsError:
-        raise
     except OSError as error:
         raise SettingsError(
             f"--executor {spec}: no Dask scheduler answers at {place} within {CONNECT_S:g} s"
@@ -101,55 +90,6 @@ def make_dask_executor(spec: str) -> DaskExecutor:
         client.close()
         raise
     return DaskExecutor(client)
-
-
-def _workers_of(spec: str, place: str) -> int:
-    """Number of workers to start; 0 for the address of a scheduler."""
-    kind, colon, number = place.partition(":")
-    if kind == "local":
-        if not colon:
-            return len(os.sched_getaffinity(0))
-        if number.isascii() and number.isdecimal() and 1 <= int(number[:9]) <= MAX_WORKERS:
-            return int(number)
-        raise SettingsError(f"--executor {spec}: expected 1..{MAX_WORKERS} workers")
-    if place.startswith(SCHEMES):
-        host, colon, port = place.partition("://")[2].rpartition(":")
-        if host and colon and port.isascii() and port.isdecimal() and 0 < int(port[:9]) < 65536:
-            return 0
-    raise SettingsError(f"--executor {spec}: expected {FORMS}")
-
-
-def _started(distributed: Any, spec: str, n_workers: int) -> DaskExecutor:
-    """Start a cluster of this host.
-
-    Without keys any user of this host could have code run by its scheduler.
-    """
-    for name in SINGLE_THREADED:
-        os.environ.setdefault(name, "1")
-    try:
-        security = distributed.Security.temporary()
-    except ImportError as error:
-        raise SettingsError(
-            f"--executor {spec}: needs the package cryptography; pip install 'sparseskin[scale]'"
-        ) from error
-    cluster = distributed.LocalCluster(
-        n_workers=n_workers,
-        threads_per_worker=1,
-        processes=True,
-        memory_limit=0,
-        dashboard_address=None,
-        worker_dashboard_address=None,
-        security=security,
-        protocol="tls://",
-        host="127.0.0.1",
-        silence_logs=logging.CRITICAL,
-    )
-    try:
-        client = distributed.Client(cluster, timeout=CONNECT_S, set_as_default=False)
-    except BaseException:
-        cluster.close()
-        raise
-    return DaskExecutor(client, cluster)
 
 
 def versions_here() -> dict[str, str]:

@@ -28,7 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default = "" if key.default is None else f" (default: {key.default})"
         about = f"{key.about}{default}"
         parser.add_argument(f"--{name}", metavar=key.form, help=about)
-    about = "write a page, charts and tables here; needs the extra charts"
+    about = "write a page, a chart and tables here; needs the extra charts"
     parser.add_argument("--out", metavar="DIR", type=Path, help=about)
     about = "strategies of the table, with commas between them (default: all)"
     parser.add_argument("--only", metavar="NAMES", help=about)

@@ -1,4 +1,4 @@
-"""The page of a design, as studies write theirs: tables and charts in Markdown, and a CSV file."""
+"""The page of a design, as studies write theirs: tables and a chart in Markdown, and a CSV file."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from sparseskin.studies.report import Page
 
 from . import text
 from .budget import STAGES, Row
-from .charts import draw_accuracy, draw_rates
+from .charts import draw_accuracy
 from .models.costs import DENSE, HOP_S, stored
 from .models.rigs import RIGS
 from .spec import KEYS, Design
 
 
 def write_page(out: Path, rows: Sequence[Row], design: Design) -> Path:
-    """Write `design.md`, its charts as PNG and SVG, and `rows.csv` into an existing folder.
+    """Write `design.md`, its chart as PNG and SVG, and `rows.csv` into an existing folder.
     Raises StudyError if a file cannot be written.
     """
     page = Page(out, "design", Path(__file__).with_suffix(".md"), False, "design")
@@ -29,8 +29,7 @@ def write_page(out: Path, rows: Sequence[Row], design: Design) -> Path:
     page.section("Strategies", table, "\n".join(f"- {line}" for line in text.legend(rows)))
     broken = [(", ".join(names), line) for line, names in text.first_breaks(rows, design)]
     page.section("What breaks first", pd.DataFrame(broken, columns=["strategies", "limit"]))
-    charts = (draw(out, rows, design) for draw in (draw_rates, draw_accuracy))
-    page.section("Charts", *(chart.markdown for chart in charts))
+    page.section("Chart", draw_accuracy(out, rows, design).markdown)
     latencies = [(row.strategy.name, *_latencies(row)) for row in rows]
     columns = ["strategy", *STAGES, "process to process", "sum"]
     page.section("Latency of a frame, ms", pd.DataFrame(latencies, columns=columns))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean, suggestion
 from sparseskin.plugins.boards.board import Board, naming_board
-from sparseskin.plugins.boards.readings import Layout
 from sparseskin.plugins.boards.settings import read_settings, split_source
 from sparseskin.plugins.boards.source import BoardSource
 from sparseskin.plugins.boards.udp_port import check_udp
@@ -44,10 +45,8 @@ def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Boar
         if kind == "udp":
             check_udp(address)
     framing = framing_of(description)
-    # A payload is taken whole: the layout is not used.
-    n = framing.payload_bytes
-    layout = Layout(1, n, "uint8", "little", "rows", [0], list(range(n)))
-    return Board(name, kind, address, settings, layout, framing, skin)
+    # A payload is taken whole: nothing is decoded.
+    return Board(name, kind, address, settings, lambda _: np.empty(0), framing, skin)
 
 
 class EdgeWire(BoardSource):

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.sources import find_address
 from sparseskin.plugins.boards.board import Board, describe_board
-from sparseskin.plugins.boards.readings import DTYPES, Decoder, Layout
+from sparseskin.plugins.boards.readings import DTYPES, Decoder
 from sparseskin.plugins.boards.settings import profile_names, read_profile
 
 PLAIN = "rows=2&cols=3&start=AA55"
@@ -28,7 +28,7 @@ class TestProfiles:
     def test_every_profile_is_complete_with_rows_and_columns(self) -> None:
         for name in profile_names():
             board = serial(f"profile={name}&rows=4&cols=5")
-            assert board.framing.is_whole(board.framing.encode(bytes(board.layout.n_bytes)))
+            assert board.framing.is_whole(board.framing.encode(bytes(board.framing.payload_bytes)))
 
     def test_the_query_goes_before_the_profile(self) -> None:
         assert serial("profile=flexitac_16x32&rows=8&baud=9600").skin.shape == (8, 32)
@@ -42,7 +42,7 @@ class TestProfiles:
         board = serial(f"profile={path}")
         assert (board.skin.shape, board.skin.unit, board.skin.f_max) == ((2, 3), "N", 127.5)
         assert board.skin.pitch_m == pytest.approx(0.004)
-        assert board.layout.row_order == [1, 0]
+        assert board.decode(bytes([0, 1, 2, 3, 4, 5])).tolist() == [[1.5, 2, 2.5], [0, 0.5, 1]]
 
     @pytest.mark.parametrize(
         ("text", "fault"),
@@ -150,7 +150,7 @@ class TestReadings:
     def test_each_count_comes_to_its_taxel(
         self, dtype: str, byte_order: str, order: str, rows: list[int], cols: list[int], seed: int
     ) -> None:
-        layout = Layout(3, 4, dtype, byte_order, order, rows, cols, scale=0.25, zero=3)
+        decoder = Decoder(dtype, byte_order, order, rows, cols, scale=0.25, zero=3)
         counts = np.random.default_rng(seed).integers(0, 100, (3, 4))
         kind = np.dtype(dtype).newbyteorder("<" if byte_order == "little" else ">")
         sent = bytearray()
@@ -159,6 +159,6 @@ class TestReadings:
             for j in range(inner):
                 row, col = (k, j) if order == "rows" else (j, k)
                 sent += np.array(counts[rows[row], cols[col]], kind).tobytes()
-        readings = Decoder(layout)(bytes(sent))
+        readings = decoder(bytes(sent))
         assert readings.dtype == np.float32
         np.testing.assert_array_equal(readings, (counts - 3) * 0.25)

@@ -143,7 +143,6 @@ def test_a_topic_that_nobody_publishes_is_one_line() -> None:
         ("ros2:/a?domian=3", "did you mean 'domain'"),
         ("ros2:/a?domain=x", "domain: 'x' is no whole number"),
         ("ros2:/a?domain=300", "outside 0..232"),
-        ("ros2:/a?timeout_s=-1", "outside 0..86400"),
         ("ros2:/a?timeout_s=nan", "outside 0..86400"),
     ],
 )
@@ -173,16 +172,13 @@ IMAGE = cdr.image((3, 4), "skin", forces(0))
 ARRAY = cdr.array(forces(0))
 
 
-def test_what_is_written_is_read() -> None:
-    received = cdr.read_image(IMAGE)
-    assert received.stamp_ns == 3_000_000_004
-    assert np.array_equal(received.values, forces(0))
-    assert np.array_equal(cdr.read_array(ARRAY).values, forces(0))
-
-
 @given(st.binary(max_size=200), st.booleans(), st.data())
-def test_hostile_bytes_are_refused_or_read(data: bytes, begins: bool, draw: st.DataObject) -> None:
+def test_what_is_written_is_read_and_hostile_bytes_are_refused_or_read(
+    data: bytes, begins: bool, draw: st.DataObject
+) -> None:
+    assert cdr.read_image(IMAGE).stamp_ns == 3_000_000_004
     for whole, read in ((IMAGE, cdr.read_image), (ARRAY, cdr.read_array)):
+        assert np.array_equal(read(whole).values, forces(0))
         mutated = bytearray(whole)
         at = draw.draw(st.integers(0, len(whole) - 1))
         mutated[at : at + len(data)] = data
