@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence as Items
 from itertools import pairwise
-from typing import ClassVar
 
 import pytest
 from hypothesis import given, settings
@@ -51,9 +50,9 @@ plain_payloads = st.lists(
 )
 
 
-class TestChecksums:
-    #: The check values of the catalogue of CRCs: of the ASCII digits 1 to 9.
-    CHECK: ClassVar = {
+def test_a_checksum_of_the_digits_is_that_of_the_catalogue() -> None:
+    # The check values of the catalogue of CRCs: of the ASCII digits 1 to 9.
+    assert {name: one.compute(b"123456789") for name, one in CHECKSUMS.items()} == {
         "crc8": 0xF4,
         "crc8_maxim": 0xA1,
         "crc16": 0x29B1,
@@ -65,10 +64,6 @@ class TestChecksums:
         "xor8": 0x31,
         "none": 0,
     }
-
-    @pytest.mark.parametrize("name", CHECKSUMS)
-    def test_a_checksum_of_the_digits_is_that_of_the_catalogue(self, name: str) -> None:
-        assert CHECKSUMS[name].compute(b"123456789") == self.CHECK[name]
 
 
 framings = st.builds(
@@ -172,28 +167,18 @@ def damaged(pieces: list[bytes], data: st.DataObject, safe: bool) -> list[bytes]
 
 
 class TestWithErrors:
+    @pytest.mark.parametrize("framing", [PLAIN, WITH_CRC], ids=["plain", "crc32"])
     @few
-    @given(payloads=payloads, cuts=cuts, data=st.data())
-    def test_with_a_crc_no_false_frame_whatever_happens_to_the_bytes(
-        self, payloads: list[bytes], cuts: list[int], data: st.DataObject
+    @given(cuts=cuts, data=st.data())
+    def test_no_false_frame_with_a_crc_whatever_happens_and_without_after_lost_or_extra_bytes(
+        self, framing: Framing, cuts: list[int], data: st.DataObject
     ) -> None:
-        sent = [WITH_CRC.encode(p, k) for k, p in enumerate(payloads)]
-        stream = b"".join(damaged(sent, data, safe=False))
-        frames, parser = parsed(WITH_CRC, cut(stream, cuts))
-        assert is_subsequence([WITH_CRC.encode(f.payload, f.sequence or 0) for f in frames], sent)
-        used = parser.counts.frames * WITH_CRC.n_bytes
-        assert len(stream) == used + parser.counts.dropped_bytes + parser.n_waiting
-
-    @few
-    @given(payloads=plain_payloads, cuts=cuts, data=st.data())
-    def test_without_a_checksum_no_false_frame_after_lost_or_extra_bytes(
-        self, payloads: list[bytes], cuts: list[int], data: st.DataObject
-    ) -> None:
-        sent = [PLAIN.encode(p) for p in payloads]
-        stream = b"".join(damaged(sent, data, safe=True))
-        frames, parser = parsed(PLAIN, cut(stream, cuts))
-        assert is_subsequence([frame.payload for frame in frames], payloads)
-        used = parser.counts.frames * PLAIN.n_bytes
+        held = data.draw(payloads if framing.is_strong else plain_payloads)
+        sent = [framing.encode(p, k) for k, p in enumerate(held)]
+        stream = b"".join(damaged(sent, data, safe=not framing.is_strong))
+        frames, parser = parsed(framing, cut(stream, cuts))
+        assert is_subsequence([framing.encode(f.payload, f.sequence or 0) for f in frames], sent)
+        used = parser.counts.frames * framing.n_bytes
         assert len(stream) == used + parser.counts.dropped_bytes + parser.n_waiting
 
     @pytest.mark.parametrize("framing", [PLAIN, WITH_CRC], ids=["plain", "crc32"])
@@ -272,17 +257,20 @@ class TestSequence:
             assert sequence.admit(number % modulus)
         assert counts == Counts(missing_frames=sum(gaps))
 
-    def test_a_frame_that_comes_twice_or_late_is_not_used(self) -> None:
+    @pytest.mark.parametrize(
+        ("numbers", "admitted", "n_late"),
+        [
+            ((5, 6, 6, 4, 7), (True, True, False, False, True), 2),
+            ((1000, 1001, 0, 1), (True,) * 4, 0),  # a board that starts again
+        ],
+    )
+    def test_a_frame_that_comes_twice_or_late_is_not_used(
+        self, numbers: Items[int], admitted: Items[bool], n_late: int
+    ) -> None:
         counts = Counts()
         sequence = Sequence(2, counts)
-        assert [sequence.admit(k) for k in (5, 6, 6, 4, 7)] == [True, True, False, False, True]
-        assert counts == Counts(late_frames=2)
-
-    def test_a_board_that_starts_again_loses_no_frame(self) -> None:
-        counts = Counts()
-        sequence = Sequence(2, counts)
-        assert [sequence.admit(k) for k in (1000, 1001, 0, 1)] == [True] * 4
-        assert counts == Counts()
+        assert tuple(sequence.admit(k) for k in numbers) == admitted
+        assert counts == Counts(late_frames=n_late)
 
 
 class TestPackets:

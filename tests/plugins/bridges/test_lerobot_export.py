@@ -14,6 +14,7 @@ from bags import N_COLS, N_ROWS, PERIOD_NS, frame, make_bag, skin_state
 pytest.importorskip("pyarrow", reason="pyarrow is not installed")
 from sparseskin.launch.commands.cli import main
 from sparseskin.messages import Reconstruction
+from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.plugins.bridges.exports.lerobot import export_lerobot
 
@@ -142,3 +143,11 @@ def test_other_maps_have_names_of_their_own(bag: Path, tmp_path: Path) -> None:
         export_lerobot(reader, tmp_path / "o", ["/skin/truth", "/skin/taxels"], fps=10, window=1)
     features = Dataset(tmp_path / "o").info["features"]
     assert {"observation.tactile.skin_truth", "observation.tactile.skin_taxels"} <= set(features)
+
+
+def test_without_frames_there_is_nothing_to_export(tmp_path: Path) -> None:
+    bag = tmp_path / "none.mcap"
+    make_bag(bag, frame(0)[2:3])  # measurements alone
+    with BagReader(bag) as reader, pytest.raises(BagError, match="neither reconstructions nor"):
+        export_lerobot(reader, tmp_path / "o")
+    assert not (tmp_path / "o").exists()

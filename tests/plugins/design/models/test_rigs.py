@@ -19,16 +19,3 @@ def test_a_flexitac_is_limited_by_its_converter_and_its_line_allows_389_hz() -> 
     assert line.predicted_hz == pytest.approx(389.1, abs=0.1)
     # 16 MHz / 16 / 13 clocks are 76,923 conversions a second, of 512 taxels
     assert (whole.limit, whole.predicted_hz) == ("ADC", pytest.approx(76_923 / 512, rel=1e-4))
-
-
-def test_both_rates_of_acts_follow_from_one_time_a_reading() -> None:
-    raster, few = (rig for rig in RIGS if rig.name.startswith("ACTS"))
-    assert few.predicted_hz / raster.predicted_hz == pytest.approx(16)
-    assert few.published_hz / raster.published_hz == pytest.approx(16, rel=0.02)
-
-
-def test_the_torso_of_the_icub_is_limited_by_its_converters() -> None:
-    icub = RIGS[-1]
-    # 128 messages of 135 bits at 1 Mbit/s
-    assert icub.stage_hz["bus"] == pytest.approx(1e6 / (128 * 135))
-    assert icub.stage_hz["ADC"] == pytest.approx(1 / 36.864e-3)
