@@ -98,7 +98,8 @@ class BoardSettings(Settings):
                     f"reversed, or each of 0..{n - 1} once, with commas"
                 )
             orders.append(order)
-        return Decoder(self.dtype, self.byte_order, self.order, *orders, self.scale, self.zero)
+        rows, cols = orders
+        return Decoder(self.dtype, self.byte_order, self.order, rows, cols, self.scale, self.zero)
 
     def range(self) -> float:
         """Upper end of the range; SourceError if it is not known."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from sparseskin.messages import Message, Resultant, SkinState
 from sparseskin.messages.topics import topic_of
@@ -59,7 +59,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
                 host=settings.host,
                 port=settings.port,
                 capabilities=[foxglove.Capability.Time],
-                server_listener=self._listener,
+                server_listener=cast(Any, self._listener),  # it needs no other methods
                 context=self._own,
                 message_backlog_size=BACKLOG,
             )

@@ -46,7 +46,7 @@ def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Boar
             check_udp(address)
     framing = framing_of(description)
     # A payload is taken whole: nothing is decoded.
-    return Board(name, kind, address, settings, lambda _: np.empty(0), framing, skin)
+    return Board(name, kind, address, settings, lambda _: np.empty(0, np.float32), framing, skin)
 
 
 class EdgeWire(BoardSource):

@@ -94,7 +94,7 @@ class Can(Bus):
         return (stuffed + (stuffed - 1) // 4 + 13) / self.bit_s
 
 
-FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+FD_LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Lengths of the data field of a CAN FD frame. Source: ISO 11898-1:2015."""
 
 
