@@ -12,7 +12,7 @@ from sparseskin.nodes.lookup import did_you_mean
 
 from .can_chunks import HIGHEST_STANDARD_ID, Assembler, chunks_of
 from .framing import Counts, FrameParser, Framing, PacketParser
-from .ports import Arrived, needed_module
+from .ports import Arrived, Port, needed_module
 from .settings import CanSettings
 
 CAN_TYPE = "280"
@@ -23,18 +23,18 @@ MAX_MESSAGES = 1024
 """CAN frames of one call at most; chosen, so that a flood ends."""
 
 
-class CanPort:
+class CanPort(Port):
     """Frames spread over the frames of a CAN bus."""
 
     def __init__(
         self, address: str, settings: CanSettings, framing: Framing, counts: Counts
     ) -> None:
-        self.address, self._settings = address, settings
+        super().__init__(address, settings, framing, counts)
         self._chunks = chunks_of(settings, framing)
         self._assembler = Assembler(self._chunks, counts)
         parser = FrameParser if self._chunks.is_stream else PacketParser
         self._parser: FrameParser | PacketParser = parser(framing, counts)
-        self.n_bytes = self._n_errors = 0
+        self._n_errors = 0
         self._bus: Any = None
 
     def open(self) -> None:

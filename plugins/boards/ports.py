@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import importlib
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable
 from itertools import pairwise
 from types import ModuleType
-from typing import Protocol
+from typing import Any
 
 from sparseskin.nodes.errors import NotHereError
 
-from .framing import Frame, Framing
+from .framing import Counts, Frame, Framing
 
 MAX_READS = 64
 """Reads of one call at most; chosen, so that a flood ends."""
@@ -21,7 +22,7 @@ Arrived = tuple[int, Frame]
 """Time of arrival on the monotonic clock, nanoseconds; the frame."""
 
 
-class Port(Protocol):
+class Port(ABC):
     """A port with the parser of its frames.
 
     Attributes
@@ -30,27 +31,29 @@ class Port(Protocol):
         Bytes received since it was made.
     """
 
-    n_bytes: int
+    def __init__(self, address: str, settings: Any, framing: Framing, counts: Counts) -> None:
+        self.address, self._settings = address, settings
+        self.n_bytes = 0
 
+    @abstractmethod
     def open(self) -> None:
         """Open the device; SourceError if it cannot be."""
-        ...
 
+    @abstractmethod
     def receive(self, wait_s: float) -> list[Arrived]:
         """Frames that came; none after `wait_s` without any. OSError if the device is gone."""
-        ...
 
+    @abstractmethod
     def close(self) -> None:
         """Close the device; may be called more than once."""
-        ...
 
+    @abstractmethod
     def lost(self) -> dict[str, int]:
         """What kernel and driver have dropped, by its name."""
-        ...
 
+    @abstractmethod
     def hint(self) -> str:
         """What the bytes show that came last, where no frame was among them; "" for nothing."""
-        ...
 
 
 def needed_module(name: str, package: str, extra: str) -> ModuleType:

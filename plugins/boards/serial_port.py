@@ -18,7 +18,7 @@ from sparseskin.nodes.errors import NotHereError, SourceError
 from sparseskin.nodes.lookup import did_you_mean
 
 from .framing import Counts, FrameParser, Framing
-from .ports import MAX_READS, READ_BYTES, Arrived, hint_of_stream, needed_module
+from .ports import MAX_READS, READ_BYTES, Arrived, Port, hint_of_stream, needed_module
 from .settings import SerialSettings, fitting_profile
 
 TIOCGICOUNT = 0x545D
@@ -27,15 +27,14 @@ DEVICES = ("ttyUSB*", "ttyACM*", "ttyAMA*", "rfcomm*", "cu.usb*")
 """Names in /dev of serial ports that a board may be at: USB, the pins of small computers, radio."""
 
 
-class SerialPort:
+class SerialPort(Port):
     """A stream of bytes from a serial port."""
 
     def __init__(
         self, address: str, settings: SerialSettings, framing: Framing, counts: Counts
     ) -> None:
-        self.address, self._settings = address, settings
+        super().__init__(address, settings, framing, counts)
         self.parser = FrameParser(framing, counts)
-        self.n_bytes = 0
         self._port: Any = None
         self._arrivals: deque[tuple[int, int]] = deque(maxlen=4096)  # end in the stream, time
         self._overruns = 0

@@ -10,7 +10,7 @@ import time
 from sparseskin.nodes.errors import SourceError
 
 from .framing import Counts, Framing, PacketParser
-from .ports import MAX_READS, READ_BYTES, Arrived
+from .ports import MAX_READS, READ_BYTES, Arrived, Port
 from .settings import UdpSettings
 
 RECEIVE_BUFFER_BYTES = 1 << 22
@@ -19,15 +19,14 @@ SO_RXQ_OVFL = 40
 """Linux: with a packet the kernel states how many it has dropped. Source: asm-generic/socket.h."""
 
 
-class UdpPort:
+class UdpPort(Port):
     """Packets of whole frames at a UDP port."""
 
     def __init__(
         self, address: str, settings: UdpSettings, framing: Framing, counts: Counts
     ) -> None:
-        self.address, self._settings = address, settings
+        super().__init__(address, settings, framing, counts)
         self._parser = PacketParser(framing, counts)
-        self.n_bytes = 0
         self._socket: socket.socket | None = None
         self._n_dropped = self._n_strangers = self._last_bytes = 0
 

@@ -1,4 +1,4 @@
-"""Forces as grey levels of an 8-bit PNG, and back.
+"""Forces as grey levels of an 8-bit PNG.
 
 Source of the format: ISO/IEC 15948 (PNG), colour type 0.
 """
@@ -27,11 +27,6 @@ def greys(forces: Floats, full_scale: float) -> Greys:
     """
     levels: Greys = np.rint(np.clip(forces / full_scale, 0.0, 1.0) * LEVELS).astype(np.uint8)
     return levels
-
-
-def forces_of(grey: Greys, full_scale: float) -> Floats:
-    """Forces of grey levels; within full_scale / 510 of those below full_scale."""
-    return (grey * np.float32(full_scale / LEVELS)).astype(np.float32)
 
 
 def png(grey: Greys) -> bytes:

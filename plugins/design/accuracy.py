@@ -22,7 +22,6 @@ from sparseskin.nodes.sensor.sources import forms, open_source
 from sparseskin.nodes.tasks.computed import computed
 
 from .budget import Accuracy, Row
-from .models.wires import reads_single
 from .simulation import (
     F_MAX_N,
     FEW_SCENES,
@@ -77,7 +76,7 @@ def simulated(
             "strategy": row.strategy,
             "mask": mask,
             "noise": design.noise,
-            "bits": design.adc.bits if reads_single(row.strategy) else design.bits,
+            "bits": design.adc.bits if row.strategy.reads_single else design.bits,
             "rate_hz": row.reached_hz,
             "seed": seed,
             "scene": scene,

@@ -11,7 +11,7 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.plugins.edge.description import CRC_BYTES, HEADER_BYTES
 
 from .models.costs import HOP_S, LARGEST, cost
-from .models.wires import Wires, reads_single, wires_of
+from .models.wires import Wires, wires_of
 from .spec import Design
 from .strategies import STRATEGIES, Strategy
 
@@ -157,7 +157,7 @@ def row_of(strategy: Strategy, design: Design) -> Row:
     m = strategy.m(n, design.n_rows)
     wires = wires_of(strategy, design)
     sent = frame_bytes(strategy, design)
-    sums = 0 if reads_single(strategy) else m
+    sums = 0 if strategy.reads_single else m
     patches = -(-n // LARGEST)
     host = cost(strategy.name, -(-n // patches))
     stage_s = {
@@ -189,6 +189,6 @@ def frame_bytes(strategy: Strategy, design: Design) -> int:
     for each of the about N / 3 nodes of its tree.
     """
     n = design.n_taxels
-    bits = design.adc.bits if reads_single(strategy) else design.bits
+    bits = design.adc.bits if strategy.reads_single else design.bits
     choice = n_bytes(-(-n // 3), 2) if strategy.phi == "adaptive" else 0
     return HEADER_BYTES + CRC_BYTES + n_bytes(strategy.m(n, design.n_rows), bits) + choice

@@ -40,6 +40,11 @@ class Strategy:
     sums: str
     label: str
 
+    @property
+    def reads_single(self) -> bool:
+        """True if each measurement is one taxel, with the bits of the converter."""
+        return self.sums == SINGLE
+
     def m(self, n_taxels: int, n_rows: int | None = None) -> int:
         """Number of measurements M of a frame.
 

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from .budget import STAGES, Accuracy, Row
 from .models.edge import instructions
 from .models.rigs import RIGS
-from .models.wires import reads_single
 from .spec import Design
 
 
@@ -68,7 +67,7 @@ def breaks(row: Row, design: Design, stage: str | None = None) -> str:
     if stage == "bus":
         return f"bus: {row.n_bytes} bytes take {ms} ({design.bus.label}): {rate}"
     if stage == "edge":
-        sums = 0 if reads_single(row.strategy) else row.m
+        sums = 0 if row.strategy.reads_single else row.m
         work = f"{instructions(row.wires.conversions, sums, row.n_bytes):,} instructions take {ms}"
         if design.edge.clock_hz is None:
             work = f"{ms} a frame"

@@ -14,7 +14,7 @@ from sparseskin.nodes.compressor.quantiser import SMALLEST
 from sparseskin.nodes.files import whole_folder
 
 from .description import EdgeDescription
-from .twin import check_counts, compressed, fnv1a
+from .frames import Counts, compressed
 
 DESCRIPTION = "edge.toml"
 COPIED = (
@@ -149,3 +149,30 @@ def _array(items: Iterable[str]) -> str:
             line = "    "
         line += f"{item}, "
     return "{\n" + "\n".join([*lines, line.rstrip().rstrip(",")]) + "}"
+
+
+def check_counts(description: EdgeDescription, k: int) -> Counts:
+    """Return the counts of test frame k, uint16 (n_rows, n_cols), as `edge_check.c` makes them."""
+    d = description
+    counts = np.zeros(d.n_cells, dtype=np.uint16)
+    if k == 1:
+        counts[:] = d.full_scale
+    elif k == 2:
+        counts[d.cells[0]] = 1
+    elif k > 2:
+        state = 2463534242 + k
+        for i in range(d.n_cells):
+            state ^= (state << 13) & 0xFFFFFFFF
+            state ^= state >> 17
+            state ^= (state << 5) & 0xFFFFFFFF
+            if k & 1 or state >> 28 == 0:
+                counts[i] = state & d.full_scale
+    return counts.reshape(d.n_rows, d.n_cols)
+
+
+def fnv1a(data: bytes) -> int:
+    """Return the 32-bit FNV-1a hash of bytes."""
+    value = 0x811C9DC5
+    for byte in data:
+        value = (value ^ byte) * 0x01000193 & 0xFFFFFFFF
+    return value

@@ -1,18 +1,24 @@
-"""Frames of an edge on the wire: start, sequence number, Phi, step, codes, CRC-16."""
+"""Frames of an edge on the wire: start, sequence number, Phi, step, codes, CRC-16.
+
+`compressed` is the edge in Python: the bytes that its program sends, by the compressor's own Phi.
+"""
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages.quantised import Quantised, largest_code, packed, unpacked
+from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.plugins.boards.framing import Framing
 
 from .description import EdgeDescription
 
+Counts = npt.NDArray[np.uint16]
 _HEAD = struct.Struct("<If")
 
 
@@ -60,6 +66,27 @@ def frame_bytes(description: EdgeDescription, seq: int, phi: str, y: Quantised) 
     """
     head = _HEAD.pack(int(phi[:8], 16), y.step)
     return framing_of(description).encode(head + packed(y.codes(), description.bits), seq)
+
+
+def compressed(description: EdgeDescription, frames: Iterable[Counts]) -> Iterator[bytes]:
+    """Yield the bytes that the edge sends for successive frames of counts.
+
+    Sums of counts are exact in float32, so that they are the same in integers. The float32
+    operations that follow (a product with 1 / sqrt(B), two quotients) are rounded as IEEE 754
+    states, which the program does in integers.
+
+    Parameters
+    ----------
+    description : EdgeDescription
+    frames : iterable of ndarray of uint16, shape (n_rows, n_cols)
+        Counts; those above full scale are read as full scale.
+    """
+    subsets = description.subsets
+    for seq, counts in enumerate(frames):
+        phi = subsets[seq % len(subsets)]
+        given = np.minimum(counts.reshape(-1)[description.cells], description.full_scale)
+        y = quantised(phi.forward(given.astype(np.float32)), description.bits)
+        yield frame_bytes(description, seq, phi.fingerprint, y)
 
 
 def tag_of(payload: bytes) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
@@ -13,7 +12,6 @@ import numpy as np
 
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.ranges import is_real
-from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.sensor.files.parsed import check_grid, check_stated_shape
@@ -189,14 +187,3 @@ def bears_load(model: Any, pad: Pad) -> bool:
     """True if a geom of the skin's body collides, so that MuJoCo's contact bears the load."""
     own = model.geom_bodyid == pad.body
     return bool(np.any(own & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))))
-
-
-def skin_of_pad(pad: Pad, f_max: float | None) -> Skin:
-    """The skin, in newtons."""
-    return Skin(*pad.shape, f_max=PAPER_F_MAX_N if f_max is None else f_max, pitch_m=pad.pitch_m)
-
-
-def name_of(source: str) -> str:
-    """Name for summaries: file without suffix, and site."""
-    path, site = split_address(source)
-    return re.sub(r"[^\x20-\x7e]", "?", f"{Path(path).stem}#{site}")[:200]

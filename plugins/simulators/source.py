@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.sensor.files.parsed import check_stated_shape
 from sparseskin.nodes.sensor.source import Address, Source
 
-from .model import check_model, find_pad, load_model, name_of, skin_of_pad, split_address
+from .model import check_model, find_pad, load_model, split_address
 from .touch import Touch
 
 RATE_HZ = 1000.0
@@ -65,8 +67,9 @@ class MujocoSource(Source):
         self.model = load_model(self.path)
         self.pad = find_pad(self.model, site, self.path)
         check_stated_shape(*self.pad.shape, n_rows, n_cols, source)
-        self.name = name_of(source)
-        self.skin = skin_of_pad(self.pad, f_max)
+        self.name = re.sub(r"[^\x20-\x7e]", "?", f"{Path(self.path).stem}#{site}")[:200]
+        f_max = PAPER_F_MAX_N if f_max is None else f_max
+        self.skin = Skin(*self.pad.shape, f_max=f_max, pitch_m=self.pad.pitch_m)
         self._schedule = None if control is not None else _schedule(self.model)
         self._control = control
         self._every = max(1, round(1.0 / (RATE_HZ * self.model.opt.timestep)))

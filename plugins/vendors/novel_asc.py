@@ -48,11 +48,6 @@ class _Grid(NamedTuple):
     pitch_m: float | None
 
 
-def is_novel_asc(raw: bytes) -> bool:
-    """True if the content begins as an export of pliance or pedar does."""
-    return raw.startswith(b"file name:") and b"scanning rate [Hz]" in raw[:4096]
-
-
 class PlianceRecording(Recording):
     """A pliance export; frames are the lines below `time[secs]` whose first cell is a number.
 
@@ -112,7 +107,8 @@ class PlianceRecording(Recording):
 def _head(lines: list[str], name: str) -> tuple[float, list[str], int]:
     """Rate, numbers of the sensors, and the index of the first line of readings."""
     top = lines[:_HEAD_LINES]
-    if not is_novel_asc("\n".join(top).encode("latin-1")):
+    text = "\n".join(top)
+    if not (text.startswith("file name:") and "scanning rate [Hz]" in text):
         raise SourceError(f"{name}: no line 'scanning rate [Hz]:'; not a pliance or pedar export")
     rate = next((match[1] for line in top if (match := _RATE.search(line))), "none")
     rate_hz = parse_number(rate, f"{name}, scanning rate", 1e-6, 1e6)

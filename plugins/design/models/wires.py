@@ -13,7 +13,7 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.local import WIRED_BLOCK, LocalSbhePhi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.plugins.design.spec import Design
-from sparseskin.plugins.design.strategies import ANALOG, DIGITAL, SINGLE, Strategy
+from sparseskin.plugins.design.strategies import ANALOG, DIGITAL, Strategy
 from sparseskin.plugins.wiring.model import Wiring, array_wiring, sbhe_wiring
 
 MOST_STAR = 4096
@@ -42,11 +42,6 @@ class Wires:
     conversions: int
 
 
-def sums_of(strategy: Strategy, design: Design) -> str:
-    """Where the sums of a strategy are made: SBHE as the design states, others as they are."""
-    return design.sums if strategy.phi == "sbhe" else strategy.sums
-
-
 def wires_of(strategy: Strategy, design: Design) -> Wires:
     """Return the wires of a strategy.
 
@@ -56,7 +51,7 @@ def wires_of(strategy: Strategy, design: Design) -> Wires:
     """
     n = design.n_taxels
     m = strategy.m(n, design.n_rows)
-    sums = sums_of(strategy, design)
+    sums = design.sums if strategy.phi == "sbhe" else strategy.sums
     conversions = n if sums == DIGITAL or strategy.phi == "full" else m
     if sums == ANALOG and strategy.phi != "row_local":
         if design.n_rows is None or design.n_cols is None or n > MOST_STAR:
@@ -80,8 +75,3 @@ def _star(kind: str, n_rows: int, n_cols: int) -> Wiring:
     if isinstance(phi, LocalSbhePhi):
         phi.lay_out(exists)
     return sbhe_wiring(phi, exists)
-
-
-def reads_single(strategy: Strategy) -> bool:
-    """True if each measurement is one taxel, with the bits of the converter."""
-    return strategy.sums == SINGLE

@@ -20,7 +20,7 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context
 from sparseskin.plugins.bridges.lerobot import LeRobotBridge, LeRobotSettings
-from sparseskin.plugins.bridges.png import forces_of, greys, png
+from sparseskin.plugins.bridges.png import greys, png
 
 ROWS, COLS = 6, 9
 SKIN = skin_state(n_rows=ROWS, n_cols=COLS, pitch_m=None, mask=None)
@@ -85,7 +85,7 @@ def test_a_camera_of_lerobot_sees_the_newest_reconstruction(bridge: LeRobotBridg
                 got = camera.read("skin", 20)
             image = decoded(got[1])
             assert image.shape == (3 * ROWS, 3 * COLS)
-            back = forces_of(image[::3, ::3], 2.5)
+            back = image[::3, ::3] * (2.5 / 255)
             assert np.abs(back - np.minimum(message.forces[0], 2.5)).max() <= 2.5 / 510 + 1e-6
     finally:
         camera.close()
@@ -102,7 +102,7 @@ def test_a_png_holds_the_grey_levels_of_the_stated_mapping(
     assert levels[forces <= 0].sum() == 0
     assert (levels[forces >= full_scale] == 255).all()
     inside = np.clip(forces, 0, full_scale)
-    assert np.abs(forces_of(levels, full_scale) - inside).max() <= full_scale / 509
+    assert np.abs(levels * (full_scale / 255) - inside).max() <= full_scale / 509
 
 
 def test_frames_between_two_images_are_left_out_and_counted() -> None:

@@ -21,8 +21,7 @@ from sparseskin.messages import Measurements, PhiState, Reconstruction, SkinStat
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.scenes.scenes import open_scene
 from sparseskin.plugins.edge.description import EdgeDescription
-from sparseskin.plugins.edge.frames import read_frame
-from sparseskin.plugins.edge.twin import compressed
+from sparseskin.plugins.edge.frames import compressed, read_frame
 
 pytest.importorskip("serial", reason="pyserial is not installed")
 

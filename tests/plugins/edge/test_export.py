@@ -22,8 +22,7 @@ from sparseskin.nodes.node import Context
 from sparseskin.plugins.boards.framing import FrameParser
 from sparseskin.plugins.edge.description import EdgeDescription
 from sparseskin.plugins.edge.export import COPIED, export
-from sparseskin.plugins.edge.frames import framing_of, read_frame
-from sparseskin.plugins.edge.twin import compressed
+from sparseskin.plugins.edge.frames import compressed, framing_of, read_frame
 
 
 def described(n_rows: int, n_cols: int, ratio: float = 3, holes: bool = False, **more: Any) -> Any:

@@ -21,9 +21,8 @@ from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.plugins.edge.description import EdgeDescription
-from sparseskin.plugins.edge.frames import read_frame
+from sparseskin.plugins.edge.frames import compressed, read_frame
 from sparseskin.plugins.edge.node import Edge
-from sparseskin.plugins.edge.twin import compressed
 
 pytest.importorskip("serial", reason="pyserial is not installed")
 
