@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.launch.attach.text import flowing, table, wrapped
+from sparseskin.launch.attach.text import flowing, table
 
 
 @pytest.fixture(autouse=True)
@@ -23,28 +23,10 @@ def test_columns_are_as_wide_as_what_stands_in_them_and_numbers_flush_right() ->
     ]
 
 
-def test_a_last_column_of_numbers_is_flush_right_too() -> None:
-    assert table(["NODE", "LOST"], [["a", 3], ["b", 1000]], "  ") == [
-        "  NODE  LOST",
-        "  a        3",
-        "  b     1000",
-    ]
-
-
-def test_a_table_without_rows_is_its_head() -> None:
-    assert table(["NODE", "LOST"], []) == ["NODE  LOST"]
-
-
 def test_the_last_column_is_wrapped_under_itself() -> None:
     lines = table(["KEY", "WHAT"], [["key", "many words " * 20]])
     assert all(len(line) <= 80 for line in lines)
     assert all(line.startswith("     many") or line.startswith("     words") for line in lines[2:])
-
-
-def test_further_lines_begin_as_stated() -> None:
-    lines = wrapped("name: ", "word " * 40, "    ")
-    assert all(line.startswith("    word") for line in lines[1:])
-    assert " ".join(" ".join(lines).split()) == "name: " + " ".join(["word"] * 40)
 
 
 @given(st.text(max_size=80))

@@ -166,11 +166,6 @@ def test_where_keys_are_asked_for_it_has_that_of_the_graph(
         TopicStream(guarded.graph, TOPIC)
 
 
-def test_it_ends_after_its_time(publisher: Publisher) -> None:
-    with TopicStream(publisher.graph, TOPIC) as stream:
-        assert [one for arrivals in stream.batches(0.05) for one in arrivals] == []
-
-
 def test_it_ends_with_its_graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path))
     gone = Publisher()

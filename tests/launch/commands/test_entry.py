@@ -71,12 +71,6 @@ def test_code_is_loaded_from_no_folder_of_another_user(
     assert sys.pycache_prefix is None
 
 
-def test_a_stated_folder_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "pycache_prefix", "/stated")
-    entry.keep_bytecode()
-    assert sys.pycache_prefix == "/stated"
-
-
 def test_no_bytecode_is_loaded_from_the_current_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

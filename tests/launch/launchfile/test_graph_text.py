@@ -66,12 +66,6 @@ def test_dot_has_every_node_and_every_topic_on_the_link_of_its_ends(
         assert schema in line.removeprefix(f"/{patch}/ ").split(", ")
 
 
-def test_a_box_has_the_type_of_its_node_and_the_setting_that_tells_it_from_others() -> None:
-    boxes, _ = boxes_and_links(dot_of(load("two_patches")))
-    assert boxes["palm_sensor"] == "palm_sensor\nsensor\nscene:lift_box_64"
-    assert boxes["monitor"] == "monitor"
-
-
 def test_a_host_is_a_box_around_its_nodes(tmp_path: Path) -> None:
     path = tmp_path / "two.toml"
     path.write_text(HOSTS)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.graph_text import graph_text
-from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, bundled_names, load
+from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, load
 from sparseskin.launch.run.restarts import RestartPolicy
 from sparseskin.nodes.process.scheduling import Scheduling
 from sparseskin.nodes.sensor.files.arrays import NpyRecording
@@ -62,21 +62,6 @@ def test_every_scene_has_a_launch_file_that_checks(name: str) -> None:
     assert launch.nodes["sensor"].settings.source == f"scene:{name}"
     assert launch.nodes["compressor"].settings.ratio == 3
     assert launch.nodes["reconstructor"].settings.preset == "skin"
-
-
-def test_all_bundled_files_are_known() -> None:
-    assert bundled_names() == sorted(
-        [
-            *SCENES,
-            "body",
-            "edge",
-            "replay",
-            "replay_measurements",
-            "replay_taxels",
-            "torso",
-            "two_patches",
-        ]
-    )
 
 
 @pytest.mark.parametrize(
@@ -227,21 +212,6 @@ def test_faults_between_nodes_are_found_before_any_starts(check, overrides, line
     assert check(GOOD, *overrides) == [line.format(f"--set {overrides[0]}") for line in lines]
 
 
-@pytest.mark.usefixtures("own_modules")
-@pytest.mark.parametrize(
-    "overrides",
-    [
-        ["compressor.phi=phi_of_check:Own", "reconstructor.phi=phi_of_check:Own"],
-        ["sensor.source=driver_of_check:frames"],
-        ["compressor.ratio=1600"],
-    ],
-)
-def test_what_nodes_can_use_is_not_refused(tmp_path, monkeypatch, overrides) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("f.toml").write_text(GOOD)
-    assert load("f.toml", overrides).links
-
-
 def test_all_faults_of_a_node_are_reported_but_none_that_follows_from_another(check) -> None:
     text = GOOD.replace("iterations = 20", 'depth = -1\nlambda_n = 1\npreset = "papr"\nfast = "no"')
     assert check(text, "compressor.ratio=2000", "compressor.block=33", "sensor.noise=-1") == [
@@ -321,22 +291,6 @@ def test_a_topic_has_one_writer_and_every_reader_has_one(check) -> None:
     assert check(twice) == ["f.toml: second: writes /skin/skin, which sensor writes too"]
     (line,) = check(GOOD.replace('type = "compressor"', 'type = "compressor"\npatch = "left"'))
     assert line.startswith("f.toml: compressor: reads /left/skin, which no node writes")
-
-
-@pytest.mark.parametrize(
-    "text", ["", "x", "nodes = 3", "[nodes]\n", "[nodes]\na = 3", "\x00", "[["]
-)
-def test_what_is_no_launch_file_is_said_in_a_line(check, text: str) -> None:
-    assert len(check(text)) >= 1
-
-
-def test_a_value_is_toml_or_else_a_text_as_it_stands() -> None:
-    launch = load(
-        "path_40", ["sensor.seed=7", "sensor.rate_hz=12.5", "reconstructor.basis=identity"]
-    )
-    assert launch.nodes["sensor"].settings.seed == 7
-    assert launch.nodes["sensor"].settings.rate_hz == 12.5
-    assert launch.nodes["reconstructor"].settings.basis == "identity"
 
 
 @given(st.data())

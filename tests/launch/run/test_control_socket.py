@@ -98,15 +98,6 @@ def line(tmp_path: Path) -> Iterator[Line]:
     line.close()
 
 
-def test_a_request_goes_there_and_its_answer_back(line: Line) -> None:
-    first, second = line.client(), line.client()
-    request = {"id": "1", "node": "sensor", "command": "set", "value": {"noise": 0.5}}
-    assert first.send(request)
-    assert line.receive(first) == [{"answer": {"id": "1"}}]
-    assert line.taken == [request]
-    assert second.receive() == []
-
-
 def test_a_request_may_come_in_pieces(line: Line) -> None:
     client = line.client()
     data = json.dumps({"id": "ä"}, ensure_ascii=False).encode() + b"\n"
@@ -128,18 +119,6 @@ def test_only_watchers_receive_the_state_of_the_graph(line: Line) -> None:
     assert other.receive() == []
     watcher.close()
     wait_until(lambda: (line.loop.serve(), not line.server.watched)[1], "the watcher to leave")
-
-
-def test_who_asks_for_a_description_gets_one_and_no_more(line: Line) -> None:
-    client = line.client()
-    client.send({"describe": None})
-    client.send({"describe": "sensor"})
-    assert line.receive(client, 2) == [
-        {"description": {"of": None}},
-        {"description": {"of": "sensor"}},
-    ]
-    assert not line.server.watched
-    assert line.taken == []
 
 
 @pytest.mark.parametrize(

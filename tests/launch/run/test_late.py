@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-from bags import frame, make_bag, skin_state
 from conftest import StartProgram, wait_until
 
 from sparseskin.launch.run.waiting import (
@@ -140,18 +139,6 @@ def test_what_is_no_player_waits_for_nobody() -> None:
     assert lacks_readers(node, "drag") == ""
 
 
-def test_a_player_in_lockstep_without_a_reader_reports_it_once(
-    start: StartProgram, tmp_path: Any
-) -> None:
-    make_bag(tmp_path / "few.mcap", [skin_state(), *frame(0), *frame(1)])
-    program = start("play", "few.mcap", "--lockstep")
-    told = program.wait_for("[launch] player waits for a reader; ")
-    assert told.endswith("sparseskin monitor --graph few, or sparseskin record --graph few")
-    start("record", "--graph", "few", "--out", "again.mcap").wait_for("[launch] ready")
-    code, _, stderr = program.finish()
-    assert (code, stderr.count("waits for")) == (0, 1)
-
-
 @pytest.mark.slow
 def test_who_holds_up_the_end_is_named_with_what_waits_for_it(start: StartProgram) -> None:
     program = start("launch", "path_40", "--set", "monitor.page=false", limits=True)
@@ -165,18 +152,3 @@ def test_who_holds_up_the_end_is_named_with_what_waits_for_it(start: StartProgra
     program.wait_for("[launch] compressor does not end: SIGKILL")
     program.finish()
     wait_until(lambda: program.survivors() == {}, "the end of all processes")
-
-
-@pytest.mark.slow
-def test_a_driver_that_takes_its_time_is_named(start: StartProgram, tmp_path: Any) -> None:
-    (tmp_path / "slow.py").write_text(
-        "import pathlib\nimport time\nimport numpy as np\ndef frames():\n"
-        "    while not pathlib.Path('is_open').exists(): time.sleep(0.01)\n"
-        "    yield 0, np.zeros((8, 8))\n"
-    )
-    (tmp_path / "g.toml").write_text('[nodes.sensor]\ntype = "sensor"\nsource = "slow:frames"\n')
-    program = start("launch", "g.toml")
-    program.wait_for("[launch] sensor has not started: it imports, or opens its device (5 s)")
-    (tmp_path / "is_open").touch()
-    program.wait_for("[launch] ready")
-    assert program.finish()[1] == ""  # no monitor, no table, not even an empty one

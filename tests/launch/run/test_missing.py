@@ -76,7 +76,3 @@ def test_the_clock_that_is_known_best_is_reported() -> None:
     assert desk["clock_offset_ms"] == pytest.approx(2.5)
     assert desk["clock_uncertainty_ms"] == pytest.approx(0.4)
     assert hosts_state(PART, nodes)["wall"]["clock_offset_ms"] is None
-
-
-def test_a_graph_on_one_host_has_no_others() -> None:
-    assert hosts_state(LaunchFile("one", "", "ipc", {}, []), [node()]) == {}

@@ -133,15 +133,6 @@ def test_the_launcher_answers_for_itself(desk: Desk) -> None:
     assert desk.answers == [{"id": "7", "node": "launch", "done": True, "text": "recording"}]
 
 
-def test_a_request_is_answered_once(desk: Desk) -> None:
-    desk.ask("sensor", "pause")
-    desk.reply("sensor")
-    desk.reply("sensor")
-    desk.now_s += 2 * PATIENCE_S
-    desk.requests.expire()
-    assert len(desk.answers) == 1
-
-
 def test_a_node_that_does_not_answer_is_answered_for(desk: Desk) -> None:
     desk.ask("sensor", "pause")
     desk.now_s += 0.99 * PATIENCE_S

@@ -13,7 +13,7 @@ import pytest
 from conftest import MountDisk, StartProgram
 from other_user import give
 
-from sparseskin.launch.launchfile.load import LaunchError, load
+from sparseskin.launch.launchfile.load import LaunchError
 from sparseskin.launch.run import run_log
 from sparseskin.launch.run.run_log import MARK, RunLog, time_text
 from sparseskin.launch.run.terminal import Terminal
@@ -214,16 +214,6 @@ def test_where_no_home_directory_is_known_the_remedy_is_named(
     monkeypatch.setattr(pwd, "getpwuid", unknown)
     with pytest.raises(SparseskinError, match="no home directory is known; set XDG_STATE_HOME"):
         user_folder("state")
-
-
-def test_the_launch_file_names_a_folder(tmp_path: Path) -> None:
-    text = '[graph]\nlog_dir = {}\n[nodes.sensor]\ntype = "sensor"\n'
-    path = tmp_path / "g.toml"
-    path.write_text(text.format('"logs"'))
-    assert load(str(path)).log_dir == "logs"
-    path.write_text(text.format("3"))
-    with pytest.raises(LaunchError, match=r"g.toml:2: graph.log_dir: expected a text, got 3"):
-        load(str(path))
 
 
 def test_a_run_that_fails_reports_where_its_logs_are(start: StartProgram, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -42,26 +41,6 @@ def test_a_graph_is_found_while_it_runs() -> None:
         assert is_running(graph())
     assert running_graphs() == []
     assert not is_running(graph())
-
-
-def test_a_note_of_a_launcher_that_was_killed_is_cleared_away() -> None:
-    code = (
-        "import os, signal\n"
-        "from tests_running_helper import note\n"
-        "with note():\n"
-        "    os.kill(os.getpid(), signal.SIGKILL)\n"
-    )
-    helper = runtime_folder().parent / "tests_running_helper.py"
-    helper.write_text(
-        "from sparseskin.launch.run.running import RunningGraph, announced\n"
-        "def note(): return announced(RunningGraph('dead', 1, 0, '', {}))\n"
-    )
-    environment = {**os.environ, "PYTHONPATH": str(helper.parent)}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, check=False)
-    assert done.returncode == -9
-    assert list(runtime_folder().iterdir())
-    assert running_graphs() == []
-    assert not list(runtime_folder().iterdir())
 
 
 @pytest.mark.parametrize("dies_in", ["rename", "pwrite", "second pwrite"])

@@ -30,10 +30,3 @@ def test_memory_is_trimmed_after_the_start_and_every_20th_call_while_it_is_grown
             free.trim()
         found.append(len(trims))
     assert found == [1, 1, 2, 3, 3]
-
-
-def test_a_library_without_malloc_trim_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory, "_trim", lambda: None)
-    monkeypatch.setattr(memory, "resident_bytes", lambda _pid: pytest.fail("nothing to look for"))
-    for _ in range(EVERY):
-        FreeMemory().trim()
