@@ -17,7 +17,6 @@ from sparseskin.launch.attach.text import table
 from sparseskin.launch.run.running import GraphError, RunningGraph, choose_graph
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.files import TAKEN, OutputError
-from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.sensor.calibration.fit import Fit, fit
 from sparseskin.nodes.sensor.calibration.frames import (
     PARTS,
@@ -300,7 +299,7 @@ def _wait_for_tare(graph: RunningGraph, name: str) -> str:
         if left == 0:
             return str(state.get("tared", ""))
         if left is None:
-            raise GraphError(f"{name}: has no calibration{did_you_mean(name, ())}")
+            raise GraphError(f"{name}: has no calibration")
         if left != before:
             heard_s, before = time.monotonic(), left
         time.sleep(POLL_S)

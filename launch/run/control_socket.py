@@ -13,7 +13,7 @@ import json
 import os
 import signal
 import socket
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -75,8 +75,7 @@ class ControlClient(Connection):
     def __init__(self, path: str) -> None:
         made = socket.socket(socket.AF_UNIX)
         try:
-            with short_path(path) as short:
-                made.connect(short)
+            made.connect(path)
         except OSError as error:
             made.close()
             raise SparseskinError(f"{path}: no graph listens there: {error.strerror}") from error
@@ -91,16 +90,6 @@ class ControlClient(Connection):
 
     def close(self) -> None:
         self.connection.close()
-
-
-@contextlib.contextmanager
-def short_path(path: str) -> Iterator[str]:
-    """The path by way of its open folder, for the name of a socket has 107 characters at most."""
-    folder = os.open(Path(path).parent, os.O_PATH | os.O_DIRECTORY)
-    try:
-        yield f"/proc/self/fd/{folder}/{Path(path).name}"
-    finally:
-        os.close(folder)
 
 
 MAX_CLIENTS = 32
@@ -128,8 +117,7 @@ class ControlServer:
         self._clients: list[Connection] = []
         self._socket = socket.socket(socket.AF_UNIX)
         Path(path).unlink(missing_ok=True)  # left by a process that had the same number
-        with short_path(path) as short:
-            self._socket.bind(short)
+        self._socket.bind(path)
         os.chmod(path, 0o600)
         self._socket.listen(MAX_CLIENTS)
         self._socket.setblocking(False)

@@ -184,17 +184,6 @@ def test_only_the_user_may_connect(line: Line) -> None:
     assert stat.S_IMODE(Path(line.path).stat().st_mode) == 0o600
 
 
-def test_a_path_may_be_longer_than_a_sockets_name(tmp_path: Path) -> None:
-    folder = tmp_path / ("d" * 100) / ("e" * 100)
-    folder.mkdir(parents=True)
-    line = Line(folder / "graph.sock")
-    client = line.client()
-    client.send({"id": "1"})
-    assert line.receive(client) == [{"answer": {"id": "1"}}]
-    line.close()
-    assert list(folder.iterdir()) == []
-
-
 @pytest.mark.parametrize("name", ["none.sock", "no folder/none.sock", "file", "left.sock"])
 def test_where_nobody_listens_an_error_is_reported(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").touch()
