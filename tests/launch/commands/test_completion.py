@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from argparse import Action, Namespace
 from pathlib import Path
@@ -158,3 +159,26 @@ def test_bash_itself_completes(shell_folder: Path) -> None:
     registered, *found = shell("bash", f"complete -p sparseskin\n{asked}", shell_folder)
     assert registered == "complete -o nospace -F _python_argcomplete sparseskin"
     assert [word.rstrip() for word in found] == list(LINES.values())
+
+
+@pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
+def test_fish_itself_completes(shell_folder: Path) -> None:
+    asked = "".join(f"complete -C 'sparseskin {line}'\n" for line in LINES)
+    found = shell("fish", asked, shell_folder)
+    assert [word.partition("\t")[0] for word in found] == [
+        *("info", "my skin.mcap", "reconstructor.preset=paper", "speed-accuracy")
+    ]
+
+
+@pytest.mark.skipif(shutil.which("zsh") is None, reason="zsh is not installed")
+def test_zsh_takes_the_script_and_completes(shell_folder: Path) -> None:
+    # Words go to _describe, which works at a prompt alone: a function of its name prints them.
+    stand_in = "compdef() {}\n_describe() { print -l -- ${(P)2} }\n"
+    (shell_folder / "c.zsh").write_text(stand_in + (shell_folder / "c.zsh").read_text())
+    asked = "".join(
+        f"BUFFER='sparseskin {line}'; CURSOR=${{#BUFFER}}; words=(sparseskin)\n"
+        "_python_argcomplete\n"
+        for line in ("node in", "launch path_40 --set compressor.bl")
+    )
+    found = shell("zsh", asked, shell_folder)
+    assert [word.partition(":")[0] for word in found] == ["info", "compressor.block="]
