@@ -1,12 +1,11 @@
 """The shape of a MuJoCo model's skin, found in a process of its own.
 
 A model of a few lines may take any time and memory, or end the process. So it is loaded in a child
-whose time and memory are bounded: `python -m sparseskin.plugins.simulators.isolated MODEL#SITE`.
+whose time and memory are bounded: `python -m sparseskin.plugins.simulators.child MODEL#SITE`.
 """
 
 from __future__ import annotations
 
-import resource
 import signal
 import subprocess
 import sys
@@ -18,7 +17,7 @@ START_S, BYTES_PER_S = 60.0, 1e7
 host."""
 MAX_BYTES = 1 << 32
 """Memory that a child may have, interpreter and libraries included; chosen."""
-_REFUSED = 3
+REFUSED = 3
 """Exit status of a child that printed why it refuses the model."""
 
 
@@ -38,7 +37,7 @@ def shape_in_child(address: str, n_bytes: int) -> tuple[int, int]:
         If the model is refused, or the process fails or takes too long.
     """
     # -P: no module of the current directory is imported.
-    command = [sys.executable, "-P", "-m", __name__, address]
+    command = [sys.executable, "-P", "-m", f"{__package__}.child", address]
     limit_s = START_S + n_bytes / BYTES_PER_S
     try:
         done = subprocess.run(
@@ -49,7 +48,7 @@ def shape_in_child(address: str, n_bytes: int) -> tuple[int, int]:
             f"{address}: not read within {limit_s:.0f} s; a damaged or huge file?"
         ) from None
     # The last lines: MuJoCo may have printed before.
-    if done.returncode == _REFUSED:
+    if done.returncode == REFUSED:
         raise SourceError(done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2])
     if done.returncode:
         how = f"failed (status {done.returncode})"
@@ -58,24 +57,3 @@ def shape_in_child(address: str, n_bytes: int) -> tuple[int, int]:
         raise SourceError(f"{address}: its reader {how}; a damaged or huge file?")
     n_rows, n_cols = map(int, done.stdout.split()[-2:])
     return n_rows, n_cols
-
-
-def main(address: str) -> int:
-    """The child: print rows and columns."""
-    from .source import MujocoSource
-
-    resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    try:
-        print(*MujocoSource(address).pad.shape)
-    except SourceError as error:
-        print(error, file=sys.stderr)
-        return _REFUSED
-    except MemoryError:
-        print(f"{address}: needs more memory than is allowed to its reader", file=sys.stderr)
-        return _REFUSED
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))

@@ -72,11 +72,16 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
         f"{FILE} (SHA-256 {fingerprint}): {sum(a.size for a in found.values())} weights, seed "
         f"{seed}, {n_presses} presses, {n_tiles} batches of tiles and {n_frames} of frames.",
         f"{HELD_OUT} other presses, {N_FRAMES} frames each, N/8, rotating rows, noise of 0.01 of "
-        f"the peak: error {score['first_db']:.1f} dB in the first frame, {score['last_db']:.1f} dB "
+        f"the peak: error {_db(score['first_db'])} in the first frame, {_db(score['last_db'])} "
         "in the last, relative to the forces.",
     ]
     page.write(lines)
     return lines
+
+
+def _db(error: float) -> str:
+    """Text of an error in dB; weights that were hardly trained amplify it beyond any number."""
+    return f"{error:.1f} dB" if math.isfinite(error) else "beyond any number (too few batches)"
 
 
 def _draw(out: Path, table: pd.DataFrame) -> str:

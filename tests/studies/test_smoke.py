@@ -50,10 +50,11 @@ TEXTS = {
     "scene-needs": "| without damping of the skin |",
     "accuracy": "| press | 114 | kPa |",
     "speed": "## From acquisition to reconstruction",
+    "train": "other presses",
 }
 """A text on each page."""
 
-LONG = ("accuracy", "paper-tables", "speed-accuracy", "stability")
+LONG = ("accuracy", "paper-tables", "speed-accuracy", "stability", "train")
 """Studies that take more than some seconds even so."""
 
 
@@ -112,6 +113,8 @@ def recordings(tmp_path: Path) -> Path:
 def test_a_study_writes_its_page_with_all_tables_and_charts(
     name: str, tmp_path: Path, recordings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    if name == "train":
+        pytest.importorskip("torch")
     options = ["--recordings", str(recordings), "--seeds", "2"] if name == "accuracy" else []
     out = tmp_path / "out"
     options += ["--quick", "--executor", "serial", "--out", str(out)]
