@@ -55,7 +55,7 @@ coverage: .venv/installed-dev
 	    --cov=messages --cov=nodes --cov=launch --cov=studies --cov=plugins --cov=sparseskin --cov-report=term:skip-covered
 
 # Mutation testing: a sample of mutants of each core module, and the share that tests catch (an
-# hour); some modules: make mutants MODULES="nodes/clock.py nodes/host.py".
+# hour); some modules: make mutants MODULES="nodes/clock.py nodes/node_host.py".
 mutants: .venv/installed-dev
 	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[mutants]'
 	$(ONE_THREAD) $(BIN)/python .ci/mutants.py $(MODULES)

@@ -40,7 +40,7 @@ CORE = (
     "messages/wire.py",
     "nodes/clock.py",
     "nodes/graph.py",
-    "nodes/host.py",
+    "nodes/node_host.py",
     "nodes/compressor/quantiser.py",
     "nodes/compressor/phi/acts.py",
     "nodes/compressor/phi/hadamard.py",

@@ -11,8 +11,8 @@ from sparseskin.messages import Message
 from .clock import Clock, SystemClock
 from .errors import SparseskinError
 from .graph import NodeSpecs, join
-from .host import Log, NodeHost
 from .node import Context, SourceNode, Tick
+from .node_host import Log, NodeHost
 
 LOCAL_RUN_ID = "0" * 16
 

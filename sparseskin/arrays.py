@@ -36,9 +36,9 @@ from sparseskin.nodes.recorder.bag.frames import (
     patch_of,
     skin_of,
 )
+from sparseskin.nodes.recorder.bag.patches import split_bag
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.recorder.bag.split import split_bag
-from sparseskin.nodes.sensor.files.recorded import open_file
+from sparseskin.nodes.sensor.files.file_source import open_file
 
 Floats = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]

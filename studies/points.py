@@ -15,8 +15,8 @@ from tqdm import tqdm
 
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import one_line
-from sparseskin.nodes.tasks.computed import computed
 from sparseskin.nodes.tasks.fingerprint import code_fingerprint
+from sparseskin.nodes.tasks.results import computed
 
 #: Raised when the figures of a point change their meaning: records of other versions are not used.
 STUDY_VERSION = 2

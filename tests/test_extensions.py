@@ -14,8 +14,8 @@ from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.convert.export import export_names, find_export
 from sparseskin.nodes.registry import node_class
+from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.files.format import suffixes
-from sparseskin.nodes.sensor.files.recorded import open_file
 from sparseskin.nodes.sensor.points import point_skins
 from sparseskin.nodes.tasks.executors import forms, make_executor
 
@@ -25,7 +25,7 @@ from concurrent.futures import ThreadPoolExecutor
 from sparseskin.nodes.node import Node
 from sparseskin.nodes.recorder.convert.export import Export
 from sparseskin.nodes.sensor.files.format import Format
-from sparseskin.nodes.sensor.files.parsed import Head, Parsed, Recording
+from sparseskin.nodes.sensor.files.recording import Head, Parsed, Recording
 from sparseskin.nodes.tasks.executors import Factory
 
 

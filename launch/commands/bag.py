@@ -25,7 +25,7 @@ from sparseskin.nodes.recorder.bag.format import (
 )
 from sparseskin.nodes.recorder.convert.export import OWN, export_names, find_export
 from sparseskin.nodes.sensor.files.format import suffixes
-from sparseskin.nodes.sensor.files.parsed import NAN_WAYS, NEGATIVE_WAYS, REFUSE
+from sparseskin.nodes.sensor.files.recording import NAN_WAYS, NEGATIVE_WAYS, REFUSE
 
 from .options import add_commands, show, whole
 
@@ -161,8 +161,8 @@ def _export(arguments: argparse.Namespace) -> int:
     codebase version v3.0), or skin (the file skin.toml of a calibrated skin). The patches of a
     body that were recorded in batches are exported one by one.
     """
+    from sparseskin.nodes.recorder.bag.patches import split_bag
     from sparseskin.nodes.recorder.bag.reader import BagReader
-    from sparseskin.nodes.recorder.bag.split import split_bag
 
     export = find_export(arguments.to)
     write = find_callable(export.target, BagError)

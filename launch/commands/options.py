@@ -141,7 +141,7 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
         for line in node.get("lines", ()):
             print(f"{name}: {line}")
         if node["type"] == "sensor" and node.get("clipped"):
-            from sparseskin.nodes.sensor.clipped import clipped_text
+            from sparseskin.nodes.sensor.saturation import clipped_text
 
             print(f"{name}: {clipped_text(node)}")
         elif node["type"] == "sensor" and (invalid := node.get("invalid")):

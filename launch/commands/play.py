@@ -113,8 +113,8 @@ def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]
     Raises SettingsError if the recording has too little to be shown.
     """
     from sparseskin.launch.launchfile.load import load_tables
+    from sparseskin.nodes.recorder.bag.patches import names_of
     from sparseskin.nodes.recorder.bag.reader import BagReader
-    from sparseskin.nodes.recorder.bag.split import names_of
 
     for option in ("topics", "remap"):
         if getattr(arguments, option):

@@ -201,7 +201,7 @@ def _run(jobs: Sequence[Job], arguments: argparse.Namespace) -> list[Outcome]:
         return [run_job(job, progress=not quiet) for job in jobs]
     from tqdm import tqdm
 
-    from sparseskin.nodes.tasks.computed import computed
+    from sparseskin.nodes.tasks.results import computed
 
     outcomes: dict[int, Outcome] = {}
     with (

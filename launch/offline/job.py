@@ -119,7 +119,7 @@ def start_of(job: Job, bag: BagReader) -> tuple[str, str]:
     """
     from sparseskin.messages import Measurements
     from sparseskin.messages.topics import split_topic
-    from sparseskin.nodes.recorder.bag.split import names_of
+    from sparseskin.nodes.recorder.bag.patches import names_of
 
     topics = [split_topic(topic) for topic in bag.topics]
     together, patches = names_of(bag), sorted({patch for patch, _ in topics})

@@ -13,7 +13,7 @@ import numpy as np
 from sparseskin.messages import End, SkinState
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.errors import SettingsError, SparseskinError
-from sparseskin.nodes.host import is_latched
+from sparseskin.nodes.node_host import is_latched
 from sparseskin.nodes.recorder.bag.frames import decoded
 from sparseskin.nodes.recorder.bag.reader import BagReader
 

@@ -43,8 +43,8 @@ from sparseskin.nodes.recorder.bag.writer import BagWriter, removing
 from sparseskin.nodes.recorder.node import metadata_of
 from sparseskin.nodes.remote import local_path
 from sparseskin.nodes.settings import Settings, setting
-from sparseskin.nodes.tasks.computed import computed
 from sparseskin.nodes.tasks.fingerprint import code_fingerprint
+from sparseskin.nodes.tasks.results import computed
 
 from .job import Job, checked_out, how, make_graph, run_bus, start_of, untimed
 from .plan import Slice, plan_slices, read_stamps

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from sparseskin.launch.launchfile.spec import LIVE_RECORDER, LaunchFile
-from sparseskin.nodes.host import is_latched
+from sparseskin.nodes.node_host import is_latched
 from sparseskin.nodes.process.control import COUNTED
 
 from .fleet import Fleet

@@ -7,7 +7,7 @@ from typing import Any
 
 from sparseskin.launch.launchfile.spec import LaunchFile
 from sparseskin.nodes.graph import Link
-from sparseskin.nodes.host import is_latched
+from sparseskin.nodes.node_host import is_latched
 
 from .process import NodeProcess, awake_s
 

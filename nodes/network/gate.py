@@ -15,7 +15,7 @@ from typing import Any
 import zmq
 from zmq.utils import z85
 
-from sparseskin.nodes.host import log_some
+from sparseskin.nodes.node_host import log_some
 
 from .keys import KeyPair
 from .sockets import MAX_EVENTS

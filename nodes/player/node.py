@@ -15,8 +15,8 @@ from sparseskin.messages import Message, MessageError, PhiState, SkinState, Trut
 from sparseskin.messages.ranges import is_real
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.errors import RefusedError, SparseskinError
-from sparseskin.nodes.host import is_latched
 from sparseskin.nodes.node import Context, SourceNode, Tick
+from sparseskin.nodes.node_host import is_latched
 from sparseskin.nodes.recorder.bag.format import span_ns
 from sparseskin.nodes.recorder.bag.reader import BagReader
 

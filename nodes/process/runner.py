@@ -17,11 +17,11 @@ import zmq
 from sparseskin.messages import Message
 from sparseskin.nodes.clock import ClockEstimate, SystemClock
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.host import NodeHost
 from sparseskin.nodes.lookup import one_line, search_in, trace_of
 from sparseskin.nodes.network.network import Network
 from sparseskin.nodes.network.sockets import FAREWELL_MS, Peer, Reader, make_context
 from sparseskin.nodes.node import Context, SourceNode, Tick
+from sparseskin.nodes.node_host import NodeHost
 from sparseskin.nodes.registry import make_settings, node_class
 
 from .backlog import Backlog

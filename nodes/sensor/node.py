@@ -16,9 +16,9 @@ from sparseskin.nodes.numerics.arrays import Floats
 from .calibration.description import SkinDescription
 from .calibration.skin_file import load_skin
 from .calibration.stage import Stage, described, fitted
-from .clipped import Clipped, clipped_text
 from .noise import NoiseModel
 from .points import point_skins
+from .saturation import Clipped, clipped_text
 from .settings import SensorSettings
 from .source import DEFAULT_RATE_HZ, Skin
 

@@ -10,7 +10,7 @@ from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 from .calibration.skin_file import load_skin
 from .calibration.stage import MAX_TARE_FRAMES
-from .files.parsed import NAN_WAYS, NEGATIVE_WAYS, Policy
+from .files.recording import NAN_WAYS, NEGATIVE_WAYS, Policy
 from .points import point_skins
 from .source import Address
 from .sources import find_address

@@ -14,8 +14,8 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Floats
 
 from .calibration.zero import ZeroWatch
-from .clipped import Clipped
-from .files.parsed import DEFAULT_POLICY, Policy
+from .files.recording import DEFAULT_POLICY, Policy
+from .saturation import Clipped
 
 if TYPE_CHECKING:
     from .calibration.description import SkinDescription

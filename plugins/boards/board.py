@@ -11,7 +11,7 @@ from typing import Any
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.files.parsed import check_stated_shape
+from sparseskin.nodes.sensor.files.recording import check_stated_shape
 
 from .can_chunks import chunks_of
 from .can_port import check_can

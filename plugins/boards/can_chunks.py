@@ -14,7 +14,7 @@ import re
 from dataclasses import dataclass
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.parsed import shown
+from sparseskin.nodes.sensor.files.recording import shown
 
 from .framing import Counts, Framing
 from .settings import CanSettings

@@ -21,7 +21,7 @@ import numpy as np
 
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.sensor.files.parsed import check_grid, check_unit, shown
+from sparseskin.nodes.sensor.files.recording import check_grid, check_unit, shown
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import MAX_CHARS, parse_toml
 

@@ -6,7 +6,7 @@ import argparse
 import os
 from typing import Any
 
-from sparseskin.launch.commands.beside import run_beside
+from sparseskin.launch.commands.observers import run_beside
 from sparseskin.launch.commands.options import (
     add_commands,
     add_graph,

@@ -19,7 +19,7 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES
 from sparseskin.nodes.sensor.sources import forms, open_source
-from sparseskin.nodes.tasks.computed import computed
+from sparseskin.nodes.tasks.results import computed
 
 from .budget import Accuracy, Row
 from .simulation import (

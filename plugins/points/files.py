@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
-from sparseskin.nodes.sensor.files.parsed import (
+from sparseskin.nodes.sensor.files.recording import (
     parse_number,
     parse_whole,
     read_bytes,

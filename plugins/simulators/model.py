@@ -14,7 +14,7 @@ from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.sensor.files.parsed import check_grid, check_stated_shape
+from sparseskin.nodes.sensor.files.recording import check_grid, check_stated_shape
 from sparseskin.nodes.sensor.scenes.scenes import SKIN
 
 from .isolated import shape_in_child

@@ -13,7 +13,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
-from sparseskin.nodes.sensor.files.parsed import check_stated_shape
+from sparseskin.nodes.sensor.files.recording import check_stated_shape
 from sparseskin.nodes.sensor.source import Address, Source
 
 from .model import check_model, find_pad, load_model, split_address

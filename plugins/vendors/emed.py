@@ -12,7 +12,7 @@ import numpy as np
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
-from sparseskin.nodes.sensor.files.parsed import (
+from sparseskin.nodes.sensor.files.recording import (
     Head,
     Lines,
     Parsed,

@@ -9,7 +9,7 @@ import numpy as np
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.sensor.files.parsed import Lines, parse_reading
+from sparseskin.nodes.sensor.files.recording import Lines, parse_reading
 
 LARGEST_NUMBER = 999_999_999
 """Largest number of a frame."""

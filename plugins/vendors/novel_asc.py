@@ -16,7 +16,7 @@ import numpy as np
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Indices
-from sparseskin.nodes.sensor.files.parsed import (
+from sparseskin.nodes.sensor.files.recording import (
     Head,
     Lines,
     Parsed,

@@ -8,7 +8,7 @@ from itertools import islice
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.sensor.files.parsed import (
+from sparseskin.nodes.sensor.files.recording import (
     Head,
     Lines,
     Parsed,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.sensor.files.parsed import (
+from sparseskin.nodes.sensor.files.recording import (
     Head,
     Lines,
     Parsed,

@@ -27,9 +27,9 @@ from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import wall_offset_ns
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.host import is_latched
 from sparseskin.nodes.network.sockets import Writer, make_context
 from sparseskin.nodes.node import Node
+from sparseskin.nodes.node_host import is_latched
 from sparseskin.nodes.process.proc import resident_bytes
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.registry import make_settings, node_class, node_types

@@ -14,8 +14,8 @@ from sparseskin.nodes.recorder.bag.frames import progress
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter, removing
 from sparseskin.nodes.recorder.node import metadata_of
-from sparseskin.nodes.sensor.files.parsed import REFUSE, Policy
-from sparseskin.nodes.sensor.files.recorded import open_file
+from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.files.recording import REFUSE, Policy
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 
 _RUN_ID_BYTES = 8

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
-from sparseskin.nodes.sensor.clipped import Clipped
+from sparseskin.nodes.sensor.saturation import Clipped
 
 from .description import SkinDescription
 from .drift import DRIFT_RATE, Drift

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from sparseskin.messages import Calibration, Taxels
 from sparseskin.nodes.errors import SourceError, SparseskinError
-from sparseskin.nodes.sensor.files.parsed import KEEP, Policy
-from sparseskin.nodes.sensor.files.recorded import open_file
+from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.files.recording import KEEP, Policy
 from sparseskin.nodes.sensor.source import Skin, Source
 from sparseskin.nodes.sensor.sources import FILE, open_source
 

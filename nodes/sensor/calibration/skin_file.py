@@ -23,7 +23,7 @@ from sparseskin.nodes.files import whole_file
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
 from sparseskin.nodes.numerics.arrays import Doubles
-from sparseskin.nodes.sensor.files.parsed import parse_mask, reading
+from sparseskin.nodes.sensor.files.recording import parse_mask, reading
 from sparseskin.nodes.sensor.points import point_skins
 from sparseskin.nodes.toml import parse_toml
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from sparseskin.messages.text import printable
 from sparseskin.nodes.sensor.source import Address, Listing, Source
 
+from .file_source import n_taxels, open_file
 from .format import suffixes
-from .parsed import KEEP, REFUSE, Policy
-from .recorded import n_taxels, open_file
+from .recording import KEEP, REFUSE, Policy
 
 MAX_LISTED = 20
 """Most recordings of the current folder that are listed; chosen."""

@@ -24,7 +24,7 @@ from sparseskin.nodes.numerics.array_files import (
 )
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 
-from .parsed import (
+from .recording import (
     Head,
     Lines,
     Parsed,

@@ -12,7 +12,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import FILES, failures, loaded
 
 from .arrays import NpyRecording, NpzRecording, PlainCsvRecording
-from .parsed import Lines, Policy, Recording, shown
+from .recording import Lines, Policy, Recording, shown
 
 HEAD_BYTES = 1 << 16
 """Bytes from the begin of a file by which its format is found, where several have its suffix."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .parsed import HOLD, KEEP, MASK, OFFSET, REFUSE, ZERO, Parsed, Policy
+from .recording import HOLD, KEEP, MASK, OFFSET, REFUSE, ZERO, Parsed, Policy
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.numerics import array_files
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npy, read_npz
-from sparseskin.nodes.sensor.files.recorded import open_file
+from sparseskin.nodes.sensor.files.file_source import open_file
 
 MB = 1_000_000
 

@@ -14,8 +14,8 @@ from sparseskin.messages import Message, Taxels
 from sparseskin.nodes.bus import LOCAL_RUN_ID
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import RefusedError
-from sparseskin.nodes.host import NodeHost
 from sparseskin.nodes.node import Context, Tick
+from sparseskin.nodes.node_host import NodeHost
 from sparseskin.nodes.player.node import Player
 
 N_FRAMES = 20

@@ -15,9 +15,9 @@ from zmq_contexts import wait_for_reader
 
 from sparseskin.messages import End, Message, PhiState, Taxels
 from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.host import NodeHost
 from sparseskin.nodes.network.sockets import Reader, Writer
 from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.node_host import NodeHost
 from sparseskin.nodes.process.backlog import Backlog
 from sparseskin.nodes.settings import Settings
 

@@ -12,7 +12,7 @@ from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.load import load
 from sparseskin.messages import SkinState, decode
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.sensor.files.recorded import open_file
+from sparseskin.nodes.sensor.files.file_source import open_file
 
 POINTS = "sensor.points=example:grip"
 

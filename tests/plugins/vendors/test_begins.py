@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from vendor_texts import ASC, emed_text, tekscan_text, xsensor_text
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.recorded import RecordedSource, n_taxels, open_file
+from sparseskin.nodes.sensor.files.file_source import RecordedSource, n_taxels, open_file
 
 TEXTS = {
     "foot.lst": emed_text(),

@@ -13,7 +13,7 @@ from recordings import recording
 from vendor_texts import ASC, EMED_KPA, emed_text, tekscan_text
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.recorded import RecordedSource, open_file
+from sparseskin.nodes.sensor.files.file_source import RecordedSource, open_file
 
 Opener = Callable[..., RecordedSource]
 

@@ -12,7 +12,7 @@ from recordings import recording
 from vendor_texts import XSENSOR_FRAMES, xsensor_text
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.recorded import RecordedSource, open_file
+from sparseskin.nodes.sensor.files.file_source import RecordedSource, open_file
 
 Opener = Callable[..., RecordedSource]
 

@@ -21,8 +21,8 @@ from sparseskin.messages import (
 from sparseskin.messages.quantised import Quantised
 from sparseskin.messages.version_1 import payload_today, topic_today
 from sparseskin.nodes.reconstructor.node import ReconstructorSettings, phis_to_invert
+from sparseskin.nodes.recorder.bag.patches import split_bag
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.recorder.bag.split import split_bag
 from sparseskin.nodes.recorder.convert.to_bag import recover_bag
 
 RECORDINGS = Path(__file__).parents[3] / "recordings"

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from sparseskin.nodes.sensor.calibration.chain import Chain
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.calibration.response import Response
-from sparseskin.nodes.sensor.clipped import Clipped
+from sparseskin.nodes.sensor.saturation import Clipped
 
 SHAPE = (3, 4)
 SECOND = 1_000_000_000

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.node import Context
-from sparseskin.nodes.sensor.files.parsed import KEEP, ZERO, Policy
-from sparseskin.nodes.sensor.files.recorded import UNTIMED_PERIOD_NS, RecordedSource, open_file
+from sparseskin.nodes.sensor.files.file_source import UNTIMED_PERIOD_NS, RecordedSource, open_file
+from sparseskin.nodes.sensor.files.recording import KEEP, ZERO, Policy
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 from sparseskin.nodes.sensor.sources import find_address
 

@@ -11,8 +11,8 @@ import pytest
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.node import Context
-from sparseskin.nodes.sensor.files.parsed import Policy
-from sparseskin.nodes.sensor.files.recorded import open_file
+from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.files.recording import Policy
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 
 BAD = np.array([[[1, 2], [3, 4]], [[np.nan, -1], [5, np.inf]], [[2, 2], [-3, 1]]], np.float32)

@@ -12,8 +12,8 @@ from sparseskin import read_recording
 from sparseskin.launch.commands.cli import main
 from sparseskin.messages import Reconstruction, Taxels, decode
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.recorder.bag.patches import split_bag
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.recorder.bag.split import split_bag
 from sparseskin.nodes.recorder.bag.writer import BagWriter
 
 NAMES = ("palm", "back", "sole")

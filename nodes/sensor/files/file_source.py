@@ -24,7 +24,7 @@ from sparseskin.nodes.sensor.source import Source
 
 from .format import File, recording_of
 from .invalid import Treated, treat
-from .parsed import (
+from .recording import (
     DEFAULT_POLICY,
     KEEP,
     MAX_READING,

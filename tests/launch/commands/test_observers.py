@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from sparseskin.launch.commands import beside
+from sparseskin.launch.commands import observers
 
 
 def test_patches_of_a_batch_are_those_of_the_settings_of_its_writer(
@@ -27,8 +27,8 @@ def test_patches_of_a_batch_are_those_of_the_settings_of_its_writer(
         patches = {"key": "patches", "value": ("a", "b") if node == "reconstructor" else ()}
         return {"settings": [{"key": "seed", "value": 0}, patches]}
 
-    monkeypatch.setattr(beside, "describe_node", describe)
-    assert beside.batches_of(graph) == {"body": ["a", "b"]}
+    monkeypatch.setattr(observers, "describe_node", describe)
+    assert observers.batches_of(graph) == {"body": ["a", "b"]}
     assert asked == ["reconstructor", "other"]
     del writers["/body/taxels"], writers["/body/reconstruction"]
-    assert beside.batches_of(graph) == {}
+    assert observers.batches_of(graph) == {}

@@ -12,8 +12,8 @@ import pytest
 from sparseskin.messages import End, Measurements, Message, PhiState, Taxels, encode
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import RefusedError, SparseskinError
-from sparseskin.nodes.host import NodeHost
 from sparseskin.nodes.node import Context, Node, SourceNode, Tick
+from sparseskin.nodes.node_host import NodeHost
 from sparseskin.nodes.settings import Settings
 
 RUN = "00000000000000aa"
@@ -149,7 +149,7 @@ def test_refused_and_failed_messages_end_no_node() -> None:
     assert host.counts.refused == {"refused": 1, "failed": 1}
     refusal, failure = lines
     assert refusal == "refused: too heavy"
-    text = r"failed: ZeroDivisionError: a user's own mistake \(.*test_host\.py:\d+\)"
+    text = r"failed: ZeroDivisionError: a user's own mistake \(.*test_node_host\.py:\d+\)"
     assert re.fullmatch(text, failure)
 
 
