@@ -2,6 +2,7 @@
 which it writes and reads by itself: python ros2_peer.py read|write TOPIC KIND N.
 """
 
+import itertools
 import json
 import sys
 import time
@@ -109,13 +110,9 @@ def main(action: str, name: str, kind: str, n: int, domain: int) -> None:
         while not reader.get_matched_publications():
             time.sleep(0.01)
         print("MATCHED", flush=True)
-        got = 0
-        while got < n:
-            for sample in reader.take_iter(timeout=duration(seconds=60)):
-                print(json.dumps(shown(sample)), flush=True)
-                got += 1
-                if got == n:
-                    break
+        samples = reader.take_iter(timeout=duration(seconds=60))
+        for sample in itertools.islice(samples, n):
+            print(json.dumps(shown(sample)), flush=True)
         return
     writer = DataWriter(member, topic, qos=Qos(reliable, keep, as_ros))
     while not writer.get_matched_subscriptions():

@@ -36,7 +36,9 @@ MASK[2, 3] = MASK[5, 8] = False
 
 
 class Peer:
-    """The other process; ends with its `with`."""
+    """The other process. It ends by itself with its `with`: one that is killed is for seconds still
+    taken for a reader by those of its domain, so that a later writer does not wait for its own.
+    """
 
     def __init__(self, action: str, topic: str, kind: str, n: int) -> None:
         self.process = subprocess.Popen(
@@ -48,8 +50,11 @@ class Peer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.process.kill()
-        self.process.communicate()
+        try:
+            self.process.communicate(timeout=10)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.communicate()
 
     def line(self) -> str:
         assert self.process.stdout is not None
