@@ -23,10 +23,13 @@ FORMS = ["off", *(["on"] if find_spec("numba") else [])]
 CHOSEN = "chosen"
 #: On 18 x 18 taxels solver `skin` has both models, on 8 x 8 the smooth one alone.
 CASES = [
-    *((name, 8, rows, FORMS[-1]) for name in SOLVERS for rows in (FIXED, ROTATING)),
-    *(("skin", 18, rows, FORMS[-1]) for rows in (FIXED, ROTATING)),
+    *(("skin", side, rows, FORMS[-1]) for side in (8, 18) for rows in (FIXED, ROTATING)),
     *(("skin", 8, rows, "off") for rows in (FIXED, ROTATING, CHOSEN)),
-    pytest.param("skin", 18, ROTATING, "off", marks=pytest.mark.slow),
+]
+OTHERS = [
+    ("skin", 18, ROTATING, "off"),
+    *(("fista", 8, rows, "on") for rows in (FIXED, ROTATING) if "on" in FORMS),
+    *((name, 8, rows, "off") for name in SOLVERS if name != "skin" for rows in (FIXED, ROTATING)),
 ]
 
 
@@ -60,12 +63,15 @@ class Stream:
         return np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / 4).astype(np.float32)
 
 
-@pytest.mark.parametrize(("name", "side", "rows", "fast"), CASES)
+@pytest.mark.parametrize(
+    ("name", "side", "rows", "fast"),
+    [*CASES, *(pytest.param(*case, marks=pytest.mark.slow) for case in OTHERS)],
+)
 def test_a_contact_after_identical_frames_is_reconstructed(
     name: str, side: int, rows: str, fast: str
 ) -> None:
     stream, fresh = Stream(name, side, rows, fast), Stream(name, side, rows, fast)
-    for _ in range(2000 if name == "skin" else 300):
+    for _ in range(2000):
         assert np.isfinite(stream.frame(stream.press(2, 2))).all()
     moved = stream.press(5, 4)
 
