@@ -17,7 +17,9 @@ RUN, WITHIN = 3, 10
 """Frames not to be trusted that make a run, and the number of the last frames that they are among.
 Chosen: the first frame or two of a stream or contact, of which the past says nothing, make none."""
 
-ADVICE = "; if that lasts, more measurements or rotating rows may help, see docs/method.md"
+ADVICE = "; if that lasts, more measurements may help, see docs/method.md#estimated-error"
+FIXED_ADVICE = ADVICE.replace("may", "or rotating rows may")
+"""What may help; where rows are fixed, that they rotate."""
 
 FIRST = 2
 """First frames of a row subset, whose noise no earlier frame has shown."""
@@ -39,6 +41,7 @@ class TrustLog:
     def __init__(self, log: Callable[[str], None]) -> None:
         self._log = log
         self._n_early = 0
+        self._advice = FIXED_ADVICE
         self._logged_ns: int | None = None
         self._n_frames = self._n_untrusted = 0
         self._latest: deque[bool] = deque(maxlen=WITHIN)
@@ -46,6 +49,7 @@ class TrustLog:
     def begin(self, n_subsets: int) -> None:
         """Expect the frames of a new solver, measured by this many row subsets; 1: fixed rows."""
         self._n_early = FIRST * (n_subsets - 1)
+        self._advice = ADVICE if n_subsets > 1 else FIXED_ADVICE
 
     def update(
         self,
@@ -74,7 +78,7 @@ class TrustLog:
         count = f" ({self._n_untrusted} of the last {self._n_frames} frames)"
         of_run = "" if self._logged_ns is None else count
         estimate = _described(error, forces, n, unit)
-        self._log(f"frames not to be trusted: {estimate}{of_run}{ADVICE}")
+        self._log(f"frames not to be trusted: {estimate}{of_run}{self._advice}")
         self._logged_ns = stamp_ns
         self._n_frames = self._n_untrusted = 0
 
