@@ -9,19 +9,18 @@ import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis
+from sparseskin.nodes.reconstructor.skin.clip_bias import DUST
+from sparseskin.nodes.reconstructor.skin.noise_level import RESOLUTION
+from sparseskin.nodes.reconstructor.skin.prediction import neighbours_of
 from sparseskin.nodes.reconstructor.solvers.base import Solver, whole_number
 
 from .gates import SHIFTS, Gates, Tiles, stored_gates
 from .rows import rows_of
 
-RESOLUTION = float(np.finfo(np.float32).eps)
-"""Relative resolution of measurements: noise below it does not show in them."""
 UNKNOWN = 1e34
 """Variance of a row that was not read yet, beyond that of any measurement."""
-DUST = 1e-6
-"""Squared length of Phi 1 per taxel up to which it is 0 but for rounding: no row sees a bias."""
 
 
 @dataclass(frozen=True)
@@ -232,7 +231,8 @@ class OampSolver(Solver):
         t, rows, x = self._t, self._rows, self._x
         after, before = x[self._neighbours[0]], x[self._neighbours[1]]
         terms = np.stack([x, *(after - before)])
-        seen = np.stack([rows.forward(term)[rows.read] for term in terms])
+        of_terms = (self._whole, *map(rows.forward, terms[1:]))
+        seen = np.stack([whole[rows.read] for whole in of_terms])
         gram = (seen @ seen.T).astype(np.float64)
         right = (seen @ (values - seen[0])).astype(np.float64)
         ridge = t.ridge * np.diag(gram) + t.ridge**2 * gram[0, 0] + TINY
@@ -340,19 +340,3 @@ def loosened(variance: Floats | np.float32, noise: float, tuning: OampTuning) ->
     wide = np.asarray(variance, dtype=np.float64)
     wide = tuning.prior * wide * (1 + tuning.doubt * wide / noise)
     return np.minimum(wide, UNKNOWN).astype(np.float32)
-
-
-def neighbours_of(places: Indices, n: int) -> Indices:
-    """Return the places of the next and the last neighbour of each taxel along rows and columns.
-
-    The result is intp (next or last, rows or columns, n); a missing neighbour is the taxel itself.
-    places and n are as in `Tiles`.
-    """
-    found = np.empty((2, 2, n), dtype=np.intp)
-    exists = places < n
-    edged = np.pad(places, 1, constant_values=n)
-    sides = ((edged[2:, 1:-1], edged[1:-1, 2:]), (edged[:-2, 1:-1], edged[1:-1, :-2]))
-    for which, axis in np.ndindex(2, 2):
-        other = np.where(sides[which][axis] < n, sides[which][axis], places)
-        found[which, axis, places[exists]] = other[exists]
-    return found

@@ -21,13 +21,15 @@ from sparseskin.nodes.network.keys import make_key_files
 
 CUT_S = float(os.environ.get("SPARSESKIN_LINK_CUT_S", "5"))
 STATIONS = Path(__file__).parent / "stations.py"
-GRAPH = """\
+HOSTS = """\
 [hosts.edge]
 address = "10.203.7.1"
 [hosts.desk]
 address = "10.203.7.2"
 [security]
 keys = "keys"
+"""
+GRAPH = f"""{HOSTS}\
 [nodes.sensor]
 type = "sensor"
 source = "scene:path_40"
@@ -37,8 +39,6 @@ host = "edge"
 type = "stations:Echo"
 host = "desk"
 """
-
-
 N_FRAMES = 60
 BODY = """\
 [[patches]]
@@ -57,13 +57,7 @@ rows = 12
 cols = 24
 host = "desk"
 """
-BODY_GRAPH = """\
-[hosts.edge]
-address = "10.203.7.1"
-[hosts.desk]
-address = "10.203.7.2"
-[security]
-keys = "keys"
+BODY_GRAPH = f"""{HOSTS}\
 [skin]
 body = "body.toml"
 [nodes.sensor]
