@@ -18,6 +18,14 @@ _NO_KEY = re.compile(r"[^\w\s.\"'-]")
 _LONG = re.compile(r"[0-9_]{1000,}")
 
 
+def toml_or_text(text: str) -> Any:
+    """The value that a person has typed: TOML, or else the text as it stands."""
+    try:
+        return parse_toml(f"value = {text}")["value"]
+    except ValueError:
+        return text
+
+
 def parse_toml(text: str, max_chars: int = MAX_CHARS) -> dict[str, Any]:
     """Parse TOML.
     Raises ValueError in one line if it is none, longer than `max_chars`, too deep, or holds a whole

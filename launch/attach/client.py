@@ -113,7 +113,7 @@ def _exchange(graph: RunningGraph, request: Mapping[str, Any], key: str) -> Any:
         client.send(request)
         deadline = time.monotonic() + PATIENCE_S
         while (left_s := deadline - time.monotonic()) > 0:
-            select.select([client.fd], [], [], left_s)
+            select.select([client.connection], [], [], left_s)
             news = client.receive()
             if news is None:
                 raise GraphError(f"{graph.label}: has ended, or is asked by too many at once")

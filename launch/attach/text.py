@@ -1,4 +1,4 @@
-"""Text for a terminal: tables, whose last column is wrapped, and settings with their values."""
+"""Text for a terminal: tables, whose last column is wrapped, facts, and settings."""
 
 from __future__ import annotations
 
@@ -72,6 +72,14 @@ def wrapped(start: str, text: str, continued: str | None = None) -> list[str]:
     return [(start + first).rstrip(), *(continued + line for line in rest)]
 
 
+def facts(named: Mapping[str, str], indent: str = "") -> list[str]:
+    """Lines of names and texts, each text wrapped under itself."""
+    lines: list[str] = []
+    for name, text in named.items():
+        lines += wrapped(f"{indent}{name:<10} ", flowing(text))
+    return lines
+
+
 def shown_value(value: Any) -> str:
     """A value as it would be typed; "none" where nothing is stated."""
     if value is None:
@@ -118,15 +126,12 @@ def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
     """The value of a typed text: TOML, or else the text as it stands, as it does for a setting
     whose described type is a text.
     """
-    from sparseskin.nodes.toml import parse_toml  # with it comes numpy
+    from sparseskin.nodes.toml import toml_or_text  # with it comes numpy
 
     types = types_of(entry) if entry is not None else []
     if text == "none" and "None" in types:
         return None
-    try:
-        value = parse_toml(f"value = {text}")["value"]
-    except ValueError:
-        return text
+    value = toml_or_text(text)
     plain = isinstance(value, str | bool | int | float | list | dict)
     if not plain or (not isinstance(value, str) and set(types) <= {"str", "None"} and types):
         return text

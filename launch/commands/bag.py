@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sparseskin.launch.attach.text import flowing, table, wrapped
+from sparseskin.launch.attach.text import facts, flowing, table
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import EXPORTS, loaded
 from sparseskin.nodes.files import make_folder
@@ -210,7 +210,7 @@ def info_lines(bag: BagReader, name: str = "") -> list[str]:
     """The same for a terminal, long values cut."""
     n_messages = sum(info.n_messages for info in bag.topics.values())
     counts = bag.counts or {}
-    facts = {
+    of_file = {
         "bag": name or str(bag.path),
         "size": f"{bag.path.stat().st_size / 1e6:.3f} MB, {n_messages} messages",
         "duration": f"{_seconds(span_ns(bag.topics.values())):.3f} s",
@@ -234,7 +234,7 @@ def info_lines(bag: BagReader, name: str = "") -> list[str]:
     }
     unknown = ["lost messages are not known: the recorder did not get to write them"]
     return [
-        *_entries(facts),
+        *facts(of_file),
         "",
         *table(["MESSAGES", "HZ", "SECONDS", "LOST", "TOPIC"], rows),
         *_entries(counted),
@@ -249,13 +249,13 @@ def _seconds(span: tuple[int, int] | None) -> float:
 
 
 def _entries(entries: Mapping[str, str]) -> list[str]:
-    """A line for each, wrapped; texts of a file cannot move the cursor."""
-    lines: list[str] = []
+    """Entries of a file, whose names and texts may be long."""
+    named = dict[str, str]()
     for key, value in entries.items():
         if len(value) > _MAX_SHOWN:
             value = f"{value[:_MAX_SHOWN]}... ({len(value)} characters, --json shows them)"
-        lines += wrapped(f"{flowing(key[:16]):<10} ", flowing(value))
-    return lines
+        named[flowing(key[:16])] = value
+    return facts(named)
 
 
 def _shown(key: str, value: str) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sparseskin.launch.attach.client import ask_node, describe, describe_node
-from sparseskin.launch.attach.text import table
+from sparseskin.launch.attach.text import facts, table
 from sparseskin.launch.run.running import GraphError, RunningGraph, choose_graph
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.files import TAKEN, OutputError
@@ -221,17 +221,17 @@ def report(found: Fit) -> list[str]:
     skin = found.skin
     masked = found.stuck + found.noisy + found.dead
     noise = skin.noise or 0.0
-    lines = [
-        f"{skin.name}: {skin.rows} x {skin.cols} taxels, "
-        f"{skin.f_min:g}..{skin.f_max:g} {skin.unit}",
-        f"noise      {noise:.3g} {skin.unit} ({found.noise_raw:.3g} raw), "
+    kinds = f": {found.stuck} stuck, {found.noisy} noisy, {found.dead} dead" if masked else ""
+    named = {
+        "noise": f"{noise:.3g} {skin.unit} ({found.noise_raw:.3g} raw), "
         f"of {found.n_frames} untouched frames",
-        f"masked     {masked} taxels"
-        + (f": {found.stuck} stuck, {found.noisy} noisy, {found.dead} dead" if masked else ""),
-    ]
+        "masked": f"{masked} taxels{kinds}",
+    }
     if skin.response is not None:
         own = "each taxel" if skin.response.reading.ndim == 3 else "all taxels"
-        lines.append(f"response   {len(skin.response.force)} knots for {own}")
+        named["response"] = f"{len(skin.response.force)} knots for {own}"
+    size = f"{skin.rows} x {skin.cols} taxels, {skin.f_min:g}..{skin.f_max:g} {skin.unit}"
+    lines = [f"{skin.name}: {size}", *facts(named)]
     if found.presses:
         head = ("PRESS", "STATED N", "MEASURED N", "ERROR %", "TAXELS +- %", "BEFORE +- %")
         rows = [

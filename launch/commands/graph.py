@@ -17,6 +17,7 @@ from sparseskin.launch.attach.client import (
 )
 from sparseskin.launch.attach.text import (
     allowed_text,
+    facts,
     flowing,
     in_force_text,
     preset_of,
@@ -46,11 +47,7 @@ def _list_graphs(arguments: argparse.Namespace) -> int:
     """List the running graphs of this user: name, process of the launcher, nodes; "(starting)" of
     one that is not ready.
     """
-    # In this order: one that has started in between is among those that run.
-    starting = running_graphs(starting=True)
-    graphs = running_graphs()
-    running = {graph.pid for graph in graphs}
-    graphs += [graph for graph in starting if graph.pid not in running]
+    graphs = running_graphs(starting=True)
     rows = [[g.name, g.pid, ", ".join(g.nodes) or "(starting)"] for g in graphs]
     lines = table(["GRAPH", "PID", "NODES"], rows) if graphs else ["no graph runs on this host"]
     described = [
@@ -133,47 +130,39 @@ def _resources(pid: int) -> dict[str, float]:
 
 def _node_text(node: dict[str, Any]) -> list[str]:
     restarts = f", restarted {node['restarts']} times" if node["restarts"] else ""
-    lines = [
-        node["name"],
-        *_entry("type", node["type"]),
-        *_entry("condition", node["condition"] + restarts),
-        *_entry("process", f"{node['pid']} on {node['host']}"),
-        *_entry("transport", f"{node['transport']} (ZeroMQ)"),
-    ]
+    named = {
+        "type": node["type"],
+        "condition": node["condition"] + restarts,
+        "process": f"{node['pid']} on {node['host']}",
+        "transport": f"{node['transport']} (ZeroMQ)",
+    }
     if "cpu_s" in node:
         shares = f"{node['cpu_percent']:.1f} % of a core since it started"
-        lines += _entry("uses", f"{shares}, {node['memory_mb']:.0f} MB of memory")
+        named["uses"] = f"{shares}, {node['memory_mb']:.0f} MB of memory"
     if node["line"]:
-        lines += _entry("reports", node["line"])
+        named["reports"] = node["line"]
     if node["refused"]:
         counts = ", ".join(f"{reason} {n}" for reason, n in node["refused"].items())
-        lines += _entry("refused", f"{counts}; the last: {node['refusal']}")
-    if node["inputs"]:
-        rows = [
+        named["refused"] = f"{counts}; the last: {node['refusal']}"
+    preset = preset_of(node["settings"])
+    tables: dict[tuple[str, ...], list[list[Any]]] = {
+        ("INPUT", "FROM", *(what.upper() for what in COUNTED)): [
             [e["topic"], e["publisher"] or ELSEWHERE, *(e[what] for what in COUNTED)]
             for e in node["inputs"]
-        ]
-        lines += ["", *table(["INPUT", "FROM", *(what.upper() for what in COUNTED)], rows, "  ")]
-    if node["outputs"]:
-        rows = [[e["topic"], e["sent"], ", ".join(e["subscribers"])] for e in node["outputs"]]
-        lines += ["", *table(["OUTPUT", "SENT", "READ BY"], rows, "  ")]
-    if node["commands"]:
-        lines += ["", *table(["COMMAND", "ACTION"], list(node["commands"].items()), "  ")]
-    preset = preset_of(node["settings"])
-    rows = [
-        [
-            entry["key"],
-            "live" if entry["live"] else "",
-            shown_value(entry["value"]) + in_force_text(entry, preset),
-        ]
-        for entry in node["settings"]
-    ]
-    lines += ["", *table(["SETTING", "", "VALUE"], rows, "  ")]
+        ],
+        ("OUTPUT", "SENT", "READ BY"): [
+            [e["topic"], e["sent"], ", ".join(e["subscribers"])] for e in node["outputs"]
+        ],
+        ("COMMAND", "ACTION"): [[*command] for command in node["commands"].items()],
+        ("SETTING", "", "VALUE"): [
+            [e["key"], "live" * e["live"], shown_value(e["value"]) + in_force_text(e, preset)]
+            for e in node["settings"]
+        ],
+    }
+    lines = [node["name"], *facts(named, "  ")]
+    for head, rows in tables.items():
+        lines += ["", *table(head, rows, "  ")] if rows else []
     return lines
-
-
-def _entry(key: str, text: str) -> list[str]:
-    return wrapped(f"  {key:<10} ", flowing(text))
 
 
 def configure_param(parser: argparse.ArgumentParser) -> None:

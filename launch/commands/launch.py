@@ -114,7 +114,8 @@ def _launch(arguments: argparse.Namespace) -> int:
 
 
 def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
-    from sparseskin.launch.run.launcher import EXIT_FAILED, EXIT_USAGE, Launcher
+    from sparseskin.launch.run.fleet import EXIT_FAILED, EXIT_USAGE
+    from sparseskin.launch.run.launcher import Launcher
     from sparseskin.launch.run.terminal import Terminal
     from sparseskin.nodes.monitor.table import summary_table
 

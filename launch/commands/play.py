@@ -113,15 +113,20 @@ def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]
     Raises SettingsError if the recording has too little to be shown.
     """
     from sparseskin.launch.launchfile.load import load_tables
+    from sparseskin.messages.topics import split_topic
     from sparseskin.nodes.recorder.bag.patches import names_of
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
     for option in ("topics", "remap"):
         if getattr(arguments, option):
             raise SettingsError(f"--{option}: does not go with --open, which plays what it shows")
-    by_patch = schemas_of(path)
+    by_patch: dict[str, set[str]] = {}
     with BagReader(path) as bag:
         batches = names_of(bag)
+        for topic, info in bag.topics.items():
+            if info.n_messages:
+                patch, schema = split_topic(topic)
+                by_patch.setdefault(patch, set()).add(schema)
     schemas, made = shown(path, by_patch)
     # Of frames that are played now: their stamps, and so their ages, are those of now.
     values |= {"loop": True, "verbatim": False, "schemas": schemas}
@@ -160,22 +165,6 @@ def shown(path: Path, by_patch: dict[str, set[str]]) -> tuple[list[str], list[st
         f"{path}: --open: has neither taxels nor measurements with their skin and Phi; "
         "record all topics"
     )
-
-
-def schemas_of(path: Path) -> dict[str, set[str]]:
-    """Schemas of which a recording has messages, by patch.
-    Raises BagError if it cannot be read.
-    """
-    from sparseskin.messages.topics import split_topic
-    from sparseskin.nodes.recorder.bag.reader import BagReader
-
-    found: dict[str, set[str]] = {}
-    with BagReader(path) as bag:
-        for topic, info in bag.topics.items():
-            if info.n_messages:
-                patch, schema = split_topic(topic)
-                found.setdefault(patch, set()).add(schema)
-    return found
 
 
 _DATA_FOLDER = "$XDG_DATA_HOME/sparseskin or ~/.local/share/sparseskin"

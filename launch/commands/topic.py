@@ -5,14 +5,9 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from sparseskin.launch.attach.client import (
-    ELSEWHERE,
-    describe,
-    find_topic,
-    topics_of,
-)
+from sparseskin.launch.attach.client import ELSEWHERE, describe, find_topic, topics_of
 from sparseskin.launch.attach.give_way import give_way
-from sparseskin.launch.attach.text import flowing, table, wrapped
+from sparseskin.launch.attach.text import facts, flowing, table
 from sparseskin.launch.run.running import choose_graph
 from sparseskin.nodes.process.control import COUNTED
 
@@ -113,15 +108,14 @@ def _info(arguments: argparse.Namespace) -> int:
     topic = topics_of(describe(graph))[name]
     cls = SCHEMAS[topic["schema"]]
     fields = {field: kind_text(kind) for field, kind in wire_fields(cls).items()}
-    lines = [
-        name,
-        *wrapped("  schema     ", f"{cls.schema}, version {cls.version}"),
-        *wrapped("  about      ", about(cls)),
-        *wrapped("  kind       ", "state: latched" if topic["latched"] else "a stream"),
-        *wrapped("  publisher  ", f"{topic['publisher']}, {topic['sent']} sent"),
-        "",
-    ]
+    named = {
+        "schema": f"{cls.schema}, version {cls.version}",
+        "about": about(cls),
+        "kind": "state: latched" if topic["latched"] else "a stream",
+        "publisher": f"{topic['publisher']}, {topic['sent']} sent",
+    }
     readers = [[one["node"], *(one[what] for what in COUNTED)] for one in topic["subscribers"]]
+    lines = [name, *facts(named, "  "), ""]
     lines += table(["SUBSCRIBER", *(what.upper() for what in COUNTED)], readers, "  ")
     lines += ["", *table(["FIELD", "TYPE"], list(fields.items()), "  ")]
     described = {"graph": graph.label, **topic, "version": cls.version, "about": about(cls)}

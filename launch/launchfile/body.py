@@ -280,8 +280,3 @@ def expand(
             values["host"] = first.stated.host
         found[name if len(batches) == 1 else f"{name}_{k}"] = {**table, **values}
     return found
-
-
-def settings_names(cls: Any) -> set[str]:
-    """Names of the settings of a node class."""
-    return {each.name for each in dataclasses.fields(cls.Settings)}

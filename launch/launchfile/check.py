@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,11 @@ from sparseskin.launch.run.restarts import RestartPolicy
 from sparseskin.nodes.errors import NotHereError, SparseskinError
 from sparseskin.nodes.graph import Link, join
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.node import Node
 from sparseskin.nodes.process.scheduling import Scheduling
 from sparseskin.nodes.registry import make_settings, node_class
 from sparseskin.nodes.settings import Settings, setting
-from sparseskin.nodes.toml import parse_toml
+from sparseskin.nodes.toml import toml_or_text
 
 from .hosts import Place, check_exposure, check_place, give_ports, read_hosts, read_security
 from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
@@ -53,23 +54,21 @@ GRAPH_TABLES = (GraphTable, RestartPolicy, Scheduling)
 """Settings that the table [graph] states; the last two also of each node."""
 
 
+@dataclass
 class Checker:
     """Turns a TOML tree into a LaunchFile, or all its errors into a LaunchError."""
 
-    def __init__(
-        self, shown: str, text: str, tree: dict[str, Any], name: str, folder: Path | None = None
-    ) -> None:
-        self.folder = folder or Path()
-        self.shown = shown
-        self.text = text
-        self.tree = tree
-        self.name = name
-        self.errors: list[str] = []
-        self.overridden: dict[tuple[str, ...], str] = {}
-        self.launched = text
-        self.templates: dict[str, str] = {}
-        self.supervision: list[Settings] = []
-        self.places: dict[str, Place] = {}
+    shown: str
+    text: str
+    tree: dict[str, Any]
+    name: str
+    folder: Path = Path()
+    launched: str = ""
+    errors: list[str] = field(default_factory=list)
+    overridden: dict[tuple[str, ...], str] = field(default_factory=dict)
+    templates: dict[str, str] = field(default_factory=dict)
+    supervision: list[Settings] = field(default_factory=list)
+    places: dict[str, Place] = field(default_factory=dict)
 
     def check(self, overrides: Sequence[str], record: str | None) -> LaunchFile:
         for key in self.tree:
@@ -158,7 +157,7 @@ class Checker:
         """The tables with the nodes that serve the body of the table [skin], where there is one."""
         if SKIN not in self.tree:
             return tables
-        from .body import expand, read_skin, settings_names  # with it simulated scenes
+        from .body import expand, read_skin  # with it simulated scenes
 
         folder = Path() if (SKIN, "body") in self.overridden else self.folder
         batches = read_skin(self.tree[SKIN], folder, self.fault)
@@ -167,7 +166,7 @@ class Checker:
         found: dict[str, dict[str, Any]] = {}
         for name, table in tables.items():
             try:
-                fields = settings_names(node_class(table["type"]))
+                fields = _setting_names(node_class(table["type"]))
             except (SparseskinError, KeyError, TypeError):  # reported with the node
                 fields = set()
             made = expand(name, table, fields, batches)
@@ -198,10 +197,7 @@ class Checker:
             known = did_you_mean(node, [*tables, GRAPH])
             self.errors.append(f"--set {text}: unknown node '{node}'{known}")
             return
-        try:
-            value = parse_toml(f"value = {raw}")["value"]
-        except ValueError:
-            value = raw
+        value = toml_or_text(raw)
         if part is not None:
             table = tables[node].get(key)
             value = {**(table if isinstance(table, dict) else {}), part: value}
@@ -224,7 +220,7 @@ class Checker:
             values, ("nodes", name), self.fault, *self.supervision, more=True
         )
         # A recorder, recognised by its settings: importing its class loads the writers of files.
-        if {"launch", "source", "out"} <= {f.name for f in dataclasses.fields(cls.Settings)}:
+        if {"launch", "source", "out"} <= _setting_names(cls):
             values = {"launch": self.launched, "source": self.name} | values
         deciding = [f.name for f in dataclasses.fields(cls.Settings) if f.metadata["range"].decides]
         right, decided = dict(values), True
@@ -292,6 +288,10 @@ class Checker:
         self.errors.append(f"{where}: {'.'.join(place)[:MAX_ERROR]}: {one_line_of(what)}")
         if len(self.errors) >= MAX_ERRORS:
             raise LaunchError([*self.errors, f"{self.shown}: perhaps more; these come first"])
+
+
+def _setting_names(cls: type[Node[Any]]) -> set[str]:
+    return {one.name for one in dataclasses.fields(cls.Settings)}
 
 
 def _to_name(node: str, values: dict[str, Any]) -> str:

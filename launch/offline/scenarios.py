@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.files import OutputError, user_folder, whole_file
+from sparseskin.nodes.files import OutputError, os_errors, user_folder, whole_file
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.remote import is_remote, local_path
 
@@ -86,10 +86,8 @@ def make_scenario(name: str, folder: Path) -> Path:
     path = folder / f"{name}{FILE_SUFFIX}"
     if path.exists():
         return path
-    try:
+    with os_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ScenarioError(f"{folder}: {error.strerror}") from error
     try:
         with whole_file(path) as draft, removing(draft, path):
             record_scenario(name, SCENARIOS[name], draft)

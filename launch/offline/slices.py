@@ -124,7 +124,10 @@ def run_sliced(job: Job, source: Path, how_cut: Sliced, progress: bool) -> tuple
             raise
         with whole_file(out) as draft, removing(draft, out):
             tallies, seams = _join(parts, slices, patch, draft)
-        _remove(folder)
+        for path in folder.glob(PARTS):
+            path.unlink(missing_ok=True)
+        for attempt in folder.glob(f".{PARTS}.*"):  # of a worker that was killed
+            shutil.rmtree(attempt, ignore_errors=True)
     patches = untimed({patch: joined(tallies)})
     return patches, [_counted(slices, len(missing)), *seams]
 
@@ -450,11 +453,3 @@ def _seam_lines(seams: Sequence[tuple[float, float]]) -> list[str]:
         f"{len(rms)} seams: RMS difference of a frame computed from both sides, median "
         f"{np.median(rms):.2g}, most {max(rms):.2g}; RMS of the forces there {np.median(force):.2g}"
     ]
-
-
-def _remove(folder: Path) -> None:
-    """Remove all parts."""
-    for path in folder.glob(PARTS):
-        path.unlink(missing_ok=True)
-    for attempt in folder.glob(f".{PARTS}.*"):  # of a worker that was killed
-        shutil.rmtree(attempt, ignore_errors=True)

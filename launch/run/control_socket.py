@@ -80,7 +80,6 @@ class ControlClient(Connection):
             made.close()
             raise SparseskinError(f"{path}: no graph listens there: {error.strerror}") from error
         super().__init__(made, MAX_QUEUED_BYTES)
-        self.fd = made.fileno()
 
     def receive(self) -> list[dict[str, Any]] | None:
         """The objects that have arrived; None once the graph is gone."""

@@ -191,7 +191,7 @@ class RemoteControls:
         self._client: ControlClient | None = ControlClient(path)
         self._askers: dict[str, NodeProcess] = {}
         self._client.send({"watch": True})
-        fleet.watch(self._client.fd, self._listen)
+        fleet.watch(self._client.connection, self._listen)
         fleet.hear = self._hear
 
     def serve(self) -> None:
@@ -202,7 +202,7 @@ class RemoteControls:
     def close(self) -> None:
         """Leave the graph."""
         if self._client is not None:
-            self._fleet.unwatch(self._client.fd)
+            self._fleet.unwatch(self._client.connection)
             self._client.close()
             self._client = None
 

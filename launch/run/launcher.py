@@ -16,7 +16,7 @@ from sparseskin.nodes.errors import SparseskinError
 
 from .configs import note_of
 from .controls import Controls, RemoteControls
-from .fleet import EXIT_FAILED, EXIT_USAGE, START_S, Fleet
+from .fleet import EXIT_FAILED, START_S, Fleet
 from .process import NodeProcess, awake_s
 from .running import GraphError, Note, RunningGraph, announced, control_path, is_running
 from .state import hosts_state
@@ -38,8 +38,6 @@ DRAIN_S = 5.0
 """Longest time for frames under way to reach the end of the graph after its sources, seconds."""
 LOOK_S = 0.5
 QUIT_KEYS = ("q", "\x03")
-
-__all__ = ["EXIT_FAILED", "EXIT_USAGE", "Launcher"]
 
 
 class Launcher:

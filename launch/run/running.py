@@ -190,12 +190,11 @@ def announced(graph: RunningGraph) -> Iterator[Note]:
 
 
 def running_graphs(starting: bool = False) -> list[RunningGraph]:
-    """All graphs that run and can be joined, or those that are starting; what graphs that are gone
-    have left is removed.
+    """All graphs that run and can be joined, and with `starting` those that are starting; what
+    graphs that are gone have left is removed.
     """
-    folder = runtime_folder()
-    with _locked(folder):
-        return [graph for graph in _remove_stale() if (graph.starting if starting else graph.nodes)]
+    with _locked(runtime_folder()):
+        return [one for one in _remove_stale() if one.nodes or (starting and one.starting)]
 
 
 def is_running(graph: RunningGraph) -> bool:
@@ -247,12 +246,11 @@ def _wait_for_start(name: str | None) -> list[RunningGraph]:
     """The running graphs, once one of them has that name or none of those that start has it."""
     given_up_s = None
     while True:
-        # In this order: one that has started in between is among those that run.
-        starting = _named(running_graphs(starting=True), name)
-        graphs = running_graphs()
-        if _named(graphs, name) or not starting:
-            return graphs
-        label, now_s = starting[0].label, time.monotonic()
+        found = running_graphs(starting=True)
+        matching = _named(found, name)
+        if not matching or any(graph.nodes for graph in matching):
+            return [graph for graph in found if graph.nodes]
+        label, now_s = matching[0].label, time.monotonic()
         if given_up_s is None:
             given_up_s = now_s + PATIENCE_S
             print(f"{label}: is starting; waiting until it runs", file=sys.stderr, flush=True)

@@ -111,7 +111,7 @@ def test_a_graph_that_is_starting_is_waited_for(
         monkeypatch.setattr(running.time, "sleep", lambda _: note.announce(graph()))
         assert choose_graph("path_40") == graph()
         assert capsys.readouterr().err == "path_40-7: is starting; waiting until it runs\n"
-        assert running_graphs(starting=True) == []
+        assert running_graphs(starting=True) == [graph()]
 
 
 def test_a_start_that_takes_too_long_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
