@@ -27,7 +27,7 @@ from sparseskin.nodes.recorder.convert.export import OWN, export_names, find_exp
 from sparseskin.nodes.sensor.files.format import suffixes
 from sparseskin.nodes.sensor.files.recording import NAN_WAYS, NEGATIVE_WAYS, REFUSE
 
-from .options import add_commands, show, whole
+from .options import add_commands, add_shape, show, whole
 
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -80,8 +80,7 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="the recording")
     about = f"the bag, NAME{FILE_SUFFIX}; or a folder, for one bag a FILE"
     parser.add_argument("--out", metavar="PATH", type=Path, required=True, help=about)
-    parser.add_argument("--n-rows", metavar="N", type=int, help="rows of a plain .csv's frame")
-    parser.add_argument("--n-cols", metavar="N", type=int, help="columns of a plain .csv's frame")
+    add_shape(parser)
     parser.add_argument("--unit", help="unit of the readings, where the file does not state it")
     parser.add_argument("--f-max", metavar="X", type=float, help="upper end of the range")
     parser.add_argument("--rate-hz", metavar="X", type=float, help="frames a second")

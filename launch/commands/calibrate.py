@@ -37,7 +37,7 @@ from sparseskin.nodes.sensor.calibration.press import (
 from sparseskin.nodes.sensor.calibration.response import SkinFileError
 from sparseskin.nodes.sensor.calibration.skin_file import save_skin
 
-from .options import add_graph, real, show, whole
+from .options import add_graph, add_shape, real, show, whole
 
 UNTOUCHED = "3s"
 STEP_S = 2.0
@@ -76,9 +76,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pitch-mm", metavar="X", type=real(above_0=True), help=about)
     about = "let the range begin below 0, so that noise around 0 is not clipped"
     parser.add_argument("--keep-noise", action="store_true", help=about)
-    for what in ("rows", "cols"):
-        about = f"{what} of a plain .csv's frame"
-        parser.add_argument(f"--n-{what}", metavar="N", type=whole(1), help=about)
+    add_shape(parser)
     parser.set_defaults(run=_calibrate)
 
 

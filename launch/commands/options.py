@@ -57,6 +57,13 @@ def add_page(
     parser.add_argument("--no-token", action="store_true", help=about)
 
 
+def add_shape(parser: argparse.ArgumentParser) -> None:
+    """Add the options that state what a plain .csv does not."""
+    for what, name in (("rows", "rows"), ("cols", "columns")):
+        about = f"{name} of a plain .csv's frame"
+        parser.add_argument(f"--n-{what}", metavar="N", type=whole(1), help=about)
+
+
 def add_set(parser: argparse.ArgumentParser, about: str, metavar: str = "KEY=VALUE") -> None:
     """Add --set; `stated_values` reads KEY=VALUE, `load` of a launch file NODE.KEY=VALUE."""
     about = f"{about} (may be repeated)"

@@ -34,31 +34,9 @@ PLAY_KEYS = {
     "down": ("player", "slower"),
 }
 STEP_KEYS = PLAY_KEYS | {" ": ("player", "step"), "\n": ("player", "step")}
-PLAY_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
-    "rate": (
-        "--rate",
-        {
-            "type": real(False),
-            "metavar": "R",
-            "help": "times the recorded speed; 0: as fast as it is read",
-        },
-    ),
-    "loop": ("--loop", {"action": "store_true", "help": "start again at the end"}),
-    "start_s": ("--start", {"type": real(False), "metavar": "S", "help": "seconds to skip"}),
-    "duration_s": ("--duration", {"type": real(False), "metavar": "S", "help": "seconds to play"}),
-    "topics": ("--topics", {"nargs": "+", "metavar": "T", "help": "topics to play"}),
-    "remap": (
-        "--remap",
-        {"nargs": "+", "metavar": "A:=B", "help": "other names for topics or patches"},
-    ),
-    "lockstep": (
-        "--lockstep",
-        {
-            "action": "store_true",
-            "help": "send no frame before all readers have handled the last",
-        },
-    ),
-    "wait": ("--wait", {"type": whole(0), "metavar": "K", "help": "wait for K readers first"}),
+OPTIONS = {
+    key: f"--{key.removesuffix('_s')}"
+    for key in ("rate", "loop", "start_s", "duration_s", "topics", "remap", "lockstep", "wait")
 }
 """Settings of the player, and the options that state them."""
 
@@ -71,8 +49,18 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
     )
     about = f"recording, or an address of one; or {', '.join(SCENARIOS)}"
     parser.add_argument("file", metavar="F.mcap|NAME", help=about)
-    for key, (option, how) in PLAY_OPTIONS.items():
-        parser.add_argument(option, dest=key, default=None, **how)
+    about = "times the recorded speed; 0: as fast as it is read"
+    parser.add_argument("--rate", type=real(False), metavar="R", help=about)
+    parser.add_argument("--loop", action="store_true", default=None, help="start again at the end")
+    seconds: dict[str, Any] = {"type": real(False), "metavar": "S"}
+    parser.add_argument("--start", dest="start_s", help="seconds to skip", **seconds)
+    parser.add_argument("--duration", dest="duration_s", help="seconds to play", **seconds)
+    parser.add_argument("--topics", nargs="+", metavar="T", help="topics to play")
+    about = "other names for topics or patches"
+    parser.add_argument("--remap", nargs="+", metavar="A:=B", help=about)
+    about = "send no frame before all readers have handled the last"
+    parser.add_argument("--lockstep", action="store_true", default=None, help=about)
+    parser.add_argument("--wait", type=whole(0), metavar="K", help="wait for K readers first")
     parser.add_argument("--pause", action="store_true", help="start paused")
     parser.add_argument("--step", action="store_true", help="play one frame a key")
     add_page(parser, "open a live page that shows it, again and again")
@@ -88,14 +76,14 @@ def _play(arguments: argparse.Namespace) -> int:
     if arguments.no_token and not arguments.open:
         raise SettingsError("--no-token: goes with --open: without it there is no page")
     path = resolve_recording(arguments.file)
-    stated = {key: getattr(arguments, key) for key in PLAY_OPTIONS}
+    stated = {key: getattr(arguments, key) for key in OPTIONS}
     values: dict[str, Any] = {
         **{key: value for key, value in stated.items() if value is not None},
         "file": str(path),
         "paused": arguments.pause or arguments.step,
         "verbatim": not (arguments.loop or arguments.remap),
     }
-    with naming_options({key: option for key, (option, _) in PLAY_OPTIONS.items()}):
+    with naming_options(OPTIONS):
         if arguments.open:
             launch = _with_page(arguments, path, values)
         else:

@@ -53,12 +53,25 @@ def run_whole(job: Job, source: Path, progress: bool) -> dict[str, Any]:
 
     The result appears under its name when it is complete, or not at all.
     """
+    from tqdm import tqdm
+
+    from sparseskin.nodes.bus import Bus
+    from sparseskin.nodes.clock import ManualClock
     from sparseskin.nodes.files import whole_file
+    from sparseskin.nodes.recorder.bag.reader import BagReader
     from sparseskin.nodes.recorder.bag.writer import removing
 
-    out = checked_out(job)
+    out, clock = checked_out(job), ManualClock()
+    with BagReader(source, whole=False) as bag:
+        total = max((info.n_messages for info in bag.topics.values()), default=0)
     with whole_file(out) as draft, removing(draft, out):
-        return _stream(job, source, make_graph(job, source, out=draft), progress)
+        launch = make_graph(job, source, out=draft)
+        bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, clock)
+        bar = tqdm(total=total, disable=not progress, unit="frame", desc=Path(job.source).name)
+        with bar, closing(bus):
+            run_bus(bus, clock, bar.update)
+        bus.check()
+        return untimed(bus.reports()["monitor"]["patches"])
 
 
 def checked_out(job: Job) -> Path:
@@ -68,24 +81,6 @@ def checked_out(job: Job) -> Path:
     if Path(job.out).suffix != FILE_SUFFIX:
         raise SettingsError(f"--out {job.out}: expected a name that ends in {FILE_SUFFIX}")
     return Path(job.out)
-
-
-def _stream(job: Job, source: Path, launch: LaunchFile, progress: bool) -> dict[str, Any]:
-    from tqdm import tqdm
-
-    from sparseskin.nodes.bus import Bus
-    from sparseskin.nodes.clock import ManualClock
-    from sparseskin.nodes.recorder.bag.reader import BagReader
-
-    clock = ManualClock()
-    bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, clock)
-    with BagReader(source, whole=False) as bag:
-        total = max((info.n_messages for info in bag.topics.values()), default=0)
-    bar = tqdm(total=total, disable=not progress, unit="frame", desc=Path(job.source).name)
-    with bar, closing(bus):
-        run_bus(bus, clock, bar.update)
-    bus.check()
-    return untimed(bus.reports()["monitor"]["patches"])
 
 
 def run_bus(bus: Any, clock: Any, count: Any = lambda: None) -> None:
@@ -163,20 +158,15 @@ def make_graph(
         made_by = bag.metadata.get("launch", "")
     schemas = [SkinState.schema, Taxels.schema, Truth.schema]
     schemas += [Calibration.schema] if Calibration.schema in present else []
-    tables: dict[str, dict[str, Any]] = {}
+    player = {"type": "player", "file": str(source), "schemas": schemas, "keep_stamps": True}
+    tables: dict[str, dict[str, Any]] = {
+        "player": player | {"start_s": span[0], "duration_s": span[1]}
+    }
     if start_from == "measurements":
         schemas += [PhiState.schema, Measurements.schema]
     else:
         tables["compressor"] = {"type": "compressor", "patch": patch}
-    player = {"type": "player", "file": str(source), "schemas": schemas, "keep_stamps": True}
-    start_s, duration_s = span
-    player |= {"start_s": start_s}
-    player |= {} if duration_s is None else {"duration_s": duration_s}
-    tables = {
-        "player": player,
-        **tables,
-        "reconstructor": {"type": "reconstructor", "patch": patch},
-    }
+    tables["reconstructor"] = {"type": "reconstructor", "patch": patch}
     if out is not None:
         tables["monitor"] = {"type": "monitor", "patches": [patch]}
         tables["recorder"] = {"type": "recorder", "out": str(out), "launch": how(job, made_by)}
