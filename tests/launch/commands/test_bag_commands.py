@@ -50,6 +50,14 @@ def decoded(path: Path) -> list[Message]:
         return [decode(m.topic.encode(), m.payload) for m in opened.messages()]
 
 
+def make_half_a_bag(name: str) -> list[bytes]:
+    """The first half of the bytes of a bag; the payloads of the whole one."""
+    payloads = make_bag(Path("a.mcap"), frames(N_FRAMES))
+    data = Path("a.mcap").read_bytes()
+    Path(name).write_bytes(data[: len(data) // 2])
+    return payloads
+
+
 # --- info ------------------------------------------------------------------------------------
 
 
@@ -93,9 +101,7 @@ def test_duration_is_that_of_the_streams_whatever_the_age_of_a_state(
 def test_info_of_a_broken_bag_reports_what_survived(
     bag: Bag, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    make_bag(Path("a.mcap"), frames(N_FRAMES))
-    data = Path("a.mcap").read_bytes()
-    Path("b.mcap").write_bytes(data[: len(data) // 2])
+    make_half_a_bag("b.mcap")
     assert bag("info", "b.mcap") == 0
     assert "messages recovered, up to byte" in capsys.readouterr().out
 
@@ -106,9 +112,7 @@ def test_info_of_a_broken_bag_reports_what_survived(
 def test_recover_makes_a_whole_bag_of_what_survived(
     bag: Bag, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    payloads = make_bag(Path("a.mcap"), frames(N_FRAMES))
-    data = Path("a.mcap").read_bytes()
-    Path("b.mcap.part").write_bytes(data[: len(data) // 2])
+    payloads = make_half_a_bag("b.mcap.part")
     assert bag("recover", "b.mcap.part") == 0
     with BagReader("b.mcap.part") as broken, BagReader("b_recovered.mcap") as saved:
         found = list(saved.messages())
@@ -269,12 +273,9 @@ def test_an_export_overwrites_nothing(bag: Bag, kind: str) -> None:
     assert sorted(path.name for path in Path().iterdir()) == ["a.mcap", "taken"]
 
 
-def _other_shape() -> Any:
-    return np.zeros((2, 2), np.float32)
-
-
 def test_frames_of_two_shapes_are_refused_by_npz_and_leave_nothing(bag: Bag) -> None:
-    other = Taxels(stamp_ns=5, patch="skin", forces=_other_shape())
+    small: Any = np.zeros((2, 2), np.float32)
+    other = Taxels(stamp_ns=5, patch="skin", forces=small)
     make_bag(Path("a.mcap"), [frame(0)[0], other])
     with pytest.raises(BagError, match="a frame of 2 x 2 after some of 5 x 7"):
         bag("export", "a.mcap", "--to", "npz")
@@ -284,9 +285,7 @@ def test_frames_of_two_shapes_are_refused_by_npz_and_leave_nothing(bag: Bag) -> 
 def test_a_broken_bag_is_exported_as_far_as_it_goes_and_reports_it(
     bag: Bag, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    make_bag(Path("a.mcap"), frames(N_FRAMES))
-    data = Path("a.mcap").read_bytes()
-    Path("b.mcap").write_bytes(data[: len(data) // 2])
+    make_half_a_bag("b.mcap")
     assert bag("export", "b.mcap", "--to", "npz") == 0
     assert "messages recovered, up to byte" in capsys.readouterr().err
     with BagReader("b.mcap") as broken:

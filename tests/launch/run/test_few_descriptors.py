@@ -19,17 +19,12 @@ GRAPH = """
 transport = "tcp"
 [nodes.sensor]
 type = "sensor"
-source = "endless:frames"
+source = "scene:path_40"
+rate_hz = 20
 [nodes.compressor]
 type = "compressor"
 [nodes.reconstructor]
 type = "reconstructor"
-"""
-ENDLESS = """
-import itertools, time
-import numpy as np
-def frames():
-    for k in itertools.count(): time.sleep(0.02); yield k, np.zeros((8, 8))
 """
 
 
@@ -48,7 +43,6 @@ def test_half_open_connections_end_no_node(
     start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "graph.toml").write_text(GRAPH)
-    (tmp_path / "endless.py").write_text(ENDLESS)
     limit = ("bash", "-c", 'ulimit -n 64; exec "$@"', "-")
     program = start("launch", "graph.toml", "--summary", "summary.json", prefix=limit)
     program.wait_for("[launch] ready")

@@ -15,9 +15,9 @@ from conftest import StartProgram, wait_until
 from sparseskin.launch.launchfile.load import BUNDLED, load
 from sparseskin.messages import Reconstruction
 from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.process import proc
 
 slow = partial(pytest.param, marks=pytest.mark.slow)
+NONE_MISSING = {"skipped": 0, "lost": 0, "unpaired": 0}
 TAP = """
 import numpy as np
 from dataclasses import dataclass
@@ -82,13 +82,7 @@ def test_not_one_of_the_first_thousand_frames_is_lost(start: StartProgram, tmp_p
     assert code == 0, stderr
     summary = json.loads((tmp_path / "out.json").read_text())
     patch = summary["patches"]["skin"]
-    assert patch["frames"] == {
-        "sensed": 1000,
-        "reconstructed": 1000,
-        "skipped": 0,
-        "lost": 0,
-        "unpaired": 0,
-    }
+    assert patch["frames"] == {"sensed": 1000, "reconstructed": 1000, **NONE_MISSING}
     found = {key: patch[key] for key in ("scene", "phi", "rows", "basis", "solver", "n", "m")}
     assert found == {
         **{"scene": "path_40", "phi": "sbhe", "rows": "rotating", "basis": "", "solver": "skin"},
@@ -128,7 +122,7 @@ def test_as_fast_as_it_is_read_nothing_is_lost_beyond_any_queue(
     ).finish()
     assert code == 0, stderr
     frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
-    assert frames == {"sensed": 6000, "reconstructed": 6000, "skipped": 0, "lost": 0, "unpaired": 0}
+    assert frames == {"sensed": 6000, "reconstructed": 6000, **NONE_MISSING}
 
 
 @pytest.mark.parametrize("transport", ["ipc", slow("tcp")])
@@ -183,20 +177,28 @@ def test_a_killed_launcher_leaves_nothing(start: StartProgram, ready: bool) -> N
     wait_until(lambda: not program.survivors(), "the nodes to notice")
 
 
+KILLED = "[launch] {} ended too early: killed by SIGKILL"
+
+
 @pytest.mark.parametrize(
-    "victim", [slow("sensor"), slow("compressor"), "reconstructor", slow("monitor")]
+    ("victim", "number", "line"),
+    [
+        slow("sensor", signal.SIGKILL, KILLED),
+        slow("compressor", signal.SIGKILL, KILLED),
+        ("reconstructor", signal.SIGKILL, KILLED),
+        slow("monitor", signal.SIGKILL, KILLED),
+        ("sensor", signal.SIGTERM, "[{}] error: terminated (SIGTERM)"),
+    ],
 )
-def test_a_node_that_dies_is_named_and_the_others_are_ended(
-    start: StartProgram, victim: str
+def test_a_node_that_is_ended_by_a_signal_is_named_and_the_others_are_ended(
+    start: StartProgram, victim: str, number: signal.Signals, line: str
 ) -> None:
     program = start("launch", "path_40")
     program.wait_for("[launch] ready")
-    for pid in program.survivors():
-        if pid != program.process.pid and proc.command(pid)[-1] == victim:
-            os.kill(pid, signal.SIGKILL)
+    os.kill(program.pid_of(victim), number)
     code, _, stderr = program.finish()
     assert code == 1
-    assert f"[launch] {victim} ended too early: killed by SIGKILL" in stderr
+    assert line.format(victim) in stderr
     assert "Traceback" not in stderr
     assert program.survivors() == {}
 
@@ -221,17 +223,6 @@ def test_a_driver_that_fails_ends_the_graph_with_its_reason(
     assert "hardware:skin, frame 20, row 3, column 4: nan" in stderr
     assert "Traceback" not in stderr
     assert "sensed 20, reconstructed 20, lost 0" in stdout
-
-
-def test_a_terminated_node_is_no_normal_end(start: StartProgram) -> None:
-    program = start("launch", "path_40")
-    program.wait_for("[launch] ready")
-    for pid in program.survivors():
-        if pid != program.process.pid and proc.command(pid)[-1] == "sensor":
-            os.kill(pid, signal.SIGTERM)
-    code, _, stderr = program.finish()
-    assert code == 1
-    assert "[sensor] error: terminated (SIGTERM)" in stderr
 
 
 def test_a_driver_that_blocks_does_not_outlive_a_killed_launcher(

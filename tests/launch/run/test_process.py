@@ -116,11 +116,8 @@ def test_nodes_that_were_stopped_with_their_launcher_are_not_killed(
 def test_a_live_recording_leaves_no_descriptor_open(
     start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "endless.py").write_text(FLOODING.format(text=b"").replace("while True: ", ""))
-    program = start(
-        *("launch", "replay", "--set", "sensor.source=endless:frames"),
-        *("--set", "monitor.page=false"),
-    )
+    settings = ("--set", "sensor.rate_hz=20", "--set", "monitor.page=false")
+    program = start("launch", "path_40", *settings)  # for ten minutes
     program.wait_for("[launch] ready")
     pid = program.process.pid
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))

@@ -37,6 +37,8 @@ from sparseskin.nodes.network.network import Network
 from sparseskin.nodes.network.sockets import make_context
 
 GRAPH = RunningGraph("path_40", 7, 0, "", {"sensor": RunningNode("sensor", "ipc://x", [])})
+LONG = ("launch", "path_40", "--set", "sensor.rate_hz=20", "--set", "monitor.port=0")
+"""A graph that runs for ten minutes."""
 LAUNCH = ("launch", "drag_wrench_40", "--set", "monitor.page=false", "--frames", "1")
 
 
@@ -123,8 +125,7 @@ def test_a_folder_whose_path_is_too_long_for_a_socket_is_refused(
 def test_another_user_gets_at_nothing_of_a_running_graph(as_nobody: Run) -> None:
     with tempfile.TemporaryDirectory(prefix="ss-") as name, contextlib.ExitStack() as stack:
         os.chmod(name, 0o755)  # unlike folders of tests, every user may enter it
-        settings = ("--set", "monitor.port=0", "--log-dir", "logs", "--record", "run.mcap")
-        program = Program("launch", "replay", *settings, *_source(Path(name)), cwd=Path(name))
+        program = Program(*LONG, "--log-dir", "logs", "--record", "run.mcap", cwd=Path(name))
         stack.callback(program.process.communicate)
         stack.callback(program.kill_all)
         url = urlsplit(program.wait_for("live page: "))
@@ -170,8 +171,7 @@ def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(
 ) -> None:
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setenv("BROWSER", "true")  # the program, which shows no page
-    settings = ("--open", "--set", "monitor.port=0")
-    program = start("launch", "replay", *settings, *_source(tmp_path))
+    program = start(*LONG, "--open")
     program.wait_for("[launch] ready")
     folder = tmp_path / "graphs"
     (page,) = folder.glob(f"{program.process.pid}.*.html")
@@ -183,22 +183,13 @@ def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(
     program.process.communicate()
     # The launcher's note and socket; a node that notices its end first may remove its own.
     left = {path.name for path in folder.iterdir()}
-    assert {f"replay-{program.process.pid}.json", f"{program.process.pid}.sock"} <= left
+    assert {f"path_40-{program.process.pid}.json", f"{program.process.pid}.sock"} <= left
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(folder))
 
     def removed() -> bool:  # a process that is being killed still holds its socket
         return running_graphs() == [] and not list(folder.iterdir())
 
     wait_until(removed, "the end of all nodes")
-
-
-def _source(folder: Path) -> tuple[str, ...]:
-    (folder / "endless.py").write_text(
-        "import itertools, time\nimport numpy as np\n"
-        "def frames():\n"
-        "    for k in itertools.count(): time.sleep(0.05); yield k, np.zeros((8, 8))\n"
-    )
-    return ("--set", "sensor.source=endless:frames")
 
 
 def test_what_others_wrote_stays(folder: Path) -> None:

@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Program, StartProgram, wait_until
+from conftest import PATIENCE_S, Program, StartProgram, note_of_graph, wait_until
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sparseskin.launch.attach.client import Answer, ask_node
 from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, load
 from sparseskin.launch.run.control_socket import ControlClient
 from sparseskin.launch.run.restarts import NEVER, ON_FAILURE, RestartPolicy, Restarts
+from sparseskin.launch.run.running import choose_graph
 from sparseskin.nodes.errors import SparseskinError
 
 GRAPH = (BUNDLED / "path_40.toml").read_text()
@@ -124,8 +126,9 @@ def launched(start: StartProgram, tmp_path: Path, keys: str, *arguments: str) ->
     return program
 
 
-def connected(path: Path) -> ControlClient:
-    """Connect to a control socket as soon as a launcher listens there."""
+def connected(program: Program) -> ControlClient:
+    """Connect to the control socket of a graph as soon as its launcher listens there."""
+    path = program.cwd / "graphs" / f"{program.process.pid}.sock"
     found: list[ControlClient] = []
 
     def listens() -> bool:
@@ -155,8 +158,7 @@ def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(
     start: StartProgram, tmp_path: Path
 ) -> None:
     program = launched(start, tmp_path, 'restart = "on-failure"')
-    path = tmp_path / "graphs" / f"{program.process.pid}.sock"
-    client = connected(path)
+    client = connected(program)
     client.send({"watch": True})
 
     def wait_for(node: str, **wanted: Any) -> None:
@@ -208,8 +210,7 @@ def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(
 @pytest.mark.slow
 def test_a_monitor_that_is_stopped_holds_up_nobody(start: StartProgram, tmp_path: Path) -> None:
     program = launched(start, tmp_path, "", "--set", "sensor.rate_hz=20")
-    path = tmp_path / "graphs" / f"{program.process.pid}.sock"
-    client = connected(path)
+    client = connected(program)
     monitor = program.pid_of("monitor")
     os.kill(monitor, signal.SIGSTOP)
     client.send({"watch": True})
@@ -228,33 +229,22 @@ def test_a_monitor_that_is_stopped_holds_up_nobody(start: StartProgram, tmp_path
 
 @pytest.mark.slow
 def test_a_recorder_that_is_killed_leaves_no_recording_on(
-    start: StartProgram, tmp_path: Path
+    start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     program = launched(start, tmp_path, "", "--set", "sensor.rate_hz=20")
-    path = tmp_path / "graphs" / f"{program.process.pid}.sock"
-    client = connected(path)
-
-    def answered(number: str, value: Any) -> dict[str, Any]:
-        client.send({"id": number, "node": "launch", "command": "record", "value": value})
-        found: list[dict[str, Any]] = []
-
-        def has_come() -> bool:
-            found.extend(fields["answer"] for fields in client.receive() or ())
-            return bool(found)
-
-        wait_until(has_come, "an answer")
-        return found[0]
-
-    assert answered("1", True)["text"].startswith("recording to graph-")
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
+    monkeypatch.setattr("sparseskin.launch.attach.client.PATIENCE_S", PATIENCE_S)
+    note_of_graph(tmp_path / "graphs")
+    graph = choose_graph(None)
+    assert ask_node(graph, "launch", "record", True).text.startswith("recording to graph-")
     os.kill(program.pid_of("live_recorder_1"), signal.SIGKILL)
     program.wait_for("[launch] live_recorder_1 ended too early")
-    assert answered("2", False)["text"] == "record: not on"
+    assert ask_node(graph, "launch", "record", False) == Answer(False, "record: not on")
     nested: Any = []
     for _ in range(500):
         nested = [nested]
-    assert answered("3", nested) == {
-        "id": "3", "node": "launch", "done": False, "text": "value: nested more than 4 deep"
-    }  # fmt: skip
+    refused = Answer(False, "value: nested more than 4 deep")
+    assert ask_node(graph, "launch", "record", nested) == refused
     program.process.terminate()
     assert program.finish()[0] in (1, 143)
 
