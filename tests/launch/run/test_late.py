@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from conftest import StartProgram, wait_until
+from fake_node import FakeNode
 
 from sparseskin.launch.run.waiting import (
     LateLog,
@@ -27,35 +28,22 @@ LINKS = [
 ]
 
 
-@dataclass
-class Node:
-    name: str
-    endpoint: str = "tcp://127.0.0.1:1"
-    ready: bool = False
-    ended: bool = False
-    lacks: list[str] = field(default_factory=list)
-    spec: Any = None
-    state: dict[str, Any] = field(default_factory=lambda: {"paused": False})
-    counts: dict[str, Any] = field(default_factory=dict)
-    failed: bool = False
-    heard_s: float = 0.0
-
-    def says(self, received: int) -> None:
-        """A heartbeat comes."""
-        self.heard_s += 0.5
-        self.counts = {"received": received}
+def says(node: FakeNode, received: int) -> None:
+    """A heartbeat of a node comes."""
+    node.heard_s += 0.5
+    node.counts = {"received": received}
 
 
-def nodes(*made: Node) -> Any:
+def nodes(*made: FakeNode) -> Any:
     return list(made)
 
 
 def test_each_node_that_is_not_ready_reports_what_it_waits_for() -> None:
     made = nodes(
-        Node("sensor", endpoint=""),
-        Node("compressor", lacks=["monitor", "reconstructor"]),
-        Node("recorder"),
-        Node("monitor", ready=True),
+        FakeNode("sensor", endpoint=""),
+        FakeNode("compressor", lacks=["monitor", "reconstructor"]),
+        FakeNode("recorder"),
+        FakeNode("monitor", ready=True),
     )
     assert [late_at_start(node, 5.0) for node in made] == [
         "sensor has not started: it imports, or opens its device (5 s)",
@@ -66,21 +54,21 @@ def test_each_node_that_is_not_ready_reports_what_it_waits_for() -> None:
 
 
 def test_all_is_read_once_the_counts_are_the_same_over_two_heartbeats() -> None:
-    recorder, monitor, ended = Node("recorder"), Node("monitor"), Node("late", ended=True)
-    done = all_read(nodes(recorder, monitor, ended))
+    recorder, monitor = FakeNode("recorder"), FakeNode("monitor")
+    done = all_read(nodes(recorder, monitor, FakeNode("late", ended=True)))
     for received in (0, 64, 65):
         for node in (recorder, monitor):
-            node.says(received)
+            says(node, received)
         assert not done()
         assert not done()  # silence is no heartbeat
     for received, both in ((65, False), (65, True), (70, False)):
-        monitor.says(65)
-        recorder.says(received)
+        says(monitor, 65)
+        says(recorder, received)
         assert done() == both
 
 
 def test_who_has_not_ended_waits_for_those_before_it() -> None:
-    sensor, compressor, monitor = Node("sensor"), Node("compressor"), Node("monitor")
+    sensor, compressor, monitor = FakeNode("sensor"), FakeNode("compressor"), FakeNode("monitor")
     assert late_at_end(nodes(sensor, compressor, monitor), LINKS) == [
         "sensor (has not ended its stream)",
         "compressor (waits for sensor)",
@@ -105,11 +93,6 @@ def test_what_is_late_is_logged_once_after_a_while() -> None:
     assert lines == ["[launch] sensor has not answered yet"]
 
 
-@dataclass
-class Spec:
-    settings: Any
-
-
 LATCHED, SENT = ({"published": {topic: 1}} for topic in ("/skin/skin", "/skin/taxels"))
 WAITS = "from another terminal: sparseskin monitor --graph drag, or sparseskin record --graph drag"
 
@@ -130,12 +113,13 @@ WAITS = "from another terminal: sparseskin monitor --graph drag, or sparseskin r
 def test_a_player_that_has_sent_no_frame_reports_which_readers_it_waits_for(
     stated: dict[str, Any], fields: dict[str, Any], line: str
 ) -> None:
-    (node,) = nodes(Node("player", spec=Spec(PlayerSettings(**stated)), **fields))
+    spec = SimpleNamespace(settings=PlayerSettings(**stated))
+    (node,) = nodes(FakeNode("player", spec, **fields))
     assert lacks_readers(node, "drag") == line
 
 
 def test_what_is_no_player_waits_for_nobody() -> None:
-    (node,) = nodes(Node("sensor", spec=Spec(None)))
+    (node,) = nodes(FakeNode("sensor", SimpleNamespace(settings=None)))
     assert lacks_readers(node, "drag") == ""
 
 

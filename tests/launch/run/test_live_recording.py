@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
+from fake_node import FakeNode
 
 from sparseskin.launch.launchfile.load import load
 from sparseskin.launch.launchfile.spec import NodeSpec
@@ -15,29 +15,16 @@ from sparseskin.launch.run.live_recording import LiveRecording
 from sparseskin.nodes.errors import RefusedError
 
 
-@dataclass
-class FakeProcess:
-    """A recorder's process as far as a live recording needs it."""
-
-    name: str
-    refusal: str = ""
-    report: dict[str, Any] = field(default_factory=dict)
-    told: list[str] = field(default_factory=list)
-
-    def command(self, command: str) -> None:
-        self.told.append(command)
-
-
 class FakeFleet:
     """Keeps what it is to start."""
 
     def __init__(self) -> None:
-        self.nodes: dict[str, FakeProcess] = {}
+        self.nodes: dict[str, FakeNode] = {}
         self.started: list[tuple[NodeSpec, list[str]]] = []
 
     def add(self, spec: NodeSpec, topics: list[str]) -> None:
         self.started.append((spec, topics))
-        self.nodes[spec.name] = FakeProcess(spec.name)
+        self.nodes[spec.name] = FakeNode(spec.name)
 
 
 class Desk:
@@ -117,7 +104,7 @@ def test_each_request_is_answered_once_and_what_is_on_is_known(
     ended = steps.split()[-1] in ("ended", "failed", "error") or refused == [OFF]
     assert (desk.recording.out is None) == ended
     assert [node.told for node in desk.fleet.nodes.values()][:1] == (
-        [["stop"] if "ready off" in steps else []] if steps != "off" else []
+        [[("stop", {})] if "ready off" in steps else []] if steps != "off" else []
     )
 
 
@@ -144,7 +131,7 @@ def test_the_news_of_others_and_of_former_recorders_change_nothing(desk: Desk) -
         desk.take(step)
     former, _ = desk.fleet.nodes.values()
     n_said = len(desk.said)
-    for node in (former, FakeProcess("sensor")):
+    for node in (former, FakeNode("sensor")):
         for event in ("ended", "failed", "error"):
             desk.take(event, node)
     assert desk.recording.out is not None

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from fake_node import FakeNode
 
 from sparseskin.launch.launchfile.hosts import Host
 from sparseskin.launch.launchfile.spec import LaunchFile, NodeSpec
@@ -26,17 +26,9 @@ PART = LaunchFile(
 )
 
 
-def node(
-    lacks: tuple[str, ...] = (),
-    heard: dict[str, bool] | None = None,
-    clocks: dict[str, tuple[int, int]] | None = None,
-) -> Any:
-    return SimpleNamespace(lacks=list(lacks), heard=heard or {}, clocks=clocks or {})
-
-
 def test_who_is_missing_is_named_after_a_while_then_now_and_then() -> None:
     said: list[str] = []
-    lacking = [node(lacks=("echo",)), node(lacks=("screen", "local"))]
+    lacking: Any = [FakeNode(lacks=["echo"]), FakeNode(lacks=["screen", "local"])]
     now_s = [0.0]
     log = LateLog(
         lambda: missing_nodes(lacking, PART), said.append, HOST_S, AGAIN_S, lambda: now_s[0]
@@ -51,16 +43,16 @@ def test_who_is_missing_is_named_after_a_while_then_now_and_then() -> None:
     now_s[0] = HOST_S + AGAIN_S
     log.look()
     assert said == 2 * once
-    now_s[0], lacking[:] = now_s[0] + 0.1, [node(lacks=("screen",))]
+    now_s[0], lacking[:] = now_s[0] + 0.1, [FakeNode(lacks=["screen"])]
     log.look()
     assert said[4:] == once[1:]
-    now_s[0], lacking[:] = now_s[0] + 2 * AGAIN_S, [node()]
+    now_s[0], lacking[:] = now_s[0] + 2 * AGAIN_S, [FakeNode()]
     log.look()
     assert len(said) == 5
 
 
 def test_a_host_is_heard_where_all_that_is_read_there_is() -> None:
-    nodes = [node(heard={"echo": True, "screen": False}), node(heard={"echo": True})]
+    nodes: Any = [FakeNode(heard={"echo": True, "screen": False}), FakeNode(heard={"echo": True})]
     state = hosts_state(PART, nodes)
     assert list(state) == ["desk", "wall"]
     assert (state["desk"]["heard"], state["desk"]["silent"]) == (True, [])
@@ -68,9 +60,9 @@ def test_a_host_is_heard_where_all_that_is_read_there_is() -> None:
 
 
 def test_the_clock_that_is_known_best_is_reported() -> None:
-    nodes = [
-        node(clocks={"desk": (3_000_000, 900_000)}),
-        node(clocks={"desk": (2_500_000, 400_000)}),
+    nodes: Any = [
+        FakeNode(clocks={"desk": (3_000_000, 900_000)}),
+        FakeNode(clocks={"desk": (2_500_000, 400_000)}),
     ]
     desk = hosts_state(PART, nodes)["desk"]
     assert desk["clock_offset_ms"] == pytest.approx(2.5)

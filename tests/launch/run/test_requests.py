@@ -2,33 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
+from fake_node import FakeNode
 
 from sparseskin.launch.launchfile.load import load
-from sparseskin.launch.launchfile.spec import NodeSpec
 from sparseskin.launch.run import controls
 from sparseskin.launch.run.controls import MAX_OPEN, PATIENCE_S, Requests
 from sparseskin.nodes.errors import RefusedError
-
-
-@dataclass
-class FakeProcess:
-    """A node's process as far as requests need it: what it is told is kept."""
-
-    spec: NodeSpec
-    ready: bool = True
-    ended: bool = False
-    code: int | None = None
-    told: list[tuple[str, str, Any]] = field(default_factory=list)
-
-    def exit_code(self) -> int | None:
-        return self.code
-
-    def command(self, command: str, *, id: str, value: Any) -> None:
-        self.told.append((command, id, value))
 
 
 class Desk:
@@ -36,7 +18,7 @@ class Desk:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         specs = load("path_40").nodes
-        self.nodes = {name: FakeProcess(spec) for name, spec in specs.items()}
+        self.nodes = {name: FakeNode(name, spec, ready=True) for name, spec in specs.items()}
         self.answers: list[dict[str, Any]] = []
         self.own: list[tuple[str, Any]] = []
         self.now_s = 100.0
@@ -64,8 +46,8 @@ class Desk:
 
     def reply(self, node: str, done: bool = True, text: str = "done") -> None:
         """The node answers the last thing it was told."""
-        _, key, _ = self.nodes[node].told[-1]
-        self.requests.answered({"id": key, "done": done, "text": text})
+        _, fields = self.nodes[node].told[-1]
+        self.requests.answered({"id": fields["id"], "done": done, "text": text})
 
 
 @pytest.fixture
@@ -75,9 +57,9 @@ def desk(monkeypatch: pytest.MonkeyPatch) -> Desk:
 
 def test_a_request_reaches_its_node_and_the_answer_who_asked(desk: Desk) -> None:
     desk.ask("sensor", "pause", True, number="page-1")
-    ((command, key, value),) = desk.nodes["sensor"].told
-    assert (command, value) == ("pause", True)
-    assert key != "page-1"  # two pages may both call theirs "page-1"
+    ((command, fields),) = desk.nodes["sensor"].told
+    assert (command, fields["value"]) == ("pause", True)
+    assert fields["id"] != "page-1"  # two pages may both call theirs "page-1"
     assert desk.answers == []
     desk.reply("sensor", text="paused")
     assert desk.answers == [{"id": "page-1", "node": "sensor", "done": True, "text": "paused"}]
@@ -88,7 +70,7 @@ def test_two_askers_with_one_number_get_their_own_answers(desk: Desk) -> None:
     for asker, value in (("a", True), ("b", False)):
         request = {"id": "1", "node": "sensor", "command": "pause", "value": value}
         desk.requests.take(request, heard[asker].append)
-    first, second = (key for _, key, _ in desk.nodes["sensor"].told)
+    first, second = (fields["id"] for _, fields in desk.nodes["sensor"].told)
     desk.requests.answered({"id": second, "done": True, "text": "runs"})
     desk.requests.answered({"id": first, "done": True, "text": "paused"})
     texts = {asker: [answer["text"] for answer in answers] for asker, answers in heard.items()}
