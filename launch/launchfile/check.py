@@ -116,11 +116,7 @@ class Checker:
             except SparseskinError as error:
                 self.errors.append(f"{self.shown}: {error}")
             # All that publish, read or not: a recorder more on one host moves no port of another.
-            publish = {
-                name: place
-                for name, place in self.places.items()
-                if nodes[name].cls.outputs(nodes[name].settings)
-            }
+            publish = {name: place for name, place in self.places.items() if nodes[name].outputs}
             endpoints = give_ports(publish, hosts, self.fault)
             for name, place in self.places.items():
                 public = endpoints.get(name, "")

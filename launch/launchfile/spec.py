@@ -45,6 +45,11 @@ class NodeSpec:
     host: str = ""
     public: str = ""
 
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Topics that it publishes."""
+        return self.cls.outputs(self.settings)
+
     def with_live(self, values: dict[str, Any]) -> NodeSpec:
         """The same node with what was changed while it ran."""
         before = self.settings.live_values()

@@ -93,9 +93,7 @@ def note_of(
     keys = launch.credentials
     public = keys.own.public if keys else ""
     nodes = {
-        name: RunningNode(
-            spec.type_name, endpoints[name], list(spec.cls.outputs(spec.settings)), public
-        )
+        name: RunningNode(spec.type_name, endpoints[name], list(spec.outputs), public)
         for name, spec in launch.nodes.items()
     }
     key_file = keys.file if keys else ""

@@ -87,9 +87,7 @@ class Fleet:
 
     def add(self, spec: NodeSpec, topics: list[str]) -> None:
         """Start one process more in a graph that runs; it reads the topics."""
-        writers = {
-            topic: node.name for node in self for topic in node.spec.cls.outputs(node.spec.settings)
-        }
+        writers = {topic: node.name for node in self for topic in node.spec.outputs}
         self._links += [Link(topic, writers[topic], spec.name) for topic in topics]
         self._restarts[spec.name] = Restarts(spec.restart)
         self._start_process(spec, late=True)

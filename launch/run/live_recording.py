@@ -67,7 +67,7 @@ class LiveRecording:
         self.out = f"{self._launch.name}-{time.strftime('%Y%m%d-%H%M%S')}.mcap"
         self._node = f"{LIVE_RECORDER}{self._n}"
         specs = self._launch.nodes.values()
-        topics = list(dict.fromkeys(t for one in specs for t in one.cls.outputs(one.settings)))
+        topics = list(dict.fromkeys(topic for spec in specs for topic in spec.outputs))
         values = {
             "out": self.out,
             "topics": topics,
