@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any, ClassVar, TypeVar
@@ -22,15 +22,25 @@ from sparseskin.messages import (
 from sparseskin.messages.frames import values_alone
 from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.messages.topics import split_topic
-from sparseskin.nodes.errors import RefusedError, SettingsError
+from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.settings import Settings, check_patch, setting
 
 Map = Taxels | Truth | Reconstruction
 SENT = ("reconstruction", "truth", "taxels")
 """Schemas whose forces a bridge can send."""
+ROW = "row"
+"""Column of a cloud of points: the row of each in its file, uint32."""
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+def check_words(key: str, words: Iterable[str], allowed: Collection[str]) -> None:
+    """Raise SettingsError if a word of a setting is not allowed."""
+    for k, word in enumerate(words):
+        if word not in allowed:
+            raise SettingsError(f"{key}[{k}]: {word!r} is not allowed{did_you_mean(word, allowed)}")
 
 
 @dataclass(frozen=True)
@@ -57,27 +67,54 @@ class BridgeSettings(Settings):
             check_patch(f"patches[{k}]", patch)
         if not self.maps:
             raise SettingsError(f"maps: expected at least one of {', '.join(SENT)}")
-        for k, schema in enumerate(self.maps):
-            if schema not in SENT:
-                raise SettingsError(
-                    f"maps[{k}]: {schema!r} is not allowed{did_you_mean(schema, SENT)}"
-                )
+        check_words("maps", self.maps, SENT)
 
 
 S = TypeVar("S", bound=BridgeSettings)
 
 
-PACKAGES = {"foxglove": {"foxglove": "foxglove-sdk"}, "ros2": {"cyclonedds": "", "rosbags": ""}}
-"""Modules that the bridges of an extra need, and their packages where these have other names."""
+RESULTANT = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
+"""Numbers of a resultant that are sent."""
+UNKNOWN_PITCH_M = 1.0
+"""Pitch of a skin that states none, metres: places then count taxels."""
 
 
-def check_installed(extra: str, what: str) -> None:
-    """Raise SettingsError if a module that the bridges of an extra need is not installed."""
-    for module, package in PACKAGES[extra].items():
+def check_installed(
+    what: str, extra: str, *modules: str, error: type[SparseskinError] = SettingsError
+) -> None:
+    """Raise `error` unless the modules of an extra that `what` needs are installed."""
+    for module in modules:
         if find_spec(module) is None:
-            raise SettingsError(
-                f'{what} needs {package or module}; pip install "sparseskin[{extra}]"'
-            )
+            package = {"foxglove": "foxglove-sdk"}.get(module, module)
+            raise error(f'{what} needs {package}; pip install "sparseskin[{extra}]"')
+
+
+def camera(patch: str, schema: str) -> str:
+    """Name of a map in LeRobot."""
+    return patch if schema == Reconstruction.schema else f"{patch}_{schema}"
+
+
+def point_columns(
+    skin: SkinState, layers: Mapping[str, Floats], normals: bool = False
+) -> dict[str, Floats]:
+    """Columns of a cloud of the taxels that exist, float32 (n_taxels,): x, y, z in metres, the
+    layers, each (n_rows, n_cols), and of points from a file the normals, where they are wanted, and
+    `row`, the bits of uint32. On a flat grid x runs along the columns and y along the rows.
+    """
+    exists = skin.skin.exists
+    if skin.points is None:
+        rows, cols = np.nonzero(exists)
+        of_points = (skin.pitch_m or UNKNOWN_PITCH_M) * np.stack([cols, rows, 0 * rows])
+    else:
+        of_points = skin.points.T
+    names = ("x", "y", "z", "nx", "ny", "nz")
+    columns = dict(zip(names[:3], of_points.astype(np.float32), strict=False))
+    columns |= {name: layer[exists] for name, layer in layers.items()}
+    if normals:
+        columns |= dict(zip(names[3:], of_points[3:], strict=True))
+    if skin.point_rows is not None:
+        columns[ROW] = skin.point_rows.astype("<u4").view("<f4")
+    return columns
 
 
 def figures(message: Map, f_max: float, latency_ns: int) -> dict[str, float | int | bool]:

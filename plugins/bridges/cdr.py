@@ -5,6 +5,7 @@ rosbags, which needs no ROS.
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,8 @@ import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
+
+from .base import ROW
 
 IMAGE, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
 ARRAY = "std_msgs/msg/Float32MultiArray"
@@ -69,20 +72,18 @@ def image(stamp: tuple[int, int], frame_id: str, forces: Floats) -> bytes:
     )
 
 
-def cloud(stamp: tuple[int, int], frame_id: str, points: npt.NDArray[np.float32]) -> bytes:
-    """A sensor_msgs/PointCloud2 of points (n, 4): x, y, z in metres, and the force; or (n, 5), the
-    last being the bits of uint32, the row of a file of points.
-    """
+def cloud(stamp: tuple[int, int], frame_id: str, columns: Mapping[str, Floats]) -> bytes:
+    """A sensor_msgs/PointCloud2 of `point_columns`."""
     field = types().types["sensor_msgs/msg/PointField"]
+    points = np.stack(list(columns.values()), axis=1)
     n, n_fields = points.shape
-    kinds = {"x": FLOAT32, "y": FLOAT32, "z": FLOAT32, "force": FLOAT32, "row": UINT32}
-    named = list(kinds.items())[:n_fields]
+    kinds = {name: UINT32 if name == ROW else FLOAT32 for name in columns}
     return encoded(
         CLOUD,
         header=_header(stamp, frame_id),
         height=1,
         width=n,
-        fields=[field(name, 4 * k, kind, 1) for k, (name, kind) in enumerate(named)],
+        fields=[field(name, 4 * k, kind, 1) for k, (name, kind) in enumerate(kinds.items())],
         is_bigendian=False,
         point_step=4 * n_fields,
         row_step=4 * n_fields * n,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -14,8 +14,8 @@ from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.settings import setting
 
-from .base import LOOPBACK, Bridge, BridgeSettings, Map, check_installed, figures
-from .exports.foxglove import grid, numbers_schema, point_cloud, raw_image
+from .base import LOOPBACK, RESULTANT, Bridge, BridgeSettings, Map, check_installed, figures
+from .exports.foxglove import Channels, figures_of, grid, point_cloud, raw_image
 
 BACKLOG = 1024
 """Messages that the server keeps for a client that reads slowly; beyond it drops the oldest."""
@@ -29,7 +29,7 @@ class FoxgloveSettings(BridgeSettings):
     port: int = setting(8765, "port of the server; 0: a free one", low=0, high=65535)
 
     def check(self) -> None:
-        check_installed("foxglove", "type foxglove")
+        check_installed("type foxglove", "foxglove", "foxglove")
 
 
 class FoxgloveBridge(Bridge[FoxgloveSettings]):
@@ -49,9 +49,8 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
         settings.check()
         import foxglove
 
-        self._fox = foxglove
-        self._own = foxglove.Context()
-        self._channels: dict[str, Any] = {}
+        own = foxglove.Context()
+        self._channels = Channels(own)
         self._listener = _Listener()
         try:
             self._server = foxglove.start_server(
@@ -60,7 +59,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
                 port=settings.port,
                 capabilities=[foxglove.Capability.Time],
                 server_listener=cast(Any, self._listener),  # it needs no other methods
-                context=self._own,
+                context=own,
                 message_backlog_size=BACKLOG,
             )
         except (RuntimeError, OSError, ValueError) as error:
@@ -73,7 +72,10 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
     def start(self) -> Iterable[Message]:
         for patch in self.settings.patches:
             for schema in self.settings.maps:
-                self._open(topic_of(patch, schema))
+                topic = topic_of(patch, schema)
+                self._channels.of(topic, "RawImage")
+                self._channels.of(f"{topic}/grid", "Grid")
+                self._channels.of(f"{topic}/figures", _FIGURES)
         self.context.log(f"foxglove: {self.where()}")
         if self.settings.host not in LOOPBACK:
             self.context.log("foxglove: whoever reaches that address can read the graph")
@@ -87,59 +89,35 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
         return f"{super().status()} to {n} client{'' if n == 1 else 's'}"
 
     def send(self, message: Map, skin: SkinState) -> None:
-        topic = message.topic
-        image, cells, numbers = (
-            self._channels[name] for name in (topic, f"{topic}/grid", f"{topic}/figures")
-        )
-        if image.has_sinks():
-            image.log(raw_image(message, message.forces[0]), log_time=message.stamp_ns)
-        if cells.has_sinks():
-            layers = {"force": message.forces[0]}
-            cells.log(grid(message, layers, skin), log_time=message.stamp_ns)
+        layers = {"force": message.forces[0]}
+        late_ns = self.context.clock.now_ns() - message.stamp_ns
+        self._log(message, "", "RawImage", lambda: raw_image(message, message.forces[0]))
+        self._log(message, "/grid", "Grid", lambda: grid(message, layers, skin))
         if skin.points is not None:
-            name = f"{topic}/points"
-            if name not in self._channels:
-                made = self._fox.channels.PointCloudChannel(name, context=self._own)
-                self._channels[name] = made
-            if self._channels[name].has_sinks():
-                cloud = point_cloud(message, {"force": message.forces[0]}, skin)
-                self._channels[name].log(cloud, log_time=message.stamp_ns)
-        if numbers.has_sinks():
-            latency_ns = self.context.clock.now_ns() - message.stamp_ns
-            numbers.log(figures(message, skin.f_max, latency_ns), log_time=message.stamp_ns)
+            self._log(message, "/points", "PointCloud", lambda: point_cloud(message, layers, skin))
+        self._log(message, "/figures", _FIGURES, lambda: figures(message, skin.f_max, late_ns))
 
     def send_resultant(self, message: Resultant) -> None:
-        channel = self._channels.get(message.topic)
-        if channel is None:
-            channel = self._fox.Channel(
-                message.topic, schema=numbers_schema(_RESULTANT), context=self._own
-            )
-            self._channels[message.topic] = channel
-        if channel.has_sinks():
-            found = {name: getattr(message, name) for name in _RESULTANT}
-            known = {name: value for name, value in found.items() if value is not None}
-            channel.log(known, log_time=message.stamp_ns)
+        self._log(message, "", RESULTANT, lambda: figures_of(message, RESULTANT))
 
     def close(self, counts: dict[str, Any]) -> None:
         for channel in self._channels.values():
             channel.close()
         self._server.stop()
 
-    def _open(self, topic: str) -> None:
-        """Advertise the channels of a topic of maps."""
-        channels = self._fox.channels
-        self._channels[topic] = channels.RawImageChannel(topic, context=self._own)
-        self._channels[f"{topic}/grid"] = channels.GridChannel(f"{topic}/grid", context=self._own)
-        self._channels[f"{topic}/figures"] = self._fox.Channel(
-            f"{topic}/figures", schema=numbers_schema(_FIGURES), context=self._own
-        )
+    def _log(
+        self, message: Message, ending: str, schema: str | Sequence[str], make: Callable[[], Any]
+    ) -> None:
+        """Log what `make` returns, where a client has subscribed to the topic with that ending."""
+        channel = self._channels.of(message.topic + ending, schema)
+        if channel.has_sinks():
+            channel.log(make(), log_time=message.stamp_ns)
 
 
 _FIGURES = (
     *("seq", "total", "peak", "row", "col", "latency_ms"),
     *("residual", "iterations", "solve_ms", "error"),
 )
-_RESULTANT = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
 
 
 class _Listener:

@@ -21,7 +21,7 @@ from sparseskin.nodes.network.sockets import make_context
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.settings import setting
 
-from .base import LOOPBACK, SENT, Bridge, BridgeSettings, Map
+from .base import LOOPBACK, SENT, Bridge, BridgeSettings, Map, camera
 from .png import greys, png
 
 MAX_NOTE_BYTES = 1024
@@ -126,8 +126,3 @@ class LeRobotBridge(Bridge[LeRobotSettings]):
         begun = due_ns if 0 <= behind < period_ns else message.stamp_ns
         self._due_ns[message.topic] = begun + period_ns
         return False
-
-
-def camera(patch: str, schema: str) -> str:
-    """Name of the camera of a map."""
-    return patch if schema == "reconstruction" else f"{patch}_{schema}"

@@ -6,22 +6,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from sparseskin.messages import Message, SkinState, topic_of
-from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.settings import setting
 
 from . import cdr
-from .base import Bridge, BridgeSettings, Map, check_installed
+from .base import Bridge, BridgeSettings, Map, check_installed, check_words, point_columns
 
 KINDS = {"image": ("", cdr.IMAGE), "points": ("/points", cdr.CLOUD), "array": ("/array", cdr.ARRAY)}
 """Ending of the topic of each kind of message, and its type."""
-UNKNOWN_PITCH_M = 1.0
-"""Distance of points where the pitch of the skin is not known: places then count taxels."""
 
 
 @dataclass(frozen=True)
@@ -42,14 +35,10 @@ class Ros2Settings(BridgeSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for k, kind in enumerate(self.messages):
-            if kind not in KINDS:
-                raise SettingsError(
-                    f"messages[{k}]: {kind!r} is not allowed{did_you_mean(kind, KINDS)}"
-                )
+        check_words("messages", self.messages, KINDS)
 
     def check(self) -> None:
-        check_installed("ros2", "type ros2")
+        check_installed("type ros2", "ros2", "cyclonedds", "rosbags")
 
 
 class Ros2Bridge(Bridge[Ros2Settings]):
@@ -70,7 +59,6 @@ class Ros2Bridge(Bridge[Ros2Settings]):
         self._dds = dds
         self._participant = dds.participant(settings.domain, settings.interface)
         self._writers: dict[str, Any] = {}
-        self._points: dict[str, npt.NDArray[np.float32]] = {}
 
     def start(self) -> Iterable[Message]:
         from cyclonedds.pub import DataWriter
@@ -107,36 +95,12 @@ class Ros2Bridge(Bridge[Ros2Settings]):
             elif kind == "array":
                 made = cdr.array(message.forces[0])
             else:
-                made = cdr.cloud(stamp, message.patch, self._cloud(message, skin))
+                columns = point_columns(skin, {"force": message.forces[0]})
+                made = cdr.cloud(stamp, message.patch, columns)
             try:
                 writer.write(self._dds.ready(writer.topic.data_type, made))
             except DDSException:  # a reader is behind
                 self.n_dropped += 1
 
-    def step(self, message: Message) -> Iterable[Message]:
-        if isinstance(message, SkinState):
-            self._points.pop(message.patch, None)
-        return super().step(message)
-
     def close(self, counts: dict[str, Any]) -> None:
         self._writers.clear()
-
-    def _cloud(self, message: Map, skin: SkinState) -> npt.NDArray[np.float32]:
-        """Place in metres and force of the taxels that exist; on a flat grid x runs along the
-        columns and y along the rows. Of points from a file their rows, too, as bits of uint32.
-        """
-        exists = skin.mask if skin.mask is not None else np.ones(skin.skin.shape, bool)
-        points = self._points.get(message.patch)
-        if points is None:
-            rows, cols = np.nonzero(exists)
-            points = np.zeros((len(rows), 4 + (skin.point_rows is not None)), np.float32)
-            if skin.points is not None:
-                points[:, :3] = skin.points[:, :3]
-                if skin.point_rows is not None:
-                    points[:, 4] = skin.point_rows.astype("<u4").view("<f4")
-            else:
-                pitch_m = skin.pitch_m or UNKNOWN_PITCH_M
-                points[:, 0], points[:, 1] = pitch_m * cols, pitch_m * rows
-            self._points[message.patch] = points
-        points[:, 3] = message.forces[0][exists]
-        return points

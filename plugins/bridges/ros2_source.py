@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.errors import SettingsError, SourceError, SparseskinError
+from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.sensor.driver import DriverSource
 from sparseskin.nodes.sensor.source import Address
@@ -56,10 +56,8 @@ class Ros2Address(Address):
 
     def check(self) -> None:
         parse(self.source)
-        try:
-            check_installed("ros2", f"source {self.source}")
-        except SettingsError as error:
-            raise SourceError(str(error)) from error
+        modules = ("cyclonedds", "rosbags")
+        check_installed(f"source {self.source}", "ros2", *modules, error=SourceError)
 
     def open(self) -> DriverSource:
         self.check()

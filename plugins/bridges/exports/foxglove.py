@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +25,14 @@ from sparseskin.nodes.recorder.bag.frames import (
     with_states,
 )
 from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.plugins.bridges.base import (
+    ROW,
+    UNKNOWN_PITCH_M,
+    check_installed,
+    point_columns,
+)
 
-INSTALL = "writing for Foxglove needs foxglove-sdk; pip install 'sparseskin[foxglove]'"
-UNKNOWN_CELL_M = 1.0
-"""Side of a cell of a grid where the pitch is not known, metres: places then count taxels."""
 FLOAT32_BYTES = 4
-ROW = "row"
-"""Field of a point cloud: the row of each point in its file."""
 
 
 def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
@@ -55,10 +56,9 @@ def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = No
     Raises BagError if foxglove-sdk is not installed or the bag has no such frames, OutputError if
     the file exists or cannot be written.
     """
-    try:
-        import foxglove
-    except ImportError as error:
-        raise BagError(INSTALL) from error
+    check_installed("writing for Foxglove", "foxglove", "foxglove", error=BagError)
+    import foxglove
+
     wanted = stream_topics(bag, topics)
     if out.suffix != ".mcap":
         raise OutputError(f"{out}: expected a name that ends in .mcap")
@@ -74,36 +74,37 @@ def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = No
                 writer.write_metadata(GRAPH_RECORD, bag.metadata)
             if bag.counts is not None:
                 writer.write_metadata("counts", {JSON_KEY: json.dumps(bag.counts)})
-            channels = _Channels(context)
+            channels = Channels(context)
             for message, log_time_ns in streams(bag, with_states(bag, wanted), "export"):
                 for topic, schema, content in _messages(message, skins[message.patch]):
-                    channels.log(topic, schema, content, log_time_ns)
+                    channels.of(topic, schema).log(content, log_time=log_time_ns)
     return [out]
 
 
-class _Channels:
-    """Channels by topic, each made when it is first used."""
+class Channels(dict[str, Any]):
+    """Channels of a context by topic, each made when it is first used."""
 
     def __init__(self, context: Any) -> None:
         self._context = context
-        self._channels: dict[str, Any] = {}
 
-    def log(self, topic: str, schema: Any, content: Any, log_time_ns: int) -> None:
-        if topic not in self._channels:
-            self._channels[topic] = self._made(topic, schema)
-        self._channels[topic].log(content, log_time=log_time_ns)
-
-    def _made(self, topic: str, schema: Any) -> Any:
+    def of(self, topic: str, schema: str | Sequence[str]) -> Any:
+        """The channel of a topic. Its schema is a name of Foxglove's, "json", or the names of the
+        numbers in its objects.
+        """
         import foxglove
         from foxglove import channels
 
-        if schema in ("RawImage", "Grid", "PointCloud"):
-            return getattr(channels, f"{schema}Channel")(topic, context=self._context)
-        if schema == "json":
-            return foxglove.Channel(topic, message_encoding="json", context=self._context)
-        return foxglove.Channel(
-            topic, schema=numbers_schema(figure_names(schema)), context=self._context
-        )
+        if topic not in self:
+            make: Any = foxglove.Channel
+            form: dict[str, Any] = {}
+            if schema == "json":
+                form = {"message_encoding": "json"}
+            elif isinstance(schema, str):
+                make = getattr(channels, f"{schema}Channel")
+            else:
+                form = {"schema": numbers_schema(schema)}
+            self[topic] = make(topic, context=self._context, **form)
+        return self[topic]
 
 
 def _messages(message: Message, skin: SkinState | None) -> Iterable[tuple[str, Any, Any]]:
@@ -124,7 +125,7 @@ def _messages(message: Message, skin: SkinState | None) -> Iterable[tuple[str, A
         if skin is not None and skin.points is not None:
             yield f"{topic}/points", "PointCloud", point_cloud(message, layers, skin, True)
     if cls in (Reconstruction, Resultant) or "forces" in values:
-        yield f"{topic}/figures", cls, figures_of(message)
+        yield f"{topic}/figures", figure_names(cls), figures_of(message)
 
 
 def figure_names(cls: type[Message]) -> list[str]:
@@ -135,12 +136,12 @@ def figure_names(cls: type[Message]) -> list[str]:
     return total + [name for name in names if name not in ("run_id", "seq")]
 
 
-def figures_of(message: Message) -> dict[str, float]:
-    """The numbers of a message by name; without those that it does not have."""
+def figures_of(message: Message, names: Iterable[str] = ()) -> dict[str, float]:
+    """Numbers of a message by name, by default all, without those that it does not have."""
     values = values_alone(message)
     if (forces := values.get("forces")) is not None:
         values["total_force"] = float(forces.sum(dtype="f8"))
-    names = figure_names(type(message))
+    names = names or figure_names(type(message))
     return {name: values[name] for name in names if values[name] is not None}
 
 
@@ -173,7 +174,7 @@ def grid(
     from foxglove.messages import Grid, Vector2
 
     n_rows, n_cols = next(iter(layers.values())).shape
-    side = (skin.pitch_m if skin is not None else None) or UNKNOWN_CELL_M
+    side = (skin.pitch_m if skin is not None else None) or UNKNOWN_PITCH_M
     data = np.stack([layer.astype("<f4") for layer in layers.values()], axis=-1)
     return Grid(
         timestamp=_timestamp(message.stamp_ns),
@@ -194,32 +195,17 @@ def point_cloud(
     skin: SkinState,
     normals: bool = False,
 ) -> Any:
-    """foxglove.PointCloud of the layers of a frame on a skin of points: x, y, z in metres, each
-    layer, float32 (n_rows, n_cols), at the taxels that exist, where they are wanted the `normals`,
-    and where it is known `row`, uint32, the row of the file of points.
-    """
+    """foxglove.PointCloud of the layers of a frame on a skin of points; see `point_columns`."""
     from foxglove.messages import PointCloud
 
-    assert skin.points is not None
-    exists = skin.skin.exists
-    columns = dict(zip(("x", "y", "z"), skin.points[:, :3].T, strict=True))
-    columns |= {name: layer[exists] for name, layer in layers.items()}
-    if normals:
-        columns |= dict(zip(("nx", "ny", "nz"), skin.points[:, 3:].T, strict=True))
-    table = np.empty((len(skin.points), len(columns) + (skin.point_rows is not None)), "<f4")
-    for k, column in enumerate(columns.values()):
-        table[:, k] = column
-    names = [*columns]
-    if skin.point_rows is not None:
-        table[:, -1] = skin.point_rows.astype("<u4").view("<f4")
-        names.append(ROW)
+    columns = point_columns(skin, layers, normals)
     return PointCloud(
         timestamp=_timestamp(message.stamp_ns),
         frame_id=message.patch,
         pose=_pose(0.0, 0.0),
-        point_stride=FLOAT32_BYTES * len(names),
-        fields=_fields(names),
-        data=table.tobytes(),
+        point_stride=FLOAT32_BYTES * len(columns),
+        fields=_fields(columns),
+        data=np.stack(list(columns.values()), axis=1).astype("<f4").tobytes(),
     )
 
 

@@ -24,8 +24,8 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import frame_topics, frames, skin_of
 from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.plugins.bridges.base import camera, check_installed
 
-INSTALL = 'writing for LeRobot needs pyarrow; pip install "sparseskin[lerobot]"'
 VERSION = "v3.0"
 TASK = "touch"
 FPS = 30
@@ -39,27 +39,30 @@ INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 @dataclass(frozen=True)
 class _Stream:
-    """One topic: its frames (n_frames, N) and their stamps, ascending, in nanoseconds."""
+    """One topic: its feature, the number of frames in a row, all frames (n_frames, N) and their
+    stamps, ascending, in nanoseconds.
+    """
 
     topic: str
-    name: str
+    key: str
+    size: int
     shape: tuple[int, int]
     skin: SkinState | None
     stamps_ns: npt.NDArray[np.int64]
     values: npt.NDArray[np.float32]
 
-    @property
-    def rate_hz(self) -> float:
-        seconds = (self.stamps_ns[-1] - self.stamps_ns[0]) / 1e9
-        return float((len(self.stamps_ns) - 1) / seconds) if seconds > 0 else 0.0
-
-    def window(self, times_ns: npt.NDArray[np.int64], size: int) -> npt.NDArray[np.int64]:
+    def window(self, times_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """Numbers of the last `size` frames at or before each time, shape (n_times, size); the
         first frame again where there were fewer.
         """
         last = np.searchsorted(self.stamps_ns, times_ns, side="right") - 1
-        chosen: npt.NDArray[np.int64] = last[:, None] - np.arange(size - 1, -1, -1)
+        chosen: npt.NDArray[np.int64] = last[:, None] - np.arange(self.size - 1, -1, -1)
         return np.maximum(chosen, 0)
+
+    def ages(self, times_ns: npt.NDArray[np.int64]) -> Floats:
+        """How long before each time the frames of its window were acquired, seconds."""
+        ages = (times_ns[:, None] - self.stamps_ns[self.window(times_ns)]) / 1e9
+        return np.asarray(ages, np.float32)
 
 
 def export_lerobot(
@@ -89,25 +92,21 @@ def export_lerobot(
     Raises BagError if pyarrow is not installed, the bag has no such frames, or a number is out of
     its range; OutputError if the folder exists or cannot be written.
     """
-    try:
-        import pyarrow  # noqa: F401
-    except ImportError as error:
-        raise BagError(INSTALL) from error
+    check_installed("writing for LeRobot", "lerobot", "pyarrow", error=BagError)
     if not 1 <= fps <= MAX_FPS:
         raise BagError(f"--fps: {fps} is outside 1..{MAX_FPS}")
     if window is not None and not 1 <= window <= MAX_WINDOW:
         raise BagError(f"--window: {window} is outside 1..{MAX_WINDOW}")
     with whole_folder(out), tempfile.TemporaryDirectory(dir=out, prefix=".frames") as scratch:
-        streams = [_read(bag, topic, Path(scratch)) for topic in _wanted(bag, topics)]
+        folder = Path(scratch)
+        streams = [_read(bag, topic, folder, fps, window) for topic in _wanted(bag, topics)]
         first_ns = max(int(stream.stamps_ns[0]) for stream in streams)
         last_ns = min(int(stream.stamps_ns[-1]) for stream in streams)
         if last_ns < first_ns:
             raise BagError(f"{bag.path}: its topics have no time in common")
         n = int((last_ns - first_ns) * fps // 1_000_000_000) + 1
         times_ns = first_ns + (np.arange(n, dtype=np.int64) * 1_000_000_000) // fps
-        a_row = {s.name: max(1, math.ceil(s.rate_hz / fps - 1e-6)) for s in streams}
-        windows = {name: window or min(size, MAX_WINDOW) for name, size in a_row.items()}
-        return _write(out, bag, streams, times_ns, fps, windows)
+        return _write(out, bag, streams, times_ns, fps)
 
 
 def _wanted(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
@@ -128,9 +127,9 @@ def _wanted(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
     return list(best.values())
 
 
-def _read(bag: BagReader, topic: str, folder: Path) -> _Stream:
+def _read(bag: BagReader, topic: str, folder: Path, fps: int, size: int | None) -> _Stream:
     patch, schema = split_topic(topic)
-    name = patch if schema == Reconstruction.schema else f"{patch}_{schema}"
+    name = camera(patch, schema)
     stamps: list[int] = []
     shape: tuple[int, ...] = ()
     path = folder / name
@@ -149,7 +148,11 @@ def _read(bag: BagReader, topic: str, folder: Path) -> _Stream:
     n_taxels = shape[0] * shape[1]
     values = np.memmap(path, "<f4", "r", shape=(len(stamps), n_taxels))
     stamps_ns = np.array(stamps, np.int64)
-    return _Stream(topic, name, (shape[0], shape[1]), skin_of(bag, patch), stamps_ns, values)
+    if size is None:
+        rate_hz = (len(stamps) - 1) * 1e9 / max(1, stamps[-1] - stamps[0])
+        size = min(max(1, math.ceil(rate_hz / fps - 1e-6)), MAX_WINDOW)
+    key, sides = f"observation.tactile.{name}", (shape[0], shape[1])
+    return _Stream(topic, key, size, sides, skin_of(bag, patch), stamps_ns, values)
 
 
 def _write(
@@ -158,17 +161,15 @@ def _write(
     streams: list[_Stream],
     times_ns: npt.NDArray[np.int64],
     fps: int,
-    windows: dict[str, int],
 ) -> list[Path]:
     features: dict[str, dict[str, Any]] = {}
     stats: dict[str, dict[str, Any]] = {}
     for stream in streams:
-        size, key = windows[stream.name], f"observation.tactile.{stream.name}"
-        n_taxels = stream.values.shape[1]
-        features[key] = {"dtype": "float32", "shape": [size, n_taxels], "names": None}
-        features[f"{key}.age"] = {"dtype": "float32", "shape": [size], "names": None}
-        stats[key] = _stats_of(stream, stream.window(times_ns, size))
-        stats[f"{key}.age"] = _stats(_ages(stream, times_ns, size))
+        key, shape = stream.key, [stream.size, stream.values.shape[1]]
+        features[key] = {"dtype": "float32", "shape": shape, "names": None}
+        features[f"{key}.age"] = {"dtype": "float32", "shape": shape[:1], "names": None}
+        stats[key] = _stats_of(stream, stream.window(times_ns))
+        stats[f"{key}.age"] = _stats(stream.ages(times_ns))
     n = len(times_ns)
     for name in INDICES:
         dtype = "float32" if name == "timestamp" else "int64"
@@ -177,12 +178,12 @@ def _write(
     files = {
         "meta/info.json": json.dumps(_info(features, n, fps), indent=4),
         "meta/stats.json": json.dumps(stats),
-        "README.md": _readme(bag, streams, windows, int(times_ns[0]), fps),
+        "README.md": _readme(bag, streams, int(times_ns[0]), fps),
     }
     for name, text in files.items():
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_text(text, encoding="utf-8")
-    _write_rows(out / "data" / CHUNK, streams, times_ns, fps, windows)
+    _write_rows(out / "data" / CHUNK, streams, features, times_ns, fps)
     _write_tasks(out / "meta/tasks.parquet")
     _write_episode(out / "meta/episodes" / CHUNK, stats, n)
     tables = [f"data/{CHUNK}", "meta/tasks.parquet", f"meta/episodes/{CHUNK}"]
@@ -214,12 +215,6 @@ def _index(name: str, begin: int, end: int, fps: int) -> npt.NDArray[Any]:
     if name in ("frame_index", "index"):
         return np.arange(begin, end, dtype=np.int64)
     return np.zeros(end - begin, np.int64)
-
-
-def _ages(stream: _Stream, times_ns: npt.NDArray[np.int64], size: int) -> Floats:
-    chosen = stream.stamps_ns[stream.window(times_ns, size)]
-    ages: Floats = ((times_ns[:, None] - chosen) / 1e9).astype(np.float32)
-    return ages
 
 
 def _stats(values: npt.NDArray[Any]) -> dict[str, Any]:
@@ -259,32 +254,29 @@ def _stats_of(stream: _Stream, chosen: npt.NDArray[np.int64]) -> dict[str, Any]:
 def _write_rows(
     path: Path,
     streams: list[_Stream],
+    features: dict[str, dict[str, Any]],
     times_ns: npt.NDArray[np.int64],
     fps: int,
-    windows: dict[str, int],
 ) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    fields: list[Any] = []
-    for stream in streams:
-        key = f"observation.tactile.{stream.name}"
-        fields.append(pa.field(key, pa.list_(pa.list_(pa.float32()))))
-        fields.append(pa.field(f"{key}.age", pa.list_(pa.float32())))
-    for name in INDICES:
-        fields.append(pa.field(name, pa.float32() if name == "timestamp" else pa.int64()))
+    fields: dict[str, Any] = {}
+    for name, feature in features.items():
+        fields[name] = getattr(pa, feature["dtype"])()
+        for _ in () if name in INDICES else feature["shape"]:
+            fields[name] = pa.list_(fields[name])
     schema = pa.schema(fields)
     path.parent.mkdir(parents=True)
-    widest = sum(4 * windows[s.name] * s.values.shape[1] for s in streams)
+    widest = sum(4 * s.size * s.values.shape[1] for s in streams)
     with pq.ParquetWriter(path, schema, compression="snappy") as writer:
         block = max(1, BLOCK_BYTES // widest)
         for begin in range(0, len(times_ns), block):
             times = times_ns[begin : begin + block]
             columns = []
             for stream in streams:
-                size = windows[stream.name]
-                columns.append(_nested(stream.values[stream.window(times, size)]))
-                columns.append(_nested(_ages(stream, times, size)))
+                columns.append(_nested(stream.values[stream.window(times)]))
+                columns.append(_nested(stream.ages(times)))
             columns += [pa.array(_index(name, begin, begin + len(times), fps)) for name in INDICES]
             writer.write_table(pa.Table.from_arrays(columns, schema=schema))
 
@@ -341,9 +333,7 @@ def _write_episode(path: Path, stats: dict[str, dict[str, Any]], n: int) -> None
     pq.write_table(pa.table({name: [value] for name, value in row.items()}), path)
 
 
-def _readme(
-    bag: BagReader, streams: list[_Stream], windows: dict[str, int], first_ns: int, fps: int
-) -> str:
+def _readme(bag: BagReader, streams: list[_Stream], first_ns: int, fps: int) -> str:
     lines = [
         "---", "task_categories:", "- robotics", "tags:", "- LeRobot", "- tactile", "---", "",
         f"# {bag.path.name}", "",
@@ -357,8 +347,8 @@ def _readme(
         unit, top = (skin.unit, f"0..{skin.f_max:g}") if skin is not None else ("-", "-")
         pitch = f"{1000 * skin.pitch_m:g} mm" if skin is not None and skin.pitch_m else "-"
         lines.append(
-            f"| observation.tactile.{stream.name} | {windows[stream.name]} | "
-            f"{stream.shape[0]} x {stream.shape[1]} | {unit} | {top} | {pitch} | {stream.topic} |"
+            f"| {stream.key} | {stream.size} | {stream.shape[0]} x {stream.shape[1]} | {unit} | "
+            f"{top} | {pitch} | {stream.topic} |"
         )
     lines += [
         "",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import IO
 
@@ -26,11 +25,10 @@ from sparseskin.nodes.recorder.bag.frames import (
 )
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.plugins.bridges import cdr
+from sparseskin.plugins.bridges.base import RESULTANT, check_installed
 
-INSTALL = 'writing for ROS 2 needs rosbags; pip install "sparseskin[ros2]"'
 _MAX_SECONDS = (1 << 31) - 1
 BOOL, FLOAT, STRING = (f"std_msgs/msg/{name}" for name in ("Bool", "Float32", "String"))
-_RESULTANT = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
 
 
 def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
@@ -49,8 +47,7 @@ def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
     does not fit into ROS's 31 bits of seconds; OutputError if the folder exists or cannot be
     written.
     """
-    if find_spec("rosbags") is None:
-        raise BagError(INSTALL)
+    check_installed("writing for ROS 2", "ros2", "rosbags", error=BagError)
     wanted = with_states(bag, stream_topics(bag, topics))
     counts: Counter[tuple[str, str]] = Counter()
     first_ns = last_ns = -1
@@ -110,7 +107,7 @@ def _messages(message: Message, path: Path) -> Iterator[tuple[str, str, bytes]]:
     if isinstance(message, STATES):
         yield topic, *one(STRING, json.dumps(state_json(message)))
     elif isinstance(message, Resultant):
-        for name in _RESULTANT:
+        for name in RESULTANT:
             if (value := getattr(message, name)) is not None:
                 yield f"{topic}/{name}", *one(FLOAT, value)
     elif isinstance(message, Measurements):
