@@ -9,7 +9,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.sensor.files.recording import (
@@ -17,7 +16,6 @@ from sparseskin.nodes.sensor.files.recording import (
     Lines,
     Parsed,
     Recording,
-    check_grid,
     parse_number,
     parse_reading,
     parse_whole,
@@ -25,7 +23,7 @@ from sparseskin.nodes.sensor.files.recording import (
     stack_frames,
 )
 
-from .movies import KPA_CM2_IN_NEWTONS, LARGEST_NUMBER
+from .movies import KPA_CM2_IN_NEWTONS, LARGEST_NUMBER, check_number, parse_shape
 
 _MATRIX = re.compile(r"Matrix:\s*(\S*)")
 _AREA = re.compile(r"Sensor area:\s*(\S+)\s*(\S*)")
@@ -92,11 +90,7 @@ class EmedRecording(Recording):
                 raise SourceError(
                     f"{where}: the header of frame {number} differs from the first one"
                 )
-            if number != first + len(frames):
-                raise SourceError(
-                    f"{where}: frame {number} comes where frame {first + len(frames)} should; "
-                    "a recording is one measurement with no frame left out"
-                )
+            check_number(number, first + len(frames), where)
             frames.append(self._table(number))
         return Parsed(
             forces=stack_frames(frames, name) * header.newtons_per_kpa,
@@ -198,21 +192,15 @@ def _parse_header(stated: Stated, where: str) -> _Header:
             raise SourceError(f"{place}: {what} in {shown(found)}; allowed is {unit}")
         return [parse_number(number, place, 1e-6, 1e6) for number in numbers]
 
-    n_rows, n_cols = _shape(*find(_MATRIX, "Matrix: COLUMNSxROWS"))
+    matrix, place = find(_MATRIX, "Matrix: COLUMNSxROWS")
+    cols, _, rows = matrix[1].partition("x")
+    n_rows, n_cols = parse_shape((rows, f"{place}, Matrix"), (cols, f"{place}, Matrix"))
     (area_cm2,) = quantity(_AREA, "Sensor area: ...", "sensor area", "cm2")
     (period_ms,) = quantity(_PERIOD, "Time/picture: ...", "time per picture", "ms")
     width_cm, height_cm = quantity(_SIZE, "Sensor size: ...x...", "sensor size", "cm")
     # A skin has one pitch; oblong sensors have two.
     pitch_m = width_cm / 100 if width_cm == height_cm else None
     return _Header(n_rows, n_cols, area_cm2, period_ms, pitch_m)
-
-
-def _shape(match: re.Match[str], where: str) -> tuple[int, int]:
-    n_cols_text, _, n_rows_text = match[1].partition("x")
-    n_rows = parse_whole(n_rows_text, f"{where}, Matrix", 1, MAX_SIDE)
-    n_cols = parse_whole(n_cols_text, f"{where}, Matrix", 1, MAX_SIDE)
-    check_grid(n_rows, n_cols, where)
-    return n_rows, n_cols
 
 
 def _check_sum(

@@ -7,14 +7,22 @@ from itertools import pairwise
 
 import numpy as np
 
+from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.sensor.files.recording import Lines, parse_reading
+from sparseskin.nodes.sensor.files.recording import Lines, check_grid, parse_reading, parse_whole
 
 LARGEST_NUMBER = 999_999_999
 """Largest number of a frame."""
 KPA_CM2_IN_NEWTONS = 0.1
 _DAY_S = 86400.0
+
+
+def parse_shape(rows: tuple[str, str], cols: tuple[str, str]) -> tuple[int, int]:
+    """Read the sides of a grid, each a text and its place; SourceError if one is not allowed."""
+    n_rows, n_cols = (parse_whole(*side, 1, MAX_SIDE) for side in (rows, cols))
+    check_grid(n_rows, n_cols, rows[1])
+    return n_rows, n_cols
 
 
 def read_cells(
@@ -63,7 +71,10 @@ def check_mask(first: Mask, exists: Mask, number: int, where: str, what: str) ->
 def check_number(number: int, wanted: int, where: str) -> None:
     """Raise SourceError if a frame does not follow the one before it."""
     if number != wanted:
-        raise SourceError(f"{where}: frame {number} comes where frame {wanted} should")
+        raise SourceError(
+            f"{where}: frame {number} comes where frame {wanted} should; a recording is one "
+            "measurement with no frame left out"
+        )
 
 
 def stamps(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from itertools import islice
 
-from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 from sparseskin.nodes.sensor.files.recording import (
@@ -13,14 +12,13 @@ from sparseskin.nodes.sensor.files.recording import (
     Lines,
     Parsed,
     Recording,
-    check_grid,
     parse_number,
     parse_whole,
     shown,
     stack_frames,
 )
 
-from .movies import LARGEST_NUMBER, check_mask, check_number, read_cells, stamps
+from .movies import LARGEST_NUMBER, check_mask, check_number, parse_shape, read_cells, stamps
 
 _FRAME = re.compile(r"Frame\s+(\d+)\s*(?:,\s*([^,]*))?")
 _RAW_SUM = re.compile(r"Raw Sum=[\s,]*([^,\s]+)")
@@ -62,7 +60,7 @@ class TekscanRecording(Recording):
     def __init__(self, lines: Lines) -> None:
         self._lines = lines
         header, self._terminator = _parse_header(lines)
-        self._shape = _shape(header, lines.name)
+        self._shape = parse_shape(*(_entry(header, side, lines.name) for side in ("ROWS", "COLS")))
         self._unit, _ = _entry(header, "UNITS", lines.name)
         self._number, self._last = (
             parse_whole(*header[keyword], 0, LARGEST_NUMBER) if keyword in header else None
@@ -107,7 +105,11 @@ class TekscanRecording(Recording):
             if not line:
                 continue
             if self._terminator and line == self._terminator:
-                self._check_end()
+                for rest in filter(None, (after.strip(", \t") for after in self._lines)):
+                    raise SourceError(
+                        f"{self._lines.where}: {shown(rest)} comes after the end mark "
+                        f"'{self._terminator}'"
+                    )
                 return None
             match = _FRAME.match(line)
             if match is None:
@@ -129,22 +131,6 @@ class TekscanRecording(Recording):
                 f"its end mark '{self._terminator}' is missing"
             )
         return None
-
-    def _check_end(self) -> None:
-        """Raise SourceError if anything follows the end mark."""
-        for line in self._lines:
-            if line := line.strip(", \t"):
-                raise SourceError(
-                    f"{self._lines.where}: {shown(line)} comes after the end mark "
-                    f"'{self._terminator}'"
-                )
-
-
-def _shape(header: Header, name: str) -> tuple[int, int]:
-    n_rows = parse_whole(*_entry(header, "ROWS", name), 1, MAX_SIDE)
-    n_cols = parse_whole(*_entry(header, "COLS", name), 1, MAX_SIDE)
-    check_grid(n_rows, n_cols, name)
-    return n_rows, n_cols
 
 
 def _parse_header(lines: Lines) -> tuple[Header, str]:

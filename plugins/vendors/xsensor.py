@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
-from dataclasses import dataclass
+from typing import NamedTuple
 
-from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 from sparseskin.nodes.sensor.files.recording import (
@@ -13,14 +13,13 @@ from sparseskin.nodes.sensor.files.recording import (
     Lines,
     Parsed,
     Recording,
-    check_grid,
     parse_number,
     parse_whole,
     shown,
     stack_frames,
 )
 
-from .movies import LARGEST_NUMBER, check_mask, check_number, read_cells, stamps
+from .movies import LARGEST_NUMBER, check_mask, check_number, parse_shape, read_cells, stamps
 
 _N_HEAD_LINES = 100
 """Lines searched for the keyword of the readings; header and first frame have some 65 before it."""
@@ -40,16 +39,17 @@ def is_xsensor(raw: bytes) -> bool:
     return any(line.startswith(b"SENSELS") for line in lines[:_N_HEAD_LINES])
 
 
-@dataclass(frozen=True)
-class _Sensor:
-    """What each frame states about the sensor; lengths in cm."""
+class _Frame(NamedTuple):
+    """The first sensor of a frame, its pitch, and True if it covers a part of its grid alone; the
+    time of day in s, the readings, and the mask of sensels that exist.
+    """
 
-    name: str
-    n_rows: int
-    n_cols: int
-    width_cm: float | None
-    height_cm: float | None
-    area_cm2: float | None
+    sensor: str
+    pitch_m: float | None
+    is_part: bool
+    time_s: float | None
+    readings: Doubles
+    exists: Mask
 
 
 class XsensorRecording(Recording):
@@ -70,37 +70,34 @@ class XsensorRecording(Recording):
         self._lines = lines
         self._unit = self._header_unit()
         self._number = self._next_number() or 0
-        self._sensor, self._time_s, self._first, self._exists = self._frame()
+        self._first = self._frame()
 
     def head(self) -> Head:
-        sensor, decided = self._sensor, not (self._exists.all() and _is_part(self._sensor))
-        n_taxels = int(self._exists.sum()) if decided else None
-        return Head(sensor.n_rows, sensor.n_cols, n_taxels, self._unit)
+        exists = self._first.exists
+        n_taxels = None if exists.all() and self._first.is_part else int(exists.sum())
+        n_rows, n_cols = exists.shape
+        return Head(n_rows, n_cols, n_taxels, self._unit)
 
     def read(self) -> Parsed:
-        first, mask, name = self._sensor, self._exists, self._lines.name
-        frames, times = [self._first], [self._time_s]
-        wanted = self._number
+        first, mask, name = self._first, self._first.exists, self._lines.name
+        frames = [first]
         while (number := self._next_number()) is not None:
-            wanted += 1
             where = self._lines.where
-            check_number(number, wanted, where)
+            check_number(number, self._number + 1, where)
             self._number = number
-            sensor, time_s, frame, exists = self._frame()
-            if (sensor.name, frame.shape) != (first.name, (first.n_rows, first.n_cols)):
+            frame = self._frame()
+            (rows, cols), (n_rows, n_cols) = frame.exists.shape, mask.shape
+            if (frame.sensor, rows, cols) != (first.sensor, n_rows, n_cols):
                 raise SourceError(
-                    f"{where}: frame {number} is {sensor.n_rows} x {sensor.n_cols} of sensor "
-                    f"{shown(sensor.name)}, the first one {first.n_rows} x {first.n_cols} of "
-                    f"{shown(first.name)}"
+                    f"{where}: frame {number} is {rows} x {cols} of sensor {shown(frame.sensor)}, "
+                    f"the first one {n_rows} x {n_cols} of {shown(first.sensor)}"
                 )
-            check_mask(mask, exists, number, where, "empty")
-            times.append(time_s)
+            check_mask(mask, frame.exists, number, where, "empty")
             frames.append(frame)
-        forces = stack_frames(frames, name)
-        if mask.all() and _is_part(first):
+        forces = stack_frames([frame.readings for frame in frames], name)
+        if mask.all() and first.is_part:
             mask = forces.max(axis=0) > 0
-        stamp_ns = stamps(times, name, of_day=True)
-        side_cm = first.width_cm if first.width_cm == first.height_cm else None
+        stamp_ns = stamps([frame.time_s for frame in frames], name, of_day=True)
         return Parsed(
             forces=forces,
             unit=self._unit,
@@ -108,7 +105,7 @@ class XsensorRecording(Recording):
                 (len(stamp_ns) - 1) * 1e9 / stamp_ns[-1] if stamp_ns and len(stamp_ns) > 1 else None
             ),
             stamp_ns=stamp_ns,
-            pitch_m=None if side_cm is None else side_cm / 100,
+            pitch_m=first.pitch_m,
             mask=None if mask.all() or not mask.any() else mask,
         )
 
@@ -140,8 +137,8 @@ class XsensorRecording(Recording):
                 return parse_whole(entry[1], self._lines.where, 0, LARGEST_NUMBER)
         return None
 
-    def _frame(self) -> tuple[_Sensor, float | None, Doubles, Mask]:
-        """Read the first sensor of a frame: what it states, time in s, readings and mask."""
+    def _frame(self) -> _Frame:
+        """Read the first sensor of a frame."""
         number, begin = self._number, self._lines.where
         stated: dict[str, tuple[str, str]] = {}
         while (entry := self._next()) is not None and entry[0] != "SENSELS":
@@ -155,23 +152,16 @@ class XsensorRecording(Recording):
         for keyword in ("SENSOR", "Rows", "Columns"):
             if keyword not in stated:
                 raise SourceError(f"{begin}: frame {number} states no {keyword}")
-        n_rows = parse_whole(*stated["Rows"], 1, MAX_SIDE)
-        n_cols = parse_whole(*stated["Columns"], 1, MAX_SIDE)
-        check_grid(n_rows, n_cols, stated["Rows"][1])
-
-        def length(keyword: str) -> float | None:
-            return parse_number(*stated[keyword], 1e-4, 1e6) if keyword in stated else None
-
-        sensor = _Sensor(
-            stated["SENSOR"][0],
-            n_rows,
-            n_cols,
-            length("Sensel Width"),
-            length("Sensel Height"),
-            length("Total Area"),
+        shape = parse_shape(stated["Rows"], stated["Columns"])
+        width_cm, height_cm, area_cm2 = (
+            parse_number(*stated[key], 1e-4, 1e6) if key in stated else math.nan
+            for key in ("Sensel Width", "Sensel Height", "Total Area")
         )
+        pitch_m = width_cm / 100 if width_cm == height_cm else None
+        # False where one is not stated.
+        is_part = area_cm2 < (1 - _AREA_ROUNDING) * math.prod(shape) * width_cm * height_cm
         time_s = _seconds(*stated["Time"]) if "Time" in stated else None
-        readings, exists = read_cells(self._lines, (n_rows, n_cols), number, "Columns", absent="")
+        readings, exists = read_cells(self._lines, shape, number, "Columns", absent="")
         if "Peak Pressure" in stated:
             peak = parse_number(*stated["Peak Pressure"])
             if abs(peak - readings.max()) > _PEAK_ROUNDING:
@@ -179,15 +169,7 @@ class XsensorRecording(Recording):
                     f"{stated['Peak Pressure'][1]}: frame {number} states a peak of {peak:g}, but "
                     f"its largest reading is {readings.max():g}"
                 )
-        return sensor, time_s, readings, exists
-
-
-def _is_part(sensor: _Sensor) -> bool:
-    """True if the stated area is less than that of the whole grid."""
-    if sensor.width_cm is None or sensor.height_cm is None or sensor.area_cm2 is None:
-        return False
-    grid_cm2 = sensor.n_rows * sensor.n_cols * sensor.width_cm * sensor.height_cm
-    return sensor.area_cm2 < (1 - _AREA_ROUNDING) * grid_cm2
+        return _Frame(stated["SENSOR"][0], pitch_m, is_part, time_s, readings, exists)
 
 
 def _seconds(text: str, where: str) -> float:
