@@ -26,18 +26,17 @@ class Checksum:
     is_strong: bool = False
 
 
-def _crc(polynomial: int, start: int, n_bits: int, reflected: bool) -> Callable[[bytes], int]:
+def _crc(polynomial: int, start: int = 0, reflected: bool = True) -> Callable[[bytes], int]:
     """A reflected CRC, or one of 8 bits, by a table of the remainders of all bytes; `polynomial` is
-    in the order of bits that `reflected` states.
+    in the order of bits that `reflected` states, the highest of an unreflected one included.
     """
-    top, mask, table = 1 << (n_bits - 1), (1 << n_bits) - 1, []
-    for byte in range(256):
-        value = byte if reflected else byte << (n_bits - 8)
+    table = []
+    for value in range(256):
         for _ in range(8):
             if reflected:
                 value = (value >> 1) ^ (polynomial if value & 1 else 0)
             else:
-                value = ((value << 1) & mask) ^ (polynomial if value & top else 0)
+                value = (value << 1) ^ (polynomial if value & 0x80 else 0)
         table.append(value)
 
     def compute(data: bytes) -> int:
@@ -54,10 +53,10 @@ CHECKSUMS = {
     "sum8": Checksum(1, lambda data: sum(data) & 0xFF),
     "sum16": Checksum(2, lambda data: sum(data) & 0xFFFF),
     "xor8": Checksum(1, lambda data: functools.reduce(operator.xor, data, 0)),
-    "crc8": Checksum(1, _crc(0x07, 0, 8, reflected=False)),
-    "crc8_maxim": Checksum(1, _crc(0x8C, 0, 8, reflected=True)),
+    "crc8": Checksum(1, _crc(0x107, reflected=False)),
+    "crc8_maxim": Checksum(1, _crc(0x8C)),
     "crc16": Checksum(2, lambda data: crc_hqx(data, 0xFFFF), True),
     "crc16_xmodem": Checksum(2, lambda data: crc_hqx(data, 0), True),
-    "crc16_modbus": Checksum(2, _crc(0xA001, 0xFFFF, 16, reflected=True), True),
+    "crc16_modbus": Checksum(2, _crc(0xA001, 0xFFFF), True),
     "crc32": Checksum(4, crc32, True),
 }

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Callable
-from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
@@ -64,26 +61,3 @@ def needed_module(name: str, package: str, extra: str) -> ModuleType:
         raise NotHereError(
             f"{package} is not installed: pip install 'sparseskin[{extra}]'"
         ) from error
-
-
-def hint_of_stream(
-    framing: Framing, recent: bytes, fitting: Callable[[int], str] = lambda n_bytes: ""
-) -> str:
-    """What bytes of a stream show, in which no frame was found: other start bytes, or length.
-    `fitting` returns the profile of frames of a length, "" for none.
-    """
-    start = framing.start.hex(" ").upper()
-    places, at = [], recent.find(framing.start)
-    while at >= 0:
-        places.append(at)
-        at = recent.find(framing.start, at + 1)
-    if len(places) < 2:
-        return "" if len(recent) < framing.n_bytes else f"; the start bytes {start} hardly occur"
-    distance, times = Counter(b - a for a, b in pairwise(places)).most_common(1)[0]
-    if times < 2 or distance == framing.n_bytes:
-        return ""
-    extra = framing.n_bytes - framing.payload_bytes
-    profile = fitting(distance)
-    return f"; from {start} to {start} it is {distance} bytes, {distance - extra} of readings" + (
-        f", as of profile={profile}" if profile else ""
-    )

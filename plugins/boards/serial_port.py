@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import functools
 import os
+import re
 import select
 import stat
 import struct
 import time
-from collections import deque
+from collections import Counter, deque
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from sparseskin.nodes.errors import NotHereError, SourceError
 from sparseskin.nodes.lookup import did_you_mean
 
 from .framing import Counts, FrameParser, Framing
-from .ports import MAX_READS, READ_BYTES, Arrived, Port, hint_of_stream, needed_module
+from .ports import MAX_READS, READ_BYTES, Arrived, Port, needed_module
 from .settings import SerialSettings, fitting_profile
 
 TIOCGICOUNT = 0x545D
@@ -93,9 +94,19 @@ class SerialPort(Port):
         return {"port_errors": self._overruns}
 
     def hint(self) -> str:
-        framing = self.parser.framing
-        fitting = functools.partial(fitting_profile, framing.start)
-        return hint_of_stream(framing, b"".join(self._recent), fitting)
+        framing, recent = self.parser.framing, b"".join(self._recent)
+        start = framing.start.hex(" ").upper()
+        places = [found.start() for found in re.finditer(re.escape(framing.start), recent)]
+        if len(places) < 2:
+            few = f"; the start bytes {start} hardly occur"
+            return "" if len(recent) < framing.n_bytes else few
+        distance, times = Counter(b - a for a, b in pairwise(places)).most_common(1)[0]
+        if times < 2 or distance == framing.n_bytes:
+            return ""
+        n_payload = distance - framing.n_bytes + framing.payload_bytes
+        profile = fitting_profile(framing.start, distance)
+        named = f", as of profile={profile}" if profile else ""
+        return f"; from {start} to {start} it is {distance} bytes, {n_payload} of readings{named}"
 
 
 def check_serial(device: str) -> None:

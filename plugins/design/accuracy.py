@@ -117,13 +117,8 @@ def simulate(
 
     Parameters
     ----------
-    strategy : Strategy
-    mask : ndarray of bool, shape (n_rows, n_cols)
-        True where a taxel exists.
-    noise : float
-        Standard deviation of a taxel's noise, as a part of the range.
-    bits : int
-        Of a value that is read or sent.
+    strategy, mask, noise, bits
+        As of `make_reader`.
     rate_hz : float
     seed : int
         Of scenes, noise and Phi.

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import nearest_of
+from sparseskin.nodes.sensor.files.recording import shown
 from sparseskin.studies.command import EXTRA
 
-from .models.units import shown
 from .simulation import FEW_SCENES, N_SCENES
 from .spec import KEYS, SIZE_KEYS, Design, make_design, read_file
 

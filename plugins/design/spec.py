@@ -12,6 +12,7 @@ from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean, nearest_of
 from sparseskin.nodes.numerics.arrays import Mask
+from sparseskin.nodes.sensor.files.recording import shown
 from sparseskin.nodes.toml import parse_toml
 from sparseskin.plugins.points.files import EXAMPLE
 from sparseskin.plugins.points.placing import Placement, placed
@@ -19,7 +20,7 @@ from sparseskin.plugins.points.placing import Placement, placed
 from .models.adc import Adc, read_adc
 from .models.buses import Bus, read_bus
 from .models.edge import Edge, read_edge
-from .models.units import FORCE, LENGTH, RATE, TIME, quantity, shown
+from .models.units import FORCE, LENGTH, RATE, TIME, quantity
 from .strategies import ANALOG, DIGITAL
 
 MAX_SIDE, MAX_TAXELS = 1024, 65536

@@ -29,8 +29,6 @@ class Strategy:
         As the setting `rows` of the compressor.
     sums : "analog", "digital" or "single"
         Where sums are made, if a design does not state it: see `ANALOG`.
-    label : str
-        The strategy in words.
     """
 
     name: str
@@ -38,7 +36,6 @@ class Strategy:
     ratio: float
     rows: str
     sums: str
-    label: str
 
     @property
     def reads_single(self) -> bool:
@@ -62,46 +59,20 @@ class Strategy:
         return m
 
 
-def _sbhe(ratio: int, rows: str) -> Strategy:
-    about = f"scrambled block Hadamard sums, N/{ratio}, rows {rows}"
-    return Strategy(f"sbhe_{ratio}_{rows}", "sbhe", float(ratio), rows, DIGITAL, about)
-
-
 _ALL = (
-    Strategy("full", "full", 1.0, FIXED, SINGLE, "every taxel in every frame"),
-    Strategy(
-        "one_hot_rotating",
-        "subsample",
-        COMMON_RATIO,
-        ROTATING,
-        SINGLE,
-        "single taxels, N/4, others in each frame",
+    # Every taxel in every frame; single taxels, others in each; scrambled block Hadamard sums.
+    Strategy("full", "full", 1.0, FIXED, SINGLE),
+    Strategy("one_hot_rotating", "subsample", COMMON_RATIO, ROTATING, SINGLE),
+    *(
+        Strategy(f"sbhe_{ratio}_{rows}", "sbhe", float(ratio), rows, DIGITAL)
+        for ratio in (3, 4, 8, 16)
+        for rows in (FIXED, ROTATING)
     ),
-    *(_sbhe(ratio, rows) for ratio in (3, 4, 8, 16) for rows in (FIXED, ROTATING)),
-    Strategy(
-        "row_local",
-        "row_local",
-        COMMON_RATIO,
-        ROTATING,
-        ANALOG,
-        "binary patterns of columns, summed in each row, N/4",
-    ),
-    Strategy(
-        "local",
-        "local:16",
-        COMMON_RATIO,
-        ROTATING,
-        ANALOG,
-        "SBHE within 16 x 16 taxels, summed in analog, N/4",
-    ),
-    Strategy(
-        "adaptive",
-        "adaptive",
-        COMMON_RATIO,
-        FIXED,
-        DIGITAL,
-        "sums where forces changed, chosen in each frame, N/4",
-    ),
+    # Binary patterns of columns, summed in each row; SBHE within 16 x 16 taxels.
+    Strategy("row_local", "row_local", COMMON_RATIO, ROTATING, ANALOG),
+    Strategy("local", "local:16", COMMON_RATIO, ROTATING, ANALOG),
+    # Sums where forces changed, chosen in each frame.
+    Strategy("adaptive", "adaptive", COMMON_RATIO, FIXED, DIGITAL),
 )
 STRATEGIES: dict[str, Strategy] = {strategy.name: strategy for strategy in _ALL}
 """Strategies by name, in the order of tables."""

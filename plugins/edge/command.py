@@ -79,13 +79,9 @@ def _export(arguments: argparse.Namespace) -> int:
             n_rows,
             n_cols,
             ratio=RATIO if arguments.ratio is None else arguments.ratio,
-            m=arguments.m,
             rows=arguments.rows_mode,
             mask=mask,
-            bits=arguments.bits,
-            block=arguments.block,
-            seed=arguments.seed,
-            adc_bits=arguments.adc_bits,
+            **{key: getattr(arguments, key) for key in ("m", "bits", "block", "seed", "adc_bits")},
         )
     export(described, arguments.out)
     print(

@@ -48,20 +48,13 @@ def config(description: EdgeDescription) -> str:
     """Return the text of `edge_config.h`: sizes and types."""
     d = description
     step_of_zeros = int(np.float32(SMALLEST / largest_code(d.bits)).view(np.uint32))
-    numbers = {
-        "N_ROWS": d.n_rows,
-        "N_COLS": d.n_cols,
-        "N_CELLS": d.n_cells,
-        "N_TAXELS": d.n_taxels,
-        "M": d.m,
-        "BITS": d.bits,
+    named = ("n_rows", "n_cols", "n_cells", "n_taxels", "m", "bits", "count_bytes", "frame_bytes")
+    numbers = {name.upper(): getattr(d, name) for name in named} | {
         "BLOCK": max(block_sizes(d.n_taxels, d.block)),
         "N_GROUPS": len(_groups(d)),
         "N_SUBSETS": len(d.subsets),
         "FULL_SCALE": f"{d.full_scale}u",
-        "COUNT_BYTES": d.count_bytes,
         "STEP_OF_ZEROS": f"0x{step_of_zeros:08x}u /* the step of a frame of zeros, float32 */",
-        "FRAME_BYTES": d.frame_bytes,
         "FIRST_CELL": int(d.cells[0]),
     }
     defines = "\n".join(f"#define EDGE_{name} {value}" for name, value in numbers.items())
@@ -109,21 +102,10 @@ def readme(description: EdgeDescription) -> str:
     d = description
     masked = "" if d.mask is None else f", {d.n_taxels} of which hold a taxel"
     tags = ", ".join(f"`{tag:08x}`" for tag in d.tags)
-    return _filled(
-        "README.md.in",
-        n_rows=d.n_rows,
-        n_cols=d.n_cols,
-        masked=masked,
-        m=d.m,
-        rows=d.rows,
-        n_subsets=len(d.subsets),
-        bits=d.bits,
-        full_scale=d.full_scale,
-        code_bytes=d.code_bytes,
-        frame_bytes=d.frame_bytes,
-        top=largest_code(d.bits),
-        tags=tags,
-    )
+    named = ("n_rows", "n_cols", "m", "rows", "bits", "full_scale", "code_bytes", "frame_bytes")
+    values = {name: getattr(d, name) for name in named}
+    values |= {"masked": masked, "n_subsets": len(d.subsets), "top": largest_code(d.bits)}
+    return _filled("README.md.in", tags=tags, **values)
 
 
 def _filled(name: str, **values: object) -> str:

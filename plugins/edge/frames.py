@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,17 +22,9 @@ Counts = npt.NDArray[np.uint16]
 _HEAD = struct.Struct("<If")
 
 
-@dataclass(frozen=True)
-class EdgeFrame:
-    """The payload of a frame.
-
-    Attributes
-    ----------
-    phi : str
-        Fingerprint of its matrix.
-    step : float
-        Size of a code's step, counts.
-    codes : ndarray of int32, shape (m,)
+class EdgeFrame(NamedTuple):
+    """The payload of a frame: fingerprint of its matrix, size of a code's step in counts, and the
+    codes, int32 (m,).
     """
 
     phi: str

@@ -127,11 +127,13 @@ def flattened(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
     centred = places - places.mean(axis=0)
     _, size, axes = np.linalg.svd(centred, full_matrices=False)
     if np.abs(centred @ axes[2]).max() <= FLAT * np.median(edges.length):
-        plane = centred @ axes[:2].T
+        plane: Doubles = centred @ axes[:2].T
     else:
         edges = edges.only(~_cut(centred, normals, edges))
         plane = _scaled(edges, n)
-    plane = _as_seen_from_outside(plane, places, frames, edges)
+    turned = _moments(plane, places, frames, edges)
+    if (np.linalg.det(turned) < 0).mean() > 0.5:  # it is seen from inside
+        plane[:, 0] *= -1
     if size[2] > 0 and np.abs(centred @ axes[2]).max() > FLAT * np.median(edges.length):
         plane = _rigid(plane, places, frames, edges)
     return plane
@@ -208,16 +210,6 @@ def _scaled(edges: Edges, n: int) -> Doubles:
     value, vector = np.linalg.eigh(inner)
     axes = vector[:, -2:] / np.sqrt(np.maximum(value[-2:], 1e-12))
     plane: Doubles = -0.5 * (squared - mean[:, None]).T @ axes
-    return plane
-
-
-def _as_seen_from_outside(
-    plane: Doubles, places: Doubles, frames: Doubles, edges: Edges
-) -> Doubles:
-    """The plane, mirrored where it is seen from inside."""
-    turned = _moments(plane, places, frames, edges)
-    if (np.linalg.det(turned) < 0).mean() > 0.5:
-        plane = plane * np.array([-1.0, 1.0])
     return plane
 
 

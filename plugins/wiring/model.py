@@ -56,18 +56,14 @@ def star_wiring(groups: list[Indices], cells: Indices, n_cols: int, conversions:
         Conversions a frame.
     """
     places = np.stack(np.divmod(cells, n_cols), axis=1).astype(np.float64)
-    begins, ends, group_of = [], [], []
-    for number, group in enumerate(groups):
-        begins.append(places[group])
-        # Not on a grid point, so that no wire runs through the begin of another.
-        hub = np.median(places[group], axis=0) + _OFF_GRID
-        ends.append(np.broadcast_to(hub, (len(group), 2)))
-        group_of.append(np.full(len(group), number))
-    a, b, of = np.concatenate(begins), np.concatenate(ends), np.concatenate(group_of)
-    medians = b - _OFF_GRID
+    sizes = [len(group) for group in groups]
+    a = places[np.concatenate(groups)]
+    medians = np.repeat([np.median(places[group], axis=0) for group in groups], sizes, axis=0)
+    # Not on a grid point, so that no wire runs through the begin of another.
+    ends = medians + _OFF_GRID
     return Wiring(
         length=float(np.abs(a - medians).sum()),
-        crossings=count_crossings(a, b, of),
+        crossings=count_crossings(a, ends, np.repeat(np.arange(len(groups)), sizes)),
         wires_a_taxel=len(a) / len(cells),
         conversions=conversions,
     )

@@ -6,8 +6,9 @@ import re
 from dataclasses import dataclass
 
 from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.sensor.files.recording import shown
 
-from .units import SAMPLES, quantity, shown
+from .units import SAMPLES, quantity
 
 FORM = "10bit@200kS/s"
 _ADC = re.compile(r"(\d{1,2})\s*bits?\s*@\s*(.+)", re.ASCII)

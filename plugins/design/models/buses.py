@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import nearest_of
+from sparseskin.nodes.sensor.files.recording import shown
 
-from .units import BITS_A_SECOND, quantity, shown
+from .units import BITS_A_SECOND, quantity
 
 LOWEST_BIT_S, HIGHEST_BIT_S = 1e3, 1e11
 
@@ -158,7 +158,11 @@ class Udp(Bus):
 
 FORMS = "serial:2M, can:1M, can-fd[:1M/5M], spi:20M, udp[:100M]"
 """Forms of a bus in options and files."""
-_DEFAULTS = {"can": "1M", "can-fd": "1M/5M", "udp": "100M", "serial": "", "spi": ""}
+_KINDS: dict[str, tuple[type[Bus], str]] = {
+    **{"can": (Can, "1M"), "can-fd": (CanFd, "1M/5M"), "udp": (Udp, "100M")},
+    **{"serial": (Serial, ""), "spi": (Spi, "")},
+}
+"""Buses by name, each with its rate where none is stated."""
 
 
 def read_bus(text: object) -> Bus:
@@ -167,22 +171,22 @@ def read_bus(text: object) -> Bus:
     """
     kind, _, rate = text.partition(":") if isinstance(text, str) else ("", "", "")
     kind, rate = kind.strip(), rate.strip()
-    if kind not in _DEFAULTS:
-        hint = nearest_of(kind, _DEFAULTS)
+    if kind not in _KINDS:
+        hint = nearest_of(kind, _KINDS)
         raise SettingsError(f"{shown(text)}: bus is not known{hint}; expected {FORMS}")
-    rate = rate or _DEFAULTS[kind]
+    made, default = _KINDS[kind]
+    rate = rate or default
     if not rate:
         raise SettingsError(f"{shown(text)}: states no rate; expected such as {kind}:2M")
+    slow, slash, fast = rate.partition("/") if kind == "can-fd" else (rate, "", "")
+    rates = [_bit_s(slow.strip(), "1M")]
     if kind == "can-fd":
-        slow, slash, fast = rate.partition("/")
         if not slash:
             raise SettingsError(f"{shown(text)}: expected can-fd:ARBITRATION/DATA, as can-fd:1M/5M")
-        rates = _bit_s(slow.strip(), "1M"), _bit_s(fast.strip(), "5M")
+        rates.append(_bit_s(fast.strip(), "5M"))
         if rates[1] < rates[0]:
             raise SettingsError(f"{shown(text)}: data are slower than the arbitration")
-        return CanFd(*rates)
-    made: Callable[[float], Bus] = {"serial": Serial, "can": Can, "spi": Spi, "udp": Udp}[kind]
-    return made(_bit_s(rate, "2M"))
+    return made(*rates)
 
 
 def rate_text(rate: float) -> str:

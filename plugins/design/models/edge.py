@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import nearest_of
+from sparseskin.nodes.sensor.files.recording import shown
 
 from .costs import cost
-from .units import CLOCK, quantity, shown
+from .units import CLOCK, quantity
 
 CORTEX_M4, LINUX = "cortex-m4", "linux"
 A_READING, A_MEASUREMENT, A_BYTE, A_FRAME = 24, 72, 16, 550

@@ -7,6 +7,7 @@ import re
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import nearest_of
+from sparseskin.nodes.sensor.files.recording import shown
 
 LENGTH = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6}
 FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
@@ -49,9 +50,3 @@ def quantity(text: object, units: dict[str, float], example: str, low: float, hi
         least, most = (f"{bound / units[unit]:.6g} {unit}".strip() for bound in (low, high))
         raise SettingsError(f"{shown(text)}: is outside {least} .. {most}")
     return value
-
-
-def shown(value: object) -> str:
-    """A value as an error shows it, at most 60 characters."""
-    text = value if isinstance(value, str) else repr(value)
-    return repr(text if len(text) <= _MAX_CHARS else text[:_MAX_CHARS] + " ...")
