@@ -77,6 +77,11 @@ def a_line(folder: Path) -> Iterator[Line]:
         line.close()
 
 
+def flexitac(value: int) -> bytes:
+    """A frame of the profile flexitac_16x32, all readings the same."""
+    return b"\xaa\x55" + bytes([value]) * 512
+
+
 def send_packets(port: int, *packets: bytes) -> None:
     """Send packets to a port of the loopback interface."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:

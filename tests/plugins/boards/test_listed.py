@@ -12,16 +12,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from board_lines import a_line
+from board_lines import a_line, flexitac
 from conftest import COMMAND, PATIENCE_S, wait_until
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.commands.completion import candidates
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.nodes.network.keys import make_key_files
-from sparseskin.plugins.boards.framing import Framing
-
-FLEXITAC = Framing(16 * 32, start=b"\xaa\x55")
 
 
 def test_sources_lists_profiles_with_a_line_on_each(capsys: pytest.CaptureFixture[str]) -> None:
@@ -65,7 +62,7 @@ def test_scope_draws_in_a_terminal_and_leaves_it_as_it_was(tmp_path: Path) -> No
             env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "300", "LINES": "24"},
         )
         os.close(terminal)
-        line.sending(FLEXITAC.encode(bytes([k % 160] * 512)) for k in range(10**9))
+        line.sending(flexitac(k % 160) for k in range(10**9))
         shown = bytearray()
 
         def read() -> None:

@@ -1,7 +1,10 @@
-"""Boards on a pseudo terminal, at a UDP port of the loopback interface and on a virtual CAN bus."""
+"""Boards on a pseudo terminal, at a UDP port of the loopback interface and on a virtual CAN bus; a
+graph of real processes whose sensor reads one.
+"""
 
 from __future__ import annotations
 
+import json
 import socket
 import uuid
 from collections.abc import Iterator
@@ -11,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from board_lines import Line, a_line, send_packets
-from conftest import free_port, wait_until
+from board_lines import Line, a_line, flexitac, send_packets
+from conftest import StartProgram, free_port, wait_until
 
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
@@ -23,7 +26,6 @@ from sparseskin.plugins.boards import source as source_module
 from sparseskin.plugins.boards.framing import Framing
 from sparseskin.plugins.boards.source import BoardSource, dropped_text
 
-FLEXITAC = Framing(16 * 32, start=b"\xaa\x55")
 WAIT_S = 0.05
 
 
@@ -48,10 +50,6 @@ def opened() -> Iterator[Any]:
     yield make
     for one in made:
         one.close()
-
-
-def flexitac(value: int) -> bytes:
-    return FLEXITAC.encode(bytes([value]) * 512)
 
 
 def taken(source: BoardSource, n: int) -> list[tuple[int, np.ndarray[Any, Any]]]:
@@ -262,3 +260,34 @@ class TestNode:
         assert int(frame[1].max()) == 4
         assert board.n_unused == 4
         sensor.close({})
+
+
+GRAPH = """
+[nodes.sensor]
+type = "sensor"
+source = "{source}"
+"""
+
+
+def test_an_unplugged_board_is_one_line_and_the_graph_goes_on_when_it_is_back(
+    start: StartProgram, tmp_path: Path, line: Line
+) -> None:
+    source = f"serial:{line.device}?profile=flexitac_16x32"
+    (tmp_path / "board.toml").write_text(GRAPH.format(source=source))
+    program = start("launch", "board.toml", "--summary", "summary.json")
+    program.wait_for("[launch] ready")
+    line.send(flexitac(1) * 5)
+    line.unplug()
+    assert program.wait_for("[sensor] ").endswith("the device is gone; waiting for it")
+    line.plug()
+    assert "is back after" in program.wait_for("[sensor] ")
+    line.sending(flexitac(2) for _ in range(10**9))
+    program.process.terminate()
+    code, stdout, stderr = program.finish()
+    assert code in (0, 143)
+    assert "Traceback" not in stderr
+    assert "the device was gone 1 time" in stdout
+    sensor = json.loads((tmp_path / "summary.json").read_text())["nodes"]["sensor"]
+    assert sensor["board"]["gone"] == 1
+    n_published = sensor["published"].get("/skin/taxels", 0)
+    assert sensor["board"]["frames"] == n_published + sensor["board"]["unused_frames"]

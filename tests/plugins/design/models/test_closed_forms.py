@@ -1,4 +1,6 @@
-"""Closed forms of buses, converters, edges and units, against numbers worked by hand."""
+"""Closed forms of buses, converters, edges and units, against numbers worked by hand; and what they
+predict for rigs that were built.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +14,7 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.plugins.design.models.adc import Adc, read_adc
 from sparseskin.plugins.design.models.buses import Can, CanFd, Serial, Spi, Udp, read_bus
 from sparseskin.plugins.design.models.edge import Edge, instructions, read_edge
+from sparseskin.plugins.design.models.rigs import RIGS
 from sparseskin.plugins.design.models.units import FORCE, LENGTH, RATE, quantity
 from sparseskin.plugins.edge.description import EdgeDescription
 
@@ -146,3 +149,17 @@ def test_converters_and_edges_are_read() -> None:
 )
 def test_a_quantity_is_read(text: str, units: dict[str, float], value: float) -> None:
     assert quantity(text, units, "x", 0.0, 1e6) == pytest.approx(value)
+
+
+def test_most_rigs_are_predicted_within_a_factor_2_and_of_others_the_reason_is_stated() -> None:
+    beyond = [rig for rig in RIGS if not rig.is_within]
+    assert [rig.name for rig in beyond] == ["3D-ViTac", "SPTS, 7 % of 100"]
+    assert all(rig.reason for rig in beyond)
+    assert all(rig.facts for rig in RIGS)
+
+
+def test_a_flexitac_is_limited_by_its_converter_and_its_line_allows_389_hz() -> None:
+    line, whole = RIGS[:2]
+    assert line.predicted_hz == pytest.approx(389.1, abs=0.1)
+    # 16 MHz / 16 / 13 clocks are 76,923 conversions a second, of 512 taxels
+    assert (whole.limit, whole.predicted_hz) == ("ADC", pytest.approx(76_923 / 512, rel=1e-4))
