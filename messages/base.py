@@ -52,8 +52,8 @@ class Message:
 
     def __post_init__(self) -> None:
         values = self.__dict__
-        for name, check in _checks(type(self)):
-            values[name] = check(name, values[name])
+        for name, kind in wire_fields(type(self)).items():
+            values[name] = kind.check(name, values[name])
         self.validate()
 
     def validate(self) -> None:
@@ -111,12 +111,6 @@ def once_a_class(make: Callable[[type[Message]], Made]) -> Callable[[type[Messag
 def wire_fields(cls: type[Message]) -> dict[str, FieldKind]:
     """Name and kind of each field of a message class, in order of declaration."""
     return {f.name: cast(FieldKind, f.metadata["wire"]) for f in dataclasses.fields(cls)}
-
-
-@once_a_class
-def _checks(cls: type[Message]) -> tuple[tuple[str, Callable[[str, Any], Any]], ...]:
-    """Name and check of each field."""
-    return tuple((name, kind.check) for name, kind in wire_fields(cls).items())
 
 
 @once_a_class

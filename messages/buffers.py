@@ -61,11 +61,11 @@ class _Form:
 @once_a_class
 def _form(cls: type[Message]) -> _Form:
     fields = wire_fields(cls)
-    arrays = tuple((n, kind) for n, kind in fields.items() if isinstance(kind, Array))
-    numbers = tuple((n, kind) for n, kind in fields.items() if isinstance(kind, Number))
-    texts = tuple((n, kind) for n, kind in fields.items() if isinstance(kind, Text | Names))
-    each = tuple((n, kind) for n, kind in fields.items() if isinstance(kind, Each))
-    return _Form(cls, tuple(fields), texts, arrays, numbers, each)
+
+    def of(*kinds: type[FieldKind]) -> Any:
+        return tuple((name, kind) for name, kind in fields.items() if isinstance(kind, kinds))
+
+    return _Form(cls, tuple(fields), of(Text, Names), of(Array), of(Number), of(Each))
 
 
 @dataclass(frozen=True)

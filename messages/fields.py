@@ -27,14 +27,10 @@ STEP_MAX = 1e30
 REMEMBERED = 256
 """Number of valid texts, or shapes, of a field that are not checked a second time."""
 _ARRAY_KEYS = frozenset({"dtype", "shape", "order", "data"})
-_QUANTISED_KEYS = _ARRAY_KEYS | {"step"}
 
 
 class FieldKind:
     """Wire form of one field. `check` runs whenever a message is made, also by `decode`."""
-
-    travels_as_it_is: ClassVar[bool] = True
-    """True if msgpack carries a checked value as it is: nothing to pack or unpack."""
 
     def check(self, name: str, value: Any) -> Any:
         """Return the value in its canonical form, or raise MessageError."""
@@ -130,8 +126,6 @@ class Each(FieldKind):
     where all have to be stated.
     """
 
-    travels_as_it_is: ClassVar[bool] = False
-
     kind: Number
     unstated: tuple[Any, ...] = ()
 
@@ -160,8 +154,6 @@ class Names(FieldKind):
     """Names of patches, a tuple of different texts; its wire form is one text, in which spaces
     separate them.
     """
-
-    travels_as_it_is: ClassVar[bool] = False
 
     def check(self, name: str, value: Any) -> tuple[str, ...]:
         if value == ():
@@ -237,8 +229,6 @@ class Array(FieldKind):
     with the byte order ("<f4"), `order` always "C", `data` a msgpack bin field.
     """
 
-    travels_as_it_is: ClassVar[bool] = False
-
     dtype: str
     ndim: int
     optional: bool = False
@@ -262,34 +252,26 @@ class Array(FieldKind):
     def pack(self, value: Any) -> Any:
         if value is None:
             return None
-        return {
-            "dtype": self.dtype,
-            "shape": list(value.shape),
-            "order": "C",
-            "data": value.tobytes(),
-        }
+        form = {"dtype": self.dtype_of(value), "shape": list(value.shape), "order": "C"}
+        form |= dict(zip(("step",), self.extra_of(value), strict=False))
+        return form | {"data": bytes(self.data_of(value))}
 
     def unpack(self, name: str, raw: Any) -> npt.NDArray[Any] | None:
         if raw is None and self.optional:
             return None
-        if not isinstance(raw, dict) or raw.keys() != _ARRAY_KEYS:
+        if not isinstance(raw, dict) or raw.keys() - {"step"} != _ARRAY_KEYS:
             raise MalformedError(f"{name}: expected a map of dtype, shape, order and data")
-        if raw["dtype"] != self.dtype or raw["order"] != "C":
-            raise ShapeError(
-                f"{name}: expected dtype {self.dtype} in order C, "
-                f"got {raw['dtype']!r} in order {raw['order']!r}"
-            )
-        shape, data, dtype = _sides(name, raw["shape"]), raw["data"], self._dtype
+        dtype, shape, n_bytes = self.checked_form(name, [raw["dtype"], raw["shape"]])
+        if raw["order"] != "C":
+            raise ShapeError(f"{name}: expected order C, got {str(raw['order'])[:8]!r}")
+        if ("step" in raw) != (dtype != self.dtype):
+            raise MalformedError(f"{name}: expected a step with dtype intB, and with no other")
+        data = raw["data"]
         if not isinstance(data, bytes):
             raise MalformedError(f"{name}: data must be a bin field")
-        self._check_shape(name, shape)
-        if len(data) != math.prod(shape) * dtype.itemsize:
-            raise ShapeError(f"{name}: shape {list(shape)} does not fit {len(data)} bytes of data")
-        if dtype.kind == "b" and max(data) > 1:
-            raise MalformedError(f"{name}: a boolean byte other than 0 and 1")
-        value = np.ndarray(shape, dtype, data)
-        self._check_finite(name, value)
-        return value
+        if len(data) != n_bytes:
+            raise ShapeError(f"{name}: {list(shape)} of {dtype} does not fit {len(data)} bytes")
+        return self.of_data(name, dtype, shape, raw.get("step"), data)
 
     def dtype_of(self, value: Any) -> str:
         """Dtype of a checked array as it travels."""
@@ -307,11 +289,12 @@ class Array(FieldKind):
         """Dtype, shape and number of bytes of an array, by [dtype, shape], or MessageError."""
         if not isinstance(form, list) or len(form) != 2:
             raise MalformedError(f"{name}: expected dtype and shape")
-        if form[0] != self.dtype:
-            raise ShapeError(f"{name}: expected dtype {self.dtype}, got {str(form[0])[:32]!r}")
-        shape = _sides(name, form[1])
-        self._check_shape(name, shape)
-        return self.dtype, shape, math.prod(shape) * self._dtype.itemsize
+        dtype, shape = form
+        bits = self._bits_of(name, dtype)
+        if not isinstance(shape, list) or not set(map(type, shape)) <= {int}:
+            raise MalformedError(f"{name}: shape must be a list of whole numbers")
+        self._check_shape(name, tuple(shape))
+        return dtype, tuple(shape), n_bytes(math.prod(shape), bits)
 
     def of_data(
         self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes | memoryview
@@ -322,6 +305,12 @@ class Array(FieldKind):
         value: npt.NDArray[Any] = np.ndarray(shape, self._dtype, data)
         self._check_finite(name, value)
         return value
+
+    def _bits_of(self, name: str, dtype: Any) -> int:
+        """Number of bits of an element of a dtype as it travels, or MessageError."""
+        if dtype != self.dtype:
+            raise ShapeError(f"{name}: expected dtype {self.dtype}, got {str(dtype)[:32]!r}")
+        return 8 * self._dtype.itemsize
 
     @functools.cached_property
     def _dtype(self) -> np.dtype[Any]:
@@ -377,35 +366,6 @@ class Samples(Array):
         _check_quantiser(name, value.bits, value.step)
         return value.reshape(checked.shape)
 
-    def pack(self, value: Any) -> Any:
-        if not isinstance(value, Quantised):
-            return super().pack(value)
-        return {
-            "dtype": f"int{value.bits}",
-            "shape": list(value.shape),
-            "order": "C",
-            "step": value.step,
-            "data": packed(value.codes(), value.bits),
-        }
-
-    def unpack(self, name: str, raw: Any) -> npt.NDArray[Any] | None:
-        if not isinstance(raw, dict) or "step" not in raw:
-            return super().unpack(name, raw)
-        if raw.keys() != _QUANTISED_KEYS:
-            raise MalformedError(f"{name}: expected a map of dtype, shape, order, step and data")
-        dtype, shape, step, data = (raw[key] for key in ("dtype", "shape", "step", "data"))
-        bits = _bits_of(name, dtype)
-        if raw["order"] != "C":
-            raise ShapeError(f"{name}: dtype {dtype[:32]!r} in order {str(raw['order'])[:8]!r}")
-        sides = _sides(name, shape)
-        self._check_shape(name, sides)
-        if not isinstance(data, bytes):
-            raise MalformedError(f"{name}: data must be a bin field")
-        n = math.prod(sides)
-        if MIN_BITS <= bits <= MAX_BITS and len(data) != n_bytes(n, bits):
-            raise ShapeError(f"{name}: {n} numbers of {bits} bits do not fit {len(data)} bytes")
-        return self._of_codes(name, sides, bits, step, data)
-
     def dtype_of(self, value: Any) -> str:
         return f"int{value.bits}" if isinstance(value, Quantised) else self.dtype
 
@@ -417,49 +377,29 @@ class Samples(Array):
             return packed(value.codes(), value.bits)
         return super().data_of(value)
 
-    def checked_form(self, name: str, form: Any) -> tuple[str, tuple[int, ...], int]:
-        if not isinstance(form, list) or len(form) != 2 or form[0] == self.dtype:
-            return super().checked_form(name, form)
-        bits, shape = _bits_of(name, form[0]), _sides(name, form[1])
-        self._check_shape(name, shape)
-        _check_quantiser(name, bits, 1.0)
-        return form[0], shape, n_bytes(math.prod(shape), bits)
-
     def of_data(
         self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes | memoryview
     ) -> npt.NDArray[Any]:
         if dtype == self.dtype:
             return super().of_data(name, dtype, shape, extra, data)
-        return self._of_codes(name, shape, _bits_of(name, dtype), extra, data)
-
-    @staticmethod
-    def _of_codes(
-        name: str, shape: tuple[int, ...], bits: int, step: Any, data: bytes | memoryview
-    ) -> Quantised:
-        if type(step) is not float:
+        bits = self._bits_of(name, dtype)
+        if type(extra) is not float:
             raise MalformedError(f"{name}: step must be a float")
-        _check_quantiser(name, bits, step)
+        _check_quantiser(name, bits, extra)
         codes = unpacked(data, math.prod(shape), bits).reshape(shape)
         if codes.max() > largest_code(bits):
             raise MalformedError(f"{name}: a code beyond {largest_code(bits)}")
-        return Quantised.of(codes, bits, step)
+        return Quantised.of(codes, bits, extra)
 
-
-def _sides(name: str, shape: Any) -> tuple[int, ...]:
-    """Shape in an array's map, if it is a list of whole numbers."""
-    if not isinstance(shape, list) or not set(map(type, shape)) <= {int}:
-        raise MalformedError(f"{name}: shape must be a list of whole numbers")
-    return tuple(shape)
-
-
-def _bits_of(name: str, dtype: Any) -> int:
-    """Number of bits of the dtype "intB", or ShapeError."""
-    if not isinstance(dtype, str) or not dtype.removeprefix("int").isdecimal():
-        raise ShapeError(f"{name}: expected dtype intB, got {str(dtype)[:32]!r}")
-    bits = int(dtype.removeprefix("int")[:4])
-    if dtype != f"int{bits}":
-        raise ShapeError(f"{name}: expected dtype intB, got {dtype[:32]!r}")
-    return bits
+    def _bits_of(self, name: str, dtype: Any) -> int:
+        if dtype == self.dtype:
+            return super()._bits_of(name, dtype)
+        found = re.fullmatch("int([1-9][0-9]{0,3})", dtype) if isinstance(dtype, str) else None
+        if found is None:
+            raise ShapeError(f"{name}: expected dtype intB, got {str(dtype)[:32]!r}")
+        bits = int(found[1])
+        _check_quantiser(name, bits, 1.0)
+        return bits
 
 
 def _check_quantiser(name: str, bits: int, step: float) -> None:

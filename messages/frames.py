@@ -30,13 +30,6 @@ def _of_patches(cls: type[Message]) -> dict[str, Each | Array]:
     return {**numbers, **arrays}
 
 
-@once_a_class
-def _unstated(cls: type[Message]) -> tuple[tuple[str, tuple[Any, ...]], ...]:
-    """Fields that a message may leave out, and what holds for a patch then."""
-    fields = wire_fields(cls).items()
-    return tuple((n, k.unstated) for n, k in fields if isinstance(k, Each) and k.unstated)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frames(Message):
     """Base of the messages of frames.
@@ -64,10 +57,9 @@ class Frames(Message):
 
     def validate(self) -> None:
         values, n = self.__dict__, len(self.names) or 1
-        for name, unstated in _unstated(type(self)):
-            if not values[name]:
-                values[name] = unstated * n
-        for name in _of_patches(type(self)):
+        for name, kind in _of_patches(type(self)).items():
+            if isinstance(kind, Each) and not values[name]:
+                values[name] = kind.unstated * n
             rows = values[name]
             if rows is not None and len(rows) != n and not self._may_have(name, len(rows)):
                 raise ShapeError(f"{name}: {len(rows)} rows for {n} patches")

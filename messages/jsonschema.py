@@ -6,18 +6,7 @@ import math
 from typing import Any
 
 from .base import Message, omitted_fields, wire_fields
-from .fields import (
-    MAX_ELEMENTS,
-    Array,
-    Each,
-    FieldKind,
-    Flag,
-    Integer,
-    Names,
-    Real,
-    Samples,
-    Text,
-)
+from .fields import MAX_ELEMENTS, Array, Each, FieldKind, Flag, Integer, Names, Real, Samples, Text
 from .topics import MAX_NAMES, MAX_PATCHES, NAME_PATTERN
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"

@@ -7,21 +7,12 @@ Nothing on the wire is ever executed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
-
 import msgpack
 import numpy as np
 
-from .base import Message, omitted_fields, once_a_class, wire_fields
+from .base import Message, omitted_fields, wire_fields
 from .buffers import MARK, Payload, decode_frame, frame_pieces, is_frame, unpacked
-from .errors import (
-    FieldError,
-    MalformedError,
-    OversizedError,
-    TruncatedError,
-)
+from .errors import FieldError, MalformedError, OversizedError, TruncatedError
 from .fields import MAX_ELEMENTS
 from .schemas import SCHEMAS, class_of
 from .state import End
@@ -37,34 +28,6 @@ MAX_MESSAGE_BYTES = 8 * MAX_ELEMENTS + 65536
 
 _END: bytes = msgpack.packb("schema") + msgpack.packb(End.schema)
 """Bytes after the first one, the number of fields, in the payload of an End."""
-
-
-@dataclass(frozen=True)
-class _Form:
-    """Keys, packers and unpackers of a message class."""
-
-    cls: type[Message]
-    keys: frozenset[object]
-    omitted: dict[str, Any]
-    packs: tuple[tuple[str, Callable[[Any], Any]], ...]
-    unpacks: tuple[tuple[str, Callable[[str, Any], Any]], ...]
-
-
-@once_a_class
-def _form(cls: type[Message]) -> _Form:
-    fields = wire_fields(cls)
-    return _Form(
-        cls=cls,
-        keys=frozenset({"schema", "version", *fields}),
-        omitted=omitted_fields(cls),
-        packs=tuple(
-            (name, kind.pack) for name, kind in fields.items() if not kind.travels_as_it_is
-        ),
-        unpacks=tuple(
-            (name, kind.check if kind.travels_as_it_is else kind.unpack)
-            for name, kind in fields.items()
-        ),
-    )
 
 
 def is_end(payload: Payload) -> bool:
@@ -89,16 +52,13 @@ def received(buffer: bytes) -> tuple[bytes, Payload]:
 
 def encode(message: Message) -> tuple[bytes, bytes]:
     """Turn a message into topic and payload, one map: the form of recordings."""
-    form = _form(type(message))
-    # The attributes of a message are its fields, in order of declaration.
-    body = {"schema": message.schema, "version": message.version, **message.__dict__}
-    for name, default in form.omitted.items():
+    cls = type(message)
+    body, omitted = {"schema": message.schema, "version": message.version}, omitted_fields(cls)
+    for name, kind in wire_fields(cls).items():
+        value = message.__dict__[name]
         # A default is never an array.
-        if not isinstance(body[name], np.ndarray) and body[name] == default:
-            del body[name]
-    for name, pack in form.packs:
-        if name in body:
-            body[name] = pack(body[name])
+        if name not in omitted or isinstance(value, np.ndarray) or value != omitted[name]:
+            body[name] = kind.pack(value)
     return message.topic.encode(), msgpack.packb(body)
 
 
@@ -122,13 +82,19 @@ def decode(topic: bytes, payload: Payload) -> Message:
     if payload[0] == MARK:
         return decode_frame(topic, payload)
     body: dict[object, object] = unpacked(payload, dict, n_bytes)
-    form = _form(class_of(body))
-    values = {name: value for name, value in form.omitted.items() if name not in body}
-    if body.keys() | values.keys() != form.keys:
-        names = ", ".join(sorted(str(key) for key in (body.keys() | values.keys()) ^ form.keys))
-        raise MalformedError(f"{form.cls.schema}: missing or unknown fields {names[:200]}")
-    values |= {name: unpack(name, body[name]) for name, unpack in form.unpacks if name in body}
-    message = form.cls.assembled({name: values[name] for name, _ in form.unpacks})
+    cls = class_of(body)
+    fields, omitted = wire_fields(cls), omitted_fields(cls)
+    held = body.keys() - {"schema", "version"}
+    wrong = (held - fields.keys()) | (fields.keys() - omitted.keys() - held)
+    if wrong:
+        names = ", ".join(sorted(map(str, wrong)))
+        raise MalformedError(f"{cls.schema}: missing or unknown fields {names[:200]}")
+    message = cls.assembled(
+        {
+            name: kind.unpack(name, body[name]) if name in held else omitted[name]
+            for name, kind in fields.items()
+        }
+    )
     if message.topic.encode() != topic:
         raise FieldError(f"a message of {message.topic} came under topic {topic!r}")
     return message

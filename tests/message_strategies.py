@@ -23,6 +23,13 @@ from sparseskin.messages import (
 )
 from sparseskin.messages.base import wire_fields
 from sparseskin.messages.fields import Each, FieldKind, Flag, Integer, Real, Text
+from sparseskin.messages.wire import Payload, received, wire_bytes
+
+
+def sent(message: Message) -> tuple[bytes, Payload]:
+    """Topic and payload as they arrive."""
+    return received(wire_bytes(message))
+
 
 texts = st.text(
     st.characters(codec="utf-8", exclude_categories=["Cs", "Cc"]), min_size=0, max_size=32

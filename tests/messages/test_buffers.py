@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import struct
 
 import msgpack
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from message_strategies import messages
+from hypothesis import given
+from message_strategies import messages, sent
 
 from sparseskin.messages import (
     FieldError,
@@ -40,15 +38,10 @@ from sparseskin.messages.buffers import (
     is_frame,
 )
 from sparseskin.messages.quantised import Quantised
-from sparseskin.messages.wire import SCHEMAS, Payload, received, wire_bytes
+from sparseskin.messages.wire import SCHEMAS, received, wire_bytes
 from sparseskin.nodes.compressor.quantiser import quantised
 
 TOPIC = b"/skin/taxels"
-
-
-def sent(message: Message) -> tuple[bytes, Payload]:
-    """Topic and payload as they arrive."""
-    return received(wire_bytes(message))
 
 
 def pieces(message: Message) -> tuple[bytes, bytes, bytes, bytes]:
@@ -92,45 +85,6 @@ def test_arrays_are_aligned_views_of_the_buffer_and_not_written_to(message: Mess
             assert np.shares_memory(value, np.frombuffer(buffer, np.uint8))
             assert value.ctypes.data % ALIGNMENT == 0
             assert not value.flags.writeable
-
-
-@given(st.integers(2, 16), st.lists(st.floats(-1, 1, width=32), min_size=1, max_size=9))
-def test_quantised_measurements_keep_codes_bits_and_step(bits: int, values: list[float]) -> None:
-    y = quantised(np.array(values, dtype=np.float32), bits)
-    message = Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16)
-    found = decode(*sent(message))
-    assert found == message
-    assert found.y.bits == bits  # type: ignore[attr-defined]
-    assert found.y.step == y.step  # type: ignore[attr-defined]
-
-
-@given(messages.filter(lambda m: is_frame(type(m))), st.data())
-@settings(max_examples=300)
-def test_mutated_buffers_decode_or_raise_a_message_error(
-    message: Message, data: st.DataObject
-) -> None:
-    topic, found = sent(message)
-    mutated = bytearray(found)
-    n_head = min(43 + int.from_bytes(mutated[1:3], "little"), len(mutated))
-    for _ in range(data.draw(st.integers(1, 4))):
-        last = data.draw(st.sampled_from((n_head, len(mutated)))) - 1
-        mutated[data.draw(st.integers(0, last))] = data.draw(st.integers(0, 255))
-    with contextlib.suppress(MessageError):
-        decode(topic, bytes(mutated))
-
-
-@given(st.binary(max_size=200))
-def test_random_payloads_raise_a_message_error(data: bytes) -> None:
-    for begin in (b"", bytes([MARK])):
-        with pytest.raises(MessageError):
-            decode(TOPIC, begin + data)
-
-
-@given(messages.filter(lambda m: is_frame(type(m))), st.data())
-def test_buffers_cut_short_are_refused_as_truncated(message: Message, data: st.DataObject) -> None:
-    topic, whole = sent(message)
-    with pytest.raises(TruncatedError):
-        decode(topic, whole[: data.draw(st.integers(1, len(whole) - 1))])
 
 
 def test_bytes_too_many_and_a_description_too_long_are_refused() -> None:

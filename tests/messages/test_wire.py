@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import msgpack
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from message_strategies import messages
+from message_strategies import messages, sent
 
 from sparseskin.messages import (
     Calibration,
@@ -33,8 +34,11 @@ from sparseskin.messages import (
     decode,
     encode,
 )
+from sparseskin.messages.buffers import MARK
 from sparseskin.messages.fields import Real
-from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS, is_end
+from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS, Payload, is_end
+
+Form = Callable[[Message], tuple[bytes, Payload]]
 
 
 def taxels(**changes: object) -> Taxels:
@@ -73,31 +77,39 @@ def test_every_schema_is_in_the_property() -> None:
     assert set(SCHEMAS) == built
 
 
-@given(messages, st.data())
-def test_a_message_cut_short_is_refused(message: Message, data: st.DataObject) -> None:
-    topic, payload = encode(message)
+FORMS = pytest.mark.parametrize("form", [encode, sent])
+
+
+@FORMS
+@given(message=messages, data=st.data())
+def test_a_message_cut_short_is_refused(form: Form, message: Message, data: st.DataObject) -> None:
+    topic, payload = form(message)
     n_bytes = data.draw(st.integers(0, len(payload) - 1))
     with pytest.raises(TruncatedError):
         decode(topic, payload[:n_bytes])
 
 
-@given(messages, st.data())
+@FORMS
+@given(message=messages, data=st.data())
 @settings(max_examples=500)
 def test_mutated_bytes_decode_or_raise_a_message_error(
-    message: Message, data: st.DataObject
+    form: Form, message: Message, data: st.DataObject
 ) -> None:
-    topic, payload = encode(message)
+    topic, payload = form(message)
     mutated = bytearray(payload)
+    n_head = min(43 + int.from_bytes(mutated[1:3], "little"), len(mutated))
     for _ in range(data.draw(st.integers(1, 4))):
-        mutated[data.draw(st.integers(0, len(mutated) - 1))] = data.draw(st.integers(0, 255))
+        last = data.draw(st.sampled_from((n_head, len(mutated)))) - 1
+        mutated[data.draw(st.integers(0, last))] = data.draw(st.integers(0, 255))
     with contextlib.suppress(MessageError):
         decode(topic, bytes(mutated))
 
 
-@given(st.binary(max_size=400), st.binary(max_size=80))
-def test_random_bytes_raise_a_message_error(topic: bytes, payload: bytes) -> None:
-    with pytest.raises(MessageError):
-        decode(topic, payload)
+@given(st.sampled_from((b"", bytes([MARK]))), st.binary(max_size=400), st.binary(max_size=200))
+def test_random_bytes_raise_a_message_error(begin: bytes, topic: bytes, payload: bytes) -> None:
+    for place in (topic, b"/skin/taxels"):
+        with pytest.raises(MessageError):
+            decode(place, begin + payload)
 
 
 def test_published_changes_origin_alone() -> None:
