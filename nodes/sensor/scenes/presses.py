@@ -2,7 +2,7 @@
 
 Bodies of `BODIES` press a skin, move by a stated part of a taxel a frame and turn slowly. Forces
 are closed expressions of place and time, so that a body may lie between taxels. The readings may
-have the errors of a real skin (`SkinErrors`) and the noise of `NoiseModel`.
+have the noise of `NoiseModel`.
 """
 
 from __future__ import annotations
@@ -73,56 +73,6 @@ class Timing:
 TIMING = Timing()
 
 
-@dataclass(frozen=True)
-class SkinErrors:
-    """Errors of a skin's readings that are constant or slow, each drawn once a taxel.
-
-    Attributes
-    ----------
-    offset : float
-        Readings are |N(0, offset)| too high, in the unit of the forces.
-    gain : float
-        Readings are multiplied by N(1, gain), at least 0.
-    drift : float
-        Readings rise or fall by N(0, drift) a frame, in the unit of the forces.
-    dead : float
-        Part of the taxels that read 0, in [0, 1).
-
-    Raises
-    ------
-    SettingsError
-        If a value is negative or not finite, or `dead` is not below 1.
-    """
-
-    offset: float = 0.0
-    gain: float = 0.0
-    drift: float = 0.0
-    dead: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not is_real(value, 0.0) or (name == "dead" and value >= 1):
-                raise SettingsError(
-                    f"skin errors: {name} is {value!r}; allowed is a finite number, 0 or more"
-                    f"{', below 1' if name == 'dead' else ''}"
-                )
-
-    def applied(self, n: int, seed: int, f_max: float) -> Callable[[Floats, int], Floats]:
-        """Return what makes the readings of n taxels from their true forces and frame number."""
-        # Each from a generator of its own: one error does not change the draws of another.
-        draws = [np.random.default_rng([seed, 1, k]) for k in range(4)]
-        offset = np.abs(self.offset * draws[0].standard_normal(n))
-        gain = np.maximum(0, 1 + self.gain * draws[1].standard_normal(n))
-        drift = self.drift * draws[2].standard_normal(n)
-        gain[draws[3].permutation(n)[: round(self.dead * n)]] = np.nan
-
-        def reading(truth: Floats, k: int) -> Floats:
-            found = np.clip(gain * truth + offset + k * drift, 0, f_max)
-            return np.nan_to_num(found, copy=False).astype(np.float32)
-
-        return reading
-
-
 def press_frames(
     body: str,
     shape: tuple[int, int],
@@ -134,7 +84,6 @@ def press_frames(
     active: float = 0.1,
     mask: Mask | None = None,
     f_max: float = PAPER_F_MAX_N,
-    errors: SkinErrors | None = None,
     noise: NoiseModel | None = None,
     timing: Timing = TIMING,
 ) -> Iterator[tuple[Floats, Floats]]:
@@ -151,7 +100,7 @@ def press_frames(
     n_frames : int
         Number of frames; the first of them are untouched.
     seed : int
-        Of all that is drawn: size ratios, places, directions, forces, errors and noise.
+        Of all that is drawn: size ratios, places, directions, forces and noise.
     course : str
         "moving": after a ramp, the body moves on a straight path and turns back near the edges of
         the skin; "ramped": it rests, and its force rises and falls; "sudden": it presses with its
@@ -166,10 +115,8 @@ def press_frames(
         True where a taxel exists. None: everywhere.
     f_max : float
         Upper end of the range; peaks are 0.2 to 0.9 of it.
-    errors : SkinErrors, optional
-        Of the readings. None: none.
     noise : NoiseModel, optional
-        Applied to the readings last. None: none.
+        That of the readings. None: none.
     timing : Timing
         Frames before the first contact, of a ramp, a pause and a sudden contact.
 
@@ -206,12 +153,11 @@ def press_frames(
         )
     frames = _Press(body, mask, seed, course, speed, active, f_max, timing).frames(n_frames)
     taxels = np.flatnonzero(mask)
-    make = (errors or SkinErrors()).applied(taxels.size, seed, f_max)
     rng = np.random.default_rng([seed, 2])
-    for k, truth in enumerate(frames):
-        values = make(truth.reshape(-1)[taxels], k)
-        reading = np.zeros_like(truth)
-        reading.reshape(-1)[taxels] = values if noise is None else noise.apply(values, rng)
+    for truth in frames:
+        reading = truth.copy()
+        if noise is not None:
+            reading.reshape(-1)[taxels] = noise.apply(truth.reshape(-1)[taxels], rng)
         yield truth, reading
 
 

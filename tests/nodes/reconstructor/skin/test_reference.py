@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from pressed import noisy
+from pressed import noisy, with_errors
 
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import m_of, row_subsets
@@ -19,7 +19,7 @@ from sparseskin.nodes.reconstructor.skin.evidence import HAAR, SMOOTH
 from sparseskin.nodes.reconstructor.skin.reference import ReferenceSolver
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.nodes.sensor.scenes.presses import SkinErrors, press_frames
+from sparseskin.nodes.sensor.scenes.presses import press_frames
 from sparseskin.nodes.sensor.scenes.scenes import open_scene
 
 pytestmark = [
@@ -43,12 +43,16 @@ def press(
     n_frames: int = 30,
     seed: int = 0,
     mask: Mask | None = None,
+    errors: dict[str, float] | None = None,
     **options: Any,
 ) -> Scene:
     """Noisy frames of a press; the first 10 are untouched."""
     mask = np.ones(shape, dtype=np.bool_) if mask is None else mask
     options |= {"mask": mask, "noise": NoiseModel.for_range(2.5)}
-    frames = [taxels for _, taxels in press_frames(body, shape, n_frames, seed, **options)]
+    pairs = list(press_frames(body, shape, n_frames, seed, **options))
+    frames = [taxels for _, taxels in pairs]
+    if errors is not None:
+        frames = [*with_errors((truth for truth, _ in pairs), mask, seed, **errors)]
     return Scene(frames, mask, ratio)
 
 
@@ -66,7 +70,7 @@ def holes() -> Mask:
 
 
 #: As of a real skin: offsets, unequal gains, dead taxels.
-ERRORS = SkinErrors(offset=0.05, gain=0.05, dead=0.02)
+ERRORS = {"offset": 0.05, "gain": 0.05, "dead": 0.02}
 SCENES = {
     "still plate": lambda: press("plate", (24, 24), 3, speed=0.0, active=0.05),
     "plate": lambda: press("plate", (24, 20), 3, seed=1),

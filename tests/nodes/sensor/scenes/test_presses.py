@@ -1,4 +1,4 @@
-"""Analytic presses: their size, speed and course, the errors of readings, and what is refused."""
+"""Analytic presses: their size, speed and course, their noise, and what is refused."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from sparseskin.nodes.sensor.scenes.presses import (
     PAUSE,
     RAMP,
     SKINS,
-    SkinErrors,
     Timing,
     press_frames,
     scattered_mask,
@@ -97,40 +96,20 @@ def test_a_sudden_contact_is_whole_in_its_first_frame_and_the_next_one_elsewhere
 
 
 def test_frames_follow_from_the_seed_and_not_from_their_number() -> None:
-    chosen = {"errors": SkinErrors(0.1, 0.05, 1e-3, 0.1), "noise": NoiseModel()}
+    chosen = {"noise": NoiseModel()}
     longer, shorter = (frames_of("wrench", n=n, seed=3, **chosen) for n in (70, 40))
     for of_longer, of_shorter in zip(longer, shorter, strict=True):
         np.testing.assert_array_equal(of_longer[:40], of_shorter)
     assert not np.array_equal(frames_of("wrench", n=70, seed=4, **chosen)[0], longer[0])
-    # Errors and noise are of the readings alone.
+    # Noise is of the readings alone.
     np.testing.assert_array_equal(frames_of("wrench", n=70, seed=3)[0], longer[0])
     assert not np.array_equal(*longer)
-
-
-def test_offsets_are_above_0_gains_about_1_and_dead_taxels_read_0() -> None:
-    truth, offset = frames_of(shape=(64, 64), n=60, active=0.6, errors=SkinErrors(offset=0.1))
-    # The mean of |N(0, s)| is s sqrt(2 / pi).
-    assert offset[0].mean() == pytest.approx(0.1 * np.sqrt(2 / np.pi), rel=0.05)
-    _, gained = frames_of(shape=(64, 64), n=60, active=0.6, errors=SkinErrors(gain=0.05))
-    pressed = truth[-1] > 0.5
-    assert np.std(gained[-1][pressed] / truth[-1][pressed]) == pytest.approx(0.05, rel=0.1)
-    _, dead = frames_of(shape=(64, 64), n=60, errors=SkinErrors(offset=0.1, dead=0.25))
-    assert np.count_nonzero(dead.max(axis=0) == 0) == 1024
-
-
-def test_drift_is_proportional_to_the_frame() -> None:
-    _, reading = frames_of(n=N_BEFORE, errors=SkinErrors(drift=0.01))
-    np.testing.assert_array_equal(reading[0], 0)
-    np.testing.assert_allclose(reading[8], 8 * reading[1], rtol=1e-5)
-    assert 0.3 < np.mean(reading[1] > 0) < 0.7  # those that fall are clipped at 0
 
 
 def test_cells_without_a_taxel_bear_no_force_and_read_0() -> None:
     mask = scattered_mask((20, 20), 42, seed=1)
     assert np.count_nonzero(mask) == 42
-    truth, reading = frames_of(
-        active=0.5, mask=mask, errors=SkinErrors(offset=0.1), noise=NoiseModel()
-    )
+    truth, reading = frames_of(active=0.5, mask=mask, noise=NoiseModel())
     assert not truth[:, ~mask].any()
     assert not reading[:, ~mask].any()
     touched = np.count_nonzero(truth[N_BEFORE + RAMP :], axis=(1, 2)) / 42
@@ -155,12 +134,9 @@ def test_what_is_no_press_is_refused(changed: dict[str, Any], message: str) -> N
         frames_of(**changed)
 
 
-def test_errors_and_times_that_cannot_be_are_refused() -> None:
+def test_times_and_masks_that_cannot_be_are_refused() -> None:
     for part in ("before", "ramp", "pause", "held"):
         with pytest.raises(SettingsError, match=f"timing: {part} is 2.5"):
             Timing(**{part: 2.5})
-    for chosen in ({"offset": -1.0}, {"gain": float("inf")}, {"dead": 1.0}):
-        with pytest.raises(SettingsError, match=f"skin errors: {next(iter(chosen))} is"):
-            SkinErrors(**chosen)
     with pytest.raises(SettingsError, match=r"n is 401; allowed is a whole number 1..400"):
         scattered_mask((20, 20), 401, seed=0)
