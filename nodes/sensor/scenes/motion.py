@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -94,12 +93,5 @@ class PolygonalCourse:
 
     def place(self, t_s: float) -> Place:
         """Return the offset (x, y) in m from the place of the drop."""
-        i = bisect_right(self.times_s, t_s)
-        if i == 0:
-            return self.offsets_m[0]
-        if i == len(self.times_s):
-            return self.offsets_m[-1]
-        t0, t1 = self.times_s[i - 1], self.times_s[i]
-        (x0, y0), (x1, y1) = self.offsets_m[i - 1], self.offsets_m[i]
-        share = (t_s - t0) / (t1 - t0)
-        return (x0 + share * (x1 - x0), y0 + share * (y1 - y0))
+        x, y = (np.interp(t_s, self.times_s, along) for along in zip(*self.offsets_m, strict=True))
+        return (float(x), float(y))

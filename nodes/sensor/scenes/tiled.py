@@ -30,7 +30,6 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
-from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.source import Source
 
 from .bodies import Body, build_sole, capsule, slab
@@ -66,34 +65,6 @@ class Tiling:
     alternate: bool = False
 
 
-class TiledSource(Source):
-    """A scene of a body as a source, whose frames are as far apart as the sensor reads them.
-
-    `described` is the skin of each patch; further arguments and errors as of `TiledScene`.
-    """
-
-    delivers = "truth"
-
-    def __init__(
-        self, name: str, described: SkinDescription, n_patches: int, active: float | None, seed: int
-    ) -> None:
-        self.name, self.skin = name, skin_of(described)
-        self.on_points = True
-        paper = NoiseModel.for_range(self.skin.f_max)
-        end = paper.sigma_end if described.noise is None else described.noise
-        mid = described.noise_mid
-        if mid is None:
-            mid = paper.sigma_mid if described.noise is None else end
-        self.sigmas = mid, end
-        self._scene = TiledScene(name, self.skin, n_patches, active, seed)
-
-    def __iter__(self) -> Iterator[tuple[int, Floats]]:
-        t_s = 0.0
-        while True:
-            yield round(1e9 * t_s), self._scene.forces(t_s)
-            t_s += self.period_s
-
-
 def skin_of(described: SkinDescription) -> Skin:
     """The skin of each patch: its grid, or the virtual grid of its points."""
     if described.placement is not None:
@@ -101,8 +72,15 @@ def skin_of(described: SkinDescription) -> Skin:
     return described.skin
 
 
-class TiledScene:
-    """True forces on equal patches as a function of time.
+def sigmas_of(described: SkinDescription) -> tuple[float, float] | None:
+    """Stated noise of its taxels, as of `Source`; None where none is stated."""
+    end, mid = described.noise, described.noise_mid
+    return None if end is None else (end if mid is None else mid, end)
+
+
+class TiledScene(Source):
+    """A scene of a body: true forces on equal patches as a function of time. As a source, its
+    frames are as far apart as the sensor reads them.
 
     Parameters
     ----------
@@ -116,6 +94,8 @@ class TiledScene:
         Part of the patches that are pressed in a period, in [0, 1], in place of the scene's.
     seed : int
         Of the order of the patches; walk presses the first ones.
+    sigmas : (float, float), optional
+        As of `Source`.
 
     Raises
     ------
@@ -123,15 +103,23 @@ class TiledScene:
         If there is no scene of that name, or the skin has no pitch or is none of newtons.
     """
 
+    delivers = "truth"
+    on_points = True
+
     def __init__(
-        self, name: str, skin: Skin, n_patches: int, active: float | None = None, seed: int = 0
+        self,
+        name: str,
+        skin: Skin,
+        n_patches: int,
+        active: float | None = None,
+        seed: int = 0,
+        sigmas: tuple[float, float] | None = None,
     ) -> None:
         if name not in TILED:
             raise SourceError(f"no scene of a body is called {name!r}{did_you_mean(name, TILED)}")
         if skin.pitch_m is None or skin.unit != "N":
             raise SourceError(f"scene {name}: the skin's pitch and forces in N have to be known")
-        self.name = name
-        self.skin = skin
+        self.name, self.skin, self.sigmas = name, skin, sigmas
         self.n_patches = n_patches
         self._tiling = TILED[name]
         part = self._tiling.active if active is None else active
@@ -141,6 +129,12 @@ class TiledScene:
             order if self._tiling.alternate else np.random.default_rng(seed).permutation(n_patches)
         )
         self._press = _press(name, skin.shape, skin.pitch_m, skin.f_max)
+
+    def __iter__(self) -> Iterator[tuple[int, Floats]]:
+        t_s = 0.0
+        while True:
+            yield round(1e9 * t_s), self.forces(t_s)
+            t_s += self.period_s
 
     def forces(self, t_s: float) -> Floats:
         """Return true forces in N, float32, shape (n_patches, n_rows, n_cols), a fresh array."""
