@@ -117,8 +117,6 @@ class Quadtree:
         tiles = np.arange(self.n_tiles)
         self.node_of_row = np.concatenate([tiles, places // N_DETAILS])
         self.place_of_row = np.concatenate([np.full_like(tiles, -1), places])
-        #: First row of each node's details.
-        self.first_row = self.n_tiles + np.cumsum(self.n_details) - self.n_details
 
     def analysis(self, x: npt.NDArray[np.floating]) -> Doubles:
         """Return W x, float64 (n,), of forces (n,)."""

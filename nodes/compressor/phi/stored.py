@@ -128,13 +128,10 @@ def _load(path: str, _of: tuple[int, int, int]) -> Loaded:
     try:
         raw = Path(path).read_bytes()
         wanted = read_npz(raw, lambda names: [n for n in names if n in _NAMES], MAX_ARRAY_BYTES)
+        return _checked(wanted)
     except OSError as error:
         raise PhiError(f"{path}: cannot be read: {error.strerror}") from error
-    except ArrayFileError as error:
-        raise PhiError(f"{path}: {error}") from error
-    try:
-        return _checked(wanted)
-    except PhiError as error:
+    except (ArrayFileError, PhiError) as error:
         raise PhiError(f"{path}: {error}") from error
 
 
