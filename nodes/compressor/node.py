@@ -11,12 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from sparseskin.messages import Measurements, Message, PhiState, SkinState, Taxels, topic_of
-from sparseskin.nodes.compressor.phi.acts import (
-    ActsPhi,
-    ActsSearch,
-    force_threshold,
-    packed_places,
-)
+from sparseskin.nodes.compressor.phi.acts import ActsPhi, ActsSearch, force_threshold, packed_places
 from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
 from sparseskin.nodes.compressor.phi.base import (
     KINDS,

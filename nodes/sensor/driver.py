@@ -215,11 +215,7 @@ class DriverSource(LiveSource):
 
 
 def open_callable(
-    target: str,
-    *,
-    f_max: float | None = None,
-    unit: str | None = None,
-    raw: bool = False,
+    target: str, *, f_max: float | None = None, unit: str | None = None, raw: bool = False
 ) -> DriverSource:
     """Open a user's sensor driver.
 

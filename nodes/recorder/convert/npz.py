@@ -170,11 +170,7 @@ class _Columns:
 def _described(bag: BagReader, patch: str, folder: Path) -> list[Path]:
     skin = skin_of(bag, patch)
     topics = [topic for topic in bag.topics if patch_of(topic) == patch]
-    texts = {
-        "states": last_states(bag, topics),
-        "metadata": bag.metadata,
-        "counts": bag.counts,
-    }
+    texts = {"states": last_states(bag, topics), "metadata": bag.metadata, "counts": bag.counts}
     arrays = {"patch": patch, **{name: json.dumps(value) for name, value in texts.items()}}
     arrays |= {} if skin is None else described(skin, skin.rate_hz)
     paths = []

@@ -50,13 +50,7 @@ def import_file(
     """
     policy = Policy(nan, negative)
     frames = open_file(
-        source,
-        n_rows=n_rows,
-        n_cols=n_cols,
-        unit=unit,
-        f_max=f_max,
-        rate_hz=rate_hz,
-        policy=policy,
+        source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max, rate_hz=rate_hz, policy=policy
     )
     skin = frames.skin
     for line in frames.treated.lines(policy, skin.unit):

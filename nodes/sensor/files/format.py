@@ -62,9 +62,7 @@ OWN = (
     ),
     Format({".npy": "array (frames, rows, columns)"}, lambda f: NpyRecording(f.file, f.name)),
     Format(
-        {
-            ".npz": "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted",
-        },
+        {".npz": "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted"},
         lambda f: NpzRecording(f.file, f.name),
     ),
 )

@@ -25,13 +25,7 @@ from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate, ManualClock
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.graph import NodeSpecs, join
-from sparseskin.nodes.monitor.metrics import (
-    MAX_PENDING,
-    Delay,
-    PatchMetrics,
-    Quality,
-    psnr_db,
-)
+from sparseskin.nodes.monitor.metrics import MAX_PENDING, Delay, PatchMetrics, Quality, psnr_db
 from sparseskin.nodes.monitor.node import Monitor
 from sparseskin.nodes.monitor.table import share_of, status_line, summary_table
 from sparseskin.nodes.node import Context

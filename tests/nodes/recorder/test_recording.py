@@ -73,10 +73,7 @@ def test_a_recorder_joins_a_running_graph_by_topic_and_ends_with_it(
     recorder = start("record", "/skin/skin", "/skin/rec*", "--out", "some.mcap")
     recorder.wait_for("[launch] ready")
     part = tmp_path / "some.mcap.part"
-    wait_until(
-        lambda: "/skin/reconstruction" in topics(part),
-        "a reconstruction in the file",
-    )
+    wait_until(lambda: "/skin/reconstruction" in topics(part), "a reconstruction in the file")
     graph.process.send_signal(signal.SIGINT)
     code, stdout, stderr = recorder.finish()
     assert code == 0, stderr

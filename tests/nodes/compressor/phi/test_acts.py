@@ -12,12 +12,7 @@ from hypothesis import strategies as st
 from matrices import grids
 
 from sparseskin.messages import Measurements, MessageError
-from sparseskin.nodes.compressor.phi.acts import (
-    ActsPhi,
-    ActsSearch,
-    follow,
-    packed_places,
-)
+from sparseskin.nodes.compressor.phi.acts import ActsPhi, ActsSearch, follow, packed_places
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Mask

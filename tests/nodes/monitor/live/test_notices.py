@@ -67,9 +67,7 @@ def test_stale_is_what_is_older_than_200_ms_and_than_two_and_a_half_periods(
     desk.graph.skin(rate_hz=rate_hz)
     desk.graph.frame()
     assert desk.look(0.99 * stale_s) == []
-    assert desk.look(0.02 * stale_s) == [
-        (BAD, f"stale: no new frame for {ago(1.01 * stale_s)}."),
-    ]
+    assert desk.look(0.02 * stale_s) == [(BAD, f"stale: no new frame for {ago(1.01 * stale_s)}.")]
     desk.graph.frame()
     assert desk.look() == []
 

@@ -283,10 +283,7 @@ def test_a_browser_is_started_without_the_token_in_its_arguments(
     page = tmp_path / "7.0.html"
     page.write_text("left by a monitor that was killed")
     context = Context(
-        *("monitor", ManualClock()),
-        ask=lambda request: None,
-        page_token=TOKEN,
-        page_file=str(page),
+        *("monitor", ManualClock()), ask=lambda request: None, page_token=TOKEN, page_file=str(page)
     )
     monitor = Monitor(MonitorSettings(port=0, browser=True), context)
     monitor.start()
@@ -320,9 +317,7 @@ def test_a_page_without_file_descriptors_left_ends_no_graph(start: StartProgram)
     assert "sensed 300, reconstructed 300, lost 0" in stdout
 
 
-def test_a_patch_that_is_not_there_is_named_with_those_that_are(
-    make: Callable[..., Site],
-) -> None:
+def test_a_patch_that_is_not_there_is_named_with_those_that_are(make: Callable[..., Site]) -> None:
     response = make("left", "right").send("GET", "/stream?patch=skin")
     assert response.status == 404
     assert response.read() == b"no patch 'skin' (known: left, right)\n"

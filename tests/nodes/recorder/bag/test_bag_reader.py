@@ -248,10 +248,7 @@ def test_a_bag_that_another_tool_wrote_anew_can_be_read(
                         channel.topic, "msgpack", schema, {"schema_version": "1"}
                     )
                 writer.add_message(
-                    channels[channel],
-                    message.stamp_ns + LAG_NS,
-                    message.payload,
-                    message.stamp_ns,
+                    channels[channel], message.stamp_ns + LAG_NS, message.payload, message.stamp_ns
                 )
             writer.finish()
         with BagReader(path) as bag:

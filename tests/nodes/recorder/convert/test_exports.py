@@ -11,11 +11,7 @@ from bags import MASK, N_COLS, N_ROWS, make_bag
 from damaged import refusal
 from exported import N_FRAMES, points_bag, rich_frames
 
-from sparseskin.messages import (
-    Measurements,
-    Reconstruction,
-    SkinState,
-)
+from sparseskin.messages import Measurements, Reconstruction, SkinState
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.convert.csv import export_csv
 from sparseskin.nodes.recorder.convert.npz import export_npz

@@ -181,10 +181,7 @@ def test_taxels_under_no_even_load_get_the_median_gain() -> None:
     ("change", "line"),
     [
         ({"untouched": frames(BASELINE)[:1]}, "untouched: 1 frames; at least 2 are needed"),
-        (
-            {"presses": [replace(even(linear, 1.0), area=(0, 6, 0, 7))]},
-            "is not on a skin of 6 x",
-        ),
+        ({"presses": [replace(even(linear, 1.0), area=(0, 6, 0, 7))]}, "is not on a skin of 6 x"),
         ({"presses": [replace(even(linear, 1.0), frames=np.ones((2, 3, 3)))]}, "frames of shape"),
         (
             {"presses": [even(linear, 0.5), replace(even(linear, 0.4), force=N)]},

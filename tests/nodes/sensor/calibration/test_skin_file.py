@@ -94,9 +94,7 @@ def skins(draw: st.DrawFn) -> SkinDescription:
         rows=shape[0],
         cols=shape[1],
         f_max=draw(st.floats(1.0, 1e3)),
-        unit=draw(
-            st.sampled_from(["N", "kPa", '"\\']),
-        ),
+        unit=draw(st.sampled_from(["N", "kPa", '"\\'])),
         pitch_mm=draw(st.none() | sizes),
         response=draw(st.none() | st.just(Response(reading, steps.cumsum()))),
         noise=draw(st.none() | st.floats(0.0, 1.0)),
@@ -206,14 +204,8 @@ def save_arrays(path: Path, **held: Any) -> None:
 @pytest.mark.parametrize(
     ("held", "line"),
     [
-        (
-            {"baseline": np.zeros((3, 2))},
-            "float64 of shape (3, 2); expected float64",
-        ),
-        (
-            {"baseline": np.zeros((2, 3), np.float32)},
-            "baseline: float32 of shape",
-        ),
+        ({"baseline": np.zeros((3, 2))}, "float64 of shape (3, 2); expected float64"),
+        ({"baseline": np.zeros((2, 3), np.float32)}, "baseline: float32 of shape"),
         ({"baseline": np.full((2, 3), np.nan)}, "baseline: expected numbers of at most 1e+30"),
         ({"gains": np.zeros((2, 3))}, "gains: expected numbers"),
         ({"gain": np.ones((2, 3))}, "gain: unknown key (did you mean 'gains'?)"),

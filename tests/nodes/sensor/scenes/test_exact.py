@@ -142,8 +142,7 @@ def test_tilted_body_lands_and_rocks_as_the_exact_solution() -> None:
     mass_kg, inertia_kg_m2, off_m, k, c = 0.5, 2e-4, 0.004, 122.24, 0.4
     x = np.tile((np.arange(10) - 4.5) * 0.005, 10)
     body = RigidBody(
-        np.array([mass_kg, inertia_kg_m2]),
-        np.array([-mass_kg * G_M_S2, mass_kg * G_M_S2 * off_m]),
+        np.array([mass_kg, inertia_kg_m2]), np.array([-mass_kg * G_M_S2, mass_kg * G_M_S2 * off_m])
     )
     bed = Bed(np.full(100, k), np.full(100, c), np.zeros(100), np.stack([np.ones(100), -x], axis=1))
 

@@ -12,12 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.scenes.bodies import (
-    FAR_M,
-    build_sole,
-    monkey_wrench,
-    slab,
-)
+from sparseskin.nodes.sensor.scenes.bodies import FAR_M, build_sole, monkey_wrench, slab
 from sparseskin.nodes.sensor.scenes.contact import GRAVITY_M_S2
 from sparseskin.nodes.sensor.scenes.motion import RandomPath
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
@@ -79,8 +74,7 @@ def test_scene_has_the_properties_of_the_table(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=pytest.mark.slow) if n == "drag_wrench_64" else n for n in TABLE],
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n == "drag_wrench_64" else n for n in TABLE]
 )
 def test_whole_scene_starts_untouched_touches_stays_in_range_and_all_but_path_ends_untouched(
     name: str,
