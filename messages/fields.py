@@ -252,8 +252,10 @@ class Array(FieldKind):
     def pack(self, value: Any) -> Any:
         if value is None:
             return None
-        form = {"dtype": self.dtype_of(value), "shape": list(value.shape), "order": "C"}
-        form |= dict(zip(("step",), self.extra_of(value), strict=False))
+        form: dict[str, Any] = {"dtype": self.dtype_of(value), "shape": list(value.shape)}
+        form["order"] = "C"
+        for step in self.extra_of(value):
+            form["step"] = step
         return form | {"data": bytes(self.data_of(value))}
 
     def unpack(self, name: str, raw: Any) -> npt.NDArray[Any] | None:
@@ -261,7 +263,7 @@ class Array(FieldKind):
             return None
         if not isinstance(raw, dict) or raw.keys() - {"step"} != _ARRAY_KEYS:
             raise MalformedError(f"{name}: expected a map of dtype, shape, order and data")
-        dtype, shape, n_bytes = self.checked_form(name, [raw["dtype"], raw["shape"]])
+        dtype, shape, size = self.checked_form(name, [raw["dtype"], raw["shape"]])
         if raw["order"] != "C":
             raise ShapeError(f"{name}: expected order C, got {str(raw['order'])[:8]!r}")
         if ("step" in raw) != (dtype != self.dtype):
@@ -269,7 +271,7 @@ class Array(FieldKind):
         data = raw["data"]
         if not isinstance(data, bytes):
             raise MalformedError(f"{name}: data must be a bin field")
-        if len(data) != n_bytes:
+        if len(data) != size:
             raise ShapeError(f"{name}: {list(shape)} of {dtype} does not fit {len(data)} bytes")
         return self.of_data(name, dtype, shape, raw.get("step"), data)
 

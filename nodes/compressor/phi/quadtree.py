@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -169,7 +169,7 @@ class Quadtree:
             below = np.append(some[lower.first : lower.first + lower.size], False)
             some[upper.first : upper.first + upper.size] |= below[upper.parts].any(axis=1)
         bits: list[Mask] = []
-        for level, visited in self._visits(lambda nodes: some[nodes]):
+        for level, visited in self._visits(some):
             bits.append(some[visited])
             if level is not self.levels[-1]:
                 bits.append(chosen[visited[some[visited]]])
@@ -188,10 +188,7 @@ class Quadtree:
             at += nodes.size
             return bits[at - nodes.size : at]
 
-        def marked(nodes: Indices) -> Mask:
-            return some[nodes]
-
-        for level, visited in self._visits(marked):
+        for level, visited in self._visits(some):
             some[visited] = taken(visited)
             inside = visited[some[visited]]
             chosen[inside] = True if level is self.levels[-1] else taken(inside)
@@ -205,13 +202,15 @@ class Quadtree:
         marked = sum(min(level.size, n_chosen) for level in self.levels[:-1])
         return -(-(self.n_tiles + (1 + N_PARTS) * marked) // 8)
 
-    def _visits(self, marked: Callable[[Indices], Mask]) -> Iterator[tuple[Level, Indices]]:
-        """Yield each level with its nodes whose larger one is marked, all of the first."""
+    def _visits(self, marked: Mask) -> Iterator[tuple[Level, Indices]]:
+        """Yield each level with its nodes whose larger one is marked, all of the first; the caller
+        may mark those of a level before it asks for the next one.
+        """
         nodes = np.arange(self.n_tiles if self.levels else 0)
         for k, level in enumerate(self.levels):
             yield level, nodes
             if k + 1 < len(self.levels):
-                within = level.parts[nodes[marked(nodes)] - level.first]
+                within = level.parts[nodes[marked[nodes]] - level.first]
                 below = self.levels[k + 1]
                 nodes = below.first + np.sort(within[within < below.size])
 
