@@ -782,6 +782,135 @@ def tiled_image(w: A, order: A, grid: A, v: A, scratch: A, image: A) -> None:
         image[order[p]] = v[p]
 
 
+@compiled()
+def stands_out(w: A, numbers: A) -> bool:
+    """True if something stands out of the noise of a window of 12 x 12, as `is_busy`."""
+    whole = np.float32(0)
+    for top in range(0, 144, 72):
+        for left in range(0, 12, 6):
+            sixth = np.float32(0)
+            for at in (top + left, top + left + 3, top + left + 36, top + left + 39):
+                third = np.float32(0)
+                for i in range(at, at + 36, 12):
+                    third += w[i] + w[i + 1] + w[i + 2]
+                    if max(w[i], w[i + 1], w[i + 2]) > numbers[7]:
+                        return True
+                if third > 3 * numbers[8]:
+                    return True
+                sixth += third
+            if sixth > 6 * numbers[9]:
+                return True
+            whole += sixth
+    return bool(whole > 12 * numbers[10])
+
+
+@compiled(f"void({V}, {G}, {V})")
+def orthonormal(v: A, groups: A, scale: A) -> None:
+    """Transform a dealt vector in place by W = W^T, orthonormal; scale: that of each place."""
+    hadamard(v, groups)
+    for p in range(scale.size):
+        v[p] *= scale[p]
+
+
+@compiled(
+    f"float64({V}, {V}, {V}, {V}, {L}, {V}, {G}, {V}, {V}, {P2}, {P}, {V}, "
+    f"{M}, {M}, {V}, {M}, {V}, {M}, {V}, {D}, {M}, {M}, {M}, {M}, {M}, {M}, {M}, {L})",
+    sums_in_any_order=True,
+)
+def gated_step(
+    z: A, x: A, target: A, variance: A, read: A, off_target: A, groups: A, scale: A, v: A,
+    windows: A, back: A, share: A,
+    filters: A, hidden: A, hidden_0: A, gates: A, gates_0: A, synthesis: A, error: A, numbers: A,
+    w: A, a: A, levels: A, h: A, g: A, out: A, tiles: A, busy: A,
+) -> float:  # fmt: skip
+    """A step of `SkinSolver`: z and x become the next ones; return the expected squared error.
+
+    v has a place more than z. Matrices are transposed; those of the last line are scratch.
+    numbers: read noise, floor, least tau, most alpha, damping, the constant of the error, that of a
+    tile in which nothing stands out, `STANDS_OUT`; the last becomes the mean squared residual of z.
+    """
+    n, n_tiles, k = z.size, windows.shape[0], filters.shape[1]
+    one, none, four = np.float32(1), np.float32(0), np.float32(4)
+    v[:n] = z
+    hadamard(v[:n], groups)
+    for p in range(n):
+        x[p] = target[p] - v[p] * scale[p]
+    rho, residual2 = 0.0, 0.0
+    for i in range(read.size):
+        r = x[read[i]]
+        rho += np.float64(r) ** 2
+        residual2 += np.float64(r + off_target[i]) ** 2
+    rho /= read.size
+    numbers[11] = residual2 / read.size
+    tau = np.float32(max(rho - numbers[0], numbers[2] * rho) + numbers[1])
+    weight = 0.0
+    for p in range(n):
+        d = tau / (tau + variance[p])
+        weight += d
+        v[p] = d * x[p] * scale[p]
+    weight /= n
+    hadamard(v[:n], groups)
+    s = np.float32(np.sqrt(tau * max(1 - weight, 0.0) / weight + numbers[1]))
+    inverse, per_s = np.float32(1 / weight), one / s
+    for p in range(n):
+        u = z[p] + v[p] * inverse
+        x[p] = u
+        v[p] = u * per_s
+    v[n] = 0
+    expected, n_busy = 0.0, 0
+    for t in range(n_tiles):
+        for j in range(w.shape[1]):
+            w[n_busy, j] = v[windows[t, j]]
+        if stands_out(w[n_busy], numbers):
+            busy[n_busy] = t
+            n_busy += 1
+        else:
+            tiles[t] = none
+            expected += share[t] * numbers[6]
+    w, a, levels, h, g, out = (
+        w[:n_busy],
+        a[:n_busy],
+        levels[:n_busy],
+        h[:n_busy],
+        g[:n_busy],
+        out[:n_busy],
+    )
+    if n_busy:
+        np.dot(w, filters, a)
+        for b in range(n_busy):
+            for j in range(k):
+                size = four * (np.sqrt(np.sqrt(one + abs(a[b, j]))) - one)
+                levels[b, k + j] = size
+                levels[b, j] = size if a[b, j] >= 0 else -size
+        np.dot(levels, hidden, h)
+        for b in range(n_busy):
+            for j in range(h.shape[1]):
+                h[b, j] = max(h[b, j] + hidden_0[j], none)
+        np.dot(h, gates, g)
+        for b in range(n_busy):
+            logarithm = numbers[5]
+            for j in range(h.shape[1]):
+                logarithm += h[b, j] * error[j]
+            expected += share[busy[b]] * np.exp(min(max(logarithm, -12.0), 0.0))
+            passed = min(max(g[b, k] + gates_0[k], none), one)
+            g[b, k] = passed
+            for j in range(k):
+                a[b, j] *= min(max(g[b, j] + gates_0[j], none), one) - passed
+        np.dot(a, synthesis, out)
+        for b in range(n_busy):
+            for i in range(8):
+                for j in range(8):
+                    inner = g[b, k] * w[b, 12 * (i + 2) + j + 2]
+                    tiles[busy[b], 8 * i + j] = s * max(out[b, 8 * i + j] + inner, none)
+    flat = tiles.reshape(-1)
+    alpha, damping = np.float32(min(expected, numbers[3])), np.float32(numbers[4])
+    more = one / (one - alpha)
+    for p in range(n):
+        u, x[p] = x[p], flat[back[p]]
+        z[p] += damping * ((x[p] - alpha * u) * more - z[p])
+    return expected * np.float64(s) ** 2
+
+
 LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
     "phi": (measure,),
     "skin": (
@@ -790,6 +919,7 @@ LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
         *(filter_image, smooth_descend, smooth_deviation),
     ),
     "fista": (fista, tiled_image),
+    "oamp": (orthonormal, gated_step),
 }
 """Loops of each solver, by its name, and of "phi".
 

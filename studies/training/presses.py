@@ -104,7 +104,7 @@ def bodies(rng: np.random.Generator) -> Doubles:
     speed = rng.normal(0, 1, 2) * rng.choice([0.0, 0.05, 0.3, 1.0])
     turn = rng.normal(0, 0.02) * (rng.random() < 0.3)
     tilt = rng.normal(0, 0.03, 2) * (rng.random() < 0.4)
-    edge = math.exp(rng.uniform(math.log(0.15), math.log(2.5)))
+    edge = math.exp(rng.uniform(math.log(0.08), math.log(2.5)))
     made = np.empty((N_FRAMES, SIDE, SIDE))
     for t in range(N_FRAMES):
         row, col = (np.arange(SIDE) + 0.5 - (c + t * v) for c, v in zip(centre, speed, strict=True))

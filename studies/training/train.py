@@ -19,23 +19,16 @@ from sparseskin.studies.report import Chart, Page
 
 from .presses import N_FRAMES, SIDE, masks, presses
 
-RATIOS = (2, 3, 3, 4, 4, 6, 8, 8, 8, 12)
-"""Compression ratios N / M, drawn with these frequencies."""
-STEPS = (5, 6, 8, 8)
-"""Steps of a frame, drawn with these frequencies."""
-TILE_NOISE, NOISE = (3e-4, 1.0), (1e-4, 1.0)
-"""Deviation of the noise of taxels and of measurements, in the largest force of a press; drawn by
-its logarithm."""
-CLIPPED, SILENT = 0.5, 0.1
-"""Parts of the batches with noise clipped at 0, and of the presses without noise."""
-CLIP_BIAS = 0.399
-"""Mean of normal noise clipped at 0, in its deviation: 1 / sqrt(2 pi)."""
-RATES = (2e-3, 3e-4)
-"""First rates of Adam, of both parts of the training; each falls to 0 as a half cosine."""
+NOISE = (3e-4, 1.0)
+"""Deviation of the noise, in the largest force of a press; drawn by its logarithm."""
+RATE = 2e-3
+"""First rate of Adam, which falls to 0 as a half cosine."""
+BATCH = 96
+"""Presses of a batch, each with all its tiles."""
 FLOOR = 1e-3
 """Part of the noise variance below which a squared error counts as none."""
-HELD_OUT = 256
-"""Presses that are not trained on, and scored at the end."""
+HELD_OUT, SCORED = 256, (0.001, 0.01, 0.03, 0.1, 0.3, 1.0)
+"""Presses that are not trained on, and the noise at which they are scored."""
 EVERY = 100
 """Batches from one row of the table to the next."""
 
@@ -43,9 +36,8 @@ EVERY = 100
 def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     """Train, write weights, page and chart, and return the conclusion; see `command.Study`.
 
-    First tiles alone are denoised, then frames are reconstructed through all steps: three of each
-    press, with fixed or rotating rows. One thread: the same seed gives the same weights on one
-    machine. `executor` is not used.
+    Tiles of presses with normal noise of a known deviation are denoised. One thread: the same seed
+    gives the same weights on one machine. `executor` is not used.
 
     Raises
     ------
@@ -54,54 +46,40 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     """
     if find_spec("torch") is None:
         raise StudyError("study train: torch is not installed: pip install 'sparseskin[train]'")
-    n_presses, n_tiles, n_frames = (400, 1500, 20) if quick else (16_000, 25_000, 9_000)
-    found, rows = _trained(n_presses, n_tiles, n_frames, seed)
+    n_presses, n_batches = (400, 1500) if quick else (24_000, 42_000)
+    found, rows, scores = _trained(n_presses, n_batches, seed)
     content = BytesIO()
-    np.savez(content, **found)
+    halves: dict[str, Any] = {name: value.astype(np.float16) for name, value in found.items()}
+    np.savez(content, **halves)
     try:
         (out / FILE).write_bytes(content.getvalue())
     except OSError as error:
         raise StudyError(f"{out / FILE}: {error.strerror}") from error
     fingerprint = hashlib.sha256(content.getvalue()).hexdigest()[:16]
-    table = pd.DataFrame(rows)
     page = Page(out, "train", Path(__file__).with_suffix(".md"), quick)
-    page.section("", _draw(out, table[table["part"] != "held out"]))
-    page.csv("train", table)
-    score = table[table["part"] == "held out"].iloc[0]
-    lines = [
+    page.section("", _draw(out, pd.DataFrame(rows)), scores)
+    page.csv("train", pd.DataFrame(rows))
+    line = (
         f"{FILE} (SHA-256 {fingerprint}): {sum(a.size for a in found.values())} weights, seed "
-        f"{seed}, {n_presses} presses, {n_tiles} batches of tiles and {n_frames} of frames.",
-        f"{HELD_OUT} other presses, {N_FRAMES} frames each, N/8, rotating rows, noise of 0.01 of "
-        f"the peak: error {_db(score['first_db'])} in the first frame, {_db(score['last_db'])} "
-        "in the last, relative to the forces.",
-    ]
-    page.write(lines)
-    return lines
-
-
-def _db(error: float) -> str:
-    """Text of an error in dB; weights that were hardly trained amplify it beyond any number."""
-    return f"{error:.1f} dB" if math.isfinite(error) else "beyond any number (too few batches)"
+        f"{seed}, {n_presses} presses, {n_batches} batches of {BATCH}."
+    )
+    page.write([line])
+    return [line]
 
 
 def _draw(out: Path, table: pd.DataFrame) -> str:
-    caption = (
-        "Squared error relative to the squared forces, running mean over batches: frames of a "
-        "press that begins, and two frames later."
-    )
-    with Chart(out, "chart_train", caption, legend_columns=2) as chart:
+    caption = "Squared error of a taxel in noise variances: geometric mean over batches so far."
+    with Chart(out, "chart_train", caption) as chart:
         (axes,) = chart.panels
-        frames = table[table["part"] == "frames"]
-        axes.plot(frames["batch"], frames["first_db"], label="first frame")
-        axes.plot(frames["batch"], frames["last_db"], "--", label="third frame")
+        axes.plot(table["batch"], table["error_db"])
         chart.label("batch", "error in dB")
     return chart.markdown
 
 
 def _trained(
-    n_presses: int, n_tiles: int, n_frames: int, seed: int
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return weights, and the running means of errors every so many batches."""
+    n_presses: int, n_batches: int, seed: int
+) -> tuple[dict[str, Floats], list[dict[str, Any]], pd.DataFrame]:
+    """Return weights, the running mean of errors every so many batches, and scores by noise."""
     import torch
     from tqdm import trange
 
@@ -110,38 +88,27 @@ def _trained(
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        drawn = _Drawn(seed, presses(n_presses, seed))
-        network, rows = first_network(seed), list[dict[str, Any]]()
-        for part, count, rate, batch in (
-            ("tiles", n_tiles, RATES[0], drawn.tiles),
-            ("frames", n_frames, RATES[1], drawn.frames),
-        ):
-            optimiser = torch.optim.Adam(network.values(), lr=rate)
-            means = None
-            for k in trange(count, desc=part, leave=False):
-                for group in optimiser.param_groups:
-                    group["lr"] = rate * 0.5 * (1 + math.cos(math.pi * k / count)) + 1e-6
-                loss, first, last = batch(network)
-                optimiser.zero_grad()
-                loss.backward()
-                norm = torch.nn.utils.clip_grad_norm_(list(network.values()), 1.0)
-                if math.isfinite(float(norm)):
-                    optimiser.step()
-                now = np.array([first, last])
-                means = now if means is None else means + (now - means) / min(k + 1, 2 * EVERY)
-                if (k + 1) % EVERY == 0 or k + 1 == count:
-                    figures = {"first_db": means[0], "last_db": means[1]}
-                    rows.append({"part": part, "batch": k + 1, **figures})
-        held_out = _Drawn(seed + 1, presses(HELD_OUT, seed + 1))
-        first, last = held_out.score(network)
-        rows.append({"part": "held out", "batch": 0, "first_db": first, "last_db": last})
-        return weights(network), rows
+        drawn, network = _Drawn(seed, presses(n_presses, seed)), first_network(seed)
+        optimiser = torch.optim.Adam(network.values(), lr=RATE)
+        rows, mean = list[dict[str, Any]](), 0.0
+        for k in trange(n_batches, desc="tiles", leave=False):
+            for group in optimiser.param_groups:
+                group["lr"] = RATE * 0.5 * (1 + math.cos(math.pi * k / n_batches)) + 1e-6
+            loss, error_db = drawn.loss(network)
+            optimiser.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(list(network.values()), 1.0)
+            optimiser.step()
+            mean += (error_db - mean) / min(k + 1, 2 * EVERY)
+            if (k + 1) % EVERY == 0 or k + 1 == n_batches:
+                rows.append({"batch": k + 1, "error_db": mean})
+        return weights(network), rows, _Drawn(seed + 1, presses(HELD_OUT, seed + 1)).score(network)
     finally:
         torch.set_num_threads(before)
 
 
 class _Drawn:
-    """Batches of presses with noise, masks and rows; losses of a network on them."""
+    """Batches of presses with noise and masks; losses of a network on them."""
 
     def __init__(self, seed: int, pool: Floats) -> None:
         import torch
@@ -169,75 +136,31 @@ class _Drawn:
         exponent = self._torch.rand(size, generator=self._generator)
         return low * (high / low) ** exponent
 
-    def tiles(self, network: Any) -> tuple[Any, float, float]:
-        """Loss on frames with normal noise of a known deviation, and the mean errors in dB."""
+    def loss(self, network: Any) -> tuple[Any, float]:
+        """Loss on frames with normal noise of a known deviation, and the mean error in dB."""
+        presses, mask = self._batch(BATCH)
+        x = presses[:, int(self._rng.integers(N_FRAMES))]
+        s = self._noise(len(x), *NOISE)
+        e, error = self._errors(network, x, s, mask)
+        loss = (e + FLOOR).log().mean() + 0.3 * (error.log() + e.detach() / error).mean()
+        return loss, 10 * float((e.detach() + FLOOR).log10().mean())
+
+    def score(self, network: Any) -> pd.DataFrame:
+        """Squared and expected error of all presses by noise, in noise variances."""
+        torch, rows = self._torch, []
+        mask = torch.ones(len(self._pool), SIDE, SIDE)
+        for sd in SCORED:
+            with torch.no_grad():
+                x = self._pool[:, 0]
+                e, error = self._errors(network, x, torch.full((len(x),), sd), mask)
+            row = {"noise / peak": f"{sd:g}", "error": f"{float(e.mean()):.3f}"}
+            rows.append(row | {"expected": f"{float(error.mean()):.3f}"})
+        return pd.DataFrame(rows)
+
+    def _errors(self, network: Any, x: Any, s: Any, mask: Any) -> tuple[Any, Any]:
+        """Squared error of a taxel of each frame, and the expected one, in s^2."""
         from .network import denoise
 
-        presses, mask = self._batch(96)
-        x = presses[:, int(self._rng.integers(N_FRAMES))]
-        s = self._noise(len(x), *TILE_NOISE)
         u = x + s[:, None, None] * self._torch.randn(x.shape, generator=self._generator)
         estimate, error = denoise(network, u, s, mask, int(self._rng.integers(64)))
-        e = (estimate - x).square().sum((1, 2)) / mask.sum((1, 2)) / s**2
-        loss = (e + FLOOR).log().mean() + 0.3 * (error.log() + e.detach() / error).mean()
-        mean_db = 10 * float((e.detach() + FLOOR).log10().mean())
-        return loss, mean_db, mean_db
-
-    def frames(self, network: Any) -> tuple[Any, float, float]:
-        """Loss on successive frames from measurements, and the mean errors of first and last."""
-        from .network import Rows, solve
-
-        torch, rng = self._torch, self._rng
-        truth, mask = self._batch(48)
-        rows = Rows.draw(self._generator, int(rng.choice(RATIOS)), bool(rng.random() < 0.5))
-        sd = self._noise(len(truth), *NOISE)
-        sd = sd * (torch.rand(len(sd), generator=self._generator) > SILENT) + 1e-6
-        readings, wanted = self._read(truth, sd[:, None, None, None], bool(rng.random() < CLIPPED))
-        found = solve(
-            network,
-            rows,
-            list((readings * mask[:, None]).unbind(1)),
-            mask,
-            sd**2,
-            int(rng.choice(STEPS)),
-            int(rng.integers(64)),
-        )
-        n, floor = mask.sum((1, 2)), 1e-9 + FLOOR * sd**2
-        loss, errors = torch.zeros(()), []
-        for k, (estimate, steps) in enumerate(found):
-            x = wanted[:, k]
-            e = (estimate - x).square().sum((1, 2)) / n
-            loss = loss + (1.0 if k == 0 else 0.7) * (e + floor).log().mean()
-            for one, s, error in steps:
-                off = ((one - x).square().sum((1, 2)) / n / s**2).detach().clamp(max=20)
-                loss = loss + 0.1 * (error.log() + off / error).mean()
-            power = truth[:, k].square().sum((1, 2)) / n
-            errors.append(10 * float(((e.detach() + floor) / (power + floor)).log10().mean()))
-        return loss, errors[0], errors[-1]
-
-    def _read(self, truth: Any, sd: Any, clipped: bool) -> tuple[Any, Any]:
-        """Readings less their bias, and what they read in the mean."""
-        torch = self._torch
-        readings = truth + sd * torch.randn(truth.shape, generator=self._generator)
-        if not clipped:
-            return readings, truth
-        bias, z = CLIP_BIAS * sd, truth / sd
-        mean = truth * torch.special.ndtr(z) + bias * (-z.square() / 2).exp()
-        return readings.clamp(min=0) - bias, mean - bias
-
-    def score(self, network: Any) -> tuple[float, float]:
-        """Errors in dB of the first and the last frame, N/8, rotating rows, noise of 0.01."""
-        from .network import Rows, solve
-
-        torch, x = self._torch, self._pool
-        rows = Rows.draw(self._generator, 8, fixed=False)
-        sd = torch.full((len(x),), 0.01)
-        noise = 0.01 * torch.randn(x.shape, generator=self._generator)
-        mask = torch.ones(len(x), SIDE, SIDE)
-        with torch.no_grad():
-            found = solve(network, rows, list((x + noise).unbind(1)), mask, sd**2, 8, 0)
-        db = [
-            10 * float(((e - x[:, k]).square().sum() / x[:, k].square().sum()).log10())
-            for k, (e, _) in enumerate(found)
-        ]
-        return db[0], db[-1]
+        return (estimate - x).square().sum((1, 2)) / mask.sum((1, 2)) / s**2, error

@@ -7,10 +7,11 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts
+from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts, side_by_side
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices
-from sparseskin.nodes.numerics.programs import run
+from sparseskin.nodes.numerics.compiled import ready
+from sparseskin.nodes.numerics.programs import Call, run
 
 LEAST_PART = 1e-4
 """Eigenvalue of Phi Phi^T, as a part of the largest, below which a direction counts as unmeasured.
@@ -55,16 +56,49 @@ class Rows(ABC):
 
 
 class HadamardRows(Rows):
-    """All rows of a scrambled block Hadamard ensemble, also those that no frame reads."""
+    """All rows of a scrambled block Hadamard ensemble, also those that no frame reads.
 
-    def __init__(self, phi: SbhePhi) -> None:
-        hadamard = HadamardProducts(phi.sizes, orthonormal=True)
+    Parameters
+    ----------
+    phi : SbhePhi
+    compiled : bool
+        True: the transform is a compiled loop, which needs numba; else products of matrices.
+
+    Attributes
+    ----------
+    groups : ndarray of int64, shape (k, 3)
+        Start, size and number of the blocks of each size.
+    scale : ndarray of float32, shape (n,)
+        1 / sqrt(size of the block) of each row.
+    """
+
+    def __init__(self, phi: SbhePhi, compiled: bool = False) -> None:
         self.n = self.n_rows = phi.n
         self._x, self._rows = np.zeros((2, phi.n), dtype=np.float32)
-        self._to_rows = hadamard.program(self._x, self._rows)
-        self._to_x = hadamard.program(self._rows, self._x, back=True)
-        self.taxel = phi.permutation[hadamard.order_in]
-        self._place_of_row = np.argsort(hadamard.order_out)
+        columns, self.groups = side_by_side(phi.sizes)
+        sizes = np.repeat(phi.sizes, phi.sizes)[columns]
+        self.scale: Floats = np.reciprocal(np.sqrt(sizes)).astype(np.float32)
+        if compiled:
+            from sparseskin.nodes.numerics.kernels import orthonormal
+
+            ready(orthonormal)
+            transform: list[Call] = [
+                (np.copyto, (self._rows, self._x)),
+                (orthonormal, (self._rows, self.groups, self.scale)),
+            ]
+            back: list[Call] = [
+                (np.copyto, (self._x, self._rows)),
+                (orthonormal, (self._x, self.groups, self.scale)),
+            ]
+            order_in = order_out = columns
+        else:
+            hadamard = HadamardProducts(phi.sizes, orthonormal=True)
+            transform = hadamard.program(self._x, self._rows)
+            back = hadamard.program(self._rows, self._x, back=True)
+            order_in, order_out = hadamard.order_in, hadamard.order_out
+        self._to_rows, self._to_x = transform, back
+        self.taxel = phi.permutation[order_in]
+        self._place_of_row = np.argsort(order_out)
         self._known: dict[str, tuple[Indices, Indices]] = {}
         self.use(phi)
 
@@ -131,6 +165,6 @@ def _whitening(phi: Phi) -> Floats | None:
     return np.ascontiguousarray((vectors[:, kept] / np.sqrt(values[kept])).T, dtype=np.float32)
 
 
-def rows_of(phi: Phi) -> Rows:
-    """Return the rows of any Phi."""
-    return HadamardRows(phi) if is_sbhe(phi) else WhitenedRows(phi)
+def rows_of(phi: Phi, compiled: bool = False) -> Rows:
+    """Return the rows of any Phi; `compiled` as in `HadamardRows`."""
+    return HadamardRows(phi, compiled) if is_sbhe(phi) else WhitenedRows(phi)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Mask
+from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.skin.clip_bias import DUST
 from sparseskin.nodes.reconstructor.skin.noise_level import RESOLUTION
@@ -17,7 +20,10 @@ from sparseskin.nodes.reconstructor.skin.prediction import neighbours_of
 from sparseskin.nodes.reconstructor.solvers.base import Solver, whole_number
 
 from .gates import SHIFTS, Gates, Tiles, stored_gates
-from .rows import rows_of
+from .rows import HadamardRows, rows_of
+
+if TYPE_CHECKING:
+    from .compiled import CompiledStep
 
 UNKNOWN = 1e34
 """Variance of a row that was not read yet, beyond that of any measurement."""
@@ -45,13 +51,24 @@ class OampTuning:
     #: Rate of the noise level per frame, and its largest growth.
     noise_rate: float = 0.2
     noise_growth: float = 1.4
-    #: Normalised innovation squared of the remembered rows up to which nothing has changed.
-    #: Derived: 1, and some of the standard deviation of a mean of 500 squares, 0.06.
-    expected: float = 1.05
+    #: Deviations of a mean square at which half of what it exceeds its expectation by counts, and
+    #: the least number of squares that these are taken of.
+    significant: float = 3.0
+    least_count: int = 300
+    #: Rate per frame at which the mean squared error of a prediction is averaged.
+    signal_rate: float = 0.3
     #: Errors of a prediction are not independent of each other: c and d of their variance
     #: c P (1 + d P / R), P their mean square.
     prior: float = 4.0
     doubt: float = 1.0
+    #: Regression of innovations on what the rows' filters correct: weight of the past frames, and
+    #: ridge in noise variances, which draws it to 1.
+    recall_memory: float = 0.8
+    recall_ridge: float = 0.3
+    #: Weight of the prediction in the estimate, E / (E + b P) by the error variances of both, whose
+    #: errors are not independent: b; and its largest value.
+    blend: float = 2.0
+    most_predicted: float = 0.9
     #: Correlation of an innovation with the last correction beyond which the estimate lags behind;
     #: rates at which the trust in the noise level falls and grows per frame; its least value.
     lagging: float = 0.2
@@ -66,8 +83,22 @@ class OampTuning:
     bias_rate: float = 0.05
     #: Growth per frame of the least noise variance so far, which bounds the bias.
     bias_forgotten: float = 1.002
+    #: Error of the residuals' own estimate of the error, in their sampling deviations.
+    doubtful: float = 1.0
+    #: Largest noise variance, in the least one so far.
+    louder: float = 4.0
+    #: Mean squared residual, in noise variances, beyond which a skin is not untouched.
+    unexplained: float = 2.0
+    #: Mean squared force, in noise variances, up to which nothing touches the skin.
+    untouched: float = 0.05
     #: Largest error that is trusted, as a part of the forces, both RMS.
     trusted: float = 0.25
+
+    def surplus(self, seen: float, expected: float, count: int) -> float:
+        """What a mean square of `count` numbers exceeds its expectation by, where significant."""
+        more = max(0.0, seen - expected)
+        z2 = more * more * max(count, self.least_count) / (2 * expected * expected + TINY)
+        return more * z2 / (z2 + self.significant**2)
 
 
 class OampSolver(Solver):
@@ -76,20 +107,24 @@ class OampSolver(Solver):
     1. The bias b of noise that is clipped at 0 is subtracted from the measurements.
     2. The last frame x predicts this one: x_p = (1 + a0) x + a1 dx/drow + a2 dx/dcol, by ridge
        least squares on the innovation, scaled by what it explains.
-    3. Each row has a Kalman filter of its own, of mean w and variance n + g: what the noise of its
+    3. The noise variance R is the part of the innovation that does not repeat when the same rows
+       are read again. P + R is its mean square: P, averaged over frames, is the error variance of
+       the prediction.
+    4. Each row has a Kalman filter of its own, of mean w and variance n + g: what the noise of its
        measurements left, and what has changed since. The mean moves as the prediction does; what
        the mean squared innovation of the rows read exceeds n + g + R by has changed in all rows.
-       The noise variance R is the part of the innovation that does not repeat when the same rows
-       are read again. The prediction, of variance L = c P (1 + d P / R), P + R its mean squared
-       innovation, and the filter give the target of each row, by their precisions.
-    4. Steps from z = x_p: r = target - W z; tau = mean r^2, less the mean n, of the rows read;
-       D = tau / (tau + v), v the variance of a target; s^2 = tau (1 - mean D) / mean D;
-       u = z + W^T (D r) / mean D; x, alpha = `Gates` of u / s; z moves half the way to
-       (x - alpha u) / (1 - alpha).
-    5. The estimate is the mean of the last three x; alpha s^2 is its expected squared error.
+       The prediction, of variance L = c P (1 + d P / R), and the filter give the expected value of
+       each row, by their precisions; regression on the rows read gives the part of what the filter
+       adds that counts. With the measurements, these are the target of each row, of variance v.
+    5. Steps from z = x_p: r = target - W z; tau = mean r^2, less the mean v, of the rows read;
+       D = tau / (tau + v); s^2 = tau (1 - mean D) / mean D; u = z + W^T (D r) / mean D;
+       x, alpha = `Gates` of u / s; z moves half the way to (x - alpha u) / (1 - alpha).
+    6. The errors of z do not depend on the noise of the measurements: their mean squared residual
+       less R is the error variance E of the last three x; where that is within the noise, alpha s^2
+       counts. The estimate is the mean of these x and of x_p, by E and P.
 
     One solver serves all row subsets of rotating rows. Any Phi will do: its rows are made
-    orthonormal first, whatever their length. Each frame takes the same time.
+    orthonormal first, whatever their length. Each frame takes the same number of steps.
 
     Parameters
     ----------
@@ -99,6 +134,8 @@ class OampSolver(Solver):
         Gives the size of the grid; the gates are learned.
     iterations : int
         Steps of a frame, 1..1000. Fewer than 5 have not converged where a contact begins.
+    fast : str
+        Use of compiled loops, for "sbhe": "auto" (where numba is installed), "on" or "off".
     gates : Gates, optional
         Weights of the denoiser; None: those of the package.
     tuning : OampTuning
@@ -128,6 +165,7 @@ class OampSolver(Solver):
         mask: Mask | None = None,
         *,
         iterations: int = 8,
+        fast: str = "auto",
         gates: Gates | None = None,
         tuning: OampTuning | None = None,
     ) -> None:
@@ -141,13 +179,23 @@ class OampSolver(Solver):
                 )
         self._t = tuning or OampTuning()
         self._gates = gates or stored_gates()
-        self._rows = rows_of(phi)
+        compiled = use_compiled(fast) and is_sbhe(phi)
+        self._rows = rows_of(phi, compiled)
         self._cells = self.taxels[self._rows.taxel]
         flat = np.full(self.mask.size, phi.n, dtype=np.intp)
         flat[self._cells] = np.arange(phi.n)
         places = flat.reshape(self.mask.shape)
         self._tiles = Tiles(self.mask, places, phi.n)
         self._neighbours = neighbours_of(places, phi.n)
+        #: A step in a compiled loop; None: in numpy.
+        self._compiled: CompiledStep | None = None
+        if compiled:
+            from .compiled import CompiledStep  # needs numba
+
+            assert isinstance(self._rows, HadamardRows)
+            t = self._t
+            constants = t.least_tau, t.most_alpha, t.damping
+            self._compiled = CompiledStep(self._rows, self._tiles, self._gates, constants)
         #: By row subset: Phi 1; the last innovation.
         self._ones: dict[str, Floats] = {}
         self._innovations: dict[str, Floats] = {}
@@ -163,6 +211,9 @@ class OampSolver(Solver):
         self._noise = self._least_noise = self._floor = self._bias = 0.0
         self._n_frames = self._n_seen = self._n_shifts = self._steps_left = 0
         self._trust = 1.0
+        self._last_error2 = 0.0
+        self._signal = 0.0
+        self._recall = np.zeros(3)
         self.error, self.trusted = None, True
 
     def use(self, phi: Phi) -> None:
@@ -181,7 +232,7 @@ class OampSolver(Solver):
         if warm is not None:
             self._x = np.maximum(self._checked_warm(warm).reshape(-1)[self._cells], 0)
             self._whole = self._rows.forward(self._x)
-        t, rows, key = self._t, self._rows, self.phi.fingerprint
+        rows, key = self._rows, self.phi.fingerprint
         read = rows.read
         if key not in self._ones:
             self._ones[key] = rows.forward(np.ones(rows.n, dtype=np.float32))[read]
@@ -192,39 +243,73 @@ class OampSolver(Solver):
         innovation = values - whole[read]
         e2 = float(np.mean(np.square(innovation)))
         noise = self._follow_noise(key, innovation, e2)
-        signal = max(0.0, e2 - t.expected * noise)
-        self._filter_rows(values, whole, noise, signal)
-        # Of rows that are never read, the innovation says nothing: the last estimate's own error.
-        predicted = np.float32(max(signal, (self.error or 0.0) ** 2, self._floor))
-        prior = loosened(predicted, noise, t)
-        variance = self._row_noise + loosened(self._row_change, noise, t)
-        share = prior / (prior + variance)
-        self._variance = share * variance
-        self._target = whole + share * (self._rows_mean - whole)
-        self._read_noise = float(np.mean(self._row_noise[read]))
-        self._values, self._predicted = values, self._z
+        self._filter_rows(values, whole, innovation, noise, self._follow_signal(e2, noise))
+        self._read_noise = float(np.mean(self._variance[read]))
+        self._values, self._predicted = values, self._z.copy()
         self._estimates: list[Floats] = []
         self._errors: list[float] = []
+        self._residuals: list[float] = []
+        self._off_target = values - self._target[read]
+        # Noise grows with the forces, but not without bound: what exceeds it, no force explains.
+        known = self._n_seen > 1 / self._t.noise_rate
+        self._judged_noise = min(noise, self._t.louder * self._least_noise) if known else noise
         self._steps_left = self.n_steps
 
-    def _filter_rows(self, values: Floats, whole: Floats, noise: float, signal: float) -> None:
-        """Process the values of the rows read, whose prediction is whole[read]."""
-        read, mean = self._rows.read, self._rows_mean
+    def _follow_signal(self, e2: float, noise: float) -> float:
+        """Return the mean squared error of the prediction: what the innovation's, e2, exceeds the
+        noise by, averaged over frames.
+        """
+        now = self._t.surplus(e2, noise, self._rows.read.size)
+        self._signal += self._t.signal_rate * (e2 - noise - self._signal)
+        most = max(0.0, e2 - noise) + 2 * noise * math.sqrt(2 / self._rows.read.size)
+        self._signal = max(min(self._signal, most), now / 2)
+        return max(0.0, self._signal, now)
+
+    def _filter_rows(
+        self, values: Floats, whole: Floats, innovation: Floats, noise: float, signal: float
+    ) -> None:
+        """Set the target of each row and its variance; process the values of the rows read.
+
+        whole is W times the prediction, innovation what the values exceed it by.
+        """
+        t, read, mean, change = self._t, self._rows.read, self._rows_mean, self._row_change
         mean += whole - self._whole
-        before = self._row_noise[read] + self._row_change[read]
-        innovation = values - mean[read]
+        off, before = values - mean[read], (self._row_noise + change)[read]
         known = before < UNKNOWN
         changed = signal
         if 2 * np.count_nonzero(known) > read.size:
+            seen = float(np.mean(np.square(off[known])))
             expected = noise + float(np.mean(before[known]))
-            seen = float(np.mean(np.square(innovation[known])))
-            changed = max(0.0, seen - self._t.expected * expected)
-        np.minimum(self._row_change + np.float32(changed), UNKNOWN, out=self._row_change)
+            changed = t.surplus(seen, expected, off.size)
+        np.minimum(change + np.float32(changed), UNKNOWN, out=change)
+        # Of rows that are never read, the innovation says nothing: the last estimate's own error.
+        predicted = np.float32(max(signal, self._last_error2, self._floor))
+        prior = loosened(predicted, noise, t)
+        share = prior / (prior + self._row_noise + loosened(change, noise, t))
+        correction = share * (mean - whole)
+        recalled = self._follow_recall(innovation[known], correction[read][known], noise)
+        share *= recalled
+        self._variance = prior * (1 - share)
+        self._target = whole + recalled * correction
+        gain = self._variance[read] / (self._variance[read] + np.float32(noise))
+        self._target[read] += gain * (values - self._target[read])
+        self._variance[read] = np.maximum(gain * np.float32(noise), np.float32(self._floor))
         before += np.float32(changed)
         gain = before / (before + np.float32(noise))
-        mean[read] += gain * innovation
+        mean[read] += gain * off
         self._row_noise[read] = np.maximum(gain * np.float32(noise), np.float32(self._floor))
-        self._row_change[read] = 0
+        change[read] = 0
+
+    def _follow_recall(self, innovation: Floats, correction: Floats, noise: float) -> np.float32:
+        """Return the part of the correction by the rows' own filters that is used, 0 to 1.
+
+        By regression: how much of it the rows that are read now confirm, these frames and before.
+        """
+        t, sums = self._t, self._recall
+        sums *= t.recall_memory
+        sums += np.array([innovation @ correction, correction @ correction, innovation.size])
+        ridge = t.recall_ridge * noise * sums[2]
+        return np.float32(min(max((sums[0] + ridge) / (sums[1] + ridge + TINY), 0.0), 1.0))
 
     def _predict(self, values: Floats) -> tuple[Floats, Floats]:
         """Return the prediction of the frame, float32 (n,), and W times it."""
@@ -272,16 +357,32 @@ class OampSolver(Solver):
 
     def step(self) -> None:
         self._count_step()
+        shift = self._n_shifts
+        self._n_shifts = (shift + 1) % len(SHIFTS)
+        if self._compiled is not None:
+            aims = self._target, self._variance, self._read_noise, self._floor
+            x, error2, residual2 = self._compiled(self._z, *aims, self._off_target, shift)
+        else:
+            x, error2, residual2 = self._step(shift)
+        self._estimates.append(x)
+        self._errors.append(error2)
+        self._residuals.append(residual2)
+
+    def _step(self, shift: int) -> tuple[Floats, float, float]:
+        """Move z; return the estimate x, its expected squared error, and the mean squared residual
+        of z.
+        """
         t, rows, z = self._t, self._rows, self._z
         r = self._target - rows.forward(z)
-        rho = float(np.mean(np.square(r[rows.read])))
+        of_read = r[rows.read]
+        rho = float(np.mean(np.square(of_read)))
+        residual2 = float(np.mean(np.square(of_read + self._off_target)))
         tau = max(rho - self._read_noise, t.least_tau * rho) + self._floor
         d = tau / (tau + self._variance)
         mean_d = float(np.sum(d)) / rows.n
         s = np.float32(math.sqrt(tau * max(1 - mean_d, 0.0) / mean_d + self._floor))
         u: Floats = z + rows.adjoint(d * r) / np.float32(mean_d)
-        windows, back, share = self._tiles.tables(self._n_shifts)
-        self._n_shifts = (self._n_shifts + 1) % len(SHIFTS)
+        windows, back, share = self._tiles.tables(shift)
         scaled = np.zeros(rows.n + 1, dtype=np.float32)
         np.divide(u, s, out=scaled[:-1])
         tiles, error = self._gates.denoise(scaled[windows])
@@ -290,15 +391,19 @@ class OampSolver(Solver):
         alpha = np.float32(min(expected, t.most_alpha))
         free = (x - alpha * u) / (1 - alpha)
         self._z = (z + t.damping * (free - z)).astype(np.float32, copy=False)
-        self._estimates.append(x)
-        self._errors.append(expected * float(s) ** 2)
+        return x, expected * float(s) ** 2, residual2
 
     def finish(self) -> Floats:
         self._steps_left = 0
         t, rows = self._t, self._rows
         if self._estimates:
             self._x = np.mean(self._estimates[-t.averaged :], axis=0, dtype=np.float32)
-            self.error = math.sqrt(float(np.mean(self._errors[-t.averaged :])))
+            error2 = self._error2()
+            prior = t.blend * max(self._signal, self._last_error2, self._floor)
+            part = min(t.most_predicted, error2 / (error2 + prior))
+            self._x += np.float32(part) * (self._predicted - self._x)
+            self._last_error2 = (1 - part) * error2
+            self.error = math.sqrt(self._last_error2)
         x = self._x
         self._correction = x - self._predicted
         self._n_frames += 1
@@ -310,10 +415,29 @@ class OampSolver(Solver):
         self._follow_bias(self._values - self._whole[rows.read])
         power = float(np.mean(np.square(x, dtype=np.float64)))
         assert self.error is not None
-        self.trusted = self.error**2 <= t.trusted**2 * power or power <= self._noise
+        noise = self._judged_noise
+        untouched = power <= t.untouched * noise and self._residual2() <= t.unexplained * noise
+        self.trusted = untouched or self.error**2 <= t.trusted**2 * power
         image = np.zeros(self.mask.size, dtype=np.float32)
         image[self._cells] = forces
         return self._finite(image.reshape(self.mask.shape))
+
+    def _error2(self) -> float:
+        """Mean squared error of the mean of the last estimates.
+
+        The errors of z do not depend on the noise of the measurements: the residuals exceed the
+        noise by them. Where that is not significant, the gates' own expectation counts.
+        """
+        t, noise = self._t, self._judged_noise
+        own = float(np.mean(self._errors[-t.averaged :]))
+        seen = max(0.0, self._residual2() - noise)
+        doubt = t.doubtful * (seen + noise) * math.sqrt(2 / self._values.size)
+        share = seen * seen / (seen * seen + doubt * doubt + TINY)
+        return share * seen + (1 - share) * own
+
+    def _residual2(self) -> float:
+        """Mean squared residual of the last z."""
+        return float(np.mean(self._residuals[-self._t.averaged :]))
 
     def _follow_bias(self, residual: Floats) -> None:
         """Update the mean reading of an untouched taxel: by the residual along Phi 1, and by the

@@ -14,18 +14,18 @@ from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.oamp.gates import (
     INNER,
-    RELATIVE,
     SHIFTS,
     TILE,
     WINDOW,
     Gates,
     Tiles,
+    is_busy,
     stored_gates,
 )
 
 
-def open_gates() -> Gates:
-    """Gates that let every filter pass, each of which reads a taxel of the tile."""
+def open_gates(passed: float) -> Gates:
+    """Gates that let every filter pass, each of which reads a taxel of the tile, or the tile."""
     stored = stored_gates()
     k = stored.filters.shape[0]
     filters = np.zeros_like(stored.filters)
@@ -34,7 +34,7 @@ def open_gates() -> Gates:
         stored,
         filters=filters,
         gates=np.zeros_like(stored.gates),
-        gates_0=np.ones(k, dtype=np.float32),
+        gates_0=np.append(np.ones(k), passed).astype(np.float32),
         synthesis=np.eye(TILE * TILE, k, dtype=np.float32),
         error=np.zeros_like(stored.error),
         error_0=np.array([np.log(0.25)], dtype=np.float32),
@@ -46,25 +46,25 @@ def windows(count: int = 5, seed: int = 0) -> Floats:
     return 3 * np.random.default_rng(seed).standard_normal(shape, dtype=np.float32)
 
 
-def test_open_gates_return_the_positive_part_of_the_tile() -> None:
+@pytest.mark.parametrize("passed", [0.0, 0.3, 1.0])
+def test_open_gates_return_the_positive_part_of_the_tile(passed: float) -> None:
     u = windows()
-    tiles, error = open_gates().denoise(u)
+    tiles, error = open_gates(passed).denoise(u)
     np.testing.assert_allclose(tiles, np.maximum(u[:, INNER], 0), atol=1e-5)
     np.testing.assert_allclose(error, 0.25, rtol=1e-3)
 
 
-def test_a_tile_is_the_sum_of_gated_filters_and_where_forces_are_large_the_window() -> None:
-    gates, u = stored_gates(), 30 * windows(1)[0].astype(np.float64)
+def test_a_tile_is_the_part_that_passes_and_the_sum_of_gated_filters() -> None:
+    gates, u = stored_gates(), windows(1)[0].astype(np.float64)
     a = gates.filters @ u
-    h = np.maximum(gates.hidden @ (np.sign(a) * np.log(1 + np.abs(a))) + gates.hidden_0, 0)
+    size = 4 * ((1 + np.abs(a)) ** 0.25 - 1)
+    levels = np.concatenate([np.sign(a) * size, size])
+    h = np.maximum(gates.hidden @ levels + gates.hidden_0, 0)
     g = np.clip(gates.gates @ h + gates.gates_0, 0, 1)
     tiles, error = gates.denoise(u.astype(np.float32)[None])
-    floor = RELATIVE**2 * np.mean(u[INNER] ** 2)
-    gated = np.maximum(gates.synthesis @ (a * g), 0)
-    tile = (gated + floor * np.maximum(u[INNER], 0)) / (1 + floor)
-    np.testing.assert_allclose(tiles[0], tile, atol=2e-3)
-    expected = np.exp(np.clip(gates.error @ h + gates.error_0, -12, 0))
-    np.testing.assert_allclose(error, (expected + floor) / (1 + floor), rtol=1e-4)
+    tile = g[-1] * u[INNER] + gates.synthesis @ (a * (g[:-1] - g[-1]))
+    np.testing.assert_allclose(tiles[0], np.maximum(tile, 0), atol=1e-4)
+    np.testing.assert_allclose(error, np.exp(gates.error @ h + gates.error_0), rtol=1e-4)
 
 
 def test_noise_alone_is_removed_and_large_forces_are_kept() -> None:
@@ -75,6 +75,16 @@ def test_noise_alone_is_removed_and_large_forces_are_kept() -> None:
     plate = np.full_like(noise, 50)
     kept, _ = stored_gates().denoise(plate + noise)
     assert np.mean(np.square(kept - 50)) < 1
+
+
+def test_windows_in_which_nothing_stands_out_are_quiet() -> None:
+    noise = windows(4000) / 3
+    assert 0.01 < is_busy(noise).mean() < 0.1
+    single, square, weak = np.zeros((3, 1, WINDOW, WINDOW), dtype=np.float32)
+    single[0, 5, 5], square[0, 3:6, 6:9], weak[:] = 5, 1.5, 0.3
+    for one in (single, square, weak):
+        assert is_busy(one.reshape(1, -1))
+        assert not is_busy(one.reshape(1, -1) / 3)
 
 
 def test_forces_far_above_the_noise_stay_as_they_are() -> None:
@@ -89,7 +99,7 @@ def test_forces_far_above_the_noise_stay_as_they_are() -> None:
 def written(**changes: object) -> bytes:
     stored = stored_gates()
     names = ("filters", "hidden", "hidden_0", "gates", "gates_0", "synthesis", "error", "error_0")
-    arrays = {name: getattr(stored, name) for name in (*names, "prior")} | changes
+    arrays = {name: getattr(stored, name) for name in names} | changes
     content = BytesIO()
     np.savez(content, **{name: value for name, value in arrays.items() if value is not None})
     return content.getvalue()
@@ -105,10 +115,10 @@ def test_a_file_gives_its_weights_again() -> None:
     ("content", "named"),
     [
         (b"no archive", "mine.npz: holds no gates"),
-        (written(prior=None), "prior"),
-        (written(prior=np.zeros(3)), r"prior has shape \(3,\); expected .* \(2,\)"),
+        (written(error=None), "error"),
+        (written(error_0=np.zeros(3)), r"error_0 has shape \(3,\); expected .* \(1,\)"),
         (written(hidden=np.zeros((2, 2))), "hidden has shape"),
-        (written(gates_0=np.full(128, np.nan)), "gates_0 .* finite"),
+        (written(gates_0=np.full(129, np.nan)), "gates_0 .* finite"),
         (written(filters=np.array([object()])), "holds no gates"),
     ],
 )
@@ -141,10 +151,19 @@ def test_tiles_hold_each_taxel_once_and_windows_its_neighbours(
     inner = x[read][:, INNER]
     np.testing.assert_array_equal(inner.reshape(-1)[back], x[:-1])
     np.testing.assert_allclose(share.sum(), 1, rtol=1e-5)
-    # The cell left of a tile's first one holds the taxel left of it.
-    image = np.append(np.zeros((n_rows, 1)), x[places], axis=1)
+    # Each cell of a window holds the taxel there, or one of its eight neighbours; 0 if none exists.
+    image = np.pad(np.where(mask, x[places], 0), WINDOW)
     row, col = divmod(int(np.flatnonzero(mask)[0]), n_cols)
     at = int(back[places[row, col]])
     r, c = divmod(at % (TILE * TILE), TILE)
     window = x[read[at // (TILE * TILE)]].reshape(WINDOW, WINDOW)
-    assert window[r + 2, c + 1] == image[row, col]
+    top, left = row - r - 2 + WINDOW, col - c - 2 + WINDOW
+    for i, j in np.ndindex(WINDOW, WINDOW):
+        near = image[top + i - 1 : top + i + 2, left + j - 1 : left + j + 2]
+        inside = 0 <= top + i - WINDOW < n_rows and 0 <= left + j - WINDOW < n_cols
+        if not inside or not near.any():
+            assert window[i, j] == 0
+        elif near[1, 1] > 0:
+            assert window[i, j] == near[1, 1]
+        else:
+            assert window[i, j] in near[near > 0]

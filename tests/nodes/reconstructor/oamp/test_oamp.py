@@ -74,6 +74,17 @@ def test_a_change_of_rounding_stays_one(rows: str) -> None:
 
 
 @pytest.mark.parametrize("rows", [FIXED, ROTATING])
+@pytest.mark.parametrize("ratio", [3, 8])
+def test_compiled_steps_are_those_of_numpy_but_for_rounding(rows: str, ratio: int) -> None:
+    pytest.importorskip("numba")
+    frames, phis = noisy(sliding_disc(SHAPE, 60)), phis_of(rows, ratio)
+    plain, errors = reconstructed(solver_of(phis, fast="off"), phis, frames)
+    found, more = reconstructed(solver_of(phis, fast="on"), phis, frames)
+    assert np.abs(found - plain).max() < 1e-4 * plain.max()
+    np.testing.assert_allclose(more, errors, rtol=1e-3)
+
+
+@pytest.mark.parametrize("rows", [FIXED, ROTATING])
 def test_errors_are_relative_to_the_range(rows: str) -> None:
     frames, phis = noisy(sliding_disc(SHAPE, 20)), phis_of(rows)
     plain, errors = reconstructed(solver_of(phis), phis, frames)
@@ -152,3 +163,15 @@ def test_row_subsets_of_another_size_are_refused() -> None:
     solver = solver_of(phis_of(ROTATING))
     with pytest.raises(SolverError, match="is 72 x 576; allowed: 192 x 576"):
         solver.use(make_phi("sbhe", N, 72, seed=0))
+
+
+@pytest.mark.parametrize("ratio", [3, 8])
+def test_measurements_of_another_row_subset_are_not_trusted(ratio: int) -> None:
+    phis = phis_of(ROTATING, ratio)
+    frames = noisy(sliding_disc(SHAPE, 60))
+    solver = solver_of(phis)
+    reconstructed(solver, phis, frames[: 10 * ratio // 3])
+    for k, frame in enumerate(frames[-20:]):
+        solver.use(phis[k % ratio])
+        solver.solve(phis[(k + 1) % ratio].forward(frame.reshape(-1)))
+        assert k < 5 or not solver.trusted
