@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sparseskin.nodes.reconstructor.solvers.base import make_solver
 
     from .arrays import compress, psnr_db, read_recording, reconstruct, run_launch, simulate
+    from .stream import Stream
 
 #: Module and attribute of each name.
 _HOMES = {
@@ -34,6 +35,7 @@ _HOMES = {
     "make_solver": ("sparseskin.nodes.reconstructor.solvers.base", "make_solver"),
     "compress": ("sparseskin.arrays", "compress"),
     "reconstruct": ("sparseskin.arrays", "reconstruct"),
+    "Stream": ("sparseskin.stream", "Stream"),
     "psnr_db": ("sparseskin.arrays", "psnr_db"),
     "simulate": ("sparseskin.arrays", "simulate"),
     "load_launch": ("sparseskin.launch.launchfile.load", "load"),
@@ -42,6 +44,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "Stream",
     "__version__",
     "compress",
     "load_launch",

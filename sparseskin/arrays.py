@@ -131,7 +131,7 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     True
     """
     if getattr(solver, "name", "") == "skin":
-        _warn_of_threads()
+        warn_of_threads()
     y = np.asarray(measurements, dtype=np.float32)
     if y.ndim not in (1, 2):
         raise SolverError(f"measurements have shape {y.shape}; expected (m,) or (k, m)")
@@ -148,7 +148,7 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
 
 
 @cache
-def _warn_of_threads() -> None:
+def warn_of_threads() -> None:
     """Warn, once, where threads of OpenBLAS slow down the small products of the solver."""
     config: Any = np.show_config(mode="dicts")
     is_openblas = "openblas" in config["Build Dependencies"]["blas"]["name"]

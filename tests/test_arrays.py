@@ -71,7 +71,7 @@ def test_reconstruct_warns_once_of_threads_that_slow_it_down(
             monkeypatch.delenv(name, raising=False)
         if stated:
             monkeypatch.setenv(threads[0], "1")
-        arrays._warn_of_threads.cache_clear()
+        arrays.warn_of_threads.cache_clear()
         solver = sparseskin.make_solver(solver_name, phi, basis)
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("always")

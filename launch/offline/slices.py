@@ -9,7 +9,6 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import json
-import math
 import os
 import shutil
 import socket
@@ -28,7 +27,6 @@ from sparseskin.messages import Message, Reconstruction, SkinState, topic_of
 from sparseskin.nodes.bus import LOCAL_RUN_ID, Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.rotation import ROTATING
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.files import TAKEN, OutputError, check_private, os_errors, whole_file
 from sparseskin.nodes.lookup import one_line
@@ -142,9 +140,7 @@ def _plan(job: Job, source: Path, how_cut: Sliced) -> tuple[str, list[Slice], in
         if edge is None:
             return 1
         assert isinstance(edge.settings, CompressorSettings)
-        n = state.skin.n_taxels
-        rows, m = edge.settings.rows_and_m(n)
-        return math.ceil(n / m) if rows == ROTATING else 1
+        return len(edge.settings.phis(state.skin))
 
     if edge is not None and edge.settings.phi in _CHOOSING:
         raise SettingsError(

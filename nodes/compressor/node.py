@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from sparseskin.messages import Measurements, Message, PhiState, SkinState, Taxels, topic_of
+from sparseskin.messages.skin import Skin
 from sparseskin.nodes.compressor.phi.acts import ActsPhi, ActsSearch, force_threshold, packed_places
 from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
 from sparseskin.nodes.compressor.phi.base import (
@@ -126,6 +127,18 @@ class CompressorSettings(PatchesSettings):
         """Return M for a skin of `n` taxels."""
         return self.rows_and_m(n)[1]
 
+    def phis(self, skin: Skin, sigma_end: float = 0.0, clips_noise: bool = True) -> list[Phi]:
+        """Return the matrices that measure frames of a skin in turn: one where rows are fixed.
+
+        `sigma_end` and `clips_noise` state the skin's noise, as in `SkinState`.
+        Raises PhiError if they cannot be made.
+        """
+        rows, m = self.rows_and_m(skin.n_taxels)
+        chosen = block_and_rule(self.rows, self.block)
+        phi = make_phi(self.phi, n=skin.n_taxels, m=m, seed=self.seed, **chosen)
+        layout(phi, skin.exists, sigma_end, skin.f_max, clips_noise)
+        return row_subsets(phi, rows)
+
 
 class Compressor(Node[CompressorSettings]):
     """Publishes /PATCH/phi once the skin is known, then /PATCH/measurements."""
@@ -211,14 +224,10 @@ class Compressor(Node[CompressorSettings]):
 
     def _learn_skin(self, state: SkinState, stamp_ns: int) -> PhiState:
         """Make Phi for a skin; return its description, valid from `stamp_ns` on."""
-        n = state.skin.n_taxels
         s = self.settings
-        rows, m = s.rows_and_m(n)
-        chosen = block_and_rule(s.rows, s.block)
-        phi = make_phi(s.phi, n=n, m=m, seed=s.seed, **chosen)
-        exists = state.skin.exists
-        layout(phi, exists, state.sigma_end, state.f_max, state.clips_noise)
-        subsets = row_subsets(phi, rows)
+        rows, _ = s.rows_and_m(state.skin.n_taxels)
+        subsets = s.phis(state.skin, state.sigma_end, state.clips_noise)
+        phi = subsets[0]
         for one in subsets:
             if self._compiled and is_sbhe(one):
                 one.compile()
@@ -226,8 +235,10 @@ class Compressor(Node[CompressorSettings]):
         self._state, self._subsets, self._subset, self._rows = state, subsets, 0, rows
         self._cells = None if state.mask is None else np.flatnonzero(state.mask)
         if isinstance(phi, ActsPhi):
-            self._search = ActsSearch(exists, phi.m, force_threshold(state.sigma_end, state.f_max))
+            threshold = force_threshold(state.sigma_end, state.f_max)
+            self._search = ActsSearch(state.skin.exists, phi.m, threshold)
         self._choice = AdaptiveChoice(phi) if isinstance(phi, AdaptivePhi) else None
+        chosen = block_and_rule(s.rows, s.block)
         return PhiState(
             stamp_ns=stamp_ns,
             patch=s.patch,
@@ -236,7 +247,7 @@ class Compressor(Node[CompressorSettings]):
             m=phi.m,
             block=block_of(s.phi, chosen["block"]),
             seed=s.seed,
-            fingerprint=subsets[0].fingerprint,
+            fingerprint=phi.fingerprint,
             rows=rows,
             rule=chosen["rule"],
         )

@@ -1,0 +1,210 @@
+"""Compression and reconstruction of a stream of frames, one call a frame."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from sparseskin.messages.errors import MessageError
+from sparseskin.messages.ranges import is_whole
+from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
+from sparseskin.nodes.compressor.node import CHOSEN_ANEW, CompressorSettings
+from sparseskin.nodes.compressor.phi.rotation import RATIO
+from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.limits import check_lambda
+from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
+from sparseskin.nodes.reconstructor.solvers.base import (
+    Solver,
+    estimated_error,
+    make_rotating_solver,
+    newtons,
+)
+
+from .arrays import Floats, Mask, warn_of_threads
+
+_NAMED = ("solver", "basis", "iterations", "lambda_n", "fast")
+"""Settings of the reconstructor that a stream takes; others are options of the solver."""
+
+
+class Stream:
+    """Compression and reconstruction of one patch, frame by frame, as a graph does them.
+
+    Frames are counted, so that each is reconstructed by the matrix that measured it. An edge and a
+    host in two programs each make a stream with the same arguments: one calls `compress` alone, the
+    other `reconstruct` alone. Use a stream in one thread.
+
+    The solver is made with the first frame that is reconstructed, which takes half a minute where
+    numba first compiles it. A loop in real time reconstructs a frame of zeros before, and calls
+    `reset`.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns of the skin.
+    mask : ndarray of bool, shape (n_rows, n_cols), optional
+        True where a taxel exists; by default everywhere.
+    phi, ratio, m, rows, block, seed
+        Settings of the compressor node, with its defaults: rows rotate where they can.
+    preset : str
+        "skin" or "paper": settings of the reconstructor node.
+    noise_sd : float
+        Standard deviation of the noise of an untouched taxel, newtons; 0: not known.
+    f_max : float
+        Upper end of the range of a taxel, newtons.
+    **settings
+        In place of the preset's: solver, basis, iterations, lambda_n, fast; and options of the
+        solver by name, as max_iterations.
+
+    Attributes
+    ----------
+    n, m : int
+        Number of taxels that exist, and of measurements of a frame.
+    error : float or None
+        RMS error of a taxel of the last reconstructed frame as the solver estimates it, newtons,
+        where it does.
+    trusted : bool
+        False if that error is a large part of the forces; True also where it is not estimated.
+
+    Raises
+    ------
+    SparseskinError
+        If an argument is not allowed, or they do not fit.
+
+    Examples
+    --------
+    >>> import numpy as np, sparseskin
+    >>> edge, host = (sparseskin.Stream((16, 16), ratio=4) for _ in range(2))
+    >>> for k in range(3):
+    ...     y = edge.compress(np.ones((16, 16), np.float32))
+    ...     if k != 1:  # frame 1 is lost
+    ...         forces = host.reconstruct(y, k)
+    >>> y.shape, forces.shape
+    ((64,), (16, 16))
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        *,
+        mask: Mask | None = None,
+        phi: str = "sbhe",
+        ratio: float = RATIO,
+        m: int | None = None,
+        rows: str | None = None,
+        block: int | None = None,
+        seed: int = 0,
+        preset: str = "skin",
+        noise_sd: float = 0.0,
+        f_max: float = PAPER_F_MAX_N,
+        **settings: Any,
+    ) -> None:
+        if np.shape(shape) != (2,):
+            allowed = "allowed: (n_rows, n_cols)"
+            raise SparseskinError(f"stream: shape = {shape!r} is not allowed; {allowed}")
+        try:
+            self._skin = Skin(*shape, f_max, mask=None if mask is None else np.array(mask))
+        except MessageError as error:
+            raise SparseskinError(f"stream: {error}") from error
+        if phi in CHOSEN_ANEW:
+            raise PhiError(
+                f'stream: phi "{phi}" chooses rows by what it reads, and measurements alone do not '
+                "state which; allowed: other kinds, or a graph"
+            )
+        edge = CompressorSettings(phi=phi, ratio=ratio, m=m, rows=rows, block=block, seed=seed)
+        edge.check()
+        self._phis = edge.phis(self._skin)
+        self.n, self.m = self._phis[0].n, self._phis[0].m
+        self._noise_sd = newtons("stream", "noise_sd", noise_sd)
+        options = {name: value for name, value in settings.items() if name not in _NAMED}
+        stated = {name: value for name, value in settings.items() if name in _NAMED}
+        self._host = ReconstructorSettings(phi=phi, preset=preset, options=options, **stated)
+        self._host.check()
+        self._host.check_phi(phi)
+        self._n_compressed = self._n_reconstructed = 0
+        self.error: float | None = None
+        self.trusted = True
+
+    @cached_property
+    def _solver(self) -> Solver:
+        """The solver, made when it is first used: an edge needs none."""
+        chosen, skin, phi = dict(self._host.chosen()), self._skin, self._phis[0]
+        name, basis = chosen.pop("solver"), make_basis(chosen.pop("basis"), *skin.shape)
+        if name == "skin":
+            warn_of_threads()
+        if "lambda_n" in chosen:
+            chosen["lambda_n"] *= skin.f_max / PAPER_F_MAX_N
+            check_lambda(name, chosen["lambda_n"], skin.f_max, phi)
+        fast = self._host.fast
+        solver = make_rotating_solver(name, self._phis, basis, skin.mask, fast=fast, **chosen)
+        solver.noise_sd = self._noise_sd
+        return solver
+
+    def compress(self, frame: Floats) -> Floats:
+        """Measure the next frame.
+
+        Parameters
+        ----------
+        frame : ndarray of float32, shape (n_rows, n_cols)
+            Readings, newtons.
+
+        Returns
+        -------
+        ndarray of float32, shape (m,)
+            Measurements, newtons.
+
+        Raises
+        ------
+        SparseskinError
+            If the frame has another shape; it is not counted.
+        """
+        forces = np.asarray(frame, dtype=np.float32)
+        if forces.shape != self._skin.shape:
+            expected = f"expected {self._skin.shape}"
+            raise SparseskinError(f"stream: the frame has shape {forces.shape}; {expected}")
+        phi = self._phis[self._n_compressed % len(self._phis)]
+        self._n_compressed += 1
+        return phi.forward(forces[self._skin.exists])
+
+    def reconstruct(self, y: Floats, k: int | None = None) -> Floats:
+        """Reconstruct a frame, from what the frames before it left.
+
+        Parameters
+        ----------
+        y : ndarray of float32, shape (m,)
+            Measurements, newtons.
+        k : int, optional
+            Number of the frame among those compressed, from 0: state it where frames may be lost.
+            By default the one after the last frame of this call.
+
+        Returns
+        -------
+        ndarray of float32, shape (n_rows, n_cols)
+            Forces, newtons, 0 or more; 0 where no taxel exists.
+
+        Raises
+        ------
+        SolverError
+            If `k` is not allowed, or the measurements have another shape or are not finite; such
+            measurements count as a frame.
+        """
+        if k is None:
+            k = self._n_reconstructed
+        if not is_whole(k, 0):
+            allowed = "allowed: a whole number, 0 or more"
+            raise SolverError(f"stream: k = {k!r} is not allowed; {allowed}")
+        self._n_reconstructed = int(k) + 1
+        if len(self._phis) > 1:
+            self._solver.use(self._phis[k % len(self._phis)])
+        forces = self._solver.solve(y)
+        self.error, self.trusted = estimated_error(self._solver)
+        return forces
+
+    def reset(self) -> None:
+        """Forget all frames: the next one is number 0."""
+        self._n_compressed = self._n_reconstructed = 0
+        self.error, self.trusted = None, True
+        if "_solver" in vars(self):
+            self._solver.reset()

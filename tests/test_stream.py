@@ -1,0 +1,150 @@
+"""Compression and reconstruction one frame a call, with the defaults of a graph."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sparseskin
+from sparseskin import Stream
+from sparseskin.messages.state import CLIP_SD
+from sparseskin.nodes.errors import SolverError, SparseskinError
+from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
+
+FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
+
+
+@pytest.mark.parametrize(
+    ("settings", "chosen"),
+    [
+        ([], {}),
+        (["reconstructor.preset=paper"], {"preset": "paper"}),
+        (
+            ["compressor.rows=paper", "compressor.ratio=4", "reconstructor.preset=paper"],
+            {"rows": "paper", "ratio": 4, "preset": "paper"},
+        ),
+        (["compressor.phi=gaussian", "compressor.seed=2"], {"phi": "gaussian", "seed": 2}),
+        (["reconstructor.options.max_iterations=9"], {"max_iterations": 9}),
+        (
+            ["reconstructor.solver=fista", "reconstructor.lambda_n=0.01"],
+            {"solver": "fista", "lambda_n": 0.01},
+        ),
+    ],
+)
+def test_a_stream_has_the_bits_and_defaults_of_a_graph(
+    settings: list[str], chosen: dict[str, Any]
+) -> None:
+    stream = Stream((40, 40), noise_sd=PAPER_SIGMA_END_N * CLIP_SD, **chosen)
+    for frame in sparseskin.run_launch("lift_box_40", 325, settings):
+        y = stream.compress(frame.taxels)
+        np.testing.assert_array_equal(y, frame.measurements)
+        np.testing.assert_array_equal(stream.reconstruct(y), frame.forces)
+        assert (stream.error, stream.trusted) == (frame.error, frame.trusted)
+    assert (stream.n, stream.m) == (1600, y.size)
+
+
+def test_lambda_is_scaled_with_the_range_as_in_a_graph(tmp_path: Path) -> None:
+    np.save(tmp_path / "log.npy", 40 * FRAMES)
+    sensor = [f"source=file:{tmp_path}/log.npy", "rate_hz=100", "unit=N", "f_max=40"]
+    settings = [f"sensor.{one}" for one in sensor] + ["reconstructor.preset=paper"]
+    stream = Stream((8, 8), f_max=40, preset="paper")
+    for frame in sparseskin.run_launch("replay", 7, settings):
+        forces = stream.reconstruct(stream.compress(frame.taxels))
+        np.testing.assert_array_equal(forces, frame.forces)
+
+
+def test_a_masked_skin_is_that_of_the_arrays() -> None:
+    mask = np.ones((8, 8), np.bool_)
+    mask[:2, 3:] = False
+    stream = Stream((8, 8), mask=mask, m=18, rows="rotating", preset="paper")
+    phi = sparseskin.make_phi("sbhe", n=54, m=18, seed=0)
+    basis = sparseskin.make_basis("haar", 8, 8)
+    solver = sparseskin.make_solver(
+        "fista", phi, basis, mask, rows="rotating", iterations=30, lambda_n=0.003125
+    )
+    y = sparseskin.compress(FRAMES, phi, mask, rows="rotating")
+    found = [stream.compress(frame) for frame in FRAMES]
+    np.testing.assert_array_equal(found, y)
+    expected = sparseskin.reconstruct(y, solver)
+    np.testing.assert_array_equal([stream.reconstruct(one) for one in found], expected)
+    stream.reset()
+    np.testing.assert_array_equal([stream.reconstruct(one) for one in found], expected)
+    np.testing.assert_array_equal(stream.compress(FRAMES[0]), y[0])
+
+
+@pytest.mark.parametrize("preset", ["skin", "paper"])
+def test_frames_that_are_lost_do_not_mix_up_row_subsets(preset: str) -> None:
+    """An edge and a host, which lose frames 2, 3 and 5."""
+    edge, host = Stream((8, 8), preset=preset), Stream((8, 8), preset=preset)
+    y = [edge.compress(frame) for frame in FRAMES]
+    kept = (0, 1, 4, 6)
+    phi, basis = sparseskin.make_phi("sbhe", 64, 22, 0), sparseskin.make_basis("haar", 8, 8)
+    name, stated = {
+        "skin": ("skin", {}),
+        "paper": ("fista", {"iterations": 30, "lambda_n": 0.003125}),
+    }[preset]
+    solver = sparseskin.make_solver(name, phi, basis, rows="rotating", **stated)
+    for k in kept:
+        solver.use(solver.subsets[k % 3])
+        np.testing.assert_array_equal(host.reconstruct(y[k], k), solver.solve(y[k]))
+    # The number is counted from the stated one on.
+    host.reset()
+    solver.reset()
+    host.reconstruct(y[4], 4)
+    again = host.reconstruct(y[5])
+    for k in (4, 5):
+        solver.use(solver.subsets[k % 3])
+        expected = solver.solve(y[k])
+    np.testing.assert_array_equal(again, expected)
+
+
+def test_refused_measurements_count_as_a_frame_and_a_frame_of_another_shape_does_not() -> None:
+    stream, other = Stream((8, 8)), Stream((8, 8))
+    y = [other.compress(frame) for frame in FRAMES]
+    with pytest.raises(SparseskinError, match=r"^stream: the frame has shape \(7, 8, 8\); exp"):
+        stream.compress(FRAMES)
+    np.testing.assert_array_equal(stream.compress(FRAMES[0]), y[0])
+    with pytest.raises(SolverError, match="measurement 0 is nan"):
+        stream.reconstruct(np.full(22, np.nan, np.float32))
+    with pytest.raises(SolverError, match=r"y has shape \(21,\)"):
+        stream.reconstruct(y[1][1:], 0)
+    np.testing.assert_array_equal(stream.reconstruct(y[1]), other.reconstruct(y[1], 1))
+
+
+@pytest.mark.parametrize("k", [-1, 2.0, True, "1"])
+def test_a_number_of_a_frame_that_is_none_is_refused(k: Any) -> None:
+    with pytest.raises(SolverError, match=r"^stream: k = .* is not allowed; allowed: a whole"):
+        Stream((8, 8)).reconstruct(np.zeros(22, np.float32), k)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ({"shape": 8}, "stream: shape = 8 is not allowed; allowed: (n_rows, n_cols)"),
+        ({"shape": (8, 0)}, "skin: n_cols = 0 is outside 1.."),
+        ({"shape": (8, 8.5)}, "skin: n_cols = 8.5 is outside 1.."),
+        ({"mask": np.ones((8, 7), np.bool_)}, "skin: the mask is bool [8, 7], expected bool"),
+        ({"mask": [[1] * 8] * 8}, "skin: the mask is int64 [8, 8], expected bool [8, 8]"),
+        ({"f_max": 0}, "skin: f_max = 0 must be finite and above 0"),
+        ({"noise_sd": -1.0}, "stream: noise_sd = -1.0 is not allowed"),
+        ({"phi": "adaptive"}, 'stream: phi "adaptive" chooses rows by what it reads'),
+        ({"phi": "gausian"}, 'phi: phi "gausian" is not known (did you mean'),
+        ({"ratio": 100}, "ratio: 100 leaves no measurement of 64 taxels"),
+        ({"rows": "turning"}, "rows: 'turning' is not allowed"),
+        ({"phi": "gaussian", "rows": "rotating"}, 'rows: "rotating" is not allowed for phi'),
+        ({"m": 65}, "phi: m = 65 is not allowed; allowed: 1..64"),
+        ({"preset": "paperr"}, "preset: 'paperr' is not known (did you mean 'paper'?)"),
+        ({"solver": "fist"}, 'solver: solver "fist" is not known (did you mean'),
+        ({"iterations": 0}, "iterations: 0 is outside 1..1000"),
+        ({"max_iteration": 9}, "options.max_iteration: is no option of solver skin"),
+        ({"preset": "paper", "max_iterations": 9}, "options.max_iterations: is no option"),
+    ],
+)
+def test_an_argument_that_is_not_allowed_is_one_line(arguments: dict[str, Any], line: str) -> None:
+    with pytest.raises(SparseskinError) as refused:
+        Stream(**{"shape": (8, 8), **arguments})
+    assert line in str(refused.value)
+    assert "\n" not in str(refused.value)
