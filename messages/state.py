@@ -135,9 +135,10 @@ class Calibration(Message):
 class PhiState(Message):
     """The measurement matrix Phi in use: its parameters, and its fingerprint to check them.
 
-    `rows` "rotating": frames cycle through several row subsets of the same W, `m` rows each. The
-    fingerprint is that of the first; each frame's measurements carry that of their own. `rule` is
-    that by which the rows were chosen, see `SbhePhi`; messages without it are of rule 1.
+    `rows` "rotating": frames cycle through several row subsets of the same W, `m` rows each, or
+    through the matrices of a file. The fingerprint is that of the first; each frame's measurements
+    carry that of their own. `rule` is that by which the rows were chosen, see `SbhePhi`; messages
+    without it are of rule 1.
     """
 
     schema: ClassVar[str] = "phi"

@@ -57,8 +57,8 @@ class CompressorSettings(PatchesSettings):
         "measurement matrix: sbhe, full, subsample, gaussian, acts (taxels chosen anew in each "
         "frame, for the solver interpolation), adaptive (rows where forces changed, chosen anew in "
         "each frame, for the solver skin), row_local (columns of a row summed), local:SIDE "
-        "(sbhe within neighbourhoods of SIDE x SIDE taxels), file:PHI.npz (a sparse matrix) or "
-        "module:Class",
+        "(sbhe within neighbourhoods of SIDE x SIDE taxels), file:PHI.npz (a sparse matrix, "
+        "or a stack of matrices that measure frames in turn) or module:Class",
         known=KINDS,
         decides=True,
     )
@@ -80,7 +80,7 @@ class CompressorSettings(PatchesSettings):
         "rows of the measurement matrix: fixed, the same M in every frame; rotating, another "
         "subset of M in each of N / M frames, rounded up, which together read all rows; or paper, "
         "fixed and drawn at random from blocks of 32; by default rotating where they can (phi sbhe "
-        "or subsample, M in N / 64 .. N - 1), else fixed",
+        "or subsample, M in N / 64 .. N - 1; a file with a stack of matrices), else fixed",
         choices=(*ROWS, PAPER),
         live=True,
     )

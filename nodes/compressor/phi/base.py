@@ -246,8 +246,8 @@ def make_phi(
         (single taxels), "gaussian" (dense), "acts" (single taxels, chosen anew in each frame),
         "adaptive" (rows of a quad tree, chosen anew in each frame), "row_local" (columns of a row
         summed), "local:SIDE" (sbhe within neighbourhoods of SIDE x SIDE taxels), "file:PHI.npz" (a
-        sparse matrix), or "module:Class" for your own, with the constructor and the interface of
-        `Phi`.
+        sparse matrix, or a stack of matrices), or "module:Class" for your own, with the constructor
+        and the interface of `Phi`.
     n, m, seed : int
         As in `Phi`.
     block : int, optional

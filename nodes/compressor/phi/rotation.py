@@ -49,7 +49,7 @@ def rows_and_m(
         Number of taxels.
     rows : str, optional
         "fixed" or "rotating"; "paper" is fixed. By default rotating where the rows of that kind
-        can rotate and M is in N / 64 .. N - 1; else fixed.
+        can rotate and M is in N / 64 .. N - 1, and for a file with a stack of matrices; else fixed.
     m : int, optional
         M, in place of `ratio`.
     ratio : float
@@ -65,13 +65,14 @@ def rows_and_m(
     if kind == "full":
         return rows or FIXED, n
     if kind.startswith(STORED) and m is None:
-        from .stored import load_matrix
+        from .stored import load_matrices
 
-        return rows or FIXED, load_matrix(kind.removeprefix(STORED))[3][0]
+        m = load_matrices(kind.removeprefix(STORED))[0][3][0]
     if rows is None:
-        rotating_m = m_of(n, ratio, ROTATING) if m is None else m
-        in_turn = rotating_m < n <= MAX_SUBSETS * rotating_m
         made_by = phi_class(kind)
+        rotating_m = m_of(n, ratio, ROTATING) if m is None else m
+        # A file that can rotate is one with several matrices, of whatever size.
+        in_turn = kind.startswith(STORED) or rotating_m < n <= MAX_SUBSETS * rotating_m
         rows = ROTATING if in_turn and isinstance(made_by, type) and can_rotate(made_by) else FIXED
     return rows, m_of(n, ratio, rows) if m is None else m
 
@@ -145,8 +146,8 @@ class RotatingPhi(Phi):
 def row_subsets(phi: Phi, rows: str) -> list[Phi]:
     """Return the matrices that successive frames are measured by.
 
-    `rows` is "fixed": phi alone; or "rotating": P = ceil(n / m) matrices of m rows each. They
-    share their work arrays: use all of them in one thread.
+    `rows` is "fixed": phi alone; or "rotating": P = ceil(n / m) matrices of m rows each, or those
+    of a file. They share their work arrays: use all of them in one thread.
 
     Raises
     ------

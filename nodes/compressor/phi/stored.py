@@ -1,8 +1,9 @@
-"""A sparse measurement matrix from a file, for hardware that exists."""
+"""Measurement matrices from a file, for hardware that exists."""
 
 from __future__ import annotations
 
 import functools
+from copy import copy
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,10 +13,11 @@ import numpy.typing as npt
 
 from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
+from sparseskin.nodes.numerics.array_files import ArrayFileError, is_npz, read_npy, read_npz
 from sparseskin.nodes.numerics.arrays import Floats
 
 from .base import BLOCK, Phi, fingerprint_of
+from .rotation import MAX_SUBSETS
 
 MAX_FILE_BYTES = 1 << 28
 """Largest file that is read."""
@@ -30,18 +32,24 @@ diverges where it is 4/3 of `lipschitz`."""
 _NAMES = ("indices", "indptr", "data", "shape", "format")
 
 
+Loaded = tuple[
+    npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.float32], tuple[int, int]
+]
+
+
 class StoredPhi(Phi):
     """Phi as a file states it; the seed and the block size are not used.
 
     Attributes
     ----------
     path : str
-        An .npz as `scipy.sparse.save_npz` writes a matrix in format "csr" of shape (m, n).
+        An .npz as `scipy.sparse.save_npz` writes a matrix in format "csr" of shape (m, n); or an
+        .npy, or an .npz with one array, of shape (k, m, n): a stack of k matrices.
 
     Raises
     ------
     PhiError
-        If the file is missing, too large, no such archive, or not a matrix of m x n finite numbers
+        If the file is missing, too large, no such file, or not of matrices of m x n finite numbers
         with an entry in each row; and as in `Phi`.
     """
 
@@ -50,15 +58,20 @@ class StoredPhi(Phi):
     @classmethod
     def check_size(cls, n: int, m: int, seed: int, block: int) -> None:
         super().check_size(n, m, seed, block)
-        shape = load_matrix(cls.path)[3]
+        shape = load_matrices(cls.path)[0][3]
         if shape != (m, n):
             raise PhiError(f"{cls.path}: is {shape[0]} x {shape[1]}; expected m x n = {m} x {n}")
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
-        self._columns, starts, self._data, _ = load_matrix(self.path)
-        self._rows = np.repeat(np.arange(m), np.diff(starts))
-        self.fingerprint = fingerprint_of("file", n, m, 1, self._columns, starts, self._data)
+        self._keep(load_matrices(self.path)[0])
+
+    def _keep(self, matrix: Loaded) -> None:
+        """Measure by this matrix."""
+        self._columns, starts, self._data, _ = matrix
+        self._rows = np.repeat(np.arange(self.m), np.diff(starts))
+        arrays = self._columns, starts, self._data
+        self.fingerprint = fingerprint_of("file", self.n, self.m, 1, *arrays)
 
     @cached_property
     def lipschitz(self) -> float:
@@ -98,13 +111,25 @@ class StoredPhi(Phi):
         return np.asarray(np.bincount(self._columns, self._data * y[self._rows], self.n), float)
 
 
-Loaded = tuple[
-    npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.float32], tuple[int, int]
-]
+class StackedPhi(StoredPhi):
+    """Phi of a file with a stack of matrices, which measure successive frames in turn."""
+
+    def row_subsets(self) -> list[Phi]:
+        """Return the matrices of the file, in order."""
+        matrices = load_matrices(self.path)
+        twins = [copy(self) for _ in matrices]
+        for twin, matrix in zip(twins, matrices, strict=True):
+            vars(twin).pop("lipschitz", None)
+            twin._keep(matrix)
+        # A solver has one step size for all of them.
+        largest = max(twin.lipschitz for twin in twins)
+        for twin in twins:
+            twin.lipschitz = largest
+        return list(twins)
 
 
-def load_matrix(path: str) -> Loaded:
-    """Read and check a sparse matrix: columns, starts of the rows, entries, and its shape.
+def load_matrices(path: str) -> tuple[Loaded, ...]:
+    """Read and check the matrices of a file: columns, starts of the rows, entries, and shape each.
 
     Raises
     ------
@@ -123,16 +148,45 @@ def load_matrix(path: str) -> Loaded:
 
 
 @functools.lru_cache(maxsize=4)
-def _load(path: str, _of: tuple[int, int, int]) -> Loaded:
+def _load(path: str, _of: tuple[int, int, int]) -> tuple[Loaded, ...]:
     """As above, of one form of the file."""
     try:
         raw = Path(path).read_bytes()
-        wanted = read_npz(raw, lambda names: [n for n in names if n in _NAMES], MAX_ARRAY_BYTES)
-        return _checked(wanted)
+        arrays = read_npz(raw, _wanted, MAX_ARRAY_BYTES) if is_npz(raw) else {"": read_npy(raw)}
+        if len(arrays) == 1 and not arrays.keys() & set(_NAMES):
+            (stack,) = arrays.values()
+            return _checked_stack(stack)
+        return (_checked(arrays),)
     except OSError as error:
         raise PhiError(f"{path}: cannot be read: {error.strerror}") from error
     except (ArrayFileError, PhiError) as error:
         raise PhiError(f"{path}: {error}") from error
+
+
+def _wanted(names: list[str]) -> list[str]:
+    """Names of the arrays to read: an only one, or those of `scipy.sparse.save_npz`."""
+    return names if len(names) == 1 else [name for name in names if name in _NAMES]
+
+
+def _checked_stack(stack: npt.NDArray[np.generic]) -> tuple[Loaded, ...]:
+    if stack.ndim != 3 or stack.dtype.kind not in "iufb":
+        raise PhiError(
+            f"one array, {stack.dtype} of {stack.ndim} dimensions; expected numbers of 3, "
+            "(k, m, n), or a file of scipy.sparse.save_npz"
+        )
+    k, m, n = stack.shape
+    if not (1 <= k <= MAX_SUBSETS and 1 <= m <= n <= MAX_ELEMENTS):
+        allowed = f"allowed: 1..{MAX_SUBSETS} of 1 <= m <= n <= {MAX_ELEMENTS}"
+        raise PhiError(f"{k} matrices of {m} x {n}; {allowed}")
+    made = []
+    for number, matrix in enumerate(stack):
+        rows, columns = np.nonzero(matrix)
+        starts = np.searchsorted(rows, np.arange(m + 1)).astype(np.int32)
+        try:
+            made.append(_finished(columns, starts, matrix[rows, columns], (m, n)))
+        except PhiError as error:
+            raise PhiError(f"matrix {number}: {error}") from error
+    return tuple(made)
 
 
 def _checked(arrays: dict[str, npt.NDArray[np.generic]]) -> Loaded:
@@ -159,19 +213,29 @@ def _checked(arrays: dict[str, npt.NDArray[np.generic]]) -> Loaded:
         raise PhiError("indptr: expected an entry in each row")
     if not ((indices >= 0) & (indices < n)).all():  # type: ignore[operator]
         raise PhiError(f"indices: expected columns in 0..{n - 1}")
+    return _finished(indices, indptr.astype(np.int32), data, (m, n))
+
+
+def _finished(
+    columns: npt.NDArray[Any],
+    starts: npt.NDArray[np.int32],
+    data: npt.NDArray[Any],
+    shape: tuple[int, int],
+) -> Loaded:
+    """A matrix of these entries, which are checked."""
     with np.errstate(all="ignore"):
         entries = data.astype(np.float32)
     if not (np.abs(entries) <= MAX_ENTRY).all():
         raise PhiError(f"data: expected finite numbers of at most {MAX_ENTRY:g}")
-    starts = indptr.astype(np.int32)
-    if not (np.add.reduceat(np.abs(entries), starts[:-1]) > 0).all():
+    row = np.repeat(np.arange(shape[0]), np.diff(starts))
+    if not (np.bincount(row, np.abs(entries), shape[0]) > 0).all():
         raise PhiError("data: a row holds zeros alone")
     for array in (entries, starts):
         array.setflags(write=False)
-    return indices.astype(np.int32), starts, entries, (m, n)
+    return columns.astype(np.int32), starts, entries, shape
 
 
 def stored_class(path: str) -> type[StoredPhi]:
     """Return the class of a kind "file:PATH", whose file is checked; Raises as the class."""
-    load_matrix(path)
-    return type("StoredPhi", (StoredPhi,), {"kind": f"file:{path}", "path": path})
+    base = StackedPhi if len(load_matrices(path)) > 1 else StoredPhi
+    return type(base.__name__, (base,), {"kind": f"file:{path}", "path": path})

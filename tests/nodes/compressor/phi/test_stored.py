@@ -14,13 +14,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from matrices import assert_operators
 
+from sparseskin import Stream, psnr_db, run_launch
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.messages import Measurements, PhiState, Reconstruction
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi import stored
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.compressor.phi.rotation import rows_and_m
+from sparseskin.nodes.compressor.phi.rotation import row_subsets, rows_and_m
 from sparseskin.nodes.errors import PhiError
 
 
@@ -151,6 +152,67 @@ def test_damaged_bytes_are_refused_by_a_line_or_are_a_matrix(
     assert "\n" not in line
 
 
+def stack_of(k: int, m: int, n: int) -> Any:
+    return np.stack([(1 + one) * matrix_of(m, n, one).toarray() for one in range(k)])
+
+
+def saved(path: Path, stack: Any) -> Path:
+    """The file of a stack, in the form that its name states."""
+    if path.suffix == ".npz":
+        np.savez_compressed(path, stack)
+    else:
+        np.save(path, stack)
+    return path
+
+
+@pytest.mark.parametrize("name", ["phi.npz", "phi.npy"])
+def test_the_matrices_of_a_stack_measure_frames_in_turn(name: str, tmp_path: Path) -> None:
+    stack = stack_of(3, 5, 13)
+    path = saved(tmp_path / name, stack)
+    kind = f"file:{path}"
+    assert rows_and_m(kind, 13) == ("rotating", 5)
+    assert rows_and_m(kind, 13, rows="fixed") == ("fixed", 5)
+    phi = make_phi(kind, 13, 5, 0)
+    subsets = row_subsets(phi, "rotating")
+    for one, matrix in zip(subsets, stack, strict=True):
+        assert_operators(one)
+        np.testing.assert_array_equal(one.dense(), matrix)
+        largest = np.linalg.eigvalsh(matrix.astype(float) @ matrix.T)[-1]
+        assert one.lipschitz == subsets[0].lipschitz >= largest
+    assert len({one.fingerprint for one in subsets}) == 3
+    assert phi.fingerprint == subsets[0].fingerprint
+    single = tmp_path / "single.npz"
+    scipy.sparse.save_npz(single, scipy.sparse.csr_matrix(stack[1]))
+    assert make_phi(f"file:{single}", 13, 5, 0).fingerprint == subsets[1].fingerprint
+    saved(path, stack[:1])
+    assert rows_and_m(kind, 13) == ("fixed", 5)
+    with pytest.raises(PhiError, match='"rotating" is not allowed for phi'):
+        row_subsets(make_phi(kind, 13, 5, 0), "rotating")
+
+
+@pytest.mark.parametrize(
+    ("stack", "line"),
+    [
+        (np.ones((4, 6)), "one array, float64 of 2 dimensions; expected numbers of 3, (k, m, n)"),
+        (np.ones((2, 4, 6), np.complex64), "one array, complex64 of 3 dimensions"),
+        (np.ones((0, 4, 6)), "0 matrices of 4 x 6; allowed: 1..64 of 1 <= m <= n"),
+        (np.ones((65, 1, 1)), "65 matrices of 1 x 1; allowed: 1..64"),
+        (np.ones((2, 6, 4)), "2 matrices of 6 x 4; allowed"),
+        (np.stack([np.ones((4, 6)), np.full((4, 6), np.nan)]), "matrix 1: data: expected"),
+        (np.stack([np.ones((4, 6)), np.zeros((4, 6))]), "matrix 1: data: a row holds zeros alone"),
+        (np.ones((2, 4, 7)), "is 4 x 7; expected m x n = 4 x 6"),
+    ],
+)
+@pytest.mark.parametrize("name", ["phi.npz", "phi.npy"])
+def test_an_array_that_is_no_stack_is_refused_with_its_name(
+    stack: Any, line: str, name: str, tmp_path: Path
+) -> None:
+    path = saved(tmp_path / name, stack)
+    with pytest.raises(PhiError) as refused:
+        make_phi(f"file:{path}", 6, 4, 0)
+    assert str(refused.value).startswith(f"{path}: {line}")
+
+
 def test_another_size_is_refused_before_the_start(tmp_path: Path) -> None:
     path = tmp_path / "phi.npz"
     scipy.sparse.save_npz(path, matrix_of(4, 6))
@@ -176,6 +238,27 @@ def test_a_graph_measures_and_reconstructs_by_a_file(tmp_path: Path) -> None:
     announced: Any = bus.hosts["reconstructor"].node
     assert isinstance(announced._announced, PhiState)
     assert announced._announced.kind == f"file:{path}"
+
+
+@pytest.mark.parametrize("solver", ["skin", "fista"])
+def test_a_graph_and_a_stream_measure_by_a_stack_in_turn(solver: str, tmp_path: Path) -> None:
+    source = row_subsets(make_phi("sbhe", 1600, 534, 0, block=32), "rotating")
+    stack = np.stack([one.dense().astype(np.float32) for one in source])
+    kind = f"file:{saved(tmp_path / 'phi.npz', stack)}"
+    press = np.zeros((9, 40, 40), np.float32)
+    press[:, 10:18, 12:24] = 0.8
+    np.save(tmp_path / "press.npy", press)
+    chosen = [f"{node}.phi={kind}" for node in ("compressor", "reconstructor")]
+    chosen += [f"sensor.source=file:{tmp_path}/press.npy", "sensor.unit=N", "sensor.rate_hz=100"]
+    frames = run_launch("replay", 9, [*chosen, f"reconstructor.solver={solver}"])
+    stream = Stream((40, 40), phi=kind, solver=solver)
+    for k, frame in enumerate(frames):
+        assert frame.taxels is not None
+        y = stack[k % 3] @ frame.taxels.reshape(-1)
+        np.testing.assert_allclose(frame.measurements, y, atol=1e-5)
+        found = stream.reconstruct(stream.compress(frame.taxels))
+        np.testing.assert_array_equal(found, frame.forces)
+    assert psnr_db(found, press[-1]) > 40
 
 
 def test_a_file_that_only_a_message_names_is_not_opened(tmp_path: Path) -> None:
