@@ -783,9 +783,9 @@ def tiled_image(w: A, order: A, grid: A, v: A, scratch: A, image: A) -> None:
 
 
 @compiled()
-def stands_out(w: A, numbers: A) -> bool:
-    """True if something stands out of the noise of a window of 12 x 12, as `is_busy`."""
-    whole = np.float32(0)
+def standing_out(w: A, numbers: A) -> Any:
+    """Part of a window of 12 x 12 that counts, as in `gates`; numbers: from place 7 on."""
+    most, whole = np.float32(0), np.float32(0)
     for top in range(0, 144, 72):
         for left in range(0, 12, 6):
             sixth = np.float32(0)
@@ -793,15 +793,15 @@ def stands_out(w: A, numbers: A) -> bool:
                 third = np.float32(0)
                 for i in range(at, at + 36, 12):
                     third += w[i] + w[i + 1] + w[i + 2]
-                    if max(w[i], w[i + 1], w[i + 2]) > numbers[7]:
-                        return True
-                if third > 3 * numbers[8]:
-                    return True
+                    most = max(most, max(w[i], w[i + 1], w[i + 2]) / np.float32(numbers[7]))
+                most = max(most, third / np.float32(3 * numbers[8]))
                 sixth += third
-            if sixth > 6 * numbers[9]:
-                return True
+            most = max(most, sixth / np.float32(6 * numbers[9]))
             whole += sixth
-    return bool(whole > 12 * numbers[10])
+    most = max(most, whole / np.float32(12 * numbers[10]))
+    return min(
+        max((most - np.float32(1)) / np.float32(numbers[11] - 1), np.float32(0)), np.float32(1)
+    )
 
 
 @compiled(f"void({V}, {G}, {V})")
@@ -814,20 +814,21 @@ def orthonormal(v: A, groups: A, scale: A) -> None:
 
 @compiled(
     f"float64({V}, {V}, {V}, {V}, {L}, {V}, {G}, {V}, {V}, {P2}, {P}, {V}, "
-    f"{M}, {M}, {V}, {M}, {V}, {M}, {V}, {D}, {M}, {M}, {M}, {M}, {M}, {M}, {M}, {L})",
+    f"{M}, {M}, {V}, {M}, {V}, {M}, {V}, {D}, {M}, {M}, {M}, {M}, {M}, {M}, {M}, {V}, {L})",
     sums_in_any_order=True,
 )
 def gated_step(
     z: A, x: A, target: A, variance: A, read: A, off_target: A, groups: A, scale: A, v: A,
     windows: A, back: A, share: A,
     filters: A, hidden: A, hidden_0: A, gates: A, gates_0: A, synthesis: A, error: A, numbers: A,
-    w: A, a: A, levels: A, h: A, g: A, out: A, tiles: A, busy: A,
+    w: A, a: A, levels: A, h: A, g: A, out: A, tiles: A, parts: A, busy: A,
 ) -> float:  # fmt: skip
     """A step of `SkinSolver`: z and x become the next ones; return the expected squared error.
 
     v has a place more than z. Matrices are transposed; those of the last line are scratch.
     numbers: read noise, floor, least tau, most alpha, damping, the constant of the error, that of a
-    tile in which nothing stands out, `STANDS_OUT`; the last becomes the mean squared residual of z.
+    tile in which nothing stands out, those of `standing_out`; the last becomes the mean squared
+    residual of z.
     """
     n, n_tiles, k = z.size, windows.shape[0], filters.shape[1]
     one, none, four = np.float32(1), np.float32(0), np.float32(4)
@@ -841,7 +842,7 @@ def gated_step(
         rho += np.float64(r) ** 2
         residual2 += np.float64(r + off_target[i]) ** 2
     rho /= read.size
-    numbers[11] = residual2 / read.size
+    numbers[12] = residual2 / read.size
     tau = np.float32(max(rho - numbers[0], numbers[2] * rho) + numbers[1])
     weight = 0.0
     for p in range(n):
@@ -861,8 +862,9 @@ def gated_step(
     for t in range(n_tiles):
         for j in range(w.shape[1]):
             w[n_busy, j] = v[windows[t, j]]
-        if stands_out(w[n_busy], numbers):
-            busy[n_busy] = t
+        part = standing_out(w[n_busy], numbers)
+        if part > 0:
+            busy[n_busy], parts[n_busy] = t, part
             n_busy += 1
         else:
             tiles[t] = none
@@ -891,7 +893,8 @@ def gated_step(
             logarithm = numbers[5]
             for j in range(h.shape[1]):
                 logarithm += h[b, j] * error[j]
-            expected += share[busy[b]] * np.exp(min(max(logarithm, -12.0), 0.0))
+            e = np.exp(min(max(logarithm, -12.0), 0.0))
+            expected += share[busy[b]] * (numbers[6] + parts[b] * (e - numbers[6]))
             passed = min(max(g[b, k] + gates_0[k], none), one)
             g[b, k] = passed
             for j in range(k):
@@ -901,7 +904,8 @@ def gated_step(
             for i in range(8):
                 for j in range(8):
                     inner = g[b, k] * w[b, 12 * (i + 2) + j + 2]
-                    tiles[busy[b], 8 * i + j] = s * max(out[b, 8 * i + j] + inner, none)
+                    tile = max(out[b, 8 * i + j] + inner, none)
+                    tiles[busy[b], 8 * i + j] = s * parts[b] * tile
     flat = tiles.reshape(-1)
     alpha, damping = np.float32(min(expected, numbers[3])), np.float32(numbers[4])
     more = one / (one - alpha)

@@ -8,7 +8,7 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.kernels import gated_step
 
-from .gates import QUIET, STANDS_OUT, TILE, WINDOW, Gates, Tiles
+from .gates import CLEARLY, QUIET, STANDS_OUT, TILE, WINDOW, Gates, Tiles
 from .rows import HadamardRows
 
 
@@ -28,7 +28,9 @@ class CompiledStep:
     ) -> None:
         ready(gated_step)
         self._rows, self._tiles = rows, tiles
-        self._numbers = np.array([0.0, 0.0, *constants, gates.error_0[0], QUIET, *STANDS_OUT, 0.0])
+        self._numbers = np.array(
+            [0.0, 0.0, *constants, gates.error_0[0], QUIET, *STANDS_OUT, CLEARLY, 0.0]
+        )
         self._vectors = rows.groups, rows.scale, np.zeros(rows.n + 1, dtype=np.float32)
 
         def transposed(matrix: Floats) -> Floats:
@@ -42,6 +44,7 @@ class CompiledStep:
         widths = (WINDOW * WINDOW, k, 2 * k, h, k + 1, TILE * TILE, TILE * TILE)
         self._scratch = [
             *(np.zeros((tiles.most, width), dtype=np.float32) for width in widths),
+            np.zeros(tiles.most, dtype=np.float32),
             np.zeros(tiles.most, dtype=np.intp),
         ]
 

@@ -19,7 +19,7 @@ from sparseskin.nodes.reconstructor.oamp.gates import (
     WINDOW,
     Gates,
     Tiles,
-    is_busy,
+    standing_out,
     stored_gates,
 )
 
@@ -79,12 +79,20 @@ def test_noise_alone_is_removed_and_large_forces_are_kept() -> None:
 
 def test_windows_in_which_nothing_stands_out_are_quiet() -> None:
     noise = windows(4000) / 3
-    assert 0.01 < is_busy(noise).mean() < 0.1
+    assert 0.01 < np.mean(standing_out(noise) > 0) < 0.1
     single, square, weak = np.zeros((3, 1, WINDOW, WINDOW), dtype=np.float32)
-    single[0, 5, 5], square[0, 3:6, 6:9], weak[:] = 5, 1.5, 0.3
+    single[0, 5, 5], square[0, 3:6, 6:9], weak[:] = 6, 1.5, 0.3
     for one in (single, square, weak):
-        assert is_busy(one.reshape(1, -1))
-        assert not is_busy(one.reshape(1, -1) / 3)
+        assert standing_out(one.reshape(1, -1)) == 1
+        assert standing_out(one.reshape(1, -1) / 3) == 0
+
+
+def test_what_stands_out_grows_without_a_jump() -> None:
+    window = np.zeros((1, WINDOW * WINDOW), dtype=np.float32)
+    heights = np.linspace(3, 6, 301, dtype=np.float32)
+    parts = [float(standing_out(window + h * (np.arange(144) == 77))[0]) for h in heights]
+    assert (parts[0], parts[-1]) == (0, 1)
+    assert 0 <= np.diff(parts).min() <= np.diff(parts).max() < 0.02
 
 
 def test_forces_far_above_the_noise_stay_as_they_are() -> None:
