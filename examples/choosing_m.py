@@ -30,8 +30,9 @@ def main(out: str = "choosing_m.png") -> None:
         means, worst = [], []
         for ratio in RATIOS:
             phi = sparseskin.make_phi("sbhe", n=n, m=int(n / ratio), seed=0)
-            solver = sparseskin.make_solver(name, phi, basis)
-            reconstructed = sparseskin.reconstruct(sparseskin.compress(taxels, phi), solver)
+            solver = sparseskin.make_solver(name, phi, basis, rows="fixed")
+            measurements = sparseskin.compress(taxels, phi, rows="fixed")
+            reconstructed = sparseskin.reconstruct(measurements, solver)
             psnr = sparseskin.psnr_db(reconstructed, truth)[contact]
             means.append(psnr.mean())
             worst.append(psnr.min())

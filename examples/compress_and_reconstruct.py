@@ -14,9 +14,9 @@ def main() -> None:
 
     phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
     basis = sparseskin.make_basis("haar", 40, 40)
-    solver = sparseskin.make_solver("fista", phi, basis, iterations=30)
+    solver = sparseskin.make_solver("fista", phi, basis, iterations=30, rows="fixed")
 
-    measurements = sparseskin.compress(forces, phi)
+    measurements = sparseskin.compress(forces, phi, rows="fixed")
     reconstructed = sparseskin.reconstruct(measurements, solver)
     quality = sparseskin.psnr_db(reconstructed, forces)
     print(f"{forces.size} taxels, {measurements.size} measurements, PSNR {quality:.1f} dB")

@@ -18,10 +18,10 @@ def main(out: str = "first_contact.png") -> None:
     truth, taxels = sparseskin.simulate("lift_box_40", 420)
     phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
     basis = sparseskin.make_basis("haar", 40, 40)
-    measurements = sparseskin.compress(taxels, phi)
+    measurements = sparseskin.compress(taxels, phi, rows="fixed")
     estimates = {"all taxels": taxels}
     for name, label in (("fista", "N/3, preset paper"), ("skin", "N/3, preset skin")):
-        solver = sparseskin.make_solver(name, phi, basis)
+        solver = sparseskin.make_solver(name, phi, basis, rows="fixed")
         estimates[label] = sparseskin.reconstruct(measurements, solver)
 
     touched = truth.max(axis=(1, 2)) > 0.01

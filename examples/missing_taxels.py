@@ -16,9 +16,10 @@ def main() -> None:
     n = int(mask.sum())
     phi = sparseskin.make_phi("sbhe", n=n, m=n // 2, seed=0)
     basis = sparseskin.make_basis("haar", 24, 24)
-    solver = sparseskin.make_solver("fista", phi, basis, mask, iterations=100)
+    solver = sparseskin.make_solver("fista", phi, basis, mask, iterations=100, rows="fixed")
 
-    measurements = sparseskin.compress(forces, phi, mask)  # reads existing taxels alone
+    # Existing taxels alone are read.
+    measurements = sparseskin.compress(forces, phi, mask, rows="fixed")
     reconstructed = sparseskin.reconstruct(measurements, solver)
     assert not reconstructed[~mask].any()
     quality = sparseskin.psnr_db(reconstructed[mask][None], forces[mask][None])

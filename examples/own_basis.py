@@ -32,10 +32,10 @@ def main() -> None:
     rows, cols = np.mgrid[0:40, 0:40]
     smooth = np.exp(-((rows - 18.0) ** 2 + (cols - 22.0) ** 2) / 50).astype(np.float32)
     phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
-    measurements = sparseskin.compress(smooth, phi)
+    measurements = sparseskin.compress(smooth, phi, rows="fixed")
     for name in ("haar", "own_basis:BlockCosine"):
         basis = sparseskin.make_basis(name, 40, 40)
-        solver = sparseskin.make_solver("fista", phi, basis, iterations=100)
+        solver = sparseskin.make_solver("fista", phi, basis, iterations=100, rows="fixed")
         reconstructed = sparseskin.reconstruct(measurements, solver)
         print(f"{name}: {sparseskin.psnr_db(reconstructed, smooth):.1f} dB")
 

@@ -43,8 +43,8 @@ def main(out: str = "your_own_skin.png") -> None:
     for ratio in (2, 4, 8):
         phi = sparseskin.make_phi("sbhe", n=n, m=n // ratio, seed=0)
         basis = sparseskin.make_basis("haar", n_rows, n_cols)
-        solver = sparseskin.make_solver("skin", phi, basis)
-        forces = sparseskin.reconstruct(sparseskin.compress(taxels, phi), solver)
+        solver = sparseskin.make_solver("skin", phi, basis, rows="fixed")
+        forces = sparseskin.reconstruct(sparseskin.compress(taxels, phi, rows="fixed"), solver)
         norms = np.linalg.norm((forces - taxels)[loaded], axis=(1, 2))
         error = np.median(norms / np.linalg.norm(taxels[loaded], axis=(1, 2)))
         panels[f"N/{ratio}: error {error:.1%}"] = forces[shown]

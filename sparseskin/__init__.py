@@ -23,16 +23,23 @@ if TYPE_CHECKING:
     from sparseskin.launch.launchfile.load import load as load_launch
     from sparseskin.nodes.compressor.phi.base import make_phi
     from sparseskin.nodes.reconstructor.bases.base import make_basis
-    from sparseskin.nodes.reconstructor.solvers.base import make_solver
 
-    from .arrays import compress, psnr_db, read_recording, reconstruct, run_launch, simulate
+    from .arrays import (
+        compress,
+        make_solver,
+        psnr_db,
+        read_recording,
+        reconstruct,
+        run_launch,
+        simulate,
+    )
     from .stream import Stream
 
 #: Module and attribute of each name.
 _HOMES = {
     "make_phi": ("sparseskin.nodes.compressor.phi.base", "make_phi"),
     "make_basis": ("sparseskin.nodes.reconstructor.bases.base", "make_basis"),
-    "make_solver": ("sparseskin.nodes.reconstructor.solvers.base", "make_solver"),
+    "make_solver": ("sparseskin.arrays", "make_solver"),
     "compress": ("sparseskin.arrays", "compress"),
     "reconstruct": ("sparseskin.arrays", "reconstruct"),
     "Stream": ("sparseskin.stream", "Stream"),

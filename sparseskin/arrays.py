@@ -22,11 +22,12 @@ from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.rotation import FIXED, row_subsets
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
 from sparseskin.nodes.numerics.compiled import check_fast
-from sparseskin.nodes.reconstructor.solvers.base import Solver
+from sparseskin.nodes.reconstructor.bases.base import Basis
+from sparseskin.nodes.reconstructor.solvers.base import Solver, make_rotating_solver
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
 from sparseskin.nodes.recorder.bag.frames import (
     array_names,
@@ -44,7 +45,9 @@ Floats = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 
-def compress(forces: Floats, phi: Phi, mask: Mask | None = None, *, rows: str = FIXED) -> Floats:
+def compress(
+    forces: Floats, phi: Phi, mask: Mask | None = None, *, rows: str | None = None
+) -> Floats:
     """Measure frames of taxels: y = Phi x.
 
     Parameters
@@ -55,9 +58,10 @@ def compress(forces: Floats, phi: Phi, mask: Mask | None = None, *, rows: str = 
         Measurement matrix, for as many taxels as exist.
     mask : ndarray of bool, shape (n_rows, n_cols), optional
         True where a taxel exists; by default everywhere.
-    rows : str
-        "fixed": `phi` measures all frames. "rotating", the default of the nodes: its row subsets
-        measure them in turn, the first one the first frame; make the solver with the same `rows`.
+    rows : str, optional
+        "fixed": `phi` measures all frames. "rotating": its row subsets measure them in turn, the
+        first one the first frame. By default rotating where they can (phi sbhe or subsample, m in
+        n / 64 .. n - 1), as in the nodes. Make the solver with the same `rows`.
 
     Returns
     -------
@@ -94,6 +98,45 @@ def compress(forces: Floats, phi: Phi, mask: Mask | None = None, *, rows: str = 
     return y
 
 
+def make_solver(
+    name: str,
+    phi: Phi,
+    basis: Basis,
+    mask: Mask | None = None,
+    *,
+    fast: str = "auto",
+    rows: str | None = None,
+    **settings: Any,
+) -> Solver:
+    """Make a solver by name.
+
+    Parameters
+    ----------
+    name : str
+        "skin", "fista", "fista_nonneg", "reweighted", "tv", "oamp", "ista", "omp",
+        "interpolation"; or "module:Class" for your own, as `Solver`.
+    phi, basis, mask
+        As in `Solver`.
+    fast : str
+        Use of compiled loops: "auto" (where numba is installed), "on" or "off".
+    rows : str, optional
+        As in `compress`, with the same default.
+    **settings
+        The solver's own, e.g. iterations=20 for "fista".
+
+    Raises
+    ------
+    SolverError
+        If the name or a setting is unknown, a setting is not allowed, phi, basis and mask do
+        not fit, or a class of your own is not a solver.
+    SettingsError
+        If fast is none of these, or "on" without numba.
+    PhiError
+        If rows is none of these, or "rotating" and those of phi cannot.
+    """
+    return make_rotating_solver(name, row_subsets(phi, rows), basis, mask, fast=fast, **settings)
+
+
 def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     """Reconstruct frames one after the other, each with what the solver kept of the last.
 
@@ -102,9 +145,9 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     measurements : ndarray of float32, shape (m,) or (k, m)
         Measurements of one frame or of k frames in order, newtons.
     solver : Solver
-        It starts from what its last frame left; `solver.reset()` makes it start anew. If it was
-        made with rows="rotating", the first of k frames is one of the first row subset; before a
-        single frame, `solver.use` states that of the frame.
+        It starts from what its last frame left; `solver.reset()` makes it start anew. If its rows
+        rotate, the first of k frames is one of the first row subset; before a single frame,
+        `solver.use` states that of the frame. `Stream` does so by itself.
 
     Returns
     -------

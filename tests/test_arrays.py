@@ -18,6 +18,7 @@ from sparseskin.messages import Reconstruction
 from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.phi.rotation import row_subsets, rows_and_m
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
 
@@ -72,7 +73,7 @@ def test_reconstruct_warns_once_of_threads_that_slow_it_down(
         if stated:
             monkeypatch.setenv(threads[0], "1")
         arrays.warn_of_threads.cache_clear()
-        solver = sparseskin.make_solver(solver_name, phi, basis)
+        solver = sparseskin.make_solver(solver_name, phi, basis, rows="fixed")
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("always")
             for _ in range(2):
@@ -84,8 +85,9 @@ def test_reconstruct_is_the_solver_frame_by_frame() -> None:
     rng = np.random.default_rng(0)
     frames = rng.random((3, 8, 8), dtype=np.float32)
     phi = sparseskin.make_phi("sbhe", n=64, m=32, seed=0)
-    solver = sparseskin.make_solver("fista", phi, sparseskin.make_basis("haar", 8, 8))
-    y = sparseskin.compress(frames, phi)
+    basis = sparseskin.make_basis("haar", 8, 8)
+    solver = sparseskin.make_solver("fista", phi, basis, rows="fixed")
+    y = sparseskin.compress(frames, phi, rows="fixed")
     together = sparseskin.reconstruct(y, solver)
     solver.reset()
     one_by_one = np.stack([sparseskin.reconstruct(frame, solver) for frame in y])
@@ -97,26 +99,38 @@ def test_row_subsets_measure_frames_in_turn() -> None:
     frames = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
     phi = sparseskin.make_phi("sbhe", n=64, m=22, seed=0)
     subsets = phi.row_subsets()  # type: ignore[attr-defined]
-    y = sparseskin.compress(frames, phi, rows="rotating")
+    y = sparseskin.compress(frames, phi)
+    np.testing.assert_array_equal(sparseskin.compress(frames, phi, rows="rotating"), y)
     for k, frame in enumerate(frames):
         np.testing.assert_array_equal(y[k], subsets[k % 3].forward(frame.reshape(-1)))
     np.testing.assert_array_equal(sparseskin.compress(frames[0], phi, rows="rotating"), y[0])
     np.testing.assert_array_equal(
-        sparseskin.compress(frames, phi), phi.forward(frames.reshape(7, 64))
+        sparseskin.compress(frames, phi, rows="fixed"), phi.forward(frames.reshape(7, 64))
     )
     assert sparseskin.compress(frames[:0], phi, rows="rotating").shape == (0, 22)
 
 
+@pytest.mark.parametrize(
+    ("kind", "n", "m"), [("sbhe", 64, 22), ("sbhe", 64, 64), ("sbhe", 130, 2), ("gaussian", 64, 22)]
+)
+def test_rows_of_a_matrix_rotate_by_default_where_those_of_its_kind_do(
+    kind: str, n: int, m: int
+) -> None:
+    phi, rows = sparseskin.make_phi(kind, n, m, 0), rows_and_m(kind, n, m=m)[0]
+    found = [one.fingerprint for one in row_subsets(phi, None)]
+    assert found == [one.fingerprint for one in row_subsets(phi, rows)]
+
+
 @pytest.mark.parametrize("solver", ["skin", "fista"])
-def test_arrays_give_the_bits_of_the_nodes_with_rows_that_rotate(solver: str) -> None:
+def test_arrays_give_the_bits_of_the_nodes_by_default(solver: str) -> None:
     preset = {"skin": "skin", "fista": "paper"}[solver]
     frames = list(sparseskin.run_launch("lift_box_40", 330, [f"reconstructor.preset={preset}"]))
     taxels = np.stack([frame.taxels for frame in frames])
     phi = sparseskin.make_phi("sbhe", n=1600, m=534, seed=0)
-    y = sparseskin.compress(taxels, phi, rows="rotating")
+    y = sparseskin.compress(taxels, phi)
     np.testing.assert_array_equal(y, np.stack([frame.measurements for frame in frames]))
     basis = sparseskin.make_basis("haar", 40, 40)
-    made = sparseskin.make_solver(solver, phi, basis, rows="rotating")
+    made = sparseskin.make_solver(solver, phi, basis)
     made.noise_sd = PAPER_SIGMA_END_N * CLIP_SD  # as the scene states
     forces = sparseskin.reconstruct(y, made)
     np.testing.assert_array_equal(forces, np.stack([frame.forces for frame in frames]))
@@ -127,7 +141,7 @@ def test_arrays_give_the_bits_of_the_nodes_with_rows_that_rotate(solver: str) ->
 def test_a_single_frame_of_rotating_rows_is_refused_unless_its_row_subset_is_stated() -> None:
     phi, basis = sparseskin.make_phi("sbhe", 64, 22, 0), sparseskin.make_basis("haar", 8, 8)
     y = sparseskin.compress(np.ones((4, 8, 8), np.float32), phi, rows="rotating")
-    solver = sparseskin.make_solver("skin", phi, basis, rows="rotating")
+    solver = sparseskin.make_solver("skin", phi, basis)
     with pytest.raises(SolverError, match=r"call solver\.use\(solver\.subsets\[k % "):
         sparseskin.reconstruct(y[1], solver)
     found = []

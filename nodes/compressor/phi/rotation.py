@@ -143,17 +143,23 @@ class RotatingPhi(Phi):
         return list(twins)
 
 
-def row_subsets(phi: Phi, rows: str) -> list[Phi]:
+def row_subsets(phi: Phi, rows: str | None) -> list[Phi]:
     """Return the matrices that successive frames are measured by.
 
     `rows` is "fixed": phi alone; or "rotating": P = ceil(n / m) matrices of m rows each, or those
-    of a file. They share their work arrays: use all of them in one thread.
+    of a file; or None: rotating where they can, as `rows_and_m` has it. They share their work
+    arrays: use all of them in one thread.
 
     Raises
     ------
     PhiError
         If `rows` is neither, the rows of phi cannot rotate, or there were more than 64 subsets.
     """
+    if rows is None:
+        in_turn = can_rotate(phi) and (
+            phi.kind.startswith(STORED) or phi.m < phi.n <= MAX_SUBSETS * phi.m
+        )
+        rows = ROTATING if in_turn else FIXED
     if rows == FIXED:
         return [phi]
     if rows != ROTATING:
