@@ -320,10 +320,12 @@ class OampSolver(Solver):
         seen = np.stack([whole[rows.read] for whole in of_terms])
         gram = (seen @ seen.T).astype(np.float64)
         right = (seen @ (values - seen[0])).astype(np.float64)
-        ridge = t.ridge * np.diag(gram) + t.ridge**2 * gram[0, 0] + TINY
+        noise = max(self._noise, self._floor)
+        # A force grows by its own size at most: what is hardly there must not grow to anything.
+        ridge = t.ridge * np.diag(gram) + t.ridge**2 * gram[0, 0] + noise
         a = np.linalg.solve(gram + np.diag(ridge), right)
         explained = max(0.0, float(a @ right))
-        a *= explained / (explained + t.motion * max(self._noise, self._floor))
+        a *= explained / (explained + t.motion * noise)
         # What no row observes must not grow without bound, frame after frame.
         most = float(x.max()) * max(1.0, 1 + float(a[0]))
         moved = np.clip(x + a.astype(np.float32) @ terms, 0, np.float32(most))
