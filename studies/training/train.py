@@ -68,7 +68,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
 
 
 def _draw(out: Path, table: pd.DataFrame) -> str:
-    caption = "Squared error of a taxel in noise variances: geometric mean over batches so far."
+    caption = "Squared error of a taxel in noise variances: running geometric mean over batches."
     with Chart(out, "chart_train", caption) as chart:
         (axes,) = chart.panels
         axes.plot(table["batch"], table["error_db"])
