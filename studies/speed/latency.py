@@ -29,7 +29,7 @@ STAGES = (
     *("wire to the host", "queue at the host", "host", "solve"),
 )
 WARM_UP = 500
-"""Frames that are left out: new processes start with cold caches and memory."""
+"""First frames of the sensor, left out: new processes start with cold caches and memory."""
 QUANTILES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
 _NODES = "sparseskin.studies.speed.stopwatch:Timed"
 
@@ -94,9 +94,9 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         np.array(nodes[name][WATCH], dtype=np.int64)
         for name in ("sensor", "compressor", "reconstructor")
     )
-    stages = stages_ns(sensor, edge, host)[point["warm_up"] :]
+    stages = stages_ns(sensor[point["warm_up"] :], edge, host)
     if not len(stages):
-        raise StudyError(f"{len(host)} frames were reconstructed; {point['warm_up']} are left out")
+        raise StudyError(f"no frame after the first {point['warm_up']} was reconstructed")
     skipped = sum(nodes["reconstructor"]["skipped"].values())
     return {
         **figures(stages / 1e6),

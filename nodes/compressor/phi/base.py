@@ -24,6 +24,9 @@ KINDS = {
     "adaptive": "sparseskin.nodes.compressor.phi.adaptive:AdaptivePhi",
     "row_local": "sparseskin.nodes.compressor.phi.row_local:RowLocalPhi",
 }
+MAX_SUBSETS = 64
+"""Largest number of row subsets. Chosen: a row that is measured less often than every 64 frames
+adds as good as nothing."""
 LOCAL, STORED = "local:", "file:"
 """Prefixes of kinds with a parameter: the side of a neighbourhood, and a path."""
 _WITH_PARAMETER = {

@@ -13,16 +13,13 @@ import numpy as np
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Indices
 
-from .base import RANDOM, SPREAD, STORED, Phi, phi_class
+from .base import MAX_SUBSETS, RANDOM, SPREAD, STORED, Phi, phi_class
 
 FIXED, ROTATING = "fixed", "rotating"
 ROWS = (FIXED, ROTATING)
 PAPER = "paper"
 PAPER_BLOCK = 32
 """Size of the Hadamard blocks. Source: paper, section IV-B."""
-MAX_SUBSETS = 64
-"""Largest number of row subsets. Chosen: a row that is measured less often than every 64 frames
-adds as good as nothing."""
 RATIO = 3.0
 """Compression ratio N / M where none is stated."""
 

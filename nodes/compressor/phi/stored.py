@@ -16,8 +16,7 @@ from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.array_files import ArrayFileError, is_npz, read_npy, read_npz
 from sparseskin.nodes.numerics.arrays import Floats
 
-from .base import BLOCK, Phi, fingerprint_of
-from .rotation import MAX_SUBSETS
+from .base import BLOCK, MAX_SUBSETS, Phi, fingerprint_of
 
 MAX_FILE_BYTES = 1 << 28
 """Largest file that is read."""
