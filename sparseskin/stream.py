@@ -14,7 +14,7 @@ from sparseskin.nodes.compressor.node import CHOSEN_ANEW, CompressorSettings
 from sparseskin.nodes.compressor.phi.rotation import RATIO
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.limits import check_lambda
+from sparseskin.nodes.reconstructor.limits import options_for_range
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
 from sparseskin.nodes.reconstructor.solvers.base import (
     Solver,
@@ -134,11 +134,9 @@ class Stream:
         name, basis = chosen.pop("solver"), make_basis(chosen.pop("basis"), *skin.shape)
         if name == "skin":
             warn_of_threads()
-        if "lambda_n" in chosen:
-            chosen["lambda_n"] *= skin.f_max / PAPER_F_MAX_N
-            check_lambda(name, chosen["lambda_n"], skin.f_max, phi)
+        options = options_for_range(name, chosen, skin.f_max, phi)
         fast = self._host.fast
-        solver = make_rotating_solver(name, self._phis, basis, skin.mask, fast=fast, **chosen)
+        solver = make_rotating_solver(name, self._phis, basis, skin.mask, fast=fast, **options)
         solver.noise_sd = self._noise_sd
         return solver
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.base import RANDOM, Phi
 from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK
 from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
@@ -108,6 +109,19 @@ def check_lambda(solver: str, lambda_n: float, f_max: float, phi: Phi) -> None:
         raise SolverError(
             f"lambda_n = {lambda_n:g}: every frame would be 0; allowed: below {largest:g}"
         )
+
+
+def options_for_range(
+    solver: str, options: Mapping[str, Any], f_max: float, phi: Phi
+) -> dict[str, Any]:
+    """Options of a solver for a skin: lambda_n, stated for the paper's range, is scaled and checked
+    as by `check_lambda`.
+    """
+    if "lambda_n" not in options:
+        return dict(options)
+    lambda_n = options["lambda_n"] * (f_max / PAPER_F_MAX_N)
+    check_lambda(solver, lambda_n, f_max, phi)
+    return {**options, "lambda_n": lambda_n}
 
 
 def check_phi(phi: Phi, mask: Mask) -> list[str]:

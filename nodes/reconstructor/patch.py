@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sparseskin.messages import PhiState, SkinState
-from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats
@@ -27,9 +26,9 @@ from sparseskin.nodes.reconstructor.solvers.base import (
 
 from .limits import (
     OTHER_ROWS,
-    check_lambda,
     check_phi,
     has_rows_of_paper,
+    options_for_range,
     reconstruction_warnings,
 )
 from .settings import PRESETS, ReconstructorSettings
@@ -84,9 +83,7 @@ class Patch:
         chosen = dict(settings.chosen())
         options = {k: v for k, v in chosen.items() if k not in ("solver", "basis")}
         warnings = reconstruction_warnings(chosen["solver"], chosen["basis"], phi.n, phi.m, options)
-        if "lambda_n" in options:
-            options["lambda_n"] *= skin.f_max / PAPER_F_MAX_N
-            check_lambda(chosen["solver"], options["lambda_n"], skin.f_max, phi)
+        options = options_for_range(chosen["solver"], options, skin.f_max, phi)
         basis = make_basis(chosen["basis"], skin.n_rows, skin.n_cols)
         solver = make_rotating_solver(
             chosen["solver"], subsets, basis, skin.mask, fast=settings.fast, **options

@@ -318,31 +318,10 @@ def make_solver(
     rows: str = FIXED,
     **settings: Any,
 ) -> Solver:
-    """Make a solver by name.
+    """Make a solver by name, of fixed rows unless others are stated.
 
-    Parameters
-    ----------
-    name : str
-        One of `SOLVERS`, or "module:Class" for your own: called with phi, basis, mask and the
-        settings as keywords, it must offer what `Solver` does.
-    phi, basis, mask
-        As in `Solver`.
-    fast : str
-        Use of compiled loops: "auto", "on" or "off", as in `compiled.check_fast`.
-    rows : str
-        "fixed": phi measures all frames. "rotating": its row subsets measure them in turn.
-    **settings
-        The solver's own, e.g. iterations=20 for "fista".
-
-    Raises
-    ------
-    SolverError
-        If the name or a setting is unknown, a setting is not allowed, phi, basis and mask do
-        not fit, or a class of your own is not a solver.
-    SettingsError
-        If fast is none of these, or "on" without numba.
-    PhiError
-        If rows is none of these, or "rotating" and those of phi cannot.
+    Parameters and Raises as in `sparseskin.arrays.make_solver`. A class of the user's own is called
+    with phi, basis, mask and the settings as keywords.
     """
     if rows != FIXED:
         subsets = row_subsets(phi, rows)
