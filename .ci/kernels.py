@@ -17,7 +17,7 @@ CANDIDATES = ("Nehalem", "Haswell", "SkylakeX")
 TESTS = (
     "tests/nodes/compressor/phi",
     "tests/nodes/reconstructor/bases",
-    "tests/nodes/reconstructor/oamp",
+    "tests/nodes/reconstructor/skin",
     "tests/nodes/reconstructor/skin",
     "tests/nodes/reconstructor/solvers",
 )

@@ -158,8 +158,9 @@ class PhiState(Message):
 class SolverState(Message):
     """The solver in use.
 
-    `basis` is "" where the solver has its own. `iterations` is the (least) number a frame;
-    `max_iterations` the largest, where the solver chooses it by frame, else 0.
+    `basis` is "" where the solver has its own. `iterations` is the number a frame; `frame_ms` the
+    time that they take on this host where every taxel is pressed, milliseconds, 0 where it is not
+    known. `max_iterations` is of recordings by a solver that chose the number by frame.
     """
 
     schema: ClassVar[str] = "solver"
@@ -171,6 +172,7 @@ class SolverState(Message):
     iterations: int = wire(Integer(0, 1_000_000))
     lambda_n: float = wire(Real(0.0))
     max_iterations: int = wire(Integer(0, 1_000_000), default=0, omitted=True)
+    frame_ms: float = wire(Real(0.0), default=0.0, omitted=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

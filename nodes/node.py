@@ -45,9 +45,6 @@ class Context:
     page_file : str
         Path in a folder that no other user can enter, where a page that opens a live page may be
         written; the launcher removes it. "": none.
-    is_behind : callable
-        Returns True if newer messages of a stream wait for the node while it processes one; False
-        for a node whose `depth` is 0, and where a source waits for its readers.
     """
 
     name: str
@@ -58,7 +55,6 @@ class Context:
     clock_of: Callable[[str], ClockEstimate | None] = field(default=lambda topic: SAME_CLOCK)
     page_token: str = ""
     page_file: str = ""
-    is_behind: Callable[[], bool] = field(default=lambda: False)
 
     def rng(self, seed: int) -> np.random.Generator:
         """Random generator of a seed: the same numbers wherever the node runs."""

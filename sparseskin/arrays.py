@@ -113,7 +113,7 @@ def make_solver(
     Parameters
     ----------
     name : str
-        "skin", "fista", "fista_nonneg", "reweighted", "tv", "oamp", "ista", "omp",
+        "skin", "fista", "fista_nonneg", "reweighted", "tv", "ista", "omp",
         "interpolation"; or "module:Class" for your own, as `Solver`.
     phi, basis, mask
         As in `Solver`.

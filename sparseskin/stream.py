@@ -56,7 +56,7 @@ class Stream:
         Upper end of the range of a taxel, newtons.
     **settings
         In place of the preset's: solver, basis, iterations, lambda_n, fast; and options of the
-        solver by name, as max_iterations.
+        solver by name.
 
     Attributes
     ----------

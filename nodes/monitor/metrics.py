@@ -44,7 +44,7 @@ RECENT = 100
 
 _OF_SKIN = ("sigma_mid",)
 _OF_PHI = ("kind", "m", "rows")
-_OF_SOLVER = ("preset", "solver", "basis", "iterations", "lambda_n", "max_iterations")
+_OF_SOLVER = ("preset", "solver", "basis", "iterations", "lambda_n", "frame_ms")
 
 ClockOf = Callable[[str], ClockEstimate | None]
 
@@ -427,7 +427,7 @@ class PatchMetrics:
         return {
             "scene": skin.source if skin else None,
             "phi": phi.kind if phi else None,
-            **_fields(self.solver, "basis", "solver", "preset", "iterations", "max_iterations"),
+            **_fields(self.solver, "basis", "solver", "preset", "iterations", "frame_ms"),
             **_fields(phi, "rows", "n", "m"),
             **_fields(skin, "f_max", "unit"),
             "ratio": n / m if m else None,

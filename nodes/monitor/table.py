@@ -194,10 +194,9 @@ def _plain(value: float | str) -> str:
 
 
 def _iterations(patch: Mapping[str, Any]) -> str:
-    """Iterations a frame: a number, or the range of an adaptive solver."""
-    least, most = patch["iterations"], patch["max_iterations"]
-    adaptive = most not in (NONE, 0) and most > least
-    return f"adaptive, {least} to {most} iterations" if adaptive else f"{least} iterations"
+    """Iterations of a frame, and the time that they take where every taxel is pressed."""
+    text, most_ms = f"{patch['iterations']} iterations", patch["frame_ms"]
+    return text if most_ms in (NONE, 0) else f"{text} in at most {most_ms:.2g} ms"
 
 
 def _extent(extent: Mapping[str, float], form: str) -> str:

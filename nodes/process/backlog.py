@@ -32,16 +32,6 @@ class Backlog:
             return None
         return *first, bool(depth) and self._is_overtaken(first[0], depth)
 
-    def is_behind(self) -> bool:
-        """True if a message of a stream waits, and none of its writers waits for an answer."""
-        self._fill()
-        for topic, payload in self._queue:
-            if self._reader.is_ask(topic):
-                return False
-            if topic in self._streams and not is_end(payload):
-                return True
-        return False
-
     def _fill(self) -> None:
         while len(self._queue) < QUEUE_FRAMES:
             parts = self._reader.receive()

@@ -70,7 +70,6 @@ class Runner:
             *(self.name, self.clock, self.log, self._ask, late, self._clock_of),
             page_token=config.get("page_token", ""),
             page_file=config.get("page_file", ""),
-            is_behind=self._is_behind,
         )
         node = cls(settings, context)
         run_id = secrets.token_hex(8)
@@ -244,10 +243,6 @@ class Runner:
 
     def _clock_of(self, topic: str) -> ClockEstimate | None:
         return self.network.clock_of(topic)
-
-    def _is_behind(self) -> bool:
-        backlog = self.backlog
-        return backlog is not None and bool(self.host.node.depth) and backlog.is_behind()
 
     def _start(self) -> None:
         if isinstance(self.host.node, SourceNode):

@@ -30,11 +30,11 @@ LAMBDAS_N = {
 #: Solvers that return 0 for measurements below their lambda, and need a sparse basis.
 L1_SOLVERS = ("fista", "fista_nonneg", "ista")
 #: Solvers that do not use the basis they are given.
-OWN_BASIS = ("skin", "oamp", "tv", "interpolation")
+OWN_BASIS = ("skin", "tv", "interpolation")
 #: Least iterations with which the first frames of a sudden contact lose less than 3 dB.
 MIN_ITERATIONS = {
     **{"fista": 15, "fista_nonneg": 10, "reweighted": 10, "tv": 10},
-    **{"ista": 50, "oamp": 5, "omp": 50},
+    **{"ista": 50, "skin": 5, "omp": 50},
 }
 #: A gradient step diverges beyond 2 / L, and with momentum beyond 4 / (3 L).
 MAX_STEP = 4.0 / 3.0

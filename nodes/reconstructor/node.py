@@ -1,12 +1,4 @@
-"""The reconstructor node, on the host: M measurements of each patch in, N forces out.
-
-A patch of which the past says nothing is estimated by both models of the solver `skin`, and
-compared for some frames: tens of times the work of others. Where many patches begin at once, the
-node falls behind. As soon as a newer frame waits, one comparison a frame is computed, of the patch
-that has waited longest. All others have their Haar estimate, with its error and trust by
-measurements held out, and are compared in a later frame. Nothing is put off while no frame waits,
-where every frame is to be reconstructed (`depth` 0), and where a source waits for its readers.
-"""
+"""The reconstructor node, on the host: M measurements of each patch in, N forces out."""
 
 from __future__ import annotations
 
@@ -75,13 +67,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._skipped = 0
         self._names = settings.patches or (settings.patch,)
         self._log = PatchLog(self._names, context.log)
-        self._patches = [
-            Patch(settings, self._log.of(name), self._may_compare) for name in self._names
-        ]
-        #: Frame since which the comparison of a patch, by number, is put off.
-        self._waiting: dict[int, int] = {}
-        self._n_frames = self._n_put_off = 0
-        self._has_compared = False
+        self._patches = [Patch(settings, self._log.of(name)) for name in self._names]
         self._idle: IdleWatch | None = None
 
     @classmethod
@@ -130,7 +116,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         elif isinstance(message, PhiState):
             known, self._announced = self._announced, message
         if self._subsets and known is not None and _is_alike(message, known):
-            self._state_period_and_noise()
+            self._state_noise()
             return
         if self._skin is not None and self._announced is not None:
             self._subsets = {}
@@ -159,8 +145,6 @@ class Reconstructor(Node[ReconstructorSettings]):
         }
         if self.settings.skip_idle:
             state["idle"] = self._n_idle
-        if len(self._patches) > 1:
-            state["put_off"] = self._n_put_off
         if chosen["solver"] in OWN_BASIS:
             state["basis"] = None
         return {**chosen, "preset": preset if chosen == PRESETS[preset] else "", **state}
@@ -172,7 +156,6 @@ class Reconstructor(Node[ReconstructorSettings]):
         basis = "" if chosen["solver"] in OWN_BASIS else f" in {chosen['basis']}"
         n = len(self._patches)
         several = f"{n} patches" + (f", {self._n_idle} idle" if self._n_idle else "")
-        several += f"; {self._n_put_off} comparisons put off" if self._n_put_off else ""
         parts = (f"solver {chosen['solver']}{basis}", self._left_out, several if n > 1 else "")
         return "; ".join(filter(None, parts))
 
@@ -194,7 +177,10 @@ class Reconstructor(Node[ReconstructorSettings]):
         subsets = phis_to_invert(self.settings, state, announced)
         self._log.setting_up = True
         try:
-            made = [p.set_up(self.settings, subsets, state, announced) for p in self._patches]
+            first, *others = self._patches
+            solver = first.set_up(self.settings, subsets, state, announced)
+            for patch in others:
+                patch.set_up(self.settings, subsets, state, announced, first)
         finally:
             self._log.setting_up = False
         if chosen["solver"] in SOLVERS and use_compiled(self.settings.fast):
@@ -202,24 +188,24 @@ class Reconstructor(Node[ReconstructorSettings]):
                 if is_sbhe(one):
                     one.compile()
         self._subsets = {one.fingerprint: one for one in subsets}
-        self._state_period_and_noise()
+        self._state_noise()
         self._idle = None
         chooses = isinstance(subsets[0], ActsPhi | AdaptivePhi)
         if self.settings.skip_idle and state.sigma_end > 0 and not chooses:
             from .idle import IdleWatch  # with it the sensor's noise
 
             self._idle = IdleWatch(len(self._patches), state, subsets)
-        solver = {"solver": chosen["solver"], **made[0]}
+        solver = {"solver": chosen["solver"], **solver}
         if chosen["solver"] in OWN_BASIS:
             solver["basis"] = ""
         preset = self.settings.preset if chosen == PRESETS[self.settings.preset] else ""
         return SolverState(stamp_ns=stamp_ns, patch=self.settings.patch, preset=preset, **solver)
 
-    def _state_period_and_noise(self) -> None:
-        """Hand the time between frames, and the noise, that the skin states to the solvers."""
+    def _state_noise(self) -> None:
+        """Hand the noise that the skin states to the solvers."""
         assert self._skin is not None
         for patch in self._patches:
-            patch.set_period_and_noise(self._skin)
+            patch.set_noise(self._skin)
 
     def _differences(self, announced: PhiState) -> str:
         """Rows and M of a stated Phi and of the announced one, where they differ; else ""."""
@@ -256,17 +242,12 @@ class Reconstructor(Node[ReconstructorSettings]):
         assert skin is not None
         n = len(patches)
         unchanged = [False] * n
-        self._n_frames, self._has_compared = self._n_frames + 1, False
         try:
             follow(phi, measurements.places)
             follow_nodes(phi, measurements.nodes)
             if self._idle is not None:
                 wanted = self._idle.to_solve(phi.fingerprint, measurements.y)
-                # What is put off is not idle: it would be estimated by the wrong model for long.
-                unchanged = [
-                    not wanted[k] and k not in self._waiting and patches[k].solved is not None
-                    for k in range(n)
-                ]
+                unchanged = [not wanted[k] and patches[k].solved is not None for k in range(n)]
             # If each frame chooses its taxels or rows anew, there are no rows to watch.
             watched = measurements.places is None and measurements.nodes is None
             for patch, same, y in zip(patches, unchanged, measurements.y, strict=True):
@@ -277,9 +258,8 @@ class Reconstructor(Node[ReconstructorSettings]):
             if self.settings.resultant and (found := patches[0].resultant) is not None:
                 yield self._resultant_of(found, stamp_ns)
             solving = [k for k in range(n) if not unchanged[k]]
-            for k in sorted(solving, key=lambda k: self._waiting.get(k, self._n_frames)):
+            for k in solving:
                 patches[k].solve()
-                self._note_put_off(k)
         except (PhiError, SolverError) as error:
             raise RefusedError(f"{measurements.topic}: {error}") from error
         done_ns = self.context.clock.now_ns()
@@ -291,19 +271,6 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._skipped = 0
         for k in solving:
             patches[k].learn(stamp_ns, skin)
-
-    def _may_compare(self) -> bool:
-        """True while no newer frame waits, and once a frame in any case."""
-        is_first, self._has_compared = not self._has_compared, True
-        return is_first or not self.context.is_behind()
-
-    def _note_put_off(self, k: int) -> None:
-        """Note whether the comparison of a patch was put off in its frame."""
-        if self._patches[k].put_off:
-            self._waiting.setdefault(k, self._n_frames)
-            self._n_put_off += 1
-        else:
-            self._waiting.pop(k, None)
 
     def _reconstruction(
         self, measurements: Measurements, unchanged: list[bool], done_ns: int

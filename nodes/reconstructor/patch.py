@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -24,6 +25,7 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     make_rotating_solver,
 )
 
+from .budget import SHARE, measured_costs
 from .limits import (
     OTHER_ROWS,
     check_phi,
@@ -49,18 +51,14 @@ class Solved(NamedTuple):
 class Patch:
     """Reconstructs the frames of one patch: `read`, `solve`, `check` and `learn` for each."""
 
-    def __init__(
-        self,
-        settings: ReconstructorSettings,
-        log: Callable[[str], None],
-        may_compare: Callable[[], bool],
-    ) -> None:
+    def __init__(self, settings: ReconstructorSettings, log: Callable[[str], None]) -> None:
         self.settings = settings
         self.log = log
-        self.may_compare = may_compare
         self.solver: Solver | None = None
         self.faults = FaultWatch(settings.watch_rows, settings.watch_taxels, log)
         self.solved: Solved | None = None
+        #: Steps of a frame that the budget allows.
+        self.most_steps = 0
         self._trusted = True
         self._subsets: list[Phi] = []
         self._last: Floats | None = None
@@ -75,9 +73,11 @@ class Patch:
         subsets: list[Phi],
         state: SkinState,
         announced: PhiState,
+        alike: Patch | None = None,
     ) -> dict[str, Any]:
         """Make the solver for a skin and the row subsets of its Phi; return what a `SolverState`
-        states of it. What raises an error changes nothing.
+        states of it. What raises an error changes nothing. `alike` is a patch that was set up for
+        the same skin: its frames take as long.
         """
         skin, phi = state.skin, subsets[0]
         chosen = dict(settings.chosen())
@@ -95,7 +95,6 @@ class Patch:
                 warnings += check_phi(one, solver.mask)
         for warning in dict.fromkeys(warnings):
             self.log(warning)
-        solver.may_compare = self.may_compare
         self.settings, self.solver, self._subsets = settings, solver, subsets
         self.faults.set_up({one.fingerprint: one for one in subsets}, state, solver.mask)
         self._trust_log.begin(len(subsets))
@@ -106,23 +105,43 @@ class Patch:
         if self._last is not None and self._last.shape != skin.shape:
             self._last = None
         self._warm = self._last
+        self._frame_ms = 0.0
+        if alike is None:
+            self.most_steps = self._steps_within(solver, phi, state, "iterations" in options)
+        else:
+            self.most_steps = alike.most_steps
         return {
             "basis": getattr(basis, "label", chosen["basis"]),
-            "iterations": options.get("iterations", solver.n_steps),
+            "iterations": options.get("iterations", min(solver.n_steps, self.most_steps)),
             "lambda_n": options.get("lambda_n", 0.0),
-            "max_iterations": getattr(solver, "max_iterations", 0),
+            "frame_ms": self._frame_ms,
         }
 
-    def set_period_and_noise(self, skin: SkinState) -> None:
-        """Hand the time between frames, and the noise, that the skin states to the solver."""
-        if isinstance(self.solver, Solver):
-            self.solver.period_s = 1 / skin.rate_hz if skin.rate_hz else math.inf
-            self.solver.noise_sd = skin.least_sd
+    def _steps_within(self, solver: Solver, phi: Phi, state: SkinState, stated: bool) -> int:
+        """Most steps of a frame, by the stated budget or the rate of the frames; `stated` is True
+        if the number of iterations is.
+        """
+        budget_ms = self.settings.budget_ms
+        budget_s = math.inf if budget_ms is None else budget_ms / 1e3
+        if budget_ms is None and solver.paced and not stated and state.rate_hz:
+            budget_s = SHARE / state.rate_hz / self.settings.n_patches
+        if math.isinf(budget_s):
+            return sys.maxsize
+        costs = measured_costs(solver, phi, state.skin.f_max)
+        steps = costs.steps_in(budget_s, solver.n_steps)
+        self._frame_ms = round(1e3 * costs.of(steps), 3)
+        if costs.of(steps) > budget_s:
+            self.log(
+                f"a frame takes {self._frame_ms:.2g} ms with {steps} iterations; the budget is "
+                f"{1e3 * budget_s:.2g} ms: newer frames may wait for it; advised: fewer taxels a "
+                "node, or a lower rate"
+            )
+        return steps
 
-    @property
-    def put_off(self) -> bool:
-        """True if the solver put a comparison of models off in the last frame."""
-        return bool(getattr(self.solver, "put_off", False))
+    def set_noise(self, skin: SkinState) -> None:
+        """Hand the noise that the skin states to the solver."""
+        if isinstance(self.solver, Solver):
+            self.solver.noise_sd = skin.least_sd
 
     def _make_uncertainty(self, solver: Solver, phi: Phi, rows: str) -> Uncertainty | None:
         if not self.settings.uncertainty:
@@ -214,17 +233,10 @@ class Patch:
 
     def _solve(self, solver: Solver, y: Floats) -> tuple[Floats, int]:
         """Reconstruct one frame within the budget; return the forces and the number of steps."""
-        budget_ms = self.settings.budget_ms
-        if budget_ms is None:
+        if self.most_steps >= solver.n_steps:
             return solver.solve(y, self._warm), solver.n_steps
-        deadline_ns = time.perf_counter_ns() + round(1e6 * budget_ms)
         solver.setup(y, self._warm)
-        done, longest_ns, before_ns = 0, 0, time.perf_counter_ns()
-        # A step is begun only if one like the longest so far would end in time; the first is always
-        # done, as without it there is no estimate of this frame.
-        while done < solver.n_steps and (not done or before_ns + longest_ns <= deadline_ns):
+        steps = min(self.most_steps, solver.n_steps)
+        for _ in range(steps):
             solver.step()
-            now_ns = time.perf_counter_ns()
-            longest_ns, before_ns = max(longest_ns, now_ns - before_ns), now_ns
-            done += 1
-        return solver.finish(), done
+        return solver.finish(), steps

@@ -23,7 +23,7 @@ ANNOUNCED = "announced"
 #: Parameters of a solver that are no options: the node gives them, they have settings, or they are
 #: no number, text or truth value.
 _NO_OPTIONS = (
-    *("phi", "basis", "mask", "fast", "rows", "tuning"),
+    *("phi", "basis", "mask", "fast", "rows", "tuning", "gates"),
     *("solver", "iterations", "lambda_n"),
 )
 #: Named sets of settings. "paper": exactly the method of the paper, sections IV and V-A, for a
@@ -61,8 +61,8 @@ class ReconstructorSettings(PatchesSettings):
     )
     iterations: int | None = setting(
         None,
-        "iterations a frame, in place of the preset's: with solver skin the least number (the "
-        "most: options.max_iterations), with omp the most coefficients",
+        "iterations a frame, in place of the preset's or of what the budget allows; with omp the "
+        "most coefficients",
         low=1,
         high=1000,
         live=True,
@@ -76,12 +76,14 @@ class ReconstructorSettings(PatchesSettings):
         live=True,
     )
     options: dict[str, Any] | None = setting(
-        None, "further parameters of the solver, as max_iterations of skin, by name", live=True
+        None,
+        "further parameters of the solver, by name; those here have none, one of your own may",
+        live=True,
     )
     budget_ms: float | None = setting(
         None,
-        "most time for a frame's iterations, in milliseconds: when it is over, the best "
-        "estimate so far is published",
+        "time of a frame, in milliseconds, that the number of iterations is chosen for when the "
+        "graph begins; default: half the time between frames, for solver skin alone",
         low=0.05,
         high=60_000.0,
         live=True,

@@ -27,7 +27,7 @@ from sparseskin.studies.harness import PAPER_ROWS, Candidate, Experiment, Measur
 from sparseskin.studies.points import StudyError
 
 RATIOS = (3, 4, 8)
-DEFAULT, SKIN, PAPER, LEARNED = "skin, rotating", "skin", "paper", "oamp, rotating"
+DEFAULT, SKIN, PAPER = "skin, rotating", "skin", "paper"
 ADAPTIVE, ALONE = "skin, adaptive", "skin, each frame alone"
 SIMPLE = ("lattice", "hold", "subsample", "acts")
 """Methods that read single taxels at the edge, and need no measurement matrix."""
@@ -35,7 +35,6 @@ ALL, FILTERED, RAW = "skin, all taxels", "all taxels, filtered", "all taxels, ra
 CANDIDATES = {
     DEFAULT: Candidate(PRESETS["skin"], changes={"rows": ROTATING}),
     SKIN: Candidate(PRESETS["skin"]),
-    LEARNED: Candidate({"solver": "oamp"}, changes={"rows": ROTATING}),
     ADAPTIVE: Candidate(PRESETS["skin"], changes={"phi": "adaptive"}),
     ALONE: Candidate(PRESETS["skin"], alone=True),
     PAPER: Candidate(PRESETS["paper"], changes={"rows": PAPER_ROWS}),

@@ -107,8 +107,6 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     """
     sweep, level, name, ratio = (point[key] for key in ("sweep", "value", "solver", "ratio"))
     changed = {sweep: level} if sweep in ("lambda_n", "iterations") else {}
-    if sweep == "iterations" and "max_iterations" in settings_of(name):
-        changed["max_iterations"] = max(level, settings_of(name)["max_iterations"].default)
     found, blown_up = [], []
     for truth, readings in read_excerpts(point["seed"], level if sweep == "noise" else 1.0):
         phi = _phi(sweep, level, N, int(N / ratio), point["seed"])

@@ -1,4 +1,4 @@
-"""The gates of solver `oamp` in PyTorch: the same as `Gates`, on batches of whole frames.
+"""The gates of solver `skin` in PyTorch: the same as `Gates`, on batches of whole frames.
 
 Cells without a taxel are 0.
 """
@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.reconstructor.bases.haar import haar_matrix
-from sparseskin.nodes.reconstructor.oamp.gates import (
+from sparseskin.nodes.reconstructor.skin.gates import (
     INNER,
     N_FILTERS,
     N_HIDDEN,

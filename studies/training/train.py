@@ -1,4 +1,4 @@
-"""Study `train`: the gates of solver `oamp`, trained on procedural presses, and their scores."""
+"""Study `train`: the gates of solver `skin`, trained on procedural presses, and their scores."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.reconstructor.oamp.gates import FILE
+from sparseskin.nodes.reconstructor.skin.gates import FILE
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.report import Chart, Page
 

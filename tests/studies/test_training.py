@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sparseskin.nodes.reconstructor.oamp.gates import WINDOW, Gates
+from sparseskin.nodes.reconstructor.skin.gates import WINDOW, Gates
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.training import train
 from sparseskin.studies.training.presses import N_FRAMES, SIDE, masks, presses

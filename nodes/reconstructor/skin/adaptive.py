@@ -19,7 +19,7 @@ from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.solvers.base import Solver, check_reads
 
 from .solver import SkinSolver
-from .tuning import TUNING
+from .tuning import SkinTuning
 
 MEMORY = 0.7
 """Weight of the past in the running means of squared prediction errors. Chosen."""
@@ -61,6 +61,7 @@ class AdaptiveSkinSolver(Solver):
     """
 
     name = "skin"
+    paced = True
     y_max = SkinSolver.y_max
 
     def __init__(
@@ -69,9 +70,7 @@ class AdaptiveSkinSolver(Solver):
         basis: Basis,
         mask: Mask | None = None,
         *,
-        iterations: int | None = None,
-        max_iterations: int = 30,
-        seed: int = 0,
+        iterations: int = 8,
         fast: str = "auto",
     ) -> None:
         super().__init__(phi, basis, mask)
@@ -82,18 +81,11 @@ class AdaptiveSkinSolver(Solver):
             phi.lay_out(self.mask)
         elif not np.array_equal(phi.exists, self.mask):
             raise SolverError('solver "skin": phi "adaptive" is laid out on another grid')
+        self._t = SkinTuning()
         self._rows_of: AdaptivePhi = phi
         self._whole = SbhePhi(n=phi.n, m=phi.n, seed=0)
-        self._filter = SkinSolver(
-            self._whole,
-            basis,
-            self.mask,
-            iterations=iterations,
-            max_iterations=max_iterations,
-            seed=seed,
-            fast=fast,
-        )
-        self.iterations, self.max_iterations = self._filter.iterations, max_iterations
+        self._filter = SkinSolver(self._whole, basis, self.mask, iterations=iterations, fast=fast)
+        self.n_steps = self.iterations = self._filter.iterations
         self._held = HeldRows(phi)
         self._age, self._drift = np.zeros((2, phi.tree.n_nodes))
         self.reset()
@@ -124,7 +116,7 @@ class AdaptiveSkinSolver(Solver):
         self._learn(expected, before)
         held.end()
         self._filter.setup(self._whole.forward(self._x), warm)
-        self.n_steps = self._steps_left = self._filter.n_steps
+        self._steps_left = self.n_steps
 
     def step(self) -> None:
         self._count_step()
@@ -174,9 +166,10 @@ class AdaptiveSkinSolver(Solver):
             self.error, self.trusted = None, True
             return
         missed = self._changed * float(self._expected().sum()) / n
-        error2 = max(missed, self._filter.filtered_error2(x))
+        assert self._filter.error is not None
+        error2 = max(missed, self._filter.error**2)
         power = float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)
-        noise = max(self._filter.known_noise, self._rows_of.variance)
-        untouched = max(power, missed) <= TUNING.untouched * noise
-        self.trusted = bool(untouched or error2 <= TUNING.trusted**2 * power + TINY)
+        noise = max(self._filter.noise2, self._rows_of.variance)
+        untouched = max(power, missed) <= self._t.untouched * noise
+        self.trusted = bool(untouched or error2 <= self._t.trusted**2 * power + TINY)

@@ -1,90 +1,69 @@
-"""The default solver: randomly shifted Haar or a smooth model, and a prediction from the past."""
+"""Orthogonal approximate message passing with learned gates, filtered over time."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Mask
 from sparseskin.nodes.numerics.compiled import use_compiled
-from sparseskin.nodes.numerics.programs import run
 from sparseskin.nodes.reconstructor.bases.base import Basis
-from sparseskin.nodes.reconstructor.bases.shifted_haar import SHIFTS, ShiftedHaar
-from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
-from sparseskin.nodes.reconstructor.solvers.projection import CompiledProjection, make_projection
+from sparseskin.nodes.reconstructor.solvers.base import Solver, whole_number
 
-from .clip_bias import ClipBias
-from .evidence import HAAR, SMOOTH, HeldOut, mean_square
-from .gain import AdaptiveGain
-from .noise_level import NoiseLevel, row_power
-from .prediction import Prediction, neighbours_of
-from .row_memory import RowMemory
-from .smooth import SmoothModel
-from .sums import Read, Tested
-from .tuning import TUNING, SkinTuning
+from .gates import SHIFTS, Gates, Tiles, stored_gates
+from .rows import rows_of
+from .tuning import SkinTuning
+from .vectors import FrameVectors
 
-if TYPE_CHECKING:
-    from .fast import CompiledFrame
-
-N_DRAWN = 4093
-"""Number of shifts drawn in advance; a prime, so that their sequence is in step with nothing."""
-
-MOST_LATE = 5.0
-"""Periods of the frames that stated work may take before comparisons wait; chosen: a first frame,
-3.75 times one that has a prediction, is compared wherever the latter fits into a period."""
+RESOLUTION = float(np.finfo(np.float32).eps)
+"""Relative resolution of measurements: a noise below it does not show in them."""
+DUST = 1e-6
+"""Squared length of Phi 1 a taxel up to which it is 0 but for rounding: no row of the subset sees
+a bias. Derived: float32 leaves 1e-12, one row of +1 has 32 / N, above 1e-6 up to 3e7 taxels."""
 
 
 class SkinSolver(Solver):
-    """Reconstructs frames from measurements, the last frame, and noise statistics of its own.
+    """Reconstructs frames in a constant number of steps, with the estimated error of each.
 
-    1. Noise clipped at 0 biases untouched taxels: the bias is estimated and subtracted
-       (`ClipBias`).
-    2. The last frame, moved affinely, predicts this one: x_p (`Prediction`).
-    3. The innovation e = y - Phi x_p and the noise level (`NoiseLevel`) give the gain K
-       (`AdaptiveGain`) of the target y' = Phi x_p + K e, K = 1 if the scene has jumped.
-    4. Iterations from x_p: r = y' - Phi z, u = z + Phi^T r, x = max(0, Psi_s g(Psi_s^T u)),
-       z = x + 0.7 (x - x_before). Psi_s is three levels of Haar under a random shift s
-       (`ShiftedHaar`), g(c) = c max(0, 1 - lambda^2 / c^2) the nonnegative garrote, lambda 1.4
-       RMS of r, bounded from below by noise and innovation. The number of iterations grows with
-       the normalised innovation squared.
-    5. The mean of the last iterates, and the bias added back to touched taxels.
-    6. Some measurements are held out of all this (`HeldOut`). Where their residuals exceed the
-       noise, the frame is estimated by another model, too (`SmoothModel`), and the better of both
-       is used. They also give the error of the estimate, and whether it is trusted.
+    1. The bias b of noise that is clipped at 0 is subtracted from the measurements.
+    2. The last frame x predicts this one: x_p = (1 + a0) x + a1 dx/drow + a2 dx/dcol, by ridge
+       least squares on the innovation, scaled by what it explains.
+    3. The noise variance R is the part of the innovation that does not repeat when the same rows
+       are read again. P + R is its mean square: P, averaged over frames, is the error variance of
+       the prediction.
+    4. Each row has a Kalman filter of its own, of mean w and variance n + g: what the noise of its
+       measurements left, and what has changed since. The mean moves as the prediction does; what
+       the mean squared innovation of the rows read exceeds n + g + R by has changed in all rows.
+       The prediction, of variance L = c P (1 + d P / R), and the filter give the expected value of
+       each row, by their precisions; regression on the rows read gives the part of what the filter
+       adds that counts. With the measurements, these are the target of each row, of variance v.
+    5. Steps from z = x_p: r = target - W z; tau = mean r^2, less the mean v, of the rows read;
+       D = tau / (tau + v); s^2 = tau (1 - mean D) / mean D; u = z + W^T (D r) / mean D;
+       x, alpha = `Gates` of u / s; z moves half the way to (x - alpha u) / (1 - alpha).
+    6. The errors of z do not depend on the noise of the measurements: their mean squared residual
+       less R is the error variance E of the last three x; where that is within the noise, alpha s^2
+       counts. The estimate is the mean of these x and of x_p, by E and P.
 
-    With rotating rows, one solver serves all row subsets (`use`): the prediction carries over, and
-    noise, bias and gain are kept for each. A wrong estimate that fits the rows of one frame is
-    contradicted by the next; on a still skin, earlier measurements of other rows are part of the
-    target (`RowMemory`).
-
-    Step length, noise and threshold come from the measurements: relative errors are the same on a
-    skin of another range. The same measurements give the same bits on one machine: shifts are drawn
-    from a generator that `reset` restarts.
+    One solver serves all row subsets of rotating rows. Any Phi will do: its rows are made
+    orthonormal first, whatever their length. Each frame takes the same number of steps.
 
     Parameters
     ----------
     phi, mask
-        As in `Solver`. "sbhe" with blocks of at most 64 is several times faster than others.
+        As in `Solver`.
     basis : Basis
-        Gives the size of the grid; the solver has its own Haar.
-    iterations : int, optional
-        Least iterations of a frame, 1..1000. None: 3 at M = N/3 and N/4, 4 at N/8, more with fewer
-        measurements.
-    max_iterations : int
-        Most iterations of a frame, 1..1000, rounds of the smooth model not counted; never fewer
-        than `iterations`.
-    seed : int
-        Seed of the shifts, at least 0.
+        Gives the size of the grid; the gates are learned.
+    iterations : int
+        Steps of a frame, 1..1000. Fewer than 5 have not converged where a contact begins.
     fast : str
-        Use of compiled loops, for "sbhe": "auto" (where numba is installed), "on" or "off". The
-        forces are the same to within some 1e-5 N at M = N/3. With far fewer measurements the method
-        amplifies rounding: measurements that differ by 1e-7 N make as large a difference. So does
-        the smooth model at any M.
+        Use of compiled loops, for "sbhe": "auto" (where numba is installed), "on" or "off".
+    gates : Gates, optional
+        Weights of the denoiser; None: those of the package.
     tuning : SkinTuning
         The constants of the method; another one is an ablation.
 
@@ -95,13 +74,15 @@ class SkinSolver(Solver):
 
     Notes
     -----
-    Source: a denoiser within the iteration: Metzler, Maleki, Baraniuk, "From denoising to
-    compressed sensing", IEEE Trans. Information Theory 62(9), 2016. Those of the parts: there.
+    Source: Ma, Ping, "Orthogonal AMP", IEEE Access 5, 2017; Metzler, Mousavi, Baraniuk, "Learned
+    D-AMP", NeurIPS 2017, for a learned denoiser in it; Mehra, "On the identification of variances
+    and adaptive Kalman filtering", IEEE Trans. Automatic Control 15(2), 1970, for the noise level.
     """
 
     name = "skin"
     rotates = True
     adaptive = True
+    paced = True
     #: The sum of squares of larger ones could overflow float32.
     y_max = 1e14
 
@@ -111,514 +92,198 @@ class SkinSolver(Solver):
         basis: Basis,
         mask: Mask | None = None,
         *,
-        iterations: int | None = None,
-        max_iterations: int = 30,
-        seed: int = 0,
+        iterations: int = 8,
         fast: str = "auto",
-        tuning: SkinTuning = TUNING,
+        gates: Gates | None = None,
+        tuning: SkinTuning | None = None,
     ) -> None:
         super().__init__(phi, basis, mask)
-        if not isinstance(tuning, SkinTuning):
-            raise SolverError(
-                f"skin: tuning = {tuning!r} is not allowed; allowed: a SkinTuning, from Python only"
-            )
-        self._t = tuning
-        bounds = checked_iterations("skin", phi.ratio, iterations, max_iterations)
-        self.iterations, self.max_iterations = bounds
-        whole_number("skin", "seed", seed, 0, 2**32 - 1)
-
-        n = phi.n
-        self._subsets = {phi.fingerprint: 0}
+        self.n_steps = self.iterations = whole_number(self.name, "iterations", iterations, 1, 1000)
+        for key, value, kind in (("gates", gates, Gates), ("tuning", tuning, SkinTuning)):
+            if value is not None and not isinstance(value, kind):
+                raise SolverError(
+                    f"{self.name}: {key} = {value!r} is not allowed; "
+                    f"allowed: {kind.__name__}, from Python only"
+                )
+        self._t = tuning or SkinTuning()
         compiled = use_compiled(fast) and is_sbhe(phi)
-        self._projection = make_projection(phi, compiled)
-        self._place_of_cell = np.full(self.mask.size, n, dtype=np.intp)
-        self._place_of_cell[self.taxels[self._projection.order]] = np.arange(n)
-        places = self._place_of_cell.reshape(self.mask.shape)
-        self._haar = ShiftedHaar(self.mask.shape, places, n)
-        neighbours = neighbours_of(places, n)
-        self._prediction = Prediction(self._projection, neighbours, n, phi.m, tuning)
-        self._noise = NoiseLevel(phi.m, tuning)
-        self._row_power = row_power(phi)
-        self._bias = ClipBias(self._projection, n, tuning)
-        few = phi.m < tuning.comparable and n <= tuning.most_direct
-        self._held_out = HeldOut(self._projection, n, phi.m, few, tuning)
-        self._smooth = self._smooth_model(compiled, few)
-        self._gain = AdaptiveGain(tuning)
-        self._memory: RowMemory | None = None
-        if self._projection.has_whole:
-            self._memory = RowMemory(self._projection, phi.m, self._prediction.whole, tuning)
-        rng = np.random.default_rng(seed)
-        drawn: list[int] = rng.integers(len(SHIFTS), size=N_DRAWN).tolist()
-        #: As many more follow as a frame may need after the last one.
-        self._shifts = drawn + drawn[:MAX_ITERATIONS]
-
-        def floats(size: int) -> Floats:
-            return np.zeros(size, dtype=np.float32)
-
-        # Vectors of taxels end with a 0, which cells without a taxel read.
-        self._x_and_zero, self._u_and_zero = floats(n + 1), floats(n + 1)
-        self._x, self._u = self._x_and_zero[:n], self._u_and_zero[:n]
-        self._before, self._z, self._sum = floats(n), floats(n), floats(n)
-        rows = (floats(self._projection.n_rows) for _ in range(5))
-        self._y, self._innovation, self._target, self._r, self._correction = rows
-        self._fitted = {name: floats(self._projection.n_rows) for name in (HAAR, SMOOTH)}
-        self._canvas = floats(self._haar.size)
-        # An array of them: numpy compares with a single number three times as slowly.
-        self._zeros = floats(n)
-        self._lambda2 = np.zeros((), dtype=np.float32)
-        self._momentum = np.array(tuning.momentum, dtype=np.float32)
-        self._factor = np.zeros((), dtype=np.float32)
-        self._shrink = self._haar.shrinking(self._canvas, self._lambda2)
-        #: The work of a frame in compiled loops, or None: with numpy.
-        self._frame: CompiledFrame | None = None
+        self._rows = rows_of(phi, compiled)
+        self._cells = self.taxels[self._rows.taxel]
+        flat = np.full(self.mask.size, phi.n, dtype=np.intp)
+        flat[self._cells] = np.arange(phi.n)
+        places = flat.reshape(self.mask.shape)
+        made = self._rows, Tiles(self.mask, places, phi.n), gates or stored_gates()
         if compiled:
-            self._compile(neighbours)
-        self.n_steps = self.iterations
+            from .compiled import CompiledVectors  # needs numba
+
+            self._vectors: FrameVectors = CompiledVectors(*made, places, self._t)
+        else:
+            self._vectors = FrameVectors(*made, places, self._t)
+        #: By row subset: Phi 1 and its squared length; the last measurements and innovation.
+        self._ones: dict[str, tuple[Floats, float]] = {}
+        self._last: dict[str, tuple[Floats, Floats]] = {}
         self.reset()
 
-    def _compile(self, neighbours: Indices) -> None:
-        """Replace the work of a frame by compiled loops, and its vectors by theirs."""
-        # Imported here: they need numba.
-
-        from .fast import CompiledFrame
-
-        projection = self._projection
-        assert isinstance(projection, CompiledProjection)
-        self._frame = frame = CompiledFrame(
-            *(projection, self._haar, self._place_of_cell, neighbours, self._shifts, self._t)
-        )
-        self._x_and_zero, self._x, self._z = frame.x_and_zero, frame.x, frame.z
-        self._y, self._sum, self._correction = frame.y, frame.total, frame.correction
-        self._fitted[HAAR], self._prediction.whole = frame.fitted, frame.whole
-        self._memory = RowMemory(projection, self.phi.m, frame.whole, self._t)
-        self._memory.known, self._memory.values = frame.known, frame.values
-        frame.use(0, self._held_out.kept, self._bias.ones)
-
-    def _smooth_model(self, compiled: bool, direct: bool) -> SmoothModel:
-        cells = self.taxels[self._projection.order]
-        if direct or not compiled:
-            return SmoothModel(self._projection, cells, self.mask, direct, self._t)
-        # Imported here: they need numba.
-
-        from .fast import CompiledSmoothModel
-
-        assert isinstance(self._projection, CompiledProjection)
-        return CompiledSmoothModel(self._projection, cells, self.mask, self._t)
-
     def reset(self) -> None:
-        self._x.fill(0)
-        self._noise.reset()
-        self._bias.reset()
-        self._gain.reset()
-        self._held_out.reset()
+        self._vectors.forget()
+        self._last.clear()
+        self._noise = self._least_noise = self._floor = self._bias = 0.0
+        self._n_frames = self._n_seen = self._n_shifts = self._steps_left = 0
+        self._trust = 1.0
+        self._last_error2 = self._signal = 0.0
         self.error, self.trusted = None, True
-        #: Last estimates of both models, while they are compared.
-        self._last: dict[str, Floats] = {}
-        if self._memory is not None:
-            self._memory.forget()
-        self._correction.fill(0)
-        self._prediction.knows_whole = False
-        self._last_phi = self.phi
-        self._rotating = self._begun = self._has_estimate = False
-        self.put_off = self._is_owed = False
-        self._busy_s = 0.0
-        subset = self._subsets[self.phi.fingerprint]
-        self._noise.use(subset)
-        self._gain.use(subset)
-        self._held_out.use(subset)
-        self._next_shift = 0
-        self._steps_left = 0
 
     def use(self, phi: Phi) -> None:
-        """Expect measurements of other rows of the same W, or raise SolverError by their number."""
         if (phi.n, phi.m) != (self.phi.n, self.phi.m):
             raise SolverError(
-                f"skin: phi {phi.fingerprint} is {phi.m} x {phi.n}; "
+                f"{self.name}: phi {phi.fingerprint} is {phi.m} x {phi.n}; "
                 f"allowed: {self.phi.m} x {self.phi.n}"
             )
         super().use(phi)
-        subset = self._subsets.setdefault(phi.fingerprint, len(self._subsets))
-        if not self._projection.has_whole and phi is not self.phi:
-            self._correction.fill(0)  # it is known for the rows of the last frame alone
         self.phi = phi
-        self._projection.use(phi)
-        self._noise.use(subset)
-        self._bias.use(subset)
-        self._gain.use(subset)
-        self._held_out.use(subset)
-        if self._frame is not None:
-            self._frame.use(subset, self._held_out.kept, self._bias.ones)
+        if not self._rows.use(phi):
+            self._vectors.forget_rows()
+
+    @property
+    def noise2(self) -> float:
+        """Noise variance of a measurement, as known so far."""
+        return self._noise
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         y = self._shaped_y(y)
+        power = self._power_of(y) / y.size
+        vectors, t = self._vectors, self._t
         if warm is not None:
-            self._power_of(y)
-            cells = self.taxels[self._projection.order]
-            self._checked_warm(warm).reshape(-1).take(cells, None, self._x, "clip")
-            np.maximum(self._x, 0, out=self._x)
-            self._correction.fill(0)
-            self._prediction.knows_whole = False
-            self._has_estimate = bool(self._x.any())
-        rotating = self._rotating or (self._begun and self.phi is not self._last_phi)
-        # Whether rows rotate shows in the second frame, which remembers the first.
-        remembers = self._memory is not None and (rotating or not self._begun)
-        found = self._read(y, remembers)
-        self._begun, self._rotating, self._last_phi = True, rotating, self.phi
-        self._power_read = found.power / self.phi.m
-        e2 = found.e2 / self.phi.m
-        failed = self._prediction.failed
-        self._noise.stated = self._row_power * self.noise_sd**2
-        self._noise.follow(e2, found.changed2, found.second2, failed, self._power_read)
-        jumped, settling = self._noise.jumped, self._noise.since_jump <= self._t.settling
-        self._gain.follow(
-            *(found.e2, found.along, found.correction2, self.phi.m, self._noise.s2, settling)
+            vectors.start_from(np.maximum(self._checked_warm(warm).reshape(-1)[self._cells], 0))
+        # Of this frame alone: one frame of garbage must not blind those after it.
+        self._floor = max(RESOLUTION**2 * power, TINY)
+        self._values = self._rows.values(y) - np.float32(self._bias) * self._ones_of()[0]
+        vectors.predict(self._values, max(self._noise, self._floor))
+        e2 = float(vectors.innovation @ vectors.innovation) / vectors.innovation.size
+        noise = self._follow_noise(y, vectors.innovation, e2)
+        signal = self._follow_signal(e2, noise)
+        # Of rows that are never read, the innovation says nothing: the last estimate's own error.
+        vectors.filter_rows(
+            self._values, noise, signal, max(self._last_error2, self._floor), self._floor
         )
-        gain = self._gain.gain
+        self._estimates: list[Floats] = []
+        self._errors, self._residuals = [signal], [e2]
+        # Noise grows with the forces, but not without bound: what exceeds it, no force explains.
+        known = self._n_seen > 1 / t.noise_rate
+        self._judged_noise = min(noise, t.louder * self._least_noise) if known else noise
+        self._steps_left = self.n_steps
 
-        held = self._t.held_rotating if self._rotating else self._t.held_threshold
-        noise = self._t.least_threshold * math.sqrt(self._gain.noise * gain)
-        least = 0.0 if jumped else max(noise, held * math.sqrt(e2) * gain)
-        self._least = least * self._projection.step_size
-        cold = self._t.cold_threshold / math.sqrt(self.phi.ratio)
-        threshold = min(self._t.threshold, cold) if jumped else self._t.threshold
-        self._threshold = threshold * self._projection.step_size
-        more = self._t.iterations_per_nis * max(0.0, self._gain.nis - self._t.expected_nis)
-        more = self.max_iterations if settling else min(more, self.max_iterations)
-        # A comparison that was put off is made from nothing, and decides at once.
-        self._is_owed, self.put_off = self.put_off, False
-        models = self._held_out.models(self._nothing_known or self._is_owed, self._coarse)
-        # By stated times, not by the clock: the same frames have the same forces, live or not.
-        if self._smooth.least_s > self.period_s and self.phi.m >= self._t.comparable:
-            models = (HAAR,)
-        self._busy_s = max(0.0, self._busy_s - self.period_s)
-        self._n_haar = (
-            min(self.max_iterations, self.iterations + int(more)) if HAAR in models else 0
-        )
-        counted = None
-        if self._memory is not None and remembers:
-            # While the estimate settles after a jump, earlier rows would preserve its errors.
-            subset = self._subsets[self.phi.fingerprint]
-            counted = self._memory.counted(subset, found.change2, self.known_noise, e2, settling)
-            # Thresholds are in RMS of r over the weighted rows.
-            self._threshold *= math.sqrt(self.phi.m / self._memory.m_counted)
-        self._aim(gain, counted)
-        self.unfitted = self._held_out.measurements
-        self._n_rounds, self._needs_smooth = 0, True
-        self._residuals: dict[str, Floats] = {}
-        if SMOOTH in models:
-            self._begin_smooth(e2, remembers)
-        start = self._start_of(HAAR)
-        if HAAR in models and start is not self._x:
-            np.copyto(self._x, start)
-            np.copyto(self._z, start)
-        self.n_steps = self._n_haar + self._n_rounds
-        self._steps_left, self._n_summed = self.n_steps, 0
+    def _ones_of(self) -> tuple[Floats, float]:
+        """Phi 1 of the row subset, float32 (n_read,), and its squared length."""
+        key = self.phi.fingerprint
+        if key not in self._ones:
+            ones = self._rows.forward(np.ones(self._rows.n, dtype=np.float32))[self._rows.read]
+            self._ones[key] = ones, float(ones @ ones)
+        return self._ones[key]
 
-    def _read(self, y: Floats, remembers: bool) -> Read:
-        """Read the measurements of a frame, float32 (m,), and predict it.
+    def _follow_noise(self, y: Floats, innovation: Floats, e2: float) -> float:
+        """Update the noise level; return it times the trust in it.
 
-        The last rows are moved along if the frame `remembers` them.
+        Where an innovation, of mean square e2, points along the last correction, that was too
+        small: what seems noise is motion. Measurements y that are exactly those before are of a
+        board that hangs, and say nothing of the noise.
         """
-        memory, prediction = self._memory, self._prediction
-        if self._frame is not None:
-            found = self._frame.read(
-                *(y, self._noise, prediction, self._bias.b, remembers, self.y_max**2)
-            )
-            if not found.power < self.y_max**2:
-                self._power_of(y)  # raises SolverError, or they are large, but not too large
-                found = self._frame.read(
-                    *(y, self._noise, prediction, self._bias.b, remembers, math.inf)
-                )
-            if remembers and prediction.failed and memory is not None:
-                memory.forget_times()
-            return found
-        power = self._power_of(y)
-        self._projection.rows_of(y, self._y)
-        self._bias.subtract(self._y)
-        self._projection.weigh(None)
-        changed2, second2 = self._noise.changes(y)
-        e2 = prediction.predict(self._x, self._y, self._innovation, self._noise.s2, changed2)
-        correction = np.multiply(self._correction, self._projection.read, self._r)
-        along = float(np.dot(self._innovation, correction))
-        correction2, change2 = float(np.dot(correction, correction)), 0.0
-        if memory is not None and remembers:
-            if prediction.failed:
-                memory.forget()
-            change2 = memory.compare(self._x if prediction.moved else None, self._y)
-        elif prediction.moved:
-            np.subtract(self._y, self._innovation, prediction.whole)
-        return Read(power, changed2, second2, e2, along, correction2, change2)
+        t, key = self._t, self.phi.fingerprint
+        last_y, last = self._last.get(key, (None, innovation))
+        if last_y is not None and not np.array_equal(y, last_y):
+            seen = max(0.0, float(last @ (last - innovation)) / last.size)
+            self._n_seen += 1
+            level = self._noise + max(t.noise_rate, 1 / self._n_seen) * (seen - self._noise)
+            if self._n_seen > 1 / t.noise_rate:
+                level = min(level, t.noise_growth * self._noise)
+                self._least_noise = min(t.bias_forgotten * self._least_noise, level)
+            else:
+                self._least_noise = level
+            self._noise = min(level, e2)
+        self._noise = max(self._noise, self._floor, self.noise_sd**2)
+        self._last[key] = y, innovation
+        alike = self._vectors.alignment()
+        self._trust *= math.exp(min(t.trust_fall * (t.lagging - alike), t.trust_growth))
+        self._trust = min(max(self._trust, t.least_trust), 1.0)
+        return max(self._noise * self._trust, self._floor)
 
-    def _aim(self, gain: float, counted: float | None) -> None:
-        """Set the target and the weights of the rows, and begin the iterations at x.
-
-        Rows of earlier frames have the weight `counted`; None: they are not remembered.
+    def _follow_signal(self, e2: float, noise: float) -> float:
+        """Return the mean squared error of the prediction: what the innovation's, e2, exceeds the
+        noise by, averaged over frames.
         """
-        if self._frame is not None:
-            self._frame.aim(gain, counted)
-            return
-        if counted is not None and self._memory is not None:
-            self._memory.follow(gain, counted, self._target)
-        else:
-            # y' = Phi x_p + K e
-            self._factor[()] = 1 - gain
-            np.multiply(self._innovation, self._factor, self._target)
-            np.subtract(self._y, self._target, self._target)
-        self._projection.leave_out(self._held_out.kept)
-        np.multiply(self._target, self._held_out.kept, self._target)
-        np.copyto(self._z, self._x)
-        self._sum.fill(0)
-
-    def _begin_smooth(self, e2: float, rotating: bool) -> None:
-        """Hand the rows that are known to the smooth model."""
-        y = self._y
-        y2 = float(np.dot(y, y)) / self.phi.m
-        cold = self._nothing_known or self._is_owed
-        least = self.known_noise + self._t.least_noise * y2
-        power = (y2 if cold else e2) - least
-        known, values, variance = self._projection.measured, y, np.full_like(y, least)
-        if rotating and self._memory is not None:
-            known, values = self._memory.known, self._memory.values
-            variance = self._memory.variances(least)
-        used = np.where(known > 0, self._held_out.kept, np.float32(0))
-        kept = self._t.kept_rotating if rotating else self._t.kept_fixed
-        start = self._start_of(SMOOTH)
-        self._smooth.setup(start, values, variance, used, max(power, TINY), cold, kept)
-        self._n_rounds = self._smooth.rounds_left
-
-    def _start_of(self, model: str) -> Floats:
-        """Return the prediction for a model: while two are compared, the last estimate of each."""
-        other = model != self.model and not self._nothing_known
-        return self._last.get(model, self._x) if other else self._x
-
-    def solve(self, y: Floats, warm: Floats | None = None) -> Floats:
-        self._check_subset()
-        self.setup(y, warm)
-        self._iterate(0, self._n_haar)
-        self._steps_left -= self._n_haar
-        while self._steps_left:
-            self.step()
-        return self.finish()
+        n_read = self._values.size
+        now = self._t.surplus(e2, noise, n_read)
+        self._signal += self._t.signal_rate * (e2 - noise - self._signal)
+        most = max(0.0, e2 - noise) + 2 * noise * math.sqrt(2 / n_read)
+        self._signal = max(min(self._signal, most), now / 2)
+        return max(0.0, self._signal, now)
 
     def step(self) -> None:
-        done = self.n_steps - self._steps_left
         self._count_step()
-        if done < self._n_haar:
-            self._iterate(done, 1)
-            return
-        if done == self._n_haar and done:
-            self._test_haar()
-            self._needs_smooth = not self._held_out.suffices(
-                self._residuals[HAAR], self.known_noise
-            )
-            # A model in use is computed in any case, unless the past says nothing.
-            deferrable = self.model == HAAR or self._nothing_known or self._is_owed
-            busy_s = self._busy_s + self._smooth.left_s
-            in_time = busy_s <= MOST_LATE * self.period_s
-            if self._needs_smooth and deferrable and not (in_time and self.may_compare()):
-                self._needs_smooth, self.put_off = False, True
-            if self._needs_smooth:
-                self._busy_s = busy_s
-        if self._needs_smooth:
-            self._smooth.round()
-
-    def _iterate(self, done: int, count: int) -> None:
-        """Do iterations of the Haar model, after the first `done` of the frame."""
-        # The mean of the last ones is the estimate.
-        n_summed = min(count, max(0, done + count - self._n_haar + self._t.averaged))
-        first = self._next_shift
-        self._next_shift = (first + count) % N_DRAWN
-        self._n_summed += n_summed
-        if self._frame is not None:
-            self._frame.iterate(first, count, n_summed, self._threshold, self._least)
-            return
-        for k in range(count):
-            shift, summed = self._shifts[first + k], k >= count - n_summed
-            self._numpy_iteration(shift, self._threshold, self._least, summed)
-
-    def _numpy_iteration(self, shift: int, threshold: float, least: float, summed: bool) -> None:
-        """Do one iteration under a shift; `threshold` in RMS of r, `least` in newtons."""
-        x, u, z, r = self._x, self._u, self._z, self._r
-        self._projection.forward(z[None], r[None])
-        np.subtract(self._target, r, r)
-        threshold *= math.sqrt(float(np.dot(r, r)) / self.phi.m)
-        self._lambda2[()] = max(threshold, least) ** 2 + TINY
-        self._projection.adjoint(r, u)
-        np.add(u, z, u)
-
-        to_canvas, from_canvas = self._haar.tables(shift)
-        self._u_and_zero.take(to_canvas, None, self._canvas, "clip")
-        run(self._shrink)
-        np.copyto(self._before, x)
-        self._canvas.take(from_canvas, None, x, "clip")
-        np.maximum(x, self._zeros, out=x)
-
-        np.subtract(x, self._before, z)
-        np.multiply(z, self._momentum, z)
-        np.add(z, x, z)
-        if summed:
-            np.add(self._sum, x, self._sum)
+        x, error2, residual2 = self._vectors.step(self._n_shifts, self._floor)
+        self._n_shifts = (self._n_shifts + 1) % len(SHIFTS)
+        if not self._estimates:  # those of the prediction no longer count
+            self._errors, self._residuals = [], []
+        self._estimates.append(x)
+        self._errors.append(error2)
+        self._residuals.append(residual2)
 
     def finish(self) -> Floats:
-        if self._steps_left < self.n_steps:
-            sums, fitted = self._choose()
-        else:
-            fitted = self._prediction.whole
-            sums = self._sums_of(self._x, fitted)
-        if not math.isfinite(sums.x2):
-            self.reset()
-            raise SolverError("skin: the iteration diverged: is phi.lipschitz too small?")
         self._steps_left = 0
-        # W of the correction x - x_p, and of the last frame.
-        if self._frame is not None:
-            forces = self._frame.end(fitted, self._bias.b)
-        else:
-            np.subtract(fitted, self._prediction.whole, self._correction)
-            np.copyto(self._prediction.whole, fitted)
-            forces = self._x_and_zero.take(self._place_of_cell, None, None, "clip")
-            self._bias.add_back(forces)
-        return self._finite(forces).reshape(self.mask.shape)
+        t, vectors, bias = self._t, self._vectors, np.float32(self._bias)
+        error2 = self._error2()
+        prior = t.blend * max(self._signal, self._last_error2, self._floor)
+        part = min(t.most_predicted, error2 / (error2 + prior))
+        fitted = vectors.settle(self._estimates[-t.averaged :] or [vectors.predicted], part)
+        self._last_error2 = (1 - part) * error2
+        self.error = math.sqrt(self._last_error2)
+        self._n_frames += 1
+        x = vectors.x
+        power = float(x @ x) / x.size
+        noise = self._judged_noise
+        untouched = power <= t.untouched * noise and self._residual2() <= t.unexplained * noise
+        self.trusted = untouched or self.error**2 <= t.trusted**2 * power
+        forces = x
+        if bias > 0:
+            # Readings of mean b + u of a force that is not clipped as often: u + b (1 - e^(-u/b)).
+            forces = x + bias * (1 - np.exp(-x / bias))
+        self._follow_bias(x, self._values - fitted)
+        image = np.zeros(self.mask.size, dtype=np.float32)
+        image[self._cells] = forces
+        return self._finite(image.reshape(self.mask.shape))
 
-    @property
-    def model(self) -> str:
-        """Model of the last estimate: "haar" or "smooth"."""
-        return self._held_out.model
+    def _error2(self) -> float:
+        """Mean squared error of the mean of the last estimates.
 
-    def _choose(self) -> tuple[Tested, Floats]:
-        """Set x to the better estimate of those that were made, and its error.
-
-        Return its sums and W x.
+        The errors of z do not depend on the noise of the measurements: the residuals exceed the
+        noise by them. Where that is not significant, the gates' own expectation counts.
         """
-        done = self.n_steps - self._steps_left
-        estimates = {}
-        if self._n_haar:
-            if HAAR not in self._residuals:
-                self._test_haar()
-            estimates[HAAR] = self._x
-        # A model that a budget cut short is not compared, but better than none.
-        complete = done == self.n_steps and self._needs_smooth
-        if self._n_rounds and (complete or not self._n_haar):
-            estimates[SMOOTH] = self._smooth.x
-            self._projection.whole(self._smooth.x, self._fitted[SMOOTH])
-            self._residuals[SMOOTH] = self._residual_of(SMOOTH)
-        before = self.model
-        # Only rotating rows hold out others in the next frame: with fixed ones, all noise counts.
-        gain = self._gain.gain if self._rotating else 0.0
-        owed = self._is_owed and len(self._residuals) > 1
-        chosen = self._held_out.choose(
-            self._residuals, self.known_noise, self._nothing_known or owed, gain
-        )
-        if (before, chosen) == (SMOOTH, HAAR):
-            # The gain has fallen meanwhile, without the noise of the smooth model.
-            self._noise.since_jump = 0
-        self._last = {}
-        if len(estimates) > 1:
-            self._last = {model: x.copy() for model, x in estimates.items()}
-        fitted = self._fitted[chosen]
-        if chosen == SMOOTH:
-            np.copyto(self._x, estimates[SMOOTH])
-        sums = self._haar_sums if chosen == HAAR else self._sums_of(self._x, fitted)
-        if self._noise.known or self.phi.m >= self._t.comparable:
-            # The bias is that of this frame's rows alone.
-            most = self._most_noise(self._residuals[chosen])
-            self._bias.update(sums.left, self._x, self._noise.s2, most, self._noise.again)
-        self._prediction.knows_whole = True
-        self._has_estimate = True
-        self._judge(sums)
-        return sums, fitted
+        t, noise = self._t, self._judged_noise
+        own = _mean(self._errors[-t.averaged :])
+        seen = max(0.0, self._residual2() - noise)
+        doubt = t.doubtful * (seen + noise) * math.sqrt(2 / self._values.size)
+        share = seen * seen / (seen * seen + doubt * doubt + TINY)
+        return share * seen + (1 - share) * own
 
-    def _test_haar(self) -> None:
-        """Set x to the mean of the last iterates, and test it."""
-        factor, fitted = 1 / self._n_summed if self._n_summed else 0.0, self._fitted[HAAR]
-        if self._frame is not None:
-            self._haar_sums = self._frame.test(factor)
-        else:
-            if factor:
-                self._factor[()] = factor
-                np.multiply(self._sum, self._factor, self._x)
-            self._projection.whole(self._x, fitted)
-            self._haar_sums = self._sums_of(self._x, fitted)
-        self._residuals[HAAR] = self._residual_of(HAAR)
+    def _residual2(self) -> float:
+        """Mean squared residual of the last z."""
+        return _mean(self._residuals[-self._t.averaged :])
 
-    def _sums_of(self, x: Floats, fitted: Floats) -> Tested:
-        """Return the sums of an estimate, float32 (n,), with W x `fitted`."""
-        residual = np.subtract(self._y, fitted, self._r)
-        left = float(np.dot(self._bias.ones, residual))
-        return Tested(float(np.dot(x, x)), float(np.count_nonzero(x)), left)
-
-    def _residual_of(self, model: str) -> Floats:
-        """Return the residuals of the measurements that a model's estimate was not made from."""
-        left_out = self._smooth.left_out
-        if left_out is not None:
-            return left_out[self._projection.measured > 0]
-        return self._held_out.residual(self._y, self._fitted[model])
-
-    @property
-    def _nothing_known(self) -> bool:
-        """True if the past says nothing of this frame."""
-        return self._prediction.failed or not self._has_estimate
-
-    @property
-    def _coarse(self) -> bool:
-        """True if the last error, and the noise, are large beside what touches the skin.
-
-        Noise counts as far as the Haar model does not average it out, K times; with a low gain K,
-        innovations are no larger than noise, and no other model would change that. Not asked of
-        fixed rows: the same measurements are held out of each frame, so that another comparison
-        would be no other evidence.
+    def _follow_bias(self, x: Floats, residual: Floats) -> None:
+        """Update the mean reading of an untouched taxel: by the residual along Phi 1, and by the
+        taxels of the estimate x within the noise.
         """
-        gain, noise = self._gain.gain, self.known_noise
-        if self.error is None or not self._rotating or gain < self._t.coarse_gain:
-            return False
-        touch = self._power_read - noise
-        if touch <= self._t.untouched * noise:
-            return False
-        return self.error**2 + gain * noise > self._t.trusted**2 * touch
-
-    @property
-    def known_noise(self) -> float:
-        """Variance of the noise on a measurement, squared newtons; 0 before it is known."""
-        return self._gain.noise if self._noise.known else 0.0
-
-    def filtered_error2(self, x: Floats) -> float:
-        """Mean squared error of a taxel that the noise leaves in an estimate x, float32 (n,)."""
-        return self._filtered_error2(float(np.count_nonzero(x)))
-
-    def _filtered_error2(self, n_touched: float) -> float:
-        touched = math.sqrt(n_touched / self.phi.n)
-        gain = self._gain.gain if self.model == HAAR else 1.0
-        return self._t.filtered_error * touched * gain * self.known_noise
-
-    def _most_noise(self, residual: Floats) -> float:
-        """Return a bound of the noise variance before it is known, by held-out measurements."""
-        if self._noise.known or not residual.size:
-            return math.inf
-        return self._t.bias_bound * mean_square(residual)
-
-    def _judge(self, sums: Tested) -> None:
-        """Set the error of the estimate, and whether it is trusted."""
-        if not self._held_out.tests:
-            self.error, self.trusted = None, True
-            return
-        noise = self.known_noise
-        beyond = self._held_out.error2(noise)
-        error2 = max(beyond, self._filtered_error2(sums.n_touched))
-        power = sums.x2 / self.phi.n
-        self.error = math.sqrt(error2)
-        excess = max(power, min(beyond, self._power_read - noise))
-        untouched = excess <= self._t.untouched * noise
-        self.trusted = untouched or error2 <= self._t.trusted**2 * power
+        t, (ones, energy) = self._t, self._ones_of()
+        noise = math.sqrt(self._least_noise)
+        more = float(ones @ residual) / energy if energy > DUST * x.size else 0.0
+        near = np.minimum(x / np.float32(2 * noise + math.sqrt(TINY)), 8)
+        more += float(x @ np.exp(-near * near)) / x.size
+        rate = max(t.bias_rate, t.bias_begins / (self._n_frames + t.bias_begins))
+        bias = self._bias + rate * min(max(more, -noise / 2), noise / 2)
+        self._bias = min(max(bias, 0.0), t.most_bias * noise)
+        if self._bias < 1e-3 * noise:  # its reciprocal could overflow float32
+            self._bias = 0.0
 
 
-def checked_iterations(
-    name: str, ratio: float, iterations: int | None, max_iterations: int
-) -> tuple[int, int]:
-    """Return the least and the most iterations of a frame; None: the default at that N / M.
-
-    Raises SolverError, which begins with `name`, if one is no whole number in 1..1000.
-    """
-    if iterations is None:
-        iterations = min(2 + round(ratio / 4), MAX_ITERATIONS)
-    least = whole_number(name, "iterations", iterations, 1, MAX_ITERATIONS)
-    most = whole_number(name, "max_iterations", max_iterations, 1, MAX_ITERATIONS)
-    return least, max(most, least)
+def _mean(numbers: Sequence[float]) -> float:
+    return sum(numbers) / len(numbers)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,6 @@ SOLVERS = {
     "fista_nonneg": "sparseskin.nodes.reconstructor.solvers.proximal:FistaNonnegSolver",
     "reweighted": "sparseskin.nodes.reconstructor.solvers.proximal:ReweightedSolver",
     "tv": "sparseskin.nodes.reconstructor.solvers.proximal:TvSolver",
-    "oamp": "sparseskin.nodes.reconstructor.oamp.solver:OampSolver",
     "ista": "sparseskin.nodes.reconstructor.solvers.proximal:IstaSolver",
     "omp": "sparseskin.nodes.reconstructor.solvers.omp:OmpSolver",
     "interpolation": "sparseskin.nodes.reconstructor.solvers.interpolation:InterpolationSolver",
@@ -76,6 +75,8 @@ class Solver(ABC):
     n_steps: int = 1
     #: Measurements beyond this could overflow float32 inside the solver, newtons.
     y_max: float = 1e30
+    #: True if fewer steps, of which the rate of the frames leaves time for, still are its method.
+    paced: bool = False
     #: True if `use` lets one solver serve all row subsets of rotating rows.
     rotates: bool = False
     #: Row subsets that frames are measured by in turn; none where the rows are fixed.
@@ -94,12 +95,6 @@ class Solver(ABC):
     trusted: bool = True
     #: Numbers of the measurements that the last frame was not made from, intp; None for none.
     unfitted: Indices | None = None
-    #: Asked when a frame needs a comparison of two models; where it returns False, that is put off.
-    may_compare: Callable[[], bool] = staticmethod(lambda: True)
-    #: True if that of the last frame was put off.
-    put_off: bool = False
-    #: Stated time between frames, seconds, for work that may wait; infinite where none is stated.
-    period_s: float = math.inf
     noise_sd: float = 0.0
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:

@@ -14,7 +14,6 @@ from sparseskin.nodes.numerics.kernels import (
     tiled_image,
 )
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis, level_sizes
-from sparseskin.nodes.reconstructor.bases.shifted_haar import in_planes
 
 
 class Tiling:
@@ -75,6 +74,17 @@ def _scale_of_sums(rows: int, cols: int) -> Doubles:
     for r, c in level_sizes(rows, cols):
         scale[:r, :c] *= np.sqrt(0.5) ** ((r > 1) + (c > 1))
     return scale
+
+
+def in_planes(cells: Indices, levels: int) -> Indices:
+    """Return the cells with partners half a part apart: even rows first, even columns first.
+
+    Both sides of `cells` are divisible by 2^levels; each level works within the last's quarters.
+    """
+    if levels == 0:
+        return cells.reshape(-1)
+    planes = [cells[down::2, right::2] for down in (0, 1) for right in (0, 1)]
+    return np.concatenate([in_planes(plane, levels - 1) for plane in planes])
 
 
 class CompiledFista:

@@ -47,18 +47,6 @@ def taken(topics: Iterable[str], depth: int) -> list[tuple[str, bool]]:
     return found
 
 
-@given(st.lists(st.sampled_from(["a", "state", "@"]), max_size=12))
-def test_a_node_is_behind_if_a_message_of_a_stream_waits_before_any_ask(topics: list[str]) -> None:
-    backlog = Backlog(Waiting(topics), frozenset([b"a"]))
-    for k in range(len(topics)):
-        before_ask = [*topics[k:], "@"].index("@")
-        assert backlog.is_behind() == ("a" in topics[k : k + before_ask])
-        waiting = backlog.take(0)
-        assert waiting is not None
-        assert waiting[0].decode() == topics[k]
-    assert not backlog.is_behind()
-
-
 @given(st.lists(st.sampled_from(["a", "b", "state", "@"]), max_size=40), st.integers(0, 5))
 def test_as_many_of_each_stream_are_left_as_may_wait(topics: list[str], depth: int) -> None:
     found = taken(topics, depth)

@@ -39,8 +39,10 @@ class Rows(ABC):
     read: Indices
 
     @abstractmethod
-    def use(self, phi: Phi) -> None:
-        """Expect measurements of another row subset."""
+    def use(self, phi: Phi) -> bool:
+        """Expect measurements of another row subset; return True if its rows are rows of this W,
+        False if W is another one now.
+        """
 
     @abstractmethod
     def values(self, y: Floats) -> Floats:
@@ -102,13 +104,14 @@ class HadamardRows(Rows):
         self._known: dict[str, tuple[Indices, Indices]] = {}
         self.use(phi)
 
-    def use(self, phi: Phi) -> None:
+    def use(self, phi: Phi) -> bool:
         if phi.fingerprint not in self._known:
             assert isinstance(phi, SbhePhi)
             places = self._place_of_row[phi.rows]
             order = np.argsort(places)
             self._known[phi.fingerprint] = places[order], order
         self.read, self._order = self._known[phi.fingerprint]
+        return True
 
     def values(self, y: Floats) -> Floats:
         return y[self._order]
@@ -135,14 +138,17 @@ class WhitenedRows(Rows):
         self.n = phi.n
         self.taxel = np.arange(phi.n)
         self._known: dict[str, tuple[Phi, Floats | None]] = {}
+        self._phi = phi
         self.use(phi)
 
-    def use(self, phi: Phi) -> None:
+    def use(self, phi: Phi) -> bool:
+        before = self._phi.fingerprint
         if phi.fingerprint not in self._known:
             self._known[phi.fingerprint] = phi, _whitening(phi)
         self._phi, self._mix = self._known[phi.fingerprint]
         self.n_rows = phi.m if self._mix is None else len(self._mix)
         self.read = np.arange(self.n_rows)
+        return phi.fingerprint == before
 
     def values(self, y: Floats) -> Floats:
         return y if self._mix is None else self._mix @ y

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.reconstructor.oamp.gates import (
+from sparseskin.nodes.reconstructor.skin.gates import (
     INNER,
     SHIFTS,
     TILE,

@@ -8,7 +8,7 @@ from stretched import Stretched
 
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
-from sparseskin.nodes.reconstructor.oamp.rows import HadamardRows, WhitenedRows, rows_of
+from sparseskin.nodes.reconstructor.skin.rows import HadamardRows, WhitenedRows, rows_of
 
 KINDS = ("sbhe", "gaussian", "subsample", "full", "local:4")
 

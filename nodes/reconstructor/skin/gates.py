@@ -171,7 +171,7 @@ _SHAPES: dict[str, tuple[int | str, ...]] = {
 @cache
 def stored_gates() -> Gates:
     """Weights that come with the package; what they were trained on is in the file."""
-    place = files("sparseskin.nodes.reconstructor.oamp").joinpath(FILE)
+    place = files("sparseskin.nodes.reconstructor.skin").joinpath(FILE)
     return Gates.read(place.read_bytes(), FILE)
 
 

@@ -1,0 +1,63 @@
+"""The time of a frame: how many steps of a solver fit into it on this host."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.reconstructor.solvers.base import Solver
+
+LEAST_STEPS = 3
+"""Steps that are done in any case. Measured: on moving presses at N/3, 3 of 8 steps lose 0.3 dB, 2
+lose 1."""
+SHARE = 0.5
+"""Part of the time between frames that a frame may take. Derived: as much is left for the other
+nodes of the patch, and for a first frame after a pause."""
+N_TRIALS, ENOUGH_S = (3, 15), 0.2
+"""Least and largest number of frames that are timed, and the time after which no other is."""
+
+
+class Costs(NamedTuple):
+    """Time of a frame of a solver on this host: of all but its steps, and of each step; seconds."""
+
+    frame_s: float
+    step_s: float
+
+    def of(self, steps: int) -> float:
+        """Time of a frame of this many steps, seconds."""
+        return self.frame_s + steps * self.step_s
+
+    def steps_in(self, budget_s: float, most: int) -> int:
+        """Number of steps that fit into a budget, at least `LEAST_STEPS` or `most`."""
+        fit = int((budget_s - self.frame_s) / self.step_s) if self.step_s > 0 else most
+        return max(min(fit, most), min(LEAST_STEPS, most))
+
+
+def measured_costs(solver: Solver, phi: Phi, f_max: float) -> Costs:
+    """Time frames in which every taxel is pressed by up to f_max, newtons; the solver is reset."""
+    rng = np.random.default_rng(0)
+    frames: list[float] = []
+    steps: list[float] = []
+    begin_s = time.perf_counter()
+    while len(frames) < N_TRIALS[0] or (
+        len(frames) < N_TRIALS[1] and time.perf_counter() < begin_s + ENOUGH_S
+    ):
+        y = phi.forward(rng.uniform(0, f_max, phi.n).astype(np.float32))
+        times = [time.perf_counter()]
+        if solver.subsets:
+            solver.use(phi)
+        solver.setup(y)
+        times.append(time.perf_counter())
+        for _ in range(solver.n_steps):
+            solver.step()
+        times.append(time.perf_counter())
+        solver.finish()
+        times.append(time.perf_counter())
+        frames.append(times[1] - times[0] + times[3] - times[2])
+        steps.append((times[2] - times[1]) / max(solver.n_steps, 1))
+    solver.reset()
+    return Costs(statistics.median(frames), statistics.median(steps))
