@@ -124,7 +124,7 @@ class Runs:
         """The six scenes of the paper, at their own frame rates."""
         stop = QUICK_SCENE_FRAMES if self._quick else SCENE_FRAMES
         frames = [SceneFrames(scene, stop=stop - 20) for scene in SCENES]
-        return self._rows("scenes", frames, (DEFAULT, SKIN, LEARNED, PAPER), PSNR, (RAW, ALL))
+        return self._rows("scenes", frames, (DEFAULT, SKIN, PAPER), PSNR, (RAW, ALL))
 
     def rates(self) -> pd.DataFrame:
         """Scenes of which every k-th frame is read, so that bodies move further a frame."""
@@ -145,7 +145,7 @@ class Runs:
             for course in COURSES
             for body in (QUICK_BODIES if self._quick else BODIES)
         ]
-        names = (DEFAULT, SKIN, LEARNED, ADAPTIVE, PAPER, "lattice", "hold")
+        names = (DEFAULT, SKIN, ADAPTIVE, PAPER, "lattice", "hold")
         return self._rows("presses", frames, names, PSNR)
 
     def sizes(self) -> pd.DataFrame:
@@ -156,7 +156,7 @@ class Runs:
             for part in ACTIVE
             for body in BODIES
         ]
-        names = (DEFAULT, SKIN, LEARNED, PAPER, "lattice", "hold")
+        names = (DEFAULT, SKIN, PAPER, "lattice", "hold")
         return self._rows("sizes", frames, names, ERRORS)
 
     def recordings(self, folder: Path) -> pd.DataFrame:

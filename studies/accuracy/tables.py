@@ -27,7 +27,6 @@ from .experiments import (
     CANDIDATES,
     DEFAULT,
     FILTERED,
-    LEARNED,
     LONGEST_RECORDED,
     PAPER,
     QUICK_RECORDED,
@@ -108,7 +107,7 @@ def scenes(page: Page, runs: Runs) -> str:
     rows = runs.scenes()
     rows["taxels"] = rows["scene"].map(lambda scene: "{} x {}".format(*scene_of(scene).shape))
     rows["gain"], rows["over_raw"] = (over(rows, ["scene"], name) for name in (PAPER, RAW))
-    ours = rows[rows["method"].isin([DEFAULT, SKIN, LEARNED])]
+    ours = rows[rows["method"].isin([DEFAULT, SKIN])]
     page.csv("scenes", rows)
     page.section(
         "Simulated scenes",
@@ -243,7 +242,7 @@ def geometric(rows: pd.DataFrame) -> list[str]:
     """Return a line a kind of rows of the default solver: geometric mean over the recordings."""
     lines = []
     known = rows[rows["median"].notna() & (rows["ratio"] > 1)].astype({"median": float})
-    ours = known[known["method"].isin([DEFAULT, SKIN, LEARNED])]
+    ours = known[known["method"].isin([DEFAULT, SKIN])]
     for name, some in ours.groupby("method", sort=False):
         means = np.exp(np.log(some["median"]).groupby(some["ratio"], sort=True).mean())
         text = ", ".join(f"{mean:.2f} % at N/{ratio:g}" for ratio, mean in means.items())
