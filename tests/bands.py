@@ -43,7 +43,7 @@ def held_of(take: Take, ratio: float, rows: str, seed: int) -> dict[str, float |
         fitted = phi.forward(forces.reshape(-1))
         residual = math.sqrt(float(np.mean(np.square(fitted - y, dtype=np.float64))))
         sd = uncertainty.update(forces, residual)
-        resultant.learn(phi, y, forces.reshape(-1), fitted)
+        resultant.learn(phi, y, forces.reshape(-1), fitted, method.solver.bias)
         resultant.prepare(method.phi)
         if in_contact(truth, take.f_max):
             inside = np.abs(forces - truth) <= DEVIATIONS * sd

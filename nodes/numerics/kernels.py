@@ -403,7 +403,7 @@ def skin_step(
         residual2 += np.float64(r + off_target[i]) ** 2
     rho /= read.size
     numbers[12] = residual2 / read.size
-    tau = np.float32(max(rho - numbers[0], numbers[2] * rho) + numbers[1])
+    tau = np.float32(max(rho - numbers[0], numbers[2] * max(rho, numbers[0])) + numbers[1])
     weight = 0.0
     for p in range(n):
         d = tau / (tau + variance[p])

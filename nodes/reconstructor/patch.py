@@ -228,7 +228,8 @@ class Patch:
             self._warm, self._last = np.zeros_like(forces), None
         if self._resultant is not None:
             following = (self._subsets.index(phi) + 1) % len(self._subsets)
-            self._resultant.learn(phi, self._y, forces.reshape(-1)[solver.taxels], self._fitted)
+            x, bias = forces.reshape(-1)[solver.taxels], getattr(solver, "bias", 0.0)
+            self._resultant.learn(phi, self._y, x, self._fitted, bias)
             self._resultant.prepare(self._subsets[following])
 
     def _solve(self, solver: Solver, y: Floats) -> tuple[Floats, int]:

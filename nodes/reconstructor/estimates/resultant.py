@@ -25,17 +25,16 @@ class Tuning:
     #: Least reduction of the squared innovation by motion, in noise variances.
     significant: float = 12.0
     #: Mean squared innovation, in noise variances, beyond which the last frame does not predict the
-    #: centre; mean squared residual below which a reconstruction is right.
+    #: centre.
     jump: float = 3.0
-    settled: float = 2.0
     #: Back-projection beyond which a taxel is pressed then, in standard deviations.
     pressed: float = 2.5
     #: Total from which a skin is touched and has a centre, in standard deviations. Derived: noise
     #: exceeds it in one frame of 700.
     touched: float = 3.0
-    #: Rates of the errors of earlier frames, and of the bias of readings clipped at 0.
+    #: Rates of the errors of earlier frames, and of the noise variance.
     rate: float = 0.1
-    bias_rate: float = 0.05
+    noise_rate: float = 0.05
     #: Largest coefficient of motion: of a contact that stays the same.
     largest_change: float = 0.5
     #: Factors on the standard deviations that the frames show, which err, too.
@@ -116,7 +115,7 @@ class ResultantEstimator:
         self._sums = np.zeros((3, 3))
         self._rows: Floats | None = None
         self._rows_of = ""
-        self._bias = self._along = self._energy = self._noise2 = 0.0
+        self._bias = self._noise2 = 0.0
         self._n_frames = 0
         self._last: Estimate | None = None
         self._prior = self._total_error2 = self._slow_total = 0.0
@@ -158,24 +157,15 @@ class ResultantEstimator:
         self._last = Estimate(total, total_sd, centre, centre_sd)
         return self._last
 
-    def learn(self, phi: Phi, y: Floats, x: Floats, fitted: Floats) -> None:
-        """Process the reconstructed frame: forces x, float32 (n,), and `fitted` = Phi x, (m,)."""
+    def learn(self, phi: Phi, y: Floats, x: Floats, fitted: Floats, bias: float) -> None:
+        """Process the reconstructed frame: forces x, float32 (n,), and `fitted` = Phi x, (m,);
+        bias is the mean reading of an untouched taxel, newtons.
+        """
         self._n_frames += 1
-        ones = self._ones_of(phi)
-        left = y - fitted
-        rate = max(T.bias_rate, 1 / self._n_frames)
-        energy = float(np.dot(ones, ones))
-        along = float(np.dot(ones, left))
-        bias = along / (energy + TINY)
-        # The residual of a frame that lags behind its contact is no bias. Its part along Phi 1 is
-        # not asked: that is the bias.
-        apart2 = (float(np.dot(left, left)) - along * bias) / self._m
-        if self._n_frames == 1 or apart2 < T.settled * self._noise2:
-            # By regression over the frames: a row subset may hold no sum, in which a bias shows.
-            self._along += rate * (along - self._along)
-            self._energy += rate * (energy - self._energy)
-            self._bias = max(0.0, self._along / (self._energy + TINY))
-        left -= np.float32(self._bias) * ones
+        # A pressed taxel has none.
+        self._bias = bias * float(np.mean(x <= 2 * bias))
+        left = y - fitted - np.float32(self._bias) * self._ones_of(phi)
+        rate = max(T.noise_rate, 1 / self._n_frames)
         noise2 = float(np.dot(left, left)) / self._m
         self._noise2 += rate * (noise2 - self._noise2)
         frame = np.zeros(self._shape, dtype=np.float32)

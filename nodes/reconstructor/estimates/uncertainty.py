@@ -21,8 +21,8 @@ CHANGE_FLOOR, FORCE_FLOOR = np.float32(0.03), np.float32(0.3)
 #: of the touched taxels, by the geometric mean over the scenes.
 CALIBRATED = {
     "skin": {
-        SPREAD: {FIXED: (1.3, 0.11), ROTATING: (1.31, 0.2)},
-        RANDOM: {FIXED: (0.82, 0.65), ROTATING: (1.13, 0.35)},
+        SPREAD: {FIXED: (1.17, 0.24), ROTATING: (1.29, 0.26)},
+        RANDOM: {FIXED: (0.77, 0.73), ROTATING: (1.29, 0.28)},
     },
     "fista": {
         SPREAD: {FIXED: (1.58, 0.72), ROTATING: (1.87, 0.5)},

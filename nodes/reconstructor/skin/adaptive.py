@@ -30,6 +30,10 @@ SATURATED = 4.0
 """Frames of drift after which a node is expected to change no more. Fitted on five recordings of
 real skins: without it the estimated error of a dense bed is three times the true one."""
 
+UNTOUCHED = 0.5
+"""Mean squared force, in noise variances, up to which nothing touches the skin: rows of few taxels
+hold the noise of a single reading. Chosen."""
+
 
 class AdaptiveSkinSolver(Solver):
     """Reconstructs frames whose rows were chosen at the edge.
@@ -171,5 +175,5 @@ class AdaptiveSkinSolver(Solver):
         power = float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)
         noise = max(self._filter.noise2, self._rows_of.variance)
-        untouched = max(power, missed) <= self._t.untouched * noise
+        untouched = max(power, missed) <= UNTOUCHED * noise
         self.trusted = bool(untouched or error2 <= self._t.trusted**2 * power + TINY)

@@ -22,6 +22,10 @@ from .vectors import FrameVectors
 
 RESOLUTION = float(np.finfo(np.float32).eps)
 """Relative resolution of measurements: a noise below it does not show in them."""
+REPEATED = 1e6
+"""Noise variance of a measurement that repeats exactly, in that of others."""
+INVISIBLE = 1e-3
+"""Force that is returned as 0, in deviations of the noise: what earlier contacts leave."""
 DUST = 1e-6
 """Squared length of Phi 1 a taxel up to which it is 0 but for rounding: no row of the subset sees
 a bias. Derived: float32 leaves 1e-12, one row of +1 has 32 / N, above 1e-6 up to 3e7 taxels."""
@@ -145,6 +149,11 @@ class SkinSolver(Solver):
             self._vectors.forget_rows()
 
     @property
+    def bias(self) -> float:
+        """Mean reading of an untouched taxel whose noise is clipped at 0, as known so far."""
+        return self._bias
+
+    @property
     def noise2(self) -> float:
         """Noise variance of a measurement, as known so far."""
         return self._noise
@@ -160,12 +169,16 @@ class SkinSolver(Solver):
         self._values = self._rows.values(y) - np.float32(self._bias) * self._ones_of()[0]
         vectors.predict(self._values, max(self._noise, self._floor))
         e2 = float(vectors.innovation @ vectors.innovation) / vectors.innovation.size
-        noise = self._follow_noise(y, vectors.innovation, e2)
+        last = self._last.get(self.phi.fingerprint)
+        self._repeats = last is not None and np.array_equal(y, last[0])
+        noise = self._follow_noise(last[1] if last and not self._repeats else None, e2)
+        self._last[self.phi.fingerprint] = y, vectors.innovation
         signal = self._follow_signal(e2, noise)
         # Of rows that are never read, the innovation says nothing: the last estimate's own error.
-        vectors.filter_rows(
-            self._values, noise, signal, max(self._last_error2, self._floor), self._floor
-        )
+        least = max(self._last_error2, self._floor)
+        # A measurement that repeats exactly is not another one.
+        doubt = REPEATED * noise if self._repeats else noise
+        vectors.filter_rows(self._values, doubt, signal, least, self._floor)
         self._estimates: list[Floats] = []
         self._errors, self._residuals = [signal], [e2]
         # Noise grows with the forces, but not without bound: what exceeds it, no force explains.
@@ -181,17 +194,17 @@ class SkinSolver(Solver):
             self._ones[key] = ones, float(ones @ ones)
         return self._ones[key]
 
-    def _follow_noise(self, y: Floats, innovation: Floats, e2: float) -> float:
+    def _follow_noise(self, last: Floats | None, e2: float) -> float:
         """Update the noise level; return it times the trust in it.
 
-        Where an innovation, of mean square e2, points along the last correction, that was too
-        small: what seems noise is motion. Measurements y that are exactly those before are of a
-        board that hangs, and say nothing of the noise.
+        e2 is the mean square of the innovation, `last` the innovation when these rows were read
+        before, None where that shows no noise. Where an innovation points along the last
+        correction, that was too small: what seems noise is motion.
         """
-        t, key = self._t, self.phi.fingerprint
-        last_y, last = self._last.get(key, (None, innovation))
-        if last_y is not None and not np.array_equal(y, last_y):
-            seen = max(0.0, float(last @ (last - innovation)) / last.size)
+        t = self._t
+        if last is not None:
+            changed = last - self._vectors.innovation
+            seen = max(0.0, float(last @ changed) / last.size)
             self._n_seen += 1
             level = self._noise + max(t.noise_rate, 1 / self._n_seen) * (seen - self._noise)
             if self._n_seen > 1 / t.noise_rate:
@@ -201,7 +214,6 @@ class SkinSolver(Solver):
                 self._least_noise = level
             self._noise = min(level, e2)
         self._noise = max(self._noise, self._floor, self.noise_sd**2)
-        self._last[key] = y, innovation
         alike = self._vectors.alignment()
         self._trust *= math.exp(min(t.trust_fall * (t.lagging - alike), t.trust_growth))
         self._trust = min(max(self._trust, t.least_trust), 1.0)
@@ -235,21 +247,25 @@ class SkinSolver(Solver):
         prior = t.blend * max(self._signal, self._last_error2, self._floor)
         part = min(t.most_predicted, error2 / (error2 + prior))
         fitted = vectors.settle(self._estimates[-t.averaged :] or [vectors.predicted], part)
-        self._last_error2 = (1 - part) * error2
+        # What the noise of measurements left in the last estimate, the same measurements leave.
+        left = min(self._last_error2, self._judged_noise) if self._repeats else 0.0
+        self._last_error2 = max((1 - part) * error2, left)
         self.error = math.sqrt(self._last_error2)
-        self._n_frames += 1
         x = vectors.x
         power = float(x @ x) / x.size
         noise = self._judged_noise
-        untouched = power <= t.untouched * noise and self._residual2() <= t.unexplained * noise
+        # Until it is known, the bias passes for forces on all taxels.
+        most = t.untouched if self._n_frames > t.bias_known else t.most_bias**2
+        untouched = power <= most * noise and self._residual2() <= t.unexplained * noise
         self.trusted = untouched or self.error**2 <= t.trusted**2 * power
         forces = x
         if bias > 0:
             # Readings of mean b + u of a force that is not clipped as often: u + b (1 - e^(-u/b)).
             forces = x + bias * (1 - np.exp(-x / bias))
-        self._follow_bias(x, self._values - fitted)
+        if not self._repeats:
+            self._follow_bias(x, self._values - fitted)
         image = np.zeros(self.mask.size, dtype=np.float32)
-        image[self._cells] = forces
+        image[self._cells] = np.where(forces < INVISIBLE * math.sqrt(noise), 0, forces)
         return self._finite(image.reshape(self.mask.shape))
 
     def _error2(self) -> float:
@@ -278,6 +294,7 @@ class SkinSolver(Solver):
         more = float(ones @ residual) / energy if energy > DUST * x.size else 0.0
         near = np.minimum(x / np.float32(2 * noise + math.sqrt(TINY)), 8)
         more += float(x @ np.exp(-near * near)) / x.size
+        self._n_frames += 1
         rate = max(t.bias_rate, t.bias_begins / (self._n_frames + t.bias_begins))
         bias = self._bias + rate * min(max(more, -noise / 2), noise / 2)
         self._bias = min(max(bias, 0.0), t.most_bias * noise)

@@ -59,6 +59,8 @@ class SkinTuning:
     #: First and least rate of the bias per frame.
     bias_begins: float = 3.0
     bias_rate: float = 0.05
+    #: Frames after which a hundredth of the bias is left.
+    bias_known: int = 8
     #: Growth per frame of the least noise variance so far, which bounds the bias.
     bias_forgotten: float = 1.002
     #: Error of the residuals' own estimate of the error, in their sampling deviations.

@@ -16,6 +16,9 @@ from .tuning import SkinTuning
 UNKNOWN = 1e34
 """Variance of a row that was not read yet, beyond that of any measurement."""
 
+NEGLIGIBLE = 1e-3
+"""Length of a change, in that of an innovation, which does not show its direction."""
+
 
 class FrameVectors:
     """The work on vectors of `SkinSolver`, whose docstring states the method.
@@ -94,10 +97,10 @@ class FrameVectors:
 
     def alignment(self) -> float:
         """Correlation of the innovation with what the last measurements changed, -1 to 1."""
-        last = self._correction[self._rows.read]
-        along = float(self.innovation @ last)
-        power = float(self.innovation @ self.innovation) * float(last @ last)
-        return along / (math.sqrt(power) + TINY)
+        last, now = self._correction[self._rows.read], self.innovation
+        power = float(now @ now)
+        least = NEGLIGIBLE**2 * power
+        return float(now @ last) / math.sqrt(power * (float(last @ last) + least) + TINY)
 
     def filter_rows(
         self, values: Floats, noise: float, signal: float, error2: float, floor: float
@@ -172,7 +175,8 @@ class FrameVectors:
         of_read = r[rows.read]
         rho = float(np.mean(np.square(of_read)))
         residual2 = float(np.mean(np.square(of_read + self.off_target)))
-        tau = max(rho - self.variance_of_read, t.least_tau * rho) + floor
+        v = self.variance_of_read
+        tau = max(rho - v, t.least_tau * max(rho, v)) + floor
         d = tau / (tau + self._variance)
         mean_d = float(np.sum(d)) / rows.n
         s = np.float32(math.sqrt(tau * max(1 - mean_d, 0.0) / mean_d + floor))
