@@ -383,7 +383,7 @@ def skin_step(
     filters: A, hidden: A, hidden_0: A, gates: A, gates_0: A, synthesis: A, error: A, numbers: A,
     w: A, a: A, levels: A, h: A, g: A, out: A, tiles: A, parts: A, busy: A,
 ) -> float:  # fmt: skip
-    """A step, as in `FrameVectors`; z and x become the next ones. Returns the expected squared error.
+    """A step, as in `FrameVectors`: z and x become the next; return the expected squared error.
 
     v has a place more than z. Matrices are transposed; those of the last line are scratch.
     numbers: read noise, floor, least tau, most alpha, damping, the constant of the error, that of a

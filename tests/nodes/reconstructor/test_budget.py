@@ -1,4 +1,4 @@
-"""The time of a frame is bounded: the node stops iterating when its budget is over."""
+"""The time of a frame is bounded: the number of iterations is chosen when the graph begins."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from sparseskin.messages import Measurements, PhiState, Reconstruction, SkinState
+from sparseskin.messages import Measurements, PhiState, Reconstruction, SkinState, SolverState
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.node import Context
+from sparseskin.nodes.reconstructor.budget import LEAST_STEPS, Costs
 from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
 from sparseskin.nodes.reconstructor.solvers.base import Solver
 
@@ -26,6 +29,9 @@ class Clockwork:
 
     def perf_counter_ns(self) -> int:
         return self.now_ns
+
+    def perf_counter(self) -> float:
+        return self.now_ns / 1e9
 
 
 class SlowSolver(Solver):
@@ -60,6 +66,7 @@ def restored(budget_ms: float | None, monkeypatch: pytest.MonkeyPatch) -> Recons
     clockwork = Clockwork()
     SlowSolver.clockwork = clockwork
     monkeypatch.setattr(time, "perf_counter_ns", clockwork.perf_counter_ns)
+    monkeypatch.setattr(time, "perf_counter", clockwork.perf_counter)
     monkeypatch.setattr(
         "sparseskin.nodes.reconstructor.patch.make_rotating_solver",
         lambda name, phases, basis, mask, **options: SlowSolver(phases[0], basis, mask),
@@ -77,8 +84,10 @@ def restored(budget_ms: float | None, monkeypatch: pytest.MonkeyPatch) -> Recons
     return found
 
 
-@pytest.mark.parametrize(("budget_ms", "steps"), [(None, 10), (3.5, 3), (0.1, 1), (100.0, 10)])
-def test_no_step_is_begun_that_would_end_beyond_the_budget(
+@pytest.mark.parametrize(
+    ("budget_ms", "steps"), [(None, 10), (5.5, 5), (0.1, LEAST_STEPS), (100.0, 10)]
+)
+def test_as_many_steps_are_done_as_fit_into_the_budget_and_three_in_any_case(
     budget_ms: float | None, steps: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = restored(budget_ms, monkeypatch)
@@ -87,19 +96,39 @@ def test_no_step_is_begun_that_would_end_beyond_the_budget(
     assert found.solve_ns == (steps * 1_000_000,)
 
 
-def test_the_rate_that_the_skin_states_bounds_the_smooth_model_of_plain_numpy() -> None:
+@given(
+    frame_s=st.floats(1e-6, 1e-2),
+    step_s=st.floats(1e-6, 1e-2),
+    budget_s=st.floats(1e-6, 1.0),
+    most=st.integers(1, 50),
+)
+def test_no_step_more_would_fit_and_those_that_are_done_do(
+    frame_s: float, step_s: float, budget_s: float, most: int
+) -> None:
+    costs = Costs(frame_s, step_s)
+    steps = costs.steps_in(budget_s, most)
+    assert min(LEAST_STEPS, most) <= steps <= most
+    if steps > LEAST_STEPS:
+        assert costs.of(steps) <= budget_s * (1 + 1e-9)
+    if steps < most:
+        assert costs.of(steps + 1) > budget_s * (1 - 1e-9)
+
+
+def states(rate_hz: float, **settings: Any) -> SolverState:
+    """What the reconstructor of 32 x 32 taxels states at a rate."""
     phi = make_phi("sbhe", 1024, 342, 0)
-    y = phi.forward(np.linspace(0, 1, 1024, dtype=np.float32))
-    node = Reconstructor(ReconstructorSettings(fast="off"), Context("", ManualClock(0)))
-    list(
-        node.step(PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe()))
-    )
-    steps = []
-    for k, rate_hz in enumerate((0.0, 1e6, 0.0)):
-        list(node.step(skin_state(32, rate_hz)))
-        sign = (-1) ** k  # each frame is a jump: it has all iterations
-        measured = Measurements(stamp_ns=k, patch="skin", y=sign * y, phi=phi.fingerprint)
-        (found,) = node.step(measured)
-        assert isinstance(found, Reconstruction)
-        steps.append(found.iterations[0])
-    assert steps == [35, 30, 32]
+    node = Reconstructor(ReconstructorSettings(**settings), Context("", ManualClock(0)))
+    list(node.step(skin_state(32, rate_hz)))
+    announced = PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe())
+    (state,) = node.step(announced)
+    assert isinstance(state, SolverState)
+    return state
+
+
+def test_the_rate_that_the_skin_states_sets_the_iterations_of_the_default_alone() -> None:
+    slow, unknown, fast = (states(rate_hz) for rate_hz in (0.01, 0.0, 1e6))
+    assert (slow.iterations, unknown.iterations, fast.iterations) == (8, 8, LEAST_STEPS)
+    assert slow.frame_ms > 0
+    assert unknown.frame_ms == 0
+    assert states(1e6, iterations=6).iterations == 6
+    assert states(1e6, preset="paper").iterations == 30

@@ -85,18 +85,20 @@ def test_its_frames_are_not_trusted_and_one_line_is_logged_before_in_and_after_a
     assert desk.node.state()["left_out"] == ""
 
 
+@pytest.mark.parametrize("states_noise", [True, False])
 @pytest.mark.parametrize("rows", ["fixed", "rotating"])
-def test_frames_after_a_hung_board_are_filtered_by_the_noise_that_the_skin_states(
-    rows: str,
+def test_frames_after_a_hung_board_are_as_accurate_as_those_of_one_that_begins(
+    rows: str, states_noise: bool
 ) -> None:
-    """Where it states none, the first noise after equal frames is taken for a jump of the scene."""
+    """30 equal frames are one measurement: the solver is no surer of it than of any other."""
     truth = np.repeat(sliding_disc(DESK_SHAPE, 3, touch_at=0)[1:2], 40, axis=0)
     frames = readings(truth)
     frames[:30] = frames[0]
     errors = []
-    for states_noise in (True, False):
+    for first in (0, 30):
         desk = Desk(make_phi("sbhe", N, N // 2, seed=0), rows=rows, states_noise=states_noise)
-        subsets = [desk.subsets[k % len(desk.subsets)] for k in range(len(frames))]
-        y = [phi.forward(frame.reshape(-1)) for phi, frame in zip(subsets, frames, strict=True)]
-        errors.append(float(np.linalg.norm((desk.restore(np.array(y)) - truth)[31:35])))
-    assert errors[0] < 0.75 * errors[1]
+        subsets = [desk.subsets[k % len(desk.subsets)] for k in range(40 - first)]
+        y = [phi.forward(f.reshape(-1)) for phi, f in zip(subsets, frames[first:], strict=True)]
+        off = desk.restore(np.array(y)) - truth[first:]
+        errors.append(float(np.linalg.norm(off[30 - first :])))
+    assert errors[0] < 1.1 * errors[1]
