@@ -46,6 +46,11 @@ OTHER_ROWS = (
 )
 """Warning where preset `paper` reconstructs other rows of "sbhe"."""
 MAX_PAD_SPREAD = 1.75
+SINGLE_TAXELS = (
+    "phi = subsample: solver skin does not know its error between the taxels that are read; "
+    "advised: solver interpolation, or phi sbhe"
+)
+"""Warning where the default solver reconstructs single taxels."""
 
 
 def reconstruction_warnings(

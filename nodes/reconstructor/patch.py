@@ -13,6 +13,7 @@ import numpy as np
 from sparseskin.messages import PhiState, SkinState
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
@@ -28,6 +29,7 @@ from sparseskin.nodes.reconstructor.solvers.base import (
 from .budget import SHARE, measured_costs
 from .limits import (
     OTHER_ROWS,
+    SINGLE_TAXELS,
     check_phi,
     has_rows_of_paper,
     options_for_range,
@@ -90,6 +92,8 @@ class Patch:
         )
         if chosen == PRESETS["paper"] and not has_rows_of_paper(subsets):
             warnings.append(OTHER_ROWS)
+        if chosen["solver"] == "skin" and isinstance(phi, SubsamplePhi):
+            warnings.append(SINGLE_TAXELS)
         if ":" in settings.phi:
             for one in subsets:
                 warnings += check_phi(one, solver.mask)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Mask
@@ -54,7 +55,8 @@ class SkinSolver(Solver):
        counts. The estimate is the mean of these x and of x_p, by E and P.
 
     One solver serves all row subsets of rotating rows. Any Phi will do: its rows are made
-    orthonormal first, whatever their length. Each frame takes the same number of steps.
+    orthonormal first, whatever their length. Of a Phi that reads single taxels the error is not
+    known. Each frame takes the same number of steps.
 
     Parameters
     ----------
@@ -257,7 +259,9 @@ class SkinSolver(Solver):
         # Until it is known, the bias passes for forces on all taxels.
         most = t.untouched if self._n_frames > t.bias_known else t.most_bias**2
         untouched = power <= most * noise and self._residual2() <= t.unexplained * noise
-        self.trusted = untouched or self.error**2 <= t.trusted**2 * power
+        self.trusted = untouched or self._last_error2 <= t.trusted**2 * power
+        if isinstance(self.phi, SubsamplePhi):  # its residuals show no error between its taxels
+            self.error, self.trusted = None, True
         forces = x
         if bias > 0:
             # Readings of mean b + u of a force that is not clipped as often: u + b (1 - e^(-u/b)).
