@@ -2,7 +2,8 @@
 
 python examples/own_solver.py
 
-In a launch file: solver = "own_solver:ProjectedGradient" for the reconstructor.
+In a launch file: solver = "own_solver:ProjectedGradient" for the reconstructor; `shrinkage` is an
+option of it, in the table [nodes.reconstructor.options].
 """
 
 import numpy as np
@@ -12,11 +13,13 @@ from sparseskin.nodes.reconstructor.solvers.base import Solver
 
 
 class ProjectedGradient(Solver):
-    """min ||Phi x - y||^2 over x >= 0, from the last frame's forces."""
+    """min ||Phi x - y||^2 / 2 + shrinkage sum x over x >= 0, from the last frame's forces."""
 
-    def __init__(self, phi, basis, mask=None, *, iterations: int = 30) -> None:
+    def __init__(
+        self, phi, basis, mask=None, *, iterations: int = 30, shrinkage: float = 0.0
+    ) -> None:
         super().__init__(phi, basis, mask)
-        self.n_steps = iterations
+        self.n_steps, self._shrinkage = iterations, shrinkage
         self.reset()
 
     def reset(self) -> None:
@@ -29,7 +32,7 @@ class ProjectedGradient(Solver):
 
     def step(self) -> None:
         residual = self._y - self.phi.forward(self._x)
-        descent = self.phi.adjoint(residual) / np.float32(self.phi.lipschitz)
+        descent = (self.phi.adjoint(residual) - self._shrinkage) / np.float32(self.phi.lipschitz)
         self._x = np.maximum(self._x + descent, 0)
 
     def finish(self):

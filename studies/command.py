@@ -71,7 +71,7 @@ STUDIES = {
         "sparseskin.studies.speed.tables:run",
     ),
     "train": Study(
-        "weights of solver oamp, trained on procedural presses (30 minutes; extras charts, train)",
+        "weights of solver skin, trained on procedural presses (30 minutes; extras charts, train)",
         "sparseskin.studies.training.train:run",
     ),
 }
