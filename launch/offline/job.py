@@ -148,13 +148,23 @@ def make_graph(
     so many seconds after its first frame, for so many seconds (None: to its end).
     """
     from sparseskin.launch.launchfile.load import load_tables
-    from sparseskin.messages import Calibration, Measurements, PhiState, SkinState, Taxels, Truth
-    from sparseskin.messages.topics import split_topic
+    from sparseskin.messages import (
+        Calibration,
+        Measurements,
+        PhiState,
+        SkinState,
+        SolverState,
+        Taxels,
+        Truth,
+    )
+    from sparseskin.messages.topics import split_topic, topic_of
+    from sparseskin.nodes.recorder.bag.frames import last_messages
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
     with BagReader(source, whole=False) as bag:
         start_from, patch = start_of(job, bag)
         present = {split_topic(topic)[1] for topic in bag.topics}
+        states = last_messages(bag, [topic_of(patch, SolverState.schema)])
         made_by = bag.metadata.get("launch", "")
     schemas = [SkinState.schema, Taxels.schema, Truth.schema]
     schemas += [Calibration.schema] if Calibration.schema in present else []
@@ -167,6 +177,11 @@ def make_graph(
     else:
         tables["compressor"] = {"type": "compressor", "patch": patch}
     tables["reconstructor"] = {"type": "reconstructor", "patch": patch}
+    recorded = next(iter(states.values()), None)
+    changed = any(text.startswith("reconstructor.") for text in job.overrides)
+    if isinstance(recorded, SolverState) and recorded.frame_ms and not changed:
+        # Its number of iterations followed from the speed of the host that recorded it.
+        tables["reconstructor"]["iterations"] = recorded.iterations
     if out is not None:
         tables["monitor"] = {"type": "monitor", "patches": [patch]}
         tables["recorder"] = {"type": "recorder", "out": str(out), "launch": how(job, made_by)}

@@ -75,11 +75,12 @@ class Patch:
         subsets: list[Phi],
         state: SkinState,
         announced: PhiState,
+        live: bool,
         alike: Patch | None = None,
     ) -> dict[str, Any]:
         """Make the solver for a skin and the row subsets of its Phi; return what a `SolverState`
-        states of it. What raises an error changes nothing. `alike` is a patch that was set up for
-        the same skin: its frames take as long.
+        states of it. What raises an error changes nothing. `live` is False where frames wait for
+        each other; `alike` is a patch that was set up for the same skin: its frames take as long.
         """
         skin, phi = state.skin, subsets[0]
         chosen = dict(settings.chosen())
@@ -111,7 +112,8 @@ class Patch:
         self._warm = self._last
         self._frame_ms = 0.0
         if alike is None:
-            self.most_steps = self._steps_within(solver, phi, state, "iterations" in options)
+            follows = live and solver.paced and "iterations" not in options
+            self.most_steps = self._steps_within(solver, phi, state, follows)
         else:
             self.most_steps = alike.most_steps
         return {
@@ -121,13 +123,11 @@ class Patch:
             "frame_ms": self._frame_ms,
         }
 
-    def _steps_within(self, solver: Solver, phi: Phi, state: SkinState, stated: bool) -> int:
-        """Most steps of a frame, by the stated budget or the rate of the frames; `stated` is True
-        if the number of iterations is.
-        """
+    def _steps_within(self, solver: Solver, phi: Phi, state: SkinState, follows: bool) -> int:
+        """Most steps of a frame, by the stated budget or, if the solver `follows` it, the rate."""
         budget_ms = self.settings.budget_ms
         budget_s = math.inf if budget_ms is None else budget_ms / 1e3
-        if budget_ms is None and solver.paced and not stated and state.rate_hz:
+        if budget_ms is None and follows and state.rate_hz:
             budget_s = SHARE / state.rate_hz / self.settings.n_patches
         if math.isinf(budget_s):
             return sys.maxsize

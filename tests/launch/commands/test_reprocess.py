@@ -58,6 +58,18 @@ def test_other_settings_give_another_reconstruction_of_the_same_frames(
     assert maps(out, Taxels) == maps(recording, Taxels)
 
 
+def test_iterations_that_followed_from_a_host_are_those_of_the_recording(
+    recording: Path, tmp_path: Path
+) -> None:
+    """A budget that nothing fits into leaves three iterations on any host."""
+    few, again = tmp_path / "few.mcap", tmp_path / "again.mcap"
+    budget = ["--set", "reconstructor.budget_ms=0.05"]
+    assert main(["reprocess", str(recording), "--out", str(few), *budget]) == 0
+    assert main(["reprocess", str(few), "--out", str(again)]) == 0
+    assert maps(few, Reconstruction) == maps(again, Reconstruction)
+    assert maps(few, Reconstruction) != maps(recording, Reconstruction)
+
+
 @pytest.mark.slow
 def test_in_several_processes_the_bits_are_the_same(recording: Path, tmp_path: Path) -> None:
     twin = tmp_path / "twin.mcap"
