@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import PATIENCE_S, PATIENT_COMMAND, Program, wait_until
+from conftest import PATIENCE_S, PATIENT_COMMAND, Program, StartProgram, wait_until
 from documented import check
+from processes import note_of_graph
 from shells import words
 
 from sparseskin.launch.attach.client import Answer, ask_node
@@ -209,17 +210,46 @@ def test_a_setting_that_is_not_stated_is_none(run: Run) -> None:
     assert run("param", "get", "reconstructor", "iterations") == "none\n"
 
 
-def test_options_of_the_solver_are_set_one_by_one(run: Run, refused: Run) -> None:
-    options = ["param", "set", "reconstructor", "options.max_iterations"]
+OWN_SOLVER = """\
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
+
+
+class Own(FistaSolver):
+    def __init__(self, phi, basis, mask, *, iterations=3, n_rounds=4, seed=0):
+        super().__init__(phi, basis, mask, iterations=iterations)
+        if n_rounds < 1:
+            raise SolverError(f"own: n_rounds = {n_rounds} is not allowed; allowed: 1..")
+"""
+
+
+def test_options_of_the_solver_are_set_one_by_one(
+    start: StartProgram,
+    run: Run,
+    refused: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (tmp_path / "solver_of_user.py").write_text(OWN_SOLVER)
+    settings = (
+        "reconstructor.solver=solver_of_user:Own",
+        "sensor.rate_hz=20",
+        "monitor.page=false",
+    )
+    stated = [word for one in settings for word in ("--set", one)]
+    start("launch", "path_40", *stated).wait_for("[launch] ready")
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
+    note_of_graph(tmp_path / "graphs")
+    options = ["param", "set", "reconstructor", "options.n_rounds"]
     answer = run(*options, "20", "options.seed", "3")
-    assert answer == 'reconstructor: options = {"max_iterations": 20, "seed": 3}\n'
+    assert answer == 'reconstructor: options = {"n_rounds": 20, "seed": 3}\n'
     run(*options, "30")
-    assert json.loads(run("param", "get", "reconstructor", "options")) == {
-        "max_iterations": 30,
-        "seed": 3,
-    }
-    assert refused(*options, "0").endswith("allowed: an integer 1..1000")
+    both = {"n_rounds": 30, "seed": 3}
+    assert json.loads(run("param", "get", "reconstructor", "options")) == both
+    assert refused(*options, "0").endswith("own: n_rounds = 0 is not allowed; allowed: 1..")
+    assert json.loads(run("param", "get", "reconstructor", "options")) == both
     run("param", "set", "reconstructor", "options", "none")
+    assert run("param", "get", "reconstructor", "options") == "none\n"
 
 
 @pytest.mark.parametrize(

@@ -205,55 +205,68 @@ def test_all_faults_of_a_node_are_reported_but_none_that_follows_from_another(ch
     ]
 
 
-OPTION = "f.toml:16: nodes.reconstructor.options.max_iterations: "
+SOLVER = "solver_of_user:Own"
+OWN_SOLVER = """\
+class Own:
+    def __init__(self, phi, basis, mask, *, iterations=30, lambda_n=0.0, n_rounds=4, seed=0):
+        pass
+"""
+WITH_OPTION = GOOD.replace(
+    "[nodes.monitor]",
+    f'solver = "{SOLVER}"\n\n[nodes.reconstructor.options]\nn_rounds = 30\n\n[nodes.monitor]',
+)
 
 
+@pytest.fixture
+def own_solver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A solver of the user's own, with options, in the folder where launch files are checked."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "solver_of_user.py").write_text(OWN_SOLVER)
+
+
+@pytest.mark.usefixtures("own_solver")
 @pytest.mark.parametrize(
     ("key", "value", "fault"),
     [
         (
-            "max_iteration",
+            "n_round",
             "3",
-            "is no option of solver skin (did you mean 'max_iterations'?); "
-            "allowed: max_iterations, seed",
+            f"is no option of solver {SOLVER} (did you mean 'n_rounds'?); allowed: n_rounds, seed",
         ),
-        ("basis", "3", "is no option of solver skin; allowed: max_iterations, seed"),
+        ("basis", "3", f"is no option of solver {SOLVER}; allowed: n_rounds, seed"),
         ("lambda_n", "3", "is a setting of its own; allowed: lambda_n"),
         ("seed", "[3]", "[3] is not allowed; allowed: a finite number, a text, true or false"),
         ("seed", "nan", "nan is not allowed; allowed: a finite number, a text, true or false"),
-        ("seed", "-1", "skin: seed = -1 is not allowed; allowed: an integer 0..4294967295"),
     ],
 )
-def test_an_option_is_checked_by_its_solver(check, key: str, value: str, fault: str) -> None:
-    options = "[nodes.reconstructor.options]\nmax_iterations = 0\n\n[nodes.monitor]"
-    text = GOOD.replace("[nodes.monitor]", options)
+def test_an_option_is_one_that_its_solver_has(check, key: str, value: str, fault: str) -> None:
+    text = WITH_OPTION.replace("n_rounds = 30", "n_rounds = []")
+    option = "f.toml:18: nodes.reconstructor.options.n_rounds: "
     assert sorted(check(text, f"reconstructor.options.{key}={value}")) == sorted(
         [
-            f"{OPTION}skin: max_iterations = 0 is not allowed; allowed: an integer 1..1000",
+            f"{option}[] is not allowed; allowed: a finite number, a text, true or false",
             f"--set reconstructor.options.{key}={value}: {fault}",
         ]
     )
 
 
-def test_a_solver_of_ones_own_has_options_too(check, tmp_path, monkeypatch) -> None:
-    monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "solver_of_check.py").write_text("class Own:\n def __init__(s, phi, gain): pass\n")
-    solver = "reconstructor.solver=solver_of_check:Own"
-    text = GOOD.replace("iterations = 20", "")
-    assert check(text, solver, "reconstructor.options.gian=3") == [
-        "--set reconstructor.options.gian=3: is no option of solver solver_of_check:Own (did you "
-        "mean 'gain'?); allowed: gain"
+def test_a_solver_without_options_refuses_each(check) -> None:
+    fault = "is no option of solver skin; allowed: none"
+    table = "[nodes.reconstructor.options]\nn_rounds = 3\n\n[nodes.monitor]"
+    text = GOOD.replace("[nodes.monitor]", table)
+    assert sorted(check(text, "reconstructor.options.seed=1")) == [
+        f"--set reconstructor.options.seed=1: {fault}",
+        f"f.toml:16: nodes.reconstructor.options.n_rounds: {fault}",
     ]
-    reconstructor = load("f.toml", [solver, "reconstructor.options.gain=3"]).nodes["reconstructor"]
-    assert reconstructor.settings.chosen()["gain"] == 3
 
 
+@pytest.mark.usefixtures("own_solver")
 def test_options_of_a_solver_are_set(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("f.toml").write_text(f"{GOOD}[nodes.reconstructor.options]\nmax_iterations = 30\n")
+    Path("f.toml").write_text(WITH_OPTION)
     reconstructor = load("f.toml", ["reconstructor.options.seed=2"]).nodes["reconstructor"]
-    assert reconstructor.settings.options == {"max_iterations": 30, "seed": 2}
-    chosen = {"solver": "skin", "basis": "haar", "iterations": 20, "max_iterations": 30, "seed": 2}
+    assert reconstructor.settings.options == {"n_rounds": 30, "seed": 2}
+    chosen = {"solver": SOLVER, "basis": "haar", "iterations": 20, "n_rounds": 30, "seed": 2}
     assert reconstructor.settings.chosen() == chosen
 
 

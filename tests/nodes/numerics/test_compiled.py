@@ -138,7 +138,7 @@ def test_a_solvers_loops_are_compiled_for_their_types_at_once_and_take_no_others
         assert all(len(loop.signatures) == 1 for loop in loops)
     wrong = np.zeros(4)  # float64
     with pytest.raises(TypeError, match="No matching definition"):
-        fast_kernels.dealt_adjoint(wrong, wrong, np.zeros((1, 3), np.int64), wrong)
+        fast_kernels.orthonormal(wrong, np.zeros((1, 3), np.int64), wrong)
 
 
 @needs_numba
