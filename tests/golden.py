@@ -28,8 +28,9 @@ WINDOWS = {
     "lift_box_64": (3230, 80),
     "drag_wrench_64": (4000, 80),
 }
-#: Rows of each preset.
+#: Rows, and iterations, of each preset.
 ROWS = {"paper": ("paper", "rotating"), "skin": ("fixed", "rotating")}
+ITERATIONS = {"paper": 30, "skin": 8}
 
 
 def golden(kernel: str | None = "Haswell") -> dict[str, Any]:
@@ -86,6 +87,8 @@ def main() -> None:
         for preset, kinds in ROWS.items():
             for rows in kinds:
                 settings = [f"reconstructor.preset={preset}", f"compressor.rows={rows}"]
+                # Whatever the host has time for.
+                settings += [f"reconstructor.iterations={ITERATIONS[preset]}"]
                 nodes = load(scene, settings).nodes
                 bus = Bus({n: (nodes[n].cls, nodes[n].settings) for n in nodes if n != "monitor"})
                 made = [

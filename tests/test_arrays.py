@@ -123,8 +123,8 @@ def test_rows_of_a_matrix_rotate_by_default_where_those_of_its_kind_do(
 
 @pytest.mark.parametrize("solver", ["skin", "fista"])
 def test_arrays_give_the_bits_of_the_nodes_by_default(solver: str) -> None:
-    preset = {"skin": "skin", "fista": "paper"}[solver]
-    frames = list(sparseskin.run_launch("lift_box_40", 330, [f"reconstructor.preset={preset}"]))
+    stated = {"skin": "iterations=8", "fista": "preset=paper"}[solver]
+    frames = list(sparseskin.run_launch("lift_box_40", 330, [f"reconstructor.{stated}"]))
     taxels = np.stack([frame.taxels for frame in frames])
     phi = sparseskin.make_phi("sbhe", n=1600, m=534, seed=0)
     y = sparseskin.compress(taxels, phi)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from doubting import DOUBTING
 
 import sparseskin
 from sparseskin import Stream
@@ -20,14 +21,25 @@ FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
 @pytest.mark.parametrize(
     ("settings", "chosen"),
     [
-        ([], {}),
+        (["reconstructor.iterations=8"], {}),
         (["reconstructor.preset=paper"], {"preset": "paper"}),
         (
             ["compressor.rows=paper", "compressor.ratio=4", "reconstructor.preset=paper"],
             {"rows": "paper", "ratio": 4, "preset": "paper"},
         ),
-        (["compressor.phi=gaussian", "compressor.seed=2"], {"phi": "gaussian", "seed": 2}),
-        (["reconstructor.options.max_iterations=9"], {"max_iterations": 9}),
+        (
+            ["compressor.phi=gaussian", "compressor.seed=2", "reconstructor.iterations=3"],
+            {"phi": "gaussian", "seed": 2, "iterations": 3},
+        ),
+        (
+            [
+                f"reconstructor.solver={DOUBTING}",
+                "reconstructor.options.period=3",
+                "reconstructor.options.n_doubted=2",
+                "compressor.rows=fixed",
+            ],
+            {"solver": DOUBTING, "period": 3, "n_doubted": 2, "rows": "fixed"},
+        ),
         (
             ["reconstructor.solver=fista", "reconstructor.lambda_n=0.01"],
             {"solver": "fista", "lambda_n": 0.01},
@@ -140,7 +152,7 @@ def test_a_number_of_a_frame_that_is_none_is_refused(k: Any) -> None:
         ({"solver": "fist"}, 'solver: solver "fist" is not known (did you mean'),
         ({"iterations": 0}, "iterations: 0 is outside 1..1000"),
         ({"max_iteration": 9}, "options.max_iteration: is no option of solver skin"),
-        ({"preset": "paper", "max_iterations": 9}, "options.max_iterations: is no option"),
+        ({"solver": DOUBTING, "perod": 9}, "options.perod: is no option of solver doubting:D"),
     ],
 )
 def test_an_argument_that_is_not_allowed_is_one_line(arguments: dict[str, Any], line: str) -> None:

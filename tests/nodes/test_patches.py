@@ -53,7 +53,7 @@ def graph(**reconstructor: Any) -> dict[str, tuple[Any, Any]]:
 
 
 def test_several_patches_have_the_same_bits_as_one_by_one() -> None:
-    bus = Bus(graph(skip_idle=False))
+    bus = Bus(graph(skip_idle=False, iterations=8))
     batches = [
         {m.schema: m for m in messages if isinstance(m, Frames)} for messages in bus.frames(30)
     ]
@@ -61,7 +61,7 @@ def test_several_patches_have_the_same_bits_as_one_by_one() -> None:
     (skin,) = sensor.start()
     for k, name in enumerate(NAMES):
         compressor = Compressor(Compressor.Settings(patch=name), context())
-        single = Reconstructor(Reconstructor.Settings(patch=name), context())
+        single = Reconstructor(Reconstructor.Settings(patch=name, iterations=8), context())
         (phi,) = compressor.step(replace(skin, patch=name))
         assert isinstance(phi, PhiState)
         list(single.step(replace(skin, patch=name)))

@@ -250,8 +250,9 @@ def test_a_graph_and_a_stream_measure_by_a_stack_in_turn(solver: str, tmp_path: 
     np.save(tmp_path / "press.npy", press)
     chosen = [f"{node}.phi={kind}" for node in ("compressor", "reconstructor")]
     chosen += [f"sensor.source=file:{tmp_path}/press.npy", "sensor.unit=N", "sensor.rate_hz=100"]
-    frames = run_launch("replay", 9, [*chosen, f"reconstructor.solver={solver}"])
-    stream = Stream((40, 40), phi=kind, solver=solver)
+    chosen += [f"reconstructor.solver={solver}", "reconstructor.iterations=8"]
+    frames = run_launch("replay", 9, chosen)
+    stream = Stream((40, 40), phi=kind, solver=solver, iterations=8)
     for k, frame in enumerate(frames):
         assert frame.taxels is not None
         y = stack[k % 3] @ frame.taxels.reshape(-1)
