@@ -315,11 +315,11 @@ def skin_filter(
 ) -> None:  # fmt: skip
     """Filter all rows, as in `FrameVectors`; left: variance that their measurements left.
 
-    numbers: noise, signal, error2, floor, significant, least count, prior, doubt, recall memory and
-    ridge; the last becomes the mean variance of the targets of the rows read.
+    numbers: noise, signal, error2, floor, significant, prior, doubt, recall memory and ridge; the
+    last becomes the mean variance of the targets of the rows read.
     """
     noise, signal, floor = numbers[0], numbers[1], numbers[3]
-    n, n_read, doubt = mean.size, read.size, numbers[7] / noise
+    n, n_read, doubt = mean.size, read.size, numbers[6] / noise
     unknown, n_known, seen, expected = np.float32(1e34), 0, 0.0, 0.0
     for p in range(n):
         mean[p] += moved[p] - whole[p]
@@ -334,16 +334,16 @@ def skin_filter(
     if 2 * n_known > n_read:
         expected = noise + expected / n_known
         more = max(0.0, seen / n_known - expected)
-        z2 = more * more * max(n_read, numbers[5]) / (2 * expected * expected + 1e-30)
+        z2 = more * more * n_read / (2 * expected * expected + 1e-30)
         changed = more * z2 / (z2 + numbers[4] ** 2)
     grown = np.float32(changed)
-    prior = np.float32(loosened(np.float32(max(signal, numbers[2])), numbers[6], doubt))
+    prior = np.float32(loosened(np.float32(max(signal, numbers[2])), numbers[5], doubt))
     for p in range(n):
         change[p] = min(change[p] + grown, unknown)
-        wide = np.float32(loosened(change[p], numbers[6], doubt))
+        wide = np.float32(loosened(change[p], numbers[5], doubt))
         variance[p] = prior / (prior + left[p] + wide)
         target[p] = variance[p] * (mean[p] - moved[p])
-    recall *= numbers[8]
+    recall *= numbers[7]
     recall[2] += n_known
     for i in range(n_read):
         r = read[i]
@@ -351,7 +351,7 @@ def skin_filter(
             correction = np.float64(target[r])
             recall[0] += innovation[i] * correction
             recall[1] += correction * correction
-    ridge = numbers[9] * noise * recall[2]
+    ridge = numbers[8] * noise * recall[2]
     recalled = np.float32(min(max((recall[0] + ridge) / (recall[1] + ridge + 1e-30), 0.0), 1.0))
     for p in range(n):
         variance[p] = prior * (1 - recalled * variance[p])
@@ -369,7 +369,7 @@ def skin_filter(
         mean[r] += gain * (values[i] - mean[r])
         left[r] = max(gain * r_noise, least)
         change[r] = 0
-    numbers[10] = total / n_read
+    numbers[9] = total / n_read
 
 
 @compiled(

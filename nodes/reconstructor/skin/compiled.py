@@ -27,7 +27,7 @@ class CompiledVectors(FrameVectors):
         self._order = rows.groups, rows.scale
         self._next = self._neighbours.reshape(4, n).astype(np.uint32)
         self._slopes, self._rows_of_slopes = np.zeros((2, 2, n), dtype=np.float32)
-        of_filter = t.significant, t.least_count, t.prior, t.doubt, t.recall_memory, t.recall_ridge
+        of_filter = t.significant, t.prior, t.doubt, t.recall_memory, t.recall_ridge
         self._of_filter = np.array([0.0] * 4 + [*of_filter, 0.0])
         of_step = t.least_tau, t.most_alpha, t.damping, gates.error_0[0]
         self._of_step = np.array([0.0, 0.0, *of_step, QUIET, *STANDS_OUT, CLEARLY, 0.0])

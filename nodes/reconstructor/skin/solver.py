@@ -217,7 +217,8 @@ class SkinSolver(Solver):
             self._noise = min(level, e2)
         self._noise = max(self._noise, self._floor, self.noise_sd**2)
         alike = self._vectors.alignment()
-        self._trust *= math.exp(min(t.trust_fall * (t.lagging - alike), t.trust_growth))
+        lagging = t.lagging / math.sqrt(self._values.size)
+        self._trust *= math.exp(min(lagging - alike, t.trust_growth))
         self._trust = min(max(self._trust, t.least_trust), 1.0)
         return max(self._noise * self._trust, self._floor)
 
@@ -247,7 +248,7 @@ class SkinSolver(Solver):
         t, vectors, bias = self._t, self._vectors, np.float32(self._bias)
         error2 = self._error2()
         prior = t.blend * max(self._signal, self._last_error2, self._floor)
-        part = min(t.most_predicted, error2 / (error2 + prior))
+        part = error2 / (error2 + prior)
         fitted = vectors.settle(self._estimates[-t.averaged :] or [vectors.predicted], part)
         # What the noise of measurements left in the last estimate, the same measurements leave.
         left = min(self._last_error2, self._judged_noise) if self._repeats else 0.0

@@ -29,10 +29,9 @@ class SkinTuning:
     #: Rate of the noise level per frame, and its largest growth.
     noise_rate: float = 0.2
     noise_growth: float = 1.4
-    #: Deviations of a mean square at which half of what it exceeds its expectation by counts, and
-    #: the least number of squares that these are taken of.
+    #: Deviations of a mean square at which half of what it exceeds its expectation by counts.
+    #: Derived: noise alone exceeds it by as much in one frame of 700.
     significant: float = 3.0
-    least_count: int = 300
     #: Rate per frame at which the mean squared error of a prediction is averaged.
     signal_rate: float = 0.3
     #: Errors of a prediction are not independent of each other: c and d of their variance
@@ -44,13 +43,13 @@ class SkinTuning:
     recall_memory: float = 0.8
     recall_ridge: float = 0.3
     #: Weight of the prediction in the estimate, E / (E + b P) by the error variances of both, whose
-    #: errors are not independent: b; and its largest value.
+    #: errors are not independent: b.
     blend: float = 2.0
-    most_predicted: float = 0.9
-    #: Correlation of an innovation with the last correction beyond which the estimate lags behind;
-    #: rates at which the trust in the noise level falls and grows per frame; its least value.
-    lagging: float = 0.2
-    trust_fall: float = 0.5
+    #: Correlation of an innovation with the last correction beyond which the estimate lags behind,
+    #: in its deviations 1 / sqrt(M). Derived: noise alone is beyond it in one frame of 40. What it
+    #: is beyond it by, the logarithm of the trust in the noise level falls by; the largest growth
+    #: of that logarithm per frame, and the least trust.
+    lagging: float = 2.0
     trust_growth: float = 0.05
     least_trust: float = 0.05
     #: Largest bias, in deviations of the noise. Derived: normal noise clipped at 0 has a mean of
@@ -77,5 +76,5 @@ class SkinTuning:
     def surplus(self, seen: float, expected: float, count: int) -> float:
         """What a mean square of `count` numbers exceeds its expectation by, where significant."""
         more = max(0.0, seen - expected)
-        z2 = more * more * max(count, self.least_count) / (2 * expected * expected + TINY)
+        z2 = more * more * count / (2 * expected * expected + TINY)
         return more * z2 / (z2 + self.significant**2)
