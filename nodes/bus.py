@@ -48,7 +48,7 @@ class Bus:
         links = join(nodes)
         for name, (cls, settings) in nodes.items():
             node_log = _named(name, log or self.lines.append)
-            node = cls(settings, Context(name, self.clock, node_log))
+            node = cls(settings, Context(name, self.clock, node_log, live=False))
             inputs = [link.topic for link in links if link.reader == name]
             self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, node_log, inputs)
         self._readers: dict[str, list[NodeHost]] = {}

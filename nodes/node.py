@@ -45,6 +45,8 @@ class Context:
     page_file : str
         Path in a folder that no other user can enter, where a page that opens a live page may be
         written; the launcher removes it. "": none.
+    live : bool
+        False where frames wait until the nodes are done with those before, as in a `Bus`.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Context:
     clock_of: Callable[[str], ClockEstimate | None] = field(default=lambda topic: SAME_CLOCK)
     page_token: str = ""
     page_file: str = ""
+    live: bool = True
 
     def rng(self, seed: int) -> np.random.Generator:
         """Random generator of a seed: the same numbers wherever the node runs."""

@@ -48,7 +48,7 @@ def measured_costs(solver: Solver, phi: Phi, f_max: float) -> Costs:
     begin_s = time.perf_counter()
     for k in range(N_FIRST + N_TIMED):
         y = phi.forward(rng.uniform(0, f_max, phi.n).astype(np.float32))
-        if solver.subsets:
+        if getattr(solver, "subsets", ()):
             solver.use(phi)
         times = [time.perf_counter()]
         solver.setup(y)

@@ -18,7 +18,6 @@ from sparseskin.messages import (
     SolverState,
     topic_of,
 )
-from sparseskin.nodes.clock import SystemClock
 from sparseskin.nodes.compressor.phi.acts import ActsPhi, follow
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, layout
 from sparseskin.nodes.compressor.phi.base import Phi, is_built_in, make_phi
@@ -179,10 +178,10 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._log.setting_up = True
         try:
             first, *others = self._patches
-            live = isinstance(self.context.clock, SystemClock)
-            solver = first.set_up(self.settings, subsets, state, announced, live)
+            of_skin = self.settings, subsets, state, announced, self.context.live
+            solver = first.set_up(*of_skin)
             for patch in others:
-                patch.set_up(self.settings, subsets, state, announced, live, first)
+                patch.set_up(*of_skin, alike=first)
         finally:
             self._log.setting_up = False
         if chosen["solver"] in SOLVERS and use_compiled(self.settings.fast):

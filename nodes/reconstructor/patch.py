@@ -100,7 +100,17 @@ class Patch:
                 warnings += check_phi(one, solver.mask)
         for warning in dict.fromkeys(warnings):
             self.log(warning)
+        budget_ms = settings.budget_ms
+        follows = live and getattr(solver, "paced", False) and "iterations" not in options
+        if budget_ms is None and follows and state.rate_hz:
+            budget_ms = 1e3 * SHARE / state.rate_hz / settings.n_patches
+        most_steps, frame_ms = sys.maxsize, 0.0
+        if alike is not None:
+            most_steps = alike.most_steps
+        elif budget_ms is not None:
+            most_steps, frame_ms = self._steps_within(budget_ms, solver, phi, skin.f_max)
         self.settings, self.solver, self._subsets = settings, solver, subsets
+        self.most_steps = most_steps
         self.faults.set_up({one.fingerprint: one for one in subsets}, state, solver.mask)
         self._trust_log.begin(len(subsets))
         self._uncertainty = self._make_uncertainty(solver, phi, announced.rows)
@@ -110,37 +120,27 @@ class Patch:
         if self._last is not None and self._last.shape != skin.shape:
             self._last = None
         self._warm = self._last
-        self._frame_ms = 0.0
-        if alike is None:
-            follows = live and solver.paced and "iterations" not in options
-            self.most_steps = self._steps_within(solver, phi, state, follows)
-        else:
-            self.most_steps = alike.most_steps
         return {
             "basis": getattr(basis, "label", chosen["basis"]),
-            "iterations": options.get("iterations", min(solver.n_steps, self.most_steps)),
+            "iterations": min(options.get("iterations", solver.n_steps), most_steps),
             "lambda_n": options.get("lambda_n", 0.0),
-            "frame_ms": self._frame_ms,
+            "frame_ms": frame_ms,
         }
 
-    def _steps_within(self, solver: Solver, phi: Phi, state: SkinState, follows: bool) -> int:
-        """Most steps of a frame, by the stated budget or, if the solver `follows` it, the rate."""
-        budget_ms = self.settings.budget_ms
-        budget_s = math.inf if budget_ms is None else budget_ms / 1e3
-        if budget_ms is None and follows and state.rate_hz:
-            budget_s = SHARE / state.rate_hz / self.settings.n_patches
-        if math.isinf(budget_s):
-            return sys.maxsize
-        costs = measured_costs(solver, phi, state.skin.f_max)
-        steps = costs.steps_in(budget_s, solver.n_steps)
-        self._frame_ms = round(1e3 * costs.of(steps), 3)
-        if costs.of(steps) > budget_s:
+    def _steps_within(
+        self, budget_ms: float, solver: Solver, phi: Phi, f_max: float
+    ) -> tuple[int, float]:
+        """Steps of a frame that fit into a budget on this host, and their time, milliseconds."""
+        costs = measured_costs(solver, phi, f_max)
+        steps = costs.steps_in(budget_ms / 1e3, solver.n_steps)
+        frame_ms = round(1e3 * costs.of(steps), 3)
+        if frame_ms > budget_ms:
             self.log(
-                f"a frame takes {self._frame_ms:.2g} ms with {steps} iterations; the budget is "
-                f"{1e3 * budget_s:.2g} ms: newer frames may wait for it; advised: fewer taxels a "
-                "node, or a lower rate"
+                f"a frame takes {frame_ms:.2g} ms with {steps} iterations; the budget is "
+                f"{budget_ms:.2g} ms: newer frames may wait for it; advised: fewer taxels a node, "
+                "or a lower rate"
             )
-        return steps
+        return steps, frame_ms
 
     def set_noise(self, skin: SkinState) -> None:
         """Hand the noise that the skin states to the solver."""

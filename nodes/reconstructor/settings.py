@@ -9,14 +9,14 @@ from typing import Any
 
 from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
-from sparseskin.nodes.compressor.phi.base import is_built_in, make_phi, phi_class
-from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, ROWS, rows_and_m
+from sparseskin.nodes.compressor.phi.base import is_built_in, phi_class
+from sparseskin.nodes.compressor.phi.rotation import PAPER, ROWS, rows_and_m
 from sparseskin.nodes.errors import SettingsError, SolverError
 from sparseskin.nodes.lookup import did_you_mean, find_class, nearest_of
 from sparseskin.nodes.numerics.compiled import FAST, check_fast
-from sparseskin.nodes.reconstructor.bases.base import BASES, find_basis, make_basis
+from sparseskin.nodes.reconstructor.bases.base import BASES, find_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import RESULTANT_SOLVERS
-from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads, make_solver
+from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 ANNOUNCED = "announced"
@@ -180,7 +180,6 @@ class ReconstructorSettings(PatchesSettings):
             for key, p in parameters.items()
             if key not in _NO_OPTIONS and p.kind is not p.VAR_KEYWORD
         ]
-        small, basis = make_phi("sbhe", n=64, m=21, seed=0), make_basis("haar", 8, 8)
         for key, value in (self.options or {}).items():
             if key in ("iterations", "lambda_n"):
                 raise SettingsError(f"options.{key}: is a setting of its own; allowed: {key}")
@@ -192,9 +191,6 @@ class ReconstructorSettings(PatchesSettings):
                     f"options.{key}: {value!r} is not allowed; allowed: a finite number, a text, "
                     "true or false"
                 )
-            if name in SOLVERS:
-                with naming(f"options.{key}"):
-                    make_solver(name, small, basis, None, fast="off", rows=FIXED, **{key: value})
 
     def check_phi(self, kind: str) -> None:
         """Check that measurements by an announced kind of phi can be reconstructed.

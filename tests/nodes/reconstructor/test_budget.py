@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.messages import Measurements, PhiState, Reconstruction, SkinState, SolverState
-from sparseskin.nodes.clock import Clock, ManualClock, SystemClock
+from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.budget import LEAST_STEPS, Costs
@@ -114,10 +114,10 @@ def test_no_step_more_would_fit_and_those_that_are_done_do(
         assert costs.of(steps + 1) > budget_s * (1 - 1e-9)
 
 
-def states(rate_hz: float, clock: Clock | None = None, **settings: Any) -> SolverState:
+def states(rate_hz: float, live: bool = True, **settings: Any) -> SolverState:
     """What the reconstructor of 32 x 32 taxels states at a rate, in a live graph by default."""
     phi = make_phi("sbhe", 1024, 342, 0)
-    context = Context("", clock or SystemClock())
+    context = Context("", ManualClock(0), live=live)
     node = Reconstructor(ReconstructorSettings(**settings), context)
     list(node.step(skin_state(32, rate_hz)))
     announced = PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe())
@@ -131,6 +131,6 @@ def test_the_rate_that_the_skin_states_sets_the_iterations_of_the_default_alone(
     assert (slow.iterations, unknown.iterations, fast.iterations) == (8, 8, LEAST_STEPS)
     assert slow.frame_ms > 0
     assert unknown.frame_ms == 0
-    assert states(1e6, ManualClock(0)).iterations == 8  # offline, no frame waits
+    assert states(1e6, live=False).iterations == 8  # offline, no frame waits
     assert states(1e6, iterations=6).iterations == 6
     assert states(1e6, preset="paper").iterations == 30
