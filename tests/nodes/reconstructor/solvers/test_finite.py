@@ -21,7 +21,6 @@ from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, Solver, make_ro
 FORMS = ["off", *(["on"] if find_spec("numba") else [])]
 #: Rows that each frame chooses anew: phi "adaptive".
 CHOSEN = "chosen"
-#: On 18 x 18 taxels solver `skin` has both models, on 8 x 8 the smooth one alone.
 CASES = [
     *(("skin", side, rows, FORMS[-1]) for side in (8, 18) for rows in (FIXED, ROTATING)),
     *(("skin", 8, rows, "off") for rows in (FIXED, ROTATING, CHOSEN)),
@@ -71,7 +70,7 @@ def test_a_contact_after_identical_frames_is_reconstructed(
     name: str, side: int, rows: str, fast: str
 ) -> None:
     stream, fresh = Stream(name, side, rows, fast), Stream(name, side, rows, fast)
-    for _ in range(2000):
+    for _ in range(400):
         assert np.isfinite(stream.frame(stream.press(2, 2))).all()
     moved = stream.press(5, 4)
 
