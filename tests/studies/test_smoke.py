@@ -50,7 +50,7 @@ TEXTS = {
     "scene-needs": "| without damping of the skin |",
     "accuracy": "| press | 114 | kPa |",
     "speed": "## From acquisition to reconstruction",
-    "train": "other presses",
+    "train": "Noise of a known deviation",
 }
 """A text on each page."""
 
