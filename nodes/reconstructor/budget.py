@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,9 +32,14 @@ class Costs(NamedTuple):
         """Time of a frame of this many steps, seconds."""
         return self.frame_s + steps * self.step_s
 
-    def steps_in(self, budget_s: float, most: int) -> int:
-        """Number of steps that fit into a budget, at most `most`, at least `LEAST_STEPS`."""
+    def steps_in(self, budget_s: float, most: int, paces: Sequence[int] = ()) -> int:
+        """Number of steps that fit into a budget, at most `most`, at least `LEAST_STEPS`.
+
+        Of few `paces`, hosts that differ a little choose the same one.
+        """
         fit = int((budget_s - self.frame_s) / self.step_s) if self.step_s > 0 else most
+        if fit < most:
+            fit = max((pace for pace in paces if pace <= fit), default=fit)
         return min(max(fit, LEAST_STEPS), most)
 
 

@@ -101,7 +101,7 @@ class Patch:
         for warning in dict.fromkeys(warnings):
             self.log(warning)
         budget_ms = settings.budget_ms
-        follows = live and getattr(solver, "paced", False) and "iterations" not in options
+        follows = live and "iterations" not in options and bool(getattr(solver, "paces", ()))
         if budget_ms is None and follows and state.rate_hz:
             budget_ms = 1e3 * SHARE / state.rate_hz / settings.n_patches
         most_steps, frame_ms = sys.maxsize, 0.0
@@ -132,7 +132,7 @@ class Patch:
     ) -> tuple[int, float]:
         """Steps of a frame that fit into a budget on this host, and their time, milliseconds."""
         costs = measured_costs(solver, phi, f_max)
-        steps = costs.steps_in(budget_ms / 1e3, solver.n_steps)
+        steps = costs.steps_in(budget_ms / 1e3, solver.n_steps, getattr(solver, "paces", ()))
         frame_ms = round(1e3 * costs.of(steps), 3)
         if frame_ms > budget_ms:
             self.log(

@@ -65,7 +65,7 @@ class AdaptiveSkinSolver(Solver):
     """
 
     name = "skin"
-    paced = True
+    paces = (3, 5, 8)
     y_max = SkinSolver.y_max
 
     def __init__(

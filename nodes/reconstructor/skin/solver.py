@@ -88,7 +88,7 @@ class SkinSolver(Solver):
     name = "skin"
     rotates = True
     adaptive = True
-    paced = True
+    paces = (3, 5, 8)
     #: The sum of squares of larger ones could overflow float32.
     y_max = 1e14
 

@@ -75,8 +75,8 @@ class Solver(ABC):
     n_steps: int = 1
     #: Measurements beyond this could overflow float32 inside the solver, newtons.
     y_max: float = 1e30
-    #: True if fewer steps, of which the rate of the frames leaves time for, still are its method.
-    paced: bool = False
+    #: Numbers of steps, ascending, that the rate of the frames may choose from; none: it may not.
+    paces: tuple[int, ...] = ()
     #: True if `use` lets one solver serve all row subsets of rotating rows.
     rotates: bool = False
     #: Row subsets that frames are measured by in turn; none where the rows are fixed.

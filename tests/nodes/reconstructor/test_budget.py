@@ -112,6 +112,9 @@ def test_no_step_more_would_fit_and_those_that_are_done_do(
         assert costs.of(steps) <= budget_s * (1 + 1e-9)
     if steps < most:
         assert costs.of(steps + 1) > budget_s * (1 - 1e-9)
+    # Of few numbers, the largest that is no larger.
+    few = costs.steps_in(budget_s, most, (3, 5, 8))
+    assert few == (steps if steps == most else max(k for k in (0, 3, 5, 8) if k <= steps) or steps)
 
 
 def states(rate_hz: float, live: bool = True, **settings: Any) -> SolverState:
