@@ -64,7 +64,7 @@ STUDIES = {
     "accuracy": Study(
         "recordings, moving bodies and frame rates, beside what a user would try first",
         "sparseskin.studies.accuracy.tables:run",
-        options=("recordings", "seeds"),
+        options=("recordings", "seeds", "constants"),
     ),
     "speed": Study(
         "time of solvers, of bodies of many patches, and of a frame by stage",
@@ -128,6 +128,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=_count,
         help="accuracy: number of seeds, from --seed on (default: 1)",
     )
+    parser.add_argument(
+        "--constants",
+        action="store_true",
+        default=None,
+        help="accuracy with --recordings: each constant of the default solver halved and doubled",
+    )
     parser.set_defaults(run=_study)
 
 
@@ -156,7 +162,7 @@ def _study(arguments: argparse.Namespace) -> int:
         missing = f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
         raise SettingsError(f"study {name}: {missing}: pip install 'sparseskin[charts]'")
     options = {}
-    for option in ("recordings", "seeds"):
+    for option in ("recordings", "seeds", "constants"):
         value = getattr(arguments, option)
         if value is None:
             continue

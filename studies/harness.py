@@ -14,6 +14,7 @@ import pandas as pd
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, m_of
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .baselines.sampling import CODECS, Acts, Codec, Filtered, Hold, Lattice, adaptive_values
@@ -58,7 +59,8 @@ class Candidate:
     ----------
     settings : mapping
         solver, basis and settings as in `PRESETS`; `lambda_n` is stated for the paper's range, and
-        scaled with that of the skin. Of "reading": dead_zone_n.
+        scaled with that of the skin; `tuning`: fields of `SkinTuning` that are not its own. Of
+        "reading": dead_zone_n.
     of : str
         "solver", "reading", "filtered", "lattice", "hold", "acts", or one of `CODECS`.
     changes : mapping
@@ -95,6 +97,8 @@ class Candidate:
         settings = dict(self.settings)
         if "lambda_n" in settings:
             settings["lambda_n"] *= take.f_max / PAPER_F_MAX_N
+        if "tuning" in settings:
+            settings["tuning"] = SkinTuning(**settings["tuning"])
         if at.phi == "adaptive":
             # As many rows as fit, with the code of their choice, into the bytes of M; M is rounded
             # down, and a half keeps it from rounding errors.

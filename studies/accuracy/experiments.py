@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
 
-from sparseskin.nodes.compressor.phi.rotation import ROTATING
+from sparseskin.nodes.compressor.phi.rotation import ROTATING, ROWS
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES, SKINS
@@ -99,10 +99,16 @@ class Runs:
     quick : bool
     seeds : sequence of int
         Of Phi, frames and noise.
+    recordings : Path, optional
+        Folder of recordings; a line on stderr for each file that cannot be used, StudyError if all.
     """
 
-    def __init__(self, out: Path, executor: str, quick: bool, seeds: Sequence[int]) -> None:
+    def __init__(
+        self, out: Path, executor: str, quick: bool, seeds: Sequence[int], recordings: Path | None
+    ) -> None:
         self._out, self._executor, self._quick, self._seeds = out, executor, quick, seeds
+        self._n_recorded = QUICK_RECORDED if quick else LONGEST_RECORDED
+        self._files = readable(files_in(recordings), self._n_recorded) if recordings else []
 
     def _rows(
         self,
@@ -159,18 +165,29 @@ class Runs:
         names = (DEFAULT, SKIN, PAPER, "lattice", "hold")
         return self._rows("sizes", frames, names, ERRORS)
 
-    def recordings(self, folder: Path) -> pd.DataFrame:
-        """Recordings of real skins in a folder; the recording itself is the truth.
-
-        Raises
-        ------
-        StudyError
-            If no file of the folder can be used; of each one, a line on stderr.
+    def constants(self, candidates: Mapping[str, Candidate]) -> pd.DataFrame:
+        """Candidates at the largest ratio, fixed and rotating rows: on recordings, half as long as
+        those of `recordings`; on bodies that move, and on a sudden contact.
         """
-        n_most = QUICK_RECORDED if self._quick else LONGEST_RECORDED
-        files = readable(files_in(folder), n_most)
+        ratio, side = max(RATIOS), SIDES[0]
+        frames: list[Frames] = [*self._recorded(self._n_recorded // 2)]
+        frames += [
+            PressFrames(body, (side, side), PRESS_FRAMES, course, SPEED, TOUCHED)
+            for course, bodies in (("moving", QUICK_BODIES), ("sudden", QUICK_BODIES[:1]))
+            for body in bodies
+        ]
+        measurements = [Measurement(ratio, rows) for rows in ROWS]
+        scores = ("median", "flagged_wrong", "n_wrong", "mean_db")
+        study = Experiment("constants", frames, measurements, candidates, scores, self._seeds)
+        return study.run(self._out, self._executor)
+
+    def _recorded(self, n_most: int) -> list[RecordedFrames]:
         # The first frames are not scored: until "hold" has read all taxels once.
-        frames = [RecordedFrames(str(p), digest_of(p), n_most, max(RATIOS)) for p in files]
+        return [RecordedFrames(str(p), digest_of(p), n_most, max(RATIOS)) for p in self._files]
+
+    def recordings(self) -> pd.DataFrame:
+        """Recordings of real skins; the recording itself is the truth."""
+        files, frames = self._files, self._recorded(self._n_recorded)
         scores = (*ERRORS, *MARKS, *ESTIMATES)
         rows = self._rows("recordings", frames, tuple(CANDIDATES), scores, CODECS)
         stems = [path.stem for path in files]

@@ -19,8 +19,10 @@ from sparseskin.studies.evaluate import (
     WRONG,
 )
 from sparseskin.studies.frames import part_of, scene_of
-from sparseskin.studies.report import Chart, Page, cells, draw_lines
+from sparseskin.studies.points import StudyError
+from sparseskin.studies.report import Chart, Page, cells, draw_lines, markdown
 
+from .constants import LEAST_ERROR, candidates, table
 from .experiments import (
     ALL,
     ALONE,
@@ -41,9 +43,6 @@ from .experiments import (
     Runs,
 )
 
-LEAST_ERROR = 0.5
-"""Least relative error that a quotient is formed with, in %. Chosen: about that of readings in 8
-bits, so that below it all methods are as good as exact."""
 METHODS = (*CANDIDATES, ALL, FILTERED, RAW, *CODECS)
 """Order of the columns."""
 
@@ -55,13 +54,16 @@ def run(
     executor: str,
     recordings: Path | None = None,
     seeds: int = 1,
+    constants: bool = False,
 ) -> list[str]:
     """Compute the study, write its page and return its conclusion; see `command.Study`.
 
     `recordings` is a folder of recordings of real skins; without it, the page has none. `seeds`:
-    number of seeds, from `seed` on.
+    number of seeds, from `seed` on. `constants`: adds the table of the default solver's constants.
     """
-    runs = Runs(out, executor, quick, range(seed, seed + seeds))
+    if constants and recordings is None:
+        raise StudyError("--constants: needs recordings, by --recordings DIR")
+    runs = Runs(out, executor, quick, range(seed, seed + seeds), recordings)
     page = Page(out, "accuracy", Path(__file__).with_name("notes.md"), quick)
     page.section(
         "",
@@ -72,9 +74,11 @@ def run(
         jump_sigmas=JUMP_SIGMAS,
         dead_zone_n=DEAD_ZONE_N,
     )
-    lines = recorded(page, runs, recordings, quick) if recordings else []
+    lines = recorded(page, runs, quick) if recordings else []
     lines += [scenes(page, runs), rates(page, runs), moving(page, runs)]
     sizes(page, runs)
+    if constants:
+        varied(page, runs)
     page.write(lines)
     return lines
 
@@ -194,9 +198,19 @@ def sizes(page: Page, runs: Runs) -> None:
     )
 
 
-def recorded(page: Page, runs: Runs, folder: Path, quick: bool) -> list[str]:
+def varied(page: Page, runs: Runs) -> None:
+    """Constants of the default solver, each halved and doubled; the table is printed too."""
+    rows = runs.constants(candidates())
+    changes = table(rows)
+    print(markdown(changes))
+    names = rows["path"].map(lambda path: Path(path).name, "ignore")
+    page.csv("constants", rows.assign(recording=names).drop(columns=["path"]))
+    page.section("Constants", changes, least=LEAST_ERROR, ratio=max(RATIOS), wrong=100 * WRONG)
+
+
+def recorded(page: Page, runs: Runs, quick: bool) -> list[str]:
     """Recordings of real skins: errors, lost contacts, marks, and frames that are packed."""
-    rows = runs.recordings(folder)
+    rows = runs.recordings()
     compared, packed = rows[rows["ratio"] > 1], rows[rows["ratio"] == 1]
     lines = [*geometric(rows), *beaten(rows), smaller(rows)]
     flagged = compared[compared["flagged"].notna()]

@@ -53,9 +53,9 @@ def test_the_help_lists_every_study(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(f"{name} " in out for name in command.STUDIES)
 
 
-@pytest.mark.parametrize("options", [("--recordings", "."), ("--seeds", "2")])
+@pytest.mark.parametrize("options", [("--recordings", "."), ("--seeds", "2"), ("--constants",)])
 def test_an_option_that_a_study_has_not_is_refused_with_those_that_have(
-    options: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    options: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["study", "stability", "--out", str(tmp_path / "out"), *options]) == 2
     error = capsys.readouterr().err

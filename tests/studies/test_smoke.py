@@ -17,6 +17,7 @@ from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.sensor.scenes.presses import N_BEFORE
 from sparseskin.nodes.sensor.scenes.scenes import SCENES
 from sparseskin.studies import command, frames, harness, needs
+from sparseskin.studies.accuracy import constants
 from sparseskin.studies.accuracy import experiments as accuracy
 from sparseskin.studies.paper import tables as paper
 from sparseskin.studies.speed import latency
@@ -30,6 +31,7 @@ SOLVERS = ("fista", "skin")
 SIZES: tuple[tuple[Any, dict[str, Any]], ...] = (
     (accuracy, {"ACTIVE": (0.3,), "QUICK_SIZES": (((4, 4), None),), "QUICK_BODIES": ("peg",)}),
     (accuracy, {"SCENES": ("lift_box_40",), "RATED_SCENES": ("path_40",), "SIDES": (40,)}),
+    (constants, {"VALUES": {"damping": 0.5}}),
     (contact, {"N_SIDE_QUICK": 2, "SCENES": {"lift_box_40": SCENES["lift_box_40"]}}),
     (experiments, {"QUICK_ITERATIONS": (5,), "QUICK_RATIOS": (3, 8), "SUM_KINDS": ("sbhe",)}),
     (experiments, {"SUM_SOLVERS": SOLVERS}),
@@ -115,8 +117,9 @@ def test_a_study_writes_its_page_with_all_tables_and_charts(
 ) -> None:
     if name == "train":
         pytest.importorskip("torch")
-    options = ["--recordings", str(recordings), "--seeds", "2"] if name == "accuracy" else []
-    out = tmp_path / "out"
+    out, options = tmp_path / "out", []
+    if name == "accuracy":
+        options = ["--recordings", str(recordings), "--seeds", "2", "--constants"]
     options += ["--quick", "--executor", "serial", "--out", str(out)]
     assert main(["study", name, *options]) == 0
     printed = capsys.readouterr().out.splitlines()

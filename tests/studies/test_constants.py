@@ -1,0 +1,77 @@
+"""Constants of the default solver, halved and doubled: their values, and what they change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from sparseskin.launch.commands.cli import main
+from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
+from sparseskin.studies.accuracy import constants, experiments
+from sparseskin.studies.accuracy.experiments import Runs
+
+
+@pytest.mark.parametrize(
+    ("name", "halved", "doubled"),
+    [
+        *[("motion", 6, 24), ("averaged", 2, 6), ("noise_growth", 1.2, 1.8)],
+        *[("damping", 0.25, 0.75), ("most_alpha", 0.45, 0.95)],
+    ],
+)
+def test_constants_are_halved_and_doubled_within_what_they_may_be(
+    name: str, halved: float, doubled: float
+) -> None:
+    found = [constants.changed(name, times) for times in constants.TIMES]
+    assert found == pytest.approx([halved, doubled])
+    assert [type(one) for one in found] == 2 * [type(getattr(SkinTuning(), name))]
+
+
+def test_a_count_of_one_is_not_halved_to_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(constants, "VALUES", {"averaged": 1})
+    assert constants.changed("averaged", 0.5) == 1
+
+
+def test_every_constant_has_a_candidate_halved_and_doubled() -> None:
+    assert set(constants.PARTS + constants.GROWTHS) <= set(constants.VALUES)
+    tunings = [one.settings.get("tuning", {}) for one in constants.candidates().values()]
+    for name in vars(SkinTuning()):
+        low, high = (tuning[name] for tuning in tunings if name in tuning)
+        assert low < getattr(SkinTuning(), name) < high
+
+
+def test_a_changed_constant_changes_the_scores_and_has_a_row(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    values = {"damping": 0.5, "averaged": 3}
+    monkeypatch.setattr(constants, "VALUES", values)
+    for name, value in {"SIDES": (12,), "QUICK_BODIES": ("peg",), "PRESS_FRAMES": 30}.items():
+        monkeypatch.setattr(experiments, name, value)
+    i, j = np.indices((12, 12))
+    press = 50 * np.exp(-((i - 5) ** 2 + (j - 5) ** 2) / 6)
+    frames = press * np.linspace(0, 1, 30)[:, None, None]
+    np.save(tmp_path / "press.npy", frames.astype(np.float32))
+    rows = Runs(tmp_path, "serial", True, (0,), tmp_path).constants(constants.candidates())
+    presses, recordings = rows[rows["path"].isna()], rows[rows["path"].notna()]
+    assert recordings.groupby("rows")["median"].nunique().eq(5).all()
+    assert presses.groupby(["course", "rows"])["mean_db"].nunique().eq(5).all()
+    table = constants.table(rows).set_index("constant")
+    assert list(table.index) == [constants.UNCHANGED, "damping = 0.5", "averaged = 3"]
+    db = presses[presses["course"] == "moving"].groupby("method")["mean_db"].mean()
+    low, high = (db[f"damping x {times}"] - db[constants.UNCHANGED] for times in ("0.5", "2"))
+    assert table.loc["damping = 0.5", "moving, dB"] == f"{low:+.2f} / {high:+.2f}"
+    medians = recordings[recordings["rows"] == "fixed"].set_index("method")["median"]
+    by = 100 * (medians["averaged x 2"] / medians[constants.UNCHANGED] - 1)
+    assert table.loc["averaged = 3", "error, fixed rows, %"].endswith(f" / {by:+.1f}")
+
+
+def test_without_recordings_the_option_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["study", "accuracy", "--constants", "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert "--constants: needs recordings, by --recordings DIR" in error
+    assert error.count("\n") == 1
