@@ -18,17 +18,14 @@ TESTS = (
     "tests/nodes/compressor/phi",
     "tests/nodes/reconstructor/bases",
     "tests/nodes/reconstructor/skin",
-    "tests/nodes/reconstructor/skin",
     "tests/nodes/reconstructor/solvers",
 )
 IGNORED = (
-    *("*/test_fast_operators.py", "*/test_reference.py"),
+    "*/test_fast_operators.py",
     *("*/phi/test_a*.py", "*/phi/test_quadtree.py", "*/phi/test_rotation.py"),
     *("*/phi/test_stored.py", "*/phi/test_wired.py", "*/skin/test_adaptive_skin.py"),
 )
-"""Tests of compiled operators and of the choice of rows, which call no BLAS, and of the reference,
-which rounds otherwise than the solver under every kernel.
-"""
+"""Tests of compiled operators and of the choice of rows, which call no BLAS."""
 
 
 def kernel_of(name: str | None) -> str | None:
