@@ -25,7 +25,6 @@ from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
-from sparseskin.nodes.numerics.compiled import check_fast
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.solvers.base import Solver, make_rotating_solver
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
@@ -196,10 +195,10 @@ def warn_of_threads() -> None:
     config: Any = np.show_config(mode="dicts")
     is_openblas = "openblas" in config["Build Dependencies"]["blas"]["name"]
     stated = any(name in os.environ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"))
-    if is_openblas and not stated and (os.cpu_count() or 1) > 1 and check_fast("auto") == "off":
+    if is_openblas and not stated and (os.cpu_count() or 1) > 1:
         warnings.warn(
-            "solver skin without numba: threads of OpenBLAS wait for each other; set "
-            "OPENBLAS_NUM_THREADS=1 before Python starts, or pip install 'sparseskin[fast]'",
+            "solver skin: threads of OpenBLAS wait for each other; set OPENBLAS_NUM_THREADS=1 "
+            "before Python starts",
             RuntimeWarning,
             stacklevel=3,
         )

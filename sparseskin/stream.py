@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.compressor.node import CHOSEN_ANEW, CompressorSettings
 from sparseskin.nodes.compressor.phi.rotation import RATIO
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
+from sparseskin.nodes.lookup import suggestion
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.limits import options_for_range
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
@@ -120,6 +122,10 @@ class Stream:
         self._noise_sd = newtons("stream", "noise_sd", noise_sd)
         options = {name: value for name, value in settings.items() if name not in _NAMED}
         stated = {name: value for name, value in settings.items() if name in _NAMED}
+        own = [*_NAMED, *(name for name in signature(Stream).parameters if name != "settings")]
+        for name in options:
+            if ":" not in str(stated.get("solver")) and (hint := suggestion(name, own)):
+                raise SparseskinError(f"stream: {name}: is not known{hint}")
         self._host = ReconstructorSettings(phi=phi, preset=preset, options=options, **stated)
         self._host.check()
         self._host.check_phi(phi)

@@ -15,9 +15,10 @@ def main() -> int:
     try:
         open_standard_files()
         keep_bytecode()
-        if sys.argv[1:2] == ["study"]:
-            # Read as numpy is imported: the times that a study reports are those of one core.
-            os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        # Read as numpy is imported: small products of matrices wait for threads, and the times that
+        # a study reports are those of one core.
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+            os.environ.setdefault(name, "1")
         # Imported here, so that a Ctrl-C during the import is handled like any other.
         from .cli import complete
         from .cli import main as run

@@ -44,7 +44,7 @@ RECENT = 100
 
 _OF_SKIN = ("sigma_mid",)
 _OF_PHI = ("kind", "m", "rows")
-_OF_SOLVER = ("preset", "solver", "basis", "iterations", "lambda_n", "frame_ms")
+_OF_SOLVER = ("preset", "solver", "basis", "iterations", "lambda_n")
 
 ClockOf = Callable[[str], ClockEstimate | None]
 

@@ -194,9 +194,9 @@ def _plain(value: float | str) -> str:
 
 
 def _iterations(patch: Mapping[str, Any]) -> str:
-    """Iterations of a frame, and the time that they take where every taxel is pressed."""
-    text, most_ms = f"{patch['iterations']} iterations", patch["frame_ms"]
-    return text if most_ms in (NONE, 0) else f"{text} in at most {most_ms:.2g} ms"
+    """Iterations of a frame, and their time where every taxel is pressed and nothing else runs."""
+    text, full_ms = f"{patch['iterations']} iterations", patch["frame_ms"]
+    return text if full_ms in (NONE, 0) else f"{text} ({full_ms:.2g} ms on a full skin)"
 
 
 def _extent(extent: Mapping[str, float], form: str) -> str:

@@ -429,26 +429,19 @@ def skin_step(
         else:
             tiles[t] = none
             expected += share[t] * numbers[6]
-    w, a, levels, h, g, out = (
-        w[:n_busy],
-        a[:n_busy],
-        levels[:n_busy],
-        h[:n_busy],
-        g[:n_busy],
-        out[:n_busy],
-    )
-    if n_busy:
-        np.dot(w, filters, a)
+        if n_busy == 0 or (n_busy < w.shape[0] and t + 1 < n_tiles):
+            continue
+        np.dot(w[:n_busy], filters, a[:n_busy])
         for b in range(n_busy):
             for j in range(k):
                 size = four * (np.sqrt(np.sqrt(one + abs(a[b, j]))) - one)
                 levels[b, k + j] = size
                 levels[b, j] = size if a[b, j] >= 0 else -size
-        np.dot(levels, hidden, h)
+        np.dot(levels[:n_busy], hidden, h[:n_busy])
         for b in range(n_busy):
             for j in range(h.shape[1]):
                 h[b, j] = max(h[b, j] + hidden_0[j], none)
-        np.dot(h, gates, g)
+        np.dot(h[:n_busy], gates, g[:n_busy])
         for b in range(n_busy):
             logarithm = numbers[5]
             for j in range(h.shape[1]):
@@ -459,13 +452,14 @@ def skin_step(
             g[b, k] = passed
             for j in range(k):
                 a[b, j] *= min(max(g[b, j] + gates_0[j], none), one) - passed
-        np.dot(a, synthesis, out)
+        np.dot(a[:n_busy], synthesis, out[:n_busy])
         for b in range(n_busy):
             for i in range(8):
                 for j in range(8):
                     inner = g[b, k] * w[b, 12 * (i + 2) + j + 2]
                     tile = max(out[b, 8 * i + j] + inner, none)
                     tiles[busy[b], 8 * i + j] = s * parts[b] * tile
+        n_busy = 0
     flat = tiles.reshape(-1)
     alpha, damping = np.float32(min(expected, numbers[3])), np.float32(numbers[4])
     more = one / (one - alpha)

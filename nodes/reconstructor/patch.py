@@ -28,6 +28,7 @@ from sparseskin.nodes.reconstructor.solvers.base import (
 
 from .budget import SHARE, measured_costs
 from .limits import (
+    MIN_ITERATIONS,
     OTHER_ROWS,
     SINGLE_TAXELS,
     check_phi,
@@ -108,7 +109,7 @@ class Patch:
         if alike is not None:
             most_steps = alike.most_steps
         elif budget_ms is not None:
-            most_steps, frame_ms = self._steps_within(budget_ms, solver, phi, skin.f_max)
+            most_steps, frame_ms = self._steps_within(settings, budget_ms, solver, phi, skin.f_max)
         self.settings, self.solver, self._subsets = settings, solver, subsets
         self.most_steps = most_steps
         self.faults.set_up({one.fingerprint: one for one in subsets}, state, solver.mask)
@@ -128,17 +129,22 @@ class Patch:
         }
 
     def _steps_within(
-        self, budget_ms: float, solver: Solver, phi: Phi, f_max: float
+        self,
+        settings: ReconstructorSettings,
+        budget_ms: float,
+        solver: Solver,
+        phi: Phi,
+        f_max: float,
     ) -> tuple[int, float]:
         """Steps of a frame that fit into a budget on this host, and their time, milliseconds."""
         costs = measured_costs(solver, phi, f_max)
         steps = costs.steps_in(budget_ms / 1e3, solver.n_steps, getattr(solver, "paces", ()))
         frame_ms = round(1e3 * costs.of(steps), 3)
-        if frame_ms > budget_ms:
+        if steps < MIN_ITERATIONS.get(settings.chosen()["solver"], 0):
             self.log(
-                f"a frame takes {frame_ms:.2g} ms with {steps} iterations; the budget is "
-                f"{budget_ms:.2g} ms: newer frames may wait for it; advised: fewer taxels a node, "
-                "or a lower rate"
+                f"{steps} of {solver.n_steps} iterations, {frame_ms:.2g} ms, for a budget of "
+                f"{budget_ms:.2g} ms: a sudden contact takes several frames; advised: a larger "
+                "budget_ms, a lower rate, or fewer taxels a node"
             )
         return steps, frame_ms
 

@@ -184,7 +184,8 @@ class ReconstructorSettings(PatchesSettings):
             if key in ("iterations", "lambda_n"):
                 raise SettingsError(f"options.{key}: is a setting of its own; allowed: {key}")
             if key in _NO_OPTIONS or (key not in known and not takes_any):
-                allowed = nearest_of(key, known) if known else "; allowed: none"
+                none = "; it has none beside the settings iterations and lambda_n"
+                allowed = nearest_of(key, known) if known else none
                 raise SettingsError(f"options.{key}: is no option of solver {name}{allowed}")
             if not (isinstance(value, str | bool) or is_real(value)):
                 raise SettingsError(

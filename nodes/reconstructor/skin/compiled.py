@@ -29,8 +29,9 @@ class CompiledVectors(FrameVectors):
         self._slopes, self._rows_of_slopes = np.zeros((2, 2, n), dtype=np.float32)
         of_filter = t.significant, t.prior, t.doubt, t.recall_memory, t.recall_ridge
         self._of_filter = np.array([0.0] * 4 + [*of_filter, 0.0])
+        stands_out = tiles.strictness * np.array(STANDS_OUT)
         of_step = t.least_tau, t.most_alpha, t.damping, gates.error_0[0]
-        self._of_step = np.array([0.0, 0.0, *of_step, QUIET, *STANDS_OUT, CLEARLY, 0.0])
+        self._of_step = np.array([0.0, 0.0, *of_step, QUIET, *stands_out, CLEARLY, 0.0])
         self._scaled = np.zeros(n + 1, dtype=np.float32)
 
         def transposed(matrix: Floats) -> Floats:
@@ -41,9 +42,10 @@ class CompiledVectors(FrameVectors):
             *(transposed(gates.gates), gates.gates_0, transposed(gates.synthesis), gates.error[0]),
         )
         k, h = len(gates.filters), len(gates.hidden_0)
-        widths = (WINDOW * WINDOW, k, 2 * k, h, k + 1, TILE * TILE, TILE * TILE)
+        widths = (WINDOW * WINDOW, k, 2 * k, h, k + 1, TILE * TILE)
         self._scratch = [
             *(np.zeros((tiles.most, width), dtype=np.float32) for width in widths),
+            np.zeros((tiles.most, TILE * TILE), dtype=np.float32),
             np.zeros(tiles.most, dtype=np.float32),
             np.zeros(tiles.most, dtype=np.intp),
         ]

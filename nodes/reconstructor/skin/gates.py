@@ -15,6 +15,7 @@ subtracted from the tile: without noise it passes as it is, whatever A and S are
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -35,8 +36,10 @@ SHIFTS = tuple((5 * i % TILE, (3 * i + i // TILE * 5) % TILE) for i in range(TIL
 INNER = np.arange(WINDOW**2).reshape(WINDOW, WINDOW)[2:-2, 2:-2].reshape(-1)
 """Places of the tile in its window."""
 STANDS_OUT = (3.8, 3.3, 2.6, 2.0)
-"""Of `standing_out`, by size of square. Chosen: 5 % of the windows of normal noise exceed them;
-what the gates let pass of others is below 0.005 noise variances a taxel."""
+"""Of `standing_out`, by size of square. Derived: 5 % of the windows of normal noise exceed them,
+four of `MANY`; what the gates let pass of others is below 0.005 noise variances a taxel."""
+MANY = 81
+"""Windows of a skin of 64 x 64."""
 CLEARLY = 1.2
 """Of `standing_out`: a switch in place of a ramp would amplify rounding. Chosen."""
 QUIET = 0.01
@@ -100,12 +103,14 @@ class Gates:
                 )
         return cls(**found, fingerprint=hashlib.sha256(content).hexdigest()[:16])
 
-    def denoise(self, windows: Floats) -> tuple[Floats, Floats]:
+    def denoise(self, windows: Floats, strictness: float = 1.0) -> tuple[Floats, Floats]:
         """Return the denoised tiles of windows of unit noise.
 
         Parameters
         ----------
         windows : ndarray of float32, shape (t, 144)
+        strictness : float
+            As of `Tiles`.
 
         Returns
         -------
@@ -116,7 +121,7 @@ class Gates:
         """
         tiles = np.zeros((len(windows), TILE * TILE), dtype=np.float32)
         error = np.full(len(windows), QUIET, dtype=np.float32)
-        part = standing_out(windows)
+        part = standing_out(windows, strictness)
         busy = np.flatnonzero(part)
         if busy.size:
             gated, expected = self.gated(windows[busy])
@@ -140,13 +145,13 @@ class Gates:
         return np.maximum(tiles, 0, out=tiles), np.exp(np.clip(log_error, -12, 0))
 
 
-def standing_out(windows: Floats) -> Floats:
+def standing_out(windows: Floats, strictness: float = 1.0) -> Floats:
     """Part of a window of unit noise that counts, float32 (t,): 0 where nothing stands out of it.
 
-    By how far a taxel, a square of 3 x 3 or 6 x 6, or the whole window exceeds `STANDS_OUT`
-    deviations of its sum: from there to `CLEARLY` times as much it grows to 1.
+    By how far a taxel, a square of 3 x 3 or 6 x 6, or the whole window exceeds `STANDS_OUT` times
+    `strictness` deviations of its sum: from there to `CLEARLY` times as much it grows to 1.
     """
-    single, by_3, by_6, whole = STANDS_OUT
+    single, by_3, by_6, whole = np.float32(strictness) * np.array(STANDS_OUT, dtype=np.float32)
     thirds = windows.reshape(-1, 4, 3, 4, 3).sum(axis=(2, 4))
     sixths = thirds.reshape(-1, 2, 2, 2, 2).sum(axis=(2, 4))
     most = np.maximum(windows.max(axis=1) / single, thirds.max(axis=(1, 2)) / (3 * by_3))
@@ -194,6 +199,9 @@ class Tiles:
     ----------
     most : int
         Largest number of tiles at any shift.
+    strictness : float
+        Factor of `STANDS_OUT`, above 0 to 1: of fewer windows, noise exceeds less in any case.
+        Derived: the largest of n normal numbers grows with the root of log n.
     """
 
     def __init__(self, mask: Mask, places: Indices, n: int) -> None:
@@ -201,6 +209,7 @@ class Tiles:
         self._read = np.append(places.reshape(-1), n)[nearest_taxels(mask)]
         n_rows, n_cols = mask.shape
         self.most = (-(-n_rows // TILE) + 1) * (-(-n_cols // TILE) + 1)
+        self.strictness = min(max(math.sqrt(math.log(self.most) / math.log(MANY)), 1e-6), 1.0)
         self._tables: dict[int, tuple[Places, Places, Floats]] = {}
 
     def tables(self, number: int) -> tuple[Places, Places, Floats]:

@@ -259,7 +259,9 @@ class SkinSolver(Solver):
         noise = self._judged_noise
         # Until it is known, the bias passes for forces on all taxels.
         most = t.untouched if self._n_frames > t.bias_known else t.most_bias**2
-        untouched = power <= most * noise and self._residual2() <= t.unexplained * noise
+        residual = self._values - fitted
+        residual2 = float(residual @ residual) / residual.size
+        untouched = power <= most * noise and residual2 <= t.unexplained * noise
         self.trusted = untouched or self._last_error2 <= t.trusted**2 * power
         if isinstance(self.phi, SubsamplePhi):  # its residuals show no error between its taxels
             self.error, self.trusted = None, True
@@ -268,7 +270,7 @@ class SkinSolver(Solver):
             # Readings of mean b + u of a force that is not clipped as often: u + b (1 - e^(-u/b)).
             forces = x + bias * (1 - np.exp(-x / bias))
         if not self._repeats:
-            self._follow_bias(x, self._values - fitted)
+            self._follow_bias(x, residual)
         image = np.zeros(self.mask.size, dtype=np.float32)
         image[self._cells] = np.where(forces < INVISIBLE * math.sqrt(noise), 0, forces)
         return self._finite(image.reshape(self.mask.shape))

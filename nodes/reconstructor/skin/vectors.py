@@ -184,7 +184,7 @@ class FrameVectors:
         windows, back, share = self._tiles.tables(shift)
         scaled = np.zeros(rows.n + 1, dtype=np.float32)
         np.divide(u, s, out=scaled[:-1])
-        tiles, error = self._gates.denoise(scaled[windows])
+        tiles, error = self._gates.denoise(scaled[windows], self._tiles.strictness)
         x: Floats = tiles.reshape(-1)[back] * s
         expected = float(share @ error)
         alpha = np.float32(min(expected, t.most_alpha))
