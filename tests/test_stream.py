@@ -151,7 +151,7 @@ def test_a_number_of_a_frame_that_is_none_is_refused(k: Any) -> None:
         ({"preset": "paperr"}, "preset: 'paperr' is not known (did you mean 'paper'?)"),
         ({"solver": "fist"}, 'solver: solver "fist" is not known (did you mean'),
         ({"iterations": 0}, "iterations: 0 is outside 1..1000"),
-        ({"max_iteration": 9}, "options.max_iteration: is no option of solver skin"),
+        ({"max_iteration": 9}, "max_iteration: is not known"),
         ({"solver": DOUBTING, "perod": 9}, "options.perod: is no option of solver doubting:D"),
     ],
 )

@@ -251,7 +251,7 @@ def test_an_option_is_one_that_its_solver_has(check, key: str, value: str, fault
 
 
 def test_a_solver_without_options_refuses_each(check) -> None:
-    fault = "is no option of solver skin; allowed: none"
+    fault = "is no option of solver skin; it has none beside the settings iterations and lambda_n"
     table = "[nodes.reconstructor.options]\nn_rounds = 3\n\n[nodes.monitor]"
     text = GOOD.replace("[nodes.monitor]", table)
     assert sorted(check(text, "reconstructor.options.seed=1")) == [
