@@ -34,6 +34,10 @@ UNTOUCHED = 0.5
 """Mean squared force, in noise variances, up to which nothing touches the skin: rows of few taxels
 hold the noise of a single reading. Chosen."""
 
+TOUCHED = 2.0
+"""Noise variance of touched taxels that is left, in that of untouched ones. Chosen on presses with
+the noise of the paper, which grows with the force."""
+
 
 class AdaptiveSkinSolver(Solver):
     """Reconstructs frames whose rows were chosen at the edge.
@@ -119,6 +123,8 @@ class AdaptiveSkinSolver(Solver):
         self._x = np.maximum(held.update(), 0).astype(np.float32)
         self._learn(expected, before)
         held.end()
+        # Rows that are not read again show no noise.
+        self._filter.noise_sd = max(self.noise_sd, math.sqrt(self._rows_of.variance))
         self._filter.setup(self._whole.forward(self._x), warm)
         self._steps_left = self.n_steps
 
@@ -137,7 +143,7 @@ class AdaptiveSkinSolver(Solver):
             forces = np.zeros(self.mask.size, dtype=np.float32)
             forces[self.taxels] = self._x
             forces = forces.reshape(self.mask.shape)
-        self._judge(forces.reshape(-1)[self.taxels], direct)
+        self._judge(forces.reshape(-1)[self.taxels])
         return forces
 
     def _expected(self) -> Doubles:
@@ -163,7 +169,7 @@ class AdaptiveSkinSolver(Solver):
         self._drift[nodes] = DRIFT_MEMORY * self._drift[nodes] + (1 - DRIFT_MEMORY) * drift
         self._age[nodes] = 0
 
-    def _judge(self, x: Floats, direct: bool) -> None:
+    def _judge(self, x: Floats) -> None:
         """Set the error of the estimate, and whether it is trusted."""
         n = self._rows_of.n
         if self._rows_of.m == n:
@@ -171,7 +177,9 @@ class AdaptiveSkinSolver(Solver):
             return
         missed = self._changed * float(self._expected().sum()) / n
         assert self._filter.error is not None
-        error2 = max(missed, self._filter.error**2)
+        # Frames after each other hold the same noise where they hold the same reading.
+        held = TOUCHED * self._rows_of.variance * float(np.count_nonzero(x)) / n
+        error2 = max(missed, self._filter.error**2, held)
         power = float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)
         noise = max(self._filter.noise2, self._rows_of.variance)
