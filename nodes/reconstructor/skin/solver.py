@@ -261,7 +261,8 @@ class SkinSolver(Solver):
         most = t.untouched if self._n_frames > t.bias_known else t.most_bias**2
         residual = self._values - fitted
         residual2 = float(residual @ residual) / residual.size
-        untouched = power <= most * noise and residual2 <= t.unexplained * noise
+        of_skin = noise / self._trust  # whatever passes for it in motion
+        untouched = power <= most * of_skin and residual2 <= t.unexplained * of_skin
         self.trusted = untouched or self._last_error2 <= t.trusted**2 * power
         if isinstance(self.phi, SubsamplePhi):  # its residuals show no error between its taxels
             self.error, self.trusted = None, True
