@@ -269,9 +269,7 @@ def skin_predict(
         for p in range(n):
             slopes[k, p] = x[neighbours[k, p]] - x[neighbours[2 + k, p]]
         rows[k] = slopes[k]
-        hadamard(rows[k], groups)
-        for p in range(n):
-            rows[k, p] *= scale[p]
+        orthonormal(rows[k], groups, scale)
     for p in range(n):
         largest = max(largest, x[p])
     gram, right = np.zeros((3, 3)), np.zeros(3)
@@ -295,9 +293,7 @@ def skin_predict(
         one = x[p] + (grown * x[p] + down * slopes[0, p] + across * slopes[1, p])
         predicted[p] = min(max(one, np.float32(0)), most)
     moved[:] = predicted
-    hadamard(moved, groups)
-    for p in range(n):
-        moved[p] *= scale[p]
+    orthonormal(moved, groups, scale)
     for i in range(read.size):
         innovation[i] = values[i] - moved[read[i]]
 
@@ -429,19 +425,20 @@ def skin_step(
         else:
             tiles[t] = none
             expected += share[t] * numbers[6]
-        if n_busy == 0 or (n_busy < w.shape[0] and t + 1 < n_tiles):
-            continue
-        np.dot(w[:n_busy], filters, a[:n_busy])
+    w, a, levels = w[:n_busy], a[:n_busy], levels[:n_busy]
+    h, g, out = h[:n_busy], g[:n_busy], out[:n_busy]
+    if n_busy:
+        np.dot(w, filters, a)
         for b in range(n_busy):
             for j in range(k):
                 size = four * (np.sqrt(np.sqrt(one + abs(a[b, j]))) - one)
                 levels[b, k + j] = size
                 levels[b, j] = size if a[b, j] >= 0 else -size
-        np.dot(levels[:n_busy], hidden, h[:n_busy])
+        np.dot(levels, hidden, h)
         for b in range(n_busy):
             for j in range(h.shape[1]):
                 h[b, j] = max(h[b, j] + hidden_0[j], none)
-        np.dot(h[:n_busy], gates, g[:n_busy])
+        np.dot(h, gates, g)
         for b in range(n_busy):
             logarithm = numbers[5]
             for j in range(h.shape[1]):
@@ -452,14 +449,13 @@ def skin_step(
             g[b, k] = passed
             for j in range(k):
                 a[b, j] *= min(max(g[b, j] + gates_0[j], none), one) - passed
-        np.dot(a[:n_busy], synthesis, out[:n_busy])
+        np.dot(a, synthesis, out)
         for b in range(n_busy):
             for i in range(8):
                 for j in range(8):
                     inner = g[b, k] * w[b, 12 * (i + 2) + j + 2]
                     tile = max(out[b, 8 * i + j] + inner, none)
                     tiles[busy[b], 8 * i + j] = s * parts[b] * tile
-        n_busy = 0
     flat = tiles.reshape(-1)
     alpha, damping = np.float32(min(expected, numbers[3])), np.float32(numbers[4])
     more = one / (one - alpha)

@@ -29,11 +29,9 @@ presses, where it is above, and on a recording (xsensor_L) where the filter lags
 SATURATED = 4.0
 """Frames of drift after which a node is expected to change no more. Fitted on five recordings of
 real skins: without it the estimated error of a dense bed is three times the true one."""
-
 UNTOUCHED = 0.5
 """Mean squared force, in noise variances, up to which nothing touches the skin: rows of few taxels
 hold the noise of a single reading. Chosen."""
-
 TOUCHED = 2.0
 """Noise variance of touched taxels that is left, in that of untouched ones. Chosen on presses with
 the noise of the paper, which grows with the force."""
@@ -69,7 +67,7 @@ class AdaptiveSkinSolver(Solver):
     """
 
     name = "skin"
-    paces = (3, 5, 8)
+    paces = SkinSolver.paces
     y_max = SkinSolver.y_max
 
     def __init__(
@@ -89,7 +87,6 @@ class AdaptiveSkinSolver(Solver):
             phi.lay_out(self.mask)
         elif not np.array_equal(phi.exists, self.mask):
             raise SolverError('solver "skin": phi "adaptive" is laid out on another grid')
-        self._t = SkinTuning()
         self._rows_of: AdaptivePhi = phi
         self._whole = SbhePhi(n=phi.n, m=phi.n, seed=0)
         self._filter = SkinSolver(self._whole, basis, self.mask, iterations=iterations, fast=fast)
@@ -184,4 +181,4 @@ class AdaptiveSkinSolver(Solver):
         self.error = math.sqrt(error2)
         noise = max(self._filter.noise2, self._rows_of.variance)
         untouched = max(power, missed) <= UNTOUCHED * noise
-        self.trusted = bool(untouched or error2 <= self._t.trusted**2 * power + TINY)
+        self.trusted = bool(untouched or error2 <= SkinTuning.trusted**2 * power + TINY)

@@ -14,7 +14,7 @@ from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Mask
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.reconstructor.bases.base import Basis
-from sparseskin.nodes.reconstructor.solvers.base import Solver, whole_number
+from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
 
 from .gates import SHIFTS, Gates, Tiles, stored_gates
 from .rows import rows_of
@@ -104,7 +104,9 @@ class SkinSolver(Solver):
         tuning: SkinTuning | None = None,
     ) -> None:
         super().__init__(phi, basis, mask)
-        self.n_steps = self.iterations = whole_number(self.name, "iterations", iterations, 1, 1000)
+        self.n_steps = self.iterations = whole_number(
+            self.name, "iterations", iterations, 1, MAX_ITERATIONS
+        )
         for key, value, kind in (("gates", gates, Gates), ("tuning", tuning, SkinTuning)):
             if value is not None and not isinstance(value, kind):
                 raise SolverError(

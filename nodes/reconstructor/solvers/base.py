@@ -14,7 +14,6 @@ from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.nodes.compressor.phi.acts import ActsPhi
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.rotation import FIXED, row_subsets
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import did_you_mean, find_class
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
@@ -310,17 +309,13 @@ def make_solver(
     mask: Mask | None = None,
     *,
     fast: str = "auto",
-    rows: str = FIXED,
     **settings: Any,
 ) -> Solver:
-    """Make a solver by name, of fixed rows unless others are stated.
+    """Make a solver by name, of fixed rows.
 
     Parameters and Raises as in `sparseskin.arrays.make_solver`. A class of the user's own is called
     with phi, basis, mask and the settings as keywords.
     """
-    if rows != FIXED:
-        subsets = row_subsets(phi, rows)
-        return make_rotating_solver(name, subsets, basis, mask, fast=fast, **settings)
     for what, given, method in (("phi", phi, "forward"), ("basis", basis, "synthesis")):
         if not hasattr(given, method):
             raise SolverError(
