@@ -95,8 +95,8 @@ def read_stamps(
     """
     found = Stamps(array("q"), {t: array("q") for t in topics if t != stream}, [])
     frames = found.frames
-    for channel, recorded in bag.records(topics):
-        if channel.schema == End.schema:
+    for recorded in bag.messages(topics):
+        if recorded.schema == End.schema:
             continue
         if recorded.topic != stream:
             schema = split_topic(recorded.topic)[1]

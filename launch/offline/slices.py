@@ -399,7 +399,7 @@ def _join(
                 if writer is None:
                     writer = BagWriter(draft, bag.metadata)
                 last: Any = None
-                for channel, recorded in bag.records():
+                for recorded in bag.messages():
                     if recorded.topic == topic:
                         if one.first_ns is not None and recorded.stamp_ns < one.first_ns:
                             seams += _seam(before, decoded(bag, recorded))
@@ -407,14 +407,7 @@ def _join(
                         if recorded.stamp_ns <= last_ns:
                             raise BagError(f"{path}: frame {n_frames} is not newer than the last")
                         last_ns, last, n_frames = recorded.stamp_ns, recorded, n_frames + 1
-                    writer.write(
-                        recorded.topic,
-                        recorded.payload,
-                        schema=channel.schema,
-                        version=channel.version,
-                        log_time_ns=recorded.log_time_ns,
-                        stamp_ns=recorded.stamp_ns,
-                    )
+                    writer.write(recorded)
                 before = None if last is None else decoded(bag, last)
         expected = sum(one.n_frames for one in slices)
         if n_frames != expected:

@@ -10,9 +10,10 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple
 
 from sparseskin.messages import End
+from sparseskin.messages.ranges import INT64_MAX
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.files import NO_FOLDER, NO_WRITING
@@ -58,13 +59,24 @@ def check_new_bag(path: Path) -> Path:
     return part
 
 
-@dataclass(frozen=True)
-class BagMessage:
-    """One recorded message: its topic "/PATCH/SCHEMA", the time of recording, the stamp of the
-    acquisition as in the message itself, and the wire payload, byte for byte.
+class BagMessage(NamedTuple):
+    """One recorded message.
+
+    Attributes
+    ----------
+    topic : str
+        "/PATCH/SCHEMA".
+    schema, version
+        Those of the message: the end of a stream has a schema of its own.
+    log_time_ns, stamp_ns : int
+        Time of recording, and the stamp of the acquisition as in the message itself.
+    payload : bytes
+        Wire form of the message.
     """
 
     topic: str
+    schema: str
+    version: int
     log_time_ns: int
     stamp_ns: int
     payload: bytes
@@ -84,8 +96,9 @@ class TopicInfo:
         Number of messages.
     first_ns, last_ns : int
         Smallest and largest stamp; 0 without a message.
-    min_lag_ns, max_lag_ns : int or None
-        Range of log time - stamp: with it, an index of log times finds a range of stamps.
+    min_lag_ns, max_lag_ns : int
+        Range of log time - stamp, of all messages: with it, an index of log times finds a range of
+        stamps. Without a message the range is empty.
     """
 
     schema: str
@@ -93,8 +106,8 @@ class TopicInfo:
     n_messages: int = 0
     first_ns: int = 0
     last_ns: int = 0
-    min_lag_ns: int | None = None
-    max_lag_ns: int | None = None
+    min_lag_ns: int = INT64_MAX
+    max_lag_ns: int = -INT64_MAX
 
     @property
     def rate_hz(self) -> float:
@@ -105,13 +118,14 @@ class TopicInfo:
     def add(self, schema: str, version: int, stamp_ns: int, log_time_ns: int) -> None:
         """Count one message."""
         lag_ns = log_time_ns - stamp_ns
-        self.min_lag_ns = lag_ns if self.min_lag_ns is None else min(self.min_lag_ns, lag_ns)
-        self.max_lag_ns = lag_ns if self.max_lag_ns is None else max(self.max_lag_ns, lag_ns)
+        self.min_lag_ns = min(self.min_lag_ns, lag_ns)
+        self.max_lag_ns = max(self.max_lag_ns, lag_ns)
         if schema == End.schema:
             return
+        begins = not self.n_messages
         self.schema, self.version = schema, version
-        self.first_ns = min(self.first_ns, stamp_ns) if self.n_messages else stamp_ns
-        self.last_ns = max(self.last_ns, stamp_ns) if self.n_messages else stamp_ns
+        self.first_ns = stamp_ns if begins else min(self.first_ns, stamp_ns)
+        self.last_ns = stamp_ns if begins else max(self.last_ns, stamp_ns)
         self.n_messages += 1
 
 
@@ -123,16 +137,3 @@ def span_ns(infos: Iterable[TopicInfo]) -> tuple[int, int] | None:
     if not streams:
         return None
     return min(info.first_ns for info in streams), max(info.last_ns for info in streams)
-
-
-class Closing:
-    """Context manager that calls `close` at its end."""
-
-    def close(self) -> None:
-        raise NotImplementedError
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -10,15 +10,13 @@ import dataclasses
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import mcap.records as mcap
 from mcap.opcode import Opcode
 
-from sparseskin.messages import version_1
-from sparseskin.messages.errors import MessageError
+from sparseskin.messages import MessageError, version_1
 from sparseskin.messages.ranges import INT64_MAX, is_whole
-from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
 
 from .format import (
@@ -38,14 +36,14 @@ from .records import (
     MAGIC,
     Break,
     Record,
-    content,
+    chunk_records,
     crc_of,
-    message_times,
+    message_of,
     open_chunk,
-    parse,
+    parsed,
+    record_at,
+    records,
     size_of,
-    walk,
-    walk_chunk,
 )
 
 _MAX_CHANNELS = 4096
@@ -56,28 +54,22 @@ _SUMMARY_CRC_BYTES = 4
 _NO_INDEX = "the index at its end is missing or damaged"
 
 
-@dataclass(frozen=True)
-class BagChannel:
-    """A channel of the file: messages of one schema on one topic."""
+class BagChannel(NamedTuple):
+    """Topic, schema and version of the messages of a channel, in the terms of today; `is_old` for
+    messages of version 1.
+    """
 
     topic: str
     schema: str
     version: int
-
-    @property
-    def today(self) -> BagChannel:
-        """The channel with topic, schema and version that it would have in a bag of today."""
-        schema, version, topic = self.schema, self.version, version_1.topic_today(self.topic)
-        if version == version_1.VERSION and schema in version_1.SCHEMAS:
-            schema, version = (cls := version_1.SCHEMAS[schema]).schema, cls.version
-        return BagChannel(topic, schema, version)
+    is_old: bool
 
 
-@dataclass(frozen=True)
-class ChunkSpan:
+class ChunkSpan(NamedTuple):
     """Position of a chunk, its topics, and the range of its log times."""
 
-    record: Record
+    offset: int
+    stop: int
     topics: frozenset[str]
     first_log_ns: int
     last_log_ns: int
@@ -113,38 +105,41 @@ class BagIndex:
         Raises Break if it is malformed, BagError for a channel of another program or version.
         """
         if opcode == Opcode.SCHEMA:
-            schema = parse(mcap.Schema.read, data, offset)
+            schema = parsed(mcap.Schema.read, data, offset)
             self._schemas[schema.id] = schema
         elif opcode == Opcode.CHANNEL:
-            channel = parse(mcap.Channel.read, data, offset)
+            channel = parsed(mcap.Channel.read, data, offset)
+            if len(self.channels) >= _MAX_CHANNELS and channel.id not in self.channels:
+                raise BagError(f"{self.name}: more than {_MAX_CHANNELS} channels")
             self.channels[channel.id] = self._checked(channel)
         elif opcode == Opcode.METADATA:
-            found = parse(mcap.Metadata.read, data, offset)
+            found = parsed(mcap.Metadata.read, data, offset)
             self.metadata.setdefault(found.name, found.metadata)
 
     def _checked(self, channel: mcap.Channel) -> BagChannel:
-        if len(self.channels) >= _MAX_CHANNELS and channel.id not in self.channels:
-            raise BagError(f"{self.name}: more than {_MAX_CHANNELS} channels")
-        schema = self._schemas.get(channel.schema_id)
-        schema_name = "" if schema is None else schema.name
-        topic = channel.topic[:80]
-        if channel.message_encoding != ENCODING or not schema_name.startswith(SCHEMA_PREFIX):
-            found = (
-                f"topic {topic!r} holds {channel.message_encoding[:40]!r} messages of schema "
-                f"{schema_name[:80]!r}; expected {ENCODING!r} and {SCHEMA_PREFIX}..."
-                f"{self._readers(channel.message_encoding, schema_name)}"
-            )
-            if GRAPH_RECORD not in self.metadata and not self.library.startswith(LIBRARY_PREFIX):
-                raise BagError(f"{self.name}: {self.of_another_program}: {found}")
-            raise BagError(f"{self.name}: {found}")
+        schema, topic = self._schemas.get(channel.schema_id), channel.topic[:80]
+        encoding, schema_name = channel.message_encoding, "" if schema is None else schema.name
         kind = schema_name.removeprefix(SCHEMA_PREFIX)
+        if encoding != ENCODING or kind == schema_name:
+            is_ours = GRAPH_RECORD in self.metadata or self.library.startswith(LIBRARY_PREFIX)
+            hint = ""
+            if encoding == "cdr":
+                hint = ROS2_HINT
+            elif self.library.startswith("foxglove") or schema_name.startswith("foxglove."):
+                hint = "; it is for viewers: Foxglove and Lichtblick open it"
+            raise BagError(
+                f"{self.name}: {'' if is_ours else f'{self.of_another_program}: '}"
+                f"topic {topic!r} holds {encoding[:40]!r} messages of schema {schema_name[:80]!r}; "
+                f"expected {ENCODING!r} and {SCHEMA_PREFIX}...{hint}"
+            )
         try:
-            split_topic(channel.topic)
+            today = version_1.topic_today(channel.topic)
         except MessageError as error:
             raise BagError(f"{self.name}: {error}") from error
         version = channel.metadata.get(VERSION_KEY, "")
         if kind in version_1.SCHEMAS and version == str(version_1.VERSION):
-            return BagChannel(channel.topic, kind, version_1.VERSION)
+            cls = version_1.SCHEMAS[kind]
+            return BagChannel(today, cls.schema, cls.version, True)
         if kind not in SCHEMAS:
             raise BagError(
                 f"{self.name}: topic {topic} holds messages of schema {kind[:40]!r}; this program "
@@ -155,49 +150,39 @@ class BagIndex:
                 f"{self.name}: topic {topic}: recorded with {kind} version "
                 f"{version[:20] or 'unknown'}; this program reads {SCHEMAS[kind].version}"
             )
-        return BagChannel(channel.topic, kind, SCHEMAS[kind].version)
+        return BagChannel(today, kind, SCHEMAS[kind].version, today != channel.topic)
 
-    def _readers(self, encoding: str, schema_name: str) -> str:
-        """Hint at the programs that read an MCAP file of such a channel; "" where none is known."""
-        if encoding == "cdr":
-            return ROS2_HINT
-        if self.library.startswith("foxglove") or schema_name.startswith("foxglove."):
-            return "; it is for viewers: Foxglove and Lichtblick open it"
-        return ""
-
-    def add_chunk(self, record: Record, plain: bytes) -> None:
-        """Add the channels and count the messages of a decompressed chunk.
+    def add_chunk(self, record: Record) -> None:
+        """Add the channels and count the messages of a chunk.
 
         Raises as `describe`, and Break if a message has no channel; then it counts none.
         """
         found: list[tuple[BagChannel, int, int]] = []
-        for opcode, start, stop in walk_chunk(plain, record.offset):
+        for opcode, content in chunk_records(open_chunk(record), record.offset):
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self.describe(opcode, plain[start:stop], record.offset)
+                self.describe(opcode, bytes(content), record.offset)
             elif opcode == Opcode.MESSAGE:
-                channel_id, log_ns, stamp_ns = message_times(plain, start, stop, record.offset)
-                channel = self.channels.get(channel_id)
+                id, log_ns, stamp_ns, _ = message_of(content, record.offset)
+                channel = self.channels.get(id)
                 if channel is None or max(log_ns, stamp_ns) > INT64_MAX:
                     raise Break(record.offset, "a message there has no channel or a wrong time")
                 found.append((channel, stamp_ns, log_ns))
         for channel, stamp_ns, log_ns in found:
-            info = self.topics.setdefault(channel.topic, TopicInfo(channel.schema, channel.version))
+            of_topic = TopicInfo(channel.schema, channel.version)
+            info = self.topics.setdefault(channel.topic, of_topic)
             info.add(channel.schema, channel.version, stamp_ns, log_ns)
         self.n_scanned += len(found)
         if found:
             logs = [log_ns for _, _, log_ns in found]
             topics = frozenset(channel.topic for channel, _, _ in found)
-            self.chunks.append(ChunkSpan(record, topics, min(logs), max(logs)))
+            self.chunks.append(ChunkSpan(record.offset, record.stop, topics, min(logs), max(logs)))
 
     def chunks_with(
         self, topics: frozenset[str], start_ns: int | None, stop_ns: int | None
     ) -> list[ChunkSpan]:
         """The chunks that may hold a stamp in [start_ns, stop_ns) on one of the topics."""
-        wanted = self.topics.keys() & topics
 
         def may_hold(chunk: ChunkSpan, info: TopicInfo) -> bool:
-            if info.min_lag_ns is None or info.max_lag_ns is None:
-                return True
             late_enough = start_ns is None or chunk.last_log_ns - info.min_lag_ns >= start_ns
             early_enough = stop_ns is None or chunk.first_log_ns - info.max_lag_ns < stop_ns
             return late_enough and early_enough
@@ -205,7 +190,7 @@ class BagIndex:
         return [
             chunk
             for chunk in self.chunks
-            if any(may_hold(chunk, self.topics[topic]) for topic in chunk.topics & wanted)
+            if any(may_hold(chunk, self.topics[topic]) for topic in chunk.topics & topics)
         ]
 
 
@@ -231,7 +216,10 @@ def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex,
         if MAGIC.startswith(first):
             raise BagError(f"{name}: ends after {len(first)} bytes, before anything was recorded")
         raise BagError(f"{name}: not an MCAP file (it begins with {first!r}){_source_hint(name)}")
-    index, damage = _read_summary(file, name, whole)
+    try:
+        index, damage = _read_summary(file, name, whole)
+    except Break:
+        index, damage = None, _NO_INDEX
     return (index, "") if index is not None else _scan(file, name, damage)
 
 
@@ -249,35 +237,28 @@ def _source_hint(name: str) -> str:
 
 def _read_summary(file: BinaryIO, name: str, whole: bool) -> tuple[BagIndex | None, str]:
     """The index at the end of the file, None if it must be scanned; and the damage found by
-    the checksums, "" for none.
+    the checksums, "" for none. Raises Break if there is no index.
     """
     size = size_of(file)
-    tail_at = size - _FOOTER_BYTES - len(MAGIC)
-    file.seek(max(tail_at, 0))
-    tail = file.read(_FOOTER_BYTES + len(MAGIC))
-    if tail_at < len(MAGIC) or not tail.endswith(MAGIC) or tail[0] != Opcode.FOOTER:
-        return None, _NO_INDEX
-    footer = parse(mcap.Footer.read, tail[HEAD_BYTES:_FOOTER_BYTES], tail_at)
+    footer_at = max(size - _FOOTER_BYTES - len(MAGIC), 0)
+    footer = record_at(file, footer_at, size, Opcode.FOOTER).parsed(mcap.Footer.read)
+    if file.read() != MAGIC:
+        raise Break(size, "the file does not end as MCAP does")
+    if not footer.summary_start:
+        return None, ""
     data_end_at = footer.summary_start - _DATA_END_BYTES
-    if not len(MAGIC) <= data_end_at <= tail_at - _DATA_END_BYTES:
-        return None, "" if footer.summary_start == 0 else _NO_INDEX
+    data_end = record_at(file, data_end_at, footer_at, Opcode.DATA_END)
+    stated = data_end.parsed(mcap.DataEnd.read).data_section_crc
     # The checksum covers the footer as well, up to the checksum itself.
     summary_crc = crc_of(file, footer.summary_start, size - len(MAGIC) - _SUMMARY_CRC_BYTES)
     if footer.summary_crc and summary_crc != footer.summary_crc:
-        return None, _NO_INDEX
-    try:
-        data_end = next(walk(file, data_end_at, size))
-        if data_end.opcode != Opcode.DATA_END or data_end.stop != footer.summary_start:
-            raise Break(data_end_at, "no end of data")
-        stated = parse(mcap.DataEnd.read, content(file, data_end), data_end_at).data_section_crc
-    except Break:
         return None, _NO_INDEX
     if stated and whole and crc_of(file, 0, data_end_at) != stated:
         return None, "a record outside the messages is damaged"
     if not (stated and footer.summary_crc):
         return None, ""
     try:
-        return _from_summary(file, name, footer.summary_start, tail_at), ""
+        return _from_summary(file, name, footer.summary_start, footer_at), ""
     except BagError:
         raise
     # Checksums that match and content that does not, in any way: another program has changed it.
@@ -286,46 +267,37 @@ def _read_summary(file: BinaryIO, name: str, whole: bool) -> tuple[BagIndex | No
 
 
 def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex | None:
+    """The index at start..stop of the file; None of another program, or of version 1."""
     index = BagIndex(name)
-    header = _record_at(file, len(MAGIC), stop, Opcode.HEADER)
-    index.library = parse(mcap.Header.read, header, len(MAGIC)).library
+    header = record_at(file, len(MAGIC), stop, Opcode.HEADER)
+    index.library = header.parsed(mcap.Header.read).library
     if not index.library.startswith(LIBRARY_PREFIX):
         return None
-    for record in walk(file, start, stop):
-        data = content(file, record)
+    for record in records(file, start, stop):
         if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            index.describe(record.opcode, data, record.offset)
+            index.describe(*_content(record))
         elif record.opcode == Opcode.CHUNK_INDEX:
-            chunk = parse(mcap.ChunkIndex.read, data, record.offset)
-            offset, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
-            if index.chunks and offset < index.chunks[-1].record.stop:
+            chunk = record.parsed(mcap.ChunkIndex.read)
+            offset = chunk.chunk_start_offset
+            if index.chunks and offset < index.chunks[-1].stop:
                 raise Break(record.offset, "a chunk is listed twice")
-            index.chunks.append(
-                ChunkSpan(
-                    Record(Opcode.CHUNK, offset, offset + HEAD_BYTES, end),
-                    frozenset(index.channels[id].topic for id in chunk.message_index_offsets),
-                    chunk.message_start_time,
-                    chunk.message_end_time,
-                )
-            )
+            topics = frozenset(index.channels[id].topic for id in chunk.message_index_offsets)
+            times = (chunk.message_start_time, chunk.message_end_time)
+            index.chunks.append(ChunkSpan(offset, offset + chunk.chunk_length, topics, *times))
         elif record.opcode == Opcode.METADATA_INDEX:
-            offset = int.from_bytes(data[:8], "little")
-            metadata = _record_at(file, offset, start, Opcode.METADATA)
-            index.describe(Opcode.METADATA, metadata, offset)
+            offset = int.from_bytes(record.data[:8], "little")
+            index.describe(*_content(record_at(file, offset, start, Opcode.METADATA)))
     topics = json.loads(index.metadata[TOPICS_RECORD][JSON_KEY])
     index.topics = {topic: _topic_info(values) for topic, values in topics.items()}
-    channels = set(index.channels.values())
-    stated = {BagChannel(topic, i.schema, i.version) for topic, i in index.topics.items()}
-    if index.topics.keys() != {channel.topic for channel in channels} or not stated <= channels:
+    recorded = set(index.channels.values())
+    stated = {BagChannel(topic, i.schema, i.version, False) for topic, i in index.topics.items()}
+    if index.topics.keys() != {one.topic for one in recorded} or not stated <= recorded:
         return None
     return index
 
 
-def _record_at(file: BinaryIO, offset: int, stop: int, opcode: int) -> bytes:
-    record = next(walk(file, offset, stop))
-    if record.opcode != opcode:
-        raise Break(offset, "another record stands there")
-    return content(file, record)
+def _content(record: Record) -> tuple[int, bytes, int]:
+    return record.opcode, record.data, record.offset
 
 
 def _topic_info(values: dict[str, Any]) -> TopicInfo:
@@ -364,32 +336,27 @@ def _scan(file: BinaryIO, name: str, damage: str) -> tuple[BagIndex, str]:
 def _scan_records(file: BinaryIO, index: BagIndex, size: int) -> str:
     """Add all records up to the end of the data; the damage that costs no message."""
     damage = ""
-    for record in walk(file, len(MAGIC), size):
-        if record.opcode == Opcode.DATA_END:
-            return damage
+    for record in records(file, len(MAGIC), size):
         try:
-            _add_record(index, record, content(file, record))
+            match record.opcode:
+                case Opcode.DATA_END:
+                    return damage
+                case Opcode.CHUNK:
+                    index.add_chunk(record)
+                case Opcode.SCHEMA | Opcode.CHANNEL | Opcode.METADATA:
+                    index.describe(*_content(record))
+                case Opcode.HEADER if record.offset == len(MAGIC):
+                    index.library = record.parsed(mcap.Header.read).library
+                case Opcode.MESSAGE:
+                    why = "a message outside the chunks, which no checksum protects"
+                    raise Break(record.offset, why)
+                case Opcode.MESSAGE_INDEX | Opcode.ATTACHMENT:
+                    pass
+                case _:
+                    raise Break(record.offset, "no record of a recording begins there")
         except Break:
             # These hold no force, and the next record can be found.
             if record.opcode not in (Opcode.HEADER, Opcode.METADATA) or index.chunks:
                 raise
             damage = f"the record at byte {record.offset} is damaged"
     raise Break(size, "it ends there without an index; its recorder was killed or still runs")
-
-
-def _add_record(index: BagIndex, record: Record, data: bytes) -> None:
-    match record.opcode:
-        case Opcode.CHUNK:
-            index.add_chunk(record, open_chunk(data, record.offset))
-        case Opcode.SCHEMA | Opcode.CHANNEL | Opcode.METADATA:
-            index.describe(record.opcode, data, record.offset)
-        case Opcode.HEADER if record.offset == len(MAGIC):
-            index.library = parse(mcap.Header.read, data, record.offset).library
-        case Opcode.MESSAGE_INDEX:
-            parse(mcap.MessageIndex.read, data, record.offset)
-        case Opcode.ATTACHMENT:
-            parse(mcap.Attachment.read, data, record.offset)
-        case Opcode.MESSAGE:
-            raise Break(record.offset, "a message outside the chunks, which no checksum protects")
-        case _:
-            raise Break(record.offset, "no record of a recording begins there")

@@ -12,7 +12,6 @@ from sparseskin.messages.wire import SCHEMAS
 
 from .format import BagMessage, TopicInfo
 from .frames import decoded
-from .index import BagChannel
 from .reader import BagReader
 
 Held = dict[str, dict[str, Floats]]
@@ -89,17 +88,17 @@ class SplitBag(BagReader):
         patch, schema = split_topic(topic)
         return [topic_of(name, schema) for name in self._names.get(patch, (patch,))]
 
-    def _records(
+    def _messages(
         self, wanted: frozenset[str], start_ns: int | None, stop_ns: int | None
-    ) -> Iterator[tuple[BagChannel, BagMessage]]:
+    ) -> Iterator[BagMessage]:
         topics = [t for t in self._bag.topics if not wanted.isdisjoint(self._of_patches(t))]
         held: Held = {}
         # From the first on: a patch that is unchanged has the forces of an earlier message.
-        for channel, recorded in self._bag.records(topics, None, stop_ns):
+        for recorded in self._bag.messages(topics, None, stop_ns):
             for single in self._singles(recorded, held):
                 early = start_ns is not None and single.stamp_ns < start_ns
                 if single.topic in wanted and not early:
-                    yield channel, single
+                    yield single
 
     def _singles(self, recorded: BagMessage, held: Held) -> Iterator[BagMessage]:
         """The messages of the patches that one of the bag stands for."""
@@ -116,4 +115,4 @@ class SplitBag(BagReader):
             parts = (replace(message, patch=name) for name in self._names[patch])
         for part in parts:
             topic, payload = encode(part)
-            yield BagMessage(topic.decode(), recorded.log_time_ns, part.stamp_ns, payload)
+            yield recorded._replace(topic=topic.decode(), payload=payload)

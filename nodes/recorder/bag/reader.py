@@ -6,7 +6,7 @@ import json
 import os
 import stat
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -24,23 +24,13 @@ from .format import (
     ROS2_HINT,
     BagError,
     BagMessage,
-    Closing,
     TopicInfo,
 )
-from .index import BagChannel, ChunkSpan, load_index
-from .records import (
-    MESSAGE_HEAD_BYTES,
-    Break,
-    content,
-    message_times,
-    open_chunk,
-    size_of,
-    walk,
-    walk_chunk,
-)
+from .index import ChunkSpan, load_index
+from .records import Break, chunk_records, message_of, open_chunk, record_at
 
 
-class BagReader(Closing):
+class BagReader(AbstractContextManager["BagReader"]):
     """An open bag.
 
     Opening it checks the whole file: by its one checksum, at the speed of the disk, or chunk by
@@ -87,9 +77,7 @@ class BagReader(Closing):
             raise
         self.metadata = self._index.metadata.get(GRAPH_RECORD, {})
         self.counts = _counts(self._index.metadata.get(COUNTS_RECORD, {}))
-        self.topics: dict[str, TopicInfo] = dict(
-            sorted(map(_today, self._index.topics, self._index.topics.values()))
-        )
+        self.topics: dict[str, TopicInfo] = dict(sorted(self._index.topics.items()))
 
     def messages(
         self,
@@ -101,76 +89,56 @@ class BagReader(Closing):
 
         Raises BagError at once if the bag has no such topic; later if the file is changed.
         """
-        return (message for _, message in self.records(topics, start_ns, stop_ns))
-
-    def records(
-        self,
-        topics: Iterable[str] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> Iterator[tuple[BagChannel, BagMessage]]:
-        """As `messages`, each with its channel: the end of a stream has a schema of its own."""
         wanted = frozenset(self.topics) if topics is None else frozenset(topics)
         for topic in sorted(wanted - self.topics.keys()):
             hint = did_you_mean(topic, self.topics)
             raise BagError(f"{self.path}: holds no topic {topic[:80]!r}{hint}")
-        return self._records(wanted, start_ns, stop_ns)
+        return self._messages(wanted, start_ns, stop_ns)
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
-    def _records(
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _messages(
         self, wanted: frozenset[str], start_ns: int | None, stop_ns: int | None
-    ) -> Iterator[tuple[BagChannel, BagMessage]]:
-        today = {id: channel.today for id, channel in self._index.channels.items()}
-        channels = {id: channel for id, channel in today.items() if channel.topic in wanted}
-        recorded = frozenset(self._index.channels[id].topic for id in channels)
-        for chunk in self._index.chunks_with(recorded, start_ns, stop_ns):
-            plain = self._chunk(chunk)
-            for opcode, start, stop in walk_chunk(plain, chunk.record.offset):
+    ) -> Iterator[BagMessage]:
+        channels = {id: one for id, one in self._index.channels.items() if one.topic in wanted}
+        for chunk in self._index.chunks_with(wanted, start_ns, stop_ns):
+            for opcode, content in chunk_records(self._chunk(chunk), chunk.offset):
                 if opcode != Opcode.MESSAGE:
                     continue
-                id, log_ns, stamp_ns = message_times(plain, start, stop, chunk.record.offset)
+                id, log_ns, stamp_ns, data = message_of(content, chunk.offset)
                 channel = channels.get(id)
-                if channel is None:
+                if channel is None or (start_ns is not None and stamp_ns < start_ns):
                     continue
-                early = start_ns is not None and stamp_ns < start_ns
-                if early or (stop_ns is not None and stamp_ns >= stop_ns):
+                if stop_ns is not None and stamp_ns >= stop_ns:
                     continue
-                payload = plain[start + MESSAGE_HEAD_BYTES : stop]
-                if channel != self._index.channels[id]:
-                    payload = self._today(channel.topic, stamp_ns, payload)
-                yield channel, BagMessage(channel.topic, log_ns, stamp_ns, payload)
-
-    def _today(self, topic: str, stamp_ns: int, payload: bytes) -> bytes:
-        try:
-            return version_1.payload_today(payload)
-        except MessageError as error:
-            raise BagError(f"{self.path}: {topic}, stamp {stamp_ns}: {error}") from error
+                topic, schema, version, is_old = channel
+                payload = bytes(data)
+                if is_old:
+                    try:
+                        payload = version_1.payload_today(payload)
+                    except MessageError as error:
+                        text = f"{self.path}: {topic}, stamp {stamp_ns}: {error}"
+                        raise BagError(text) from error
+                yield BagMessage(topic, schema, version, log_ns, stamp_ns, payload)
 
     def _chunk(self, chunk: ChunkSpan) -> bytes:
         """A chunk, checked once more: time has passed since the file was opened."""
         if self._file.closed:
             raise BagError(f"{self.path}: the bag is closed")
-        offset = chunk.record.offset
         try:
-            if next(walk(self._file, offset, size_of(self._file)), None) != chunk.record:
-                raise Break(offset, "another record stands there")
-            return open_chunk(content(self._file, chunk.record), offset)
+            return open_chunk(record_at(self._file, chunk.offset, chunk.stop, Opcode.CHUNK))
         except Break as broken:
             raise BagError(
-                f"{self.path}: is damaged, or was changed while it was read, at byte {offset}: "
-                f"{broken.why}"
+                f"{self.path}: is damaged, or was changed while it was read, at byte "
+                f"{chunk.offset}: {broken.why}"
             ) from broken
         except OSError as error:
             raise BagError(f"{self.path}: {error.strerror}") from error
-
-
-def _today(topic: str, info: TopicInfo) -> tuple[str, TopicInfo]:
-    """A topic of the file with the name and schema that it would have in a bag of today."""
-    channel = BagChannel(topic, info.schema, info.version).today
-    return channel.topic, replace(info, schema=channel.schema, version=channel.version)
 
 
 def _open(path: Path) -> BinaryIO:

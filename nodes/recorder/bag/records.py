@@ -27,7 +27,6 @@ _MAX_RECORD_BYTES = MAX_CHUNK_BYTES + (1 << 20)
 _HEAD = struct.Struct("<BQ")
 HEAD_BYTES = _HEAD.size
 _MESSAGE = struct.Struct("<HIQQ")
-MESSAGE_HEAD_BYTES = _MESSAGE.size
 _CRC_BLOCK_BYTES = 1 << 20
 _KNOWN = frozenset(int(opcode) for opcode in Opcode)
 
@@ -44,19 +43,37 @@ class Break(Exception):  # noqa: N818 - a place in a file, not an error of this 
 
 
 class Record(NamedTuple):
-    """Position of a record: its opcode at `offset`, its content in `start`..`stop`."""
+    """A record of a file, which begins at byte `offset`, and its content."""
 
     opcode: int
     offset: int
-    start: int
-    stop: int
+    data: bytes
+
+    @property
+    def stop(self) -> int:
+        """Byte behind the record."""
+        return self.offset + HEAD_BYTES + len(self.data)
+
+    def parsed(self, read: Callable[[ReadDataStream], T]) -> T:
+        """The content, parsed by the reader of its class."""
+        return parsed(read, self.data, self.offset)
 
 
-def walk(file: BinaryIO, start: int, stop: int) -> Iterator[Record]:
-    """Yield the positions of the records from byte `start` up to `stop`."""
+class ChunkMessage(NamedTuple):
+    """A message of a chunk: number of its channel, log time, stamp and payload."""
+
+    channel: int
+    log_time_ns: int
+    stamp_ns: int
+    payload: memoryview
+
+
+def records(file: BinaryIO, start: int, stop: int) -> Iterator[Record]:
+    """Yield the records from byte `start` up to `stop`."""
     offset = start
     while offset < stop:
-        head = _read(file, offset, min(HEAD_BYTES, stop - offset))
+        file.seek(offset)
+        head = file.read(min(HEAD_BYTES, stop - offset))
         if len(head) < HEAD_BYTES:
             raise Break(offset, "the file ends in the middle of a record")
         opcode, length = _HEAD.unpack(head)
@@ -64,23 +81,21 @@ def walk(file: BinaryIO, start: int, stop: int) -> Iterator[Record]:
             raise Break(offset, "no record begins there")
         if length > stop - offset - HEAD_BYTES:
             raise Break(offset, "the file ends in the middle of a record, or its length is wrong")
-        record = Record(opcode, offset, offset + HEAD_BYTES, offset + HEAD_BYTES + length)
-        yield record
+        if length > _MAX_RECORD_BYTES:
+            raise Break(offset, f"a record of {length} bytes, at most {_MAX_RECORD_BYTES}")
+        yield (record := Record(opcode, offset, file.read(length)))
         offset = record.stop
 
 
-def content(file: BinaryIO, record: Record) -> bytes:
-    """Read the content of a record, at most `MAX_CHUNK_BYTES` and 1 MiB."""
-    length = record.stop - record.start
-    if not 0 <= length <= _MAX_RECORD_BYTES:
-        raise Break(record.offset, f"a record of {length} bytes, at most {_MAX_RECORD_BYTES}")
-    data = _read(file, record.start, length)
-    if len(data) < length:
-        raise Break(record.offset, "the file ends in the middle of a record")
-    return data
+def record_at(file: BinaryIO, offset: int, stop: int, opcode: int) -> Record:
+    """The record of one kind that begins at a byte and ends before another."""
+    record = next(records(file, offset, stop), None)
+    if record is None or record.opcode != opcode:
+        raise Break(offset, "another record stands there")
+    return record
 
 
-def parse(read: Callable[[ReadDataStream], T], data: bytes, offset: int) -> T:
+def parsed(read: Callable[[ReadDataStream], T], data: bytes, offset: int) -> T:
     """Parse the content of the record at `offset` with the reader of its class."""
     stream = ReadDataStream(io.BytesIO(data))
     try:
@@ -92,15 +107,13 @@ def parse(read: Callable[[ReadDataStream], T], data: bytes, offset: int) -> T:
     return found
 
 
-def open_chunk(data: bytes, offset: int) -> bytes:
-    """Decompress the records of a chunk from the content of the chunk's record at `offset`."""
-    chunk = parse(Chunk.read, data, offset)
-    if chunk.uncompressed_size > MAX_CHUNK_BYTES:
-        raise Break(
-            offset, f"a chunk of {chunk.uncompressed_size} bytes, at most {MAX_CHUNK_BYTES}"
-        )
+def open_chunk(record: Record) -> bytes:
+    """Decompress the records of a chunk."""
+    chunk, offset, limit = record.parsed(Chunk.read), record.offset, MAX_CHUNK_BYTES
+    if chunk.uncompressed_size > limit:
+        raise Break(offset, f"a chunk of {chunk.uncompressed_size} bytes, at most {limit}")
     try:
-        plain = _decompress(chunk)
+        plain = _decompressed(chunk)
     except Exception as error:  # lz4 and zstandard have families of their own
         raise Break(offset, "a chunk there cannot be decompressed") from error
     if len(plain) != chunk.uncompressed_size or zlib.crc32(plain) != chunk.uncompressed_crc:
@@ -108,26 +121,26 @@ def open_chunk(data: bytes, offset: int) -> bytes:
     return plain
 
 
-def walk_chunk(plain: bytes, offset: int) -> Iterator[tuple[int, int, int]]:
-    """Yield (opcode, start, stop) of each record in a decompressed chunk."""
-    at, end = 0, len(plain)
-    while at < end:
-        if end - at < HEAD_BYTES:
-            raise Break(offset, "a chunk there is malformed")
-        opcode, length = _HEAD.unpack_from(plain, at)
+def chunk_records(plain: bytes, offset: int) -> Iterator[tuple[int, memoryview]]:
+    """Yield opcode and content of each record in a decompressed chunk."""
+    view, at = memoryview(plain), 0
+    while at < len(view):
         start = at + HEAD_BYTES
-        at = start + length
-        if at > end:
+        if start > len(view):
             raise Break(offset, "a chunk there is malformed")
-        yield opcode, start, at
+        opcode, length = _HEAD.unpack_from(view, at)
+        at = start + length
+        if at > len(view):
+            raise Break(offset, "a chunk there is malformed")
+        yield opcode, view[start:at]
 
 
-def message_times(plain: bytes, start: int, stop: int, offset: int) -> tuple[int, int, int]:
-    """(channel, log time, stamp) of the message at start..stop of a decompressed chunk."""
-    if stop - start < MESSAGE_HEAD_BYTES:
+def message_of(content: memoryview, offset: int) -> ChunkMessage:
+    """The message whose record in the chunk at `offset` has that content."""
+    if len(content) < _MESSAGE.size:
         raise Break(offset, "a message there is malformed")
-    channel, _, log_ns, stamp_ns = _MESSAGE.unpack_from(plain, start)
-    return channel, log_ns, stamp_ns
+    channel, _, log_time_ns, stamp_ns = _MESSAGE.unpack_from(content)
+    return ChunkMessage(channel, log_time_ns, stamp_ns, content[_MESSAGE.size :])
 
 
 def crc_of(file: BinaryIO, start: int, stop: int) -> int:
@@ -145,7 +158,7 @@ def size_of(file: BinaryIO) -> int:
     return os.fstat(file.fileno()).st_size
 
 
-def _decompress(chunk: Chunk) -> bytes:
+def _decompressed(chunk: Chunk) -> bytes:
     # Both stop at the size that the chunk states, whatever the compressed bytes would become.
     limit = chunk.uncompressed_size
     if chunk.compression == "lz4":
@@ -156,8 +169,3 @@ def _decompress(chunk: Chunk) -> bytes:
     if chunk.compression == "":
         return bytes(chunk.data)
     raise ValueError(chunk.compression)
-
-
-def _read(file: BinaryIO, offset: int, length: int) -> bytes:
-    file.seek(offset)
-    return file.read(length)

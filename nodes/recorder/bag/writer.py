@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import io
 import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Any
@@ -34,7 +36,7 @@ from .format import (
     TOPICS_RECORD,
     VERSION_KEY,
     BagError,
-    Closing,
+    BagMessage,
     TopicInfo,
     check_new_bag,
 )
@@ -58,51 +60,41 @@ def removing(draft: Path, out: Path) -> Iterator[None]:
 
 
 class _WholeWrites:
-    """A new file to which all bytes that wait are written by `flush`, or none.
+    """A new file to which all bytes that wait in `pending` are written by `flush`, or none.
 
-    `pending` are the bytes that wait. Raises OSError if the file exists or cannot be created; and
-    from `flush` if the disk refuses. The pending bytes are then dropped, and the file is cut to
-    what was flushed before.
+    `flush` raises OSError if the disk refuses: the pending bytes are then dropped, and the file is
+    cut to what was flushed before.
     """
 
     def __init__(self, path: Path) -> None:
-        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        self._file = io.FileIO(path, "xb")
         self.pending = bytearray()
-        self._n_written = 0
 
     def write(self, data: bytes) -> None:
-        """Append bytes to those that wait."""
         self.pending += data
 
     def tell(self) -> int:
-        """Length of the file with the bytes that wait."""
-        return self._n_written + len(self.pending)
+        return self._file.tell() + len(self.pending)
 
     def flush(self) -> None:
-        """Pass all pending bytes to the operating system."""
-        data, self.pending = bytes(self.pending), bytearray()
-        done = 0
+        begin, rest = self._file.tell(), memoryview(bytes(self.pending))
+        self.pending.clear()
         try:
-            while done < len(data):
-                done += os.write(self._fd, memoryview(data)[done:])
+            while rest:
+                rest = rest[self._file.write(rest) :]
         except OSError:
             with contextlib.suppress(OSError):
-                os.ftruncate(self._fd, self._n_written)
+                self._file.truncate(begin)
             raise
-        self._n_written += done
 
-    def sync(self) -> None:
-        """Wait until the disk holds the file."""
-        os.fsync(self._fd)
-
-    def close(self) -> None:
-        """Close the file; pending bytes are dropped."""
-        if self._fd >= 0:
-            fd, self._fd = self._fd, -1
-            os.close(fd)
+    def close(self, sync: bool) -> None:
+        """Close the file without the pending bytes; with `sync`, once the disk holds it."""
+        if sync:
+            os.fsync(self._file.fileno())
+        self._file.close()
 
 
-class BagWriter(Closing):
+class BagWriter(AbstractContextManager["BagWriter"]):
     """Writes messages into a bag; not for several threads at once.
 
     Memory holds a chunk of messages and the index of all chunks, 0.5 kB a chunk and 60 bytes for
@@ -127,7 +119,7 @@ class BagWriter(Closing):
     Raises
     ------
     BagError
-        If the file exists, cannot be created, or the metadata are not texts.
+        If the file exists or cannot be created, or the metadata are no valid Unicode.
     """
 
     def __init__(
@@ -149,7 +141,10 @@ class BagWriter(Closing):
         self._closed = False
         self._channels: dict[tuple[str, str, int], int] = {}
         self._schemas: dict[tuple[str, int], int] = {}
-        self._check_metadata(metadata)
+        try:
+            "".join([*metadata, *metadata.values()]).encode()
+        except UnicodeEncodeError as error:
+            raise BagError(f"{self.path}: metadata: no valid Unicode") from error
         try:
             self._file = _WholeWrites(self.part)
         except (OSError, ValueError) as error:
@@ -169,28 +164,18 @@ class BagWriter(Closing):
             self.discard()
             raise BagError(f"{self.part}: {error.strerror}; {NOT_KEPT}") from error
 
-    def write(
-        self,
-        topic: str,
-        payload: bytes,
-        *,
-        schema: str,
-        version: int,
-        log_time_ns: int,
-        stamp_ns: int,
-    ) -> None:
+    def write(self, message: BagMessage) -> None:
         """Record the wire payload of one message, byte for byte.
-
-        `log_time_ns` is the time of recording; it and the stamp are in 0 .. 2**63 - 1.
 
         Raises
         ------
         BagError
             If the topic is not /PATCH/SCHEMA, the schema is unknown, the payload is too large or
-            a time out of range; if the disk refuses (each later call then raises the same line,
-            and the file is not changed any more); or if the bag is closed.
+            a time is outside 0 .. 2**63 - 1; if the disk refuses (each later call then raises the
+            same line, and the file is not changed any more); or if the bag is closed.
         """
         self._check_open()
+        topic, schema, version, log_time_ns, stamp_ns, payload = message
         channel = self._channel(topic, schema, version)
         if len(payload) > MAX_MESSAGE_BYTES:
             raise BagError(
@@ -215,14 +200,8 @@ class BagWriter(Closing):
     def record(self, message: Message, log_time_ns: int) -> None:
         """Encode and record a message; raises as `write`."""
         topic, payload = encode(message)
-        self.write(
-            topic.decode(),
-            payload,
-            schema=message.schema,
-            version=message.version,
-            log_time_ns=log_time_ns,
-            stamp_ns=message.stamp_ns,
-        )
+        form = (topic.decode(), message.schema, message.version)
+        self.write(BagMessage(*form, log_time_ns, message.stamp_ns, payload))
 
     def tick(self) -> None:
         """Flush if a message has waited for `flush_every_s`; raises as `flush`."""
@@ -259,17 +238,18 @@ class BagWriter(Closing):
             if self._failure:
                 return
             with self._disk():
-                self._mcap.flush()
                 self._finish(counts)
         finally:
-            self._file.close()
+            self._file.close(sync=False)
         self._rename()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def discard(self) -> None:
         """Close an incomplete bag, and remove its file."""
-        if not self._closed:
-            self._closed = True
-            self._file.close()
+        self._closed = True
+        self._file.close(sync=False)
         self.part.unlink(missing_ok=True)
 
     def _channel(self, topic: str, schema: str, version: int) -> int:
@@ -295,15 +275,6 @@ class BagWriter(Closing):
         self._channels[topic, schema, version] = channel
         return channel
 
-    def _check_metadata(self, metadata: Mapping[str, str]) -> None:
-        for key, value in metadata.items():
-            if not isinstance(key, str) or not isinstance(value, str):
-                raise BagError(f"{self.path}: metadata {key!r}: expected texts")
-            try:
-                (key + value).encode()
-            except UnicodeEncodeError as error:
-                raise BagError(f"{self.path}: metadata {key!r}: no valid Unicode") from error
-
     def _check_open(self) -> None:
         if self._failure:
             raise BagError(self._failure)
@@ -319,6 +290,7 @@ class BagWriter(Closing):
             raise BagError(self._failure) from error
 
     def _finish(self, counts: Mapping[str, Any] | None) -> None:
+        self._mcap.flush()
         topics = {topic: dataclasses.asdict(info) for topic, info in self._topics.items()}
         self._mcap.add_metadata(TOPICS_RECORD, {JSON_KEY: json.dumps(topics)})
         if counts is not None:
@@ -326,7 +298,7 @@ class BagWriter(Closing):
             self._mcap.add_metadata(COUNTS_RECORD, {JSON_KEY: text})
         self._mcap.finish()
         self._file.flush()
-        self._file.sync()
+        self._file.close(sync=True)
 
     def _rename(self) -> None:
         try:

@@ -90,15 +90,8 @@ def recover_bag(bag: BagReader, out: Path) -> int:
         metadata["recovered"] = bag.recovered
     total = sum(info.n_messages for info in bag.topics.values())
     with _whole_bag(out, metadata, bag.counts) as new:
-        for channel, message in progress(bag.records(), total, "recover"):
-            new.write(
-                message.topic,
-                message.payload,
-                schema=channel.schema,
-                version=channel.version,
-                log_time_ns=message.log_time_ns,
-                stamp_ns=message.stamp_ns,
-            )
+        for message in progress(bag.messages(), total, "recover"):
+            new.write(message)
     return new.n_messages
 
 

@@ -14,7 +14,7 @@ from sparseskin.messages.base import omitted_fields
 from sparseskin.messages.jsonschema import json_schema
 from sparseskin.messages.ranges import INT64_MAX
 from sparseskin.messages.wire import SCHEMAS
-from sparseskin.nodes.recorder.bag.format import BagError
+from sparseskin.nodes.recorder.bag.format import BagError, BagMessage
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter
 
@@ -142,10 +142,9 @@ def test_what_cannot_be_recorded_is_refused_and_harms_nothing(
     path = tmp_path / "a.mcap"
     with BagWriter(path, {}) as writer:
         good = record(writer, frame(0)[0])
-        topic, payload = encode(frame(1)[0])
-        arguments = {"schema": "taxels", "version": 1, "log_time_ns": 1, "stamp_ns": 1}
+        message = BagMessage("/skin/taxels", "taxels", 1, 1, 1, b"x")
         with pytest.raises(BagError, match=text):
-            writer.write(**{"topic": topic.decode(), "payload": payload, **arguments, **change})  # type: ignore[arg-type]
+            writer.write(message._replace(**change))  # type: ignore[arg-type]
     with BagReader(path) as bag:
         assert [message.payload for message in bag.messages()] == [good]
 
