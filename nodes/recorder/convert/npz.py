@@ -6,7 +6,8 @@ import json
 import math
 import tempfile
 import zipfile
-from collections.abc import Iterable
+from array import array
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages import Measurements, Message
-from sparseskin.messages.fields import Array, FieldKind, Flag, Integer, Real, Samples, Text
+from sparseskin.messages.fields import Array, FieldKind, Flag, Integer, Real
 from sparseskin.messages.frames import kinds_alone, values_alone
-from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.files import os_errors, whole_file
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
@@ -36,9 +36,12 @@ MAX_PADDING = 8
 """Most numbers with padding, in those recorded, where M changes; up to `MAX_PADDED`, any."""
 MAX_PADDED = 1 << 20
 LOG_TIME = "log_time_ns"
-_DTYPES: dict[type[FieldKind], Any] = {Integer: np.int64, Real: np.float64, Flag: np.bool_}
-_FRAMES = ("forces", "sd")
-"""Arrays of the shape of the skin."""
+_CODES: dict[type[FieldKind], tuple[str, Any]] = {
+    Integer: ("q", np.int64),
+    Real: ("d", np.float64),
+    Flag: ("b", np.bool_),
+}
+"""Type codes of numbers in memory, and their dtypes in the file."""
 
 
 def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
@@ -71,110 +74,99 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
             whole_file(path) as draft,
             os_errors(path),
             tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as scratch,
+            zipfile.ZipFile(draft, "x", allowZip64=True) as archive,
         ):
-            members = [*_arrays(bag, ours, Path(scratch)), *_described(bag, patch, Path(scratch))]
-            with zipfile.ZipFile(draft, "x", allowZip64=True) as archive:
-                for member in members:
-                    archive.write(member, member.name)
+            arrays = _described(bag, patch)
+            for topic_arrays in _recorded(bag, ours, Path(scratch)):
+                arrays |= topic_arrays
+            for name, values in arrays.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, np.asanyarray(values))
         written.append(path)
     return written
 
 
-def _arrays(bag: BagReader, topics: list[str], folder: Path) -> list[Path]:
-    """Write the messages of topics in two passes; the file may state other sizes than it has."""
-    columns = {topic: _Columns(bag.topics[topic].schema) for topic in topics}
-    for message, _ in streams(bag, topics, "measure"):
-        of_topic = columns[message.topic]
-        before = of_topic.shape
-        of_topic.measure(message)
-        if len(before) == 2 and of_topic.shape != before:
-            raise BagError(
-                f"{bag.path}: {message.topic}, stamp {message.stamp_ns}: a frame of "
-                f"{of_topic.shape[0]} x {of_topic.shape[1]} after some of {before[0]} x {before[1]}"
-            )
-    for topic, of_topic in columns.items():
-        if not of_topic.n:
-            raise BagError(f"{bag.path}: {topic}: states messages, but holds none")
-        padded = of_topic.n * math.prod(of_topic.shape)
-        if padded > max(MAX_PADDED, MAX_PADDING * of_topic.n_elements):
-            raise BagError(
-                f"{bag.path}: {topic}: {of_topic.n_elements} numbers would be padded to {padded}; "
-                f"at most {MAX_PADDING} times as many are allowed; export to csv"
-            )
-        of_topic.open(folder)
+def _recorded(bag: BagReader, topics: list[str], folder: Path) -> Iterator[dict[str, Any]]:
+    """Arrays of the messages on each topic, by name."""
+    columns: dict[str, _Columns] = {}
     for message, log_time_ns in streams(bag, topics, "export"):
+        if message.topic not in columns:
+            columns[message.topic] = _Columns(f"{bag.path}: {message.topic}", message, folder)
         columns[message.topic].add(message, log_time_ns)
-    return [path for of_topic in columns.values() for path in of_topic.paths]
+    for topic in topics:
+        if topic not in columns:
+            raise BagError(f"{bag.path}: {topic}: states messages, but holds none")
+        yield columns[topic].arrays()
 
 
 class _Columns:
-    """Messages of one topic as .npy files: a recording may be larger than the memory.
-
-    All messages are measured, then added. `shape` is that of the frames, with the largest M of
-    measurements. A field that no message has gets no file.
+    """Messages of one topic, field by field: numbers and texts in memory, frames in files, as a
+    recording may be larger than the memory. `place` stands for the topic in errors.
     """
 
-    def __init__(self, schema: str) -> None:
-        self.n = self.n_elements = 0
-        self.shape: tuple[int, ...] = ()
-        self.paths: list[Path] = []
-        self._schema = schema
-        self._lengths: dict[str, int] = {}
-        self._columns: dict[str, npt.NDArray[Any]] = {}
-        self._n_added = 0
-
-    def measure(self, message: Message) -> None:
-        self.n += 1
-        for name, value in values_alone(message).items():
-            if value is not None:
-                length = len(value) if isinstance(value, str) else 1
-                self._lengths[name] = max(self._lengths.get(name, 1), length)
-        if (values := values_of(message)) is not None:
-            self.n_elements += values.size
-            is_padded = isinstance(message, Measurements)
-            self.shape = max(self.shape, values.shape) if is_padded else values.shape
-
-    def open(self, folder: Path) -> None:
-        kinds = {**kinds_alone(SCHEMAS[self._schema]), LOG_TIME: Integer()}
-        self._lengths[LOG_TIME] = 1
-        frames, stamps = array_names(self._schema)
-        short = {"forces": frames, "y": frames, "stamp_ns": stamps}
-        for name, kind in kinds.items():
-            if name not in self._lengths or name == "patch":
-                continue
-            dtype: Any = np.float32
-            shape: tuple[int, ...] = (self.n,)
-            if isinstance(kind, Samples) or name in _FRAMES:
-                shape = (self.n, *self.shape)
-            elif isinstance(kind, Array):
-                continue
-            else:
-                is_text = isinstance(kind, Text)
-                dtype = f"<U{self._lengths[name]}" if is_text else _DTYPES[type(kind)]
-            path = folder / f"{short.get(name, f'{self._schema}_{name}')}.npy"
-            self.paths.append(path)
-            self._columns[name] = np.lib.format.open_memmap(path, "w+", dtype=dtype, shape=shape)
+    def __init__(self, place: str, message: Message, folder: Path) -> None:
+        self._place, self._schema = place, message.schema
+        kinds = {**kinds_alone(type(message)), LOG_TIME: Integer()}
+        self._kinds = {n: k for n, k in kinds.items() if n != "patch" and not isinstance(k, Array)}
+        self._columns: dict[str, Any] = {
+            name: array(_CODES[type(kind)][0]) if type(kind) in _CODES else []
+            for name, kind in self._kinds.items()
+        }
+        self._files = {n: folder / f"{self._schema}_{n}" for n in ("y", "forces", "sd")}
+        self._held: set[str] = set()
+        self._shapes: list[tuple[int, ...]] = []
 
     def add(self, message: Message, log_time_ns: int) -> None:
-        k, self._n_added = self._n_added, self._n_added + 1
         values = {**values_alone(message), LOG_TIME: log_time_ns}
         for name, column in self._columns.items():
+            column.append(math.nan if values[name] is None else values[name])
+        if (frame := values_of(message)) is None:
+            return
+        before = self._shapes[-1] if self._shapes else frame.shape
+        if frame.shape != before and not isinstance(message, Measurements):
+            raise BagError(
+                f"{self._place}, stamp {message.stamp_ns}: a frame of "
+                f"{frame.shape[0]} x {frame.shape[1]} after some of {before[0]} x {before[1]}"
+            )
+        self._shapes.append(frame.shape)
+        for name in self._files.keys() & values.keys():
             value = values[name]
-            if name == "y":
-                column[k] = np.nan
-                column[k, : len(value)] = value
-            else:
-                column[k] = np.nan if value is None else value
+            self._held |= set() if value is None else {name}
+            with self._files[name].open("ab") as file:
+                file.write(np.full_like(frame, np.nan).data if value is None else value.data)
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Arrays by their names in the file; a field that no message has gets none."""
+        frames_name, stamps_name = array_names(self._schema)
+        short = {"forces": frames_name, "y": frames_name, "stamp_ns": stamps_name}
+        found = {name: self._frames(self._files[name]) for name in sorted(self._held)}
+        for name, kind in self._kinds.items():
+            values = np.array(self._columns[name], _CODES.get(type(kind), ("", None))[1])
+            if not (isinstance(kind, Real) and np.isnan(values).all()):
+                found[name] = values
+        return {short.get(name, f"{self._schema}_{name}"): one for name, one in found.items()}
+
+    def _frames(self, path: Path) -> npt.NDArray[np.float32]:
+        """The frames in a file, with NaN behind those of fewer measurements."""
+        held, shape = np.memmap(path, np.float32, "r"), (len(self._shapes), *max(self._shapes))
+        if held.size == math.prod(shape):
+            return held.reshape(shape)
+        if math.prod(shape) > max(MAX_PADDED, MAX_PADDING * held.size):
+            raise BagError(
+                f"{self._place}: {held.size} numbers would be padded to {math.prod(shape)}; "
+                f"at most {MAX_PADDING} times as many are allowed; export to csv"
+            )
+        padded, at = np.memmap(f"{path}_padded", np.float32, "w+", shape=shape), 0
+        for row, (m,) in zip(padded, self._shapes, strict=True):
+            row[:m], row[m:] = held[at : at + m], np.nan
+            at += m
+        return padded
 
 
-def _described(bag: BagReader, patch: str, folder: Path) -> list[Path]:
+def _described(bag: BagReader, patch: str) -> dict[str, Any]:
+    """Description of a patch by the names of the file."""
     skin = skin_of(bag, patch)
     topics = [topic for topic in bag.topics if patch_of(topic) == patch]
     texts = {"states": last_states(bag, topics), "metadata": bag.metadata, "counts": bag.counts}
     arrays = {"patch": patch, **{name: json.dumps(value) for name, value in texts.items()}}
-    arrays |= {} if skin is None else described(skin, skin.rate_hz)
-    paths = []
-    for name, value in arrays.items():
-        paths.append(folder / f"{name}.npy")
-        np.save(paths[-1], np.asarray(value))
-    return paths
+    return arrays | ({} if skin is None else described(skin, skin.rate_hz))

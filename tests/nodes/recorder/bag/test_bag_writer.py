@@ -63,7 +63,7 @@ def test_it_is_an_mcap_that_describes_its_own_schemas(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_every_message_has_a_json_schema_that_names_its_fields(name: str) -> None:
-    schema = json_schema(SCHEMAS[name])
+    schema = json_schema(SCHEMAS[name], 1)
     assert schema["properties"]["schema"] == {"const": name}
     always = [key for key in schema["properties"] if key not in omitted_fields(SCHEMAS[name])]
     assert schema["required"] == always

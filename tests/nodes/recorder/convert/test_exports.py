@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import MASK, N_COLS, N_ROWS, make_bag
+from bags import N_COLS, N_ROWS, make_bag
 from damaged import refusal
 from exported import N_FRAMES, points_bag, rich_frames
 
@@ -50,23 +50,16 @@ def test_an_npz_has_the_row_of_the_points_file_of_each_taxel(
     assert line in refusal(lambda: open_file(path.with_name("c.npz")))
 
 
-def test_a_csv_has_the_row_of_the_points_file_above_each_column(
+def test_a_csv_states_the_row_of_the_points_file_of_each_taxel(
     on_points: tuple[Path, SkinState],
 ) -> None:
     path, state = on_points
     assert state.point_rows is not None
     with BagReader(path) as bag:
         export_csv(bag, path.with_name("a_csv"))
-    for name in ("skin_taxels", "skin_reconstruction"):
-        file = path.with_name("a_csv") / f"{name}.csv"
-        lines = file.read_text().splitlines()
-        above = dict(zip(lines[3].split(","), lines[2].split(","), strict=True))
-        assert above["stamp_ns"] == "# point_rows"
-        left = iter(state.point_rows.tolist())
-        for (row, col), exists in np.ndenumerate(MASK):
-            assert above[f"r{row}c{col}"] == (str(next(left)) if exists else "")
-    measured = (path.with_name("a_csv") / "skin_measurements.csv").read_text()
-    assert "# point_rows" not in measured
+    comment = (path.with_name("a_csv") / "skin_taxels.csv").read_text().splitlines()[1]
+    skin = json.loads(comment.removeprefix("# "))["skin"]
+    assert skin["point_rows"] == state.point_rows.tolist()
 
 
 def test_an_npz_names_what_it_holds(rich: Path) -> None:
@@ -95,7 +88,7 @@ def test_an_exported_csv_states_its_skin_and_names_what_is_read_in_its_place(ric
     with BagReader(rich) as bag:
         paths = export_csv(bag, rich.with_name("a_csv"))
     names = {path.name for path in paths}
-    assert {"skin_resultant.csv", "skin_reconstruction_sd.csv", "stamps.csv"} < names
+    assert {"skin_resultant.csv", "skin_reconstruction_sd.csv"} < names
     file = rich.with_name("a_csv") / "skin_taxels.csv"
     skin = json.loads(file.read_text().splitlines()[1].removeprefix("# "))["skin"]
     assert (skin["f_max"], skin["unit"], skin["pitch_m"], skin["rate_hz"]) == (2.5, "N", 0.005, 50)
