@@ -1,7 +1,7 @@
 """An executor of your own: the processes of an MPI job, with mpi4py.
 
 mpiexec -n 5 python -m mpi4py.futures -m sparseskin.launch.commands.entry \\
-    reprocess drag.mcap --out drag8.mcap --slices auto --executor mpi_pool:pool
+    reprocess day*.mcap --out results --executor mpi_pool:pool
 mpiexec -n 3 python -m mpi4py.futures examples/mpi_pool.py           # by itself
 
 One process hands out the work, the others (4, and 2) do it. The same goes for `study`.

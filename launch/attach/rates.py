@@ -16,6 +16,7 @@ from sparseskin.launch.run.running import RunningGraph
 
 from .formats import formatted
 from .stream import PATIENCE_S, Arrival, Losses, latched_note, quiet_reason
+from .text import size_text
 
 REPORT_S = 1.0
 """Time from one line to the next, seconds."""
@@ -99,7 +100,7 @@ def text_of(name: str, figures: dict[str, Any]) -> str:
     if name == "bw":
         size = figures["size_bytes"]
         extent = "" if size["min"] == size["max"] else " ({min:.0f}..{max:.0f})".format(**size)
-        return f"{_bytes(figures['bytes_per_s'])}/s | {size['mean']:.0f}{extent} bytes a message"
+        return f"{size_text(figures['bytes_per_s'])}/s | {size['mean']:.0f}{extent} bytes a message"
     delay = (
         "delay p50 {p50:.2f}, p99 {p99:.2f}, max {max:.2f} ms | mean {mean:.2f}, std {std:.2f} ms"
     )
@@ -118,13 +119,6 @@ def _extent(values: npt.NDArray[Any]) -> dict[str, float] | None:
     if not len(values):
         return None
     return {key: float(getattr(values, key)()) for key in ("mean", "min", "max", "std")}
-
-
-def _bytes(n: float) -> str:
-    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if n >= size:
-            return f"{n / size:.2f} {unit}"
-    return f"{n:.0f} B"
 
 
 class Meter:

@@ -31,6 +31,14 @@ def width() -> int:
     return shutil.get_terminal_size().columns
 
 
+def size_text(n_bytes: float) -> str:
+    """A number of bytes in the unit that fits."""
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if n_bytes >= size:
+            return f"{n_bytes / size:.2f} {unit}"
+    return f"{n_bytes:.0f} B"
+
+
 def flowing(text: str) -> str:
     """A text as printable words, one space between them."""
     return " ".join(printable(text).split())

@@ -11,10 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sparseskin.launch.attach.text import facts, flowing, table
+from sparseskin.launch.attach.text import facts, flowing, size_text, table
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import EXPORTS, loaded
-from sparseskin.nodes.files import make_folder
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.process.control import is_shallow
 from sparseskin.nodes.recorder.bag.format import (
@@ -27,7 +26,7 @@ from sparseskin.nodes.recorder.convert.export import OWN, export_names, find_exp
 from sparseskin.nodes.sensor.files.format import suffixes
 from sparseskin.nodes.sensor.files.recording import NAN_WAYS, NEGATIVE_WAYS, REFUSE
 
-from .options import add_commands, add_shape, show, whole
+from .options import add_commands, add_shape, bag_names, show, whole
 
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -79,7 +78,7 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description} Formats: {formats}."
     parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="the recording")
     about = f"the bag, NAME{FILE_SUFFIX}; or a folder, for one bag a FILE"
-    parser.add_argument("--out", metavar="PATH", type=Path, required=True, help=about)
+    parser.add_argument("--out", metavar="PATH", required=True, help=about)
     add_shape(parser)
     parser.add_argument("--unit", help="unit of the readings, where the file does not state it")
     parser.add_argument("--f-max", metavar="X", type=float, help="upper end of the range")
@@ -119,18 +118,9 @@ def _import(arguments: argparse.Namespace) -> int:
     """Make a bag of a recording in another format, as if a sensor had played it."""
     from sparseskin.nodes.recorder.convert.to_bag import import_file
 
-    out: Path = arguments.out
-    pairs = [(file, out) for file in arguments.files]
-    if len(pairs) > 1 or out.is_dir():
-        pairs = [(file, out / f"{file.stem}{FILE_SUFFIX}") for file in arguments.files]
-        twice = [bag for _, bag in pairs if [other for _, other in pairs].count(bag) > 1]
-        if twice:
-            raise BagError(f"{twice[0]}: two of the files would become this bag")
-        if not out.is_dir():
-            if out.suffix == FILE_SUFFIX:
-                raise BagError(f"{out}: several files need a folder, one bag each")
-            make_folder(out)
-    for file, bag in pairs:
+    names = [f"{file.stem}{FILE_SUFFIX}" for file in arguments.files]
+    outs = bag_names(names, arguments.out)
+    for file, bag in zip(arguments.files, map(Path, outs), strict=True):
         options = {key: getattr(arguments, key) for key in READ_AS}
         try:
             n_frames = import_file(file, bag, log=partial(_log, file), **options)
@@ -211,7 +201,7 @@ def info_lines(bag: BagReader, name: str = "") -> list[str]:
     counts = bag.counts or {}
     of_file = {
         "bag": name or str(bag.path),
-        "size": f"{bag.path.stat().st_size / 1e6:.3f} MB, {n_messages} messages",
+        "size": f"{size_text(bag.path.stat().st_size)}, {n_messages} messages",
         "duration": f"{_seconds(span_ns(bag.topics.values())):.3f} s",
         "state": bag.recovered or "whole",
     }

@@ -8,7 +8,7 @@ import inspect
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,16 @@ from sparseskin.launch.attach.formats import formatted
 from sparseskin.launch.attach.text import typed_value
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError, SparseskinError
-from sparseskin.nodes.files import NO_FOLDER, NO_WRITING, OutputError, check_link, overwrite
+from sparseskin.nodes.files import (
+    NO_FOLDER,
+    NO_WRITING,
+    OutputError,
+    check_link,
+    make_folder,
+    overwrite,
+)
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.remote import check_address, is_remote
 
 Run = Callable[[argparse.Namespace], int]
 
@@ -62,6 +70,32 @@ def add_shape(parser: argparse.ArgumentParser) -> None:
     for what, name in (("rows", "rows"), ("cols", "columns")):
         about = f"{name} of a plain .csv's frame"
         parser.add_argument(f"--n-{what}", metavar="N", type=whole(1), help=about)
+
+
+def bag_names(names: Sequence[str], out: str) -> list[str]:
+    """Path or address of each bag that a command writes: `out`, or of its name in the folder `out`,
+    which is made for several.
+
+    Raises SettingsError if two have the same name, `out` is a bag for several, or no bag for one;
+    OutputError if the folder cannot be made.
+    """
+    from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
+
+    folder = None if is_remote(out) else Path(out)
+    if len(names) == 1 and not (folder and folder.is_dir()):
+        if not out.endswith(FILE_SUFFIX):
+            raise SettingsError(f"--out {out}: expected a name that ends in {FILE_SUFFIX}")
+        return [out]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise SettingsError(f"--out {out}: two of the files would become {twice[0]}")
+    if folder is None:
+        check_address(out)
+        return [f"{out.rstrip('/')}/{name}" for name in names]
+    if not folder.is_dir():
+        if folder.suffix == FILE_SUFFIX:
+            raise SettingsError(f"--out {out}: several files need a folder, one bag each")
+        make_folder(folder)
+    return [str(folder / name) for name in names]
 
 
 def add_set(parser: argparse.ArgumentParser, about: str, metavar: str = "KEY=VALUE") -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sparseskin.launch.attach.text import table
+from sparseskin.launch.attach.text import size_text, table
 from sparseskin.launch.offline.scenarios import (
     FILE_SUFFIX,
     PERIOD_NS,
@@ -205,5 +205,5 @@ def _make(arguments: argparse.Namespace) -> int:
         there = (folder / f"{name}{FILE_SUFFIX}").exists()
         path = make_scenario(name, folder)
         note = "is there already" if there else f"{SCENARIOS[name].n_frames} frames"
-        print(f"{path}: {note}, {path.stat().st_size / 1e6:.1f} MB")
+        print(f"{path}: {note}, {size_text(path.stat().st_size)}")
     return 0

@@ -1,1 +1,1 @@
-"""Recordings through other settings, offline: whole, or in slices on many workers."""
+"""Recordings through other settings, offline; short recordings of scenes."""

@@ -2,16 +2,37 @@
 
 from __future__ import annotations
 
-from contextlib import closing
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tqdm import tqdm
+
+from sparseskin.launch.launchfile.load import load_tables
+from sparseskin.launch.launchfile.spec import LaunchFile
+from sparseskin.messages import (
+    Calibration,
+    Measurements,
+    PhiState,
+    SkinState,
+    SolverState,
+    Taxels,
+    Truth,
+)
+from sparseskin.messages.topics import split_topic, topic_of
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SparseskinError
-
-if TYPE_CHECKING:
-    from sparseskin.launch.launchfile.spec import LaunchFile
-    from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.files import whole_file
+from sparseskin.nodes.recorder.bag.frames import last_messages
+from sparseskin.nodes.recorder.bag.patches import names_of
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.recorder.bag.writer import removing
+from sparseskin.nodes.remote import check_free, file_name, is_remote, local_path, store
 
 
 @dataclass(frozen=True)
@@ -21,7 +42,7 @@ class Job:
     Attributes
     ----------
     source, out : str
-        Recording to read and to write; `source` may be an address, see `nodes.remote`.
+        Recording to read and to write, .mcap; each may be an address, see `nodes.remote`.
     overrides : tuple of str
         Settings "NODE.KEY=VALUE" of the compressor and the reconstructor.
     start_from : str
@@ -33,89 +54,82 @@ class Job:
     overrides: tuple[str, ...]
     start_from: str
 
+    def changes(self, node: str) -> bool:
+        """True if the settings of a node are changed."""
+        return any(text.startswith(f"{node}.") for text in self.overrides)
+
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a job: the monitor's summary by patch, lines about how it was computed, bytes of
-    the recording read and seconds taken; or a line with the reason of its failure.
+    """Result of a job: the monitor's summary by patch, bytes of the recording read and seconds
+    taken; or a line with the reason of its failure.
     """
 
     job: Job
     patches: dict[str, Any]
     error: str = ""
-    notes: tuple[str, ...] = ()
     n_bytes: int = 0
     seconds: float = 0.0
 
 
-def run_whole(job: Job, source: Path, progress: bool) -> dict[str, Any]:
-    """Reprocess a recording in one pass; return the monitor's summary by patch.
+def run_job(job: Job, progress: bool = False) -> Outcome:
+    """Reprocess one recording, a task that any executor can run; with a progress bar if wanted.
 
     The result appears under its name when it is complete, or not at all.
     """
-    from tqdm import tqdm
+    begin_s = time.monotonic()
+    try:
+        source = local_path(job.source)
+        with _written(job.out) as draft:
+            patches = _run(job, source, draft, progress)
+        n_bytes = source.stat().st_size
+    except SparseskinError as error:
+        return Outcome(job, {}, str(error))
+    return Outcome(job, patches, "", n_bytes, time.monotonic() - begin_s)
 
-    from sparseskin.nodes.bus import Bus
-    from sparseskin.nodes.clock import ManualClock
-    from sparseskin.nodes.files import whole_file
-    from sparseskin.nodes.recorder.bag.reader import BagReader
-    from sparseskin.nodes.recorder.bag.writer import removing
 
-    out, clock = checked_out(job), ManualClock()
+@contextmanager
+def _written(out: str) -> Iterator[Path]:
+    """Yield a path to write to, whose file becomes `out`, a path or an address."""
+    if is_remote(out):
+        check_free(out)
+        with tempfile.TemporaryDirectory(prefix="sparseskin-") as folder:
+            path = Path(folder) / file_name(out)
+            with removing(path, path):
+                yield path
+            store(path, out)
+    else:
+        with whole_file(Path(out)) as draft, removing(draft, Path(out)):
+            yield draft
+
+
+def _run(job: Job, source: Path, out: Path, progress: bool) -> dict[str, Any]:
+    """Write the result of a job; return the monitor's summary by patch, without latencies.
+
+    Offline a frame is done when it was acquired: the clock is moved to the stamps of the frames.
+    """
+    clock = ManualClock()
     with BagReader(source, whole=False) as bag:
         total = max((info.n_messages for info in bag.topics.values()), default=0)
-    with whole_file(out) as draft, removing(draft, out):
-        launch = make_graph(job, source, out=draft)
-        bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, clock)
-        bar = tqdm(total=total, disable=not progress, unit="frame", desc=Path(job.source).name)
-        with bar, closing(bus):
-            run_bus(bus, clock, bar.update)
-        bus.check()
-        return untimed(bus.reports()["monitor"]["patches"])
-
-
-def checked_out(job: Job) -> Path:
-    """Path of the result. Raises SettingsError if it is no name of a recording."""
-    from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
-
-    if Path(job.out).suffix != FILE_SUFFIX:
-        raise SettingsError(f"--out {job.out}: expected a name that ends in {FILE_SUFFIX}")
-    return Path(job.out)
-
-
-def run_bus(bus: Any, clock: Any, count: Any = lambda: None) -> None:
-    """Let the frames of a recording pass through a graph, at the times of their stamps.
-
-    Offline a frame is done when it was acquired: no latency is invented.
-    """
-    for messages in bus.frames():
-        newest_ns = max((message.stamp_ns for message in messages), default=0)
-        clock.advance(max(0, newest_ns - clock.now_ns()))
-        count()
-
-
-def untimed(patches: dict[str, Any]) -> dict[str, Any]:
-    """Summaries of patches without a latency."""
+        launch = make_graph(job, bag, out)
+    bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, clock)
+    bar = tqdm(total=total, disable=not progress, unit="frame", desc=file_name(job.source))
+    with bar, closing(bus):
+        for messages in bus.frames():
+            newest_ns = max((message.stamp_ns for message in messages), default=0)
+            clock.advance(max(0, newest_ns - clock.now_ns()))
+            bar.update()
+    bus.check()
+    patches = bus.reports()["monitor"]["patches"]
     return {name: patch | {"latency_ms": None} for name, patch in patches.items()}
 
 
-def how(job: Job, made_by: str) -> str:
-    """Provenance of a result, for its metadata: the command, then the text in the recording."""
-    changes = " ".join(f"--set {text}" for text in job.overrides)
-    command = f"# sparseskin reprocess {Path(job.source).name} {changes}".rstrip()
-    return f"{command} --from {job.start_from}\n{made_by}"
+def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
+    """The graph that reprocesses a recording: a launch file that is never written.
 
-
-def start_of(job: Job, bag: BagReader) -> tuple[str, str]:
-    """Schema of the stream that a job starts from ("taxels" or "measurements"), and the patch.
-
-    Raises SparseskinError if the recording has several patches, or the stream contradicts the
-    settings.
+    Raises SparseskinError if the recording has several patches, or the stream to start from
+    contradicts the settings.
     """
-    from sparseskin.messages import Measurements
-    from sparseskin.messages.topics import split_topic
-    from sparseskin.nodes.recorder.bag.patches import names_of
-
     topics = [split_topic(topic) for topic in bag.topics]
     together, patches = names_of(bag), sorted({patch for patch, _ in topics})
     n_patches = sum(len(together.get(patch, (patch,))) for patch in patches)
@@ -124,65 +138,29 @@ def start_of(job: Job, bag: BagReader) -> tuple[str, str]:
         raise SparseskinError(
             f"holds {n_patches} patches{batches}; reprocess takes recordings of one"
         )
-    present = {schema for _, schema in topics}
-    changes_edge = any(text.startswith("compressor.") for text in job.overrides)
-    start_from = job.start_from
-    if start_from == "auto":
-        known = Measurements.schema in present and not changes_edge
-        start_from = "measurements" if known else "taxels"
-    if start_from == "measurements" and changes_edge:
-        raise SettingsError("--from measurements: the compressor cannot be changed then")
-    return start_from, patches[0]
-
-
-def make_graph(
-    job: Job,
-    source: Path,
-    *,
-    out: Path | None = None,
-    span: tuple[float, float | None] = (0.0, None),
-) -> LaunchFile:
-    """The graph that reprocesses a recording: a launch file that is never written.
-
-    It has a recorder and a monitor if there is an `out`; it plays a `span` of the recording: from
-    so many seconds after its first frame, for so many seconds (None: to its end).
-    """
-    from sparseskin.launch.launchfile.load import load_tables
-    from sparseskin.messages import (
-        Calibration,
-        Measurements,
-        PhiState,
-        SkinState,
-        SolverState,
-        Taxels,
-        Truth,
+    present, patch = {schema for _, schema in topics}, patches[0]
+    measured = job.start_from == "measurements" or (
+        job.start_from == "auto"
+        and Measurements.schema in present
+        and not job.changes("compressor")
     )
-    from sparseskin.messages.topics import split_topic, topic_of
-    from sparseskin.nodes.recorder.bag.frames import last_messages
-    from sparseskin.nodes.recorder.bag.reader import BagReader
-
-    with BagReader(source, whole=False) as bag:
-        start_from, patch = start_of(job, bag)
-        present = {split_topic(topic)[1] for topic in bag.topics}
-        states = last_messages(bag, [topic_of(patch, SolverState.schema)])
-        made_by = bag.metadata.get("launch", "")
+    if measured and job.changes("compressor"):
+        raise SettingsError("--from measurements: the compressor cannot be changed then")
     schemas = [SkinState.schema, Taxels.schema, Truth.schema]
     schemas += [Calibration.schema] if Calibration.schema in present else []
-    player = {"type": "player", "file": str(source), "schemas": schemas, "keep_stamps": True}
-    tables: dict[str, dict[str, Any]] = {
-        "player": player | {"start_s": span[0], "duration_s": span[1]}
-    }
-    if start_from == "measurements":
-        schemas += [PhiState.schema, Measurements.schema]
-    else:
-        tables["compressor"] = {"type": "compressor", "patch": patch}
-    tables["reconstructor"] = {"type": "reconstructor", "patch": patch}
+    schemas += [PhiState.schema, Measurements.schema] if measured else []
+    player = {"file": str(bag.path), "schemas": schemas, "keep_stamps": True}
+    tables: dict[str, dict[str, Any]] = {"player": {"type": "player", **player}}
+    for name in ("reconstructor",) if measured else ("compressor", "reconstructor"):
+        tables[name] = {"type": name, "patch": patch}
+    states = last_messages(bag, [topic_of(patch, SolverState.schema)])
     recorded = next(iter(states.values()), None)
-    changed = any(text.startswith("reconstructor.") for text in job.overrides)
-    if isinstance(recorded, SolverState) and recorded.frame_ms and not changed:
+    if isinstance(recorded, SolverState) and recorded.frame_ms and not job.changes("reconstructor"):
         # Its number of iterations followed from the speed of the host that recorded it.
         tables["reconstructor"]["iterations"] = recorded.iterations
-    if out is not None:
-        tables["monitor"] = {"type": "monitor", "patches": [patch]}
-        tables["recorder"] = {"type": "recorder", "out": str(out), "launch": how(job, made_by)}
-    return load_tables(f"reprocess {Path(job.source).name}", tables, job.overrides)
+    tables["monitor"] = {"type": "monitor", "patches": [patch]}
+    changes = " ".join(f"--set {text}" for text in job.overrides)
+    command = f"# sparseskin reprocess {file_name(job.source)} {changes}".rstrip()
+    made_by = f"{command} --from {job.start_from}\n{bag.metadata.get('launch', '')}"
+    tables["recorder"] = {"type": "recorder", "out": str(out), "launch": made_by}
+    return load_tables(f"reprocess {file_name(job.source)}", tables, job.overrides)

@@ -407,19 +407,6 @@ class PatchMetrics:
             self.relative_error.add(float(np.linalg.norm(error)) / norm)
         return frame
 
-    @property
-    def extents(self) -> dict[tuple[str, ...], Extent]:
-        """Means of the summary, by their place in it."""
-        qualities = {
-            ("psnr_db", "noisy"): self.noisy,
-            ("psnr_db", "reconstruction"): self.reconstruction,
-            ("trust",): self.trust,
-        }
-        found = {}
-        for place, quality in qualities.items():
-            found[*place, "all"], found[*place, "contact"] = quality.every, quality.contact
-        return found | {("relative_error",): self.relative_error}
-
     def summary(self) -> dict[str, Any]:
         """The patch's part of the summary; unknown figures are None."""
         skin, phi = self.skin, self.phi

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import struct
 from collections import deque
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -60,15 +59,6 @@ class Quantiles:
     def add(self, duration_ns: float) -> None:
         k = int(math.log(max(duration_ns, self._LOW_NS) / self._LOW_NS) / self._WIDTH)
         self._bins[min(k, len(self._bins) - 1)] += 1
-
-    def counted(self) -> list[list[int]]:
-        """[number of a bin, durations in it] of each bin that holds any."""
-        return [[int(k), int(self._bins[k])] for k in np.flatnonzero(self._bins)]
-
-    def add_counted(self, bins: Iterable[Sequence[int]]) -> None:
-        """Add durations as `counted` returned them; IndexError if there is no such bin."""
-        for k, n in bins:
-            self._bins[k] += n
 
     def quantile_ms(self, q: float) -> float:
         """The smallest duration in ms that at least the fraction q of all do not exceed."""

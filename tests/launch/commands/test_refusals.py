@@ -47,7 +47,9 @@ LINES = {
     "play some.mcap --open --remap /skin:=/a": "--remap: does not go with --open",
     "play some.mcap --no-token": "--no-token: goes with --open",
     "reprocess some.mcap log.csv --out new": "log.csv: no recording (.mcap)",
+    "reprocess some.mcap ./some.mcap --out new": "two of the files would become some.mcap",
     "reprocess some.mcap none.mcap --out new": "none.mcap: no such file",
+    "bag import a.csv b.csv --out c.mcap": "--out c.mcap: several files need a folder",
     "calibrate scene:path_40 --out s.toml": "delivers true forces, which need no calibration",
 }
 """Of each command line what its one line holds."""
@@ -62,11 +64,8 @@ FAULTS = {
         "--executor process:0": "expected 1..1024 workers",
         "--executor nowhere_at_all:make": "nowhere_at_all",
         "--out old.mcap": "old.mcap: exists already",
-        "--slices 0.05 --set compressor.phi=adaptive": "chooses rows by earlier frames",
-        "--slices 1e-6": "slices, at most 100000",
-        "--slices 0.05 --executor process:0": "expected 1..1024 workers",
-        "--warm-up 3": "--warm-up: goes with --slices",
-        "--parts x": "--parts: goes with --slices",
+        "--out old.toml": "--out old.toml: expected a name that ends in .mcap",
+        "--set compressor.patch=palm": "reads /palm/skin, which no node writes",
     },
     "calibrate file:all.npy --out palm.toml": {
         "--press 500g": "--press 500g: expected LOAD[@AREA]:WHERE",

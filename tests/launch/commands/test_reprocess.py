@@ -10,7 +10,7 @@ from conftest import MountDisk
 from documented import check
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.offline.scenarios import make_scenario
+from sparseskin.launch.offline.scenarios import Scenario, record_scenario
 from sparseskin.messages import Reconstruction, Taxels, decode
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -19,7 +19,9 @@ from sparseskin.nodes.tasks.executors import make_executor
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_scenario("drag_wrench", tmp_path_factory.mktemp("recording"))
+    path = tmp_path_factory.mktemp("recording") / "box.mcap"
+    record_scenario("box", Scenario("lift_box_40", 320, 40, 4, "a cube lands"), path)
+    return path
 
 
 def maps(path: Path, kind: type[Reconstruction] | type[Taxels]) -> list[tuple[int, bytes]]:
@@ -78,7 +80,7 @@ def test_in_several_processes_the_bits_are_the_same(recording: Path, tmp_path: P
     out.mkdir()
     arguments = [str(recording), str(twin), "--out", str(out), "--executor", "process:2"]
     assert main(["reprocess", *arguments]) == 0
-    for name in ("drag_wrench.mcap", "twin.mcap"):
+    for name in ("box.mcap", "twin.mcap"):
         assert maps(out / name, Reconstruction) == maps(recording, Reconstruction)
 
 
@@ -92,14 +94,33 @@ def test_of_several_recordings_the_sound_ones_are_finished(
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
     assert str(bad) in captured.err
-    assert "drag_wrench.mcap:" in captured.out
-    assert [path.name for path in out.iterdir()] == ["drag_wrench.mcap"]
+    assert "box.mcap:" in captured.out
+    assert [path.name for path in out.iterdir()] == ["box.mcap"]
+
+
+def test_recordings_at_addresses_are_read_and_written(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = pytest.importorskip("fsspec").filesystem("memory")
+    source, out, copy = "memory://in/a.mcap", "memory://out/b.mcap", tmp_path / "copy.mcap"
+    store.put_file(str(recording), source)
+    assert main(["bag", "info", source]) == 0
+    assert source in capsys.readouterr().out
+    assert main(["reprocess", source, "--out", out]) == 0
+    store.get_file(out, str(copy))
+    assert maps(copy, Reconstruction) == maps(recording, Reconstruction)
+    capsys.readouterr()
+    for target, text in ((out, "exists already"), ("s4://o/o.mcap", "protocol 's4'")):
+        assert main(["reprocess", source, "--out", target]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert text in line
+    store.store.clear()
 
 
 def test_a_full_disk_is_one_line_that_names_the_output(
     recording: Path, mount_disk: MountDisk, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = mount_disk("400k") / "q.mcap"
+    out = mount_disk("80k") / "q.mcap"
     assert main(["reprocess", str(recording), "--out", str(out)]) == 2
     expected = f"{out}: No space left on device; nothing was written\n"
     assert capsys.readouterr().err == expected

@@ -1,9 +1,9 @@
-"""Slices on a Dask cluster, of which a worker or the scheduler is killed."""
+"""Recordings on a Dask cluster, of which a worker or the scheduler ends."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,15 @@ from conftest import PATIENCE_S, free_port
 from dask_processes import Cluster
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.offline import slices
 from sparseskin.launch.offline.scenarios import Scenario, record_scenario
-from sparseskin.launch.offline.slices import PARTS_SUFFIX
 from sparseskin.messages import Reconstruction, decode
 from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.tasks import results
 from sparseskin.plugins.cluster import dask as dask_cluster
 
 pytest.importorskip("distributed")
+NAMES = ("a.mcap", "b.mcap", "c.mcap")
+SOON = ("--set", "reconstructor.preset=paper")
 
 
 @pytest.fixture
@@ -27,8 +28,32 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
     folder = tmp_path / "cluster"
     folder.mkdir()
     made = Cluster(folder)
+    made.add_worker()
     yield made
     made.close()
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    folder = tmp_path_factory.mktemp("recordings")
+    first = folder / NAMES[0]
+    record_scenario("box", Scenario("lift_box_40", 320, 40, 4, "a cube lands"), first)
+    for name in NAMES[1:]:
+        (folder / name).write_bytes(first.read_bytes())
+    return [str(folder / name) for name in NAMES]
+
+
+def after_first(monkeypatch: pytest.MonkeyPatch, act: Callable[[], Any]) -> None:
+    """Let something happen when the first recording is done."""
+    real = results.computed
+
+    def computed(*arguments: Any) -> Iterator[Any]:
+        for k, each in enumerate(real(*arguments)):
+            yield each
+            if k == 0:
+                act()
+
+    monkeypatch.setattr(results, "computed", computed)
 
 
 def frames(path: Path) -> list[tuple[int, bytes]]:
@@ -38,75 +63,44 @@ def frames(path: Path) -> list[tuple[int, bytes]]:
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_in_the_middle_loses_nothing(
-    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_what_a_killed_worker_had_to_do_is_done_by_another(
+    cluster: Cluster, recordings: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recording, whole, out = (tmp_path / f"{name}.mcap" for name in ("box", "whole", "out"))
-    record_scenario("box", Scenario("lift_box_40", 320, 90, 4, "a cube lands"), recording)
-    assert main(["reprocess", str(recording), "--out", str(whole)]) == 0
-    for _ in range(2):
+    def replace() -> None:
+        cluster.workers[0].send_signal(signal.SIGKILL)
+        cluster.workers[0].wait(PATIENCE_S)
         cluster.add_worker()
-    real, finished = slices.computed, []
 
-    def computed(*arguments: Any) -> Iterator[Any]:
-        for each in real(*arguments):
-            yield each
-            finished.append(each)
-            if len(finished) != 3:
-                continue
-            # Whichever worker that is: both have slices under way or waiting.
-            cluster.workers[0].send_signal(signal.SIGKILL)
-            cluster.workers[0].wait(PATIENCE_S)
-
-    monkeypatch.setattr(slices, "computed", computed)
-    options = ("--slices", "0.1", "--warm-up", "1000", "--executor", f"dask:{cluster.address}")
-    assert main(["reprocess", str(recording), "--out", str(out), *options]) == 0
-    assert len(finished) == 9  # each slice once
-    assert frames(out) == frames(whole)
-    assert cluster.workers[0].poll() is not None
-    assert cluster.workers[1].poll() is None
-    assert not Path(f"{out}{PARTS_SUFFIX}").exists()
+    after_first(monkeypatch, replace)
+    out, one = tmp_path / "out", tmp_path / "one.mcap"
+    where = f"dask:{cluster.address}"
+    assert main(["reprocess", *recordings, "--out", str(out), *SOON, "--executor", where]) == 0
+    assert main(["reprocess", recordings[0], "--out", str(one), *SOON]) == 0
+    assert all(frames(out / name) == frames(one) for name in NAMES)
 
 
 @pytest.mark.slow
-def test_a_run_whose_scheduler_dies_ends_in_one_line_and_is_continued_elsewhere(
-    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+def test_recordings_that_a_dead_scheduler_leaves_are_named_in_one_line_each(
+    cluster: Cluster, recordings: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    recording, out = tmp_path / "box.mcap", tmp_path / "out.mcap"
-    record_scenario("box", Scenario("lift_box_40", 320, 40, 4, "a cube lands"), recording)
-    cluster.add_worker()
-    real, finished = slices.computed, []
-
-    def computed(*arguments: Any) -> Iterator[Any]:
-        for each in real(*arguments):
-            yield each
-            finished.append(each)
-            if len(finished) == 1:
-                cluster.close()
-
-    options = ("--slices", "0.1", "--set", "reconstructor.preset=paper")
-    with monkeypatch.context() as patch:
-        patch.setattr(slices, "computed", computed)
-        where = f"dask:{cluster.address}"
-        assert main(["reprocess", str(recording), "--out", str(out), *options,
-                     "--executor", where]) == 2  # fmt: skip
-    assert capsys.readouterr().err.count("\n") == 1
-    assert list(Path(f"{out}{PARTS_SUFFIX}").glob("*.mcap"))
-    assert main(["reprocess", str(recording), "--out", str(out), *options]) == 0
-    assert "known from an earlier run" in capsys.readouterr().out
-    assert len(frames(out)) == 40
+    after_first(monkeypatch, cluster.close)
+    out, where = tmp_path / "out", f"dask:{cluster.address}"
+    assert main(["reprocess", *recordings, "--out", str(out), *SOON, "--executor", where]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.partition(": ")[0] for line in lines] == recordings[1:]
+    assert [path.name for path in out.glob("*.mcap")] == [NAMES[0]]
 
 
 def test_a_scheduler_that_does_not_answer_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recordings: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(dask_cluster, "CONNECT_S", 0.2)
-    recording = tmp_path / "box.mcap"
-    record_scenario("box", Scenario("lift_box_40", 320, 4, 1, ""), recording)
     where = f"dask:tcp://127.0.0.1:{free_port()}"
-    arguments = ["reprocess", str(recording), "--out", str(tmp_path / "o.mcap")]
+    arguments = ["reprocess", recordings[0], "--out", str(tmp_path / "o.mcap")]
     assert main([*arguments, "--executor", where]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(f"--executor {where}: no Dask scheduler answers")
-    assert err.count("\n") == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"--executor {where}: no Dask scheduler answers")
