@@ -6,7 +6,6 @@ import difflib
 import importlib
 import importlib.util
 import os
-import re
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -74,12 +73,8 @@ def _is_installed(package: str) -> bool:
 
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Hint for a word that is like a known one: ' (did you mean 'iterations'?)'; "" for others."""
-    names = sorted(known)
-    near = difflib.get_close_matches(word, names, n=max(1, len(names)), cutoff=0.6)
-    if not near:
-        return ""
-    nearest = min(sorted(near), key=lambda name: _distance(word, name))
-    return f" (did you mean '{nearest}'?)"
+    near = difflib.get_close_matches(word, sorted(known, reverse=True), n=1)
+    return f" (did you mean '{near[0]}'?)" if near else ""
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -92,15 +87,6 @@ def nearest_of(word: str, allowed: Iterable[str]) -> str:
     """Hint for a value: ' (did you mean 'skin'?); allowed: paper, skin'."""
     words = list(allowed)
     return f"{suggestion(word, words)}; allowed: {', '.join(words)}"
-
-
-def _distance(word: str, name: str) -> tuple[float, int, int]:
-    """Distance by the letters shared in order, then by numbers, then by letters in place."""
-    apart = 1.0 - difflib.SequenceMatcher(None, name, word).ratio()
-    numbers = zip(re.findall(r"\d+", word), re.findall(r"\d+", name), strict=False)
-    other = sum(a != b for a, b in zip(word, name, strict=False))
-    # Nine digits are enough for any size; int() refuses thousands of digits.
-    return apart, sum(abs(int(a[:9]) - int(b[:9])) for a, b in numbers), other
 
 
 MAX_TEXT = 400

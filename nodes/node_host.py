@@ -129,7 +129,7 @@ class NodeHost:
 
     def start(self) -> Iterator[Message]:
         """Messages of the node before its first step."""
-        yield from self._publish(self.node.start())
+        return map(self._numbered, self.node.start())
 
     def tick(self, tick: Tick) -> Iterator[Message]:
         """Let a source acquire one frame; a source that fails ends its stream."""
@@ -187,7 +187,7 @@ class NodeHost:
     def change(self, changes: Mapping[str, Any]) -> list[Message]:
         """Change settings between two frames, or raise SparseskinError; return what follows."""
         settings = self.node.settings.changed(changes)
-        return list(self._publish(self.node.change(settings)))
+        return [self._numbered(message) for message in self.node.change(settings)]
 
     def finish(self, stamp_ns: int) -> Iterator[Message]:
         """End the stream: one End on each output topic, once."""
@@ -243,10 +243,6 @@ class NodeHost:
         except Exception as error:  # a user's own solver may raise anything
             self._refuse("failed", one_line(error))
             self._count_error(error)
-
-    def _publish(self, messages: Iterable[Message]) -> Iterator[Message]:
-        for message in messages:
-            yield self._numbered(message)
 
     def _numbered(self, message: Message) -> Message:
         """Count a message that the node publishes, and give it its number."""

@@ -14,7 +14,7 @@ from typing import Any
 
 from .errors import SettingsError, SparseskinError
 from .files import TAKEN
-from .lookup import did_you_mean, one_line
+from .lookup import nearest_of, one_line
 
 SCHEMES = (
     *("abfs", "az", "ftp", "gcs", "gs", "hdfs", "hf", "http", "https", "memory", "oci", "s3"),
@@ -23,7 +23,6 @@ SCHEMES = (
 """Protocols of fsspec that name a file somewhere else. Chained addresses (zip::, reference::) are
 refused: they open files that the address does not show."""
 _ADDRESS = re.compile(r"([a-zA-Z0-9+.-]*)(::|://)")
-_BLOCK_BYTES = 1 << 22
 
 
 class RemoteError(SparseskinError):
@@ -36,13 +35,7 @@ def is_remote(name: str) -> bool:
 
 
 def check_address(address: str) -> None:
-    """Check that files at such addresses can be opened.
-
-    Raises
-    ------
-    SettingsError
-        If its protocol is not allowed, or a package is missing.
-    """
+    """Raise SettingsError if the protocol of an address is not allowed, or a package is missing."""
     _filesystem(address)
 
 
@@ -68,19 +61,14 @@ def local_path(name: str) -> Path:
     return _copied(name) if is_remote(name) else Path(name)
 
 
-def forget_copies() -> None:
-    """Read addresses anew from now on."""
-    _copied.cache_clear()
-
-
 @cache
 def _copied(address: str) -> Path:
     filesystem = _filesystem(address)
     folder = Path(tempfile.mkdtemp(prefix="sparseskin-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     path = folder / (file_name(address) or "recording")
-    with _named(address), filesystem.open(address, "rb") as source, path.open("wb") as copy:
-        shutil.copyfileobj(source, copy, _BLOCK_BYTES)
+    with _named(address):
+        filesystem.get_file(address, str(path))
     return path
 
 
@@ -98,8 +86,7 @@ def store(path: Path, address: str) -> None:
     filesystem = _filesystem(address)
     with _named(address):
         try:
-            with path.open("rb") as source, filesystem.open(address, "wb") as copy:
-                shutil.copyfileobj(source, copy, _BLOCK_BYTES)
+            filesystem.put_file(str(path), address)
         except BaseException:
             # An object appears when it is complete; what other stores keep of a file is removed.
             with contextlib.suppress(Exception):
@@ -110,11 +97,11 @@ def store(path: Path, address: str) -> None:
 def _filesystem(address: str) -> Any:
     found = _ADDRESS.match(address)
     scheme = found[1].lower() if found else ""
-    if scheme not in SCHEMES or "::" in address:
-        what = f"protocol {scheme[:40]!r}" if "::" not in address else "chained address"
-        hint = did_you_mean(scheme, SCHEMES) if "::" not in address else ""
-        allowed = "" if "known:" in hint else f"; allowed: a path, or {', '.join(SCHEMES)}"
-        raise SettingsError(f"{address[:200]}: {what} is not allowed{hint}{allowed}")
+    if "::" in address:
+        raise SettingsError(f"{address[:200]}: a chained address is not allowed")
+    if scheme not in SCHEMES:
+        hint = nearest_of(scheme, SCHEMES)
+        raise SettingsError(f"{address[:200]}: protocol {scheme[:40]!r} is not allowed{hint}")
     try:
         import fsspec
     except ImportError as error:

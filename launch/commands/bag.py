@@ -190,6 +190,7 @@ def info_document(bag: BagReader, name: str = "") -> dict[str, Any]:
             topic: {key: getattr(info, key) for key in _OF_TOPIC}
             for topic, info in bag.topics.items()
         },
+        "states": _states(bag),
         "counts": bag.counts,
         "metadata": bag.metadata,
     }
@@ -229,8 +230,25 @@ def info_lines(bag: BagReader, name: str = "") -> list[str]:
         *_entries(counted),
         *(unknown if bag.counts is None else []),
         "",
+        *_entries({topic: _flat(_scalars(state)) for topic, state in _states(bag).items()}),
         *_entries({key: _shown(key, value) for key, value in bag.metadata.items() if value}),
     ]
+
+
+def _states(bag: BagReader) -> dict[str, dict[str, Any]]:
+    """The last state of each kind of each patch, by topic; none where one cannot be read."""
+    from sparseskin.nodes.recorder.bag.frames import last_states
+
+    try:
+        return last_states(bag, bag.topics)
+    except BagError:
+        return {}
+
+
+def _scalars(state: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a state that are no arrays, and state something."""
+    left = {key: value for key, value in state.items() if not isinstance(value, list)}
+    return {key: value for key, value in left.items() if value not in (None, "")}
 
 
 def _seconds(span: tuple[int, int] | None) -> float:
@@ -243,7 +261,7 @@ def _entries(entries: Mapping[str, str]) -> list[str]:
     for key, value in entries.items():
         if len(value) > _MAX_SHOWN:
             value = f"{value[:_MAX_SHOWN]}... ({len(value)} characters, --json shows them)"
-        named[flowing(key[:16])] = value
+        named[flowing(key[:32])] = value
     return facts(named)
 
 

@@ -21,7 +21,6 @@ fsspec = pytest.importorskip("fsspec")
 @pytest.fixture(autouse=True)
 def store() -> Iterator[None]:
     yield
-    remote.forget_copies()
     fsspec.filesystem("memory").store.clear()
 
 
@@ -45,8 +44,6 @@ def test_an_address_is_copied_once_a_process() -> None:
     assert path.name == "a.mcap"
     put("memory://bucket/a.mcap", b"second")
     assert local_path("memory://bucket/a.mcap") == path
-    remote.forget_copies()
-    assert local_path("memory://bucket/a.mcap").read_bytes() == b"second"
 
 
 def test_a_file_is_stored_and_none_is_written_over(tmp_path: Path) -> None:
@@ -65,7 +62,7 @@ def test_a_file_is_stored_and_none_is_written_over(tmp_path: Path) -> None:
         ("htps://h/a.mcap", "did you mean 'https'"),
         ("file:///etc/passwd", "protocol 'file' is not allowed"),
         ("reference://x", "protocol 'reference' is not allowed"),
-        ("simplecache::s3://bucket/a.mcap", "chained address is not allowed"),
+        ("simplecache::s3://bucket/a.mcap", "a chained address is not allowed"),
         ("zip://a.mcap::https://h/b.zip", "chained address is not allowed"),
         ("://x", "protocol '' is not allowed"),
     ],

@@ -60,20 +60,3 @@ def test_a_near_miss_is_proposed_and_anything_else_gets_the_list() -> None:
     assert did_you_mean("fist", ["fista", "omp"]) == " (did you mean 'fista'?)"
     assert did_you_mean("xyz", ["fista", "omp"]) == " (known: fista, omp)"
     assert did_you_mean("xyz", []) == ""
-
-
-@pytest.mark.parametrize(
-    ("word", "nearest"),
-    [
-        ("drag_wrench_41", "drag_wrench_40"),
-        ("drag_wrench_60", "drag_wrench_64"),
-        ("drag_wrench_04", "drag_wrench_40"),
-        ("lift_wrench_64", "drag_wrench_64"),
-        ("drag_wrench", "drag_wrench_40"),
-    ],
-)
-def test_of_two_names_that_are_as_near_the_one_of_the_nearest_number_is_meant(
-    word: str, nearest: str
-) -> None:
-    names = ["drag_wrench_64", "drag_wrench_40", "lift_box_40"]
-    assert did_you_mean(word, names) == f" (did you mean '{nearest}'?)"

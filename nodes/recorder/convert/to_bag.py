@@ -70,7 +70,7 @@ def import_file(
         )
     except MessageError as error:
         raise BagError(f"{str(source)!r}: {error}") from error
-    metadata = metadata_of([state], launch="", graph="") | {"imported_from": source.name}
+    metadata = metadata_of(launch="", graph="") | {"imported_from": source.name}
     with _whole_bag(out, metadata, {"lost": {}}) as bag:
         bag.record(state.published(run_id, 0), 0)
         for seq, (stamp_ns, forces) in enumerate(progress(frames, frames.n_frames or 0, "import")):

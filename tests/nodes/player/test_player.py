@@ -190,11 +190,10 @@ def test_recorded_measurements_reconstructed_by_the_same_solver_give_the_same_bi
         assert np.array_equal(old, new)
 
 
-def test_the_recording_names_scene_seed_and_phi(recording: tuple[Path, list[Message]]) -> None:
+def test_the_recording_names_versions_and_lost_messages(
+    recording: tuple[Path, list[Message]],
+) -> None:
     with BagReader(recording[0]) as bag:
-        assert bag.metadata["scene"] == "path_40"
-        assert bag.metadata["seed"] == "0"
-        assert '"kind": "sbhe"' in bag.metadata["phi"]
         assert '"numpy"' in bag.metadata["versions"]
         assert bag.counts is not None
         assert not any(bag.counts["lost"].values())

@@ -1,9 +1,8 @@
-"""The recorder node: the beginning of its file, and the time until messages reach the disk."""
+"""The recorder node: the time until messages reach the disk."""
 
 from __future__ import annotations
 
 import functools
-import json
 from pathlib import Path
 
 import pytest
@@ -13,9 +12,8 @@ from sparseskin.messages import Message, PhiState, SolverState
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.recorder import node as recorder_module
-from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter
-from sparseskin.nodes.recorder.node import MOST_WAITING, PATIENCE_NS, Recorder
+from sparseskin.nodes.recorder.node import Recorder
 
 STATES: list[Message] = [
     skin_state(),
@@ -24,32 +22,6 @@ STATES: list[Message] = [
         stamp_ns=0, patch="skin", solver="skin", basis="", preset="skin", iterations=3, lambda_n=0.0
     ),
 ]
-
-
-@pytest.mark.parametrize(
-    ("n_before", "apart_ns", "knows_phi"),
-    [
-        (200, PATIENCE_NS // 400, True),  # a fast graph, whose states come after half the time
-        (200, PATIENCE_NS // 100, False),
-        (MOST_WAITING + 1, 0, False),
-        (60, PATIENCE_NS, True),  # a slow one: few messages have come
-    ],
-)
-def test_states_that_come_a_little_late_are_in_the_metadata(
-    tmp_path: Path, n_before: int, apart_ns: int, knows_phi: bool
-) -> None:
-    clock = ManualClock()
-    settings = Recorder.Settings(out=str(tmp_path / "a.mcap"))
-    recorder = Recorder(settings, Context("recorder", clock))
-    for k in range(n_before):
-        clock.advance(apart_ns)
-        recorder.step(frame(k)[0].published("0" * 16, k))
-    for state in STATES:
-        recorder.step(state.published("0" * 16, 0))
-    recorder.close({})
-    with BagReader(tmp_path / "a.mcap") as bag:
-        assert bool(json.loads(bag.metadata["phi"])) is knows_phi
-        assert sum(info.n_messages for info in bag.topics.values()) == n_before + len(STATES)
 
 
 def test_messages_reach_the_disk_after_a_tenth_of_a_second(
