@@ -17,11 +17,12 @@ from sparseskin.launch.attach.text import facts, table
 from sparseskin.launch.run.running import GraphError, RunningGraph, choose_graph
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.files import TAKEN, OutputError
+from sparseskin.nodes.sensor.calibration.description import SkinFileError
 from sparseskin.nodes.sensor.calibration.fit import Fit, fit
 from sparseskin.nodes.sensor.calibration.frames import (
     PARTS,
     Live,
-    Recording,
+    Recorded,
     file_frames,
     open_frames,
     read_part,
@@ -34,7 +35,6 @@ from sparseskin.nodes.sensor.calibration.press import (
     read_area,
     read_load,
 )
-from sparseskin.nodes.sensor.calibration.response import SkinFileError
 from sparseskin.nodes.sensor.calibration.skin_file import save_skin
 
 from .options import add_graph, add_shape, real, show, whole
@@ -121,7 +121,7 @@ class _Steps:
     """The steps of a calibration: asked for in the terminal, waited for, or taken from files."""
 
     def __init__(
-        self, arguments: argparse.Namespace, reader: Recording | Live, guided: bool
+        self, arguments: argparse.Namespace, reader: Recorded | Live, guided: bool
     ) -> None:
         self._arguments = arguments
         self._reader = reader
@@ -139,8 +139,9 @@ class _Steps:
         found: list[Press] = []
         while force := self._answer(f"Load on the skin ({LOADS}; empty: no more): ", read_load):
             question = f"Area that carries it evenly ({AREAS}; empty: not known): "
-            area = self._answer(question, lambda text: read_area(text, self._shape))
-            label = f"{force:.4g}N" + ("" if area is None else "@{}-{}x{}-{}".format(*area))
+            answer = self._answer(question, lambda text: (f"@{text}", read_area(text, self._shape)))
+            at, area = answer or ("", None)
+            label = f"{force:.4g}N{at}"
             if self._reader.is_live:
                 frames = self._frames(f"{STEP_S:g}s", f"Put {label} on")
             else:

@@ -191,8 +191,6 @@ class DriverSource(LiveSource):
                 f"{where}, row {row}, column {col}: {values[row, col]} is no force; "
                 "a fault of the sensor or its driver"
             )
-        if self._watch is not None:
-            self._look(values.ravel() if skin is None else values[skin.exists])
         if self._raw:
             return values.astype(np.float32)
         self.clipped.add(values, 0.0, self._f_max)

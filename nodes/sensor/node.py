@@ -13,9 +13,10 @@ from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.numerics.arrays import Floats
 
-from .calibration.description import SkinDescription
+from .calibration.chain import Chain
+from .calibration.description import of_skin
+from .calibration.drift import DRIFT_RATE
 from .calibration.skin_file import load_skin
-from .calibration.stage import Stage, described, fitted
 from .noise import NoiseModel
 from .points import point_skins
 from .saturation import Clipped, clipped_text
@@ -46,14 +47,14 @@ class Sensor(SourceNode[SensorSettings]):
 
     def __init__(self, settings: SensorSettings, context: Context) -> None:
         super().__init__(settings, context)
-        described = load_skin(settings.skin) if settings.skin else None
-        self._placement = described.placement if described else None
+        self._described = load_skin(settings.skin) if settings.skin else None
+        self._placement = self._described.placement if self._described else None
         if settings.points:
             self._placement = point_skins().place(settings.points)
         self._source = settings.address().open()
         try:
             self._source_skin = self._placed_skin()
-            self._stage = self._made_stage(described)
+            self._stage = self._made_stage()
         except Exception:
             self.close({})
             raise
@@ -67,11 +68,8 @@ class Sensor(SourceNode[SensorSettings]):
         self.rate_hz = self._chosen_rate()
         self._source.period_s = 1 / (self.rate_hz or DEFAULT_RATE_HZ)
         self._next: _Frame | None = None
-        source = self._source
-        if source.delivers == "taxels" and self._stage is None and settings.f_min is None:
-            source.watch_zero()
         self._n_frames = self._n_logged = self._logged_ns = 0
-        if not source.is_live:
+        if not self._source.is_live:
             self._prepare()
 
     @classmethod
@@ -114,7 +112,7 @@ class Sensor(SourceNode[SensorSettings]):
             self._source.period_s = 1 / (self.rate_hz or DEFAULT_RATE_HZ)
             self.begin(self.context.clock.now_ns())
         if self._stage is not None:
-            self._stage.set_drift(settings.drift)
+            self._stage.drift.rate = self._drift_rate()
         yield self._describe()
 
     @property
@@ -278,18 +276,23 @@ class Sensor(SourceNode[SensorSettings]):
             self._source.receive(0.0)
         self._log_lines()
 
-    def _made_stage(self, found: SkinDescription | None) -> Stage | None:
+    def _made_stage(self) -> Chain | None:
         s, source = self.settings, self._source
         if not s.is_calibrated:
             return None
         where = s.skin or source.name
         if source.delivers == "truth":
             raise SourceError(f"{where}: {source.name} delivers true forces, which need none")
-        found = found or described(source.name, self._source_skin)
-        found = fitted(found, self._source_skin, where)
+        described = self._described or of_skin(source.name, self._source_skin)
+        described = described.on(self._source_skin, where)
         if s.f_min is not None:
-            found = replace(found, f_min=max(s.f_min, -found.f_max))
-        return Stage(found, s.tare, s.drift, s.f_min is None, self.context.log)
+            described = replace(described, f_min=max(s.f_min, -described.f_max))
+        self._drifts = described.changes_readings or s.tare > 0
+        return Chain(described, self._drift_rate(), s.tare, self.context.log)
+
+    def _drift_rate(self) -> float:
+        default = DRIFT_RATE if self._drifts else 0.0
+        return default if self.settings.drift is None else self.settings.drift
 
     def _placed_skin(self) -> Skin:
         """The skin of the source, of a layout that of its virtual grid.

@@ -8,8 +8,8 @@ from typing import Any
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
+from .calibration.chain import MAX_TARE_FRAMES
 from .calibration.skin_file import load_skin
-from .calibration.stage import MAX_TARE_FRAMES
 from .files.recording import NAN_WAYS, NEGATIVE_WAYS, Policy
 from .points import point_skins
 from .source import Address

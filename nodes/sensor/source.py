@@ -8,12 +8,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-import numpy.typing as npt
-
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Floats
 
-from .calibration.zero import ZeroWatch
 from .files.recording import DEFAULT_POLICY, Policy
 from .saturation import Clipped
 
@@ -120,9 +117,6 @@ class Source:
     def discard(self) -> None:
         """Use none of the frames that have arrived: nobody asks for frames now."""
 
-    def watch_zero(self) -> None:
-        """Look for noise around 0 in the first frames, which a line for the log then states."""
-
     def take_lines(self) -> list[str]:
         """Lines for the log since the last call."""
         return []
@@ -147,23 +141,11 @@ class LiveSource(Source):
     def __init__(self) -> None:
         self.clipped = Clipped()
         self._lines: deque[str] = deque(maxlen=MAX_LINES)
-        self._watch: ZeroWatch | None = None
-
-    def watch_zero(self) -> None:
-        self._watch = ZeroWatch(self.skin.f_max)
 
     def take_lines(self) -> list[str]:
         lines = list(self._lines)
         self._lines.clear()
         return lines
-
-    def _look(self, readings: npt.NDArray[Any]) -> None:
-        """Show readings of existing taxels, of one dimension, to the watch of noise around 0."""
-        assert self._watch is not None
-        if notice := self._watch.add(readings):
-            self._lines.append(f"{notice} (settings of the sensor)")
-        if self._watch.done:
-            self._watch = None
 
 
 @dataclass(frozen=True)

@@ -174,8 +174,6 @@ class BoardSource(LiveSource):
     def _checked(self, forces: Floats) -> Floats | None:
         """Readings clipped to the range; None if one is no number."""
         f_max = self.skin.f_max
-        if self._watch is not None:
-            self._look(forces.ravel())
         if 0 <= forces.min() <= forces.max() <= f_max:  # False for a NaN
             return forces
         if not np.isfinite(forces).all():

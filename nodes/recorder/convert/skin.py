@@ -9,8 +9,7 @@ from sparseskin.messages import Calibration
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import last_messages, patch_of, skin_of
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.sensor.calibration.description import of_messages
-from sparseskin.nodes.sensor.calibration.response import SkinFileError
+from sparseskin.nodes.sensor.calibration.description import SkinFileError, of_messages
 from sparseskin.nodes.sensor.calibration.skin_file import save_skin
 
 

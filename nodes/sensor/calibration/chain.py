@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.messages.ranges import is_whole
 from sparseskin.messages.skin import Skin
+from sparseskin.nodes.errors import RefusedError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.sensor.saturation import Clipped
 
@@ -18,10 +20,15 @@ from .drift import DRIFT_RATE, Drift
 
 MOVED = 0.05
 """Change of a taxel's force by a tare above which it is reported, in parts of f_max; chosen."""
+TARE_FRAMES = 30
+"""Frames of a tare unless stated otherwise, chosen: their median has a quarter of their noise."""
+MAX_TARE_FRAMES = 10_000
+MAX_TARE_READINGS = 1 << 26
+"""Most readings of a tare, chosen: 256 MiB."""
 
 
 class Chain:
-    """Converts the raw readings of one skin to forces.
+    """Converts the raw readings of one skin to forces, and takes tares while frames pass.
 
     A raw reading c of a taxel becomes
 
@@ -36,6 +43,10 @@ class Chain:
         The skin.
     drift_rate : float
         Largest rate of the drift that is followed, in parts of f_max a second; 0: none is.
+    tare : int
+        Frames of a tare at the start, which are not converted; 0: none.
+    log : callable
+        Receives one line of text on each tare.
 
     Attributes
     ----------
@@ -47,15 +58,49 @@ class Chain:
         The drift that is followed.
     clipped : Clipped
         Readings above f_max, and below f_min by more than noise, so far.
+    is_starting : bool
+        True while the tare at the start waits for frames.
+    is_news : bool
+        True once a tare has changed the baseline; whoever publishes it sets it to False.
+
+    Raises
+    ------
+    RefusedError
+        If the frames of the tare would not fit in memory.
     """
 
-    def __init__(self, description: SkinDescription, drift_rate: float = DRIFT_RATE) -> None:
-        self.description = description
-        self.skin: Skin = description.skin
-        d = description
+    def __init__(
+        self,
+        description: SkinDescription,
+        drift_rate: float = DRIFT_RATE,
+        tare: int = 0,
+        log: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        d = self.description = description
+        self.skin: Skin = d.skin
         self.drift = Drift(d.shape, d.f_max, d.noise or 0.0, drift_rate)
         self.clipped = Clipped()
         self._last: Doubles | None = None
+        self._log = log
+        self.is_starting, self.is_news = tare > 0, False
+        self._tared = ""
+        self._taring: list[npt.NDArray[Any]] = []
+        self._tare_left = 0
+        if tare:
+            self.start_tare(tare)
+
+    def process(self, raw: npt.NDArray[Any], stamp_ns: int) -> Floats | None:
+        """Return the forces of a frame as `apply`; None for one of the tare at the start."""
+        if self._tare_left:
+            self._taring.append(np.array(raw, dtype=np.float32))
+            self._tare_left -= 1
+            if not self._tare_left:
+                self.tare(self._taring)
+                self._taring = []
+        if self.is_starting:
+            self.is_starting = self._tare_left > 0
+            return None
+        return self.apply(raw, stamp_ns)
 
     def apply(self, raw: npt.NDArray[Any], stamp_ns: int) -> Floats:
         """Return the forces of a frame.
@@ -73,7 +118,7 @@ class Chain:
             A fresh array in [f_min, f_max], in the skin's unit.
         """
         d = self.description
-        found = self.unclipped(raw)
+        found = d.forces(raw)
         # On a skin with noise, a frame that repeats the last one is of a board that hangs: what is
         # followed meanwhile would be no drift, and its frames would differ.
         hangs = self._last is not None and np.array_equal(found, self._last)
@@ -84,30 +129,43 @@ class Chain:
         self.clipped.add(found, d.f_min - self.drift.threshold, d.f_max)
         return np.clip(found, d.f_min, d.f_max, out=found).astype(np.float32)
 
-    def unclipped(self, raw: npt.NDArray[Any]) -> Doubles:
-        """Forces of raw readings, shape (..., rows, cols), without drift and range."""
-        d = self.description
-        found: Doubles = np.array(raw, dtype=np.float64)
-        if d.baseline is not None:
-            found -= d.baseline
-        if d.gains is not None:
-            found *= d.gains
-        if d.response is not None:
-            found = d.response.forces(found)
-        if self.skin.mask is not None:
-            found[..., ~self.skin.mask] = 0.0
-        return found
+    def start_tare(self, value: Any) -> str:
+        """Begin a tare of the next `value` frames, `TARE_FRAMES` if None; one under way is
+        forgotten. Return what follows, in words.
 
-    def tare(self, frames: Sequence[npt.NDArray[Any]]) -> str:
-        """Take the median of one or more untouched frames for the baseline, and forget the drift;
-        return in words how much the forces of the untouched skin changed.
+        Raises
+        ------
+        RefusedError
+            If that is no number of frames allowed, or they would not fit in memory.
+        """
+        n_frames = TARE_FRAMES if value is None else value
+        if not is_whole(n_frames, 1, MAX_TARE_FRAMES):
+            raise RefusedError(
+                f"tare: {str(value)[:40]!r} is no number of frames (allowed: 1..{MAX_TARE_FRAMES})"
+            )
+        most = MAX_TARE_READINGS // (self.description.rows * self.description.cols)
+        if n_frames > most:
+            raise RefusedError(f"tare: {n_frames} frames of this skin; at most {most}")
+        self._taring, self._tare_left = [], n_frames
+        return f"the baseline becomes the median of the next {n_frames} frames"
+
+    def tare(self, frames: Sequence[npt.NDArray[Any]]) -> None:
+        """Take the median of one or more untouched frames for the baseline, forget the drift, and
+        log how much the forces of the untouched skin changed.
         """
         baseline = np.median(np.asarray(frames), axis=0).astype(np.float64)
-        moved = np.abs(self.unclipped(baseline) - self.drift.value)[self.skin.exists]
+        moved = np.abs(self.description.forces(baseline) - self.drift.value)[self.skin.exists]
         self.description = replace(self.description, baseline=baseline)
         self.drift.reset()
         line = f"forces changed by at most {moved.max():.3g} {self.skin.unit}"
         if n_moved := np.count_nonzero(moved > MOVED * self.skin.f_max):
             line += f", of {n_moved} taxels by more than {100 * MOVED:g} % of the range"
             line += ": a touch while taring, or a baseline that was old"
-        return line
+        self._tared, self.is_news = line, True
+        self._log(f"tared: {line}")
+
+    def state(self) -> dict[str, Any]:
+        """State for the operator: frames that a tare waits for, largest drift, last tare."""
+        drift = float(np.abs(self.drift.value).max())
+        found = {"tare_left": self._tare_left, "drift": float(f"{drift:.3g}")}
+        return {**found, "tared": self._tared} if self._tared else found

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.messages import Calibration, SkinState
-from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
-from sparseskin.messages.ranges import is_real, is_whole
+from sparseskin.messages.errors import MessageError
+from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE, Integer, Real
 from sparseskin.messages.skin import Skin
+from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
-
-from .response import MAX_NUMBER, MAX_SLOPE, MIN_SLOPE, Response, SkinFileError
 
 if TYPE_CHECKING:
     from sparseskin.nodes.sensor.placement import Placement
@@ -22,8 +22,82 @@ MAX_NAME = 64
 """Longest name of a skin, characters."""
 MAX_UNIT = 32
 """Longest unit, characters, as in a message."""
+MAX_KNOTS = 32
+"""Most knots of a response curve, chosen: a person applies fewer weights."""
 MAX_CURVES = 1 << 19
 """Most numbers of the response curves, so that a message holds them beside baseline and gains."""
+MAX_NUMBER = 1e30
+"""Largest baseline, knot or range: as that of a reading, float32 holds it."""
+MIN_SLOPE, MAX_SLOPE = 1e-12, 1e12
+"""Allowed gains, and slopes of a response curve, by magnitude."""
+
+
+class SkinFileError(SparseskinError):
+    """A skin.toml that cannot be read, used or written: the file, the key, what is allowed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """The response curve of the taxels: force against reading, piecewise linear and rising.
+
+    It passes through (0, 0) and the K knots. Below 0 it goes on with the slope of its first
+    segment, beyond the last knot with that of its last. The inverse is of the same kind: a curve
+    of one for all taxels whose knots are exchanged.
+
+    Attributes
+    ----------
+    reading : ndarray of float64, shape (K,) or (K, n_rows, n_cols)
+        Readings at the knots, above 0 and rising, of all taxels or of each: (raw - baseline) times
+        gain.
+    force : ndarray of float64, shape (K,)
+        Forces at the knots, above 0 and rising, in the skin's unit.
+
+    Raises
+    ------
+    SkinFileError
+        If a number is not as stated, or a slope is outside 1e-12..1e12.
+    """
+
+    reading: Doubles
+    force: Doubles
+
+    def __post_init__(self) -> None:
+        k = len(self.force)
+        if not (self.force.ndim == 1 and 1 <= k <= MAX_KNOTS):
+            raise SkinFileError(f"response.force: {k} knots; allowed are 1..{MAX_KNOTS}")
+        if self.reading.ndim not in (1, 3) or len(self.reading) != k:
+            raise SkinFileError(
+                f"response.reading: {len(self.reading)} knots, but response.force has {k}"
+            )
+        for name, values in vars(self).items():
+            steps = np.diff(values, axis=0, prepend=0)
+            if not ((steps > 0).all() and values.max() <= MAX_NUMBER):
+                raise SkinFileError(
+                    f"response.{name}: must be above 0, at most {MAX_NUMBER:g}, and rise from knot "
+                    "to knot"
+                )
+        with np.errstate(all="ignore"):
+            slopes = self.slopes
+        if not ((slopes >= MIN_SLOPE) & (slopes <= MAX_SLOPE)).all():
+            raise SkinFileError(
+                f"response: a slope is outside {MIN_SLOPE:g}..{MAX_SLOPE:g} (force a reading)"
+            )
+
+    @property
+    def slopes(self) -> Doubles:
+        """Slopes of the K segments, shape of `reading`, in force per reading."""
+        rise = np.diff(self.force, prepend=0.0)
+        shape = (-1, *(1,) * (self.reading.ndim - 1))
+        slopes: Doubles = rise.reshape(shape) / np.diff(self.reading, axis=0, prepend=0.0)
+        return slopes
+
+    def forces(self, readings: npt.NDArray[Any]) -> Doubles:
+        """Forces of readings, shape (..., n_rows, n_cols), any real dtype."""
+        slopes = self.slopes
+        found: Doubles = slopes[0] * np.asarray(readings, dtype=np.float64)
+        for knot, change in zip(self.reading, np.diff(slopes, axis=0), strict=False):
+            found += change * np.maximum(0.0, readings - knot)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,28 +166,38 @@ class SkinDescription:
     def __post_init__(self) -> None:
         for key, longest in (("name", MAX_NAME), ("unit", MAX_UNIT)):
             text = getattr(self, key)
-            if not (isinstance(text, str) and text.strip() and text.isprintable()):
-                raise SkinFileError(f"{key}: expected a printable text, got {ascii(text)[:40]}")
-            if len(text) > longest:
-                raise SkinFileError(f"{key}: {len(text)} characters; at most {longest}")
-        for key in ("rows", "cols"):
-            side = getattr(self, key)
-            if not is_whole(side, 1, MAX_SIDE):
-                shown = ascii(side)[:40]
-                raise SkinFileError(f"{key}: expected a whole number in 1..{MAX_SIDE}, got {shown}")
+            printable = isinstance(text, str) and text.strip() and text.isprintable()
+            if not (printable and len(text) <= longest):
+                shown = ascii(text)[:40]
+                raise SkinFileError(
+                    f"{key}: expected 1..{longest} printable characters, got {shown}"
+                )
+        try:
+            for key in ("rows", "cols"):
+                Integer(1, MAX_SIDE).check(key, getattr(self, key))
+            Real(1e-9, MAX_NUMBER).check("f_max", self.f_max)
+            Real(-self.f_max, 0.0).check("f_min", self.f_min)
+            Real(1e-6, 1e6, optional=True).check("pitch_mm", self.pitch_mm)
+            for key in ("noise", "noise_mid"):
+                Real(0.0, self.f_max, optional=True).check(key, getattr(self, key))
+        except MessageError as error:
+            raise SkinFileError(str(error)) from error
         if self.rows * self.cols > MAX_ELEMENTS:
             raise SkinFileError(f"rows: {self.rows} x {self.cols} cells; at most {MAX_ELEMENTS}")
-        self._check_number("f_max", 1e-9, MAX_NUMBER)
-        self._check_number("pitch_mm", 1e-6, 1e6)
-        self._check_number("noise", 0.0, self.f_max)
-        self._check_number("noise_mid", 0.0, self.f_max)
-        self._check_number("f_min", -self.f_max, 0.0)
         if self.noise is None and self.noise_mid is not None:
             raise SkinFileError("noise_mid: is stated without noise")
-        self._check_array("mask", np.bool_, self.shape)
-        self._check_array("baseline", np.float64, self.shape)
-        self._check_array("gains", np.float64, self.shape)
-        self._check_array("points", np.float32, (*self.shape, 6))
+        for key, dtype, beyond in (
+            ("mask", np.bool_, ()),
+            ("baseline", np.float64, ()),
+            ("gains", np.float64, ()),
+            ("points", np.float32, (6,)),
+        ):
+            array, shape = getattr(self, key), (*self.shape, *beyond)
+            if array is not None and (array.shape != shape or array.dtype != dtype):
+                raise SkinFileError(
+                    f"{key}: {array.dtype} of shape {array.shape}; expected {np.dtype(dtype)} of "
+                    f"shape {shape}"
+                )
         if self.mask is not None and not self.mask.any():
             raise SkinFileError("mask: leaves no taxel")
         if self.baseline is not None and not (np.abs(self.baseline) <= MAX_NUMBER).all():
@@ -126,14 +210,10 @@ class SkinDescription:
                 )
         if self.response is not None:
             reading = self.response.reading
-            if reading.shape[1:] not in ((), self.shape):
+            if reading.shape[1:] not in ((), self.shape) or reading.size > MAX_CURVES:
                 raise SkinFileError(
                     f"response.reading: shape {reading.shape}; expected K numbers, or K grids of "
-                    f"{self.shape}"
-                )
-            if reading.size > MAX_CURVES:
-                raise SkinFileError(
-                    f"response.reading: {reading.size} numbers; at most {MAX_CURVES}"
+                    f"{self.shape}, {MAX_CURVES} numbers at most"
                 )
 
     @property
@@ -157,40 +237,61 @@ class SkinDescription:
         stated = (self.baseline, self.gains, self.response)
         return any(one is not None for one in stated)
 
+    def forces(self, raw: npt.NDArray[Any]) -> Doubles:
+        """Forces of raw readings, shape (..., rows, cols), not clipped to the range; 0 in masked
+        cells. A fresh array.
+        """
+        found: Doubles = np.array(raw, dtype=np.float64)
+        if self.baseline is not None:
+            found -= self.baseline
+        if self.gains is not None:
+            found *= self.gains
+        if self.response is not None:
+            found = self.response.forces(found)
+        if self.mask is not None:
+            found[..., ~self.mask] = 0.0
+        return found
+
+    def on(self, skin: Skin, where: str) -> SkinDescription:
+        """This description for a source with a skin of its own: cells that it masks are masked.
+
+        Raises
+        ------
+        SourceError
+            If the source has another shape; after `where`.
+        """
+        if self.shape != skin.shape:
+            raise SourceError(
+                f"{where}: describes {self.rows} x {self.cols} taxels, but the source has "
+                f"{skin.n_rows} x {skin.n_cols}"
+            )
+        points = points_on_grid(skin) if self.points is None else self.points
+        mask = self.mask if skin.mask is None else skin.exists & self.skin.exists
+        return replace(self, points=points, mask=mask)
+
     def message(self, stamp_ns: int, patch: str) -> Calibration:
         """The calibration as a message, in float32."""
         reading = force = None
         if self.response is not None:
             reading, force = self.response.reading, self.response.force
             reading = reading if reading.ndim == 3 else reading[:, None, None]
+        keys = ("baseline", "gains", "response_reading", "response_force")
+        single: dict[str, Any] = {
+            key: None if array is None else np.ascontiguousarray(array, dtype=np.float32)
+            for key, array in zip(keys, (self.baseline, self.gains, reading, force), strict=True)
+        }
+        return Calibration(stamp_ns=stamp_ns, patch=patch, name=self.name, **single)
 
-        def single(array: Doubles | None) -> Floats | None:
-            return None if array is None else np.ascontiguousarray(array, dtype=np.float32)
 
-        return Calibration(
-            stamp_ns=stamp_ns,
-            patch=patch,
-            name=self.name,
-            baseline=single(self.baseline),
-            gains=single(self.gains),
-            response_reading=single(reading),
-            response_force=single(force),
-        )
-
-    def _check_number(self, key: str, low: float, high: float) -> None:
-        value = getattr(self, key)
-        optional = key in ("pitch_mm", "noise", "noise_mid")
-        if not (value is None and optional) and not is_real(value, low, high):
-            shown = ascii(value)[:40]
-            raise SkinFileError(f"{key}: expected a number in {low:g}..{high:g}, got {shown}")
-
-    def _check_array(self, key: str, dtype: type[np.generic], shape: tuple[int, ...]) -> None:
-        array = getattr(self, key)
-        if array is not None and (array.shape != shape or array.dtype != dtype):
-            raise SkinFileError(
-                f"{key}: {array.dtype} of shape {array.shape}; expected {np.dtype(dtype)} of "
-                f"shape {shape}"
-            )
+def of_skin(name: str, skin: Skin) -> SkinDescription:
+    """Description of a skin without a calibration: its readings are forces."""
+    text = "".join(char for char in name if char.isprintable()).strip()[:MAX_NAME] or "skin"
+    return SkinDescription(
+        *(text, skin.n_rows, skin.n_cols, float(skin.f_max), skin.unit),
+        pitch_mm=1000 * skin.pitch_m if skin.pitch_m else None,
+        mask=skin.mask,
+        points=points_on_grid(skin),
+    )
 
 
 def of_messages(state: SkinState, calibration: Calibration) -> SkinDescription:
@@ -202,26 +303,27 @@ def of_messages(state: SkinState, calibration: Calibration) -> SkinDescription:
     SkinFileError
         If the messages, which may come from anywhere, contradict each other.
     """
-
-    def double(array: Floats | None) -> Doubles | None:
-        return None if array is None else array.astype(np.float64)
-
+    baseline, gains, reading, force = (
+        None if array is None else array.astype(np.float64)
+        for array in (
+            calibration.baseline,
+            calibration.gains,
+            calibration.response_reading,
+            calibration.response_force,
+        )
+    )
     response = None
-    reading, force = double(calibration.response_reading), double(calibration.response_force)
     if reading is not None and force is not None:
         shared = reading.shape[1:] == (1, 1) != (state.n_rows, state.n_cols)
         response = Response(reading[:, 0, 0] if shared else reading, force)
-    return SkinDescription(
-        *(calibration.name, state.n_rows, state.n_cols, state.f_max, state.unit),
-        pitch_mm=1000 * state.pitch_m if state.pitch_m else None,
-        mask=state.mask,
-        baseline=double(calibration.baseline),
-        gains=double(calibration.gains),
+    return replace(
+        of_skin(calibration.name, state.skin),
+        baseline=baseline,
+        gains=gains,
         response=response,
         noise=state.sigma_end or None,
         noise_mid=state.sigma_mid if state.sigma_mid and state.sigma_end else None,
         f_min=state.f_min,
-        points=points_on_grid(state.skin),
     )
 
 

@@ -47,8 +47,6 @@ class DriftTuning:
         Threshold of a touch, in standard deviations of the noise; at least `CONTACT_FRACTION` of
         f_max. A taxel is touched where its smoothed force is above it, or one frame above twice
         of it: noise is not, with a drift of half the threshold either.
-    smooth_s : float
-        Time constant of the smoothed force, seconds.
     hold_s : float
         Time after a touch for which the drift of the taxel and of its eight neighbours is held,
         seconds: a reading creeps back after a press.
@@ -61,7 +59,7 @@ class DriftTuning:
         and twice that at most: it began before.
     fast_s, slow_s : float
         Time constants of the low passes that find a step, seconds: a press is complete within the
-        first; the second leaves time to see it.
+        first, which is that of the smoothed force, too; the second leaves time to see it.
     step_sigmas : float
         Threshold of a step in standard deviations of j: of 10,000 taxels, noise passes it in one
         of an hour.
@@ -77,7 +75,6 @@ class DriftTuning:
     tau_s: float = 10.0
     most: float = 0.1
     sigmas: float = 4.0
-    smooth_s: float = 0.5
     hold_s: float = 5.0
     period_s: float = 0.05
     gap_s: float = 0.5
@@ -110,15 +107,18 @@ class Drift:
     ----------
     value : ndarray of float64, shape (rows, cols)
         The drift, to be subtracted from forces.
+    threshold : float
+        Force above which a taxel is touched.
     """
 
     def __init__(
         self, shape: tuple[int, int], f_max: float, noise: float, rate: float = DRIFT_RATE
     ) -> None:
         self.rate = rate
-        self._f_max, self._noise = f_max, noise
-        self._most = TUNING.most * f_max
+        self._f_max = f_max
         self.threshold = max(TUNING.sigmas * noise, CONTACT_FRACTION * f_max)
+        # Of each taxel, and of the mean of it and its eight neighbours.
+        self._sigma: Doubles = noise * np.array([1, 1 / 3]).reshape(2, 1, 1)
         self.value: Doubles = np.zeros(shape)
         self._last_ns: int | None = None
         self.reset()
@@ -128,12 +128,12 @@ class Drift:
         shape = self.value.shape
         self.value[:] = 0.0
         self._touched_ns: Doubles = np.full(shape, -np.inf)
-        self._smooth: Doubles | None = None
-        self._light = LightPresses(shape, self._noise, self._f_max)
         self._held: Mask = np.zeros(shape, np.bool_)
         self._sum, self._before, self._earlier = np.zeros((3, *shape))
-        self._n = 0
+        self._n = self._n_updates = 0
         self._since_s = 0.0
+        self._fast, self._slow, self._base, self._rise = np.zeros((4, 2, *shape))
+        self._risen: Mask = np.zeros((2, *shape), np.bool_)
 
     def update(self, forces: Doubles, stamp_ns: int) -> None:
         """Follow the drift by one frame.
@@ -145,6 +145,7 @@ class Drift:
         stamp_ns : int
             Time of the frame, nanoseconds; of frames within `period_s` the mean counts.
         """
+        t = TUNING
         if not self.rate:
             return
         if self._last_ns is None or stamp_ns < self._last_ns:
@@ -152,72 +153,43 @@ class Drift:
         dt_s = (stamp_ns - self._last_ns) / 1e9
         self._sum += forces
         self._n += 1
-        if 0 < dt_s < TUNING.period_s:
+        if 0 < dt_s < t.period_s:
             return
         self._last_ns = stamp_ns
-        mean, n = self._sum / self._n, self._n
-        self._sum, self._n = np.zeros_like(mean), 0
-        if self._smooth is None:
-            self._smooth = mean.copy()
-        self._smooth += (1 - math.exp(-dt_s / TUNING.smooth_s)) * (mean - self._smooth)
-        touched: Mask = (self._smooth > self.threshold) | (forces > 2 * self.threshold)
-        touched |= self._light.update(mean, n, dt_s, self.rate)
-        touched = of_nine(touched, np.logical_or)
-        self._undo(touched & ~self._held, dt_s)
-        self._held = touched
-        self._touched_ns[touched] = stamp_ns
-        dt_s = min(dt_s, TUNING.gap_s)
-        most = self.rate * self._f_max * dt_s
-        step = np.clip(self._smooth * (dt_s / TUNING.tau_s), -most, most)
-        step[stamp_ns - self._touched_ns < TUNING.hold_s * 1e9] = 0.0
-        self.value += step
-        np.clip(self.value, -self._most, self._most, out=self.value)
-
-    def _undo(self, new: Mask, dt_s: float) -> None:
-        """Take back what was followed of presses that are noticed now."""
+        pressed = self._lightly_pressed(self._sum / self._n, dt_s)
+        self._sum, self._n = np.zeros_like(forces), 0
+        touched = (self._fast[0] > self.threshold) | (forces > 2 * self.threshold) | pressed
+        touched = _of_nine(touched, np.logical_or)
+        new = touched & ~self._held
         self.value[new] = np.minimum(self.value, self._earlier)[new]
         self._since_s += dt_s
-        if self._since_s >= TUNING.undo_s:
+        if self._since_s >= t.undo_s:
             self._since_s = 0.0
             self._before, self._earlier = self.value.copy(), self._before
+        self._held = touched
+        self._touched_ns[touched] = stamp_ns
+        dt_s = min(dt_s, t.gap_s)
+        most = self.rate * self._f_max * dt_s
+        step = np.clip(self._fast[0] * (dt_s / t.tau_s), -most, most)
+        step[stamp_ns - self._touched_ns < t.hold_s * 1e9] = 0.0
+        self.value += step
+        np.clip(self.value, -t.most * self._f_max, t.most * self._f_max, out=self.value)
 
-
-class LightPresses:
-    """The taxels under presses that may be too light to count as a touch.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns.
-    noise : float
-        Standard deviation of an untouched taxel's noise, 0 if not known.
-    f_max : float
-        Upper end of the range.
-    """
-
-    def __init__(self, shape: tuple[int, int], noise: float, f_max: float) -> None:
-        self._f_max, self._n = f_max, 0
-        # Of each taxel, and of the mean of it and its eight neighbours.
-        self._sigma: Doubles = noise * np.array([1, 1 / 3]).reshape(2, 1, 1)
-        zeros: Doubles = np.zeros((4, 2, *shape))
-        self._fast, self._slow, self._base, self._rise = zeros
-        self._risen: Mask = np.zeros((2, *shape), np.bool_)
-
-    def update(self, mean: Doubles, n: int, dt_s: float, rate: float) -> Mask:
-        """Process the mean of the n frames of the last dt_s seconds, of forces without drift, whose
-        rate is bounded by `rate`, in parts of f_max a second; the taxels pressed, a new array.
+    def _lightly_pressed(self, mean: Doubles, dt_s: float) -> Mask:
+        """The taxels under presses that may be too light to count as a touch, by the mean of the
+        frames of the last dt_s seconds.
         """
         t = TUNING
-        self._n += 1
-        means = np.stack([mean, of_nine(mean, np.add) / 9])
+        self._n_updates += 1
+        means = np.stack([mean, _of_nine(mean, np.add) / 9])
         # At first the mean of all: one frame would be believed for as long as the slow low pass.
-        fast = max(1 - math.exp(-dt_s / t.fast_s), 1 / self._n)
-        slow = max(1 - math.exp(-dt_s / t.slow_s), 1 / self._n)
+        fast = max(1 - math.exp(-dt_s / t.fast_s), 1 / self._n_updates)
+        slow = max(1 - math.exp(-dt_s / t.slow_s), 1 / self._n_updates)
         self._fast += fast * (means - self._fast)
         self._slow += slow * (means - self._slow)
         # Variance of a first-order low pass of white noise: a / (2 - a) of it.
-        sigma = self._sigma * math.sqrt((fast / (2 - fast) + slow / (2 - slow)) / n)
-        drift = t.step_drifts * rate * (t.slow_s - t.fast_s)
+        sigma = self._sigma * math.sqrt((fast / (2 - fast) + slow / (2 - slow)) / self._n)
+        drift = t.step_drifts * self.rate * (t.slow_s - t.fast_s)
         least = np.maximum(t.step_sigmas * sigma, max(t.step_least, drift) * self._f_max)
         step: Doubles = self._fast - self._slow
         self._risen &= step > -least
@@ -232,7 +204,7 @@ class LightPresses:
         return found
 
 
-def of_nine(field: npt.NDArray[Any], combine: np.ufunc) -> npt.NDArray[Any]:
+def _of_nine(field: npt.NDArray[Any], combine: np.ufunc) -> npt.NDArray[Any]:
     """Each cell and its eight neighbours, combined; beyond the edge is 0."""
     padded = np.pad(field, 1)
     rows = combine(combine(padded[:-2], padded[1:-1]), padded[2:])

@@ -12,11 +12,8 @@ import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 
-from .chain import Chain
-from .description import SkinDescription
-from .press import CalibrationError, Press, PressResult
-from .response import MAX_KNOTS, MAX_NUMBER, Response
-from .zero import lower_end
+from .description import MAX_KNOTS, MAX_NUMBER, Response, SkinDescription
+from .press import CalibrationError, Press
 
 Curve = Literal["shared", "taxel", "linear"]
 CURVES: tuple[Curve, ...] = ("shared", "taxel", "linear")
@@ -36,8 +33,33 @@ MOVED = 0.2
 """Part of a load that its steady readings may lack; chosen."""
 DEAD = 0.1
 """Response to an even load in that of the median taxel below which a taxel is dead; chosen."""
+KEPT_SIGMAS = 4.0
+"""Standard deviations of noise that a lower end of the range keeps; chosen: all but 3e-5."""
 HEADROOM = 1.25
 """Range of a taxel in the largest force of a press, where the range is not stated; chosen."""
+
+
+@dataclass(frozen=True)
+class PressResult:
+    """A press as the calibrated skin measures it.
+
+    Attributes
+    ----------
+    label : str
+    force, measured : float
+        Total force stated and measured, newtons; of an even load, the mean of the working taxels
+        of the area times its cells.
+    spread : float or None
+        Standard deviation of the forces of the taxels under an even load, in their mean.
+    spread_before : float or None
+        The same of raw readings above the baseline.
+    """
+
+    label: str
+    force: float
+    measured: float
+    spread: float | None = None
+    spread_before: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,16 +132,17 @@ def fit(
                 f"{shape}, and at least one is needed"
             )
     exists = np.ones(shape, np.bool_) if mask is None else mask
-    baseline, noise = steady(untouched)
+    baseline, noise, unsteady = steady(untouched)
     stuck = exists & _stuck(untouched, presses)
-    typical = float(np.median(noise[exists & ~stuck])) if (exists & ~stuck).any() else 0.0
-    noisy = exists & (noise > NOISY * typical) & (typical > 0)
-    works = exists & ~stuck & ~noisy
+    works = exists & ~stuck
+    typical = float(np.median(noise[works])) if works.any() else 0.0
+    noisy = works & (noise > NOISY * typical) & (typical > 0)
+    works &= ~noisy
     remarks: list[str] = []
     if noisy.sum() > TOUCHED_SHARE * exists.sum():
         n = int(noisy.sum())
         remarks.append(f"{n} taxels are noisy: was the skin touched where it should not be?")
-    elif (share := _unsteady(untouched, exists)) > OUTLIERS:
+    elif (share := float(unsteady[exists].mean())) > OUTLIERS:
         remarks.append(
             f"{100 * share:.0f} % of the untouched readings come and go: was the skin touched?"
         )
@@ -129,7 +152,8 @@ def fit(
     dead = np.zeros(shape, np.bool_)
     gains: Doubles | None = None
     response: Response | None = None
-    even = [(p, rise) for p, rise in zip(presses, rises, strict=True) if p.area is not None]
+    pairs = zip(presses, rises, strict=True)
+    even = [(p, p.area, rise) for p, rise in pairs if p.area is not None]
     if even:
         dead = works & _dead(even, works)
         works &= ~dead
@@ -146,7 +170,7 @@ def fit(
         gains=gains,
         response=response,
     )
-    forces = [Chain(skin).unclipped(baseline + rise) for rise in rises]
+    forces = [skin.forces(baseline + rise) for rise in rises]
     if f_max is None:
         if not presses:
             raise CalibrationError("the range is not known: state f_max, or add presses")
@@ -156,41 +180,28 @@ def fit(
     if response is not None:
         slope = slope * response.slopes[0]
     sigma = min(float(np.median((noise * slope)[works])), f_max)
-    f_min = max(lower_end(sigma), -f_max) if keep_noise else 0.0
+    f_min = max(-float(f"{KEPT_SIGMAS * sigma:.1e}"), -f_max) if keep_noise else 0.0
     skin = replace(skin, f_max=f_max, noise=float(f"{sigma:.3g}"), f_min=f_min)
     results = [_result(*each, works) for each in zip(presses, rises, forces, strict=True)]
     faulty = (int(stuck.sum()), int(noisy.sum()), int(dead.sum()))
     return Fit(skin, len(untouched), typical, *faulty, results, remarks)
 
 
-def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles]:
-    """Mean and standard deviation of each taxel over steady frames, float64 (rows, cols).
+def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles, Doubles]:
+    """Mean and standard deviation of each taxel over steady frames, and the share of its readings
+    that are not steady, float64 (rows, cols) each.
 
     Readings further from the median than `OUTLIER` robust standard deviations, as of a short touch,
     are left out. Unlike the median, the mean resolves less than one count.
     """
-    median, apart, kept, _ = _steady_readings(frames)
-    n = np.maximum(kept.sum(axis=0), 1)
-    mean = np.where(kept, apart, 0.0).sum(axis=0) / n
-    variance = np.where(kept, np.square(apart - mean), 0.0).sum(axis=0) / n
-    return median + mean, np.sqrt(variance)
-
-
-def _steady_readings(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles, Mask, Doubles]:
-    """Median of each taxel, readings from there, which of them are steady, robust deviation."""
     values = np.asarray(frames, dtype=np.float64)
     median = np.median(values, axis=0)
     apart = values - median
     spread = MAD_TO_SD * np.median(np.abs(apart), axis=0)
     # Of a reading coarser than its noise, half of the frames are the median: none is left out.
-    return median, apart, (np.abs(apart) <= OUTLIER * spread) | (spread == 0), spread
-
-
-def _unsteady(frames: npt.NDArray[Any], exists: Mask) -> float:
-    """Share of readings that `steady` leaves out."""
-    _, _, kept, spread = _steady_readings(frames)
-    looked_at = kept[:, exists & (spread > 0)]
-    return 1 - float(looked_at.mean()) if looked_at.size else 0.0
+    kept = (np.abs(apart) <= OUTLIER * spread) | (spread == 0)
+    mean = np.mean(apart, axis=0, where=kept)
+    return median + mean, np.std(apart, axis=0, where=kept), 1 - kept.mean(axis=0)
 
 
 def _check_still(
@@ -215,12 +226,12 @@ def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
     return still if still.mean() < 0.5 else np.zeros_like(still)
 
 
-def _dead(even: Sequence[tuple[Press, Doubles]], works: Mask) -> Mask:
+def _dead(even: Sequence[tuple[Press, Mask, Doubles]], works: Mask) -> Mask:
     """Taxels that respond to no even load that is on them."""
     answered: Mask = np.zeros(works.shape, np.bool_)
     covered: Mask = np.zeros(works.shape, np.bool_)
-    for press, rise in even:
-        cells = press.cells(works.shape) & works
+    for press, area, rise in even:
+        cells = area & works
         if not cells.any():
             raise CalibrationError(f"{press.label}: no taxel under it works")
         typical = float(np.median(rise[cells]))
@@ -230,16 +241,15 @@ def _dead(even: Sequence[tuple[Press, Doubles]], works: Mask) -> Mask:
 
 
 def _even_fit(
-    even: Sequence[tuple[Press, Doubles]], works: Mask, curve: Curve, remarks: list[str]
+    even: Sequence[tuple[Press, Mask, Doubles]], works: Mask, curve: Curve, remarks: list[str]
 ) -> tuple[Doubles, Response | None]:
     """Gains, and the response curve, of loads that press all taxels of an area evenly."""
-    areas = [press.cells(works.shape) for press, _ in even]
     # Dead taxels carry their part of the load. Forces that differ by rounding are equal.
-    each = [press.force / area.sum() for (press, _), area in zip(even, areas, strict=True)]
+    each = [press.force / area.sum() for press, area, _ in even]
     forces, level = np.unique([float(f"{force:.6g}") for force in each], return_inverse=True)
     # At each force the mean rise of each taxel over its presses, NaN where none covers it.
     total, times = np.zeros((2, len(forces), *works.shape))
-    for k, (_, rise), area in zip(level, even, areas, strict=True):
+    for k, (_, area, rise) in zip(level, even, strict=True):
         total[k] += np.where(area & works, rise, 0.0)
         times[k] += area & works
     rise = np.divide(total, times, out=np.full(total.shape, np.nan), where=times > 0)
@@ -301,13 +311,12 @@ def _common_gain(
 def _result(press: Press, rise: Doubles, forces: Doubles, works: Mask) -> PressResult:
     if press.area is None:
         return PressResult(press.label, press.force, float(forces[works].sum()))
-    area = press.cells(works.shape)
-    cells = area & works
+    cells = press.area & works
     mean = float(forces[cells].mean())
     return PressResult(
         press.label,
         press.force,
-        mean * int(area.sum()),
+        mean * int(press.area.sum()),
         float(forces[cells].std()) / mean,
         float(rise[cells].std() / np.abs(rise[cells].mean())),
     )

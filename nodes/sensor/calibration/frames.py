@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import threading
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ MAX_READINGS = 1 << 27
 """Most readings that are kept of one step, chosen: 512 MiB."""
 SILENT_S = 5.0
 """Time without a frame after which a live source has failed, seconds; chosen."""
+POLL_S = 0.01
 PARTS = "seconds as 3s, or START-STOPs as 5-8s"
 _PART = re.compile(r"(?:(\d{1,6}(?:\.\d{1,6})?)-)?(\d{1,6}(?:\.\d{1,6})?)s")
 
@@ -80,20 +80,18 @@ def _bag(path: str) -> tuple[list[int], Frames]:
             )
         messages = [decoded(bag, one) for one in bag.messages(topics)]
     found = [message for message in messages if isinstance(message, Taxels)]
-    if len({message.forces.shape for message in found}) != 1:
-        raise CalibrationError(f"{path}: holds no frames of one shape")
-    if found[0].names:
-        raise CalibrationError(f"{path}: holds frames of {len(found[0].names)} patches; expected 1")
+    if len({message.forces.shape for message in found}) != 1 or found[0].names:
+        raise CalibrationError(f"{path}: expected frames of one shape, and of one patch")
     stamps = [message.stamp_ns - found[0].stamp_ns for message in found]
     return stamps, np.concatenate([message.forces for message in found])
 
 
-class Recording:
+class Recorded:
     """Parts of a source that ends, by their stamps; all of it is read."""
 
     is_live = False
 
-    def __init__(self, skin: Skin, stamps_ns: Sequence[int], frames: Frames) -> None:
+    def __init__(self, skin: Skin, stamps_ns: list[int], frames: Frames) -> None:
         self.skin = skin
         self._stamps_s = np.array(stamps_ns, dtype=np.float64) / 1e9
         self._frames = frames
@@ -124,7 +122,6 @@ class Live:
         self._source = source
         self._keep: list[Frames] | None = None
         self._error = ""
-        self._lock = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
@@ -135,15 +132,12 @@ class Live:
         """
         most = max(2, MAX_READINGS // (self.skin.n_rows * self.skin.n_cols))
         end = time.monotonic() + stop_s - start_s
-        with self._lock:
-            kept: list[Frames] = []
-            self._keep = kept
-            while not self._error and len(kept) < most:
-                left_s = (end if kept else end + SILENT_S) - time.monotonic()
-                if left_s <= 0:
-                    break
-                self._lock.wait(left_s)
-            self._keep = None
+        kept = self._keep = []
+        while not self._error and len(kept) < most:
+            if time.monotonic() >= (end if kept else end + SILENT_S):
+                break
+            time.sleep(POLL_S)
+        self._keep = None
         if not kept:
             silent = f"{self._source.name}: no frame in {SILENT_S:g} s"
             raise CalibrationError(self._error or silent)
@@ -159,23 +153,18 @@ class Live:
     def _read(self) -> None:
         try:
             for _, frame in self._source:
-                with self._lock:
-                    if self._keep is not None:
-                        self._keep.append(frame)
-                        self._lock.notify()
+                if (keep := self._keep) is not None:
+                    keep.append(frame)
                 if self._closing:
                     return
-            error = f"{self._source.name}: has ended"
+            self._error = f"{self._source.name}: has ended"
         except SparseskinError as cause:
-            error = str(cause)
-        with self._lock:
-            self._error = error
-            self._lock.notify()
+            self._error = str(cause)
 
 
 def open_frames(
     source: str, n_rows: int | None = None, n_cols: int | None = None
-) -> Recording | Live:
+) -> Recorded | Live:
     """Open the source of a skin that is to be calibrated, by its name as in `open_source`; a .mcap
     after "file:" is a bag.
 
@@ -187,12 +176,12 @@ def open_frames(
     if source.startswith(FILE) and source.endswith(".mcap"):
         stamps, frames = _bag(source.removeprefix(FILE))
         skin = Skin(frames.shape[1], frames.shape[2], max(1.0, float(frames.max())), "raw")
-        return Recording(skin, stamps, frames)
+        return Recorded(skin, stamps, frames)
     opened = open_source(source, seed=0, n_rows=n_rows, n_cols=n_cols, raw=True)
     if opened.delivers == "truth":
         opened.close()
         raise SourceError(f"{source}: delivers true forces, which need no calibration")
     if opened.is_live or opened.n_frames is None:
         return Live(opened)
-    read_stamps, read_frames = zip(*opened, strict=True)
-    return Recording(opened.skin, read_stamps, np.stack(read_frames))
+    stamps_ns, read = zip(*opened, strict=True)
+    return Recorded(opened.skin, list(stamps_ns), np.stack(read))

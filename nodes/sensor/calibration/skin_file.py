@@ -17,35 +17,40 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages.errors import MessageError
-from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.files import whole_file
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
-from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.sensor.files.recording import parse_mask, reading
 from sparseskin.nodes.sensor.points import point_skins
 from sparseskin.nodes.toml import parse_toml
 
-from .description import MAX_NAME, SkinDescription, points_on_grid
-from .response import MAX_KNOTS, Response, SkinFileError
+from .description import (
+    MAX_KNOTS,
+    MAX_NAME,
+    Response,
+    SkinDescription,
+    SkinFileError,
+    points_on_grid,
+)
 
 MAX_FILE_CHARS = 1 << 18
 """Longest skin.toml, chosen: eight thousand numbers, as a program writes them."""
 MAX_INLINE = 4096
 """Most numbers of all arrays that are written into the file itself, chosen: baseline and gains of
 32 x 32 taxels, with a shared curve, are half of them."""
-ARRAYS_SUFFIX = ".npz"
 ARRAYS = "arrays"
 """Key that names the .npz with the large arrays."""
 KEYS = (*(f.name for f in fields(SkinDescription) if f.name != "placement"), ARRAYS)
 """Keys of a skin.toml."""
+GRIDS = ("mask", "baseline", "gains")
+"""Keys of what each taxel has."""
 OF_POINTS = ("rows", "cols", "pitch_mm", "mask")
 """Keys that are not stated beside `points`: they follow from these."""
-CURVE_KEYS = ("reading", "force")
-"""Keys of the table `response`."""
-ARRAY_NAMES = ("mask", "baseline", "gains", "response_reading", "points")
-"""Arrays of the .npz: those of the same names, and `response.reading`."""
+CURVE = {"reading": "response.reading", "force": "response.force"}
+"""Keys of the table `response`, and their names in errors."""
+BESIDE = {**{key: key for key in (*GRIDS, "points")}, "response_reading": CURVE["reading"]}
+"""Arrays of the .npz, and the keys that they stand for."""
 
 
 def load_skin(path: str | os.PathLike[str]) -> SkinDescription:
@@ -108,36 +113,31 @@ def _described(table: Mapping[str, Any], folder: Path) -> SkinDescription:
     for key in ("name", "rows", "cols", "f_max"):
         if key not in values:
             raise SkinFileError(f"{key}: is missing")
-    grids = {key: values.pop(key) for key in ("baseline", "gains") if key in values}
-    curve, beside = values.pop("response", None), values.pop(ARRAYS, None)
-    mask = values.pop("mask", None)
+    stated = {key: values.pop(key) for key in GRIDS if key in values}
+    curve, beside = values.pop("response", {}), values.pop(ARRAYS, None)
+    if not isinstance(curve, Mapping):
+        raise SkinFileError("response: expected a table of reading and force")
+    _check_keys(curve, CURVE, "response.")
+    stated |= {CURVE[key]: value for key, value in curve.items()}
     skin = SkinDescription(**values)  # its shape bounds the size of all arrays
-    arrays: dict[str, Any] = {key: _grid(key, value, skin) for key, value in grids.items()}
-    if mask is not None:
-        arrays["mask"] = parse_mask(mask, skin.shape, "mask")
-    if curve is not None:
-        if not isinstance(curve, Mapping):
-            raise SkinFileError("response: expected a table of reading and force")
-        _check_keys(curve, CURVE_KEYS, "response.")
-        arrays |= {f"response_{k}": _numbers(f"response.{k}", v) for k, v in curve.items()}
     held = {} if beside is None else _load_arrays(beside, folder, skin.rows * skin.cols)
     for key in held:
-        if key in arrays:
+        if key in stated:
             raise SkinFileError(f"{key}: is stated in the file and in its {ARRAYS}")
-    arrays |= held
-    response = None
-    if curve is not None or "response_reading" in arrays:
-        for key in reversed(CURVE_KEYS):
-            if f"response_{key}" not in arrays:
-                raise SkinFileError(f"response.{key}: is missing")
-        response = Response(*(arrays.pop(f"response_{key}") for key in CURVE_KEYS))
+    arrays = held | {key: _array(key, value, skin) for key, value in stated.items()}
+    knots = [arrays.pop(key, None) for key in CURVE.values()]
+    if any(each is not None for each in knots):
+        for key, each in zip(CURVE.values(), knots, strict=True):
+            if each is None:
+                raise SkinFileError(f"{key}: is missing")
+        arrays["response"] = Response(*knots)
     if skin.placement is not None:
         placed = skin.placement.skin(skin.f_max, skin.unit)
         arrays |= {"mask": placed.mask, "points": points_on_grid(placed)}
-    return replace(skin, response=response, **arrays)
+    return replace(skin, **arrays)
 
 
-def _check_keys(table: Iterable[str], known: tuple[str, ...], before: str = "") -> None:
+def _check_keys(table: Iterable[str], known: Iterable[str], before: str = "") -> None:
     for key in table:
         if key not in known:
             raise SkinFileError(f"{before}{key[:40]}: unknown key{did_you_mean(key[:40], known)}")
@@ -148,8 +148,7 @@ def _placed(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     for key in OF_POINTS:
         if key in table:
             raise SkinFileError(f"{key}: is stated beside points, from which it follows")
-    values = dict(table)
-    name = values.pop("points")
+    name = table["points"]
     if not isinstance(name, str) or not name:
         raise SkinFileError("points: expected the name of a file")
     try:
@@ -158,7 +157,7 @@ def _placed(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         raise SkinFileError(f"points: {error}") from error
     rows, cols = found.shape
     grid = {"rows": rows, "cols": cols, "pitch_mm": 1000 * found.pitch_m, "placement": found}
-    return values | grid
+    return {**table, "points": None, **grid}
 
 
 def _read(path: Path, most: int) -> bytes:
@@ -173,38 +172,36 @@ def _read(path: Path, most: int) -> bytes:
     return raw
 
 
-def _load_arrays(name: object, folder: Path, n_cells: int) -> dict[str, npt.NDArray[Any]]:
-    """The arrays of the .npz that a file names."""
-    if not isinstance(name, str) or not name.endswith(ARRAYS_SUFFIX):
+def _load_arrays(name: object, folder: Path, n_cells: int) -> dict[str, Any]:
+    """The arrays of the .npz that a file names, by their keys."""
+    if not isinstance(name, str) or not name.endswith(".npz"):
         raise SkinFileError(f"{ARRAYS}: expected the name of an .npz, got {ascii(name)[:40]}")
     path = folder / name
     beside = name == Path(name).name and "\\" not in name and name.isprintable()
     if not beside or path.resolve().parent != folder.resolve():
         raise SkinFileError(f"{ARRAYS}: {ascii(name)[:80]} is not a file beside the skin's own")
-
     most = n_cells * (8 * (2 + MAX_KNOTS) + 4 * 6 + 1) + (1 << 16)
     try:
         held = read_npz(_read(path, most), list, most)
-        _check_keys(held, ARRAY_NAMES)
+        _check_keys(held, BESIDE)
     except (ArrayFileError, SkinFileError) as error:
         raise SkinFileError(f"{ARRAYS}: {name}: {error}") from error
-    return {key: array.copy() for key, array in held.items()}  # aligned
+    return {BESIDE[key]: array.copy() for key, array in held.items()}  # aligned
 
 
-def _numbers(key: str, value: Any) -> Doubles:
-    """A number, or lists of them, as an array; its shape is checked with the others."""
+def _array(key: str, value: Any, skin: SkinDescription) -> npt.NDArray[Any]:
+    """The value of a key as an array. Its shape is checked with those of the others."""
+    if key == "mask":
+        return parse_mask(value, skin.shape, key)
     try:
         found = np.array(value)
     except ValueError:  # lists of different lengths
         found = np.array("")
     if found.dtype.kind not in "iuf":
         raise SkinFileError(f"{key}: expected numbers, in lists of one length each")
-    return found.astype(np.float64)
-
-
-def _grid(key: str, value: Any, skin: SkinDescription) -> Doubles:
-    """Baseline or gains: one number for all taxels, a list of rows, or of points in their order."""
-    found = _numbers(key, value)
+    found = found.astype(np.float64)
+    if key not in GRIDS:
+        return np.atleast_1d(found)
     if not found.ndim:
         return np.full(skin.shape, found)
     if skin.placement is None:
@@ -230,13 +227,30 @@ def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]
         If one of the files exists, or cannot be written.
     """
     path = Path(path)
+    beside = path.with_suffix(".npz")
     if path.suffix != ".toml":
         raise SkinFileError(f"{path}: expected a name that ends in .toml")
-    large = _large_arrays(skin)
+    plain = ("name", "rows", "cols", "pitch_mm", "unit", "f_max", "noise", "noise_mid", "f_min")
+    values: dict[str, Any] = {key: getattr(skin, key) for key in plain}
+    values |= {key: getattr(skin, key) for key in (*GRIDS, "points")}
+    curve = {} if skin.response is None else dict(vars(skin.response))
+    values["response_reading"] = curve.get("reading")
+    for key in ("baseline", "gains"):
+        if values[key] is not None and np.ptp(values[key]) == 0:
+            values[key] = float(values[key].flat[0])
+    large: dict[str, Any] = {key: one for key, one in values.items() if np.ndim(one) > 1}
     if skin.points is None and sum(array.size for array in large.values()) <= MAX_INLINE:
         large = {}
-    arrays = path.with_suffix(ARRAYS_SUFFIX)
-    text = _text(skin, large, arrays.name)
+    if skin.mask is not None:
+        values["mask"] = ["".join("01"[cell] for cell in row) for row in skin.mask.tolist()]
+    stated = values | {ARRAYS: beside.name if large else None, **dict.fromkeys(large)}
+    curve["reading"] = stated.pop("response_reading")
+    lines = ["# A skin of sparseskin: docs/calibration.md has the meaning of each key."]
+    lines += [f"{key} = {_toml(one)}" for key, one in stated.items() if one is not None]
+    if skin.response is not None:
+        lines += ["", "[response]"]
+        lines += [f"{key} = {_toml(one)}" for key, one in curve.items() if one is not None]
+    text = "\n".join(lines) + "\n"
     # What cannot be read again is not written.
     if len(text) > MAX_FILE_CHARS:
         raise SkinFileError(f"{path}: would have {len(text)} characters; at most {MAX_FILE_CHARS}")
@@ -244,62 +258,14 @@ def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]
         draft.write_text(text, encoding="utf-8")
         if not large:
             return [path]
-        with whole_file(arrays) as arrays_draft, arrays_draft.open("wb") as file:
-            np.savez_compressed(file, **large)  # type: ignore[arg-type]
-    return [path, arrays]
+        with whole_file(beside) as arrays_draft, arrays_draft.open("wb") as file:
+            np.savez_compressed(file, **large)
+    return [path, beside]
 
 
-def _large_arrays(skin: SkinDescription) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of a skin that are written beside its file: those that are not one number."""
-    curve = None if skin.response is None else skin.response.reading
-    found = {
-        "mask": skin.mask,
-        "points": skin.points,
-        "baseline": None if _is_one_number(skin.baseline) else skin.baseline,
-        "gains": None if _is_one_number(skin.gains) else skin.gains,
-        "response_reading": curve if curve is not None and curve.ndim == 3 else None,
-    }
-    return {key: array for key, array in found.items() if array is not None}
-
-
-def _is_one_number(grid: npt.NDArray[Any] | None) -> bool:
-    return grid is not None and bool((grid == grid.flat[0]).all())
-
-
-def _text(skin: SkinDescription, large: Mapping[str, Any], arrays_name: str) -> str:
-    """The content of a skin.toml."""
-    plain = ("name", "rows", "cols", "pitch_mm", "unit", "f_max", "noise", "noise_mid", "f_min")
-    values: dict[str, Any] = {key: getattr(skin, key) for key in plain}
-    if skin.mask is not None:
-        values["mask"] = ["".join("01"[cell] for cell in row) for row in skin.mask.tolist()]
-    for key in ("baseline", "gains"):
-        if (grid := getattr(skin, key)) is not None:
-            values[key] = float(grid.flat[0]) if _is_one_number(grid) else grid.tolist()
-    values[ARRAYS] = arrays_name if large else None
-    curve = {}
-    if skin.response is not None:
-        curve = {"force": skin.response.force.tolist()}
-        if "response_reading" not in large:
-            curve["reading"] = skin.response.reading.tolist()
-    lines = ["# A skin of sparseskin: docs/calibration.md has the meaning of each key."]
-    lines += [
-        f"{key} = {_value(value)}"
-        for key, value in values.items()
-        if value is not None and key not in large
-    ]
-    lines += ["", "[response]", *(f"{key} = {_value(value)}" for key, value in curve.items())]
-    return "\n".join(lines if curve else lines[:-2]) + "\n"
-
-
-def _value(value: Any) -> str:
-    """A number, list or printable text as TOML, which has the numbers and texts of JSON; a list of
-    lists or texts in one line each.
-    """
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if not isinstance(value, list):
-        return repr(int(value) if is_whole(value) else float(value))
-    parts = [_value(one) for one in value]
-    if all(isinstance(one, int | float) for one in value):
-        return f"[{', '.join(parts)}]"
-    return "[\n" + "".join(f"    {part},\n" for part in parts) + "]"
+def _toml(value: Any) -> str:
+    """Numbers, printable text and lists as TOML, which has those of JSON; a row a line."""
+    value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    if isinstance(value, list) and isinstance(value[0], list | str):
+        return "[\n" + "".join(f"    {_toml(one)},\n" for one in value) + "]"
+    return json.dumps(value, ensure_ascii=False)

@@ -13,7 +13,7 @@ from sparseskin.messages import SkinState, Taxels, Truth
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context, Tick
-from sparseskin.nodes.sensor.calibration.response import SkinFileError
+from sparseskin.nodes.sensor.calibration.description import SkinFileError
 from sparseskin.nodes.sensor.calibration.skin_file import load_skin, save_skin
 from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.sensor.scenes.scenes import SKIN

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from sparseskin.nodes.sensor.calibration.chain import Chain
-from sparseskin.nodes.sensor.calibration.description import SkinDescription
-from sparseskin.nodes.sensor.calibration.response import Response
+from sparseskin.nodes.sensor.calibration.description import Response, SkinDescription
 from sparseskin.nodes.sensor.saturation import Clipped
 
 SHAPE = (3, 4)
@@ -48,7 +47,8 @@ def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count_and_forgets_the
     chain = Chain(skin())
     run(chain, -0.02, 10)
     assert chain.drift.value.any()
-    line = chain.tare([np.full(SHAPE, 7.0)] * 20 + [np.full(SHAPE, 900.0)] * 9)
+    chain.tare([np.full(SHAPE, 7.0)] * 20 + [np.full(SHAPE, 900.0)] * 9)
+    line = chain.state()["tared"]
     assert line.startswith("forces changed by at most 7 N, of 12 taxels by more than 5 %")
     assert not chain.drift.value.any()
     assert (chain.apply(np.full(SHAPE, 9.0), 0) == 2.0).all()

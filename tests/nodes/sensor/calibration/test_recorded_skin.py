@@ -17,8 +17,7 @@ from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.recorder.bag.frames import last_states
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.node import Recorder
-from sparseskin.nodes.sensor.calibration.description import SkinDescription, of_messages
-from sparseskin.nodes.sensor.calibration.response import Response
+from sparseskin.nodes.sensor.calibration.description import Response, SkinDescription, of_messages
 from sparseskin.nodes.sensor.calibration.skin_file import load_skin, save_skin
 from sparseskin.nodes.sensor.node import Sensor
 

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from sparseskin.nodes.files import OutputError
-from sparseskin.nodes.sensor.calibration.description import SkinDescription
-from sparseskin.nodes.sensor.calibration.response import Response, SkinFileError
+from sparseskin.nodes.sensor.calibration.description import Response, SkinDescription, SkinFileError
 from sparseskin.nodes.sensor.calibration.skin_file import (
     MAX_FILE_CHARS,
     MAX_INLINE,
@@ -152,18 +151,21 @@ def test_no_file_is_written_over(tmp_path: Path) -> None:
         (HEAD + f"[response]\nforce = {list(range(1, 34))}\nreading = [1]", "33 knots; allowed"),
         (HEAD + "[response]\nreading = [[[1]]]\nforce = [1]", "expected K numbers, or K grids of"),
         (HEAD + "response = 3", "response: expected a table"),
-        (HEAD + "[response]\nreading = [1]\nforce = [1e31]", "response.force: at most 1e+30"),
-        ("rows = true\ncols = 3\nf_max = 1", "rows: expected a whole number in 1..4096, got True"),
-        ("rows = 4097\ncols = 3\nf_max = 1", "rows: expected a whole number in 1..4096, got 4097"),
+        (
+            HEAD + "[response]\nreading = [1]\nforce = [1e31]",
+            "response.force: must be above 0,",
+        ),
+        ("rows = true\ncols = 3\nf_max = 1", "rows: expected a whole number, got bool"),
+        ("rows = 4097\ncols = 3\nf_max = 1", "rows: 4097 is outside 1..4096"),
         ("rows = 4096\ncols = 4096\nf_max = 1", "4096 x 4096 cells; at most"),
-        ("rows = 2\ncols = 3\nf_max = nan", "f_max: expected a number"),
-        ("rows = 2\ncols = 3\nf_max = 0", "f_max: expected a number"),
-        (HEAD + "noise = 3", "noise: expected a number in 0..2.5"),
+        ("rows = 2\ncols = 3\nf_max = nan", "f_max: nan is not a finite number"),
+        ("rows = 2\ncols = 3\nf_max = 0", "f_max: 0.0 is outside 1e-09..1e+30"),
+        (HEAD + "noise = 3", "noise: 3.0 is outside 0.0..2.5"),
         (HEAD + "noise_mid = 1", "noise_mid: is stated without noise"),
-        (HEAD + "f_min = 1", "f_min: expected a number in -2.5..0, got 1"),
-        (HEAD + "unit = ''", "unit: expected a printable text"),
-        (HEAD + 'name = "a\\u001b[2J"', "name: expected a printable text"),
-        (HEAD + f"name = '{'x' * 65}'", "name: 65 characters; at most 64"),
+        (HEAD + "f_min = 1", "f_min: 1.0 is outside -2.5..0.0"),
+        (HEAD + "unit = ''", "unit: expected 1..32 printable"),
+        (HEAD + 'name = "a\\u001b[2J"', "name: expected 1..64 printable"),
+        (HEAD + f"name = '{'x' * 65}'", "name: expected 1..64 printable"),
         (HEAD + "mask = ['111']", "mask: expected 2 texts of 3 characters 0 and 1"),
         (HEAD + "mask = ['111', '11']", "mask: expected 3 characters 0 and 1 in each row"),
         (HEAD + "mask = ['111', '112']", "mask: expected 2 texts of 3 characters 0 and 1"),
