@@ -19,7 +19,7 @@ from .calibration.drift import DRIFT_RATE
 from .calibration.skin_file import load_skin
 from .noise import NoiseModel
 from .points import point_skins
-from .saturation import Clipped, clipped_text
+from .saturation import clipped_text
 from .settings import SensorSettings
 from .source import DEFAULT_RATE_HZ, Skin
 
@@ -59,14 +59,10 @@ class Sensor(SourceNode[SensorSettings]):
             self.close({})
             raise
         self.skin = self._stage.skin if self._stage else self._source_skin
-        if self._placement is not None:  # a calibration does not know them
-            rows = self._placement.point_rows(self.skin.exists)
-            self.skin = replace(self.skin, point_rows=rows)
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
         self._arrived_ns = -1
-        self.rate_hz = self._chosen_rate()
-        self._source.period_s = 1 / (self.rate_hz or DEFAULT_RATE_HZ)
+        self._set_pace()
         self._next: _Frame | None = None
         self._n_frames = self._n_logged = self._logged_ns = 0
         if not self._source.is_live:
@@ -108,8 +104,7 @@ class Sensor(SourceNode[SensorSettings]):
         if self._next is not None and self._next[1] is not None:
             self._next = self._measured(self._next[1])  # it was computed with the noise before
         if new_pace:
-            self.rate_hz = self._chosen_rate()
-            self._source.period_s = 1 / (self.rate_hz or DEFAULT_RATE_HZ)
+            self._set_pace()
             self.begin(self.context.clock.now_ns())
         if self._stage is not None:
             self._stage.drift.rate = self._drift_rate()
@@ -121,22 +116,21 @@ class Sensor(SourceNode[SensorSettings]):
         return super().follows_readers and not self._source.arrives
 
     def _describe(self) -> SkinState:
-        skin, has_truth = self.skin, self._source.delivers == "truth"
-        sigmas = (self._noise.sigma_mid, self._noise.sigma_end) if has_truth else (0.0, 0.0)
+        has_truth = self._source.delivers == "truth"
+        sigmas = (self._noise.sigma_mid, self._noise.sigma_end) if has_truth else None
         if self._stage is not None:
-            found = self._stage.description
-            noise = found.noise or 0.0
-            sigmas = (noise if found.noise_mid is None else found.noise_mid), noise
+            sigmas = self._stage.description.sigmas
+        sigma_mid, sigma_end = sigmas or (0.0, 0.0)
         return SkinState(
             stamp_ns=self.context.clock.now_ns(),
             patch=self.settings.patch,
-            **vars(skin),
+            **vars(self.skin),
             source=self._source.name,
             seed=self.settings.seed,
             rate_hz=self.rate_hz,
             has_truth=has_truth,
-            sigma_mid=sigmas[0],
-            sigma_end=sigmas[1],
+            sigma_mid=sigma_mid,
+            sigma_end=sigma_end,
             f_min=self._f_min,
         )
 
@@ -196,40 +190,39 @@ class Sensor(SourceNode[SensorSettings]):
         self._source.close()
 
     def report(self) -> dict[str, Any]:
-        clipped = self._clipped.report(self._f_min, self.skin.f_max, self.skin.unit)
-        return {**clipped, **self._source.report()}
+        return {**self._clipped(), **self._source.report()}
 
     @property
     def _f_min(self) -> float:
         """Lower end of the range."""
         return self._stage.description.f_min if self._stage is not None else 0.0
 
-    @property
-    def _clipped(self) -> Clipped:
-        """Readings that were clipped to the range."""
-        return self._source.clipped if self._stage is None else self._stage.clipped
+    def _clipped(self) -> dict[str, Any]:
+        """Counts of the readings that were clipped to the range."""
+        clipped = (self._stage or self._source).clipped
+        return clipped.report(self._f_min, self.skin.f_max, self.skin.unit)
 
     def _watch_range(self) -> None:
         """Log clipped readings at first, then when their number has doubled, `LOG_S` apart at
         least: a wrong sign, unit or range.
         """
-        clipped = self._clipped
-        if clipped.n <= 2 * self._n_logged:
+        clipped = self._clipped()
+        if clipped["clipped"] <= 2 * self._n_logged:
             return
         now_ns = self.context.clock.now_ns()
         if not self._n_logged or now_ns - self._logged_ns >= LOG_S * 1_000_000_000:
-            self._n_logged, self._logged_ns = clipped.n, now_ns
-            skin = self.skin
-            self.context.log(clipped_text(clipped.report(self._f_min, skin.f_max, skin.unit)))
+            self._n_logged, self._logged_ns = clipped["clipped"], now_ns
+            self.context.log(clipped_text(clipped))
 
     def _chosen_noise(self) -> NoiseModel:
         if self._source.sigmas is None:
             return NoiseModel.for_range(self.skin.f_max, self.settings.noise)
         return NoiseModel(self.skin.f_max, *(self.settings.noise * s for s in self._source.sigmas))
 
-    def _chosen_rate(self) -> float:
+    def _set_pace(self) -> None:
         stated = self.settings.rate_hz
-        return self._source.pace_hz if stated is None else stated
+        self.rate_hz = self._source.pace_hz if stated is None else stated
+        self._source.period_s = 1 / (self.rate_hz or DEFAULT_RATE_HZ)
 
     def _prepare(self) -> None:
         """Compute the next frame, or note that there is none."""
@@ -284,7 +277,7 @@ class Sensor(SourceNode[SensorSettings]):
         if source.delivers == "truth":
             raise SourceError(f"{where}: {source.name} delivers true forces, which need none")
         described = self._described or of_skin(source.name, self._source_skin)
-        described = described.on(self._source_skin, where)
+        described = replace(described.on(self._source_skin, where), placement=self._placement)
         if s.f_min is not None:
             described = replace(described, f_min=max(s.f_min, -described.f_max))
         self._drifts = described.changes_readings or s.tare > 0

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import re
-import symtable
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 from sparseskin.nodes.errors import SourceError
@@ -102,15 +99,10 @@ class DriverAddress(Address):
 
 
 def check_module(target: str) -> None:
-    """Check that the module of a driver exists and that its source names the callable, without
-    importing it; the packages that it is in are imported.
-
-    Raises
-    ------
-    SourceError
-        If it does not.
+    """Raise SourceError unless the module of a driver exists. It is not imported; the packages that
+    it is in are.
     """
-    module, _, attribute = target.partition(":")
+    module = target.partition(":")[0]
     package = module.rpartition(".")[0]
     note_import(package)
     here = search_here(module)
@@ -126,28 +118,6 @@ def check_module(target: str) -> None:
     if found is None:
         hint = suggestion(module, kinds()) if len(module) < 8 else ""
         raise SourceError(f"{target}: there is no module {module!r}, installed or in {here}{hint}")
-    names = _names_of(Path(found.origin)) if found.origin else None
-    if names is not None and attribute.partition(".")[0] not in names:
-        hint = suggestion(attribute, names) or "; allowed: a callable of that module"
-        raise SourceError(f"{target}: {module} has no {attribute!r}{hint}")
-
-
-def _names_of(path: Path) -> set[str] | None:
-    """Names that the source of a module binds; None where it cannot be read, or binds more than its
-    statements show.
-    """
-    if path.name == "__init__.py":
-        return None  # its modules are names of it, too
-    try:
-        table = symtable.symtable(path.read_bytes(), str(path), "exec")  # type: ignore[arg-type]
-        source = path.read_text(encoding="utf-8")
-    except (OSError, ValueError, SyntaxError):
-        return None
-    if re.search(r"import +\*|__getattr__|global|vars\(|setattr|exec\(|__dict__|modules", source):
-        return None
-    return {
-        name.get_name() for name in table.get_symbols() if name.is_assigned() or name.is_imported()
-    }
 
 
 def open_source(source: str, **stated: Any) -> Source:

@@ -224,12 +224,19 @@ class SkinDescription:
     @property
     def skin(self) -> Skin:
         """Geometry and range, as messages carry them."""
-        mask = None if self.mask is None or self.mask.all() else self.mask
+        exists = np.ones(self.shape, np.bool_) if self.mask is None else self.mask
+        mask = None if exists.all() else exists
         pitch_m = None if self.pitch_mm is None else self.pitch_mm / 1000.0
-        points = self.points
-        if points is not None:
-            points = points[np.ones(self.shape, np.bool_) if mask is None else mask]
-        return Skin(self.rows, self.cols, self.f_max, self.unit, pitch_m, mask, points)
+        points = None if self.points is None else self.points[exists]
+        rows = None if self.placement is None else self.placement.point_rows(exists)
+        return Skin(*self.shape, self.f_max, self.unit, pitch_m, mask, points, rows)
+
+    @property
+    def sigmas(self) -> tuple[float, float] | None:
+        """Noise of a taxel at half the range, and untouched, in `unit`; None: not known."""
+        if self.noise is None:
+            return None
+        return (self.noise if self.noise_mid is None else self.noise_mid), self.noise
 
     @property
     def changes_readings(self) -> bool:

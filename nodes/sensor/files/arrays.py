@@ -22,7 +22,7 @@ from sparseskin.nodes.numerics.array_files import (
     read_npy,
     read_npz,
 )
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Mask
 
 from .recording import (
     Head,
@@ -32,68 +32,35 @@ from .recording import (
     Recording,
     check_grid,
     is_missing,
-    is_number,
-    parse_frame,
     parse_number,
+    parse_reading,
     shown,
     stack_frames,
 )
 
 _MOST = 64
 """Arrays of an .npz without `forces` whose shapes are looked at."""
-NPZ_NAMES = (
-    "forces",
-    "stamp_ns",
-    "rate_hz",
-    "mask",
-    "f_max",
-    "unit",
-    "pitch_m",
-    "points",
-    "point_rows",
-)
+FORCES = "forces"
+NUMBERS = ("rate_hz", "f_max", "pitch_m")
+NPZ_NAMES = (FORCES, "stamp_ns", *NUMBERS, "mask", "unit", "points", "point_rows")
 """Names of the arrays that are read from an .npz; all others are ignored."""
 
 
-class NpyRecording(Recording):
-    """One array of shape (n_frames, n_rows, n_cols), any integer or float dtype.
+class ArrayRecording(Recording):
+    """One array, or an archive of arrays.
+
+    An archive holds `forces`, shape (n_frames, n_rows, n_cols), of any integer or float dtype, or
+    one 3-D array of any name, and optionally `stamp_ns`, shape (n_frames,), rising integers;
+    `rate_hz`, `f_max` and `pitch_m`, one number each; `unit`, a text; `mask`, shape (n_rows,
+    n_cols), True or 1 where a taxel exists; `points`, float32 of shape (n_taxels, 6): place in
+    metres and unit normal of each taxel of a skin that is no flat grid; `point_rows`, int32 of
+    shape (n_taxels,): their rows in a file of points. Values of cells without a taxel are ignored,
+    and become 0.
 
     Raises
     ------
     SourceError
-        If the file is no .npy or holds anything else.
-    """
-
-    def __init__(self, file: IO[bytes], name: str) -> None:
-        self._file, self._name = file, name
-
-    def head(self) -> Head:
-        with _refusing(self._name):
-            _, n_rows, n_cols = checked_shape(npy_shape(self._file), self._name)
-        return Head(n_rows, n_cols, n_rows * n_cols)
-
-    def read(self) -> Parsed:
-        raw = _whole(self._file)
-        if is_npz(raw):
-            raise SourceError(f"{self._name}: holds an archive of arrays; name it .npz")
-        with _refusing(self._name):
-            return Parsed(forces=_as_frames(read_npy(raw), self._name))
-
-
-class NpzRecording(Recording):
-    """An archive of arrays.
-
-    It holds `forces`, shape (n_frames, n_rows, n_cols), or one 3-D array of any name, and
-    optionally `stamp_ns`, shape (n_frames,), rising integers; `rate_hz`, `f_max` and `pitch_m`,
-    one number each; `unit`, a text; `mask`, shape (n_rows, n_cols), True or 1 where a taxel
-    exists; `points`, float32 of shape (n_taxels, 6): place in metres and unit normal of each taxel
-    of a skin that is no flat grid; `point_rows`, whole numbers of shape (n_taxels,): their rows in
-    a file of points. Values of cells without a taxel are ignored, and become 0.
-
-    Raises
-    ------
-    SourceError
-        If the file is no .npz, or one of these arrays is not as described.
+        If the file is no such one, or one of these arrays is not as described.
     """
 
     def __init__(self, file: IO[bytes], name: str) -> None:
@@ -102,85 +69,49 @@ class NpzRecording(Recording):
     def head(self) -> Head:
         file, name = self._file, self._name
         with _refusing(name):
-            shapes = npz_shapes(file, lambda held: ["forces"] if "forces" in held else held[:_MOST])
-            found = forces_name({key: len(one) for key, one in shapes.items()}, name)
-            _, n_rows, n_cols = checked_shape(shapes[found], f"{name}, array {shown(found)}")
-            if not npz_shapes(file, lambda held: ["mask"] if "mask" in held else []):
+            archive = is_npz(file.read(8))
+            file.seek(0)
+            if not archive:
+                _, n_rows, n_cols = _checked_shape(npy_shape(file), name)
                 return Head(n_rows, n_cols, n_rows * n_cols)
+            shapes = npz_shapes(file, lambda held: [FORCES] if FORCES in held else held[:_MOST])
+            found = _forces_name({key: len(one) for key, one in shapes.items()}, name)
+            _, n_rows, n_cols = _checked_shape(shapes[found], f"{name}, array {shown(found)}")
             most_bytes = 8 * MAX_ELEMENTS + MAX_HEAD_BYTES
-            mask = read_npz(file, lambda _: ["mask"], most_bytes)["mask"]
-        return Head(n_rows, n_cols, int(_mask(mask, (n_rows, n_cols), name).sum()))
+            held = read_npz(file, lambda held: ["mask"] if "mask" in held else [], most_bytes)
+        mask = _mask(held, (n_rows, n_cols), name)
+        return Head(n_rows, n_cols, n_rows * n_cols if mask is None else int(mask.sum()))
 
     def read(self) -> Parsed:
-        raw = _whole(self._file)
-        with _refusing(self._name):
+        self._file.seek(0)
+        raw, name = self._file.read(), self._name
+        with _refusing(name):
             if not is_npz(raw):
-                read_npy(raw)
-                raise SourceError(f"{self._name}: holds a single array; name it .npy")
+                return Parsed(forces=_as_frames(read_npy(raw), name))
             arrays = read_npz(
-                raw, lambda held: [key for key in held if "forces" not in held or key in NPZ_NAMES]
+                raw, lambda held: [key for key in held if FORCES not in held or key in NPZ_NAMES]
             )
-        return parsed_arrays(arrays, self._name)
-
-
-def parsed_arrays(arrays: Mapping[str, npt.NDArray[Any]], name: str) -> Parsed:
-    """A recording of arrays as in `NpzRecording`, of any container; raises as it does."""
-    found = forces_name({key: array.ndim for key, array in arrays.items()}, name)
-    forces = _as_frames(arrays[found], f"{name}, array {shown(found)}")
-    mask = _mask(arrays["mask"], forces.shape[1:], name) if "mask" in arrays else None
-    if mask is not None:
-        forces = np.where(mask, forces, forces.dtype.type(0))
-    points = point_rows = None
-    if "points" in arrays:
-        exists = np.ones(forces.shape[1:], dtype=np.bool_) if mask is None else mask
-        points = _points(arrays["points"], exists, f"{name}, array 'points'")
-        if "point_rows" in arrays:
-            point_rows = _point_rows(arrays["point_rows"], exists, f"{name}, array 'point_rows'")
-    unit = None
-    if "unit" in arrays:
-        if arrays["unit"].shape != () or arrays["unit"].dtype.kind != "U":
+        found = _forces_name({key: array.ndim for key, array in arrays.items()}, name)
+        forces = _as_frames(arrays[found], f"{name}, array {shown(found)}")
+        mask = _mask(arrays, forces.shape[1:], name)
+        if mask is not None:
+            forces = np.where(mask, forces, forces.dtype.type(0))
+        unit = arrays.get("unit")
+        if unit is not None and (unit.shape != () or unit.dtype.kind != "U"):
             raise SourceError(f"{name}, array 'unit': expected one text, e.g. np.array('N')")
-        unit = str(arrays["unit"])
-    stamp_ns = None
-    if "stamp_ns" in arrays:
-        stamp_ns = _stamps(arrays["stamp_ns"], len(forces), f"{name}, array 'stamp_ns'")
-    return Parsed(
-        forces=forces,
-        unit=unit,
-        rate_hz=_scalar(arrays, "rate_hz", name),
-        stamp_ns=stamp_ns,
-        pitch_m=_scalar(arrays, "pitch_m", name),
-        mask=mask,
-        f_max=_scalar(arrays, "f_max", name),
-        points=points,
-        point_rows=point_rows,
-    )
-
-
-def _points(array: npt.NDArray[Any], exists: Mask, where: str) -> Floats:
-    """Places and normals on the grid, float32 (n_rows, n_cols, 6)."""
-    expected = (int(np.count_nonzero(exists)), 6)
-    if array.shape != expected or array.dtype != np.float32:
-        raise SourceError(
-            f"{where}: {array.dtype} of shape {array.shape}; expected float32 of {expected}"
+        stamps = arrays.get("stamp_ns")
+        numbers = {
+            key: _scalar(arrays[key], f"{name}, array '{key}'") for key in NUMBERS if key in arrays
+        }
+        return Parsed(
+            forces=forces,
+            unit=None if unit is None else str(unit),
+            stamp_ns=None if stamps is None else _stamps(stamps, len(forces), name),
+            mask=mask,
+            points=arrays.get("points"),
+            point_rows=arrays.get("point_rows"),
+            **numbers,
         )
-    found = np.zeros((*exists.shape, 6), dtype=np.float32)
-    found[exists] = array
-    return found
-
-
-def _point_rows(array: npt.NDArray[Any], exists: Mask, where: str) -> npt.NDArray[np.int32]:
-    """Rows of the points on the grid, int32 (n_rows, n_cols)."""
-    n = int(np.count_nonzero(exists))
-    if array.dtype.kind not in "iu" or array.shape != (n,):
-        raise SourceError(
-            f"{where}: {array.dtype} of shape {array.shape}; expected whole numbers of ({n},)"
-        )
-    if not ((array >= 0) & (array <= np.iinfo(np.int32).max)).all():
-        raise SourceError(f"{where}: numbers outside 0..{np.iinfo(np.int32).max}")
-    found = np.full(exists.shape, -1, dtype=np.int32)
-    found[exists] = array
-    return found
 
 
 class PlainCsvRecording(Recording):
@@ -204,16 +135,23 @@ class PlainCsvRecording(Recording):
         tokens = self._next()
         if tokens is None:
             raise SourceError(f"{lines.name}: the recording holds no frame")
-        where = lines.where
-        if not (is_number(tokens[0]) or is_missing(tokens[0], policy)):
+        where, n_cells = lines.where, len(tokens)
+        try:
+            float(tokens[0])
+        except ValueError:
+            if not is_missing(tokens[0], policy):
+                raise SourceError(
+                    f"{where}: {shown(tokens[0])} is not a number; allowed: an export of Tekscan "
+                    f"or XSENSOR, or numbers with one frame a line{_vendor(','.join(tokens))}"
+                ) from None
+        if not (n_rows or n_cols):
             raise SourceError(
-                f"{where}: {shown(tokens[0])} is not a number; allowed: an export of Tekscan or "
-                f"XSENSOR, or numbers with one frame a line{_vendor(','.join(tokens))}"
+                f"{where}: a .csv of numbers does not state its shape; set n_rows and n_cols "
+                f"(this line holds {n_cells} cells)"
             )
-        if n_rows is None or n_cols is None:
-            n_rows, n_cols = _stated_shape(len(tokens), n_rows, n_cols, where)
-        check_grid(n_rows, n_cols, lines.name)
-        self._shape = n_rows, n_cols
+        n_rows = n_rows or n_cells // (n_cols or 1)
+        self._shape = n_rows, n_cols or n_cells // n_rows
+        check_grid(*self._shape, lines.name)
         self._first = self._frame(tokens)
 
     def head(self) -> Head:
@@ -239,7 +177,11 @@ class PlainCsvRecording(Recording):
                 f"{where}: holds {len(tokens)} cells, but n_rows x n_cols = "
                 f"{n_rows} x {n_cols} needs {n_rows * n_cols}"
             )
-        return parse_frame(tokens, where, self._shape, self._policy)
+        readings = [
+            parse_reading(token, where, *divmod(k, n_cols), self._policy)
+            for k, token in enumerate(tokens)
+        ]
+        return np.array(readings).reshape(self._shape)
 
 
 def _vendor(line: str) -> str:
@@ -253,22 +195,6 @@ def _vendor(line: str) -> str:
     return ""
 
 
-def _stated_shape(
-    n_cells: int, n_rows: int | None, n_cols: int | None, where: str
-) -> tuple[int, int]:
-    stated = n_rows or n_cols
-    if stated is None:
-        raise SourceError(
-            f"{where}: a .csv of numbers does not state its shape; set n_rows and n_cols "
-            f"(this line holds {n_cells} cells)"
-        )
-    what = "n_rows" if n_rows else "n_cols"
-    if n_cells % stated:
-        raise SourceError(f"{where}: {n_cells} cells cannot be divided by {what} = {stated}")
-    other = n_cells // stated
-    return (stated, other) if n_rows else (other, stated)
-
-
 @contextmanager
 def _refusing(name: str) -> Iterator[None]:
     try:
@@ -277,12 +203,12 @@ def _refusing(name: str) -> Iterator[None]:
         raise SourceError(f"{name}: {error}") from error
 
 
-def forces_name(dimensions: Mapping[str, int], name: str) -> str:
+def _forces_name(dimensions: Mapping[str, int], name: str) -> str:
     """The array that holds the frames, by the number of dimensions of each; SourceError if it is
     not `forces`, nor the only one of three dimensions.
     """
-    if "forces" in dimensions:
-        return "forces"
+    if FORCES in dimensions:
+        return FORCES
     candidates = [key for key, n in dimensions.items() if n == 3]
     if len(candidates) == 1:
         return candidates[0]
@@ -297,11 +223,11 @@ def _as_frames(array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
         raise SourceError(
             f"{where}: dtype {shown(array.dtype)}; allowed are integers and floating point"
         )
-    checked_shape(array.shape, where)
+    _checked_shape(array.shape, where)
     return array
 
 
-def checked_shape(shape: tuple[int, ...], where: str) -> tuple[int, ...]:
+def _checked_shape(shape: tuple[int, ...], where: str) -> tuple[int, ...]:
     """The shape of frames; SourceError unless it has three dimensions."""
     if len(shape) != 3:
         raise SourceError(
@@ -311,14 +237,10 @@ def checked_shape(shape: tuple[int, ...], where: str) -> tuple[int, ...]:
     return shape
 
 
-def _whole(file: IO[bytes]) -> bytes:
-    """All bytes of a file of which some have been read."""
-    file.seek(0)
-    return file.read()
-
-
-def _mask(array: npt.NDArray[Any], shape: tuple[int, ...], name: str) -> Mask:
-    where = f"{name}, array 'mask'"
+def _mask(arrays: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...], name: str) -> Mask | None:
+    array, where = arrays.get("mask"), f"{name}, array 'mask'"
+    if array is None:
+        return None
     if array.dtype.kind not in "biu" or not np.isin(array, (0, 1)).all():
         raise SourceError(f"{where}: expected bool (True where a taxel exists), or 0 and 1")
     if array.shape != shape:
@@ -326,7 +248,8 @@ def _mask(array: npt.NDArray[Any], shape: tuple[int, ...], name: str) -> Mask:
     return array.astype(np.bool_)
 
 
-def _stamps(array: npt.NDArray[Any], n_frames: int, where: str) -> tuple[int, ...]:
+def _stamps(array: npt.NDArray[Any], n_frames: int, name: str) -> tuple[int, ...]:
+    where = f"{name}, array 'stamp_ns'"
     if array.dtype.kind not in "iu":
         raise SourceError(f"{where}: dtype {shown(array.dtype)}; expected whole nanoseconds")
     if array.shape != (n_frames,):
@@ -341,13 +264,10 @@ def _stamps(array: npt.NDArray[Any], n_frames: int, where: str) -> tuple[int, ..
     return tuple(stamp - stamps[0] for stamp in stamps)
 
 
-def _scalar(arrays: Mapping[str, npt.NDArray[Any]], key: str, name: str) -> float | None:
-    if key not in arrays:
-        return None
-    array = arrays[key]
+def _scalar(array: npt.NDArray[Any], where: str) -> float:
     if array.size != 1 or array.dtype.kind not in "iuf":
-        raise SourceError(f"{name}, array '{key}': expected one number")
-    value = parse_number(str(array.reshape(())[()]), f"{name}, array '{key}'")
+        raise SourceError(f"{where}: expected one number")
+    value = parse_number(str(array.reshape(())[()]), where)
     if value <= 0:
-        raise SourceError(f"{name}, array '{key}': {value:g} must be above 0")
+        raise SourceError(f"{where}: {value:g} must be above 0")
     return value

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -139,9 +138,9 @@ def open_file(
     check_number(name, "f_max", f_max)
     check_number(name, "rate_hz", rate_hz, high=_MAX_RATE_HZ)
     check_unit(name, unit)
-    policy.check(name)
     with reading(name) as file:
         parsed = recording_of(File(file, name, n_rows, n_cols, policy)).read()
+    stated_mask = parsed.mask
     parsed, treated = treat(parsed, policy)
     n_frames, rows, cols = parsed.forces.shape
     if n_frames == 0:
@@ -152,25 +151,24 @@ def open_file(
     check_stated_shape(rows, cols, n_rows, n_cols, name)
     keeps = policy.negative == KEEP
     check_readings(parsed.forces, name, -MAX_READING if keeps else 0.0)
-    mask = parsed.mask
-    if mask is not None and not mask.any():
+    if parsed.mask is not None and not parsed.mask.any():
         raise SourceError(f"{name}: no cell of the skin is a taxel, all are masked")
     frames = parsed.forces.astype(np.float32)
-    skin = Skin(
-        n_rows=rows,
-        n_cols=cols,
-        f_max=_range(frames, f_max if f_max is not None else parsed.f_max, name, keeps),
-        unit=_unit(unit or ("raw" if keeps and parsed.unit is None else None), parsed, name),
-        pitch_m=parsed.pitch_m,
-        mask=None if mask is None or mask.all() else mask,
-    )
-    if parsed.points is not None:
-        rows_of = parsed.point_rows
-        point_rows = None if rows_of is None else rows_of[skin.exists]
-        try:
-            skin = replace(skin, points=parsed.points[skin.exists], point_rows=point_rows)
-        except MessageError as error:
-            raise SourceError(f"{name}, array 'points': {error}") from error
+    try:
+        skin = Skin(
+            n_rows=rows,
+            n_cols=cols,
+            f_max=_range(frames, f_max if f_max is not None else parsed.f_max, name, keeps),
+            unit=_unit(unit or ("raw" if keeps and parsed.unit is None else None), parsed, name),
+            pitch_m=parsed.pitch_m,
+            mask=None if stated_mask is None or stated_mask.all() else stated_mask,
+            points=parsed.points,
+            point_rows=None if parsed.points is None else parsed.point_rows,
+        )
+    except MessageError as error:
+        raise SourceError(f"{name}: {error}") from error
+    if treated.masked_taxels and parsed.mask is not None:
+        skin = skin.without(~parsed.mask)
     return RecordedSource(
         Path(name).stem,
         skin,
@@ -207,30 +205,14 @@ def n_taxels(
         If the file cannot be read, its begin is malformed, its shape is not allowed or not the
         one that is stated, or it is a .csv with no unit, stated or its own.
     """
-    policy.check(path)
-    with reading(path) as file:
-        found = os.fstat(file.fileno())
-    n = _n_taxels(path, n_rows, n_cols, unit, policy, (found.st_mtime_ns, found.st_size))
-    return None if policy.masks else n
-
-
-@lru_cache(maxsize=8)
-def _n_taxels(
-    path: str,
-    n_rows: int | None,
-    n_cols: int | None,
-    unit: str | None,
-    policy: Policy,
-    _of: tuple[int, int],
-) -> int | None:
-    """As above, of one state of the file."""
     with reading(path) as file:
         head = recording_of(File(file, path, n_rows, n_cols, policy)).head()
     check_grid(head.n_rows, head.n_cols, path)
     check_stated_shape(head.n_rows, head.n_cols, n_rows, n_cols, path)
     if unit is None and head.unit is None and Path(path).suffix.lower() == ".csv":
         raise SourceError(path + NO_UNIT)
-    return head.n_taxels or None  # no taxel: refused as it is read
+    # No taxel: refused as it is read.
+    return None if policy.masks else head.n_taxels or None
 
 
 def _range(frames: Floats, stated: float | None, name: str, keeps: bool) -> float:

@@ -11,7 +11,7 @@ from typing import IO
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import FILES, failures, loaded
 
-from .arrays import NpyRecording, NpzRecording, PlainCsvRecording
+from .arrays import ArrayRecording, PlainCsvRecording
 from .recording import Lines, Policy, Recording, shown
 
 HEAD_BYTES = 1 << 16
@@ -60,10 +60,12 @@ OWN = (
         {".csv": "numbers with one frame a line"},
         lambda f: PlainCsvRecording(f.lines, f.n_rows, f.n_cols, f.policy),
     ),
-    Format({".npy": "array (frames, rows, columns)"}, lambda f: NpyRecording(f.file, f.name)),
     Format(
-        {".npz": "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted"},
-        lambda f: NpzRecording(f.file, f.name),
+        {
+            ".npy": "array (frames, rows, columns)",
+            ".npz": "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted",
+        },
+        lambda f: ArrayRecording(f.file, f.name),
     ),
 )
 """Formats of the core."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
 from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Mask
 
 MAX_READING = 1e30
 """Largest reading, chosen: float32 holds it, and the sum of a frame of such readings."""
@@ -46,14 +46,6 @@ class Policy:
 
     nan: str = REFUSE
     negative: str = REFUSE
-
-    def check(self, name: str) -> None:
-        """Raise SourceError if a way is not known; `name` is the file, for the error."""
-        for key, ways in (("nan", NAN_WAYS), ("negative", (*NEGATIVE_WAYS, KEEP))):
-            if getattr(self, key) not in ways:
-                raise SourceError(
-                    f"{name}: {key} = {shown(getattr(self, key))}; allowed are {', '.join(ways)}"
-                )
 
     @property
     def masks(self) -> bool:
@@ -84,10 +76,10 @@ class Parsed:
         True where a taxel exists.
     f_max : float or None
         Upper end of the range, in `unit`.
-    points : ndarray of float32, shape (n_rows, n_cols, 6), or None
-        Place in metres and unit normal of each taxel; of cells without one, anything.
-    point_rows : ndarray of int32, shape (n_rows, n_cols), or None
-        Row of each taxel in a file of points; of cells without one, anything.
+    points : ndarray of float32, shape (n_taxels, 6), or None
+        Place in metres and unit normal of each taxel.
+    point_rows : ndarray of int32, shape (n_taxels,), or None
+        Row of each taxel in a file of points.
     """
 
     forces: npt.NDArray[Any]
@@ -97,8 +89,8 @@ class Parsed:
     pitch_m: float | None = None
     mask: Mask | None = None
     f_max: float | None = None
-    points: Floats | None = None
-    point_rows: npt.NDArray[np.int32] | None = None
+    points: npt.NDArray[Any] | None = None
+    point_rows: npt.NDArray[Any] | None = None
 
 
 class Head(NamedTuple):
@@ -228,15 +220,6 @@ def parse_number(token: str, where: str, low: float = -math.inf, high: float = m
     return value
 
 
-def is_number(token: str) -> bool:
-    """True if a text is a number, finite or not."""
-    try:
-        float(token)
-    except ValueError:
-        return False
-    return True
-
-
 def is_missing(token: str, policy: Policy) -> bool:
     """True if a cell is empty or not a finite number, and that is not refused."""
     return policy.nan != REFUSE and token.strip().lower() in _MISSING
@@ -257,10 +240,8 @@ def parse_reading(
     if value < 0 and (policy is None or policy.negative == REFUSE):
         hint = "" if policy is None else NEGATIVE_HINT
         raise SourceError(f"{where}: {shown(token)} is below 0; a range starts at 0{hint}")
-    if value < -MAX_READING:
-        raise SourceError(f"{where}: {shown(token)} is below {-MAX_READING:g}")
-    if value > MAX_READING:
-        raise SourceError(f"{where}: {shown(token)} is above {MAX_READING:g}")
+    if abs(value) > MAX_READING:
+        raise SourceError(f"{where}: {shown(token)} is beyond {MAX_READING:g}")
     return value
 
 
@@ -280,11 +261,10 @@ def parse_mask(rows: Any, shape: tuple[int, int], where: str) -> Mask:
     shape.
     """
     n_rows, n_cols = shape
+    row_of = re.compile(f"[01]{{{n_cols}}}")
     texts = isinstance(rows, list) and all(isinstance(row, str) for row in rows)
-    if not (texts and len(rows) == n_rows and all(re.fullmatch("[01]*", row) for row in rows)):
+    if not (texts and len(rows) == n_rows and all(map(row_of.fullmatch, rows))):
         raise SourceError(f"{where}: expected {n_rows} texts of {n_cols} characters 0 and 1")
-    if any(len(row) != n_cols for row in rows):
-        raise SourceError(f"{where}: expected {n_cols} characters 0 and 1 in each row")
     return np.array([[cell == "1" for cell in row] for row in rows], dtype=np.bool_)
 
 
@@ -346,18 +326,6 @@ def check_readings(forces: npt.NDArray[Any], where: str, low: float = 0.0) -> No
             for frame, row, col in np.argwhere(bad)[:1]:
                 place = f"{where}: frame {first + frame}, row {row}, column {col}"
                 raise SourceError(f"{place}: {values[frame, row, col]:g} {what}")
-
-
-def parse_frame(
-    tokens: Sequence[str], where: str, shape: tuple[int, int], policy: Policy
-) -> Doubles:
-    """Read the cells of a frame, row after row, float64 of that shape; raises as `parse_reading`,
-    by whose policy.
-    """
-    readings = [
-        parse_reading(token, where, *divmod(k, shape[1]), policy) for k, token in enumerate(tokens)
-    ]
-    return np.array(readings).reshape(shape)
 
 
 def stack_frames(frames: list[npt.NDArray[Any]], where: str) -> Doubles:

@@ -18,7 +18,7 @@ from sparseskin.nodes.sensor.points import point_scenes, point_skins
 from sparseskin.nodes.sensor.source import Address, Listing, Source, about
 
 from .scenes import SCENES, check_scene, open_scene
-from .tiled import TILED, TiledScene, sigmas_of, skin_of
+from .tiled import TILED, TiledScene
 
 PITCH_MM = 5.0
 """Distance of taxels where none is stated, in mm: that of the paper's skin."""
@@ -72,7 +72,7 @@ class SceneAddress(Address):
 
     def n_taxels(self) -> int | None:
         if self.rest in TILED:
-            return skin_of(self._described()).n_taxels
+            return self._described().skin.n_taxels
         return self.open().skin.n_taxels
 
     def open(self) -> Source:
@@ -80,8 +80,8 @@ class SceneAddress(Address):
             self.check()
         if self.rest in TILED:
             described = self._described()
-            chosen = (skin_of(described), self.n_patches, self.active, self.seed)
-            return TiledScene(self.rest, *chosen, sigmas_of(described))
+            chosen = (described.skin, self.n_patches, self.active, self.seed, described.sigmas)
+            return TiledScene(self.rest, *chosen)
         for name in ("n_rows", "n_cols", "unit", "f_max"):
             value = getattr(self, name)
             if value is not None:

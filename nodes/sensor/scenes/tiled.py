@@ -29,7 +29,6 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.source import Source
 
 from .bodies import Body, build_sole, capsule, slab
@@ -63,19 +62,6 @@ class Tiling:
     moves: bool = False
     spread_s: float = 0.0
     alternate: bool = False
-
-
-def skin_of(described: SkinDescription) -> Skin:
-    """The skin of each patch: its grid, or the virtual grid of its points."""
-    if described.placement is not None:
-        return described.placement.skin(described.f_max, described.unit)
-    return described.skin
-
-
-def sigmas_of(described: SkinDescription) -> tuple[float, float] | None:
-    """Stated noise of its taxels, as of `Source`; None where none is stated."""
-    end, mid = described.noise, described.noise_mid
-    return None if end is None else (end if mid is None else mid, end)
 
 
 class TiledScene(Source):

@@ -76,11 +76,8 @@ def test_a_dry_run_names_the_modules_whose_code_it_ran(
     (tmp_path / "package_of_dry_run" / "__init__.py").touch()
     (tmp_path / "package_of_dry_run" / "driver.py").write_text("raise SystemExit\n")
     source = "package_of_dry_run.driver:frames"
-    assert main(["launch", "path_40", "--dry-run", "--set", f"sensor.source={source}"]) == 2
-    assert capsys.readouterr().err.splitlines() == [
-        "imported, and so run, to be checked: package_of_dry_run",
-        f"--set sensor.source={source}: {source}: package_of_dry_run.driver has no 'frames'; "
-        "allowed: a callable of that module",
-    ]
+    assert main(["launch", "path_40", "--dry-run", "--set", f"sensor.source={source}"]) == 0
+    note = "imported, and so run, to be checked: package_of_dry_run\n"
+    assert capsys.readouterr().err == note
     assert main(["launch", "path_40", "--dry-run"]) == 0
     assert capsys.readouterr().err == ""

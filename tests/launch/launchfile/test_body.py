@@ -122,9 +122,9 @@ def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds() 
 @pytest.mark.parametrize(
     ("before", "after", "line"),
     [
-        ("rows = 12", "rows = 0", "patches[2] (forearm): rows: expected a whole number in 1..4096"),
+        ("rows = 12", "rows = 0", "patches[2] (forearm): rows: 0 is outside 1..4096"),
         ("rows = 12\n", "", "patches[2] (forearm): rows: is missing"),
-        ('"111100"', '"1111"', "patches[2] (forearm): mask: expected 6 characters 0 and 1 in"),
+        ('"111100"', '"1111"', "patches[2] (forearm): mask: expected 12 texts of 6 characters"),
         ("noise =", "nose =", "patches[2].nose: unknown key (did you mean 'noise'?)"),
         ('"left_palm"', '"Left palm"', "patches[0].name: 'Left palm' is no name"),
         ('"left_palm"', '"sole"', "patches[3].name: 'sole' occurs twice"),
@@ -157,7 +157,7 @@ def test_all_faults_of_a_body_file_are_reported_at_once(body: Path) -> None:
     [
         (["skin.patches=0"], "--set skin.patches=0: 0 is outside 1..4096"),
         (["skin.patchs=3"], "unknown key (did you mean 'patches'?)"),
-        (["skin.rows=5000"], "--set skin.rows=5000: expected a whole number in 1..4096, got 5000"),
+        (["skin.rows=5000"], "--set skin.rows=5000: 5000 is outside 1..4096"),
         (["skin.batch=0"], "--set skin.batch=0: 0 is outside 1..256"),
         (["skin.patches=200", "skin.batch=2"], "301 nodes; at most 256 are allowed"),
         (["sensor.rate_hz=-1"], "--set sensor.rate_hz=-1: -1.0 is outside 0.0..100000.0"),

@@ -15,7 +15,7 @@ from sparseskin.launch.launchfile.graph_text import graph_text
 from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, load
 from sparseskin.launch.run.restarts import RestartPolicy
 from sparseskin.nodes.process.scheduling import Scheduling
-from sparseskin.nodes.sensor.files.arrays import NpyRecording
+from sparseskin.nodes.sensor.files.arrays import ArrayRecording
 
 SCENES = [
     *("lift_box_40", "lift_wrench_40", "drag_wrench_40"),
@@ -181,10 +181,6 @@ def own_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
                 f'{RECONSTRUCTOR}solver: solver "skin": phi "acts" reads other taxels each frame; '
                 "allowed: interpolation"
             ],
-        ),
-        (
-            ["sensor.source=driver_of_check:frame"],
-            ["{0}: driver_of_check:frame: driver_of_check has no 'frame' (did you mean 'frames'?)"],
         ),
     ],
 )
@@ -466,7 +462,7 @@ def test_begin_of_a_recording_is_read_and_no_more(tmp_path: Path) -> None:
     np.save(tmp_path / "long.npy", frames)
     rest = frames.nbytes
     with (tmp_path / "long.npy").open("rb") as file:
-        assert NpyRecording(file, "long.npy").head() == (6, 8, 48, None)
+        assert ArrayRecording(file, "long.npy").head() == (6, 8, 48, None)
         assert file.tell() < rest / 10
 
 

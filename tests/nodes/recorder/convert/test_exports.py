@@ -46,7 +46,7 @@ def test_an_npz_has_the_row_of_the_points_file_of_each_taxel(
         changed = {**arrays, "point_rows": arrays["point_rows"][:-1]}
     np.savez(path.with_name("c.npz"), **changed)
     n = len(state.point_rows)
-    line = f"array 'point_rows': int32 of shape ({n - 1},); expected whole numbers of ({n},)"
+    line = f"skin: point_rows are int32 [{n - 1}], expected int32 [{n}]"
     assert line in refusal(lambda: open_file(path.with_name("c.npz")))
 
 

@@ -167,7 +167,7 @@ def test_no_file_is_written_over(tmp_path: Path) -> None:
         (HEAD + 'name = "a\\u001b[2J"', "name: expected 1..64 printable"),
         (HEAD + f"name = '{'x' * 65}'", "name: expected 1..64 printable"),
         (HEAD + "mask = ['111']", "mask: expected 2 texts of 3 characters 0 and 1"),
-        (HEAD + "mask = ['111', '11']", "mask: expected 3 characters 0 and 1 in each row"),
+        (HEAD + "mask = ['111', '11']", "mask: expected 2 texts of 3 characters 0 and 1"),
         (HEAD + "mask = ['111', '112']", "mask: expected 2 texts of 3 characters 0 and 1"),
         (HEAD + "mask = ['000', '000']", "mask: leaves no taxel"),
         (HEAD + "baseline = [[1, 2, 3], [1, 2]]", "baseline: expected numbers, in lists of one"),

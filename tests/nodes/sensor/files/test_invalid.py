@@ -48,8 +48,6 @@ def test_invalid_readings_become_what_the_settings_say(
     [
         (Policy(), "frame 1, row 0, column 0: nan is not finite; or set nan to zero, hold or mask"),
         (Policy("zero"), "frame 1, row 0, column 1: -1 is below 0; a range starts at 0; or set"),
-        (Policy("nought"), "nan = 'nought'; allowed are refuse, zero, hold, mask"),
-        (Policy("zero", "hold"), "negative = 'hold'; allowed are refuse, zero, offset, mask"),
         (Policy("mask", "mask"), "no cell of the skin is a taxel, all are masked"),
     ],
 )
