@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-HELP = "show a running graph to Foxglove, ROS 2 or LeRobot"
+HELP = "show a running graph to Foxglove or ROS 2"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -89,11 +89,6 @@ def check_installed(
             raise error(f'{what} needs {package}; pip install "sparseskin[{extra}]"')
 
 
-def camera(patch: str, schema: str) -> str:
-    """Name of a map in LeRobot."""
-    return patch if schema == Reconstruction.schema else f"{patch}_{schema}"
-
-
 def point_columns(
     skin: SkinState, layers: Mapping[str, Floats], normals: bool = False
 ) -> dict[str, Floats]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from typing import Any
@@ -14,29 +14,15 @@ import numpy as np
 from scipy.stats import t as student
 from tqdm import tqdm
 
-from sparseskin.messages.skin import Skin
-from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
-from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES
-from sparseskin.nodes.sensor.sources import forms, open_source
+from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.sensor.scenes.presses import COURSES
 from sparseskin.nodes.tasks.results import computed
 
 from .budget import Accuracy, Row
-from .simulation import (
-    F_MAX_N,
-    FEW_SCENES,
-    N_SCENES,
-    contact_db,
-    light_touch,
-    make_reader,
-    noise_model,
-    presses,
-)
+from .simulation import FEW_SCENES, N_SCENES, contact_db, light_touch, make_reader, presses
 from .spec import Design
 from .strategies import Strategy
 
-MOST_SOURCE_FRAMES = 2000
-"""Most frames of a stated scene that are simulated. Chosen: some seconds for each strategy."""
 WITHIN = 0.9
 """Part of the scenes that lie within the band."""
 
@@ -84,8 +70,7 @@ def simulated(
         }
         for k, row in enumerate(rows)
     }
-    # A scene that a module of the user's own makes is imported here, and its faults are shown here.
-    n_workers = 1 if scene and ":" in scene else min(len(os.sched_getaffinity(0)), len(tasks))
+    n_workers = min(len(os.sched_getaffinity(0)), len(tasks))
     executor = f"process:{n_workers}" if n_workers > 1 else "serial"
     finished = computed(executor, _simulate, tasks)
     with closing(finished):  # it ends the workers if one of them fails
@@ -111,9 +96,7 @@ def simulate(
     scene: str | None = None,
     n_scenes: int = FEW_SCENES,
 ) -> Accuracy:
-    """Simulate a strategy on a skin. Raises SettingsError if the scene's skin is another one, or
-    nothing touches it; SparseskinError if the strategy is not possible on the skin, or the scene
-    cannot be read.
+    """Simulate a strategy on a skin. Raises SparseskinError if the strategy is not possible on it.
 
     Parameters
     ----------
@@ -123,37 +106,22 @@ def simulate(
     seed : int
         Of scenes, noise and Phi.
     scene : str, optional
-        A body of `presses.BODIES`, pressed in each course; or a source of frames as a sensor node
-        takes it (scene:NAME, file:PATH, module:callable), whose frames are the true forces. Of
-        its frames those next to the ticks of the rate are read, 2000 at most. None: the first
-        scenes of `simulation`.
+        A body of `presses.BODIES`, pressed in each course. None: the first scenes of `simulation`.
     n_scenes : int
         Number of scenes, 2..15.
-
-    Returns
-    -------
-    Accuracy
-        Band: `band` of the scenes; of one source, percentiles 5 and 95 of its contact frames.
     """
-
-    def score(frames: Iterator[tuple[Floats, Floats]], k: int) -> list[float]:
-        reader = make_reader(strategy, mask, noise, bits, seed * N_SCENES + k)
-        return contact_db(reader, frames)
-
-    note = ""
-    if scene is None or scene in BODIES:
-        numbers = range(n_scenes if scene is None else len(COURSES))
-        dbs = [
-            float(np.mean(score(presses(k, mask, noise, rate_hz, seed, scene), k))) for k in numbers
-        ]
-        low, high = band(np.array(dbs))
-    else:
-        frames, note = _of_source(scene, mask, noise, rate_hz, seed)
-        dbs = score(frames, 0)
-        low, high = np.percentile(dbs, [5, 95])
+    dbs = [
+        np.mean(
+            contact_db(
+                make_reader(strategy, mask, noise, bits, seed * N_SCENES + k),
+                presses(k, mask, noise, rate_hz, seed, scene),
+            )
+        )
+        for k in range(n_scenes if scene is None else len(COURSES))
+    ]
+    low, high = band(np.array(dbs))
     touch = light_touch(make_reader(strategy, mask, noise, bits, seed), mask, noise, seed)
-    light = math.nan if touch is None else touch
-    return Accuracy(float(np.mean(dbs)), float(low), float(high), light, note)
+    return Accuracy(float(np.mean(dbs)), low, high, touch)
 
 
 def band(db: Doubles) -> tuple[float, float]:
@@ -171,43 +139,3 @@ def band(db: Doubles) -> tuple[float, float]:
     factor = float(student.ppf((1 + WITHIN) / 2, n - 1)) * math.sqrt(1 + 1 / n)
     mean, half = float(db.mean()), factor * float(db.std(ddof=1))
     return mean - half, mean + half
-
-
-def _of_source(
-    name: str, exists: Mask, noise: float, rate_hz: float, seed: int
-) -> tuple[Iterator[tuple[Floats, Floats]], str]:
-    """Frames (truth, readings) of a source in the range of the simulation, and a note."""
-    if ":" not in name:
-        raise SettingsError(
-            f"scene: {name!r} is not known; allowed: {', '.join(BODIES)}, {forms()}"
-        )
-    source = open_source(name, seed=seed)
-    skin: Skin = source.skin
-    if not np.array_equal(skin.exists, exists):
-        raise SettingsError(
-            f"scene {name}: its skin has {skin.n_taxels} taxels on {skin.n_rows} x {skin.n_cols}; "
-            f"expected {np.count_nonzero(exists)} on {exists.shape[0]} x {exists.shape[1]}"
-        )
-    note = ""
-    if source.rate_hz is not None and source.rate_hz < rate_hz * 0.99:
-        note = f"the scene has {source.rate_hz:.4g} Hz: its frames are read once each"
-
-    def frames() -> Iterator[tuple[Floats, Floats]]:
-        model, rng = noise_model(noise), np.random.default_rng([seed, 6])
-        scale, n_read = np.float32(F_MAX_N / skin.f_max), 0
-        # Half of the shortest time between frames: the frame next to the tick.
-        early_s = 0.5 / source.rate_hz if source.rate_hz else 0.0
-        first_ns = None
-        for stamp_ns, forces in source:
-            first_ns = stamp_ns if first_ns is None else first_ns
-            if (stamp_ns - first_ns) * 1e-9 + early_s < n_read / rate_hz:
-                continue
-            n_read += 1
-            truth = np.clip(forces * scale, 0, np.float32(F_MAX_N))
-            taxels = model.apply(truth, rng)
-            taxels[~exists] = 0
-            yield truth, taxels
-            if n_read >= MOST_SOURCE_FRAMES:
-                return
-
-    return frames(), note

@@ -34,15 +34,12 @@ class Accuracy:
     light_touch : float
         Least force a taxel, as a part of the range, at which a touch of 3 x 3 taxels is found
         within 8 frames in 90 % of cases; NaN where none is found.
-    note : str
-        "", or what the figures do not hold for.
     """
 
     psnr_db: float
     low_db: float
     high_db: float
     light_touch: float
-    note: str = ""
 
 
 UNKNOWN = Accuracy(math.nan, math.nan, math.nan, math.nan)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from importlib.util import find_spec
+import csv
+from contextlib import ExitStack
 from pathlib import Path
 
+from sparseskin.launch.commands.options import whole
 from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.files import whole_file
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.sensor.files.recording import shown
-from sparseskin.studies.command import EXTRA
+from sparseskin.nodes.sensor.scenes.presses import BODIES
 
 from .simulation import FEW_SCENES, N_SCENES
 from .spec import KEYS, SIZE_KEYS, Design, make_design, read_file
@@ -28,20 +31,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default = "" if key.default is None else f" (default: {key.default})"
         about = f"{key.about}{default}"
         parser.add_argument(f"--{name}", metavar=key.form, help=about)
-    about = "write a page, a chart and tables here; needs the extra charts"
-    parser.add_argument("--out", metavar="DIR", type=Path, help=about)
+    about = "write the table to this file too, with all digits"
+    parser.add_argument("--csv", metavar="FILE", type=Path, help=about)
     about = "strategies of the table, with commas between them (default: all)"
     parser.add_argument("--only", metavar="NAMES", help=about)
-    about = "what presses the simulated skin: a body, or a recording of true forces (default: all)"
-    parser.add_argument("--scene", metavar="SCENE", help=about)
+    about = f"what presses the simulated skin: {', '.join(BODIES)} (default: all)"
+    parser.add_argument("--scene", metavar="BODY", choices=BODIES, help=about)
     about = f"simulated scenes, 2..{N_SCENES}: more take longer (default: {FEW_SCENES})"
-    parser.add_argument("--scenes", metavar="K", default=str(FEW_SCENES), help=about)
+    counts = range(2, N_SCENES + 1)
+    parser.add_argument(
+        "--scenes", metavar="K", type=int, choices=counts, default=FEW_SCENES, help=about
+    )
     about = "seed of scenes, noise and Phi (default: 0)"
-    parser.add_argument("--seed", metavar="K", default="0", help=about)
+    parser.add_argument("--seed", metavar="K", type=whole(0), default=0, help=about)
     about = "no figures of accuracy: nothing is simulated"
     parser.add_argument("--no-accuracy", action="store_true", help=about)
-    about = "print what the models predict for rigs that were built, and exit"
-    parser.add_argument("--rigs", action="store_true", help=about)
     parser.set_defaults(run=_design)
 
 
@@ -49,28 +53,22 @@ def _design(arguments: argparse.Namespace) -> int:
     from . import text
     from .budget import budget
 
-    if arguments.rigs:
-        _refuse_others(arguments)
-        print(text.rig_table())
-        return 0
     design = design_of(arguments)
-    if arguments.out is not None:
-        check_out(arguments.out)
-    seed = _number("--seed", arguments.seed)
-    n_scenes = _number("--scenes", arguments.scenes)
-    if not 2 <= n_scenes <= N_SCENES:
-        raise SettingsError(f"--scenes: {n_scenes}: allowed: 2..{N_SCENES}")
     rows = budget(design, _names(arguments.only))
-    if not arguments.no_accuracy:
-        from .accuracy import simulated
+    with ExitStack() as stack:
+        draft = arguments.csv and stack.enter_context(whole_file(arguments.csv))
+        if not arguments.no_accuracy:
+            from .accuracy import simulated
 
-        rows = simulated(rows, design, seed, scene=arguments.scene, n_scenes=n_scenes)
-    print(text.terminal(rows, design))
-    if arguments.out is not None:
-        from .page import write_page
-
-        print()
-        print(write_page(arguments.out, rows, design))
+            stated = {"scene": arguments.scene, "n_scenes": arguments.scenes}
+            rows = simulated(rows, design, arguments.seed, **stated)
+        print(text.terminal(rows, design))
+        if draft is not None:
+            records = [text.record(row, design) for row in rows]
+            with draft.open("w", newline="") as file:
+                writer = csv.DictWriter(file, records[0])
+                writer.writeheader()
+                writer.writerows(records)
     return 0
 
 
@@ -89,26 +87,6 @@ def design_of(arguments: argparse.Namespace) -> Design:
     return make_design({**stated, **options}, place)
 
 
-def check_out(out: Path) -> None:
-    """Make the folder of a page, or raise SettingsError."""
-    absent = [package for package in EXTRA if find_spec(package) is None]
-    if absent:
-        missing = f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
-        raise SettingsError(f"--out: {missing}: pip install 'sparseskin[charts]'")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SettingsError(f"--out {out}: {error.strerror}") from error
-
-
-def _refuse_others(arguments: argparse.Namespace) -> None:
-    given: list[str] = [f"--{key}" for key in KEYS if getattr(arguments, key) is not None]
-    given += [f"--{key}" for key in ("out", "scene", "only") if getattr(arguments, key)]
-    given += [str(arguments.file)] if arguments.file else []
-    if given:
-        raise SettingsError(f"--rigs: stands alone; leave out {given[0]}")
-
-
 def _names(text: str | None) -> list[str] | None:
     """Names of strategies that --only states; SettingsError if one is not known."""
     from .strategies import STRATEGIES
@@ -121,9 +99,3 @@ def _names(text: str | None) -> list[str] | None:
             hint = nearest_of(name, STRATEGIES)
             raise SettingsError(f"--only: strategy {name[:40]!r} is not known{hint}")
     return names
-
-
-def _number(option: str, text: str) -> int:
-    if not (text.isascii() and text.isdigit() and len(text) < 10):
-        raise SettingsError(f"{option}: {text[:20]!r}: expected a whole number, 0 or more")
-    return int(text)

@@ -28,7 +28,6 @@ from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.compressor.quantiser import quantised
-from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -121,12 +120,6 @@ def noise_model(noise: float) -> NoiseModel:
     return NoiseModel(F_MAX_N, noise * F_MAX_N, noise * F_MAX_N)
 
 
-def timing_at(rate_hz: float) -> Timing:
-    """Return the parts of a press in frames of a rate."""
-    ramp, pause, held = (max(1, round(s * rate_hz)) for s in (RAMP_S, PAUSE_S, HELD_S))
-    return Timing(N_UNTOUCHED, ramp, pause, held)
-
-
 def presses(
     scene: int, mask: Mask, noise: float, rate_hz: float, seed: int, body: str | None = None
 ) -> Iterator[tuple[Floats, Floats]]:
@@ -135,6 +128,7 @@ def presses(
     `body` replaces that of the scene.
     """
     drawn = np.random.default_rng([seed, scene, 4])
+    ramp, pause, held = (max(1, round(s * rate_hz)) for s in (RAMP_S, PAUSE_S, HELD_S))
     active = math.exp(drawn.uniform(*np.log(ACTIVE)))
     return press_frames(
         body or BODIES[scene % len(BODIES)],
@@ -147,24 +141,20 @@ def presses(
         mask=mask,
         f_max=F_MAX_N,
         noise=noise_model(noise),
-        timing=timing_at(rate_hz),
+        timing=Timing(N_UNTOUCHED, ramp, pause, held),
     )
 
 
 def contact_db(reader: Reader, frames: Iterable[tuple[Floats, Floats]]) -> list[float]:
     """PSNR of each contact frame in dB.
 
-    `frames`: (truth, readings), float32 of shape (n_rows, n_cols), newtons. Raises SettingsError if
-    nothing touches the skin in any frame.
+    `frames`: (truth, readings), float32 of shape (n_rows, n_cols), newtons.
     """
-    dbs = [
+    return [
         psnr_db(forces - truth, F_MAX_N)
         for truth, forces in ((truth, reader(taxels)) for truth, taxels in frames)
         if in_contact(truth, F_MAX_N)
     ]
-    if not dbs:
-        raise SettingsError("scene: nothing touches the skin in any of its frames")
-    return dbs
 
 
 TOUCH_SIDE, TOUCH_FRAMES, GAP_FRAMES = 3, 8, 4
@@ -174,32 +164,24 @@ SETTLING_FRAMES, FALSE_FRAMES = 24, 60
 """Untouched frames before the threshold of detection is learnt, and in which it is."""
 TRIALS, MISSES = 10, 1
 """Touches of one force, and how many may be missed: 10 %."""
-LADDER, LEAP = 1.25, 4
-"""Factor from one tested force to the next, and in how many such steps forces rise until a touch is
-found."""
+LADDER = 1.25
+"""Factor from one tested force to the next."""
 
 
-def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float | None:
-    """Find the least force a taxel at which a touch of 3 x 3 taxels is found in 90 % of cases.
+def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float:
+    """Find the least force a taxel at which a touch of 3 x 3 taxels is found in 90 % of cases, as a
+    part of the range; NaN if not even touches with the whole range are found.
 
     The touch begins from one frame to the next at a random place. It is found if in one of the
     first 8 frames the mean reconstructed force over its 3 x 3 taxels is larger than that of any
     3 x 3 taxels in 60 untouched frames, and within 50 % of the true one. Forces are tested from
-    half the noise upwards, 10 touches each, to within steps of 25 %.
-
-    Returns
-    -------
-    float or None
-        Force a taxel as a part of the range; None if not even touches with the whole range are
-        found.
+    half the noise upwards in steps of 25 %, 10 touches each.
     """
     model, rng = noise_model(noise), np.random.default_rng([seed, 5])
     nothing = np.zeros(mask.shape, dtype=np.float32)
     sides = tuple(min(TOUCH_SIDE, side) for side in mask.shape)
     inside = np.lib.stride_tricks.sliding_window_view(mask, sides).all(axis=(-2, -1))
-    places = np.argwhere(inside)
-    if not len(places):
-        places = np.zeros((1, 2), dtype=np.intp)
+    places = np.argwhere(inside) if inside.any() else np.zeros((1, 2), dtype=np.intp)
 
     def frame(truth: Floats) -> Floats:
         taxels = model.apply(truth, rng)
@@ -214,44 +196,21 @@ def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float | 
         frame(nothing)
     threshold = max(largest(frame(nothing)) for _ in range(FALSE_FRAMES))
 
-    def touched(force: float) -> bool:
+    def is_missed(force: float) -> bool:
+        for _ in range(GAP_FRAMES):
+            frame(nothing)
         row, col = places[rng.integers(len(places))]
         here = slice(row, row + sides[0]), slice(col, col + sides[1])
         truth = nothing.copy()
         truth[here] = force
-        found = False
-        for _ in range(TOUCH_FRAMES):
-            mean = float(frame(truth)[here].mean())
-            if mean > threshold and abs(mean - force) <= force / 2:
-                found = True
-                break
-        for _ in range(GAP_FRAMES):
-            frame(nothing)
-        return found
+        means = (float(frame(truth)[here].mean()) for _ in range(TOUCH_FRAMES))
+        return not any(mean > threshold and abs(mean - force) <= force / 2 for mean in means)
 
-    def is_found(force: float) -> bool:
-        missed = 0
-        for _ in range(TRIALS):
-            missed += not touched(force)
-            if missed > MISSES:
-                return False
-        return True
-
-    # Upwards from half the noise: large steps until a touch is found, then small ones between.
-    rung, missed = 0, -1
-    lowest = noise / 2
-
-    def force_of(rung: int) -> float:
-        return min(1.0, lowest * LADDER**rung)
-
-    while not is_found(F_MAX_N * force_of(rung)):
-        if force_of(rung) == 1:
-            return None
-        rung, missed = rung + LEAP, rung
-    while rung - missed > 1 and missed >= 0:
-        middle = (rung + missed) // 2
-        if is_found(F_MAX_N * force_of(middle)):
-            rung = middle
-        else:
-            missed = middle
-    return force_of(rung)
+    part = noise / 2
+    while part < LADDER:
+        part = min(part, 1.0)
+        missed = (k for k in range(TRIALS) if is_missed(F_MAX_N * part))
+        if len(list(itertools.islice(missed, MISSES + 1))) <= MISSES:
+            return part
+        part *= LADDER
+    return math.nan

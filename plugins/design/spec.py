@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -24,9 +25,55 @@ from .models.units import FORCE, LENGTH, RATE, TIME, quantity
 from .strategies import ANALOG, DIGITAL
 
 MAX_SIDE, MAX_TAXELS = 1024, 65536
-MOST_CONVERTERS, MOST_CORES = 1024, 4096
-SUMS = (DIGITAL, ANALOG)
+MOST_CORES = 4096
 Place: TypeAlias = "Callable[[str], str]"
+Reads: TypeAlias = "Callable[[object], Any]"
+_CORES = re.compile(r"(\d{1,4})\s*cores?", re.ASCII)
+
+
+def _placement(layout: object) -> Placement:
+    """The virtual grid of a layout of points; SettingsError if it cannot be used."""
+    if not isinstance(layout, str):
+        raise SettingsError(f"{shown(layout)}: expected a file, or example:torso")
+    found = placed(layout)
+    if not 16 <= found.points.n <= MAX_TAXELS:
+        raise SettingsError(f"{layout}: {found.points.n} points; allowed: 16..{MAX_TAXELS}")
+    return found
+
+
+def _whole(low: int, high: int) -> Callable[[object], int]:
+    def read(value: object) -> int:
+        if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) < 10:
+            value = int(value)
+        if not is_whole(value, low, high):
+            raise SettingsError(f"{shown(value)} is not allowed; allowed: {low}..{high}")
+        return int(value)
+
+    return read
+
+
+def _sums(value: object) -> str:
+    if value not in (DIGITAL, ANALOG):
+        text = str(value)[:40]
+        raise SettingsError(f"{text!r} is not allowed{nearest_of(text, (DIGITAL, ANALOG))}")
+    return str(value)
+
+
+def _rate(value: object) -> float:
+    text = f"{value:g}" if is_real(value) else value
+    return quantity(text, RATE, "1000 or 1kHz", 1.0, 10_000.0)
+
+
+def _cores(value: object) -> int:
+    found = _CORES.fullmatch(value) if isinstance(value, str) else None
+    number = value if is_whole(value) else found and int(found[1])
+    if not is_whole(number, 1, MOST_CORES):
+        raise SettingsError(f"{shown(value)}: expected such as 4cores, 1..{MOST_CORES}")
+    return int(number)
+
+
+def _quantity(units: dict[str, float], example: str, low: float, high: float) -> Reads:
+    return partial(quantity, units=units, example=example, low=low, high=high)
 
 
 @dataclass(frozen=True)
@@ -41,37 +88,66 @@ class Key:
         One line of help.
     form : str
         How a value looks.
+    read : callable
+        Checks a value of a file or option, and returns it; raises SparseskinError.
     """
 
     default: Any
     about: str
     form: str
+    read: Reads
 
 
 KEYS = {
-    "rows": Key(None, "rows of taxels", "R"),
-    "cols": Key(None, "columns of taxels", "C"),
-    "taxels": Key(None, "number of taxels of a skin that is no grid, in place of rows, cols", "N"),
-    "points": Key(None, "layout of such a skin: .csv, .txt of an iCub, or example:torso", "FILE"),
-    "pitch": Key("4mm", "distance of neighbouring taxels", "LENGTH"),
-    "rate": Key("1000", "frames a second that are asked for", "HZ"),
-    "noise": Key("0.01N", "standard deviation of a taxel's noise", "FORCE"),
-    "range": Key("2.5N", "force at full scale", "FORCE"),
-    "adc": Key("10bit@200kS/s", "bits and conversions a second of a converter", "ADC"),
-    "converters": Key(1, "converters that run at once", "K"),
-    "settling": Key("0us", "time that the multiplexer settles before a conversion", "TIME"),
-    "sums": Key(
-        DIGITAL, "where sums of SBHE are made: digital (edge) or analog (wires)", "digital|analog"
+    "rows": Key(None, "rows of taxels", "R", _whole(1, MAX_SIDE)),
+    "cols": Key(None, "columns of taxels", "C", _whole(1, MAX_SIDE)),
+    "taxels": Key(
+        None,
+        "number of taxels of a skin that is no grid, in place of rows, cols",
+        "N",
+        _whole(16, MAX_TAXELS),
     ),
-    "bits": Key(8, "bits of a measurement on the bus, 4..16", "B"),
-    "bus": Key("serial:2M", "serial:BAUD, can:RATE, can-fd[:SLOW/FAST], spi:CLOCK, udp", "BUS"),
-    "edge": Key("cortex-m4@168MHz", "cortex-m4@CLOCK or linux", "EDGE"),
-    "host": Key("4cores", "cores of the host", "CORES"),
+    "points": Key(
+        None,
+        "layout of such a skin: .csv, .txt of an iCub, or example:torso",
+        "FILE",
+        _placement,
+    ),
+    "pitch": Key(
+        "4mm", "distance of neighbouring taxels", "LENGTH", _quantity(LENGTH, "4mm", 1e-5, 1.0)
+    ),
+    "rate": Key("1000", "frames a second that are asked for", "HZ", _rate),
+    "noise": Key(
+        "0.01N",
+        "standard deviation of a taxel's noise",
+        "FORCE",
+        _quantity(FORCE, "0.01N", 1e-9, 1e6),
+    ),
+    "range": Key("2.5N", "force at full scale", "FORCE", _quantity(FORCE, "2.5N", 1e-6, 1e6)),
+    "adc": Key("10bit@200kS/s", "bits and conversions a second of a converter", "ADC", read_adc),
+    "converters": Key(1, "converters that run at once", "K", _whole(1, 1024)),
+    "settling": Key(
+        "0us",
+        "time that the multiplexer settles before a conversion",
+        "TIME",
+        _quantity(TIME, "5us", 0.0, 1.0),
+    ),
+    "sums": Key(
+        DIGITAL,
+        "where sums of SBHE are made: digital (edge) or analog (wires)",
+        "digital|analog",
+        _sums,
+    ),
+    "bits": Key(8, "bits of a measurement on the bus, 4..16", "B", _whole(4, 16)),
+    "bus": Key(
+        "serial:2M", "serial:BAUD, can:RATE, can-fd[:SLOW/FAST], spi:CLOCK, udp", "BUS", read_bus
+    ),
+    "edge": Key("cortex-m4@168MHz", "cortex-m4@CLOCK or linux", "EDGE", read_edge),
+    "host": Key("4cores", "cores of the host", "CORES", _cores),
 }
 """Keys of `design.toml`, and options."""
 SIZE_KEYS = ("rows", "cols", "taxels", "points")
 """Keys that state the size: options that do replace all of them."""
-_CORES = re.compile(r"(\d{1,4})\s*cores?", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -96,8 +172,6 @@ class Design:
         Cores of the host.
     mask : ndarray of bool, shape (rows, columns of a virtual grid), or None
         True where a taxel exists, of a skin whose points are known.
-    words : dict of str to str
-        The keys as they were stated, defaults included.
     """
 
     n_rows: int | None
@@ -114,7 +188,6 @@ class Design:
     edge: Edge
     cores: int
     mask: Mask | None
-    words: dict[str, str]
 
     @property
     def noise(self) -> float:
@@ -158,135 +231,56 @@ def make_design(stated: Mapping[str, Any], place: Place = lambda key: f"{key}: "
     place : callable
         What an error begins with, by the key that it is about.
     """
-    values = {key: one.default for key, one in KEYS.items()} | dict(stated)
-    values = {key: v.strip() if isinstance(v, str) else v for key, v in values.items()}
-    keys = _Keys(values, place)
-    for key in stated:
-        if key not in KEYS:
-            keys.fault(key, f"unknown key{did_you_mean(key, KEYS)}")
-    n_rows, n_cols, n_taxels, placement = _size(keys)
-    if placement is not None and "pitch" not in stated:
-        values["pitch"] = f"{1e3 * placement.pitch_m:.3g}mm"
-    range_n = keys.read("range", quantity, FORCE, "2.5N", 1e-6, 1e6)
-    noise_n = keys.read("noise", quantity, FORCE, "0.01N", 1e-9, 1e6)
-    if range_n and noise_n and not 1e-6 * range_n <= noise_n <= 0.3 * range_n:
-        keys.fault(
-            "noise",
-            f"{noise_n:g} N is not allowed for a range of {range_n:g} N; allowed: "
-            "0.0001 to 30 % of it",
-        )
-    sums = keys.read("sums", _sums)
-    settling_s = keys.read("settling", quantity, TIME, "5us", 0.0, 1.0)
-    converters = keys.read("converters", _whole, 1, MOST_CONVERTERS)
-    pitch_m = keys.read("pitch", quantity, LENGTH, "4mm", 1e-5, 1.0)
-    rate_hz = keys.read("rate", _rate)
-    adc = keys.read("adc", read_adc, converters or 1, settling_s or 0.0)
-    bits = keys.read("bits", _whole, 4, 16)
-    bus = keys.read("bus", read_bus)
-    edge = keys.read("edge", read_edge)
-    cores = keys.read("host", _cores)
-    if keys.faults:
-        raise SettingsError("\n".join(keys.faults))
+    faults = [
+        f"{place(key)}unknown key{did_you_mean(key, KEYS)}" for key in stated if key not in KEYS
+    ]
+    found: dict[str, Any] = dict.fromkeys(KEYS)
+    for key, one in KEYS.items():
+        value = stated.get(key, one.default)
+        try:
+            if value is not None:
+                found[key] = one.read(value.strip() if isinstance(value, str) else value)
+        except SparseskinError as error:
+            faults.append(f"{place(key)}{error}")
+    if not faults and (fault := _contradiction(found)):
+        faults.append(f"{place(fault[0])}{fault[1]}")
+    if faults:
+        raise SettingsError("\n".join(faults))
+    n_rows, n_cols, placement = (found[key] for key in ("rows", "cols", "points"))
+    n_taxels = placement.points.n if placement else found["taxels"] or n_rows * n_cols
+    from_points = placement is not None and "pitch" not in stated
     return Design(
         n_rows=n_rows,
         n_cols=n_cols,
         n_taxels=n_taxels,
-        pitch_m=pitch_m,
-        rate_hz=rate_hz,
-        noise_n=noise_n,
-        range_n=range_n,
-        adc=adc,
-        sums=sums,
-        bits=bits,
-        bus=bus,
-        edge=edge,
-        cores=cores,
-        mask=None if placement is None else placement.skin(range_n, "N").exists,
-        words={key: str(value) for key, value in values.items() if value is not None},
+        pitch_m=placement.pitch_m if from_points else found["pitch"],
+        rate_hz=found["rate"],
+        noise_n=found["noise"],
+        range_n=found["range"],
+        adc=replace(found["adc"], converters=found["converters"], settling_s=found["settling"]),
+        sums=found["sums"],
+        bits=found["bits"],
+        bus=found["bus"],
+        edge=found["edge"],
+        cores=found["host"],
+        mask=None if placement is None else placement.skin(found["range"], "N").exists,
     )
 
 
-class _Keys:
-    """Values of a design by their keys, and the faults that were found in them."""
-
-    def __init__(self, values: Mapping[str, Any], place: Place) -> None:
-        self.values, self.faults = values, list[str]()
-        self._place = place
-
-    def fault(self, key: str, what: object) -> None:
-        self.faults.append(f"{self._place(key)}{what}")
-
-    def read(self, key: str, how: Callable[..., Any], *given: Any) -> Any:
-        """The value of a key as `how` reads it; None, and a fault more, if it refuses."""
-        try:
-            return how(self.values[key], *given)
-        except SparseskinError as error:
-            self.fault(key, error)
-            return None
-
-
-def _size(keys: _Keys) -> tuple[int | None, int | None, int, Placement | None]:
-    """Rows and columns, or None, the number of taxels, and the placement of points; after a fault
-    a number of taxels of 0.
-    """
-    values = keys.values
-    ways = [key for key in ("rows", "taxels", "points") if values[key] is not None]
-    missing = [key for key in ("rows", "cols") if values[key] is None]
-    if missing and (ways in ([], ["rows"]) or "cols" not in missing):
-        if not keys.faults:  # it may be the key that is not known
-            more = ", taxels, or points" if len(missing) == 2 else ""
-            keys.fault(missing[0], f"is missing; state rows and cols{more}")
-    elif len(ways) > 1:
-        keys.fault(ways[1], f"states the size once more; leave out {ways[0]}")
-    elif ways == ["taxels"]:
-        return None, None, keys.read("taxels", _whole, 16, MAX_TAXELS) or 0, None
-    elif ways == ["points"]:
-        placement = keys.read("points", _placement)
-        return None, None, placement.points.n if placement else 0, placement
-    else:
-        n_rows, n_cols = (keys.read(key, _whole, 1, MAX_SIDE) for key in ("rows", "cols"))
-        if not (n_rows and n_cols):
-            return None, None, 0, None
-        n = n_rows * n_cols
-        if 16 <= n <= MAX_TAXELS:
-            return n_rows, n_cols, n, None
-        keys.fault("rows", f"{n_rows} x {n_cols} are {n} taxels; allowed: 16..{MAX_TAXELS}")
-    return None, None, 0, None
-
-
-def _placement(layout: object) -> Placement:
-    """The virtual grid of a layout of points; SettingsError if it cannot be used."""
-    if not isinstance(layout, str):
-        raise SettingsError(f"{shown(layout)}: expected a file, or example:torso")
-    found = placed(layout)
-    if not 16 <= found.points.n <= MAX_TAXELS:
-        raise SettingsError(f"{layout}: {found.points.n} points; allowed: 16..{MAX_TAXELS}")
-    return found
-
-
-def _whole(value: object, low: int, high: int) -> int:
-    if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) < 10:
-        value = int(value)
-    if not is_whole(value, low, high):
-        raise SettingsError(f"{shown(value)} is not allowed; allowed: {low}..{high}")
-    return int(value)
-
-
-def _sums(value: object) -> str:
-    if value not in SUMS:
-        text = str(value)[:40]
-        raise SettingsError(f"{text!r} is not allowed{nearest_of(text, SUMS)}")
-    return str(value)
-
-
-def _rate(value: object) -> float:
-    text = f"{value:g}" if is_real(value) else value
-    return quantity(text, RATE, "1000 or 1kHz", 1.0, 10_000.0)
-
-
-def _cores(value: object) -> int:
-    found = _CORES.fullmatch(value) if isinstance(value, str) else None
-    number = value if is_whole(value) else found and int(found[1])
-    if not is_whole(number, 1, MOST_CORES):
-        raise SettingsError(f"{shown(value)}: expected such as 4cores, 1..{MOST_CORES}")
-    return int(number)
+def _contradiction(found: Mapping[str, Any]) -> tuple[str, str] | None:
+    """A key that is missing or does not go with others, and the fault; None if there is none."""
+    grid = ["rows", "cols"]
+    size = [key for key in SIZE_KEYS if found[key] is not None]
+    if not size:
+        return "rows", "is missing; state rows and cols, taxels, or points"
+    if size in (["rows"], ["cols"]):
+        return "cols" if size == ["rows"] else "rows", "is missing; state rows and cols"
+    if size != grid and len(size) > 1:
+        return size[-1], f"states the size once more; leave out {size[0]}"
+    if size == grid and not 16 <= (n := found["rows"] * found["cols"]) <= MAX_TAXELS:
+        sides = f"{found['rows']} x {found['cols']}"
+        return "rows", f"{sides} are {n} taxels; allowed: 16..{MAX_TAXELS}"
+    if not 1e-6 * found["range"] <= found["noise"] <= 0.3 * found["range"]:
+        of = f"{found['noise']:g} N is not allowed for a range of {found['range']:g} N"
+        return "noise", f"{of}; allowed: 0.0001 to 30 % of it"
+    return None

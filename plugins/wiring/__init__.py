@@ -3,7 +3,7 @@
 from sparseskin.studies.command import Study
 
 STUDY = Study(
-    "PSNR against the length of wires, from local to scrambled sums; circuits of row sums",
+    "PSNR against the length of wires, from local to scrambled sums",
     f"{__name__}.study:run",
     numpy_only=True,
 )

@@ -13,15 +13,11 @@ from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.local import WIRED_BLOCK
 from sparseskin.nodes.compressor.phi.rotation import PAPER, ROTATING, m_of
-from sparseskin.nodes.compressor.phi.row_local import RowLocalPhi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
-from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.scenes.presses import N_BEFORE
-from sparseskin.studies.evaluate import Method, Scores, Solved, evaluate
-from sparseskin.studies.frames import Frames, PressFrames, SceneFrames, opened
+from sparseskin.studies.frames import Frames, PressFrames, SceneFrames
 from sparseskin.studies.harness import (
-    SCORES,
     Candidate,
     Experiment,
     Measurement,
@@ -31,7 +27,6 @@ from sparseskin.studies.harness import (
 from sparseskin.studies.points import compute
 from sparseskin.studies.report import Chart, Page, markdown, series_style
 
-from .divider import divided, undivided, with_crosstalk
 from .model import Wiring, array_wiring, sbhe_wiring
 
 SHAPE = (64, 64)
@@ -48,11 +43,6 @@ N_FRAMES, QUICK_FRAMES = 120, 15
 #: Frames of the scene: from 0.24 s on, when the wrench has landed, 2 ms apart.
 DRAG_FIRST, DRAG_EVERY = 2400, 20
 PRESET_ROWS = {"skin": ROTATING, "paper": PAPER}
-CROSSTALK = (0.01, 0.03, 0.1)
-LOAD_N = 40.0
-"""Load of a row line: the conductance of taxels that bear so much together, newtons. Chosen: 16
-taxels at full scale."""
-ADC_BITS = 12
 
 
 def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
@@ -69,12 +59,6 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     best = rows[rows["kind"] == SCRAMBLED].set_index(["preset", "body", "seed"])["mean_db"]
     keys = pd.MultiIndex.from_frame(rows[["preset", "body", "seed"]])
     rows["loss_db"] = best.loc[keys].to_numpy() - rows["mean_db"].to_numpy()
-    made = experiment(frames, seeds).points()
-    points = [{"frames": p["frames"], "seed": p["seed"]} for p in made]
-    points = list({str(point): point for point in points}.values())
-    read = compute(readout, points, out, executor, "readout")
-    circuits = method_rows(points, read, "circuit")
-    circuits = circuits.assign(body=named(pd.DataFrame(list(circuits["frames"]))))
     page = Page(out, "wiring", Path(__file__).with_suffix(".md"), quick)
     page.section(
         "",
@@ -84,9 +68,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
         **{"m": m_of(math.prod(SHAPE), RATIO, ROTATING), "n_frames": n_frames},
         **{"n_seeds": len(seeds), "scenes": ", ".join(rows["body"].unique())},
     )
-    page.section("Circuits of row sums", _circuits(circuits), load_n=LOAD_N, adc_bits=ADC_BITS)
     page.csv("wiring", rows.drop(columns="method"))
-    page.csv("readout", circuits.drop(columns="frames"))
     lines = conclusion(rows)
     page.write(lines)
     return lines
@@ -139,76 +121,6 @@ def conclusion(rows: pd.DataFrame) -> list[str]:
     ]
 
 
-class ReadRows:
-    """Estimator of a method with phi "row_local", whose sums are read by a stated circuit.
-
-    Parameters
-    ----------
-    method : Method
-    divider : "none", "ignored" or "undone"
-        Without one, sums are exact. With one, the output is converted by 12 bits of the supply; the
-        host takes it as linear (its gain at small forces), or undoes it by the reading of all
-        columns.
-    crosstalk : float
-        Share of a taxel's signal in the readings of its neighbours in the row.
-    """
-
-    def __init__(self, method: Method, divider: str = "none", crosstalk: float = 0.0) -> None:
-        self._method, self._divider, self._crosstalk = method, divider, crosstalk
-
-    def reconstruct(self, taxels: Floats) -> Solved:
-        """Measure and reconstruct a frame; see `Estimator`."""
-        phi: Any = self._method.phi
-        assert isinstance(phi, RowLocalPhi)
-        return self._method.solve(self.measured(phi, taxels.astype(np.float64)))
-
-    def measured(self, phi: RowLocalPhi, taxels: Doubles) -> Floats:
-        """Measurements that the circuit delivers: shape (n_rows, n_cols) to (m,)."""
-        n_rows, n_cols = phi.shape
-        forces = with_crosstalk(taxels.reshape(n_rows, n_cols), self._crosstalk)
-        driven = (phi.patterns > 0).astype(np.float64) @ forces.T  # patterns x rows
-        if self._divider != "none":
-            steps = 2**ADC_BITS - 1
-            v = np.rint(divided(driven, driven[0], LOAD_N) * steps) / steps
-            driven = undivided(v, v[0], LOAD_N) if self._divider == "undone" else v * LOAD_N
-        y = np.concatenate([driven[:1], 2 * driven[1:] - driven[:1]]) / math.sqrt(n_cols)
-        return y.reshape(-1)[phi.rows].astype(np.float32)
-
-
-def readout(point: dict[str, Any]) -> dict[str, Any]:
-    """Reconstruct frames from sums within rows that stated circuits read.
-
-    `point`: frames, as in `harness.scored`; seed.
-
-    Returns
-    -------
-    dict
-        methods: by circuit mean_db and min_db.
-    """
-    take = opened(point)
-    circuits: dict[str, dict[str, Any]] = {
-        "exact sums": {},
-        "divider, undone": {"divider": "undone"},
-        "divider, taken as linear": {"divider": "ignored"},
-        **{f"crosstalk {100 * c:g} %": {"crosstalk": c} for c in CROSSTALK},
-    }
-    skin = Candidate(PRESETS["skin"], changes={"rows": ROTATING})
-    estimators = {}
-    for name, circuit in circuits.items():
-        method = skin.make(Measurement(RATIO, phi=ROW_LOCAL, block=BLOCK), take, point["seed"])
-        assert isinstance(method, Method)
-        estimators[name] = ReadRows(method, **circuit)
-    scores = {name: Scores() for name in estimators}
-    for part in take.parts():
-        evaluate(estimators, part, scores)
-    return {
-        "methods": {
-            of: {name: SCORES[name](one) for name in ("mean_db", "min_db")}
-            for of, one in scores.items()
-        }
-    }
-
-
 def wiring(point: dict[str, Any]) -> dict[str, Any]:
     """Wires of each matrix. `point`: seed."""
     n, exists = math.prod(SHAPE), np.ones(SHAPE, dtype=np.bool_)
@@ -240,12 +152,6 @@ def _table(rows: pd.DataFrame) -> str:
         **{f"{preset}: {what} dB": ".1f" for preset in PRESET_ROWS for what in ("mean", "loss,")},
     }
     return markdown(table.rename(columns=names), forms)
-
-
-def _circuits(circuits: pd.DataFrame) -> str:
-    found = circuits.groupby(["circuit", "body"], sort=False)["mean_db"].mean().unstack("body")
-    found.insert(0, "circuit", found.index)
-    return markdown(found, dict.fromkeys(found.columns[1:], ".1f"))
 
 
 def _draw(out: Path, rows: pd.DataFrame) -> str:

@@ -17,12 +17,14 @@ from sparseskin.messages import Message, SkinState, Taxels, encode
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, Timing, press_frames
-from sparseskin.plugins.design.models.costs import DENSE, FIGURES
+from sparseskin.plugins.design.models.costs import FIGURES
 from sparseskin.plugins.design.strategies import SINGLE, STRATEGIES, Strategy
 from sparseskin.studies.speed.bodies import WARM_UP, made_node, timed_step
 
 SIZES = ((12, 32), (32, 32), (64, 64))
 """Skins that are timed: from a fingertip pad to a palm."""
+DENSE = 0.2
+"""Part of the taxels that a body presses: the most of those from which accuracy is stated."""
 N_CALM, N_PRESSED = 24, 60
 """Frames of each body that are timed, after `WARM_UP` others: untouched ones, then pressed ones."""
 N_REPEATS = 3

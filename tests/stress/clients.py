@@ -6,7 +6,6 @@ frame whose stamp is N ms, and prints how many frames of 1 to N ms it has read.
 
 from __future__ import annotations
 
-import json
 import struct
 import sys
 from collections.abc import Iterator
@@ -60,22 +59,9 @@ def ros2(address: str) -> Iterator[int]:
             yield 1_000_000_000 * sec + nanosec
 
 
-def lerobot(address: str) -> Iterator[int]:
-    """Subscribe as LeRobot's ZMQ camera does; yield the stamps of frames, ns."""
-    import zmq
-
-    socket: Any = zmq.Context().socket(zmq.SUB)
-    socket.setsockopt_string(zmq.SUBSCRIBE, "")
-    socket.setsockopt(zmq.CONFLATE, True)
-    socket.connect(address)
-    while True:
-        (stamp_s,) = json.loads(socket.recv_string())["timestamps"].values()
-        yield round(1e9 * stamp_s)
-
-
 def main(kind: str, address: str, last_ms: int | None = None) -> None:
     """Read until the frame `last_ms`, or for ever."""
-    stamps = {"foxglove": foxglove, "ros2": ros2, "lerobot": lerobot}[kind](address)
+    stamps = {"foxglove": foxglove, "ros2": ros2}[kind](address)
     next(stamps)
     print("reads", flush=True)
     found: set[int] = set()

@@ -32,7 +32,6 @@ COMMANDS = (
 BRIDGES = {
     "foxglove": ("foxglove: ", ["--port", "0"]),
     "ros2": ("ros2: ", ["--set", f"domain={DOMAIN}"]),
-    "lerobot": ("lerobot: ", ["--port", "0", "--set", "rate_hz=0"]),
 }
 """Of each bridge the token before its address, and its options: each sends every frame."""
 

@@ -24,7 +24,7 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import frame_topics, frames, skin_of
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.plugins.bridges.base import camera, check_installed
+from sparseskin.plugins.bridges.base import check_installed
 
 VERSION = "v3.0"
 TASK = "touch"
@@ -33,7 +33,7 @@ MAX_FPS, MAX_WINDOW = 1000, 4096
 BLOCK_BYTES = 1 << 26
 """Size of what is held in memory at once, bytes: a recording may be larger than the memory."""
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-CHUNK = "chunk-000/file-000.parquet"
+CHUNK, TASKS = "chunk-000/file-000.parquet", "meta/tasks.parquet"
 INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
@@ -129,7 +129,7 @@ def _wanted(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
 
 def _read(bag: BagReader, topic: str, folder: Path, fps: int, size: int | None) -> _Stream:
     patch, schema = split_topic(topic)
-    name = camera(patch, schema)
+    name = patch if schema == Reconstruction.schema else f"{patch}_{schema}"
     stamps: list[int] = []
     shape: tuple[int, ...] = ()
     path = folder / name
@@ -168,26 +168,27 @@ def _write(
         key, shape = stream.key, [stream.size, stream.values.shape[1]]
         features[key] = {"dtype": "float32", "shape": shape, "names": None}
         features[f"{key}.age"] = {"dtype": "float32", "shape": shape[:1], "names": None}
-        stats[key] = _stats_of(stream, stream.window(times_ns))
+        stats[key] = _window_stats(stream, stream.window(times_ns))
         stats[f"{key}.age"] = _stats(stream.ages(times_ns))
     n = len(times_ns)
     for name in INDICES:
         dtype = "float32" if name == "timestamp" else "int64"
         features[name] = {"dtype": dtype, "shape": [1], "names": None}
         stats[name] = _stats(_index(name, 0, n, fps)[:, None])
-    files = {
+    texts = {
         "meta/info.json": json.dumps(_info(features, n, fps), indent=4),
-        "meta/stats.json": json.dumps(stats),
+        "meta/stats.json": json.dumps(stats, default=np.ndarray.tolist),
         "README.md": _readme(bag, streams, int(times_ns[0]), fps),
     }
-    for name, text in files.items():
-        (out / name).parent.mkdir(parents=True, exist_ok=True)
+    paths = [out / name for name in (*texts, f"data/{CHUNK}", TASKS, f"meta/episodes/{CHUNK}")]
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
         (out / name).write_text(text, encoding="utf-8")
-    _write_rows(out / "data" / CHUNK, streams, features, times_ns, fps)
-    _write_tasks(out / "meta/tasks.parquet")
-    _write_episode(out / "meta/episodes" / CHUNK, stats, n)
-    tables = [f"data/{CHUNK}", "meta/tasks.parquet", f"meta/episodes/{CHUNK}"]
-    return [out / name for name in (*files, *tables)]
+    _write_rows(paths[3], streams, features, times_ns, fps)
+    _write_tasks(paths[4])
+    _write_episode(paths[5], stats, n)
+    return paths
 
 
 def _info(features: dict[str, Any], n: int, fps: int) -> dict[str, Any]:
@@ -218,37 +219,32 @@ def _index(name: str, begin: int, end: int, fps: int) -> npt.NDArray[Any]:
 
 
 def _stats(values: npt.NDArray[Any]) -> dict[str, Any]:
-    """Statistics over the rows (axis 0), as lists."""
+    """Statistics over the rows (axis 0): arrays of the shape of a row, and the number of rows."""
     wide = values.astype(np.float64)
-    found = {
-        "min": wide.min(axis=0).tolist(),
-        "max": wide.max(axis=0).tolist(),
-        "mean": wide.mean(axis=0).tolist(),
-        "std": wide.std(axis=0).tolist(),
-        "count": [len(values)],
-    }
     levels = np.quantile(values, list(QUANTILES.values()), axis=0)
-    return found | {name: level.tolist() for name, level in zip(QUANTILES, levels, strict=True)}
+    return {
+        **{name: getattr(wide, name)(axis=0) for name in ("min", "max", "mean", "std")},
+        **dict(zip(QUANTILES, levels, strict=True)),
+        "count": np.array([len(values)]),
+    }
 
 
-def _stats_of(stream: _Stream, chosen: npt.NDArray[np.int64]) -> dict[str, Any]:
+def _window_stats(stream: _Stream, chosen: npt.NDArray[np.int64]) -> dict[str, Any]:
     """Statistics of the windows of a stream, (K, N) each; a block of taxels at a time."""
     n, size = chosen.shape
-    n_taxels = stream.values.shape[1]
     block = max(1, BLOCK_BYTES // (8 * n))
-    found: dict[str, Any] = {}
-    for k in range(size):
-        parts = [
-            _stats(stream.values[chosen[:, k], begin : begin + block])
-            for begin in range(0, n_taxels, block)
-        ]
-        for name in parts[0]:
-            if name == "count":
-                found[name] = [n]
-            else:
-                row = [value for part in parts for value in part[name]]
-                found.setdefault(name, []).append(np.array(row, np.float32).tolist())
-    return found
+    begins = range(0, stream.values.shape[1], block)
+    parts = [
+        [_stats(stream.values[chosen[:, k], begin : begin + block]) for begin in begins]
+        for k in range(size)
+    ]
+    names = parts[0][0].keys() - {"count"}
+    found = {
+        name: [np.concatenate([part[name] for part in row]) for row in parts] for name in names
+    }
+    return {name: np.array(rows, np.float32) for name, rows in found.items()} | {
+        "count": np.array([n])
+    }
 
 
 def _write_rows(
@@ -267,7 +263,6 @@ def _write_rows(
         for _ in () if name in INDICES else feature["shape"]:
             fields[name] = pa.list_(fields[name])
     schema = pa.schema(fields)
-    path.parent.mkdir(parents=True)
     widest = sum(4 * s.size * s.values.shape[1] for s in streams)
     with pq.ParquetWriter(path, schema, compression="snappy") as writer:
         block = max(1, BLOCK_BYTES // widest)
@@ -328,8 +323,7 @@ def _write_episode(path: Path, stats: dict[str, dict[str, Any]], n: int) -> None
         "meta/episodes/file_index": 0,
     }
     for feature, found in stats.items():
-        row |= {f"stats/{feature}/{name}": value for name, value in found.items()}
-    path.parent.mkdir(parents=True)
+        row |= {f"stats/{feature}/{name}": value.tolist() for name, value in found.items()}
     pq.write_table(pa.table({name: [value] for name, value in row.items()}), path)
 
 

@@ -54,8 +54,8 @@ class Adc:
         return each * (1 / self.rate_hz + self.settling_s)
 
 
-def read_adc(text: object, converters: int, settling_s: float) -> Adc:
-    """Return the converters that a text such as "10bit@200kS/s" states. Raises SettingsError if the
+def read_adc(text: object) -> Adc:
+    """Return one converter that a text such as "10bit@200kS/s" states. Raises SettingsError if the
     text has another form.
     """
     found = _ADC.fullmatch(text) if isinstance(text, str) and len(text) <= 40 else None
@@ -65,4 +65,4 @@ def read_adc(text: object, converters: int, settling_s: float) -> Adc:
     if not 4 <= bits <= 24:
         raise SettingsError(f"{shown(text)}: {bits} bits; allowed: 4..24")
     rate_hz = quantity(found[2], SAMPLES, "200kS/s", 1.0, 1e10)
-    return Adc(bits, rate_hz, converters, settling_s)
+    return Adc(bits, rate_hz)

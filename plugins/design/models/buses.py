@@ -27,15 +27,12 @@ class Bus(ABC):
     ----------
     bit_s : float
         Bits a second: of UART its baud, of SPI its clock, of CAN FD the rate of the arbitration.
-    source : str
-        Where its model comes from, for pages and tables.
     form : str
         The bus in words, but its rate.
     most_bytes : int or None
         Data bytes of a frame of the bus at most; None where it has no framing.
     """
 
-    source: ClassVar[str]
     form: ClassVar[str]
     most_bytes: ClassVar[int | None] = None
     bit_s: float
@@ -64,7 +61,6 @@ class Serial(Bus):
     t = 10 n / baud. Source: Microchip, ATmega328P data sheet, frame formats of the USART.
     """
 
-    source = "UART 8N1, 10 bits a byte: ATmega328P data sheet, frame formats of the USART"
     form = "UART at {}baud"
 
     def frame_s(self, n_bytes: int) -> float:
@@ -82,10 +78,6 @@ class Can(Bus):
     Area Network (CAN) schedulability analysis", Real-Time Systems 35, 2007.
     """
 
-    source = (
-        "CAN, 11-bit identifiers, worst-case stuff bits: ISO 11898-1:2015; Davis et al., Real-Time "
-        "Systems 35, 2007"
-    )
     form = "CAN at {}bit/s"
     most_bytes = 8
 
@@ -110,7 +102,6 @@ class CanFd(Bus):
     11898-1:2015.
     """
 
-    source = "CAN FD, 11-bit identifiers, 64 data bytes, worst-case stuff bits: ISO 11898-1:2015"
     form = "CAN FD at {}/{}bit/s"
     most_bytes = 64
     data_bit_s: float
@@ -133,7 +124,6 @@ class Spi(Bus):
     framing of its own, and devices may need pauses between bytes: this is a bound.
     """
 
-    source = "SPI, 8 clocks a byte without gaps: Motorola SPI Block Guide V03.06"
     form = "SPI at {}Hz"
 
     def frame_s(self, n_bytes: int) -> float:
@@ -148,7 +138,6 @@ class Udp(Bus):
     sequence 4, and a gap of 12. Source: IEEE 802.3-2018; RFC 791; RFC 768.
     """
 
-    source = "UDP over IPv4 and Ethernet, 1472 bytes a datagram: IEEE 802.3-2018; RFC 791; RFC 768"
     form = "UDP over Ethernet at {}bit/s"
     most_bytes = 1472
 

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-DENSE = 0.2
-"""Part of the taxels that a body presses: the most of those from which accuracy is stated."""
 LARGEST = 4096
 """Taxels of the largest patch that is timed. A larger skin is taken as several patches of so many:
 each is reconstructed by itself."""

@@ -42,17 +42,6 @@ class Edge:
         """The edge in words."""
         return LINUX if self.clock_hz is None else f"Cortex-M4 at {self.clock_hz / 1e6:g} MHz"
 
-    @property
-    def source(self) -> str:
-        """Where the time of a frame comes from."""
-        if self.clock_hz is None:
-            return "edge: processor time of the compressor node, measured"
-        return (
-            f"edge: instructions of an exported edge, counted by QEMU: {A_READING} a reading, "
-            f"{A_MEASUREMENT} a sum, {A_BYTE} a byte, {A_FRAME} a frame; {CYCLES:g} cycles each "
-            "(Cortex-M4 Technical Reference Manual: 1 to 2)"
-        )
-
     def seconds(
         self, strategy: str, n_taxels: int, readings: int, sums: int, n_bytes: int
     ) -> float:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sparseskin.nodes.errors import SettingsError
 from sparseskin.plugins.design.accuracy import band, simulated
 from sparseskin.plugins.design.accuracy import simulate as simulate_on
 from sparseskin.plugins.design.budget import Accuracy, budget
@@ -20,7 +18,6 @@ from sparseskin.plugins.design.simulation import (
     N_SCENES,
     N_UNTOUCHED,
     SCENE_S,
-    contact_db,
     light_touch,
     make_reader,
     presses,
@@ -59,19 +56,10 @@ def test_readings_held_in_turn_are_those_of_a_raster_once_all_taxels_were_read()
     assert np.abs(whole - taxels).max() <= 0.5 * F_MAX_N / 255 * 1.001
 
 
-def test_frames_without_contact_are_refused() -> None:
-    reader = make_reader(STRATEGIES["full"], ALL, 0.01, 8, seed=0)
-    frames = list(presses(0, ALL, 0.01, 100.0, seed=0))[:N_UNTOUCHED]
-    with pytest.raises(SettingsError, match="nothing touches the skin"):
-        contact_db(reader, frames)
-
-
 def test_the_light_touch_of_a_raster_grows_with_the_noise() -> None:
     def found(noise: float) -> float:
         reader = make_reader(STRATEGIES["full"], ALL, noise, 24, seed=0)
-        touch = light_touch(reader, ALL, noise, seed=0)
-        assert touch is not None
-        return touch
+        return light_touch(reader, ALL, noise, seed=0)
 
     # The same draws, and no rounding: in units of the noise it is the same.
     assert found(0.01) == pytest.approx(10 * found(0.001))
@@ -79,7 +67,7 @@ def test_the_light_touch_of_a_raster_grows_with_the_noise() -> None:
     # standard deviations of it.
     assert 0.5 < found(0.01) / 0.01 < 3
     # A reader that sees nothing finds none.
-    assert light_touch(np.zeros_like, ALL, 0.01, seed=0) is None
+    assert math.isnan(light_touch(np.zeros_like, ALL, 0.01, seed=0))
 
 
 def test_the_full_raster_has_the_error_of_clipped_noise() -> None:
@@ -121,18 +109,3 @@ def test_rows_are_simulated_in_processes_as_in_this_one() -> None:
         assert row.accuracy == simulate(
             row.strategy.name, 6, 6, design.noise, bits, row.reached_hz, 3, n_scenes=2
         )
-
-
-def test_a_recording_is_simulated_as_the_scene(tmp_path: Path) -> None:
-    frames = np.zeros((40, 6, 6), dtype=np.float32)
-    frames[10:, 2:4, 2:5] = 3.0
-    np.savez(tmp_path / "press.npz", forces=frames, rate_hz=200.0, f_max=5.0)
-    scene = f"file:{tmp_path / 'press.npz'}"
-    found = simulate("full", 6, 6, 0.01, 16, 100.0, 0, scene)
-    # Noise alone, clipped at 0 on 30 of 36 taxels.
-    assert found.psnr_db == pytest.approx(40 - 10 * math.log10(1 - 0.5 * 30 / 36), abs=0.7)
-    assert simulate("full", 6, 6, 0.01, 16, 500.0, 0, scene).note.startswith("the scene has 200 Hz")
-    with pytest.raises(
-        SettingsError, match="its skin has 36 taxels on 6 x 6; expected 42 on 6 x 7"
-    ):
-        simulate("full", 6, 7, 0.01, 16, 100.0, 0, scene)

@@ -1,15 +1,12 @@
-"""Wires by their formulas, against cases that are counted by hand; models of the readout."""
+"""Wires by their formulas, against cases that are counted by hand."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.plugins.wiring.divider import divided, undivided, with_crosstalk
 from sparseskin.plugins.wiring.model import (
     array_wiring,
     count_crossings,
@@ -56,26 +53,3 @@ def test_smaller_neighbourhoods_have_shorter_wires_that_cross_less() -> None:
     assert {w.conversions for w in found} == {341}
     # 8 x 4 cells about their middle: 2 columns of 4 and 1 row of 8 away in the mean.
     assert found[0].length == 32 * (8 * 4 * (2 + 1))
-
-
-@given(
-    conductances=st.lists(st.floats(0, 1), min_size=4, max_size=4),
-    driven=st.lists(st.booleans(), min_size=4, max_size=4),
-    load=st.floats(0.01, 10),
-)
-def test_a_divider_is_undone_by_the_reading_of_all_columns(
-    conductances: list[float], driven: list[bool], load: float
-) -> None:
-    g, pattern = np.array(conductances), np.array(driven, dtype=float)
-    v, v_all = divided(pattern @ g, g.sum(), load), divided(g.sum(), g.sum(), load)
-    assert 0 <= v <= v_all < 1
-    assert undivided(v, v_all, load) == pytest.approx(pattern @ g, rel=1e-6, abs=1e-9)
-
-
-def test_crosstalk_adds_both_neighbours_of_a_row() -> None:
-    press = np.zeros((2, 5))
-    press[1, 2] = 1.0
-    press[0, 0] = 2.0
-    read = with_crosstalk(press, 0.1)
-    assert read.tolist() == [[2.0, 0.2, 0, 0, 0], [0, 0.1, 1.0, 0.1, 0]]
-    assert with_crosstalk(press, 0.0).tolist() == press.tolist()
