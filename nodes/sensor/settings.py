@@ -81,7 +81,7 @@ class SensorSettings(PatchesSettings):
     points: str = setting(
         "",
         "file with the places of the taxels of a skin that is no flat grid, .csv or an iCub's "
-        ".txt, or example:NAME (torso, grip, triangles); a source delivers readings in its order",
+        ".txt, or example:NAME (torso, grip); a source delivers readings in its order",
         decides=True,
     )
     tare: int = setting(

@@ -14,18 +14,14 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.files.recording import check_stated_shape
 
 from .can_chunks import chunks_of
-from .can_port import check_can
+from .can_port import CanPort
 from .framing import Framing
-from .serial_port import check_serial
-from .settings import (
-    BoardSettings,
-    CanSettings,
-    UdpSettings,
-    profile_names,
-    read_settings,
-    split_source,
-)
-from .udp_port import check_udp
+from .ports import Port
+from .serial_port import SerialPort
+from .settings import BoardSettings, CanSettings, profile_names, read_settings, split_source
+from .udp_port import UdpPort
+
+PORTS: dict[str, type[Port]] = {"serial": SerialPort, "udp": UdpPort, "can": CanPort}
 
 
 @dataclass(frozen=True)
@@ -65,44 +61,28 @@ def describe_board(
         if not address:
             raise SourceError("nothing follows; expected " + _FORMS[kind])
         settings = read_settings(kind, query)
-        given: dict[str, Any] = {"rows": n_rows, "cols": n_cols, "f_max": f_max}
-        missing = {k: v for k, v in given.items() if v is not None and getattr(settings, k) is None}
-        if unit is not None and settings.unit == "raw":
-            missing["unit"] = unit
+        given: dict[str, Any] = {"rows": n_rows, "cols": n_cols, "f_max": f_max, "unit": unit}
+        own = {key for key in given if getattr(settings, key) not in (None, "raw")}
+        missing = {k: v for k, v in given.items() if v is not None and k not in own}
         settings = dataclasses.replace(settings, **missing)
-        if "profile" in query and settings.shape is None:
-            form = f"{source}&rows=8&cols=8"
-            raise SourceError(
-                f"profile {query['profile']} is for any size: add rows=NUMBER and cols=NUMBER, as "
-                f"{form}"
-            )
         decoder = settings.decoder()
-        shape = settings.shape
-        assert shape is not None
-        check_stated_shape(*shape, n_rows, n_cols, "the source")
-        for key, stated in (("f_max", f_max), ("unit", unit)):
-            if stated is not None and stated != getattr(settings, key):
-                raise SourceError(
-                    f"{key} = {stated} is stated, but the source has {getattr(settings, key)}"
-                )
+        skin = settings.skin()
+        check_stated_shape(*skin.shape, n_rows, n_cols, "the source")
+        for key in ("f_max", "unit"):
+            found = getattr(settings, key)
+            if given[key] not in (None, found):
+                raise SourceError(f"{key} = {given[key]} is stated, but the source has {found}")
         framing = settings.framing(decoder.n_bytes)
         settings.check_port()
         if isinstance(settings, CanSettings):
             chunks_of(settings, framing)
-        pitch_m = None if settings.pitch_mm is None else settings.pitch_mm / 1000
-        skin = Skin(*shape, settings.range(), settings.unit, pitch_m)
         return Board(name, kind, address, settings, decoder, framing, skin)
 
 
 def check_board(board: Board) -> None:
     """Raise SourceError if the port of a board is not there, or cannot be opened by this user."""
     with naming_board(board.name):
-        if isinstance(board.settings, UdpSettings):
-            check_udp(board.address)
-        elif isinstance(board.settings, CanSettings):
-            check_can(board.address, board.settings.interface)
-        else:
-            check_serial(board.address)
+        PORTS[board.kind].check(board.address, board.settings)
 
 
 @contextmanager

@@ -37,10 +37,30 @@ class CanPort(Port):
         self._n_errors = 0
         self._bus: Any = None
 
+    @classmethod
+    def check(cls, address: str, settings: CanSettings) -> None:
+        needed_module("can", "python-can", "can")
+        if settings.interface != "socketcan":
+            from can.interfaces import VALID_INTERFACES
+
+            if settings.interface not in VALID_INTERFACES:
+                raise SourceError(
+                    f"interface: python-can has no {settings.interface[:40]!r}"
+                    f"{did_you_mean(settings.interface, VALID_INTERFACES)}"
+                )
+            return
+        channels = can_channels()
+        if address not in channels:
+            hint = did_you_mean(address, channels)
+            raise NotHereError(f"there is no CAN interface {address}{hint}")
+        with contextlib.suppress(OSError, ValueError):
+            if not int(Path(f"/sys/class/net/{address}/flags").read_text(), 16) & 1:
+                raise NotHereError(f"the CAN interface {address} is down: ip link set {address} up")
+
     def open(self) -> None:
         can = needed_module("can", "python-can", "can")
         settings, ids = self._settings, self._chunks.ids
-        check_can(self.address, settings.interface)
+        self.check(self.address, settings)
         self._assembler.reset()
         self._parser.reset()
         options: dict[str, Any] = {} if settings.bitrate is None else {"bitrate": settings.bitrate}
@@ -100,27 +120,6 @@ class CanPort(Port):
 
     def hint(self) -> str:
         return "; also ids, chunk, index, counter"
-
-
-def check_can(channel: str, interface: str) -> None:
-    """Raise SourceError unless a channel is named, and of socketcan is there and up."""
-    needed_module("can", "python-can", "can")
-    if interface != "socketcan":
-        from can.interfaces import VALID_INTERFACES
-
-        if interface not in VALID_INTERFACES:
-            raise SourceError(
-                f"interface: python-can has no {interface[:40]!r}"
-                f"{did_you_mean(interface, VALID_INTERFACES)}"
-            )
-        return
-    channels = can_channels()
-    if channel not in channels:
-        hint = did_you_mean(channel, channels)
-        raise NotHereError(f"there is no CAN interface {channel}{hint}")
-    with contextlib.suppress(OSError, ValueError):
-        if not int(Path(f"/sys/class/net/{channel}/flags").read_text(), 16) & 1:
-            raise NotHereError(f"the CAN interface {channel} is down: ip link set {channel} up")
 
 
 def can_channels() -> list[str]:

@@ -32,6 +32,11 @@ class Port(ABC):
         self.address, self._settings = address, settings
         self.n_bytes = 0
 
+    @classmethod
+    @abstractmethod
+    def check(cls, address: str, settings: Any) -> None:
+        """Raise SourceError if the device is not there, or cannot be opened by this user."""
+
     @abstractmethod
     def open(self) -> None:
         """Open the device; SourceError if it cannot be."""

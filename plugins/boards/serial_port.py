@@ -20,7 +20,7 @@ from sparseskin.nodes.lookup import did_you_mean
 
 from .framing import Counts, FrameParser, Framing
 from .ports import MAX_READS, READ_BYTES, Arrived, Port, needed_module
-from .settings import SerialSettings, fitting_profile
+from .settings import SerialSettings
 
 TIOCGICOUNT = 0x545D
 """Linux: counters of a serial port. Source: asm-generic/ioctls.h; struct serial_icounter_struct."""
@@ -41,8 +41,23 @@ class SerialPort(Port):
         self._overruns = 0
         self._recent: deque[bytes] = deque(maxlen=64)
 
+    @classmethod
+    def check(cls, address: str, settings: SerialSettings) -> None:
+        needed_module("serial", "pyserial", "serial")
+        try:
+            found = os.stat(address)
+        except (OSError, ValueError):
+            hint = did_you_mean(address, serial_devices())
+            raise NotHereError(f"there is no device {address}{hint}") from None
+        if not stat.S_ISCHR(found.st_mode):
+            raise SourceError("is no serial port")
+        if not os.access(address, os.R_OK | os.W_OK):
+            raise SourceError(
+                "this user may not open it; on most systems members of the group dialout may"
+            )
+
     def open(self) -> None:
-        check_serial(self.address)
+        self.check(self.address, self._settings)
         serial = needed_module("serial", "pyserial", "serial")
         self.parser.reset()
         try:
@@ -104,25 +119,7 @@ class SerialPort(Port):
         if times < 2 or distance == framing.n_bytes:
             return ""
         n_payload = distance - framing.n_bytes + framing.payload_bytes
-        profile = fitting_profile(framing.start, distance)
-        named = f", as of profile={profile}" if profile else ""
-        return f"; from {start} to {start} it is {distance} bytes, {n_payload} of readings{named}"
-
-
-def check_serial(device: str) -> None:
-    """Raise SourceError unless a device is there that this user may read, and pyserial is."""
-    needed_module("serial", "pyserial", "serial")
-    try:
-        found = os.stat(device)
-    except (OSError, ValueError):
-        hint = did_you_mean(device, serial_devices())
-        raise NotHereError(f"there is no device {device}{hint}") from None
-    if not stat.S_ISCHR(found.st_mode):
-        raise SourceError("is no serial port")
-    if not os.access(device, os.R_OK | os.W_OK):
-        raise SourceError(
-            "this user may not open it; on most systems members of the group dialout may"
-        )
+        return f"; from {start} to {start} it is {distance} bytes, {n_payload} of readings"
 
 
 def serial_devices() -> list[str]:

@@ -6,11 +6,9 @@ TOML file of the same keys; the name of the source goes before the profile.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import ipaddress
 import re
-import types
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,6 +17,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from sparseskin.launch.attach.text import typed_value
+from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.sensor.files.recording import check_grid, check_unit, shown
@@ -74,18 +74,13 @@ class BoardSettings(Settings):
 
     needs_start: ClassVar[bool] = False
 
-    @property
-    def shape(self) -> tuple[int, int] | None:
-        """(rows, cols), None unless both are stated."""
-        return (self.rows, self.cols) if self.rows and self.cols else None
-
     def decoder(self) -> Decoder:
         """Decoder of the readings; SourceError if a key is missing or wrong."""
         if self.rows is None or self.cols is None:
             missing = "rows" if self.rows is None else "cols"
             raise SourceError(
-                f"{missing} is not stated; add {missing}=NUMBER, or profile=NAME "
-                "(sparseskin sources lists them)"
+                f"{missing} is not stated; add {missing}=NUMBER, or profile=NAME of a board that "
+                "has its size (sparseskin sources lists them)"
             )
         check_grid(self.rows, self.cols, "rows, cols")
         check_unit("unit", self.unit)
@@ -101,8 +96,8 @@ class BoardSettings(Settings):
         rows, cols = orders
         return Decoder(self.dtype, self.byte_order, self.order, rows, cols, self.scale, self.zero)
 
-    def range(self) -> float:
-        """Upper end of the range; SourceError if it is not known."""
+    def skin(self) -> Skin:
+        """The skin, of stated rows and columns; SourceError if its range is not known."""
         f_max, dtype = self.f_max, np.dtype(self.dtype)
         if f_max is None and dtype.kind == "f":
             raise SourceError(f"f_max is not stated, and {self.dtype} has no largest value")
@@ -112,7 +107,8 @@ class BoardSettings(Settings):
             raise SourceError(
                 f"zero = {self.zero:g} leaves no range: the largest reading is {f_max:g}"
             )
-        return f_max
+        pitch_m = None if self.pitch_mm is None else self.pitch_mm / 1000
+        return Skin(self.rows or 0, self.cols or 0, f_max, self.unit, pitch_m)
 
     def framing(self, n_bytes: int) -> Framing:
         """Framing of a payload of so many bytes; SourceError if a key is wrong."""
@@ -222,56 +218,52 @@ def split_source(source: str) -> tuple[str, str, dict[str, str]]:
     return kind, address, values
 
 
-def read_settings(kind: str, values: Mapping[str, str]) -> BoardSettings:
+def read_settings(kind: str, query: Mapping[str, str]) -> BoardSettings:
     """Settings of a board of a kind of `KINDS`, from a query. Raises SparseskinError if a key or
     value of the query or of its profile is not allowed.
     """
-    cls = KINDS[kind]
-    own = dict(values)
+    cls, own = KINDS[kind], dict(query)
     profile = own.pop("profile", None)
-    stated = {} if profile is None else read_profile(profile)
-    keys = {field.name for field in dataclasses.fields(cls)}
-    of_profile = {key: value for key, value in stated.items() if key in keys}
-    return cls.from_mapping(of_profile | typed(cls, own, "profile"))
+    stated = {} if profile is None else read_profile(profile, cls)
+    return cls.from_mapping(stated | typed(cls, own, "profile"))
 
 
-def typed(cls: type[Settings], values: Mapping[str, str], *more: str) -> dict[str, Any]:
+def typed(cls: type[Settings], query: Mapping[str, str], *more: str) -> dict[str, Any]:
     """Texts of a query as the types of the settings of a class. Raises SourceError if a key is none
-    of them (`more`: others to propose), or a text cannot be of its type.
+    of them (`more`: others to propose).
     """
-    hints = typing.get_type_hints(cls)
-    keys = [field.name for field in dataclasses.fields(cls)]
-    for key in values:
-        if key not in keys:
-            raise SourceError(f"{key}: unknown key{did_you_mean(key, [*keys, *more])}")
-    return {key: _value(key, text, hints[key]) for key, text in values.items()}
+    entries = {entry["key"]: entry for entry in cls.described()}
+    for key in query:
+        if key not in entries:
+            raise SourceError(f"{key}: unknown key{did_you_mean(key, [*entries, *more])}")
+    return {key: typed_value(text, entries[key]) for key, text in query.items()}
 
 
-def read_profile(name: str) -> dict[str, Any]:
-    """Keys and values of a profile: its name if it comes with the package, or the path of a file
-    that ends in .toml. `about`, one line on the board, is left out. Raises SourceError if there is
-    none, or it is no TOML of known keys.
+def read_profile(name: str, cls: type[BoardSettings]) -> dict[str, Any]:
+    """Settings of a profile for boards of a class: its name if it comes with the package, or the
+    path of a file that ends in .toml. `about`, one line on the board, and keys of other kinds of
+    ports are left out. Raises SourceError if there is none, or it is no TOML of known keys.
     """
     own = name.endswith(".toml") or "/" in name
     path = Path(name) if own else PROFILES / f"{name}.toml"
     if not own and not (re.fullmatch(r"\w+", name) and path.is_file()):
         hint = did_you_mean(name, profile_names())
         raise SourceError(f"profile: there is no {shown(name)}{hint}; or the path of a .toml file")
+    known = {field.name for kind in KINDS.values() for field in dataclasses.fields(kind)}
     values = read_toml(path)
-    known = {field.name for cls in KINDS.values() for field in dataclasses.fields(cls)}
+    values.pop("about", None)
     for key, value in values.items():
-        if key not in known | {"about"}:
+        if key not in known:
             raise SourceError(f"profile {name}: {key}: unknown key{did_you_mean(key, known)}")
         if isinstance(value, list):
             values[key] = ",".join(map(str, value))
-    values.pop("about", None)
-    for cls in KINDS.values():
-        keys = {field.name for field in dataclasses.fields(cls)}
-        try:
-            cls.from_mapping({key: value for key, value in values.items() if key in keys})
-        except SparseskinError as error:
-            raise SourceError(f"profile {name}: {error}") from error
-    return values
+    fields = {field.name for field in dataclasses.fields(cls)}
+    found = {key: value for key, value in values.items() if key in fields}
+    try:
+        cls.from_mapping(found)
+    except SparseskinError as error:
+        raise SourceError(f"profile {name}: {error}") from error
+    return found
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -291,34 +283,3 @@ def read_toml(path: Path) -> dict[str, Any]:
 def profile_names() -> list[str]:
     """Names of the profiles that come with the package."""
     return sorted(path.stem for path in PROFILES.glob("*.toml"))
-
-
-def fitting_profile(start: bytes, n_bytes: int) -> str:
-    """The profile of the package whose frames have these start bytes and this length; "" if none
-    has.
-    """
-    for name in profile_names():
-        with contextlib.suppress(SparseskinError):  # one without rows and columns
-            settings = read_settings("serial", {"profile": name})
-            framing = settings.framing(settings.decoder().n_bytes)
-            if (framing.start, framing.n_bytes) == (start, n_bytes):
-                return name
-    return ""
-
-
-def _value(key: str, text: str, hint: Any) -> Any:
-    """A text of a query as the type of its key."""
-    options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
-    if str in options:
-        return text
-    if bool in options:
-        if text not in ("true", "false"):
-            raise SourceError(f"{key}: {shown(text)} is not allowed; allowed: true, false")
-        return text == "true"
-    try:
-        if "_" in text or len(text) > 40:
-            raise ValueError
-        return int(text) if int in options else float(text)
-    except ValueError:
-        what = "whole number" if int in options else "number"
-        raise SourceError(f"{key}: {shown(text)} is no {what}") from None

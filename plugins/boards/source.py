@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
@@ -14,13 +14,10 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.source import LiveSource
 
-from .board import Board, check_board, naming_board
-from .can_port import CanPort
+from .board import PORTS, Board, check_board, naming_board
 from .framing import Counts
-from .ports import Arrived, Port
-from .serial_port import SerialPort
+from .ports import Arrived
 from .settings import SerialSettings, UdpSettings
-from .udp_port import UdpPort
 
 RETRY_S = 0.25
 """Time between two attempts to open a device that is gone, seconds; chosen: soon for a person."""
@@ -28,9 +25,6 @@ SILENT_S = 2.0
 """Time without a frame after which one line says so, seconds; chosen as in the examples."""
 MAX_WAITING = 1024
 """Most frames that wait to be used, chosen: 1 s at 1 kHz. No more are read while so many wait."""
-
-
-PORTS: dict[str, Callable[..., Port]] = {"serial": SerialPort, "udp": UdpPort, "can": CanPort}
 
 
 class BoardSource(LiveSource):

@@ -30,6 +30,11 @@ class UdpPort(Port):
         self._socket: socket.socket | None = None
         self._n_dropped = self._n_strangers = self._last_bytes = 0
 
+    @classmethod
+    def check(cls, address: str, settings: UdpSettings) -> None:
+        if not (address.isascii() and address.isdigit() and 0 < int(address[:6]) < 65536):
+            raise SourceError(f"{address[:40]!r} is no port; a port is a number in 1..65535")
+
     def open(self) -> None:
         self._parser.reset()
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -78,9 +83,3 @@ class UdpPort(Port):
 
     def hint(self) -> str:
         return f"; the last packet had {self._last_bytes} bytes"
-
-
-def check_udp(port: str) -> None:
-    """Raise SourceError unless a text is the number of a port."""
-    if not (port.isascii() and port.isdigit() and 0 < int(port[:6]) < 65536):
-        raise SourceError(f"{port[:40]!r} is no port; a port is a number in 1..65535")

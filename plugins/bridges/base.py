@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -19,8 +18,6 @@ from sparseskin.messages import (
     Truth,
     topic_of,
 )
-from sparseskin.messages.frames import values_alone
-from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
@@ -29,7 +26,8 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.settings import Settings, check_patch, setting
 
 Map = Taxels | Truth | Reconstruction
-SENT = ("reconstruction", "truth", "taxels")
+MAPS = {cls.schema: cls for cls in (Reconstruction, Truth, Taxels)}
+SENT = tuple(MAPS)
 """Schemas whose forces a bridge can send."""
 ROW = "row"
 """Column of a cloud of points: the row of each in its file, uint32."""
@@ -110,30 +108,6 @@ def point_columns(
     if skin.point_rows is not None:
         columns[ROW] = skin.point_rows.astype("<u4").view("<f4")
     return columns
-
-
-def figures(message: Map, f_max: float, latency_ns: int) -> dict[str, float | int | bool]:
-    """Numbers of a map of a skin with range [0, f_max], as tools plot them; finite, and without
-    those that are not known. `latency_ns` is the time since the acquisition.
-
-    `total` and `peak` are in the skin's unit, `row` and `col` the centre of pressure in taxels from
-    the middle of the first.
-    """
-    values = values_alone(message)
-    forces = values["forces"]
-    rows, cols = forces.sum(axis=1, dtype=np.float64), forces.sum(axis=0, dtype=np.float64)
-    total, peak = float(rows.sum()), float(forces.max())
-    found: dict[str, float | int | bool] = {"seq": message.seq, "total": total, "peak": peak}
-    if total > 0 and peak > CONTACT_FRACTION * f_max:
-        found["row"] = float(rows @ np.arange(len(rows))) / total
-        found["col"] = float(cols @ np.arange(len(cols))) / total
-    found["latency_ms"] = latency_ns / 1e6
-    if isinstance(message, Reconstruction):
-        found |= {name: values[name] for name in ("residual", "iterations", "trusted")}
-        found["solve_ms"] = values["solve_ns"] / 1e6
-        if values["error"] is not None:
-            found["error"] = values["error"]
-    return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
 class Bridge(Node[S]):

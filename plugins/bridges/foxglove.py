@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 from sparseskin.messages import Message, Resultant, SkinState
 from sparseskin.messages.topics import topic_of
@@ -14,8 +13,8 @@ from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.settings import setting
 
-from .base import LOOPBACK, RESULTANT, Bridge, BridgeSettings, Map, check_installed, figures
-from .exports.foxglove import Channels, figures_of, grid, point_cloud, raw_image
+from .base import LOOPBACK, MAPS, RESULTANT, Bridge, BridgeSettings, Map, check_installed
+from .exports.foxglove import Channels, figure_names, figures_of, grid, point_cloud, raw_image
 
 BACKLOG = 1024
 """Messages that the server keeps for a client that reads slowly; beyond it drops the oldest."""
@@ -51,14 +50,12 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
 
         own = foxglove.Context()
         self._channels = Channels(own)
-        self._listener = _Listener()
         try:
             self._server = foxglove.start_server(
                 name=f"sparseskin {context.name}",
                 host=settings.host,
                 port=settings.port,
                 capabilities=[foxglove.Capability.Time],
-                server_listener=cast(Any, self._listener),  # it needs no other methods
                 context=own,
                 message_backlog_size=BACKLOG,
             )
@@ -75,7 +72,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
                 topic = topic_of(patch, schema)
                 self._channels.of(topic, "RawImage")
                 self._channels.of(f"{topic}/grid", "Grid")
-                self._channels.of(f"{topic}/figures", _FIGURES)
+                self._channels.of(f"{topic}/figures", _names(MAPS[schema]))
         self.context.log(f"foxglove: {self.where()}")
         if self.settings.host not in LOOPBACK:
             self.context.log("foxglove: whoever reaches that address can read the graph")
@@ -84,18 +81,18 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
     def where(self) -> str:
         return self._url
 
-    def status(self) -> str:
-        n = self._listener.n_clients
-        return f"{super().status()} to {n} client{'' if n == 1 else 's'}"
-
     def send(self, message: Map, skin: SkinState) -> None:
         layers = {"force": message.forces[0]}
-        late_ns = self.context.clock.now_ns() - message.stamp_ns
+        now = {
+            "seq": message.seq,
+            "latency_ms": (self.context.clock.now_ns() - message.stamp_ns) / 1e6,
+        }
         self._log(message, "", "RawImage", lambda: raw_image(message, message.forces[0]))
         self._log(message, "/grid", "Grid", lambda: grid(message, layers, skin))
         if skin.points is not None:
             self._log(message, "/points", "PointCloud", lambda: point_cloud(message, layers, skin))
-        self._log(message, "/figures", _FIGURES, lambda: figures(message, skin.f_max, late_ns))
+        names = _names(type(message))
+        self._log(message, "/figures", names, lambda: figures_of(message) | now)
 
     def send_resultant(self, message: Resultant) -> None:
         self._log(message, "", RESULTANT, lambda: figures_of(message, RESULTANT))
@@ -114,29 +111,6 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
             channel.log(make(), log_time=message.stamp_ns)
 
 
-_FIGURES = (
-    *("seq", "total", "peak", "row", "col", "latency_ms"),
-    *("residual", "iterations", "solve_ms", "error"),
-)
-
-
-class _Listener:
-    """Counts clients on the threads of the server."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._subscribed: set[tuple[int, int]] = set()
-
-    @property
-    def n_clients(self) -> int:
-        """Number of clients with a subscription."""
-        with self._lock:
-            return len({client for client, _ in self._subscribed})
-
-    def on_subscribe(self, client: Any, channel: Any) -> None:
-        with self._lock:
-            self._subscribed.add((client.id, channel.id))
-
-    def on_unsubscribe(self, client: Any, channel: Any) -> None:
-        with self._lock:
-            self._subscribed.discard((client.id, channel.id))
+def _names(cls: type[Map]) -> list[str]:
+    """Names of the numbers that are sent of a map."""
+    return [*figure_names(cls), "seq", "latency_ms"]

@@ -152,7 +152,7 @@ def _publication(member: Any, topic: str, query: Ros2Query) -> tuple[str, bool]:
 
 
 class _Counted:
-    """Counts messages that were not used, and logs them at 1, 3, 7 ..."""
+    """Counts messages that were not used, and logs them each time that their number has doubled."""
 
     def __init__(self, source: str) -> None:
         self._source = source
@@ -163,18 +163,11 @@ class _Counted:
         self._log(why)
 
     def lost(self, reader: Any) -> None:
-        n_lost = int(reader.get_sample_lost_status().total_count)
-        if n_lost != self._n_lost:
-            self._n_lost = n_lost
-            self._log("lost on the way")
+        self._n_lost = int(reader.get_sample_lost_status().total_count)
+        self._log("lost on the way")
 
     def _log(self, why: str) -> None:
-        total = self._n_bad + self._n_lost
-        if total > 2 * self._logged:
+        if (total := self._n_bad + self._n_lost) > 2 * self._logged:
             self._logged = total
-            print(
-                f"{self._source}: {self._n_bad} messages refused, {self._n_lost} lost; "
-                f"the last: {why}",
-                file=sys.stderr,
-                flush=True,
-            )
+            counts = f"{self._n_bad} messages refused, {self._n_lost} lost"
+            print(f"{self._source}: {counts}; the last: {why}", file=sys.stderr, flush=True)

@@ -10,7 +10,7 @@ from sparseskin.nodes.lookup import did_you_mean, suggestion
 from sparseskin.plugins.boards.board import Board, naming_board
 from sparseskin.plugins.boards.settings import read_settings, split_source
 from sparseskin.plugins.boards.source import BoardSource
-from sparseskin.plugins.boards.udp_port import check_udp
+from sparseskin.plugins.boards.udp_port import UdpPort
 
 from .description import EdgeDescription
 from .frames import framing_of
@@ -43,7 +43,7 @@ def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Boar
         settings = read_settings(kind, query)
         settings.check_port()
         if kind == "udp":
-            check_udp(address)
+            UdpPort.check(address, settings)
     framing = framing_of(description)
     # A payload is taken whole: nothing is decoded.
     return Board(name, kind, address, settings, lambda _: np.empty(0, np.float32), framing, skin)

@@ -1,4 +1,4 @@
-"""Layouts that are computed: a torso, a grip and a patch of triangular modules."""
+"""Layouts that are computed: a torso and a grip."""
 
 from __future__ import annotations
 
@@ -28,9 +28,6 @@ _TORSO = np.array(
 _AROUND = np.linspace(-np.pi, np.pi, 721)
 """Angles at which the way around a ring is summed."""
 GRIP_RADIUS_M, GRIP_LENGTH_M, GRIP_PITCH_M = 0.035, 0.1, 0.005
-TRIANGLE_PITCH_M = 0.0065
-"""Distance of the taxels of a triangular module, that of an iCub's: 6.5 mm."""
-TRIANGLE_RADIUS_M = 0.06
 
 
 def torso(n: int = TORSO_POINTS) -> Layout:
@@ -93,23 +90,4 @@ def grip() -> Layout:
     return places, normals
 
 
-def triangles(n_rows: int = 6, n_cols: int = 8) -> Layout:
-    """Triangular modules of ten taxels, on a hexagonal lattice, bent to a part of a cylinder."""
-    side = 4  # taxels along the side of a module: 4 + 3 + 2 + 1
-    flat = set()
-    for row, col in np.ndindex(n_rows, n_cols):
-        for i in range(side):
-            for k in range(side - i):
-                flat.add((side * row + i, side * col + k))
-                flat.add((side * (row + 1) - 1 - i, side * (col + 1) - k))
-    cells = np.array(sorted(flat), dtype=np.float64)
-    x = TRIANGLE_PITCH_M * (cells[:, 1] + 0.5 * cells[:, 0])
-    z = TRIANGLE_PITCH_M * math.sqrt(0.75) * cells[:, 0]
-    angle = (x - x.mean()) / TRIANGLE_RADIUS_M
-    normals = np.stack([np.cos(angle), np.sin(angle), np.zeros(len(x))], axis=1)
-    places = TRIANGLE_RADIUS_M * normals
-    places[:, 2] = z
-    return places, normals
-
-
-EXAMPLES: dict[str, Callable[[], Layout]] = {"torso": torso, "grip": grip, "triangles": triangles}
+EXAMPLES: dict[str, Callable[[], Layout]] = {"torso": torso, "grip": grip}

@@ -2,8 +2,8 @@
 
 | file | content                                                                                   |
 |------|-------------------------------------------------------------------------------------------|
-| .csv | a line a taxel: x, y, z and, where known, the normal nx, ny, nz; the unit is stated, by a |
-|      | first line `# unit: mm`, or by the names of the columns: x_mm, y_mm, z_mm                 |
+| .csv | a header x_mm,y_mm,z_mm (or cm, m), with ,nx,ny,nz after it where normals are known, and  |
+|      | a line a taxel; lines that begin with # are comments                                      |
 | .txt | taxel positions of an iCub (skinGui, skinManager): keys, `[calibration]`, and for each    |
 |      | reading x y z nx ny nz in metres, zeros where it has no taxel                             |
 
@@ -12,7 +12,6 @@ A layout is a file, or `example:NAME` for one that is computed (`examples`).
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -35,14 +34,17 @@ from .points import MAX_POINTS, Points, doubled, estimated_normals
 
 EXAMPLE = "example:"
 SUFFIXES = (".csv", ".txt")
-UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Units of a .csv, in metres."""
+HEADERS_M = {
+    f"x_{unit},y_{unit},z_{unit}": metres
+    for unit, metres in (("mm", 0.001), ("cm", 0.01), ("m", 1.0))
+}
+"""Headers of a .csv, and their unit in metres."""
+NORMAL = ",nx,ny,nz"
+"""Further columns of a header, where normals are known."""
 MAX_BYTES = 256 * MAX_POINTS
 """Largest file, bytes; chosen: six numbers of 42 characters a taxel."""
 USUAL_M = 1e-4, 0.2
 """Distances of taxels in metres outside which a unit is doubted; chosen."""
-_PLACE, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
-_UNIT_LINE = re.compile(r"#\s*unit:\s*(\S+)\s*")
 _ICUB_KEYS = ("name", "spatial_sampling", "taxel2Repr")
 _CALIBRATION = "[calibration]"
 _LEAST_NORMAL = 0.5
@@ -79,58 +81,30 @@ def load_points(layout: str) -> Points:
 
 
 def _read_csv(lines: Sequence[str], name: str) -> Points:
-    unit, header, rows = None, None, []
+    header, rows = None, []
     for number, line in enumerate(lines, start=1):
         where = f"{name}, line {number}"
-        if line.startswith("#"):
-            if found := _UNIT_LINE.fullmatch(line):
-                unit = _unit(found[1], where)
-            continue
-        if not line.strip():
+        if line.startswith("#") or not line.strip():
             continue
         cells = [cell.strip() for cell in line.split(",")]
-        if header is None:
-            header, of_names = _header(cells, where)
-            unit = unit or of_names
-            if unit is None:
-                raise SourceError(
-                    f"{name}: the unit of x, y, z is not stated; allowed: a first line "
-                    "'# unit: mm' (or cm, m), or columns x_mm, y_mm, z_mm"
-                )
-            continue
-        rows.append(_row(cells, len(header), where))
-    if header is None or unit is None:
-        raise SourceError(f"{name}: holds no header; expected x,y,z or x,y,z,nx,ny,nz")
-    if not rows:
-        raise SourceError(f"{name}: holds no taxel")
+        if header is not None:
+            rows.append(_row(cells, len(header), where))
+        elif ",".join(cells).removesuffix(NORMAL) in HEADERS_M:
+            header = cells
+        else:
+            raise SourceError(
+                f"{where}: header {shown(','.join(cells), 80)}; expected {next(iter(HEADERS_M))} "
+                f"(or in cm, m), or with {NORMAL[1:]} after it"
+            )
+    if header is None or not rows:
+        raise SourceError(f"{name}: holds no {'taxel' if header else 'header'}")
     values = np.array(rows)
-    places = values[:, :3] * UNITS_M[unit]
+    places = values[:, :3] * HEADERS_M[",".join(header[:3])]
     twice = doubled(places)
     if twice.any():
         k = int(np.argmax(twice))
         raise SourceError(f"{name}: taxel {k} (from 0) stands where another does")
     return _points(name, places, values[:, 3:], np.arange(len(rows)), len(rows), ())
-
-
-def _unit(text: str, where: str) -> str:
-    if text not in UNITS_M:
-        raise SourceError(f"{where}: unit {shown(text)}; allowed are {', '.join(UNITS_M)}")
-    return text
-
-
-def _header(cells: list[str], where: str) -> tuple[list[str], str | None]:
-    """Columns, and the unit that their names state."""
-    unit = None
-    if "_" in cells[0]:
-        unit = _unit(cells[0].partition("_")[2], where)
-    ending = "" if unit is None else f"_{unit}"
-    place = [axis + ending for axis in _PLACE]
-    if cells not in (place, [*place, *_NORMAL]):
-        raise SourceError(
-            f"{where}: header {shown(','.join(cells), 80)}; expected {','.join(place)} or "
-            f"{','.join((*place, *_NORMAL))}"
-        )
-    return cells, unit
 
 
 def _row(cells: list[str], n: int, where: str) -> list[float]:

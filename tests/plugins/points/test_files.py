@@ -10,7 +10,7 @@ import pytest
 from sparseskin.nodes.errors import SourceError
 from sparseskin.plugins.points.files import load_points
 
-CSV = "# unit: mm\nx,y,z,nx,ny,nz\n0,0,1,0,0,1\n5,0,1,0,0,0.99\n0,-5,1,0,0,1\n"
+CSV = "# a hand\nx_mm,y_mm,z_mm,nx,ny,nz\n0,0,1,0,0,1\n5,0,1,0,0,0.99\n0,-5,1,0,0,1\n"
 ICUB = """name                l_hand
 spatial_sampling    taxel
 taxel2Repr          (-1 0 1 -2 2 3)
@@ -68,16 +68,15 @@ def test_an_icubs_file_has_readings_without_a_taxel(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        (CSV.replace("# unit: mm\n", ""), "the unit of x, y, z is not stated; allowed: a first"),
-        (CSV.replace("mm", "inch"), "line 1: unit 'inch'; allowed are m, cm, mm"),
-        (CSV.replace("x,y,z", "y,x,z"), "line 2: header 'y,x,z,nx,ny,nz'; expected x,y,z or x,y,z"),
+        (CSV.replace("_mm", ""), "line 2: header 'x,y,z,nx,ny,nz'; expected x_mm,y_mm,z_mm .or in"),
+        (CSV.replace("_mm,nx", "_cm,nx"), "line 2: header 'x_mm,y_mm,z_cm,nx,ny,nz'; expected"),
         (CSV.replace("5,0,1,0", "nan,0,1,0"), "line 4: 'nan' is not a finite number"),
         (CSV.replace("5,0,1,0", "5;0,1,0"), "line 4: 5 numbers; expected 6"),
         (CSV.replace("5,0,1,0", "0,0,1,0"), "taxel 1 .from 0. stands where another does"),
         (CSV.replace("0.99", "0.2"), "the normal of taxel 1 .from 0. has length 0.2; expected 1"),
         (CSV.replace("5,0", "5e6,0"), "taxel 1 is not within 1000 m; is its unit right"),
-        ("# unit: mm\nx,y,z\n", "holds no taxel"),
-        ("# unit: mm\n", "holds no header"),
+        ("x_mm,y_mm,z_mm\n", "holds no taxel"),
+        ("# a hand\n", "holds no header"),
         ("", "the file is empty"),
         (ICUB.replace("name  ", "robot "), "line 1: 'robot' is no key of an iCub's"),
         (ICUB.partition("[cal")[0], "holds no taxel after"),
