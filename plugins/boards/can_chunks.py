@@ -5,7 +5,7 @@ Each CAN frame holds
     index of the chunk | counter of the skin's frame | chunk of the frame
 
 of which index and counter may be absent. With several arbitration ids, the id tells the chunk; with
-one id the index does; with one id and no index, the chunks are a stream of bytes with start bytes.
+one id the index does.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class Chunks:
     Attributes
     ----------
     ids : tuple of int
-        Arbitration ids, in order of the chunks; one if the index or the start bytes tell them.
+        Arbitration ids, in order of the chunks; one if the index tells them.
     n_chunks : int
-        Number of chunks of a frame; 0 for a stream.
+        Number of chunks of a frame.
     n_bytes, chunk_bytes : int
         Length of a frame, and of each chunk but the last, which may be shorter.
     index_bytes, counter_bytes : int
@@ -47,11 +47,6 @@ class Chunks:
     chunk_bytes: int
     index_bytes: int
     counter_bytes: int
-
-    @property
-    def is_stream(self) -> bool:
-        """True if the chunks are a stream of bytes."""
-        return self.n_chunks == 0
 
     def length_of(self, number: int) -> int:
         """Bytes of a chunk."""
@@ -71,22 +66,15 @@ def chunks_of(settings: CanSettings, framing: Framing) -> Chunks:
         )
     n_chunks = -(-framing.n_bytes // chunk)
     if len(ids) == 1 and not index_bytes and n_chunks > 1:
-        if not framing.start:
-            raise SourceError(
-                "ids: one id needs index=u8 (the number of the chunk in each CAN frame), or "
-                "start=HEX (chunks are a stream of bytes)"
-            )
-        if counter_bytes:
-            raise SourceError("counter: goes with several ids or an index, not with a stream")
-        n_chunks = 0
-    elif len(ids) > 1 and len(ids) != n_chunks:
+        raise SourceError("ids: one id needs index=u8, the number of the chunk in each CAN frame")
+    if len(ids) > 1 and len(ids) != n_chunks:
         raise SourceError(
             f"ids: {len(ids)} ids, but a frame of {framing.n_bytes} bytes has {n_chunks} chunks of "
             f"{chunk}"
         )
-    elif len(ids) > 1 and index_bytes:
+    if len(ids) > 1 and index_bytes:
         raise SourceError("index: goes with one id; with several, the id tells the chunk")
-    elif n_chunks > 1 << 8 * index_bytes and len(ids) == 1:
+    if n_chunks > 1 << 8 * index_bytes and len(ids) == 1:
         raise SourceError(f"index: {settings.index} does not count to {n_chunks} chunks; index=u16")
     return Chunks(ids, n_chunks, framing.n_bytes, chunk, index_bytes, counter_bytes)
 

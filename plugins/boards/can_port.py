@@ -11,7 +11,7 @@ from sparseskin.nodes.errors import NotHereError, SourceError
 from sparseskin.nodes.lookup import did_you_mean
 
 from .can_chunks import HIGHEST_STANDARD_ID, Assembler, chunks_of
-from .framing import Counts, FrameParser, Framing, PacketParser
+from .framing import Counts, Framing, PacketParser
 from .ports import Arrived, Port, needed_module
 from .settings import CanSettings
 
@@ -32,8 +32,7 @@ class CanPort(Port):
         super().__init__(address, settings, framing, counts)
         self._chunks = chunks_of(settings, framing)
         self._assembler = Assembler(self._chunks, counts)
-        parser = FrameParser if self._chunks.is_stream else PacketParser
-        self._parser: FrameParser | PacketParser = parser(framing, counts)
+        self._parser = PacketParser(framing, counts)
         self._n_errors = 0
         self._bus: Any = None
 
@@ -103,9 +102,7 @@ class CanPort(Port):
             return []
         self.n_bytes += len(data)
         now_ns = time.monotonic_ns()
-        whole: bytes | None = data
-        if not self._chunks.is_stream:
-            whole = self._assembler.add(arbitration_id, data)
+        whole = self._assembler.add(arbitration_id, data)
         return [] if whole is None else [(now_ns, frame) for frame in self._parser.feed(whole)]
 
     def close(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +23,7 @@ from sparseskin.nodes.compressor.phi.rotation import (
     row_subsets,
 )
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
-from sparseskin.nodes.errors import PhiError, SettingsError, SparseskinError
+from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.settings import Settings, setting
 
@@ -39,13 +38,10 @@ HEADER_BYTES = 12
 CRC_BYTES = 2
 
 
-class EdgeError(SettingsError):
-    """An edge that cannot be described, exported or read as asked."""
-
-
 @dataclass(frozen=True)
 class EdgeDescription(Settings):
-    """The matrix, the quantiser and the input of an edge; SettingsError if a value is not allowed.
+    """The matrix, the quantiser and the input of an edge. Raises SparseskinError if a value is not
+    allowed.
 
     `rule` is the rule by which rows are chosen, as in `SbhePhi`.
     """
@@ -68,23 +64,22 @@ class EdgeDescription(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.block & (self.block - 1):
-            raise EdgeError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
+            raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
         if self.n_cells > MAX_CELLS:
-            raise EdgeError(f"n_rows: {self.n_cells} cells; allowed: {MAX_CELLS} or fewer")
+            raise SettingsError(f"n_rows: {self.n_cells} cells; allowed: {MAX_CELLS} or fewer")
         if self.mask is not None:
             if len(self.mask) != self.n_rows or {len(row) for row in self.mask} != {self.n_cols}:
-                raise EdgeError(f"mask: expected {self.n_rows} texts of {self.n_cols} characters")
+                raise SettingsError(
+                    f"mask: expected {self.n_rows} texts of {self.n_cols} characters"
+                )
             if set("".join(self.mask)) - {"0", "1"}:
-                raise EdgeError("mask: expected texts of 0 and 1")
+                raise SettingsError("mask: expected texts of 0 and 1")
             if not self.n_taxels:
-                raise EdgeError("mask: leaves no taxel")
+                raise SettingsError("mask: leaves no taxel")
         if self.m > self.n_taxels:
-            raise EdgeError(f"m: {self.m} is not allowed; allowed: 1..{self.n_taxels}")
+            raise SettingsError(f"m: {self.m} is not allowed; allowed: 1..{self.n_taxels}")
         if self.rows == ROTATING:
-            try:
-                check_subsets(self.n_taxels, self.m)
-            except PhiError as error:
-                raise EdgeError(str(error)) from error
+            check_subsets(self.n_taxels, self.m)
 
     @classmethod
     def chosen(
@@ -99,18 +94,14 @@ class EdgeDescription(Settings):
         **others: Any,
     ) -> Self:
         """Describe an edge by its compression ratio, or M, with the rows and M that the compressor
-        node chooses for them. Raises SettingsError as for the class, and if the compressor refuses
+        node chooses for them. Raises SparseskinError as the class, and if the compressor refuses
         ratio or rows.
         """
         texts = None if mask is None else tuple(map("".join, np.where(mask, "1", "0")))
         made = cls(n_rows, n_cols, m=1, mask=texts, **others)
-        try:
-            settings = CompressorSettings(phi="sbhe", ratio=ratio, m=m, rows=rows)
-            resolved, n_measurements = settings.rows_and_m(made.n_taxels)
-            made = replace(made, rows=resolved, m=n_measurements)
-        except (SettingsError, PhiError) as error:
-            raise EdgeError(str(error)) from error
-        return made
+        settings = CompressorSettings(phi="sbhe", ratio=ratio, m=m, rows=rows)
+        resolved, n_measurements = settings.rows_and_m(made.n_taxels)
+        return replace(made, rows=resolved, m=n_measurements)
 
     @property
     def n_cells(self) -> int:
@@ -168,11 +159,11 @@ class EdgeDescription(Settings):
     @cached_property
     def tags(self) -> dict[int, str]:
         """Fingerprint of each row subset's matrix, by its first 8 digits as a number. Raises
-        EdgeError if two are the same.
+        SettingsError if two are the same.
         """
         found = {int(phi.fingerprint[:8], 16): phi.fingerprint for phi in self.subsets}
         if len(found) < len(self.subsets):
-            raise EdgeError(
+            raise SettingsError(
                 "seed: two row subsets have the same short fingerprint; allowed: others"
             )
         return found
@@ -197,32 +188,32 @@ class EdgeDescription(Settings):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read an `edge.toml`. Raises EdgeError if it cannot be read, has unknown or missing keys
-        or values that are not allowed, or its seed gives another matrix here.
+        """Read an `edge.toml`. Raises SettingsError if it cannot be read, has unknown or missing
+        keys or values that are not allowed, or its seed gives another matrix here.
         """
         try:
-            tree = tomllib.loads(path.read_text(encoding="utf-8"))
+            # Files of version 0.1 state no rule.
+            values = {"rule": RANDOM, **tomllib.loads(path.read_text(encoding="utf-8"))}
         except OSError as error:
-            raise EdgeError(f"{path}: cannot be read: {error.strerror}") from error
+            raise SettingsError(f"{path}: cannot be read: {error.strerror}") from error
         except ValueError as error:
-            raise EdgeError(f"{path}: no TOML: {error}") from error
+            raise SettingsError(f"{path}: no TOML: {error}") from error
         try:
-            return cls._of(tree)
+            return cls._of(values)
         except SparseskinError as error:
-            raise EdgeError(f"{path}: {error}") from error
+            raise SettingsError(f"{path}: {error}") from error
 
     @classmethod
-    def _of(cls, tree: Mapping[str, Any]) -> Self:
-        values = {"rule": RANDOM, **tree}  # files of version 0.1 state none
+    def _of(cls, values: dict[str, Any]) -> Self:
         version, fingerprint = (values.pop(key, None) for key in ("version", "fingerprint"))
         if version != FILE_VERSION:
-            raise EdgeError(f"version: {version!r} is not allowed; allowed: {FILE_VERSION}")
+            raise SettingsError(f"version: {version!r} is not allowed; allowed: {FILE_VERSION}")
         made = cls.from_mapping(values)
-        missing = [field.name for field in fields(cls) if field.name not in {*values, "mask"}]
-        if missing:
-            raise EdgeError(f"{missing[0]}: is missing")
+        for field in fields(cls):
+            if field.name not in {*values, "mask"}:
+                raise SettingsError(f"{field.name}: is missing")
         if made.phi.fingerprint != fingerprint:
-            raise EdgeError(
+            raise SettingsError(
                 f"fingerprint: {fingerprint!r}, but seed {made.seed} gives Phi "
                 f"{made.phi.fingerprint} here: the file was changed, or the generators differ"
             )

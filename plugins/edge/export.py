@@ -26,7 +26,7 @@ COPIED = (
 
 def export(description: EdgeDescription, out: Path) -> None:
     """Write the program of an edge into a new folder. Raises OutputError if the folder exists or
-    cannot be written; EdgeError if two row subsets have the same short fingerprint.
+    cannot be written; SettingsError if two row subsets have the same short fingerprint.
     """
     made = {
         DESCRIPTION: description.to_toml(),

@@ -60,12 +60,12 @@ class EmedRecording(Recording):
     A page lists only the rows and columns that were touched at some time, labelled from 1; they
     are put in their places on the full matrix of the platform. Pages without a `Pict-No.`, or
     where it is no number (the peak pictures MVP and MPP), are not frames. Where pages hold a
-    Force column and row, every sum is compared with the readings, which also verifies that the
-    pressures are in kPa: the file does not state their unit.
+    Force column and row, the total force is compared with the readings, which also verifies that
+    the pressures are in kPa: the file does not state their unit.
 
     `forces` are float64, newtons: pressure times sensor area. Raises SourceError if a page is cut
     short or does not fit its header, a frame is missing, a reading is not a finite number >= 0, or
-    a Force sum is not the sum of its readings.
+    a total force is not the sum of its readings.
     """
 
     def __init__(self, lines: Lines) -> None:
@@ -139,7 +139,7 @@ class EmedRecording(Recording):
             raise SourceError(f"{where}: the column labels do not rise")
 
         kpa = np.zeros((header.n_rows, header.n_cols))
-        last_row, n_listed = -1, 0
+        last_row, n_cells = -1, 1 + len(columns) + has_sums
         for line in lines:
             where = lines.where
             if line.startswith("\f"):
@@ -148,31 +148,20 @@ class EmedRecording(Recording):
                 lines.back()
                 return kpa
             cells = [cell.strip() for cell in line.rstrip(" \t").split("\t")]
-            if len(cells) != 1 + len(columns) + has_sums:
+            if len(cells) != n_cells:
                 raise SourceError(
                     f"{where}: frame {number} has {len(cells)} cells in this row, "
-                    f"its header row {1 + len(columns) + has_sums}"
+                    f"its header row {n_cells}"
                 )
-            readings = cells[1 : 1 + len(columns)]
             if cells[0] == "Force" and has_sums:
-                sums = [parse_number(cell, where) for cell in cells[1:]]
-                column_kpa = kpa[:, columns].sum(axis=0)
-                for label, stated, total in zip(labels, sums, column_kpa, strict=False):
-                    place = f"{where}, column {label.strip()}"
-                    _check_sum(stated, float(total), header, n_listed, place)
-                n_cells = n_listed * len(columns)
-                _check_sum(sums[-1], float(kpa.sum()), header, n_cells, f"{where}, column Force")
+                _check_total(parse_number(cells[-1], where), kpa, header, where)
                 return kpa
             row = parse_whole(cells[0], f"{where}, row label", 1, header.n_rows) - 1
             if row <= last_row:
                 raise SourceError(f"{where}: row {row + 1} comes after row {last_row + 1}")
-            last_row, n_listed = row, n_listed + 1
-            place = f"{where}, frame {number}"
-            for col, token in zip(columns, readings, strict=True):
-                kpa[row, col] = parse_reading(token, place, row, col)
-            if has_sums:
-                stated_n = parse_number(cells[-1], where)
-                _check_sum(stated_n, float(kpa[row].sum()), header, len(columns), where)
+            last_row = row
+            for col, token in zip(columns, cells[1:], strict=False):
+                kpa[row, col] = parse_reading(token, f"{where}, frame {number}", row, col)
         raise SourceError(f"{where}: frame {number} is cut short before the end of its table")
 
 
@@ -203,14 +192,12 @@ def _parse_header(stated: Stated, where: str) -> _Header:
     return _Header(n_rows, n_cols, area_cm2, period_ms, pitch_m)
 
 
-def _check_sum(
-    stated_n: float, total_kpa: float, header: _Header, n_cells: int, where: str
-) -> None:
-    """Compare a Force sum with its `n_cells` readings, to the precision of the printed digits."""
-    scale = header.newtons_per_kpa
-    tolerance = _SUM_ROUNDING_N + n_cells * _CELL_ROUNDING_KPA * scale
-    if abs(stated_n - total_kpa * scale) > tolerance:
+def _check_total(stated_n: float, kpa: Doubles, header: _Header, where: str) -> None:
+    """Compare the total force of a frame with its readings, to the precision of printed digits."""
+    total_n = float(kpa.sum()) * header.newtons_per_kpa
+    rounding = np.count_nonzero(kpa) * _CELL_ROUNDING_KPA * header.newtons_per_kpa
+    if abs(stated_n - total_n) > _SUM_ROUNDING_N + rounding:
         raise SourceError(
-            f"{where}: Force is {stated_n:g} N, but the readings add up to "
-            f"{total_kpa * scale:g} N (pressure in kPa times sensor area)"
+            f"{where}: Force is {stated_n:g} N, but the readings add up to {total_n:g} N (pressure "
+            "in kPa times sensor area)"
         )

@@ -25,7 +25,7 @@ from sparseskin.studies.harness import (
     unrefused,
 )
 from sparseskin.studies.points import compute
-from sparseskin.studies.report import Chart, Page, markdown, series_style
+from sparseskin.studies.report import Page, markdown
 
 from .model import Wiring, array_wiring, sbhe_wiring
 
@@ -62,7 +62,6 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     page = Page(out, "wiring", Path(__file__).with_suffix(".md"), quick)
     page.section(
         "",
-        _draw(out, rows),
         _table(rows),
         **{"n_rows": SHAPE[0], "n_cols": SHAPE[1], "n": math.prod(SHAPE), "ratio": RATIO},
         **{"m": m_of(math.prod(SHAPE), RATIO, ROTATING), "n_frames": n_frames},
@@ -152,49 +151,3 @@ def _table(rows: pd.DataFrame) -> str:
         **{f"{preset}: {what} dB": ".1f" for preset in PRESET_ROWS for what in ("mean", "loss,")},
     }
     return markdown(table.rename(columns=names), forms)
-
-
-def _draw(out: Path, rows: pd.DataFrame) -> str:
-    caption = (
-        f"Mean PSNR of contact frames against the length of all wires, {SHAPE[0]} x {SHAPE[1]}, "
-        f"N/{RATIO}; mean and range over the seeds"
-    )
-    n = len(PRESET_ROWS)
-    with Chart(out, "wiring", caption, n, n, size_in=(10.5, 5.2), sharey=True) as chart:
-        for axes, (preset, kept) in zip(chart.panels, PRESET_ROWS.items(), strict=True):
-            for k, body in enumerate(rows["body"].unique()):
-                some = rows[(rows["preset"] == preset) & (rows["body"] == body)]
-                along = some.groupby("kind", sort=False).agg(
-                    length=("length", "first"),
-                    mean=("mean_db", "mean"),
-                    low=("mean_db", "min"),
-                    high=("mean_db", "max"),
-                )
-                style = series_style(k)
-                line = along.loc[[*LOCAL, SCRAMBLED]]
-                axes.fill_between(
-                    line["length"], line["low"], line["high"], color=style["color"], alpha=0.15
-                )
-                axes.plot(line["length"], line["mean"], label=body, **style)
-                for kind, mark in ((ROW_LOCAL, "*"), (SINGLE, "x")):
-                    one = along.loc[kind]
-                    # Both have the wires of an array: apart, so that both are seen.
-                    shift = 0.94 if kind == ROW_LOCAL else 1.06
-                    lone = {"color": style["color"], "marker": mark, "linestyle": "", "ms": 8}
-                    axes.plot(one["length"] * shift, one["mean"], **lone)
-            axes.set_xscale("log")
-            lengths = rows.groupby("kind", sort=False)["length"].first()
-            shown = ("local:4", "local:8", "local:16", "local:32", SCRAMBLED, ROW_LOCAL)
-            names = {ROW_LOCAL: "array", SCRAMBLED: "all"}
-            labels = [
-                f"{names.get(kind, kind.removeprefix('local:'))}\n{lengths[kind] / 1000:.3g}"
-                for kind in shown
-            ]
-            axes.set_xticks([float(lengths[kind]) for kind in shown], labels)
-            axes.set_xticks([], minor=True)
-            axes.set_title(f"preset {preset}, rows {kept}")
-        for mark, label in (("*", ROW_LOCAL), ("x", SINGLE)):
-            black: Any = {"color": "black", "marker": mark, "linestyle": "", "ms": 8}
-            chart.panels[0].plot([], [], label=label, **black)
-        chart.label("side of a neighbourhood\nlength of wires, 1000 pitches (log)", "PSNR, dB")
-    return chart.markdown

@@ -233,16 +233,12 @@ def _window_stats(stream: _Stream, chosen: npt.NDArray[np.int64]) -> dict[str, A
     """Statistics of the windows of a stream, (K, N) each; a block of taxels at a time."""
     n, size = chosen.shape
     block = max(1, BLOCK_BYTES // (8 * n))
-    begins = range(0, stream.values.shape[1], block)
-    parts = [
-        [_stats(stream.values[chosen[:, k], begin : begin + block]) for begin in begins]
-        for k in range(size)
-    ]
-    names = parts[0][0].keys() - {"count"}
-    found = {
-        name: [np.concatenate([part[name] for part in row]) for row in parts] for name in names
-    }
-    return {name: np.array(rows, np.float32) for name, rows in found.items()} | {
+    found: dict[str, Any] = {}
+    for begin in range(0, stream.values.shape[1], block):
+        of_block = [_stats(stream.values[chosen[:, k], begin : begin + block]) for k in range(size)]
+        for name in of_block[0]:
+            found.setdefault(name, []).append(np.stack([one[name] for one in of_block]))
+    return {name: np.concatenate(parts, axis=1) for name, parts in found.items()} | {
         "count": np.array([n])
     }
 
@@ -332,22 +328,14 @@ def _readme(bag: BagReader, streams: list[_Stream], first_ns: int, fps: int) -> 
         "---", "task_categories:", "- robotics", "tags:", "- LeRobot", "- tactile", "---", "",
         f"# {bag.path.name}", "",
         f"LeRobot dataset, codebase version {VERSION}, {fps} rows a second, one episode. Row 0 is "
-        f"that of the stamp {first_ns} ns.", "",
-        "| feature | frames a row | taxels (rows x columns) | unit | range | pitch | topic |",
+        f"that of the stamp {first_ns} ns. Of each row the last frames at or before its time, the "
+        "newest last; `.age` is the time since each was acquired, in seconds.", "",
+        "| feature | frames a row | taxels (rows x columns) | unit | range | pitch, m | topic |",
         "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     for stream in streams:
-        skin = stream.skin
-        unit, top = (skin.unit, f"0..{skin.f_max:g}") if skin is not None else ("-", "-")
-        pitch = f"{1000 * skin.pitch_m:g} mm" if skin is not None and skin.pitch_m else "-"
-        lines.append(
-            f"| {stream.key} | {stream.size} | {stream.shape[0]} x {stream.shape[1]} | {unit} | "
-            f"{top} | {pitch} | {stream.topic} |"
-        )
-    lines += [
-        "",
-        "Of each row the last frames at or before its time, the newest last; `.age` is the time "
-        "since each was acquired, in seconds.",
-        "",
-    ]
-    return "\n".join(lines)
+        skin, (n_rows, n_cols) = stream.skin, stream.shape
+        known = (skin.unit, f"0..{skin.f_max:g}", skin.pitch_m or "-") if skin else ("-",) * 3
+        cells = (stream.key, stream.size, f"{n_rows} x {n_cols}", *known, stream.topic)
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join([*lines, ""])

@@ -6,9 +6,9 @@ Each bus is a bound: no other device sends, no frame is repeated, and the host i
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import NamedTuple
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import nearest_of
@@ -17,57 +17,19 @@ from sparseskin.nodes.sensor.files.recording import shown
 from .units import BITS_A_SECOND, quantity
 
 LOWEST_BIT_S, HIGHEST_BIT_S = 1e3, 1e11
+FD_LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+"""Lengths of the data field of a CAN FD frame. Source: ISO 11898-1:2015."""
 
 
-@dataclass(frozen=True)
-class Bus(ABC):
-    """A bus that carries the frames of a skin in frames of its own.
-
-    Attributes
-    ----------
-    bit_s : float
-        Bits a second: of UART its baud, of SPI its clock, of CAN FD the rate of the arbitration.
-    form : str
-        The bus in words, but its rate.
-    most_bytes : int or None
-        Data bytes of a frame of the bus at most; None where it has no framing.
-    """
-
-    form: ClassVar[str]
-    most_bytes: ClassVar[int | None] = None
-    bit_s: float
-
-    @property
-    def label(self) -> str:
-        """The bus in words."""
-        return self.form.format(rate_text(self.bit_s))
-
-    @abstractmethod
-    def frame_s(self, n_bytes: int) -> float:
-        """Time of one frame of the bus with so many data bytes, and the gap after it, seconds."""
-
-    def seconds(self, n_bytes: int) -> float:
-        """Time from the first to the last bit of a skin's frame of `n_bytes`, 1 or more, in
-        seconds; the gap before the next one included.
-        """
-        most = self.most_bytes or n_bytes
-        full, rest = divmod(n_bytes, most)
-        return full * self.frame_s(most) + (self.frame_s(rest) if rest else 0.0)
-
-
-class Serial(Bus):
+def _serial_s(n: int, baud: float) -> float:
     """UART with 8 data bits, no parity and one stop bit (8N1): 10 bits a byte.
 
-    t = 10 n / baud. Source: Microchip, ATmega328P data sheet, frame formats of the USART.
+    Source: Microchip, ATmega328P data sheet, frame formats of the USART.
     """
-
-    form = "UART at {}baud"
-
-    def frame_s(self, n_bytes: int) -> float:
-        return 10 * n_bytes / self.bit_s
+    return 10 * n / baud
 
 
-class Can(Bus):
+def _can_s(n: int, bit_s: float) -> float:
     """Classic CAN, 11-bit identifiers, 8 bytes a frame.
 
     A frame of n bytes has 34 + 8 n bits from its start to its CRC, into which at most
@@ -77,21 +39,11 @@ class Can(Bus):
     Source: ISO 11898-1:2015; bound of the stuff bits as in Davis, Burns, Bril, Lukkien, "Controller
     Area Network (CAN) schedulability analysis", Real-Time Systems 35, 2007.
     """
-
-    form = "CAN at {}bit/s"
-    most_bytes = 8
-
-    def frame_s(self, n_bytes: int) -> float:
-        stuffed = 34 + 8 * n_bytes
-        return (stuffed + (stuffed - 1) // 4 + 13) / self.bit_s
+    stuffed = 34 + 8 * n
+    return (stuffed + (stuffed - 1) // 4 + 13) / bit_s
 
 
-FD_LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
-"""Lengths of the data field of a CAN FD frame. Source: ISO 11898-1:2015."""
-
-
-@dataclass(frozen=True)
-class CanFd(Bus):
+def _can_fd_s(n: int, bit_s: float, data_bit_s: float) -> float:
     """CAN FD, 11-bit identifiers, 64 bytes a frame, data at a higher rate.
 
     At the arbitration rate: 17 bits from the start to the bit rate switch, at most 4 stuff bits,
@@ -101,57 +53,81 @@ class CanFd(Bus):
     27 bits to 16 bytes of data, 32 bits beyond. n is the next of `FD_LENGTHS`. Source: ISO
     11898-1:2015.
     """
-
-    form = "CAN FD at {}/{}bit/s"
-    most_bytes = 64
-    data_bit_s: float
-
-    @property
-    def label(self) -> str:
-        return self.form.format(rate_text(self.bit_s), rate_text(self.data_bit_s))
-
-    def frame_s(self, n_bytes: int) -> float:
-        n = next(length for length in FD_LENGTHS if length >= n_bytes)
-        stuff, crc = (21 + 8 * n) // 4, 27 if n <= 16 else 32
-        slow, fast = 17 + 4 + 13, 5 + 8 * n + (stuff - 4) + crc
-        return slow / self.bit_s + fast / self.data_bit_s
+    n = next(length for length in FD_LENGTHS if length >= n)
+    stuff, crc = (21 + 8 * n) // 4, 27 if n <= 16 else 32
+    return (17 + 4 + 13) / bit_s + (5 + 8 * n + (stuff - 4) + crc) / data_bit_s
 
 
-class Spi(Bus):
+def _spi_s(n: int, clock: float) -> float:
     """SPI on one data line: 8 clocks a byte, without gaps, as DMA sends.
 
-    t = 8 n / clock. Source: Motorola, SPI Block Guide V03.06. The bus has no
-    framing of its own, and devices may need pauses between bytes: this is a bound.
+    Source: Motorola, SPI Block Guide V03.06. The bus has no framing of its own, and devices may
+    need pauses between bytes: this is a bound.
     """
-
-    form = "SPI at {}Hz"
-
-    def frame_s(self, n_bytes: int) -> float:
-        return 8 * n_bytes / self.bit_s
+    return 8 * n / clock
 
 
-class Udp(Bus):
+def _udp_s(n: int, bit_s: float) -> float:
     """UDP over IPv4 and Ethernet: datagrams of at most 1472 bytes, which fill an Ethernet frame:
     1500 - 20 (IPv4) - 8 (UDP).
 
     On the wire a datagram of n bytes is preamble 8, header 14, max(46, 28 + n), check
     sequence 4, and a gap of 12. Source: IEEE 802.3-2018; RFC 791; RFC 768.
     """
-
-    form = "UDP over Ethernet at {}bit/s"
-    most_bytes = 1472
-
-    def frame_s(self, n_bytes: int) -> float:
-        return 8 * (8 + 14 + max(46, 28 + n_bytes) + 4 + 12) / self.bit_s
+    return 8 * (8 + 14 + max(46, 28 + n) + 4 + 12) / bit_s
 
 
+class _Kind(NamedTuple):
+    """The bus in words, but its rates; time of a frame of n data bytes and the gap after it, by the
+    rates; data bytes of a frame at most (None: no framing); the rates where none is stated.
+    """
+
+    label: str
+    frame_s: Callable[..., float]
+    most_bytes: int | None = None
+    default: str = ""
+
+
+KINDS = {
+    "serial": _Kind("UART at {}baud", _serial_s),
+    "can": _Kind("CAN at {}bit/s", _can_s, 8, "1M"),
+    "can-fd": _Kind("CAN FD at {}/{}bit/s", _can_fd_s, 64, "1M/5M"),
+    "spi": _Kind("SPI at {}Hz", _spi_s),
+    "udp": _Kind("UDP over Ethernet at {}bit/s", _udp_s, 1472, "100M"),
+}
 FORMS = "serial:2M, can:1M, can-fd[:1M/5M], spi:20M, udp[:100M]"
 """Forms of a bus in options and files."""
-_KINDS: dict[str, tuple[type[Bus], str]] = {
-    **{"can": (Can, "1M"), "can-fd": (CanFd, "1M/5M"), "udp": (Udp, "100M")},
-    **{"serial": (Serial, ""), "spi": (Spi, "")},
-}
-"""Buses by name, each with its rate where none is stated."""
+
+
+@dataclass(frozen=True)
+class Bus:
+    """A bus that carries the frames of a skin in frames of its own.
+
+    Attributes
+    ----------
+    kind : str
+        A name in `KINDS`.
+    rates : tuple of float
+        Bits a second: of UART its baud, of SPI its clock, of CAN FD arbitration and data.
+    """
+
+    kind: str
+    rates: tuple[float, ...]
+
+    @property
+    def label(self) -> str:
+        """The bus in words."""
+        return KINDS[self.kind].label.format(*map(rate_text, self.rates))
+
+    def seconds(self, n_bytes: int) -> float:
+        """Time from the first to the last bit of a skin's frame of `n_bytes`, 1 or more, in
+        seconds; the gap before the next one included.
+        """
+        kind = KINDS[self.kind]
+        most = kind.most_bytes or n_bytes
+        full, rest = divmod(n_bytes, most)
+        last_s = kind.frame_s(rest, *self.rates) if rest else 0.0
+        return full * kind.frame_s(most, *self.rates) + last_s
 
 
 def read_bus(text: object) -> Bus:
@@ -160,29 +136,24 @@ def read_bus(text: object) -> Bus:
     """
     kind, _, rate = text.partition(":") if isinstance(text, str) else ("", "", "")
     kind, rate = kind.strip(), rate.strip()
-    if kind not in _KINDS:
-        hint = nearest_of(kind, _KINDS)
+    if kind not in KINDS:
+        hint = nearest_of(kind, KINDS)
         raise SettingsError(f"{shown(text)}: bus is not known{hint}; expected {FORMS}")
-    made, default = _KINDS[kind]
-    rate = rate or default
+    rate = rate or KINDS[kind].default
     if not rate:
         raise SettingsError(f"{shown(text)}: states no rate; expected such as {kind}:2M")
-    slow, slash, fast = rate.partition("/") if kind == "can-fd" else (rate, "", "")
-    rates = [_bit_s(slow.strip(), "1M")]
-    if kind == "can-fd":
-        if not slash:
-            raise SettingsError(f"{shown(text)}: expected can-fd:ARBITRATION/DATA, as can-fd:1M/5M")
-        rates.append(_bit_s(fast.strip(), "5M"))
-        if rates[1] < rates[0]:
-            raise SettingsError(f"{shown(text)}: data are slower than the arbitration")
-    return made(*rates)
+    parts = rate.split("/") if kind == "can-fd" else [rate]
+    if kind == "can-fd" and len(parts) != 2:
+        raise SettingsError(f"{shown(text)}: expected can-fd:ARBITRATION/DATA, as can-fd:1M/5M")
+    rates = tuple(
+        quantity(part.strip(), BITS_A_SECOND, "1M", LOWEST_BIT_S, HIGHEST_BIT_S) for part in parts
+    )
+    if rates[-1] < rates[0]:
+        raise SettingsError(f"{shown(text)}: data are slower than the arbitration")
+    return Bus(kind, rates)
 
 
 def rate_text(rate: float) -> str:
     """A rate with the largest prefix that leaves 1 or more: 2 M, 500 k, 9600 without one."""
     power = min(3, max(0, int(math.log10(rate) // 3))) if rate >= 1e4 else 0
     return f"{rate / 1000**power:.6g} {('', 'k', 'M', 'G')[power]}"
-
-
-def _bit_s(text: str, example: str) -> float:
-    return quantity(text, BITS_A_SECOND, example, LOWEST_BIT_S, HIGHEST_BIT_S)

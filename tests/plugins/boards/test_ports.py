@@ -178,9 +178,8 @@ class TestCan:
             ("ids=0x100-0x10F&dtype=uint16", False),
             ("ids=0x100&index=u8&counter=u8&dtype=uint16", False),
             ("ids=0x18DA0001-0x18DA0002&fd=true&dtype=uint16", True),
-            ("ids=0x100&start=A55A&checksum=crc16&dtype=uint16", False),
         ],
-        ids=["an id a chunk", "index and counter", "CAN-FD, extended ids", "stream"],
+        ids=["an id a chunk", "index and counter", "CAN-FD, extended ids"],
     )
     def test_frames_come_over_a_virtual_bus(self, opened: Any, query: str, fd: bool) -> None:
         can = pytest.importorskip("can")

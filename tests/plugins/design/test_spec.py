@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.plugins.design.models.buses import CanFd
+from sparseskin.plugins.design.models.buses import Bus
 from sparseskin.plugins.design.spec import make_design, read_file
 
 PAD = {"rows": 12, "cols": 32}
@@ -18,7 +18,7 @@ def test_a_design_has_defaults_and_units() -> None:
     assert (d.n_rows, d.n_cols, d.n_taxels, d.size) == (12, 32, 384, "12 x 32 taxels")
     assert (d.pitch_m, d.noise_n, d.rate_hz) == pytest.approx((0.003, 0.02, 1000.0))
     assert d.noise == pytest.approx(0.02 / 2.5)
-    assert d.bus == CanFd(1e6, 5e6)
+    assert d.bus == Bus("can-fd", (1e6, 5e6))
     assert (d.adc.bits, d.adc.rate_hz, d.bits, d.cores, d.sums) == (10, 200e3, 8, 4, "digital")
 
 
@@ -39,7 +39,7 @@ def test_numbers_of_a_file_are_those_of_options(keys: dict[str, object]) -> None
     [
         ({}, "rows: is missing; state rows and cols, taxels, or points"),
         ({"rows": 12}, "cols: is missing; state rows and cols"),
-        ({**PAD, "taxels": 9}, "taxels: states the size once more; leave out rows"),
+        ({**PAD, "taxels": 99}, "taxels: states the size once more; leave out rows"),
         ({"rows": "x", "cols": 2}, "rows: 'x' is not allowed; allowed: 1..1024"),
         ({"rows": 1, "cols": 2}, "rows: 1 x 2 are 2 taxels; allowed: 16..65536"),
         ({**PAD, "pitch": "4"}, "pitch: '4': has no unit; expected such as 4mm"),

@@ -11,7 +11,7 @@ import pytest
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import RANDOM
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.plugins.edge.description import EdgeDescription, EdgeError
+from sparseskin.plugins.edge.description import EdgeDescription
 
 MASK = np.array([[True, False, True], [True, True, True]])
 
@@ -29,8 +29,7 @@ def test_its_file_is_read_back_as_it_was_written(
     assert read.tags == made.tags
 
 
-@pytest.mark.parametrize("ratio", [1, 2, 3, 3.5, 8])
-@pytest.mark.parametrize("rows", [None, "fixed", "rotating"])
+@pytest.mark.parametrize(("ratio", "rows"), [(1, None), (3, "fixed"), (3.5, None), (8, "rotating")])
 def test_rows_and_m_are_those_of_the_compressor(ratio: float, rows: str | None) -> None:
     made = EdgeDescription.chosen(7, 9, ratio=ratio, rows=rows)
     assert (made.rows, made.m) == CompressorSettings(ratio=ratio, rows=rows).rows_and_m(63)
@@ -78,18 +77,17 @@ def test_a_file_that_was_changed_is_refused_with_its_place(
     text = EdgeDescription.chosen(6, 6, ratio=3).to_toml()
     assert text.count(old) == 1
     path.write_text(text.replace(old, new))
-    with pytest.raises(EdgeError) as refused:
+    with pytest.raises(SettingsError) as refused:
         EdgeDescription.read(path)
     assert str(refused.value).startswith(f"{path}: {line}")
     assert "\n" not in str(refused.value)
 
 
 def test_a_file_that_is_missing_or_no_text_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(EdgeError, match="cannot be read: No such file"):
-        EdgeDescription.read(tmp_path / "none.toml")
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(EdgeError, match="no TOML"):
-        EdgeDescription.read(tmp_path / "bytes.toml")
+    for name, fault in (("none", "cannot be read: No such file"), ("bytes", "no TOML")):
+        with pytest.raises(SettingsError, match=fault):
+            EdgeDescription.read(tmp_path / f"{name}.toml")
 
 
 EDGE = """
@@ -107,7 +105,7 @@ mask = ["00011111111", {eight}]
 """
 
 
-def test_the_description_of_an_edge_is_read(tmp_path: Path) -> None:
+def test_a_file_of_version_0_1_is_read(tmp_path: Path) -> None:
     path = tmp_path / "edge.toml"
     path.write_text(EDGE.format(eight=", ".join(['"11111111111"'] * 8)), encoding="utf-8")
     read = EdgeDescription.read(path)

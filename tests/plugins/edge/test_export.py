@@ -34,15 +34,12 @@ def described(n_rows: int, n_cols: int, ratio: float = 3, holes: bool = False, *
 
 
 CASES = {
-    "32x32": described(32, 32),
     "one taxel": described(1, 1, 1, bits=16),
     "all rows": described(8, 16, 1, bits=12),
     "remainder of all sizes": described(5, 19, 2, bits=5, rows="rotating", seed=7),
     "masked, not square": described(12, 32, 4, holes=True, bits=10, adc_bits=16),
     "fixed, 8 bits of ADC": described(9, 7, 3, rows="fixed", adc_bits=8, bits=4),
     "block 1": described(6, 6, 2, block=1, adc_bits=16, bits=16),
-    "block 2": described(6, 7, 3, block=2, adc_bits=10, bits=13),
-    "block 64": described(13, 17, 8, block=64, adc_bits=16, bits=7),
     "block 256, many row subsets": described(20, 30, 40, block=256, adc_bits=16, bits=16),
     "one bit of ADC": described(16, 32, 3, adc_bits=1, bits=9, holes=True),
 }
@@ -57,11 +54,8 @@ def test_bytes_of_the_program_are_those_of_python(name: str, tmp_path: Path) -> 
     assert sent(out, d, frames) == b"".join(compressed(d, frames))
 
 
-@pytest.mark.parametrize("name", ["one taxel", "masked, not square", "block 256, many row subsets"])
-def test_the_self_test_finds_its_frames_as_expected_and_a_changed_table_not(
-    name: str, tmp_path: Path
-) -> None:
-    d = CASES[name]
+def test_the_self_test_finds_its_frames_as_expected_and_a_changed_table_not(tmp_path: Path) -> None:
+    d = CASES["masked, not square"]
     out = compiled(d, tmp_path, test=True)
     test = subprocess.run([out / "edge_test"], capture_output=True, text=True, check=False)
     n = len(d.subsets) + 6
@@ -78,9 +72,8 @@ def test_the_self_test_finds_its_frames_as_expected_and_a_changed_table_not(
     assert wrong.stdout == f"{n - 1} of {n} test frames are as expected\n"
 
 
-@pytest.mark.parametrize("name", ["32x32", "masked, not square", "remainder of all sizes"])
-def test_its_frames_are_the_messages_of_a_compressor_node(name: str, tmp_path: Path) -> None:
-    d = CASES[name]
+def test_its_frames_are_the_messages_of_a_compressor_node() -> None:
+    d = CASES["masked, not square"]
     made = {"rows": d.rows, "m": d.m, "bits": d.bits, "block": d.block, "seed": d.seed}
     node = Compressor(CompressorSettings(**made), Context("compressor", ManualClock(1)))
     skin = skin_state(
@@ -88,13 +81,13 @@ def test_its_frames_are_the_messages_of_a_compressor_node(name: str, tmp_path: P
     )
     list(node.step(skin))
     frames = random_counts(d, 3 * len(d.subsets) + 6)
-    arrived = FrameParser(framing_of(d)).feed(sent(compiled(d, tmp_path), d, frames))
+    arrived = FrameParser(framing_of(d)).feed(b"".join(compressed(d, frames)))
     assert [one.sequence for one in arrived] == list(range(len(frames)))
-    found = [read_frame(d, one.payload) for one in arrived]
-    for counts, frame in zip(frames, found, strict=True):
-        forces = counts.astype(np.float32)
-        forces[~d.exists] = 0
-        (message,) = node.step(Taxels(stamp_ns=2, patch="skin", forces=forces))
+    for counts, one in zip(frames, arrived, strict=True):
+        (message,) = node.step(
+            Taxels(stamp_ns=2, patch="skin", forces=(counts * d.exists).astype(np.float32))
+        )
+        frame = read_frame(d, one.payload)
         assert isinstance(message, Measurements)
         assert frame is not None
         assert frame.phi == message.phi
@@ -102,7 +95,7 @@ def test_its_frames_are_the_messages_of_a_compressor_node(name: str, tmp_path: P
         assert frame.step == message.y.step  # type: ignore[attr-defined]
 
 
-SMALL = described(4, 7, 2, bits=6, adc_bits=16)
+SMALL = described(4, 7, 2, bits=6, adc_bits=15)
 
 
 @pytest.fixture(scope="module")
@@ -116,15 +109,8 @@ def test_any_frame_is_the_same_in_c(data: st.DataObject, small_program: Path) ->
     # Few different values: sums that cancel, and quotients that are ties.
     values = data.draw(st.lists(st.integers(0, 65535), min_size=1, max_size=5))
     counts = data.draw(st.lists(st.sampled_from(values), min_size=56, max_size=56))
-    frames = np.array(counts, np.uint16).reshape(2, 4, 7)
+    frames = np.array(counts, np.uint16).reshape(2, 4, 7)  # beyond full scale, too
     assert sent(small_program, SMALL, frames) == b"".join(compressed(SMALL, frames))
-
-
-def test_readings_above_full_scale_are_read_as_full_scale(tmp_path: Path) -> None:
-    d = described(4, 8, adc_bits=10)
-    frames = np.full((1, 4, 8), 65535, np.uint16)
-    full = np.full((1, 4, 8), 1023, np.uint16)
-    assert sent(compiled(d, tmp_path), d, frames) == b"".join(compressed(d, full))
 
 
 def test_the_sources_use_neither_the_heap_nor_floating_point(tmp_path: Path) -> None:

@@ -57,34 +57,25 @@ def received(node: Edge, n: int) -> list[Measurements]:
     return found
 
 
-def test_skin_and_phi_are_those_of_the_description(described: str, line: Line) -> None:
-    node = opened(source=f"serial:{line.device}", description=described)
-    skin, phi = node.start()
-    assert isinstance(skin, SkinState)
-    assert isinstance(phi, PhiState)
-    assert (skin.skin.shape, skin.f_max, skin.unit, skin.has_taxels) == (
-        (6, 8),
-        4095,
-        "counts",
-        False,
-    )
-    assert (phi.fingerprint, phi.m, phi.rows) == (D.phi.fingerprint, 16, "rotating")
-    node.close({})
-
-
 @pytest.mark.parametrize(("f_max", "unit"), [(None, None), (2.5, "N")])
-def test_measurements_are_codes_times_a_step_in_the_unit_of_the_forces(
+def test_it_publishes_skin_phi_and_codes_times_a_step_in_the_unit_of_the_forces(
     f_max: float | None, unit: str | None, described: str, line: Line
 ) -> None:
     node = opened(source=f"serial:{line.device}", description=described, f_max=f_max, unit=unit)
+    skin, phi = node.start()
+    assert isinstance(skin, SkinState)
+    assert isinstance(phi, PhiState)
+    stated = (skin.skin.shape, skin.f_max, skin.unit, skin.has_taxels)
+    assert stated == ((6, 8), f_max or 4095, unit or "counts", False)
+    assert (phi.fingerprint, phi.m, phi.rows) == (D.phi.fingerprint, 16, "rotating")
     thread = line.sending(FRAMES)
     messages = received(node, len(FRAMES))
     thread.join()
     node.close({})
     for k, (message, counts) in enumerate(zip(messages, COUNTS, strict=True)):
-        phi = D.subsets[k % 3]
-        y = quantised(phi.forward(counts.reshape(-1).astype(np.float32)), 10)
-        assert message.phi == phi.fingerprint
+        subset = D.subsets[k % 3]
+        y = quantised(subset.forward(counts.reshape(-1).astype(np.float32)), 10)
+        assert message.phi == subset.fingerprint
         if f_max is None:
             assert message.y.tobytes() == y.tobytes()
         else:
