@@ -408,7 +408,7 @@ def read_recording(
     Parameters
     ----------
     path : str or path
-        A bag (.mcap, .mcap.part), or any file that the sensor reads: Novel .lst and .asc, Tekscan
+        A bag (.mcap, .mcap.part), or any file that the sensor reads: Novel .lst, Tekscan
         .csv and .asf, XSENSOR .csv, .npy, .npz, plain .csv.
     patch : str, optional
         Patch to read; needed where a bag has several.

@@ -6,6 +6,7 @@ import select
 import socket
 import sys
 import time
+from typing import Any
 
 from sparseskin.nodes.errors import SourceError
 
@@ -31,7 +32,7 @@ class UdpPort(Port):
         self._n_dropped = self._n_strangers = self._last_bytes = 0
 
     @classmethod
-    def check(cls, address: str, settings: UdpSettings) -> None:
+    def check(cls, address: str, settings: Any) -> None:
         if not (address.isascii() and address.isdigit() and 0 < int(address[:6]) < 65536):
             raise SourceError(f"{address[:40]!r} is no port; a port is a number in 1..65535")
 

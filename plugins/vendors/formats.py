@@ -3,12 +3,10 @@
 from sparseskin.nodes.sensor.files.format import Format
 
 from .emed import EmedRecording
-from .novel_asc import PlianceRecording
 from .tekscan import TekscanRecording, is_tekscan
 from .xsensor import XsensorRecording, is_xsensor
 
 EMED = Format({".lst": "Novel emed text export"}, lambda file: EmedRecording(file.lines))
-PLIANCE = Format({".asc": "Novel pliance text export"}, lambda file: PlianceRecording(file.lines))
 TEKSCAN = Format(
     {".asf": "Tekscan ASCII movie export", ".csv": "Tekscan ASCII movie export"},
     lambda file: TekscanRecording(file.lines),

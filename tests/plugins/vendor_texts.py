@@ -95,27 +95,3 @@ def xsensor_text(
         lines += xsensor_sensor("RF", ["9,9,9,9"], area, pad)
         lines += ["GROUP,1,,", "Name,Left Heel", "Cells,2", "SENSELS", "5,6,,"]
     return "\n,,,\n".join(lines) + "\n"
-
-
-#: An export of pliance, of three sensors.
-ASC = """file name: a.mat date/time 17.06.23 15.21
-mat type s2
-total times [secs]: 0.1 time per frame [secs]: 0.04 scanning rate [Hz]: 25
-pressure values in kPa
-
-electrical:
-time[secs]       4       5       7
-   0.04   10.000   0.000   20.000
-   0.08   11.000   5.000   20.000
-      MPP   11.000   5.000   20.000
-
- time[secs] force[N]   x[cm]   y[cm]
-   0.04    0.000       -       -
-
-sensor        4        5        7
-corner[cm]
-x[0]   0.0   1.0   0.0
-x[c]   0.5   1.5   0.5
-y[c]   1.5   1.5   0.5
-area   1.0   1.0   1.0
-"""

@@ -74,12 +74,8 @@ def test_without_a_counter_a_lost_chunk_costs_its_frame_alone(
 
 
 def test_other_ids_and_short_or_wild_data_are_no_chunk() -> None:
-    counts = Counts()
-    assembler = Assembler(INDEXED, counts)
-    assert assembler.add(0x7FF, bytes(8)) is None
-    assert counts == Counts()
-    assert [assembler.add(0x10, data) for data in (b"", b"\0", b"\xff" * 8, bytes(3))] == [None] * 4
-    assert counts.dropped_bytes == 12
+    wild = [(0x7FF, bytes(8)), *((0x10, data) for data in (b"", b"\0", b"\xff" * 8, bytes(3)))]
+    assert assembled(INDEXED, wild) == ([], Counts(dropped_bytes=12))
 
 
 def test_padding_of_can_fd_is_left_out() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Sequence as Items
 from itertools import pairwise
 
@@ -81,12 +82,9 @@ framings = st.builds(
 
 class TestWithoutErrors:
     @few
-    @given(framing=framings, data=st.data())
-    def test_a_frame_has_its_stated_length_and_parts(
-        self, framing: Framing, data: st.DataObject
-    ) -> None:
-        n = framing.payload_bytes
-        payload = data.draw(st.binary(min_size=n, max_size=n))
+    @given(framing=framings, seed=st.integers(0, 2**32))
+    def test_a_frame_has_its_stated_length_and_parts(self, framing: Framing, seed: int) -> None:
+        payload = random.Random(seed).randbytes(framing.payload_bytes)
         raw = framing.encode(payload, 3)
         assert len(raw) == framing.n_bytes
         assert framing.is_whole(raw)
@@ -229,14 +227,6 @@ class TestWithErrors:
             parser.feed(bytes(1000))
         assert parser.counts.frames == 0
         assert len(checked) < 100 * 2 * MAX_CHECKS
-
-    def test_a_parser_that_is_reset_takes_no_frame_from_both_sides(self) -> None:
-        parser = FrameParser(WITH_CRC)
-        first, second = WITH_CRC.encode(b"a" * 12, 1), WITH_CRC.encode(b"b" * 12, 900)
-        parser.feed(first[:9])
-        parser.reset()
-        assert [frame.payload for frame in parser.feed(second)] == [b"b" * 12]
-        assert parser.counts == Counts(frames=1, dropped_bytes=9)
 
 
 class TestSequence:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -168,13 +167,10 @@ def test_every_number_is_in_a_ros2_export_and_its_folder_is_a_bag(rich: Path) ->
     assert np.array_equal([[cell == "1" for cell in row] for row in states["skin"]["mask"]], MASK)
 
 
-def test_a_ros2_export_without_the_extra_or_beyond_ros_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stamp_beyond_ros_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="the extra ros2 is not installed")
     late = Taxels(stamp_ns=(1 << 31) * 10**9, patch="skin", forces=np.zeros((2, 2), np.float32))
     make_bag(tmp_path / "a.mcap", [late])
-    for fault in ("beyond what ROS 2 can hold", r'pip install "sparseskin\[ros2\]"'):
-        with BagReader(tmp_path / "a.mcap") as bag, pytest.raises(BagError, match=fault):
-            export_ros2(bag, tmp_path / "out")
-        monkeypatch.setitem(sys.modules, "rosbags", None)  # for the second
+    with BagReader(tmp_path / "a.mcap") as bag, pytest.raises(BagError, match="beyond what ROS 2"):
+        export_ros2(bag, tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]

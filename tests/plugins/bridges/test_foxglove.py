@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,7 +10,7 @@ from bags import skin_state
 from conftest import StartProgram, wait_until
 from foxglove_client import FoxgloveClient, pixels
 
-from sparseskin.messages import Reconstruction, SkinState, Taxels
+from sparseskin.messages import Reconstruction, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context
@@ -24,8 +23,7 @@ ROWS, COLS = 5, 8
 """Neither equal nor powers of two: a transposed or padded image is noticed."""
 
 
-def skin(pitch_m: float | None = 0.005) -> SkinState:
-    return skin_state(n_rows=ROWS, n_cols=COLS, pitch_m=pitch_m, mask=None)
+SKIN = skin_state(n_rows=ROWS, n_cols=COLS, mask=None)
 
 
 def taxels(k: int) -> Taxels:
@@ -53,7 +51,7 @@ def subscribed(bridge: FoxgloveBridge, *topics: str) -> FoxgloveClient:
 def test_each_frame_arrives_with_its_pixels_and_stamp(bridge: FoxgloveBridge) -> None:
     sent = [taxels(k) for k in range(200)]
     with subscribed(bridge, TOPIC) as client:
-        for message in (skin(), *sent):
+        for message in (SKIN, *sent):
             list(bridge.step(message))
         for message in sent:
             got = client.data()
@@ -61,20 +59,6 @@ def test_each_frame_arrives_with_its_pixels_and_stamp(bridge: FoxgloveBridge) ->
             assert np.array_equal(pixels(got.content), message.forces[0])
             stamp = got.content.timestamp
             assert stamp.seconds * 10**9 + stamp.nanos == message.stamp_ns
-
-
-@pytest.mark.parametrize(("pitch_m", "side_m"), [(0.005, 0.005), (None, 1.0)])
-def test_a_grid_has_the_pitch_as_its_cell_size(
-    bridge: FoxgloveBridge, pitch_m: float | None, side_m: float
-) -> None:
-    with subscribed(bridge, f"{TOPIC}/grid") as client:
-        for message in (skin(pitch_m), taxels(0)):
-            list(bridge.step(message))
-        got = client.data()
-        grid = got.content
-        assert (grid.cell_size.x, grid.cell_size.y) == (side_m, side_m)
-        assert (grid.column_count, grid.row_stride, grid.cell_stride) == (COLS, 4 * COLS, 4)
-        assert grid.data == taxels(0).forces.tobytes()
 
 
 def test_figures_are_numbers_that_can_be_plotted(bridge: FoxgloveBridge) -> None:
@@ -86,7 +70,7 @@ def test_figures_are_numbers_that_can_be_plotted(bridge: FoxgloveBridge) -> None
     )  # fmt: skip
     topic = "/skin/reconstruction/figures"
     with subscribed(bridge, topic) as client:
-        for message in (skin(), made):
+        for message in (SKIN, made):
             list(bridge.step(message))
         got = client.data()
         figures = got.content
@@ -97,7 +81,7 @@ def test_figures_are_numbers_that_can_be_plotted(bridge: FoxgloveBridge) -> None
 
 def test_frames_before_the_skin_and_of_another_shape_are_not_sent(bridge: FoxgloveBridge) -> None:
     list(bridge.step(taxels(0)))
-    list(bridge.step(skin()))
+    list(bridge.step(SKIN))
     other = Taxels(stamp_ns=1, patch="skin", forces=np.zeros((COLS, ROWS), np.float32))
     list(bridge.step(other))
     assert bridge.n_sent == 0
@@ -129,24 +113,3 @@ def test_a_client_reads_frames_of_a_running_graph(start: StartProgram) -> None:
         client.wait_for_channels("/skin/reconstruction")
         client.subscribe("/skin/reconstruction")
         assert pixels(client.data().content).shape == (40, 40)
-
-
-def test_a_skin_of_points_is_a_point_cloud(bridge: FoxgloveBridge) -> None:
-    exists = np.ones((ROWS, COLS), dtype=np.bool_)
-    exists[2, 3] = False
-    points = np.random.default_rng(1).random((exists.sum(), 6)).astype(np.float32)
-    points[:, 3:] = (0, 0, 1)
-    rows = np.random.default_rng(2).permutation(len(points)).astype(np.int32)
-    state = dataclasses.replace(skin(), mask=exists, points=points, point_rows=rows)
-    topic = f"{TOPIC}/points"
-    for message in (state, taxels(0)):
-        list(bridge.step(message))
-    with subscribed(bridge, topic) as client:
-        list(bridge.step(taxels(1)))
-        got = client.data()
-    cloud = got.content
-    assert [field.name for field in cloud.fields] == ["x", "y", "z", "force", "row"]
-    found = np.frombuffer(cloud.data, "<f4").reshape(-1, cloud.point_stride // 4)
-    assert np.array_equal(found[:, 4].copy().view("<u4"), rows)
-    assert np.array_equal(found[:, :3], points[:, :3])
-    assert np.array_equal(found[:, 3], taxels(1).forces[0][exists])

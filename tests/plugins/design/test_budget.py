@@ -22,10 +22,8 @@ from sparseskin.plugins.design.budget import (
     row_of,
 )
 from sparseskin.plugins.design.models.costs import FIGURES, HOP_S, LARGEST, cost, stored
-from sparseskin.plugins.design.models.wires import wires_of
 from sparseskin.plugins.design.spec import make_design
 from sparseskin.plugins.design.strategies import STRATEGIES
-from sparseskin.plugins.wiring.model import array_wiring
 
 PALM = {"rows": 64, "cols": 64}
 
@@ -41,6 +39,9 @@ def test_a_full_raster_of_a_palm_is_limited_by_its_line() -> None:
     assert found.stage_s["ADC"] == pytest.approx(4096 / 200e3)
     assert found.stage_s["bus"] == pytest.approx(51340 / 2e6)
     assert found.limit == "bus"
+    # A line a row and column, 4 mm apart.
+    assert (found.wires.lines, found.wires.crossings, found.wires.conversions) == (128, 4096, 4096)
+    assert found.wires.length_m == pytest.approx(0.004 * 2 * 64 * 63)
     assert found.possible_hz == pytest.approx(2e6 / 51340)
     assert not found.is_met
 
@@ -92,13 +93,6 @@ def test_points_have_no_rows_and_no_neighbourhoods() -> None:
     # They are simulated on it, too.
     mask = grid_of(make_design({"taxels": 4000}))
     assert (mask.shape, np.count_nonzero(mask)) == ((63, 64), 4000)
-
-
-def test_wires_of_an_array_are_its_rows_and_columns() -> None:
-    d = make_design({"rows": 12, "cols": 32, "pitch": "4mm"})
-    found = wires_of(STRATEGIES["full"], d)
-    assert (found.lines, found.crossings, found.conversions) == (44, 384, 384)
-    assert found.length_m == pytest.approx(0.004 * array_wiring(12, 32, 384).length)
 
 
 def test_stored_costs_are_of_all_sizes_and_lie_between_their_neighbours() -> None:
@@ -159,12 +153,3 @@ def test_a_design_that_holds_names_its_most_accurate_strategy() -> None:
         "The most accurate of them is full (50.0 dB).",
         f"The fewest bytes a frame are {small.n_bytes}, of {small.strategy.name} (40.0 dB).",
     ]
-
-
-def test_the_host_has_a_band_whose_upper_end_limits() -> None:
-    found = row("sbhe_4_rotating")
-    stated = cost("sbhe_4_rotating", 4096)
-    assert (found.host_calm_s, found.stage_s["host"]) == (stated.calm_s, stated.dense_s)
-    assert found.host_rate_hz == pytest.approx(1 / stated.dense_s)
-    calm, dense = (float(ms) for ms in text.host_ms(found).split(".."))
-    assert (calm, dense) == pytest.approx((1e3 * stated.calm_s, 1e3 * stated.dense_s), rel=0.1)

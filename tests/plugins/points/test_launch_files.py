@@ -20,12 +20,6 @@ from sparseskin.nodes.sensor.files.file_source import open_file
 POINTS = "sensor.points=example:grip"
 
 
-def test_the_torso_has_4000_taxels() -> None:
-    sensor = load("torso").nodes["sensor"]
-    (n,) = sensor.cls.facts(sensor.settings).values()
-    assert n == 4000
-
-
 @pytest.mark.slow
 def test_a_skin_of_points_is_recorded_exported_and_reprocessed(
     start: StartProgram, tmp_path: Path

@@ -9,7 +9,7 @@ import pytest
 from damaged import refusal
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from vendor_texts import ASC, emed_text, tekscan_text, xsensor_text
+from vendor_texts import emed_text, tekscan_text, xsensor_text
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.file_source import RecordedSource, n_taxels, open_file
@@ -19,10 +19,9 @@ TEXTS = {
     "hand.asf": tekscan_text().rstrip("\n"),
     "hand.csv": tekscan_text(),
     "sole.csv": xsensor_text(),
-    "mat.asc": ASC,
 }
 #: Pieces that mean something in one of them.
-PIECES = ["", "9", "-", "\t", ",", "\n", "\f", "\xb2", "nan", "SENSELS\n", "FRAME,", "[c]"]
+PIECES = ["", "9", "-", "\t", ",", "\n", "\f", "\xb2", "nan", "SENSELS\n", "FRAME,"]
 
 
 def opened(folder: Path, name: str, text: str) -> RecordedSource | None:
@@ -35,7 +34,7 @@ def opened(folder: Path, name: str, text: str) -> RecordedSource | None:
     return found[0] if found else None
 
 
-@pytest.mark.parametrize(("name", "n"), [("foot.lst", 12), ("hand.asf", 4), ("mat.asc", 3)])
+@pytest.mark.parametrize(("name", "n"), [("foot.lst", 12), ("hand.asf", 4)])
 def test_the_number_of_taxels_shows_at_the_begin(name: str, n: int, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(TEXTS[name].encode("latin-1"))
     assert n_taxels(str(tmp_path / name)) == n
@@ -149,20 +148,6 @@ BROKEN = {
         ("SENSOR,LF", "SENSOR,LX", "frame 1465 is 3 x 4 of sensor 'LF', the first one"),
         ("SENSELS", "SENSELLS", "frame 1464 has no line SENSELS"),
     ],
-    "mat.asc": [
-        (
-            "corner[cm]",
-            "",
-            r"an insole \(pedar\) has them; allowed: an export whose sensors form a grid",
-        ),
-        ("x[c]   0.5   1.5   0.5", "x[c]   0.5   1.75  0.9", r"form no grid by their x\[c\]"),
-        ("x[c]   0.5   1.5   0.5", "x[c]   0.5   0.5   0.5", "two sensors at one place"),
-        ("area   1.0   1.0   1.0", "area   1.0   1.0   2.0", "sensors of different size"),
-        ("11.000   5.000   20.000\n", "11.000   5.000\n", "holds 3 numbers, its header 4"),
-        ("in kPa", "in psi", "pressures in 'psi'; allowed is kPa"),
-        ("   0.08", "   0.04", "the times of the frames do not rise"),
-        ("file name:", "name:", "not a pliance or pedar export"),
-    ],
 }
 """Of each file what is replaced in its text, by what, and the line that refuses it."""
 
@@ -176,7 +161,7 @@ def test_a_broken_file_is_refused_with_its_line(
 ) -> None:
     text = TEXTS[name]
     assert old in text
-    times = 1 if name in ("sole.csv", "mat.asc") and old != "FRAME," else -1
+    times = 1 if name == "sole.csv" and old != "FRAME," else -1
     (tmp_path / name).write_bytes(text.replace(old, new, times).encode("latin-1"))
     with pytest.raises(SourceError, match=message) as caught:
         open_file(tmp_path / name)

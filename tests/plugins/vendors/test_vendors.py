@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from recordings import recording
-from vendor_texts import ASC, EMED_KPA, XSENSOR_FRAMES, emed_text, tekscan_text, xsensor_text
+from vendor_texts import EMED_KPA, XSENSOR_FRAMES, emed_text, tekscan_text, xsensor_text
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.file_source import RecordedSource, open_file
@@ -164,16 +164,6 @@ class TestTekscan:
         source = opened("hand.csv", text)
         assert source.skin.unit == "kPa"
         assert frames_of(source)[1, 0, 2] == np.float32(5.5)
-
-
-def test_a_pliance_export_is_put_on_the_grid_of_its_corners(opened: Opener) -> None:
-    source = opened("a.asc", ASC)
-    # kPa times 1 cm2 is 0.1 N; the top row is the one of largest y.
-    assert source.frames == pytest.approx(np.array([[[1, 0], [2, 0]], [[1.1, 0.5], [2, 0]]]))
-    assert source.skin.mask is not None
-    assert source.skin.mask.tolist() == [[True, True], [True, False]]
-    assert (source.skin.unit, source.skin.pitch_m, source.rate_hz) == ("N", 0.01, 25.0)
-    assert list(source.stamp_ns) == [0, 40_000_000]
 
 
 def test_a_recording_of_an_insole_has_the_left_foot_of_the_file() -> None:
