@@ -1,12 +1,11 @@
 """The shape of a MuJoCo model's skin, found in a process of its own.
 
 A model of a few lines may take any time and memory, or end the process. So it is loaded in a child
-whose time and memory are bounded: `python -m sparseskin.plugins.simulators.isolated MODEL#SITE`.
+whose time and memory are bounded: `python -m sparseskin.plugins.simulators.source MODEL#SITE`.
 """
 
 from __future__ import annotations
 
-import resource
 import signal
 import subprocess
 import sys
@@ -27,7 +26,7 @@ def shape_in_child(address: str, n_bytes: int) -> tuple[int, int]:
     computed. Raises SourceError if the model is refused, or the process fails or takes too long.
     """
     # -P: no module of the current directory is imported.
-    command = [sys.executable, "-P", "-m", __name__, address]
+    command = [sys.executable, "-P", "-m", f"{__package__}.source", address]
     limit_s = START_S + n_bytes / BYTES_PER_S
     try:
         done = subprocess.run(
@@ -47,24 +46,3 @@ def shape_in_child(address: str, n_bytes: int) -> tuple[int, int]:
         raise SourceError(f"{address}: its reader {how}; a damaged or huge file?")
     n_rows, n_cols = map(int, done.stdout.split()[-2:])
     return n_rows, n_cols
-
-
-def main(address: str) -> int:
-    """Print rows and columns of the skin of MODEL#SITE, or why it is refused; the exit status."""
-    from .source import MujocoSource
-
-    resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    try:
-        print(*MujocoSource(address).pad.shape)
-    except SourceError as error:
-        print(error, file=sys.stderr)
-    except MemoryError:
-        print(f"{address}: needs more memory than is allowed to its reader", file=sys.stderr)
-    else:
-        return 0
-    return REFUSED
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))

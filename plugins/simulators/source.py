@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import resource
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.sensor.files.recording import check_stated_shape
 from sparseskin.nodes.sensor.source import Address, Source
 
+from .isolated import MAX_BYTES, REFUSED
 from .model import check_model, find_pad, load_model, split_address
 from .touch import Touch
 
@@ -180,3 +183,22 @@ class MujocoAddress(Address):
             )
         stated: dict[str, Any] = {"n_rows": self.n_rows, "n_cols": self.n_cols}
         return MujocoSource(self.rest, f_max=self.f_max, **stated)
+
+
+def main(address: str) -> int:
+    """Print rows and columns of the skin of MODEL#SITE, or why it is refused; the exit status."""
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    try:
+        print(*MujocoSource(address).pad.shape)
+    except SourceError as error:
+        print(error, file=sys.stderr)
+    except MemoryError:
+        print(f"{address}: needs more memory than is allowed to its reader", file=sys.stderr)
+    else:
+        return 0
+    return REFUSED
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))
